@@ -1,0 +1,75 @@
+"""The `gridpush` command."""
+
+import sys
+from typing import Annotated
+
+import typer
+
+from gridpush_drake.apps import bench, demo, identify, import_logs, predict, show, simulate
+from gridpush_drake.errors import GridPushError
+
+EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130
+"""128 + SIGINT, as shells have it."""
+
+app = typer.Typer(
+    name="gridpush",
+    help="Learn an object's friction and mass by pushing it, and predict where the next push takes it.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["--help", "-h"]},
+)
+
+app.command("demo")(demo.demo)
+app.command("identify")(identify.identify)
+app.command("predict")(predict.predict)
+app.command("simulate")(simulate.simulate)
+app.command("show")(show.show)
+app.add_typer(import_logs.app, name="import")
+app.add_typer(bench.app, name="bench")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from gridpush_drake import __version__
+
+        print(f"gridpush {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Learn an object's friction and mass by pushing it, and predict where the next push takes it."""
+
+
+def main(args: list[str] | None = None) -> None:
+    """Runs the command line and exits: 0 done, 2 bad input (said in one line), 130 interrupted.
+
+    Args:
+        args: instead of the process's own.
+    """
+    try:
+        code = app(args=args, prog_name="gridpush", standalone_mode=False)
+    except GridPushError as error:
+        code = _fail(str(error))
+    except typer.TyperException as error:
+        code = _fail(error.format_message()) if error.format_message().strip() else error.exit_code
+    except KeyboardInterrupt:
+        code = EXIT_INTERRUPTED
+    if code == EXIT_INTERRUPTED:
+        print("gridpush: interrupted; no file was left half-written", file=sys.stderr)
+    sys.exit(code)
+
+
+def _fail(message: str) -> int:
+    print(f"gridpush: error: {' '.join(message.split())}", file=sys.stderr)
+    return EXIT_BAD_INPUT
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""How it moves: the LCP, the condensed step, pusher contact, gradients, rollout."""

@@ -1,0 +1,37 @@
+"""What can go wrong, as exceptions under one root."""
+
+
+class GridPushError(Exception):
+    """Root of every error this package raises on bad input.
+
+    The message names the file (where there is one), the field and the expected form, so that it can be
+    shown to a user as it is.
+    """
+
+
+class ObjectError(GridPushError):
+    """An object, a mask, an outline or their YAML is not what it should be."""
+
+
+class ParameterError(GridPushError):
+    """Cell masses, frictions or priors are out of range or of the wrong shape."""
+
+
+class PushError(GridPushError):
+    """A push's geometry or timing is not usable."""
+
+
+class PushLogError(GridPushError):
+    """A push log, or a public data set to be imported, cannot be read."""
+
+
+class SimulationError(GridPushError):
+    """A simulation was asked for something it cannot do."""
+
+
+class IdentificationError(GridPushError):
+    """Identification was asked for something it cannot do."""
+
+
+class OutputError(GridPushError):
+    """A file cannot be written where it was asked for."""

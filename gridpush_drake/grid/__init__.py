@@ -1,0 +1,1 @@
+"""What an object is: cells, outline, per-cell parameters."""

@@ -1,0 +1,175 @@
+"""Object files: an object's outline or mask and what is known of it, as YAML; and those that are shipped."""
+
+from collections.abc import Callable
+from difflib import get_close_matches
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import shapely
+import yaml
+from pydantic import ValidationError
+from shapely import LinearRing, MultiPolygon, Polygon
+
+from gridpush_drake.errors import ObjectError, ParameterError
+from gridpush_drake.files import write_whole
+from gridpush_drake.grid.mask import object_from_mask
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.object_schema import ObjectSchema, explain
+from gridpush_drake.grid.polygon import object_from_outline, polygon_from
+from gridpush_drake.grid.prior import PhysicalPrior
+from gridpush_drake.grid.yaml_file import read_mapping
+
+WHAT = "an object file (name, outline or mask, max_cells, ...)"
+
+PART_REACH = 0.501
+"""Half the side of the square written for a part's cell, in cell sides: a little over, so that neighbours join."""
+
+
+def read_object(path: Path | str, *, largest_piece: bool = False) -> GridObject:
+    """Reads an object file.
+
+    Args:
+        path: the YAML file; a mask it names is looked up beside it.
+        largest_piece: keep the largest connected piece of a mask that has several.
+
+    Returns:
+        The object, with its `prior` as the file says.
+
+    Raises:
+        ObjectError: the file cannot be read, has an unknown key or a value out of range; the message names the
+            file, the field and the expected form.
+    """
+    path = Path(path)
+    data = read_mapping(path, WHAT)
+    try:
+        schema = ObjectSchema.model_validate(data)
+        prior = schema.to_prior()
+    except ValidationError as error:
+        raise ObjectError(f"{path}: {explain(error)}") from error
+    except ParameterError as error:
+        raise ObjectError(f"{path}: {error}") from error
+    if (schema.outline is None) == (schema.mask is None):
+        found = "neither" if schema.mask is None else "both"
+        raise ObjectError(f"{path}: has {found} of outline and mask; expected exactly one of them")
+    name = path.stem if schema.name is None else schema.name
+    if schema.mask is not None:
+        for key in ("holes", "parts"):
+            if getattr(schema, key):
+                raise ObjectError(f"{path}: {key} goes with outline; a mask's own background and labels say it")
+        image, scale = path.parent / schema.mask.image, schema.mask.metres_per_pixel
+        options = {"largest_piece": largest_piece, "name": name, "prior": prior}
+        return _in_file(path, object_from_mask, image, scale, schema.max_cells, **options)
+    return _in_file(path, _fill_outline, schema, name, prior)
+
+
+def write_object(
+    path: Path | str, obj: GridObject, *, max_cells: int | None = None, force: bool = False
+) -> None:
+    """Writes an object as an outline with its parts and prior, so that `read_object` gives it back.
+
+    Args:
+        path: the YAML file to be written.
+        obj: the object.
+        max_cells: the `max_cells` it was made with, which gives the same cells again; its number of cells where
+            None.
+        force: whether an existing file may be replaced.
+
+    Raises:
+        OutputError: the file exists and `force` is not set, or it cannot be written.
+    """
+    prior = obj.prior
+    data: dict[str, Any] = {"name": obj.name, "outline": _points(obj.outline.exterior)}
+    if obj.outline.interiors:
+        data["holes"] = [_points(ring) for ring in obj.outline.interiors]
+    parts = _parts_of(obj)
+    if parts:
+        data["parts"] = parts
+    data["max_cells"] = int(obj.n if max_cells is None else max_cells)
+    if prior.total_mass is not None:
+        data["total_mass"] = float(prior.total_mass)
+    if prior.centre_of_mass is not None:
+        at = [float(value) for value in prior.centre_of_mass]
+        data["centre_of_mass"] = {"at": at, "std": float(prior.centre_of_mass_std)}
+    friction = {"prior": prior.friction, "min": prior.friction_min, "max": prior.friction_max}
+    contact = {"prior": prior.contact_friction, "std": prior.contact_friction_std}
+    data["friction"] = {key: float(value) for key, value in friction.items()}
+    data["contact_friction"] = {key: float(value) for key, value in contact.items()}
+    if prior.pusher_radius is not None:
+        data["pusher"] = {"radius": float(prior.pusher_radius)}
+    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, allow_unicode=True)
+    write_whole(path, text, force)
+
+
+def list_shipped_objects() -> list[str]:
+    """Names of the objects that come with the package, sorted."""
+    return sorted(path.stem for path in _shipped_folder().glob("*.yaml"))
+
+
+def find_shipped_object(name: str) -> Path:
+    """Finds the file of an object that comes with the package.
+
+    Args:
+        name: as `list_shipped_objects` gives it.
+
+    Returns:
+        The file's path.
+
+    Raises:
+        ObjectError: there is none of that name; the message suggests the nearest and lists all.
+    """
+    known = list_shipped_objects()
+    if name in known:
+        return _shipped_folder() / f"{name}.yaml"
+    near = get_close_matches(name, known, n=1)
+    guess = f"; did you mean {near[0]}?" if near else "."
+    raise ObjectError(f"{name}: no shipped object has this name{guess} Shipped are: {', '.join(known)}")
+
+
+def _shipped_folder() -> Path:
+    return Path(str(files("gridpush_drake"))) / "models" / "objects"
+
+
+def _in_file(path: Path, make: Callable[..., GridObject], *arguments: Any, **options: Any) -> GridObject:
+    try:
+        return make(*arguments, **options)
+    except ObjectError as error:
+        raise ObjectError(f"{path}: {error}") from error
+
+
+def _fill_outline(schema: ObjectSchema, name: str, prior: PhysicalPrior) -> GridObject:
+    assert schema.outline is not None
+    outline = polygon_from(schema.outline, "outline", tuple(schema.holes))
+    by_label: dict[int, list[Polygon]] = {}
+    for i, part in enumerate(schema.parts):
+        by_label.setdefault(part.label, []).append(polygon_from(part.outline, f"parts[{i}].outline"))
+    parts = {label: shapely.union_all(pieces) for label, pieces in by_label.items()}
+    return object_from_outline(outline, parts, schema.max_cells, name=name, prior=prior)
+
+
+def _parts_of(obj: GridObject) -> list[dict[str, Any]]:
+    """The squares of each part's cells, joined; empty where part 1 is the only one."""
+    labels = sorted({int(label) for label in obj.labels} - {1})
+    parts = []
+    for label in labels:
+        low = obj.p_BC[obj.labels == label] - obj.cell_size * PART_REACH
+        boxes = shapely.box(*low.T, *(low + 2 * obj.cell_size * PART_REACH).T)
+        joined = shapely.union_all(boxes).simplify(obj.cell_size * (PART_REACH - 0.5))
+        parts += [{"label": label, "outline": _points(piece.exterior)} for piece in _without_holes(joined)]
+    return parts
+
+
+def _without_holes(shape: Polygon | MultiPolygon) -> list[Polygon]:
+    """Polygons that together cover `shape`, each cut through the middle of its holes."""
+    if isinstance(shape, MultiPolygon):
+        return [piece for polygon in shape.geoms for piece in _without_holes(polygon)]
+    if not shape.interiors:
+        return [shape]
+    middle = shape.interiors[0].centroid.x
+    left, low, right, high = shape.bounds
+    halves = [shape & shapely.box(left, low, middle, high), shape & shapely.box(middle, low, right, high)]
+    return [piece for half in halves for piece in _without_holes(half)]
+
+
+def _points(ring: LinearRing) -> list[list[float]]:
+    return [[float(x), float(y)] for x, y in ring.coords[:-1]]

@@ -1,0 +1,153 @@
+"""The object file's schema, and its complaints in words a user can act on."""
+
+from difflib import get_close_matches
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
+
+from gridpush_drake.grid.object import DEFAULT_MAX_CELLS
+from gridpush_drake.grid.prior import PhysicalPrior
+
+Point = Annotated[tuple[float, float], Strict(False)]
+Points = Annotated[list[Point], Field(min_length=3)]
+Positive = Annotated[float, Field(gt=0)]
+
+MOST_SHOWN = 60
+"""Characters of a refused value that a message repeats."""
+
+
+class _Schema(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class MaskSchema(_Schema):
+    """A label image, beside the object file, and its scale in m."""
+
+    image: str
+    metres_per_pixel: Positive
+
+
+class PartSchema(_Schema):
+    """A part of an outline: its label and where it is, body frame, m."""
+
+    label: Annotated[int, Field(ge=1)]
+    outline: Points
+
+
+class CentreOfMassSchema(_Schema):
+    """Prior of the centre of mass, body frame, m."""
+
+    at: Point
+    std: Positive = PhysicalPrior.centre_of_mass_std
+
+
+class FrictionSchema(_Schema):
+    """Prior of the friction of a cell against the support."""
+
+    prior: Positive = PhysicalPrior.friction
+    min: Positive = PhysicalPrior.friction_min
+    max: Positive = PhysicalPrior.friction_max
+
+
+class ContactFrictionSchema(_Schema):
+    """Prior of the friction of the pusher against the object."""
+
+    prior: Annotated[float, Field(ge=0)] = PhysicalPrior.contact_friction
+    std: Positive = PhysicalPrior.contact_friction_std
+
+
+class PusherSchema(_Schema):
+    """The disc that pushes, m."""
+
+    radius: Positive
+
+
+class ObjectSchema(_Schema):
+    """A whole object file."""
+
+    name: Annotated[str, Field(min_length=1)] | None = None
+    outline: Points | None = None
+    holes: list[Points] = []
+    parts: list[PartSchema] = []
+    mask: MaskSchema | None = None
+    max_cells: Annotated[int, Field(ge=1)] = DEFAULT_MAX_CELLS
+    total_mass: Positive | None = None
+    centre_of_mass: CentreOfMassSchema | None = None
+    friction: FrictionSchema = FrictionSchema()
+    contact_friction: ContactFrictionSchema = ContactFrictionSchema()
+    pusher: PusherSchema | None = None
+
+    def to_prior(self) -> PhysicalPrior:
+        """What the file says of mass and friction.
+
+        Raises:
+            ParameterError: the values do not fit together.
+        """
+        centre = self.centre_of_mass
+        return PhysicalPrior(
+            total_mass=self.total_mass,
+            centre_of_mass=centre.at if centre else None,
+            centre_of_mass_std=centre.std if centre else PhysicalPrior.centre_of_mass_std,
+            friction=self.friction.prior,
+            friction_min=self.friction.min,
+            friction_max=self.friction.max,
+            contact_friction=self.contact_friction.prior,
+            contact_friction_std=self.contact_friction.std,
+            pusher_radius=self.pusher.radius if self.pusher else None,
+        )
+
+
+POINTS = "at least three points [x, y], in metres"
+
+EXPECTED = {
+    "name": "some text",
+    "outline": POINTS,
+    "holes": f"a list of holes, each {POINTS}",
+    "parts": "a list of parts, each with a label and an outline",
+    "parts.label": "a whole number, 1 or more",
+    "parts.outline": POINTS,
+    "mask": "image and metres_per_pixel",
+    "mask.image": "the name of a PGM or PNG file beside this one",
+    "mask.metres_per_pixel": "a positive number, in metres",
+    "max_cells": "a whole number, 1 or more",
+    "total_mass": "a positive number, in kg",
+    "centre_of_mass": "at: [x, y] and std, in metres",
+    "centre_of_mass.at": "a point [x, y], in metres",
+    "centre_of_mass.std": "a positive number, in metres",
+    "friction": "prior, min and max",
+    "friction.prior": "a positive number",
+    "friction.min": "a positive number",
+    "friction.max": "a positive number",
+    "contact_friction": "prior and std",
+    "contact_friction.prior": "a number, 0 or more",
+    "contact_friction.std": "a positive number",
+    "pusher": "radius",
+    "pusher.radius": "a positive number, in metres",
+}
+"""What each field should hold, by its place without indices."""
+
+
+def explain(error: ValidationError) -> str:
+    """Says the first thing that is wrong, with the field's place and what is expected there."""
+    first = error.errors()[0]
+    place = first["loc"]
+    field = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place).lstrip(".")
+    names = [step for step in place if isinstance(step, str)]
+    if first["type"] in ("extra_forbidden", "invalid_key"):
+        return f"{field}: {_suggest(names)}"
+    expected = EXPECTED.get(".".join(names), "something else")
+    if first["type"] == "missing":
+        return f"{field} is missing; expected {expected}"
+    return f"{field} is {_shorten(first['input'])}; expected {expected}"
+
+
+def _suggest(names: list[str]) -> str:
+    known = [key.split(".")[-1] for key in EXPECTED if key.split(".")[:-1] == names[:-1]]
+    near = get_close_matches(names[-1], known, n=1)
+    guess = f"; did you mean {near[0]}?" if near else ";"
+    return f"unknown key{guess} expected one of {', '.join(known)}"
+
+
+def _shorten(value: Any) -> str:
+    text = "empty" if value is None else repr(value)
+    return text if len(text) <= MOST_SHOWN else text[: MOST_SHOWN - 3] + "..."

@@ -1,0 +1,1 @@
+"""What is learned: parameters, their spread, and what cannot be known."""

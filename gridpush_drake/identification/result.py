@@ -1,0 +1,95 @@
+"""What an identification gives back."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.identification.identifiability import Identifiability
+from gridpush_drake.identification.posterior import Posterior
+
+STATUS_LEARNED = "learned"
+STATUS_MIXTURE = "mixture"
+STATUS_PRIOR_KEPT = "prior_kept"
+STATUS_BUDGET_SPENT = "budget_spent"
+STATUS_NO_DATA = "no_usable_pushes"
+
+
+@dataclass(frozen=True)
+class HistoryEntry:
+    """One step of a search.
+
+    Attributes:
+        simulations: pushes simulated up to here.
+        loss: mean cell error of the training pushes at their observed poses, m (the paper's ADD).
+        stage: what the search was doing, a word or two.
+    """
+
+    simulations: int
+    loss: float
+    stage: str
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """A learned model and how far it can be trusted.
+
+    Attributes:
+        obj: the object.
+        params: the estimate of its cells' masses and frictions.
+        std: its standard deviations, in the same shape and units: mass (n,), friction (n,), contact_friction.
+        posterior: the spread of the relative support friction and the contact friction.
+        identifiability: what these data say and what they cannot say.
+        method: that found it.
+        regime: of the simulations, "quasi_static" or "inertial".
+        status: "learned"; "mixture" or "prior_kept" where cross-validation over the training pushes favoured leaning on
+            the prior; "budget_spent"; "no_usable_pushes" where no push touched the object.
+        message: the status in a sentence.
+        history: the best loss so far along the search, simulations increasing.
+        simulations: pushes simulated in all.
+        noise_std: standard deviation of what the model leaves unexplained, as cell error per axis, m.
+        seed: of everything random.
+        push_names: of the training pushes used.
+        unused_pushes: of those left out, because the pusher never touched the object in them.
+    """
+
+    obj: GridObject
+    params: CellParameters
+    std: CellParameters
+    posterior: Posterior
+    identifiability: Identifiability
+    method: str
+    regime: str
+    status: str
+    message: str
+    history: tuple[HistoryEntry, ...]
+    simulations: int
+    noise_std: float
+    seed: int
+    push_names: tuple[str, ...] = ()
+    unused_pushes: tuple[str, ...] = ()
+
+    def samples(self, k: int, seed: int = 0) -> list[CellParameters]:
+        """Draws k parameter sets from the posterior; every cell's friction is that of `params`, its mass varies.
+
+        Args:
+            k: how many.
+            seed: of the draw.
+
+        Returns:
+            The parameter sets.
+        """
+        draws, contact_friction = self.posterior.draw(k, seed)
+        total = float(self.params.mass @ self.params.friction)
+        safe = np.maximum(self.params.friction, np.finfo(float).tiny)
+        return [
+            CellParameters(total * share / safe, self.params.friction, float(mu_c))
+            for share, mu_c in zip(draws, contact_friction, strict=True)
+        ]
+
+    @property
+    def relative_friction(self) -> NDArray[np.float64]:
+        """(n,) k_i = mu_i m_i / sum(mu m), the estimate."""
+        return self.params.relative_friction()

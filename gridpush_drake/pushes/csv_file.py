@@ -1,0 +1,223 @@
+"""The push log as one tidy CSV file: a row a sample, SI units, radians, world frame.
+
+Columns: push (any text, rows of one push together), t, tip_x, tip_y (the disc's centre), object_x, object_y,
+object_theta (on a push's first row, and wherever else it was observed; empty elsewhere) and, where it was
+measured, force_x, force_y on the object. Times are counted from each push's first row.
+"""
+
+import csv
+import difflib
+import io
+import math
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple, NoReturn
+
+import numpy as np
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import PushLogError
+from gridpush_drake.files import check_writable, write_whole
+from gridpush_drake.pushes.log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog, nearest_turn
+
+TIP = ("tip_x", "tip_y")
+POSE = ("object_x", "object_y", "object_theta")
+FORCE = ("force_x", "force_y")
+REQUIRED = ("push", "t", *TIP, *POSE)
+COLUMNS = (*REQUIRED, *FORCE)
+
+UNITS = {"t": "s", "object_theta": "rad", "force_x": "N", "force_y": "N"}
+"""Unit of each column; m where not listed."""
+
+SUGGESTION_CUTOFF = 0.5
+"""Similarity (0 to 1) from which a known column is suggested for an unknown one."""
+
+
+class _Row(NamedTuple):
+    line: int
+    push: str
+    t: float
+    tip: list[float]
+    pose: list[float] | None
+    force: list[float] | None
+
+
+def read_push_csv(path: Path, radius: float | None, *, require_final: bool = True) -> PushLog:
+    """Reads a push log; see `PushLog.read_csv`."""
+    seen: dict[str, int] = {}
+    pushes = []
+    for rows in _groups(_rows(path, _read_text(path))):
+        first = rows[0]
+        if first.push in seen:
+            _fail(
+                path, first.line, "push",
+                f"push {first.push!r} began on line {seen[first.push]} already; expected its rows together",
+            )  # fmt: skip
+        seen[first.push] = first.line
+        pushes.append(_observed_push(path, rows, DEFAULT_PUSHER_RADIUS if radius is None else radius, require_final))
+    if not pushes:
+        raise PushLogError(f"{path}: holds no push; expected rows below the header {','.join(REQUIRED)}")
+    return PushLog(tuple(pushes), str(path), radius_given=radius is not None)
+
+
+def write_push_csv(log: PushLog, path: Path, force: bool = False) -> None:
+    """Writes a push log; see `PushLog.write_csv`."""
+    check_writable(path, force)
+    names = [seen.name for seen in log]
+    if not names:
+        raise PushLogError(f"{path}: the log to be written holds no push")
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise PushLogError(f"{path}: two pushes of the log are named {name!r}; expected one name a push")
+    with_force = any(seen.force is not None for seen in log)
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(COLUMNS if with_force else REQUIRED)
+    for seen in log:
+        writer.writerows(_cells(seen, with_force))
+    write_whole(path, buffer.getvalue(), force)
+
+
+def _cells(seen: ObservedPush, with_force: bool) -> Iterator[list[str]]:
+    poses = dict(zip(seen.t_observed.tolist(), seen.poses_observed.tolist(), strict=True))
+    poses[0.0] = seen.pose.tolist()
+    forces: dict[float, list[float]] = {}
+    if seen.force_t is not None and seen.force is not None:
+        forces = dict(zip(seen.force_t.tolist(), seen.force.tolist(), strict=True))
+    times = sorted({*seen.push.t.tolist(), *poses, *forces})
+    for t, tip in zip(times, seen.push.tip_at(times).tolist(), strict=True):
+        row = [seen.name, repr(t), *map(repr, tip), *map(repr, poses.get(t, []))]
+        row += [""] * (len(REQUIRED) - len(row))
+        if with_force:
+            row += [repr(f) for f in forces[t]] if t in forces else [""] * len(FORCE)
+        yield row
+
+
+def _read_text(path: Path) -> str:
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise PushLogError(f"{path}: there is no such file") from None
+    except IsADirectoryError:
+        raise PushLogError(f"{path}: is a folder; expected a CSV file") from None
+    except OSError as error:
+        raise PushLogError(f"{path}: cannot be read: {error.strerror}") from error
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = "\0"
+    if "\0" in text:
+        raise PushLogError(f"{path}: is not a text file; expected CSV in UTF-8")
+    return text
+
+
+def _rows(path: Path, text: str) -> Iterator[_Row]:
+    reader = csv.reader(io.StringIO(text, newline=""))
+    at: dict[str, int] | None = None
+    try:
+        for cells in reader:
+            if not any(cell.strip() for cell in cells):
+                continue
+            if at is None:
+                at = _column_indices(path, reader.line_num, [cell.strip() for cell in cells])
+            elif len(cells) != len(at):
+                raise PushLogError(f"{path}, line {reader.line_num}: has {len(cells)} fields; the header has {len(at)}")
+            else:
+                yield _parse_row(path, reader.line_num, cells, at)
+    except csv.Error as error:
+        raise PushLogError(f"{path}, line {reader.line_num}: is not CSV: {error}") from error
+    if at is None:
+        raise PushLogError(f"{path}: is empty; expected the header {','.join(REQUIRED)}")
+
+
+def _column_indices(path: Path, line: int, header: Sequence[str]) -> dict[str, int]:
+    at = {name: i for i, name in enumerate(header)}
+    form = f"expected comma-separated {','.join(REQUIRED)} and, if measured, {','.join(FORCE)}"
+    if len(at) != len(header):
+        twice = next(name for i, name in enumerate(header) if name in header[:i])
+        _fail(path, line, twice, f"is there twice; {form}")
+    unknown = [name for name in header if name not in COLUMNS]
+    for name in (name for name in REQUIRED if name not in at):
+        close = difflib.get_close_matches(name, unknown, 1, SUGGESTION_CUTOFF)
+        hint = f"; rename {close[0]!r} to {name!r}?" if close else ""
+        _fail(path, line, name, f"is missing{hint}; {form}")
+    if unknown:
+        close = difflib.get_close_matches(unknown[0], COLUMNS, 1, SUGGESTION_CUTOFF)
+        hint = f"did you mean {close[0]!r}? " if close else ""
+        _fail(path, line, unknown[0], f"is unknown; {hint}{form}")
+    missing = [name for name in FORCE if name not in at]
+    if len(missing) == 1:
+        _fail(path, line, missing[0], f"is missing; the columns {' and '.join(FORCE)} come together")
+    return at
+
+
+def _parse_row(path: Path, line: int, cells: list[str], at: dict[str, int]) -> _Row:
+    name = cells[at["push"]].strip()
+    if not name:
+        _fail(path, line, "push", "is empty; expected the push's name, on each of its rows")
+    pose, force = (
+        [_number(path, line, column, cells[at[column]]) for column in columns]
+        if columns[0] in at and any(cells[at[column]].strip() for column in columns)
+        else None
+        for columns in (POSE, FORCE)
+    )
+    tip = [_number(path, line, column, cells[at[column]]) for column in TIP]
+    return _Row(line, name, _number(path, line, "t", cells[at["t"]]), tip, pose, force)
+
+
+def _number(path: Path, line: int, column: str, cell: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or "_" in cell:
+        group = next((columns for columns in (POSE, FORCE) if column in columns), None)
+        form = f"a finite number ({UNITS.get(column, 'm')})" + (f", or {', '.join(group)} empty" if group else "")
+        _fail(path, line, column, f"is {cell.strip()!r}; expected {form}")
+    return value
+
+
+def _groups(rows: Iterator[_Row]) -> Iterator[list[_Row]]:
+    group: list[_Row] = []
+    for row in rows:
+        if group and row.push != group[0].push:
+            yield group
+            group = []
+        group.append(row)
+    if group:
+        yield group
+
+
+def _observed_push(path: Path, rows: list[_Row], radius: float, require_final: bool) -> ObservedPush:
+    first = rows[0]
+    if first.pose is None:
+        _fail(path, first.line, POSE[0], f"is empty; expected a pose on push {first.push!r}'s first row")
+    if len(rows) == 1:
+        _fail(path, first.line, "push", f"push {first.push!r} has one row; expected at least two")
+    for before, row in pairwise(rows):
+        if row.t <= before.t:
+            _fail(path, row.line, "t", f"is {row.t!r} after {before.t!r}; expected times (s) that increase")
+    seen = [row for row in rows[1:] if row.pose is not None]
+    if require_final and not seen:
+        _fail(
+            path, rows[-1].line, POSE[0],
+            f"is empty; expected the object's pose on a later row of push {first.push!r} too",
+        )  # fmt: skip
+    poses = [list(row.pose or ()) for row in [first, *seen]]
+    for pose_before, pose in pairwise(poses):
+        pose[2] = nearest_turn(pose[2], pose_before[2])
+    felt = [row for row in rows if row.force is not None]
+    return ObservedPush(
+        first.push,
+        Push.along([row.t for row in rows], [row.tip for row in rows], radius),
+        np.array(poses[0]),
+        np.array([row.t - first.t for row in seen]),
+        np.array(poses[1:]).reshape(-1, len(POSE)),
+        np.array([row.t - first.t for row in felt]) if felt else None,
+        np.array([row.force for row in felt]) if felt else None,
+    )
+
+
+def _fail(path: Path, line: int, column: str, what: str) -> NoReturn:
+    raise PushLogError(f"{path}, line {line}, column {column}: {what}")

@@ -1,0 +1,142 @@
+"""Importer of the MIT pushes, start and end only (Yu, Bauza, Fazeli, Rodriguez, IROS 2016).
+
+The files are those of GitHub robinzhoucmu/PlanarManipulationToolBox (mcube_data_proc): `record_all` holds for
+each push the object's pose and the pusher's place before and after, next to another model's prediction.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import PushLogError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.prior import PhysicalPrior
+from gridpush_drake.pushes.log import ObservedPush, PushLog, nearest_turn
+from gridpush_drake.pushes.mit_shapes import MIT_SHAPES
+
+TIP_RADIUS = 0.00475
+"""m."""
+
+SPEED = 0.010
+"""Of the pusher where the file does not say (`vel`, mm/s), m/s."""
+
+MM = 1e-3
+"""Metres in a millimetre."""
+
+MIT_CELLS = 60
+"""Most cells of an object's grid."""
+
+RECORD_SIZES = {"init_pose_gt": 3, "final_pose_gt": 3, "init_tip_pt": 2, "final_tip_pt": 2}
+"""What is read of a record, and how many numbers each has (m, rad)."""
+
+MODEL_ERRORS = ("avg_diff_disp", "avg_diff_angle")
+"""The other model's mean errors in the file, m and rad."""
+
+
+def import_mit(
+    path: Path | str, *, shape: str | None = None, obj: GridObject | None = None
+) -> tuple[PushLog, GridObject]:
+    """Reads a file of MIT pushes.
+
+    Args:
+        path: the MATLAB v5 file.
+        shape: the object's name in MIT_SHAPES; where neither it nor `obj` is given, the last part of the
+            file's name after an underscore if it is one, otherwise the file's own `shape_id`.
+        obj: the object, for a shape that is not among them.
+
+    Returns:
+        The pushes, straight and at constant speed in the world frame as logged, each observed at its end
+        only; and the object.
+
+    Raises:
+        PushLogError: the file cannot be read, lacks a field or holds something else in it, a pusher does not
+            move, or the shape is not known.
+    """
+    path = Path(path)
+    data = _read_mat(path)
+    obj = obj or _mit_object(path, shape, data)
+    speed = float(_numbers(path, "vel", data["vel"], 1)[0]) * MM if "vel" in data else SPEED
+    if speed <= 0:
+        raise PushLogError(f"{path}: vel is {data['vel']!r}; expected a positive number (mm/s)")
+    records = np.atleast_1d(_field(path, data, "record_all"))
+    digits = len(str(len(records)))
+    pushes = tuple(_observe(path, record, f"push_{i:0{digits}}", speed) for i, record in enumerate(records, start=1))
+    return PushLog(pushes, str(path)), obj
+
+
+def read_model_errors(path: Path | str) -> tuple[float, float]:
+    """Reads how far the file's own model is off.
+
+    Args:
+        path: the MATLAB v5 file.
+
+    Returns:
+        Its mean error of the end position, m, and of the end angle, rad.
+
+    Raises:
+        PushLogError: the file cannot be read or does not say.
+    """
+    path = Path(path)
+    data = _read_mat(path)
+    position, angle = (float(_numbers(path, name, _field(path, data, name), 1)[0]) for name in MODEL_ERRORS)
+    return position, angle
+
+
+def _observe(path: Path, record: Any, name: str, speed: float) -> ObservedPush:
+    fields = {}
+    for field, size in RECORD_SIZES.items():
+        if not hasattr(record, field):
+            raise PushLogError(f"{path}: {name} of record_all has no {field}; expected {', '.join(RECORD_SIZES)}")
+        fields[field] = _numbers(path, f"{field} of {name}", getattr(record, field), size)
+    start, way = fields["init_tip_pt"], fields["final_tip_pt"] - fields["init_tip_pt"]
+    length = float(np.linalg.norm(way))
+    if length == 0:
+        raise PushLogError(f"{path}: {name}: the pusher ends where it starts; expected a path")
+    push = Push(start, way * (speed / length), length / speed, TIP_RADIUS)
+    pose, end = fields["init_pose_gt"], fields["final_pose_gt"]
+    end[2] = nearest_turn(float(end[2]), float(pose[2]))
+    return ObservedPush(name, push, pose, np.array([push.duration]), end[None])
+
+
+def _mit_object(path: Path, shape: str | None, data: dict[str, Any]) -> GridObject:
+    named = path.stem.rpartition("_")[2]
+    if shape is None:
+        shape = named if named in MIT_SHAPES else str(data.get("shape_id", named))
+    if shape not in MIT_SHAPES:
+        raise PushLogError(f"{path}: shape {shape!r} is not known; expected {', '.join(MIT_SHAPES)}, or an object file")
+    prior = PhysicalPrior(pusher_radius=TIP_RADIUS)
+    return GridObject.from_outline(MIT_SHAPES[shape](), max_cells=MIT_CELLS, name=shape, prior=prior)
+
+
+def _read_mat(path: Path) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    if path.is_dir():
+        raise PushLogError(f"{path}: is a folder; expected a MATLAB v5 file")
+    if not path.is_file():
+        raise PushLogError(f"{path}: there is no such file")
+    try:
+        data: dict[str, Any] = loadmat(path, appendmat=False, squeeze_me=True, struct_as_record=False)
+    except Exception as error:  # a damaged file makes SciPy raise almost anything
+        raise PushLogError(f"{path}: cannot be read as a MATLAB v5 file: {error}") from error
+    return data
+
+
+def _field(path: Path, data: dict[str, Any], name: str) -> Any:
+    if name not in data:
+        there = ", ".join(key for key in data if not key.startswith("__")) or "nothing"
+        raise PushLogError(f"{path}: has no {name}; it holds {there}")
+    return data[name]
+
+
+def _numbers(path: Path, name: str, value: Any, size: int) -> NDArray[np.float64]:
+    try:
+        numbers = np.array(value, dtype=np.float64).reshape(-1)
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if numbers.shape != (size,) or not np.isfinite(numbers).all():
+        raise PushLogError(f"{path}: {name} is {value!r}; expected {size} finite number(s)")
+    return numbers

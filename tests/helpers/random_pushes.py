@@ -1,0 +1,55 @@
+"""Seeded random steps of the maximal LCP: moving, at rest below and above the static limit, turning, gliding."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridpush_drake.dynamics.maximal_lcp import MaximalLcp, make_maximal_lcp, twist_to_cells
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+from tests.helpers.random_objects import (
+    make_random_object,
+    make_random_parameters,
+    make_random_pose,
+    make_random_twist,
+)
+
+DT = 0.01
+"""Time step, s."""
+
+
+@dataclass(frozen=True)
+class RandomStep:
+    """One step's data: nu and the cells' xdot before it, F on the cells."""
+
+    obj: GridObject
+    params: CellParameters
+    q: NDArray[np.float64]
+    nu: NDArray[np.float64]
+    F: NDArray[np.float64]
+
+    @property
+    def T(self) -> NDArray[np.float64]:
+        return twist_to_cells(self.obj, self.q)
+
+    def make_lcp(self, params: CellParameters | None = None, *, spanning_tree: bool = True) -> MaximalLcp:
+        return make_maximal_lcp(
+            self.obj, params or self.params, self.q, self.T @ self.nu, self.F, DT, spanning_tree=spanning_tree
+        )
+
+
+def make_random_step(
+    seed: int, *, n: int | None = None, speed: float = 1.0, force: float = 0.5, friction_range=(0.1, 0.8)
+) -> RandomStep:
+    """Speeds are multiples of 0.3 m/s; the force, on one cell, is a multiple of the object's weight."""
+    rng = np.random.default_rng(seed)
+    obj = make_random_object(rng, int(rng.integers(2, 20)) if n is None else n)
+    params = make_random_parameters(rng, obj, friction_range=friction_range)
+    q, nu = make_random_pose(rng), speed * make_random_twist(rng)
+    F = np.zeros(3 * obj.n)
+    i = 3 * rng.integers(obj.n)
+    angle = rng.uniform(-np.pi, np.pi)
+    weight = 9.81 * params.total_mass
+    F[i : i + 3] = force * weight * np.array([0.1 * obj.cell_size * rng.normal(), np.cos(angle), np.sin(angle)])
+    return RandomStep(obj, params, q, nu, F)

@@ -1,0 +1,102 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import shapely
+
+from gridpush_drake.errors import IdentificationError, OutputError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.identification.model_file import looks_like_model, read_model, write_model
+from tests.helpers.made_identifications import OUTLINE, make_identification
+
+HOLE = [[-0.03, -0.01], [-0.01, -0.01], [-0.01, 0.01], [-0.03, 0.01]]
+
+
+def assert_same(first, second):
+    assert type(first) is type(second)
+    if dataclasses.is_dataclass(first):
+        for field in dataclasses.fields(first):
+            assert_same(getattr(first, field.name), getattr(second, field.name))
+    elif isinstance(first, np.ndarray):
+        np.testing.assert_array_equal(first, second)
+    elif isinstance(first, shapely.Polygon):
+        assert shapely.to_wkb(first) == shapely.to_wkb(second)
+    elif isinstance(first, tuple):
+        assert len(first) == len(second)
+        for one, other in zip(first, second, strict=True):
+            assert_same(one, other)
+    else:
+        assert first == second
+
+
+@pytest.fixture
+def model(tmp_path):
+    path = tmp_path / "model.yaml"
+    write_model(path, make_identification())
+    return path
+
+
+def test_gives_every_number_back(tmp_path):
+    outline = shapely.Polygon(OUTLINE, [HOLE])
+    identification = make_identification(GridObject.from_outline(outline, max_cells=60, name="block: with a 'hole'"))
+    symmetric = (identification.posterior.covariance + identification.posterior.covariance.T) / 2
+    identification = dataclasses.replace(
+        identification, posterior=dataclasses.replace(identification.posterior, covariance=symmetric)
+    )
+    path = tmp_path / "model.yaml"
+    write_model(path, identification)
+    assert looks_like_model(path)
+    restored = read_model(path)
+    assert_same(identification, restored)
+    assert_same(tuple(identification.samples(2)), tuple(restored.samples(2)))
+
+
+def test_keeps_an_existing_file(model):
+    before = model.read_bytes()
+    with pytest.raises(OutputError, match="--force"):
+        write_model(model, make_identification(seed=1))
+    assert model.read_bytes() == before
+    write_model(model, make_identification(seed=1), force=True)
+    assert model.read_bytes() != before
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "messages"),
+    [
+        ("gridpush_model: 1", "gridpush_model: 2", ["gridpush_model", "1"]),
+        ("method: default", "methods: default", ["method", "required"]),
+        ("seed: 0", "seed: zero", ["seed", "integer"]),
+        ("seed: 0", "seed: 0\ncolour: red", ["colour", "not permitted"]),
+        ("  mass: [0", "  mass: [-0", ["cells.mass.0", "greater than 0"]),
+        ("  mass: [0", "  mass: [1.0, 0", ["mass", "expected one a cell, 18"]),
+        ("  mean: [", "  mean: [1.0, ", ["posterior.mean", "19"]),
+        ("  covariance: |\n    ", "  covariance: |\n    !", ["posterior.covariance", "base64"]),
+        ("  covariance: |\n    ", "  covariance: |\n    AAAAAAAA", ["posterior.covariance", "expected"]),
+        ("contact_friction: 0.43", "contact_friction: .nan", ["contact_friction", "finite"]),
+        ("outline: [", "outline: [[0.0, 1.0], ", ["outline"]),
+    ],
+)  # fmt: skip
+def test_refuses_what_is_not_a_model(model, old, new, messages):
+    text = model.read_text()
+    assert old in text
+    model.write_text(text.replace(old, new, 1))
+    with pytest.raises(IdentificationError) as raised:
+        read_model(model)
+    for message in (str(model), *messages):
+        assert message in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(("content", "message"), [(b"", "is empty"), (b"\x00\xff", "not YAML"), (b"[1", "not YAML")])
+def test_refuses_other_files(tmp_path, content, message):
+    path = tmp_path / "model.yaml"
+    path.write_bytes(content)
+    assert not looks_like_model(path)
+    with pytest.raises(IdentificationError, match=message):
+        read_model(path)
+
+
+def test_says_that_there_is_no_file(tmp_path):
+    assert not looks_like_model(tmp_path / "none.yaml")
+    with pytest.raises(IdentificationError, match="there is no such file"):
+        read_model(tmp_path / "none.yaml")

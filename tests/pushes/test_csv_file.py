@@ -1,0 +1,249 @@
+import math
+import time
+
+import numpy as np
+import pytest
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import OutputError, PushError, PushLogError
+from gridpush_drake.pushes.log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
+
+HEADER = "push,t,tip_x,tip_y,object_x,object_y,object_theta"
+GOOD = f"""{HEADER}
+a,0,-0.1,0,0,0,0
+a,1,-0.05,0,,,
+a,2,0,0,0.02,0,0.1
+b,5,0,0.1,0.5,0.5,3
+b,6,0,0.2,0.5,0.6,-3
+"""
+FORCED = f"""{HEADER},force_x,force_y
+a,0,-0.1,0,0,0,0,,
+a,1,-0.05,0,,,,1.5,-2
+a,2,0,0,0.02,0,0.1,3,4
+"""
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(content):
+        path = tmp_path / "log.csv"
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return write
+
+
+def refused(path, *messages, **options):
+    with pytest.raises(PushLogError) as raised:
+        PushLog.read_csv(path, **options)
+    for message in (str(path), *messages):
+        assert message in str(raised.value)
+
+
+def test_reads_what_is_there(write):
+    path = write(GOOD)
+    log = PushLog.read_csv(path)
+    assert log.source == str(path)
+    first, second = log
+    assert (first.name, second.name) == ("a", "b")
+    np.testing.assert_array_equal(first.push.t, [0, 1, 2])
+    np.testing.assert_array_equal(first.push.xy, [[-0.1, 0], [-0.05, 0], [0, 0]])
+    np.testing.assert_array_equal(first.pose, [0, 0, 0])
+    np.testing.assert_array_equal(first.t_observed, [2])
+    np.testing.assert_array_equal(first.poses_observed, [[0.02, 0, 0.1]])
+    assert first.force is None
+    assert first.force_t is None
+    assert second.push.duration == 1
+
+
+def test_angles_are_continuous(write):
+    second = PushLog.read_csv(write(GOOD))[1]
+    assert second.pose[2] == 3
+    assert second.final_pose[2] == pytest.approx(math.tau - 3)
+
+
+def test_angles_are_continuous_from_observation_to_observation(write):
+    turning = "".join(f"a,{i},0,0,0,0,{math.remainder(2.5 * i, math.tau)!r}\n" for i in range(9))
+    poses = PushLog.read_csv(write(f"{HEADER}\n{turning}"))[0].poses_observed
+    np.testing.assert_allclose(poses[:, 2], 2.5 * np.arange(1, 9))
+
+
+def test_force_is_read_where_it_was_measured(write):
+    seen = PushLog.read_csv(write(FORCED))[0]
+    np.testing.assert_array_equal(seen.force_t, [1, 2])
+    np.testing.assert_array_equal(seen.force, [[1.5, -2], [3, 4]])
+
+
+def test_radius_given_or_not(write):
+    path = write(GOOD)
+    assert not PushLog.read_csv(path).radius_given
+    assert PushLog.read_csv(path)[0].push.radius == DEFAULT_PUSHER_RADIUS
+    given = PushLog.read_csv(path, radius=0.01)
+    assert given.radius_given
+    assert [seen.push.radius for seen in given] == [0.01, 0.01]
+    for radius in (0.0, -1.0, math.nan):
+        with pytest.raises(PushError, match="radius"):
+            PushLog.read_csv(path, radius=radius)
+
+
+def test_columns_in_any_order(write):
+    rows = [line.split(",") for line in FORCED.splitlines()]
+    turned = "\n".join(",".join(reversed(row)) for row in rows)
+    seen = PushLog.read_csv(write(turned))[0]
+    np.testing.assert_array_equal(seen.final_pose, [0.02, 0, 0.1])
+    np.testing.assert_array_equal(seen.force[-1], [3, 4])
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\xef\xbb\xbf" + GOOD.encode(),
+        GOOD.replace("\n", "\r\n"),
+        GOOD + "\n\n  \n,,,,,,\n",
+        GOOD.rstrip("\n"),
+        GOOD.replace(",", " , "),
+        GOOD.replace("a,", '"a",'),
+    ],
+    ids=["bom", "crlf", "blank end", "no newline at end", "blanks", "quotes"],
+)
+def test_same_log_in_other_clothes(write, content):
+    log = PushLog.read_csv(write(content))
+    assert [seen.name for seen in log] == ["a", "b"]
+    np.testing.assert_array_equal(log[0].final_pose, [0.02, 0, 0.1])
+
+
+def test_without_final_pose_only_when_asked(write):
+    path = write(f"{HEADER}\na,0,0,0,0,0,0\na,1,1,0,,,\n")
+    refused(path, "line 3", "object_x", "later row", "'a'")
+    seen = PushLog.read_csv(path, require_final=False)[0]
+    assert seen.t_observed.shape == (0,)
+    assert seen.poses_observed.shape == (0, 3)
+
+
+def replaced(old, new):
+    assert old in GOOD
+    return GOOD.replace(old, new, 1)
+
+
+@pytest.mark.parametrize(
+    ("content", "messages"),
+    [
+        ("", ["is empty", HEADER]),
+        ("\n\n", ["is empty"]),
+        (HEADER + "\n", ["holds no push"]),
+        (b"\x89PNG\r\n\x00\x01", ["not a text file"]),
+        (b"\xff\xfe\xfa", ["not a text file"]),
+        (replaced("tip_x", "tipx"), ["line 1", "column tip_x", "missing", "rename 'tipx' to 'tip_x'"]),
+        (replaced(",tip_y", ""), ["line 1", "column tip_y", "missing"]),
+        (replaced("object_theta", "theta"), ["column object_theta", "rename 'theta'"]),
+        (replaced("push,", "Push,"), ["column push", "rename 'Push'"]),
+        (GOOD.replace(",", ";"), ["line 1", "missing", "comma-separated"]),
+        (replaced("tip_y", "tip_x"), ["column tip_x", "twice"]),
+        (FORCED.replace("force_y", "forcey"), ["column forcey", "unknown", "did you mean 'force_y'"]),
+        (FORCED.replace("force_y", "zebra"), ["column zebra", "unknown", "expected"]),
+        (
+            "\n".join(line.rpartition(",")[0] for line in FORCED.splitlines()),
+            ["column force_y", "missing", "together"],
+        ),
+        (replaced("-0.05", "west"), ["line 3", "column tip_x", "'west'", "finite number (m)"]),
+        (replaced("-0.05", ""), ["line 3", "column tip_x", "''"]),
+        (replaced("-0.05", "nan"), ["line 3", "column tip_x", "'nan'"]),
+        (replaced("a,1,", "a,inf,"), ["line 3", "column t", "'inf'", "(s)"]),
+        (replaced("-0.05", "1_0"), ["line 3", "column tip_x"]),
+        (replaced("0.1\n", "1e999\n"), ["line 4", "column object_theta", "(rad)"]),
+        (replaced("0.02,0,0.1", "0.02,,0.1"), ["line 4", "column object_y", "empty"]),
+        (replaced("0.02,0,0.1", "0.02,0,"), ["line 4", "column object_theta"]),
+        (FORCED.replace("1.5,-2", "1.5,"), ["line 3", "column force_y", "(N)"]),
+        (replaced("a,0,-0.1,0,0,0,0", "a,0,-0.1,0,,,"), ["line 2", "object_x", "first row"]),
+        (replaced("a,2,0,0,0.02,0,0.1", "a,2,0,0,,,"), ["line 4", "later row"]),
+        (replaced("a,1", "a,0"), ["line 3", "column t", "increase"]),
+        (replaced("a,2", "a,0.5"), ["line 4", "column t", "increase"]),
+        (replaced("b,6", "c,6"), ["line 5", "'b'", "at least two"]),
+        (GOOD + "a,7,0,0,0,0,0\n", ["line 7", "column push", "'a'", "line 2", "together"]),
+        (replaced("b,5", ",5"), ["line 5", "column push", "empty"]),
+        (replaced("a,1,-0.05,0,,,", "a,1,-0.05,0,,"), ["line 3", "6 fields", "7"]),
+        (replaced("a,1,-0.05", "a,1,-0,05"), ["line 3", "8 fields", "7"]),
+        (replaced("a,1", '"a' + "x" * 140_000 + '",1'), ["line 3", "is not CSV"]),
+    ],
+)
+def test_bad_files_are_named_with_line_column_and_form(write, content, messages):
+    refused(write(content), *messages)
+
+
+def test_missing_file_and_folder(tmp_path):
+    refused(tmp_path / "none.csv", "no such file")
+    refused(tmp_path, "folder")
+
+
+def make_log(pushes, samples, force=True):
+    rng = np.random.default_rng(3)
+    seen = []
+    for i in range(pushes):
+        t = np.append(0.0, np.cumsum(rng.uniform(0.01, 0.03, samples - 1)))
+        push = Push.along(t, rng.normal(size=(samples, 2)), 0.004)
+        at = push.t[[samples // 2, -1]]
+        seen.append(
+            ObservedPush(
+                f"push, {i}", push, rng.uniform(-1, 1, 3), at, rng.uniform(-1, 1, (2, 3)),
+                push.t[1:] if force else None, rng.normal(size=(samples - 1, 2)) if force else None,
+            )
+        )  # fmt: skip
+    return PushLog(tuple(seen), radius_given=True)
+
+
+@pytest.mark.parametrize("force", [True, False])
+def test_round_trip_bit_for_bit(tmp_path, force):
+    log = make_log(4, 30, force)
+    log.write_csv(tmp_path / "log.csv")
+    back = PushLog.read_csv(tmp_path / "log.csv", 0.004)
+    for seen, again in zip(log, back, strict=True):
+        assert seen.name == again.name
+        for name in ("pose", "t_observed", "poses_observed", *(("force_t", "force") if force else ())):
+            np.testing.assert_array_equal(getattr(seen, name), getattr(again, name))
+        np.testing.assert_array_equal(seen.push.t, again.push.t)
+        np.testing.assert_array_equal(seen.push.xy, again.push.xy)
+        if not force:
+            assert again.force is None
+    back.write_csv(tmp_path / "again.csv")
+    assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "log.csv").read_bytes()
+
+
+def test_times_between_the_tip_samples_get_rows_of_their_own(tmp_path):
+    push = Push([0.0, 0.0], [0.01, 0.0], 2.0, 0.004)
+    seen = ObservedPush("a", push, [0, 0, 0], [0.5, 2.0], np.zeros((2, 3)), [1.5], [[1.0, 2.0]])
+    PushLog((seen,)).write_csv(tmp_path / "log.csv")
+    back = PushLog.read_csv(tmp_path / "log.csv")[0]
+    np.testing.assert_array_equal(back.push.t, [0, 0.5, 1.5, 2])
+    np.testing.assert_allclose(back.push.xy[:, 0], [0, 0.005, 0.015, 0.02])
+    np.testing.assert_array_equal(back.t_observed, [0.5, 2.0])
+    np.testing.assert_array_equal(back.force_t, [1.5])
+
+
+def test_a_push_to_be_predicted_round_trips(tmp_path):
+    seen = ObservedPush("a", Push([0, 0], [0.01, 0], 2.0, 0.004), [0, 0, 1], [], [])
+    PushLog((seen,)).write_csv(tmp_path / "log.csv")
+    back = PushLog.read_csv(tmp_path / "log.csv", require_final=False)[0]
+    np.testing.assert_array_equal(back.pose, [0, 0, 1])
+
+
+def test_what_cannot_be_written_is_refused(tmp_path):
+    log = make_log(2, 3)
+    with pytest.raises(PushLogError, match="two pushes"):
+        log[[0, 0]].write_csv(tmp_path / "twice.csv")
+    with pytest.raises(PushLogError, match="holds no push"):
+        log[:0].write_csv(tmp_path / "none.csv")
+    path = tmp_path / "log.csv"
+    log.write_csv(path)
+    with pytest.raises(OutputError, match="exists already"):
+        log.write_csv(path)
+    log[:1].write_csv(path, force=True)
+    assert len(PushLog.read_csv(path)) == 1
+    assert not (tmp_path / "twice.csv").exists()
+
+
+def test_fifty_pushes_of_a_thousand_rows_are_read_in_time(tmp_path):
+    make_log(50, 1000).write_csv(tmp_path / "log.csv")
+    began = time.process_time()
+    log = PushLog.read_csv(tmp_path / "log.csv")
+    assert time.process_time() - began < 1.0
+    assert len(log) == 50
