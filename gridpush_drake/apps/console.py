@@ -7,7 +7,12 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from gridpush_drake.identification.result import HistoryEntry
+
+PIPE_WIDTH = 160
+"""Columns that a table may take where standard output is not a terminal."""
 
 MM = 1e3
 """Millimetres in a metre."""
@@ -20,14 +25,29 @@ def print_line(text: str = "") -> None:
     Console(soft_wrap=not sys.stdout.isatty()).print(text, markup=False, highlight=False)
 
 
+def print_table(table: "Table") -> None:
+    """Prints a table on standard output; as wide as it likes where that is not a terminal."""
+    from rich.console import Console
+
+    console = Console()
+    if not console.is_terminal:
+        console.width = PIPE_WIDTH
+    console.print(table)
+
+
 def print_notice(text: str) -> None:
     """Prints a line on standard error."""
     print(text, file=sys.stderr)
 
 
 def print_json(document: dict[str, Any]) -> None:
-    """Prints one JSON document on standard output; numbers that are not finite become null."""
-    print(json.dumps(_plain(document), indent=2, ensure_ascii=False, allow_nan=False))
+    """Prints one JSON document on standard output."""
+    print(to_json(document))
+
+
+def to_json(document: dict[str, Any]) -> str:
+    """A document as JSON; numbers that are not finite become null, arrays lists, and whatever else its text."""
+    return json.dumps(_plain(document), indent=2, ensure_ascii=False, allow_nan=False)
 
 
 def _plain(value: Any) -> Any:
@@ -57,11 +77,8 @@ def search_progress(what: str, budget: int | None) -> Iterator[Callable[["Histor
         task = progress.add_task(what, total=budget)
 
         def report(entry: "HistoryEntry") -> None:
-            progress.update(
-                task,
-                completed=entry.simulations,
-                description=f"{what}: {entry.simulations} simulations, cell error {entry.loss * MM:.2f} mm, {entry.stage}",
-            )
+            found = f"{entry.simulations} simulations, cell error {entry.loss * MM:.2f} mm, {entry.stage}"
+            progress.update(task, completed=entry.simulations, description=f"{what}: {found}")
 
         yield report
 

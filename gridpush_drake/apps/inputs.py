@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gridpush_drake.errors import OutputError
+
 if TYPE_CHECKING:
     from gridpush_drake.grid.object import GridObject
     from gridpush_drake.grid.parameters import CellParameters
@@ -67,3 +69,11 @@ def load_log(path: Path, obj: "GridObject", *, require_final: bool = True) -> "P
     if log.radius_given or obj.prior.pusher_radius is None:
         return log
     return log.with_radius(obj.prior.pusher_radius)
+
+
+def make_folder(path: Path) -> None:
+    """Makes a folder for output, where it is missing. Raises OutputError where it cannot."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be made a folder: {error.strerror}") from error

@@ -29,9 +29,7 @@ Force = Annotated[bool, typer.Option("--force", help="Replace output files that 
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output, and nothing else.")]
 
-LargestPiece = Annotated[
-    bool, typer.Option("--largest-piece", help="Of a mask in several pieces, keep the largest.")
-]
+LargestPiece = Annotated[bool, typer.Option("--largest-piece", help="Of a mask in several pieces, keep the largest.")]
 
 Regime = Annotated[
     Literal["auto", "quasi_static", "inertial"],
@@ -66,5 +64,7 @@ def parse_numbers(option: str, text: str, names: str) -> tuple[float, ...]:
     except ValueError:
         numbers = ()
     if len(numbers) != len(names.split(",")) or not all(map(isfinite, numbers)):
-        raise OptionError(f"{option}: is {text!r}; expected {names}, such as {','.join(['0.1'] * len(names.split(',')))}")
+        raise OptionError(
+            f"{option}: is {text!r}; expected {names}, such as {','.join(['0.1'] * len(names.split(',')))}"
+        )
     return numbers

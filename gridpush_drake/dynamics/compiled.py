@@ -13,7 +13,18 @@ from typing import Any
 
 import numba
 
-KERNEL_FILES = ("compiled.py", "contact.py", "friction.py", "rollout.py", "sensitivity.py", "step.py")
+KERNEL_FILES = (
+    "columns.py",
+    "compiled.py",
+    "contact.py",
+    "displacement.py",
+    "friction.py",
+    "lagged.py",
+    "paper_kernel.py",
+    "rollout.py",
+    "sensitivity.py",
+    "step.py",
+)
 
 FAST_SUMS = frozenset({"reassoc", "contract", "nsz", "arcp"})
 """What lets a sum over cells be vectorised; infinities and NaN keep their meaning."""
@@ -30,13 +41,13 @@ def kernel(*, fast_sums: bool = False) -> Callable[[Callable[..., Any]], Callabl
     """
 
     def compile_function(function: Callable[..., Any]) -> Callable[..., Any]:
-        previous = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = str(_cache_folder())
+        previous = numba.config.CACHE_DIR  # type: ignore[attr-defined]
+        numba.config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
         try:
             fastmath = set(FAST_SUMS) if fast_sums else False
             return numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fastmath)(function)
         finally:
-            numba.config.CACHE_DIR = previous
+            numba.config.CACHE_DIR = previous  # type: ignore[attr-defined]
 
     return compile_function
 

@@ -7,6 +7,8 @@ a convex vertex, for each place the disc can touch; a concave outline has two su
     cx, cy   the contact point on the outline, m
     gap      distance from the disc's rim to the outline, m; negative where they overlap
     bend     1/|t - vertex| at a vertex (the normal turns as t moves along T), 0 on an edge, 1/m
+    feature  index of the edge, or of the edge that starts at the vertex
+    gx, gy   -d gap/dt, unit vector; N itself unless `look_ahead` took the two at different places
 """
 
 from math import sqrt
@@ -16,9 +18,11 @@ import numpy as np
 from gridpush_drake.dynamics.compiled import kernel
 
 MAX_CONTACTS = 2
-NX, NY, CX, CY, GAP, BEND = range(6)
+COLUMNS = 9
+NX, NY, CX, CY, GAP, BEND, FEATURE, GX, GY = range(COLUMNS)
 
 _CONVEX_VERTEX, _REFLEX_VERTEX = -1, -2
+_STRAIGHT = 1e-9  # sine of the turn below which a vertex counts as straight: convex from outside, reflex from inside
 
 
 @kernel()
@@ -31,7 +35,7 @@ def find_contacts(ax, ay, bx, by, previous, tx, ty, radius, reach, contacts):
         tx, ty: centre of the disc, m.
         radius: of the disc, m.
         reach: contacts with a larger gap are left out, m.
-        contacts: (2, 6) filled with the contacts found, nearest first.
+        contacts: (2, 9) filled with the contacts found, nearest first.
 
     Returns:
         The number of contacts.
@@ -52,7 +56,8 @@ def find_contacts(ax, ay, bx, by, previous, tx, ty, radius, reach, contacts):
             distance2 = rx * rx + ry * ry
             j = previous[i]
             qx, qy = ax[i] - ax[j], ay[i] - ay[j]
-            convex = qx * ey - qy * ex > 0.0
+            turn = qx * ey - qy * ex
+            convex = turn > _STRAIGHT * length2 or (turn > -_STRAIGHT * length2 and rx * ey > ry * ex)
             if distance2 < nearest2:
                 nearest2, nearest = distance2, (_CONVEX_VERTEX if convex else _REFLEX_VERTEX)
             if distance2 > limit2 or not convex or rx * qx + ry * qy < 0.0:
@@ -82,13 +87,13 @@ def find_contacts(ax, ay, bx, by, previous, tx, ty, radius, reach, contacts):
         gap = distance - radius
         if gap < best:
             second = best
-            for column in range(6):
+            for column in range(COLUMNS):
                 contacts[1, column] = contacts[0, column]
             best = gap
-            _put(contacts, 0, nx, ny, cx, cy, gap, bend)
+            _put(contacts, 0, nx, ny, cx, cy, gap, bend, i)
         elif gap < second:
             second = gap
-            _put(contacts, 1, nx, ny, cx, cy, gap, bend)
+            _put(contacts, 1, nx, ny, cx, cy, gap, bend, i)
         else:
             continue
         count = min(count + 1, MAX_CONTACTS)
@@ -98,24 +103,67 @@ def find_contacts(ax, ay, bx, by, previous, tx, ty, radius, reach, contacts):
 
 
 @kernel()
+def look_ahead(ax, ay, bx, by, previous, tx, ty, dx, dy, radius, reach, contacts, ahead):
+    """Finds the contacts of the disc where it will be, but with the gaps from where it is.
+
+    Of the displacement expected only the part along the outline counts: it decides which way the normal will point and
+    where the contact will be, while the part across is for the contact itself to resolve.
+
+    Args:
+        ax, ay, bx, by, previous, tx, ty, radius, reach: as in `find_contacts`.
+        dx, dy: displacement of the disc's centre that is expected, seen from the body, m.
+        contacts: (2, 9) the contacts at (tx, ty), at least one.
+        ahead: (2, 9) filled.
+
+    Returns:
+        The number of contacts.
+    """
+    nx, ny = contacts[0, NX], contacts[0, NY]
+    slide = nx * dy - ny * dx
+    count = find_contacts(ax, ay, bx, by, previous, tx - slide * ny, ty + slide * nx, radius, reach, ahead)
+    for c in range(count):
+        i = int(ahead[c, FEATURE])
+        if ahead[c, BEND] > 0.0:
+            # round a vertex the disc comes from one edge and goes to the other: it must overlap neither
+            ahead[c, GAP] = np.inf
+            _measure_gap(ax, ay, bx, by, previous[i], tx, ty, radius, ahead, c)
+            _measure_gap(ax, ay, bx, by, i, tx, ty, radius, ahead, c)
+        else:
+            ahead[c, GAP] = ahead[c, NX] * (ahead[c, CX] - tx) + ahead[c, NY] * (ahead[c, CY] - ty) - radius
+    return count
+
+
+@kernel()
+def _measure_gap(ax, ay, bx, by, i, tx, ty, radius, contacts, row):
+    """Sets the row's gap, and its direction, to the gap between the disc and edge i where that is the smaller."""
+    ex, ey = bx[i] - ax[i], by[i] - ay[i]
+    rx, ry = ax[i] - tx, ay[i] - ty
+    length2 = ex * ex + ey * ey
+    along = min(max(-(rx * ex + ry * ey) / length2, 0.0), 1.0)
+    rx += along * ex
+    ry += along * ey
+    distance = sqrt(rx * rx + ry * ry)
+    if 0.0 < distance < contacts[row, GAP] + radius:
+        contacts[row, GAP] = distance - radius
+        contacts[row, GX], contacts[row, GY] = rx / distance, ry / distance
+
+
+@kernel()
 def _contact_from_inside(ax, ay, bx, by, i, tx, ty, radius, contacts):
     """The disc's centre is inside the object: it leaves through the nearest edge."""
     ex, ey = bx[i] - ax[i], by[i] - ay[i]
     length = sqrt(ex * ex + ey * ey)
     along = ((tx - ax[i]) * ex + (ty - ay[i]) * ey) / length
     distance = ((tx - ax[i]) * ey - (ty - ay[i]) * ex) / length
-    _put(
-        contacts, 0, -ey / length, ex / length, ax[i] + along * ex / length, ay[i] + along * ey / length,
-        distance - radius, 0.0,
-    )  # fmt: skip
+    cx, cy = ax[i] + along * ex / length, ay[i] + along * ey / length
+    _put(contacts, 0, -ey / length, ex / length, cx, cy, distance - radius, 0.0, i)
     return 1
 
 
 @kernel()
-def _put(contacts, row, nx, ny, cx, cy, gap, bend):
-    contacts[row, 0] = nx
-    contacts[row, 1] = ny
-    contacts[row, 2] = cx
-    contacts[row, 3] = cy
-    contacts[row, 4] = gap
-    contacts[row, 5] = bend
+def _put(contacts, row, nx, ny, cx, cy, gap, bend, feature):
+    contacts[row, NX], contacts[row, NY] = nx, ny
+    contacts[row, CX], contacts[row, CY] = cx, cy
+    contacts[row, GAP], contacts[row, BEND] = gap, bend
+    contacts[row, FEATURE] = feature
+    contacts[row, GX], contacts[row, GY] = nx, ny

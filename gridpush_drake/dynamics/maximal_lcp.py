@@ -20,21 +20,13 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 from gridpush_drake.dynamics.friction import SPIN_ARM
+from gridpush_drake.dynamics.lagged import IMPENDING_AT_REST, SPEED_AT_REST, YAW_RATE_AT_REST
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
 
 STANDARD_GRAVITY = 9.81
 """m/s²."""
-
-SPEED_AT_REST = 1e-9
-"""m/s; a cell slower than this has no direction of its own."""
-
-YAW_RATE_AT_REST = 1e-8
-"""rad/s; a cell that turns more slowly has no sense of rotation of its own."""
-
-IMPENDING_AT_REST = 1e-9
-"""Share of the fastest cell's impending speed below which a cell's impending direction is undefined."""
 
 
 @dataclass(frozen=True, eq=False)

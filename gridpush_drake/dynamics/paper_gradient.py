@@ -27,13 +27,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.dynamics.friction import SPIN_ARM
-from gridpush_drake.dynamics.maximal_lcp import (
-    SPEED_AT_REST,
-    STANDARD_GRAVITY,
-    YAW_RATE_AT_REST,
-    MaximalLcp,
-    twist_to_cells,
-)
+from gridpush_drake.dynamics.lagged import SPEED_AT_REST, YAW_RATE_AT_REST
+from gridpush_drake.dynamics.maximal_lcp import STANDARD_GRAVITY, MaximalLcp, twist_to_cells
 from gridpush_drake.dynamics.maximal_solvers import LcpSolution
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters

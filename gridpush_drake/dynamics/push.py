@@ -7,13 +7,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.errors import PushError
+from gridpush_drake.grid.object import GridObject
 
 
 @dataclass(frozen=True, eq=False)
 class Push:
     """The motion of a disc of radius `radius` in the plane of the support, piecewise linear in time.
 
-    `Push(start, velocity, duration, radius)` is straight at constant velocity; `Push.along` follows sampled points.
+    `Push(start, velocity, duration, radius)` is straight at constant velocity; `Push.along` follows sampled points;
+    `Push.on_outline` starts at a place on an object's outline.
 
     Attributes:
         start: (2,) p_WP of the disc's centre at the beginning, m, world frame.
@@ -33,17 +35,20 @@ class Push:
     velocity: NDArray[np.float64]
     duration: float
     radius: float
-    t: NDArray[np.float64] = field(default=None, kw_only=True, repr=False)  # type: ignore[assignment]
-    xy: NDArray[np.float64] = field(default=None, kw_only=True, repr=False)  # type: ignore[assignment]
+    t: NDArray[np.float64] = field(default=None, kw_only=True, repr=False)  # type: ignore[arg-type]
+    xy: NDArray[np.float64] = field(default=None, kw_only=True, repr=False)  # type: ignore[arg-type]
     start_tangent: NDArray[np.float64] | None = field(default=None, kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
         start, velocity = _vector("start", self.start), _vector("velocity", self.velocity)
         _require_positive("radius", self.radius)
         _require_positive("duration", self.duration)
-        t = np.array([0.0, self.duration]) if self.t is None else self.t
-        xy = np.array([start, start + velocity * self.duration]) if self.xy is None else self.xy
-        for name, value in (("start", start), ("velocity", velocity), ("t", t), ("xy", xy)):
+        t = np.array([0.0, self.duration]) if self.t is None else np.array(self.t, dtype=np.float64)
+        xy = np.array([start, start + velocity * self.duration]) if self.xy is None else np.array(self.xy)
+        arrays = {"start": start, "velocity": velocity, "t": t, "xy": xy}
+        if self.start_tangent is not None:
+            arrays["start_tangent"] = _vector("start_tangent", self.start_tangent)
+        for name, value in arrays.items():
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         object.__setattr__(self, "duration", float(self.duration))
@@ -64,20 +69,73 @@ class Push:
         Raises:
             PushError: shapes disagree, a value is not finite, or time does not increase.
         """
-        t = np.array(t, dtype=np.float64)
-        xy = np.array(xy, dtype=np.float64)
-        if t.ndim != 1 or len(t) < 2 or xy.shape != (len(t), 2):
+        times, path = np.array(t, dtype=np.float64), np.array(xy, dtype=np.float64)
+        if times.ndim != 1 or len(times) < 2 or path.shape != (len(times), 2):
             raise PushError(
-                f"push: t of shape {t.shape} and xy of shape {xy.shape}; expected (K,) and (K, 2), K >= 2"
+                f"push: t of shape {times.shape} and xy of shape {path.shape}; expected (K,) and (K, 2), K >= 2"
             )
-        if not (np.isfinite(t).all() and np.isfinite(xy).all()):
+        if not (np.isfinite(times).all() and np.isfinite(path).all()):
             raise PushError("push: t and xy must be finite numbers")
-        if np.any(np.diff(t) <= 0):
-            raise PushError(
-                f"push: t must be strictly increasing; t[{int(np.argmax(np.diff(t) <= 0)) + 1}] is not"
-            )
-        t = t - t[0]
-        return cls(xy[0].copy(), (xy[-1] - xy[0]) / t[-1], t[-1], radius, t=t, xy=xy)
+        if np.any(np.diff(times) <= 0):
+            first = int(np.argmax(np.diff(times) <= 0)) + 1
+            raise PushError(f"push: t must be strictly increasing; t[{first}] is not")
+        times -= times[0]
+        return cls(path[0].copy(), (path[-1] - path[0]) / times[-1], float(times[-1]), radius, t=times, xy=path)
+
+    @classmethod
+    def on_outline(
+        cls,
+        obj: GridObject,
+        arc_length: float,
+        angle: float,
+        distance: float,
+        *,
+        radius: float,
+        duration: float | None = None,
+        speed: float | None = None,
+        pose: ArrayLike = (0.0, 0.0, 0.0),
+        clearance: float = 0.0,
+    ) -> "Push":
+        """Makes a straight push that starts on an object's outline.
+
+        Args:
+            obj: the object.
+            arc_length: where on the exterior outline, m from its first vertex, counterclockwise, modulo the perimeter.
+            angle: of the motion from the inward normal there, rad, counterclockwise.
+            distance: to move, m.
+            radius: of the disc, m.
+            duration: s; or else `speed`, m/s.
+            speed: m/s; or else `duration`, s.
+            pose: (3,) X_WB of the object, m and rad.
+            clearance: gap between disc and outline at the beginning, m.
+
+        Returns:
+            The push. Its `start_tangent` is that of the edge: it makes `Jacobian.contact_location` the derivative by
+            `arc_length` with the motion's direction held fixed, and at a vertex the one towards the edge that
+            begins there.
+
+        Raises:
+            PushError: not one of duration and speed is given, or a value is out of range.
+        """
+        q = np.array(pose, dtype=np.float64)
+        if q.shape != (3,) or not np.isfinite(q).all():
+            raise PushError(f"push: pose is {pose!r}; expected three finite numbers")
+        if (duration is None) == (speed is None):
+            raise PushError("push: expected either duration or speed")
+        _require_positive("distance", distance)
+        _require_positive("radius", radius)
+        if not (np.isfinite([arc_length, angle]).all() and 0 <= clearance < np.inf):
+            raise PushError("push: arc_length and angle must be finite, and clearance >= 0")
+        if duration is None:
+            assert speed is not None
+            _require_positive("speed", speed)
+            duration = distance / speed
+        _require_positive("duration", duration)
+        point, tangent, normal = obj.edges.at(arc_length)
+        R = _rotation(q[2])
+        start = q[:2] + R @ (point + (radius + clearance) * normal)
+        direction = R @ _rotation(angle) @ -normal
+        return cls(start, distance / duration * direction, duration, radius, start_tangent=R @ tangent)
 
     @property
     def length(self) -> float:
@@ -88,6 +146,11 @@ class Push:
         """Interpolates p_WP of the disc's centre at `times` (K,), s from the beginning; held past the ends. (K, 2), m."""
         times = np.asarray(times, dtype=np.float64)
         return np.column_stack([np.interp(times, self.t, self.xy[:, axis]) for axis in (0, 1)])
+
+
+def _rotation(angle: float) -> NDArray[np.float64]:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s], [s, c]])
 
 
 def _vector(name: str, value: ArrayLike) -> NDArray[np.float64]:

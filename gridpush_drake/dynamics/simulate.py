@@ -2,29 +2,33 @@
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from math import ceil
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridpush_drake.dynamics.arguments import check_record, check_regime, check_vector
+from gridpush_drake.dynamics.columns import OTHER
 from gridpush_drake.dynamics.force_push import ForcePush
-from gridpush_drake.dynamics.friction import SPIN_ARM, SPIN_MODELS
+from gridpush_drake.dynamics.kernel_call import Load, Method, Steps, run_kernel
+from gridpush_drake.dynamics.paper_rollout import calc_paper_jacobian
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.rollout import rollout
-from gridpush_drake.dynamics.sensitivity import OTHER
 from gridpush_drake.dynamics.simulation import (
     STATUS_NO_CONTACT,
     STATUS_NOT_CONVERGED,
     STATUS_OK,
     STATUS_STARTED_OVERLAPPING,
+    Jacobian,
     RawJacobian,
     Simulation,
 )
 from gridpush_drake.dynamics.step import CONVERGED
+from gridpush_drake.dynamics.time_grid import DEFAULT_DT, DEFAULT_TIP_STEP, check_times, make_path_times, make_times
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
+
+__all__ = ["DEFAULT_DT", "DEFAULT_TIP_STEP", "GRAVITY", "Regime", "make_path_times", "simulate", "simulate_batch"]
 
 Array = NDArray[np.float64]
 Regime = Literal["inertial", "quasi_static"]
@@ -32,14 +36,14 @@ Regime = Literal["inertial", "quasi_static"]
 GRAVITY = 9.81
 """m/s²."""
 
-DEFAULT_DT = 0.01
-"""s, the longest step where none is given."""
-
-DEFAULT_TIP_STEP = 0.001
-"""m, the furthest the pusher moves in a step where none is given."""
-
 STICTION_TOLERANCE = 1e-9
 """m/s, of the inertial regime; a body at rest creeps slower than a few of these."""
+
+RELATIVE_STICTION = 1e-7
+"""Of the speed of pusher and body; friction is never smoothed less, in either regime."""
+
+AHEAD = 0.5
+"""Share of a step after which it looks at the body: the midpoint rule."""
 
 OVERLAP_TOLERANCE = 1e-4
 """m, of pusher and outline at the beginning."""
@@ -90,63 +94,41 @@ def simulate(
     Raises:
         SimulationError: an argument is out of range, or the combination makes no sense.
     """
-    inertial = _check_regime(regime, push, friction, spin, gradients)
+    check_regime(regime, push, friction, spin, gradients)
     if params.n != obj.n:
         raise SimulationError(f"parameters of {params.n} cells; expected {obj.n}, as {obj.name} has")
-    q, nu = _vector3("pose", pose), _vector3("velocity", velocity)
+    inertial, lagged = regime == "inertial", friction == "lagged"
+    q, nu = check_vector("pose", pose), check_vector("velocity", velocity)
     if not inertial and nu.any():
         raise SimulationError("velocity: the quasi-static regime has none; expected (0, 0, 0)")
-    times = _make_times(push, dt) if times is None else _check_times(times)
-    steps = len(times) - 1
-    tip, force, force_point, radius = _sample(push, times, q)
-
-    k = params.friction * params.mass * gravity
-    spin_arm = SPIN_ARM * obj.cell_size
-    model = "separate" if friction == "lagged" else spin
-    spin_terms = np.array(
-        [
-            spin_arm**2 if model == "coupled" else 0.0,
-            k.sum() * spin_arm if model == "separate" else 0.0,
-            spin_arm if model == "separate" else 0.0,
-        ]
-    )
-    if not inertial and k.sum() <= 0:
+    if not inertial and params.friction @ params.mass * gravity <= 0:
         raise SimulationError("friction: the quasi-static regime needs some friction with the support")
-    com = params.centre_of_mass(obj)
-    moments = np.array([params.total_mass, com[0], com[1], params.inertia(obj), obj.radius_of_gyration])
-    exact = gradients is True
-    rows = np.arange(steps + 1) if record is None else _check_record(record, steps)
+    times = make_times(push, dt, regime) if times is None else check_times(times)
+    steps, dts = len(times) - 1, np.diff(times)
+    rows = np.arange(steps + 1) if record is None else check_record(record, steps)
     row_of_step = np.full(steps + 1, -1)
     row_of_step[rows] = np.arange(len(rows))
-    J = np.empty((len(rows), 3, obj.n + OTHER)) if exact else np.empty((0, 3, 0))
-    cells, edges, previous = _kernel_arrays(obj)
-
-    poses, velocities, twists = np.empty((steps + 1, 3)), np.empty((steps + 1, 3)), np.empty((steps, 3))
-    contact_forces, contact_points = np.empty((steps, 2, 2)), np.empty((steps, 2, 2))
-    modes, statuses, gaps = (
-        np.empty((steps, 2), np.int64),
-        np.empty((steps, 2), np.int64),
-        np.empty(steps + 1),
-    )
-    rollout(
-        cells, k, spin_terms, friction == "lagged", edges, previous, radius, params.contact_friction, moments, inertial,
-        float(stiction_tolerance), q, nu, tip, np.diff(times), force, force_point, row_of_step, poses, twists,
-        velocities, contact_forces, contact_points, modes, gaps, statuses, J,
+    J = np.empty((len(rows), 3, obj.n + OTHER)) if gradients is True else np.empty((0, 3, 0))
+    method = Method(
+        inertial, lagged, "separate" if lagged else spin, 0.0 if lagged else AHEAD, float(stiction_tolerance),
+        RELATIVE_STICTION,
     )  # fmt: skip
+    load = _make_load(push, times)
+    result = run_kernel(obj, params, gravity, method, q, nu, dts, load, row_of_step, J)
 
-    jacobian: Any = None
-    if exact:
+    jacobian: Jacobian | RawJacobian | None = None
+    if gradients is True:
         tangent = push.start_tangent if isinstance(push, Push) else None
         jacobian = RawJacobian(
             rows, J, obj.p_BC, obj.cell_size, params.mass, params.friction, gravity, inertial, tangent
         )
     elif gradients == "paper":
-        from gridpush_drake.dynamics.paper_rollout import calc_paper_jacobian
-
-        jacobian = calc_paper_jacobian(obj, params, poses, velocities, twists, times, rows, gravity, model)
+        jacobian = calc_paper_jacobian(obj, params, result, dts, rows, gravity, method)
+    has_pusher = load.radius > 0
     return Simulation(
-        times, poses, velocities, tip if radius > 0 else np.full_like(tip, np.nan), contact_forces, contact_points,
-        modes, gaps, _status(radius > 0, modes, gaps, statuses), statuses[:, 1], jacobian,
+        times, result.poses, result.velocities, load.tip if has_pusher else np.full_like(load.tip, np.nan),
+        result.contact_forces, result.contact_points, result.modes, result.gaps, _status(has_pusher, result),
+        result.statuses[:, 1], jacobian,
     )  # fmt: skip
 
 
@@ -195,100 +177,20 @@ def simulate_batch(
         return list(pool.map(lambda job: simulate(obj, job[0], job[1], job[2], **options), jobs))
 
 
-def _check_regime(
-    regime: str, push: Push | ForcePush, friction: str, spin: str, gradients: bool | str
-) -> bool:
-    for name, value, known in (
-        ("regime", regime, ("inertial", "quasi_static")),
-        ("friction", friction, ("isotropic", "lagged")),
-        ("spin", spin, SPIN_MODELS),
-        ("gradients", gradients, (False, True, "paper")),
-    ):
-        if value not in known:
-            raise SimulationError(f"{name} is {value!r}; expected one of {', '.join(map(repr, known))}")
-    if regime == "quasi_static" and isinstance(push, ForcePush):
-        raise SimulationError(
-            "regime: a force-driven push needs 'inertial'; a quasi-static body has no velocity of its own"
-        )
-    if regime == "quasi_static" and friction == "lagged":
-        raise SimulationError("friction: 'lagged' needs the inertial regime, whose velocity it lags")
-    if friction == "lagged" and gradients is True:
-        raise SimulationError(
-            "gradients: the exact ones need friction='isotropic'; 'lagged' has gradients='paper'"
-        )
-    return regime == "inertial"
-
-
-def _vector3(name: str, value: ArrayLike) -> Array:
-    vector = np.array(value, dtype=np.float64)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise SimulationError(f"{name} is {value!r}; expected three finite numbers")
-    return vector
-
-
-def _make_times(push: Push | ForcePush, dt: float | None) -> Array:
-    if dt is not None and not (np.isfinite(dt) and dt > 0):
-        raise SimulationError(f"dt is {dt!r}; expected a positive number (s)")
-    if dt is not None:
-        steps = max(1, ceil(push.duration / dt - 1e-9))
-        return np.append(np.arange(steps) * dt, push.duration)
+def _make_load(push: Push | ForcePush, times: Array) -> Load:
+    """Samples a push at the steps' times (T+1,), s."""
+    steps = len(times) - 1
     if isinstance(push, ForcePush):
-        return np.linspace(0.0, push.duration, max(1, ceil(push.duration / DEFAULT_DT - 1e-9)) + 1)
-    return make_path_times(push)
+        wrench = np.pad(push.force_during(times), ((0, 0), (0, 1)))
+        return Load(np.zeros((steps + 1, 2)), 0.0, -1.0, wrench, push.point)
+    return Load(push.tip_at(times), push.length, push.radius, np.zeros((steps, 3)), np.zeros(2))
 
 
-def make_path_times(push: Push, tip_step: float = DEFAULT_TIP_STEP, longest: float = DEFAULT_DT) -> Array:
-    """Times that cut each piece of the push's path evenly: at most `tip_step` (m) and `longest` (s) each; (T+1,), s."""
-    distance = np.linalg.norm(np.diff(push.xy, axis=0), axis=1)
-    counts = np.maximum(np.ceil(np.maximum(distance / tip_step, np.diff(push.t) / longest) - 1e-9), 1).astype(
-        int
-    )
-    pieces = [
-        push.t[i] + (push.t[i + 1] - push.t[i]) * np.arange(count) / count for i, count in enumerate(counts)
-    ]
-    return np.append(np.concatenate(pieces), push.t[-1])
-
-
-def _check_times(times: ArrayLike) -> Array:
-    times = np.array(times, dtype=np.float64)
-    if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all() or (np.diff(times) <= 0).any():
-        raise SimulationError("times: expected at least two finite, strictly increasing numbers (s)")
-    return times
-
-
-def _check_record(record: ArrayLike, steps: int) -> NDArray[np.int64]:
-    rows = np.asarray(record, dtype=np.int64)
-    if rows.ndim != 1 or (rows < 0).any() or (rows > steps).any() or len(np.unique(rows)) != len(rows):
-        raise SimulationError(f"record: expected distinct indices from 0 to {steps}")
-    return rows
-
-
-def _sample(push: Push | ForcePush, times: Array, q: Array) -> tuple[Array, Array, Array, float]:
-    """Tip (T+1, 2), force (T, 2), its point (2,), and the radius, negative where there is no pusher."""
-    if isinstance(push, ForcePush):
-        return np.zeros((len(times), 2)), push.force_during(times), np.array(push.point), -1.0
-    return push.tip_at(times), np.zeros((len(times) - 1, 2)), np.zeros(2), push.radius
-
-
-def _kernel_arrays(obj: GridObject) -> tuple[Array, Array, NDArray[np.int64]]:
-    """The object as the kernel wants it, made once an object."""
-    cached = obj.__dict__.get("_kernel_arrays")
-    if cached is None:
-        edges = obj.edges
-        cached = (
-            np.ascontiguousarray(obj.p_BC.T),
-            np.ascontiguousarray(np.column_stack([edges.start, edges.end]).T),
-            np.ascontiguousarray(edges.previous),
-        )
-        obj.__dict__["_kernel_arrays"] = cached
-    return cached
-
-
-def _status(has_pusher: bool, modes: NDArray[np.int64], gaps: Array, statuses: NDArray[np.int64]) -> str:
-    if (statuses[:, 0] != CONVERGED).any():
+def _status(has_pusher: bool, steps: Steps) -> str:
+    if (steps.statuses[:, 0] != CONVERGED).any():
         return STATUS_NOT_CONVERGED
-    if has_pusher and not modes.any():
+    if has_pusher and not steps.modes.any():
         return STATUS_NO_CONTACT
-    if gaps[0] < -OVERLAP_TOLERANCE:
+    if steps.gaps[0] < -OVERLAP_TOLERANCE:
         return STATUS_STARTED_OVERLAPPING
     return STATUS_OK

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.dynamics import sensitivity
+from gridpush_drake.dynamics import columns
 from gridpush_drake.errors import SimulationError
 
 Array = NDArray[np.float64]
@@ -133,16 +133,16 @@ class RawJacobian:
                     (arm**2).sum(axis=1) + self.cell_size**2 / 6,
                 ]
             )
-            mass += other[..., sensitivity.MASS : sensitivity.INERTIA + 1] @ moments
-        start = other[..., sensitivity.START_X : sensitivity.START_Y + 1]
+            mass += other[..., columns.MASS : columns.INERTIA + 1] @ moments
+        start = other[..., columns.START_X : columns.START_Y + 1]
         return Jacobian(
             steps=self.steps,
             mass=mass,
             friction=load * (self.mass * self.gravity),
-            contact_friction=other[..., sensitivity.CONTACT_FRICTION],
+            contact_friction=other[..., columns.CONTACT_FRICTION],
             start=start,
-            direction=other[..., sensitivity.DIRECTION],
-            length=other[..., sensitivity.LENGTH],
-            pose=other[..., sensitivity.POSE_X : sensitivity.POSE_THETA + 1],
+            direction=other[..., columns.DIRECTION],
+            length=other[..., columns.LENGTH],
+            pose=other[..., columns.POSE_X : columns.POSE_THETA + 1],
             contact_location=None if self.start_tangent is None else start @ self.start_tangent,
         )

@@ -32,9 +32,12 @@ _SLOW = 0.5  # a Newton step that leaves more of the residual than this is follo
 _FINAL_RESIDUAL = 1e-8  # of the load: one more Newton step squares it
 _LARGEST_RESIDUAL = 1e-6  # of the load, for a step to count as solved
 _MODE_TOLERANCE = 1e-9
-_COMPLIANCE = 1e-10  # of the contact, in speed/load: makes redundant sticking contacts well posed
-_CONTINUATION_FACTOR = 0.5
-_SYSTEM_SIZE = 7
+COMPLIANCE = 1e-9
+"""Of two contacts at once, in speed/load: makes redundant sticking contacts well posed."""
+
+_NORMAL_SHARE = 1e-4  # of a jam's inconsistency, left to the normal rows
+_SHARPEN = 0.1  # of the tolerance, in a step of the continuation
+_LEAST_SHARPENING = 0.97
 
 
 @kernel()
@@ -107,6 +110,31 @@ def build_contact_system(H, contacts, modes, count, mu, compliance, K):
 
 
 @kernel()
+def relax_jam(contacts, X, columns):
+    """Makes the right-hand sides of two sticking contacts consistent, in rows 3 to 6 of X.
+
+    Two contacts that stick ask for four velocities, a rigid body has three: z^T J = 0 with z a pair of opposite forces
+    along the line d between the contacts, so z^T X must vanish too. What gaps leave of it is taken from the tangential
+    rows, the normal ones only where d is normal to the outline: the disc slips a little to close its gaps. Else the
+    two contacts would squeeze the body without bound.
+    """
+    dx, dy = contacts[1, CX] - contacts[0, CX], contacts[1, CY] - contacts[0, CY]
+    z0 = contacts[0, NX] * dx + contacts[0, NY] * dy
+    z1 = -contacts[0, NY] * dx + contacts[0, NX] * dy
+    z2 = -contacts[1, NX] * dx - contacts[1, NY] * dy
+    z3 = contacts[1, NY] * dx - contacts[1, NX] * dy
+    size = _NORMAL_SHARE * (z0 * z0 + z2 * z2) + z1 * z1 + z3 * z3
+    if size == 0.0:
+        return
+    for j in range(columns):
+        share = (z0 * X[3, j] + z1 * X[4, j] + z2 * X[5, j] + z3 * X[6, j]) / size
+        X[3, j] -= share * _NORMAL_SHARE * z0
+        X[4, j] -= share * z1
+        X[5, j] -= share * _NORMAL_SHARE * z2
+        X[6, j] -= share * z3
+
+
+@kernel()
 def _try_modes(H, rhs, contacts, modes, count, vpx, vpy, mu, dt, load, speed, compliance, K, X, xi, lam):
     """Solves the linearised step for one choice of modes into xi (3,) and lam (2, 2); returns its worst violation."""
     size = build_contact_system(H, contacts, modes, count, mu, compliance, K)
@@ -122,6 +150,8 @@ def _try_modes(H, rhs, contacts, modes, count, vpx, vpy, mu, dt, load, speed, co
         if modes[c] == STICK:
             X[row, 0] = nx * vpy - ny * vpx
             row += 1
+    if size == 7:
+        relax_jam(contacts, X, 1)
     if not solve_dense(K, X, size, 1):
         return np.inf
     for i in range(3):
@@ -183,8 +213,9 @@ def _solve_modes(H, rhs, contacts, modes, count, vpx, vpy, mu, dt, load, speed, 
 
 @kernel()
 def _residual(g, contacts, count, lam, arm, load):
-    """Norm of g - sum_c J^T lam over the load, its moment over the arm."""
+    """Norm of g - sum_c J^T lam, its moment over the arm, over the load and the contact forces."""
     r0, r1, r2 = g[0], g[1], g[2]
+    scale = load
     for c in range(count):
         nx, ny, cx, cy = contacts[c, NX], contacts[c, NY], contacts[c, CX], contacts[c, CY]
         fx = nx * lam[c, 0] - ny * lam[c, 1]
@@ -192,17 +223,18 @@ def _residual(g, contacts, count, lam, arm, load):
         r0 -= fx
         r1 -= fy
         r2 -= cx * fy - cy * fx
+        scale += abs(fx) + abs(fy)
     r2 /= arm
-    return sqrt(r0 * r0 + r1 * r1 + r2 * r2) / load
+    return sqrt(r0 * r0 + r1 * r1 + r2 * r2) / scale
 
 
 @kernel()
 def _newton(
     px, py, k, kappa2, spin_load, lagged, dx, dy, spin_sign, H0, drive, contacts, count, vpx, vpy, mu, dt,
-    eps, arm, load, speed, xi, lam, modes, g, H, rhs, unused, K, X, limit,
+    eps, arm, load, speed, xi, lam, modes, g, H, rhs, scratch, K, X, limit,
 ):  # fmt: skip
     """Newton's method at one stiction tolerance; returns (status, iterations, residual). H is left as last used."""
-    compliance = _COMPLIANCE * speed / load if count > 1 else 0.0
+    compliance = COMPLIANCE * speed / load if count > 1 else 0.0
     previous = np.inf
     majorize = False
     residual = np.inf
@@ -226,7 +258,7 @@ def _newton(
                 for i in range(3):
                     for j in range(3):
                         H[i, j] = H0[i, j]
-                add_isotropic(px, py, k, kappa2, spin_load, eps, xi, 1.0, True, unused, H)
+                add_isotropic(px, py, k, kappa2, spin_load, eps, xi, 1.0, True, scratch, H)
         for i in range(3):
             rhs[i] = H[i, 0] * xi[0] + H[i, 1] * xi[1] + H[i, 2] * xi[2] - g[i]
         worst = _solve_modes(
@@ -243,7 +275,7 @@ def _newton(
 @kernel()
 def solve_step(
     px, py, k, kappa2, spin_load, lagged, dx, dy, spin_sign, H0, drive, contacts, count, vpx, vpy, mu, dt,
-    eps, arm, load, speed, xi, lam, modes, g, H, rhs, unused, K, X,
+    eps, arm, load, speed, xi, lam, modes, g, H, rhs, scratch, K, X,
 ):  # fmt: skip
     """Solves one step from the guess in `xi`.
 
@@ -261,36 +293,42 @@ def solve_step(
         xi: (3,) guess in, twist out.
         lam: (2, 2) contact forces lam_n, lam_t out, N.
         modes: (2,) guess in, modes out.
-        g, H, rhs, unused, K, X: workspace (3,), (3, 3), (3,), (3,), (7, 7), (7, 7); H is the Hessian at the solution.
+        g, H, rhs, scratch, K, X: workspace (3,), (3, 3), (3,), (3,), (7, 7), (7, 7); H is the Hessian at the solution.
 
     Returns:
         (status, iterations).
     """
     status, iterations, _ = _newton(
         px, py, k, kappa2, spin_load, lagged, dx, dy, spin_sign, H0, drive, contacts, count, vpx, vpy, mu, dt,
-        eps, arm, load, speed, xi, lam, modes, g, H, rhs, unused, K, X, _NEWTON_LIMIT,
+        eps, arm, load, speed, xi, lam, modes, g, H, rhs, scratch, K, X, _NEWTON_LIMIT,
     )  # fmt: skip
     if status == CONVERGED:
         return status, iterations
-    # Continuation: start where friction is smooth on the scale of the motion, and sharpen. Cells that stick at the end
-    # move in proportion to the tolerance, so the secant through the last two solutions predicts the next.
-    xi[0] = xi[1] = xi[2] = 0.0
-    last0 = last1 = last2 = 0.0
-    last_tolerance = np.inf
-    tolerance = speed
+    # Continuation: start where friction is smooth on the scale of the motion, and sharpen, by smaller factors where it
+    # fails. Cells that stick at the end move in proportion to the tolerance, so the secant through the last two
+    # solutions predicts the next.
+    last, before = np.zeros(3), np.zeros(3)
+    last_tolerance, before_tolerance = np.inf, np.inf
+    tolerance, factor = speed, _SHARPEN
+    xi[:] = 0.0
     while True:
         status, used, _ = _newton(
             px, py, k, kappa2, spin_load, lagged, dx, dy, spin_sign, H0, drive, contacts, count, vpx, vpy, mu, dt,
-            tolerance, arm, load, speed, xi, lam, modes, g, H, rhs, unused, K, X, _ITERATION_LIMIT,
+            tolerance, arm, load, speed, xi, lam, modes, g, H, rhs, scratch, K, X, _ITERATION_LIMIT,
         )  # fmt: skip
         iterations += used
-        if tolerance == eps:
+        if status == CONVERGED:
+            if tolerance == eps:
+                return status, iterations
+            for i in range(3):
+                before[i], last[i] = last[i], xi[i]
+            before_tolerance, last_tolerance = last_tolerance, tolerance
+            factor = max(factor * factor, _SHARPEN)
+        elif last_tolerance < np.inf and factor < _LEAST_SHARPENING:
+            factor = sqrt(factor)
+        else:
             return status, iterations
-        next_tolerance = max(_CONTINUATION_FACTOR * tolerance, eps)
-        ahead = (next_tolerance - tolerance) / (tolerance - last_tolerance)
-        now0, now1, now2 = xi[0], xi[1], xi[2]
-        xi[0] += ahead * (now0 - last0)
-        xi[1] += ahead * (now1 - last1)
-        xi[2] += ahead * (now2 - last2)
-        last0, last1, last2 = now0, now1, now2
-        last_tolerance, tolerance = tolerance, next_tolerance
+        tolerance = max(factor * last_tolerance, eps)
+        ahead = (tolerance - last_tolerance) / (last_tolerance - before_tolerance)
+        for i in range(3):
+            xi[i] = last[i] + ahead * (last[i] - before[i])

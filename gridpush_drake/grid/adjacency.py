@@ -59,9 +59,7 @@ def _delaunay_edges(p_BC: NDArray[np.float64], cell_size: float) -> NDArray[np.i
     if len(p_BC) > 2 and np.ptp(across) > FLATNESS:
         try:
             simplices = Delaunay(centred).simplices
-            return np.concatenate([simplices[:, [0, 1]], simplices[:, [1, 2]], simplices[:, [2, 0]]]).astype(
-                np.int64
-            )
+            return np.concatenate([simplices[:, [0, 1]], simplices[:, [1, 2]], simplices[:, [2, 0]]]).astype(np.int64)
         except QhullError:
             pass
     order = np.argsort(along[:, 0], kind="stable")

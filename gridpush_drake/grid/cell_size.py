@@ -33,9 +33,12 @@ MOST_LATTICE_PER_CELL = 20
 EXACT = 1e-6
 """Below this error the cells tile the shape."""
 
-EXACT_LOSS, EXACT_DISCOUNT = 0.15, 0.25
+EXACT_LOSS, EXACT_DISCOUNT = 0.11, 0.25
 """Cells that tile the shape are preferred while they leave no more than this part of `max_cells` unused: it then
 counts with this weight."""
+
+ERROR_WEIGHT = 2.0
+"""A relative error weighs as much as this many times that part of `max_cells` left unused."""
 
 AREA_WEIGHT = 0.5
 """Weight of the area's error (logarithmic): the cells' area matters less to sliding than where they are."""
@@ -87,9 +90,7 @@ def check_max_cells(name: str, max_cells: int) -> None:
         raise ObjectError(f"{name}: max_cells is {max_cells!r}; expected a whole number, 1 or more")
 
 
-def choose_cells(
-    region: Region, share: Share, overlap: Share, max_cells: int, least_size: float = 0.0
-) -> Cells:
+def choose_cells(region: Region, share: Share, overlap: Share, max_cells: int, least_size: float = 0.0) -> Cells:
     """Fills a shape with at most `max_cells` cells, weighing their number against their likeness to the shape.
 
     Sizes from just below the ideal one upwards are tried, with lattices centred on the bounding box or aligned
@@ -119,9 +120,7 @@ def choose_cells(
     return _take_touched(region, overlap, max_cells, least_size)
 
 
-def _find_best(
-    region: Region, share: Share, max_cells: int, low: float, high: float, points: float
-) -> Cells | None:
+def _find_best(region: Region, share: Share, max_cells: int, low: float, high: float, points: float) -> Cells | None:
     best, least_cost = None, np.inf
     for size in _candidate_sizes(region, low, high, points):
         for corners in _lattices(region, float(size), phased=points < MOST_PHASED):
@@ -151,7 +150,7 @@ def _calc_cost(region: Region, cells: Cells, max_cells: int) -> float:
     error = np.linalg.norm(offset) / np.sqrt(spread) + np.abs(covariance - region.covariance).sum() / spread
     error += AREA_WEIGHT * abs(np.log(len(arm) * cells.size**2 / region.area))
     unused = 1 - len(arm) / max_cells
-    return float(error + unused * (EXACT_DISCOUNT if error < EXACT and unused <= EXACT_LOSS else 1))
+    return float(ERROR_WEIGHT * error + unused * (EXACT_DISCOUNT if error < EXACT and unused <= EXACT_LOSS else 1))
 
 
 def _lattices(region: Region, size: float, phased: bool) -> Iterator[NDArray[np.float64]]:

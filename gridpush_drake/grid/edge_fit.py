@@ -9,8 +9,11 @@ TRIM = 2.0
 LEAST_FITTED = 6.0
 """Shorter edges are not fitted but drawn from vertex to vertex, pixels."""
 
-STRAIGHT = 0.6
+STRAIGHT = 0.75
 """Two edges become one when no point between their ends leaves the line through both by more, pixels."""
+
+LEAST_CORNERS = 3
+"""No ring is left fewer."""
 
 LEAST_SINE = 0.1
 """Edges that turn by less than this do not meet at a usable intersection."""
@@ -39,17 +42,18 @@ def fit_edges(ring: NDArray[np.float64], simple: NDArray[np.float64]) -> NDArray
 def _drop_straight(ring: NDArray[np.float64], corners: list[int]) -> list[int]:
     after = dict(zip(corners, corners[1:] + corners[:1], strict=True))
     before = {b: a for a, b in after.items()}
-    for corner in corners:
-        a, b = before[corner], after[corner]
-        if len(after) <= 3:
-            break
-        if min(np.linalg.norm(ring[corner] - ring[end]) for end in (a, b)) < LEAST_FITTED:
+    waiting = list(reversed(corners))
+    while waiting and len(after) > LEAST_CORNERS:
+        corner = waiting.pop()
+        if corner not in after:
             continue
+        a, b = before[corner], after[corner]
         points = _between(ring, a, b)
         middle, normal = _fit_line(points)
-        if np.abs((_trim(points) - middle) @ normal).max() <= STRAIGHT:
+        if np.abs((points - middle) @ normal).max() <= STRAIGHT:
             after[a], before[b] = b, a
             del after[corner], before[corner]
+            waiting += [b, a]
     return list(after)
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
-from shapely import Polygon
 from shapely.geometry.polygon import orient
 
 from gridpush_drake.errors import ObjectError
@@ -76,9 +75,7 @@ def _keep_one_piece(path: Path, labels: NDArray[np.uint16], largest_piece: bool)
     if len(sizes) == 1:
         return labels
     if not largest_piece:
-        largest = ", ".join(str(size) for size in np.sort(sizes)[::-1][:4]) + (
-            ", ..." if len(sizes) > 4 else ""
-        )
+        largest = ", ".join(str(size) for size in np.sort(sizes)[::-1][:4]) + (", ..." if len(sizes) > 4 else "")
         raise ObjectError(
             f"{path}: the mask has {len(sizes)} separate pieces (of {largest} pixels); expected one; "
             "pass --largest-piece to keep the largest and leave out the others"
@@ -143,9 +140,7 @@ def _describe(coverage: NDArray[np.float64]) -> Region:
     return Region(np.zeros(2), extent, area, centroid, covariance)
 
 
-def _vote(
-    labels: NDArray[np.uint16], values: NDArray[np.int64], block: int, cells: Cells
-) -> NDArray[np.int64]:
+def _vote(labels: NDArray[np.uint16], values: NDArray[np.int64], block: int, cells: Cells) -> NDArray[np.int64]:
     """The label with the largest share of each cell; the lowest of equals."""
     if len(values) == 1:
         return np.full(len(cells.corners), values[0])

@@ -103,9 +103,7 @@ def _trace_pixels(coverage: NDArray[np.float64]) -> Polygon:
         row, column = np.nonzero(coverage >= least)
         if not len(row):
             continue
-        union = shapely.union_all(shapely.box(column, row, column + 1, row + 1)).buffer(
-            STITCH, join_style="mitre"
-        )
+        union = shapely.union_all(shapely.box(column, row, column + 1, row + 1)).buffer(STITCH, join_style="mitre")
         if isinstance(union, Polygon):
             holes = [ring for ring in union.interiors if Polygon(ring).area >= SMALLEST_HOLE]
             union = Polygon(union.exterior, holes)
@@ -117,4 +115,3 @@ def _simplify(polygon: Polygon) -> Polygon | None:
     simple = polygon.simplify(TOLERANCE, preserve_topology=True)
     usable = isinstance(simple, Polygon) and not simple.is_empty and simple.is_valid and simple.area > 0
     return simple if usable else None
-

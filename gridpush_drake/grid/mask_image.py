@@ -78,9 +78,7 @@ def crop(path: Path, rows: Rows, width: int, height: int) -> NDArray[np.uint16]:
         used_columns |= object_here.any(axis=0)
     if not used_rows.any():
         raise ObjectError(f"{path}: holds background (0) only; {WANTED}")
-    (top, bottom), (left, right) = (
-        (int(i[0]), int(i[-1]) + 1) for i in map(np.flatnonzero, (used_rows, used_columns))
-    )
+    (top, bottom), (left, right) = ((int(i[0]), int(i[-1]) + 1) for i in map(np.flatnonzero, (used_rows, used_columns)))
     labels = np.empty((bottom - top, right - left), dtype=np.uint16)
     for first in range(top, bottom, step):
         last = min(bottom, first + step)

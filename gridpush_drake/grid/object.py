@@ -52,6 +52,8 @@ class GridObject:
             )
         if not np.isfinite(p_BC).all():
             raise ObjectError(f"{self.name}: p_BC must be finite")
+        if labels.min() < 1:
+            raise ObjectError(f"{self.name}: a label is {labels.min()}; expected whole numbers, 1 or more")
         if not (np.isfinite(self.cell_size) and self.cell_size > 0):
             raise ObjectError(f"{self.name}: cell_size is {self.cell_size!r}; expected a positive number (m)")
         if not isinstance(self.outline, Polygon) or self.outline.is_empty or not self.outline.is_valid:

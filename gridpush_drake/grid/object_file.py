@@ -63,9 +63,7 @@ def read_object(path: Path | str, *, largest_piece: bool = False) -> GridObject:
     return _in_file(path, _fill_outline, schema, name, prior)
 
 
-def write_object(
-    path: Path | str, obj: GridObject, *, max_cells: int | None = None, force: bool = False
-) -> None:
+def write_object(path: Path | str, obj: GridObject, *, max_cells: int | None = None, force: bool = False) -> None:
     """Writes an object as an outline with its parts and prior, so that `read_object` gives it back.
 
     Args:

@@ -127,23 +127,27 @@ EXPECTED = {
 """What each field should hold, by its place without indices."""
 
 
+UNKNOWN_KEY = ("extra_forbidden", "invalid_key")
+"""Pydantic's names for a key that the schema does not have; said first, as a misspelt key explains a missing one."""
+
+
 def explain(error: ValidationError) -> str:
     """Says the first thing that is wrong, with the field's place and what is expected there."""
-    first = error.errors()[0]
+    first = min(error.errors(), key=lambda e: e["type"] not in UNKNOWN_KEY)
     place = first["loc"]
     field = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place).lstrip(".")
+    if first["type"] in UNKNOWN_KEY:
+        return f"{field}: {_suggest([step for step in place[:-1] if isinstance(step, str)], str(place[-1]))}"
     names = [step for step in place if isinstance(step, str)]
-    if first["type"] in ("extra_forbidden", "invalid_key"):
-        return f"{field}: {_suggest(names)}"
     expected = EXPECTED.get(".".join(names), "something else")
     if first["type"] == "missing":
         return f"{field} is missing; expected {expected}"
     return f"{field} is {_shorten(first['input'])}; expected {expected}"
 
 
-def _suggest(names: list[str]) -> str:
-    known = [key.split(".")[-1] for key in EXPECTED if key.split(".")[:-1] == names[:-1]]
-    near = get_close_matches(names[-1], known, n=1)
+def _suggest(above: list[str], key: str) -> str:
+    known = [path.split(".")[-1] for path in EXPECTED if path.split(".")[:-1] == above]
+    near = get_close_matches(key, known, n=1)
     guess = f"; did you mean {near[0]}?" if near else ";"
     return f"unknown key{guess} expected one of {', '.join(known)}"
 

@@ -1,6 +1,7 @@
 """The outline as arrays of directed edges, and places on it by arc length."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,11 @@ class OutlineEdges:
     def from_polygon(cls, outline: Polygon) -> "OutlineEdges":
         """Takes a polygon apart: exterior counterclockwise, holes clockwise."""
         oriented = orient(outline)
-        starts, ends, previous, arc_length, first = [], [], [], [], 0
+        starts: list[NDArray[Any]] = []
+        ends: list[NDArray[Any]] = []
+        previous: list[NDArray[Any]] = []
+        arc_length: list[NDArray[Any]] = []
+        first = 0
         for ring in (oriented.exterior, *oriented.interiors):
             vertices = np.asarray(ring.coords, dtype=np.float64)[:, :2]
             vertices = vertices[np.r_[True, np.any(np.diff(vertices, axis=0) != 0, axis=1)]]
@@ -41,10 +46,7 @@ class OutlineEdges:
             lengths = np.linalg.norm(np.diff(vertices, axis=0), axis=1)
             arc_length.append(np.cumsum(lengths) - lengths)
             first += count
-        arrays = [np.ascontiguousarray(np.concatenate(part)) for part in (starts, ends, previous, arc_length)]
-        for array in arrays:
-            array.setflags(write=False)
-        return cls(*arrays, exterior_count=len(starts[0]))
+        return cls(_join(starts), _join(ends), _join(previous), _join(arc_length), len(starts[0]))
 
     @property
     def perimeter(self) -> float:
@@ -67,3 +69,9 @@ class OutlineEdges:
         tangent = tangent / np.linalg.norm(tangent)
         point = self.start[edge] + (s - self.arc_length[edge]) * tangent
         return point, tangent, np.array([tangent[1], -tangent[0]])
+
+
+def _join(parts: list[NDArray[Any]]) -> NDArray[Any]:
+    array = np.ascontiguousarray(np.concatenate(parts))
+    array.setflags(write=False)
+    return array

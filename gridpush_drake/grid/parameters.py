@@ -132,7 +132,7 @@ class CellParameters:
         """
         if by not in ("part", "cell"):
             raise ParameterError(f"by is {by!r}; expected 'part' or 'cell'")
-        if not 0 < mass_range[0] <= mass_range[1]:
+        if not 0 < mass_range[0] <= mass_range[1] < np.inf:
             raise ParameterError(f"mass_range is {mass_range!r}; expected 0 < least <= greatest")
         rng = np.random.default_rng(seed)
         group = np.unique(obj.labels, return_inverse=True)[1] if by == "part" else np.arange(obj.n)
@@ -140,6 +140,8 @@ class CellParameters:
         mass = np.exp(rng.uniform(np.log(mass_range[0]), np.log(mass_range[1]), groups))[group]
         if friction_range is None:
             return cls(mass, np.full(obj.n, obj.prior.friction), obj.prior.contact_friction)
+        if not 0 <= friction_range[0] <= friction_range[1] < np.inf:
+            raise ParameterError(f"friction_range is {friction_range!r}; expected 0 <= least <= greatest")
         return cls(mass, rng.uniform(*friction_range, groups)[group], obj.prior.contact_friction)
 
     @property
@@ -149,7 +151,7 @@ class CellParameters:
 
     @property
     def total_mass(self) -> float:
-        """kg."""
+        """Of all cells, kg."""
         return float(self.mass.sum())
 
     def centre_of_mass(self, obj: GridObject) -> NDArray[np.float64]:

@@ -88,12 +88,10 @@ def polygon_from(points: ArrayLike | Polygon, what: str, holes: tuple[ArrayLike,
     if polygon.is_empty:
         raise ObjectError(f"{what} is empty; expected at least three vertices")
     width, height = np.subtract(polygon.bounds[2:], polygon.bounds[:2])
-    if not (np.isfinite(polygon.area) and Polygon(polygon.exterior).area > THINNEST * (width**2 + height**2)):
+    if not (np.isfinite(polygon.area) and polygon.convex_hull.area > THINNEST * (width**2 + height**2)):
         raise ObjectError(f"{what} encloses no area; expected vertices in metres, not all on one line")
     if not polygon.is_valid:
-        raise ObjectError(
-            f"{what} is not a simple polygon ({explain_validity(polygon)}); it must not cross itself"
-        )
+        raise ObjectError(f"{what} is not a simple polygon ({explain_validity(polygon)}); it must not cross itself")
     return orient(shapely.force_2d(shapely.remove_repeated_points(polygon)))
 
 

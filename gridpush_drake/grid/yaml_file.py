@@ -42,7 +42,7 @@ def read_mapping(path: Path, what: str) -> dict[str, Any]:
     """
     try:
         text = path.read_text(encoding="utf-8")
-        data = yaml.load(text, Loader=_StrictLoader)  # noqa: S506 (derived from SafeLoader)
+        data = yaml.load(text, Loader=_StrictLoader)
     except IsADirectoryError as error:
         raise ObjectError(f"{path}: is a folder; expected {what}") from error
     except OSError as error:

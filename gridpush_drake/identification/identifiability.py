@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 KNOWN_SHARE = 0.5
 """A combination, or a cell, counts as learned where the pushes took away at least this share of its prior variance."""
 
+RANK_TOLERANCE = 1e-9
+"""Relative size below which a direction counts as none."""
+
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
@@ -30,8 +33,8 @@ class Identifiability:
         centre_of_friction: (2,) sum k_i p_BC_i, m, body frame.
         centre_of_friction_covariance: (2, 2) m².
         learned_directions: how many independent combinations of the cells' log-friction the pushes determined.
-        null_space: (n - learned_directions, n) orthonormal basis (in units of the prior's spread) of those they did not;
-            its first row is the common scale, which no slow push shows.
+        null_space: (n - learned_directions, n) orthonormal basis of those they did not; its first row is the common
+            scale, which no slow push shows.
         learned_share: (n,) share of each cell's prior variance that the pushes took away, 0 to 1.
         mass_min: (n,) kg, the least mass each cell may have, given the friction bounds and the total mass.
         mass_max: (n,) kg, the greatest.
@@ -50,3 +53,98 @@ class Identifiability:
     mass_max: Array
     centre_of_mass_box: Array
     statements: tuple[str, ...]
+
+
+def calc_identifiability(obj: GridObject, params: CellParameters, posterior: Posterior) -> Identifiability:
+    """Says what a posterior determines.
+
+    Args:
+        obj: the object, with its friction bounds in `obj.prior`.
+        params: the estimate, whose total mass scales the mass bounds.
+        posterior: of the logarithms of the cells' friction.
+
+    Returns:
+        The report.
+    """
+    share = posterior.calc_share()
+    share_covariance = posterior.calc_share_covariance()
+    centre = share @ obj.p_BC
+    prior, after = posterior.prior_covariance[:-1, :-1], posterior.covariance[:-1, :-1]
+    null_space = _calc_null_space(prior, after)
+    learned_share = np.clip(1 - np.diag(after) / np.diag(prior), 0.0, 1.0)
+    mass_min, mass_max = _calc_mass_bounds(share, params.total_mass, obj)
+    box = calc_centre_of_mass_box(share, obj)
+    learned = obj.n - len(null_space)
+    covariance = obj.p_BC.T @ share_covariance @ obj.p_BC
+    statements = _describe(obj, learned, learned_share, np.sqrt(np.diag(covariance)), box)
+    return Identifiability(
+        share, np.sqrt(np.maximum(np.diag(share_covariance), 0.0)), centre, covariance, learned, null_space,
+        learned_share, mass_min, mass_max, box, statements,
+    )  # fmt: skip
+
+
+def calc_centre_of_mass_box(share: Array, obj: GridObject) -> Array:
+    """Bounds of the centre of mass over all m_i in [k_i/mu_max, k_i/mu_min], up to a common scale.
+
+    The extreme along an axis takes the light choice on one side of some line and the heavy one on the other; the line
+    runs through the centre itself (a linear-fractional programme), so that trying every cell's coordinate finds it.
+
+    Args:
+        share: (n,) k, summing to one.
+        obj: the object, with its friction bounds.
+
+    Returns:
+        (2, 2) rows least and greatest, columns x and y, m, body frame.
+    """
+    light, heavy = share / obj.prior.friction_max, share / obj.prior.friction_min
+    box = np.empty((2, 2))
+    for axis in (0, 1):
+        order = np.argsort(obj.p_BC[:, axis])
+        p, few, many = obj.p_BC[order, axis], light[order], heavy[order]
+        for row, (left, right, best) in enumerate(((many, few, np.min), (few, many, np.max))):
+            mass = np.append(0.0, np.cumsum(left)) + np.append(np.cumsum(right[::-1])[::-1], 0.0)
+            moment = np.append(0.0, np.cumsum(left * p)) + np.append(np.cumsum((right * p)[::-1])[::-1], 0.0)
+            box[row, axis] = best(moment / mass)
+    return box
+
+
+def _calc_mass_bounds(share: Array, total_mass: float, obj: GridObject) -> tuple[Array, Array]:
+    """Each cell's least and greatest mass: it rubs the most (least) it may and all others the least (most)."""
+    low, high = obj.prior.friction_min, obj.prior.friction_max
+    least = (share / high) / (share / high + (1 - share) / low)
+    most = (share / low) / (share / low + (1 - share) / high)
+    return total_mass * least, total_mass * most
+
+
+def _calc_null_space(prior: Array, after: Array) -> Array:
+    """Directions of log k whose prior variance the pushes did not reduce by KNOWN_SHARE, the common scale first."""
+    n = len(prior)
+    values, vectors = np.linalg.eigh(prior)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    inverse_root = vectors / np.sqrt(np.maximum(values, np.finfo(float).tiny))
+    ratio, directions = np.linalg.eigh(inverse_root.T @ after @ inverse_root)
+    unknown = (root @ directions[:, ratio > 1 - KNOWN_SHARE]).T
+    scale = np.full((1, n), 1 / np.sqrt(n))
+    basis, triangle = np.linalg.qr(np.concatenate([scale, unknown]).T)
+    keep = np.abs(np.diag(triangle)) > RANK_TOLERANCE * np.abs(triangle).max()
+    return (basis[:, keep] * np.where(basis[:1, keep] < 0, -1.0, 1.0)).T
+
+
+def _describe(obj: GridObject, learned: int, learned_share: Array, centre_std: Array, box: Array) -> tuple[str, ...]:
+    total = "that they add up to the known total mass" if obj.prior.total_mass else "a total mass that was not measured"
+    known_cells = int((learned_share >= KNOWN_SHARE).sum())
+    width, height = np.diff(box, axis=0)[0] * 1e3
+    low, high = obj.prior.friction_min, obj.prior.friction_max
+    return (
+        "Not identifiable from these data: the common scale of the friction. Slow pushes observed by their poses look "
+        "the same when every cell rubs twice as hard.",
+        "Not identifiable from these data: mass and friction of a cell apart. Only their product, relative to the "
+        "other cells', acts on a slow push; the masses shown suppose that all cells have the same friction "
+        f"coefficient, and {total}.",
+        f"The pushes determined {learned} of {obj.n} independent combinations of the cells' log-friction, and "
+        f"{known_cells} of {obj.n} cells by themselves; the rest is the smoothness prior's.",
+        f"The centre of friction is known to {1e3 * centre_std[0]:.1f} mm in x and {1e3 * centre_std[1]:.1f} mm in y "
+        "(one standard deviation).",
+        f"With friction coefficients anywhere from {low:g} to {high:g}, the centre of mass may lie anywhere in a box "
+        f"of {width:.0f} mm by {height:.0f} mm; with equal coefficients it is at the centre of friction.",
+    )

@@ -12,7 +12,8 @@ from gridpush_drake.files import write_whole
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.grid.prior import PhysicalPrior
-from gridpush_drake.identification.identifiability import Identifiability
+from gridpush_drake.grid.yaml_file import read_mapping
+from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.model_schema import (
     FORMAT_VERSION,
     CellsSchema,
@@ -20,11 +21,14 @@ from gridpush_drake.identification.model_schema import (
     ModelSchema,
     ObjectSchema,
     PosteriorSchema,
+    PriorSchema,
     check_model,
 )
-from gridpush_drake.identification.packing import pack_matrix, pack_symmetric, unpack_matrix, unpack_symmetric
+from gridpush_drake.identification.packing import pack_symmetric, unpack_symmetric
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.result import HistoryEntry, Identification
+
+WHAT = "a gridpush model"
 
 MARK = "gridpush_model:"
 """The key that every model file begins with, below its comments."""
@@ -34,7 +38,9 @@ MARK_ROOM = 4096
 
 HEADER = """\
 # A model that gridpush learned: what the object's cells weigh, how they rub, and how well that is known.
-# SI units, radians; places are in the object's body frame. Read it with `gridpush predict` and `gridpush show`.
+# SI units, radians; places are in the object's body frame. `gridpush predict`, `simulate` and `show` read it.
+# What stands under `identifiability`, and the cells' relative friction, bounds and learned share, is for reading:
+# it follows from the posterior at the end, which is exact.
 """
 
 LINE_WIDTH = 120
@@ -66,7 +72,7 @@ def write_model(path: Path | str, identification: Identification, force: bool = 
 
 
 def read_model(path: Path | str) -> Identification:
-    """Reads a model.
+    """Reads a model; what the file says for people only is worked out again.
 
     Args:
         path: a YAML file by `write_model`.
@@ -75,38 +81,24 @@ def read_model(path: Path | str) -> Identification:
         The model.
 
     Raises:
-        IdentificationError: the file cannot be read or is not a model; the message names the file, the field and
-            the expected form.
+        ObjectError: the file cannot be read or is not YAML.
+        IdentificationError: it is not a model; the message names the file, the field and the expected form.
     """
     path = Path(path)
-    schema = check_model(path, _read_yaml(path))
+    schema = check_model(path, read_mapping(path, WHAT))
     try:
         return _restore(schema)
     except GridPushError as error:
         raise IdentificationError(f"{path}: {error}") from error
 
 
-def _read_yaml(path: Path) -> Any:
-    try:
-        return yaml.load(path.read_bytes(), Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    except FileNotFoundError:
-        raise IdentificationError(f"{path}: there is no such file") from None
-    except OSError as error:
-        raise IdentificationError(f"{path}: cannot be read: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f", line {mark.line + 1}" if mark else ""
-        raise IdentificationError(f"{path}{where}: is not YAML; expected a gridpush model") from error
-
-
 def _describe(result: Identification) -> ModelSchema:
     obj, known, spread = result.obj, result.identifiability, result.posterior
-    rings = [[list(point[:2]) for point in ring.coords[:-1]] for ring in (obj.outline.exterior, *obj.outline.interiors)]
-    prior = {name: list(value) if isinstance(value, tuple) else value for name, value in vars(obj.prior).items()}
+    regime: Any = result.regime
     return ModelSchema(
         gridpush_model=FORMAT_VERSION,
         method=result.method,
-        regime=result.regime,
+        regime=regime,
         status=result.status,
         message=result.message,
         seed=result.seed,
@@ -114,7 +106,7 @@ def _describe(result: Identification) -> ModelSchema:
         noise_std=float(result.noise_std),
         training_pushes=list(result.push_names),
         unused_pushes=list(result.unused_pushes),
-        object=ObjectSchema(name=obj.name, cell_size=obj.cell_size, outline=rings[0], holes=rings[1:], prior=prior),
+        object=_describe_object(obj),
         contact_friction=result.params.contact_friction,
         contact_friction_std=result.std.contact_friction,
         cells=CellsSchema(
@@ -136,7 +128,6 @@ def _describe(result: Identification) -> ModelSchema:
             centre_of_friction_covariance=known.centre_of_friction_covariance.tolist(),
             centre_of_mass_box=known.centre_of_mass_box.tolist(),
             learned_directions=int(known.learned_directions),
-            null_space=pack_matrix(known.null_space),
         ),
         history=[(entry.simulations, float(entry.loss), entry.stage) for entry in result.history],
         posterior=PosteriorSchema(
@@ -147,8 +138,17 @@ def _describe(result: Identification) -> ModelSchema:
     )
 
 
+def _describe_object(obj: GridObject) -> ObjectSchema:
+    rings = [[list(point[:2]) for point in ring.coords[:-1]] for ring in (obj.outline.exterior, *obj.outline.interiors)]
+    prior: dict[str, Any] = {**vars(obj.prior)}
+    prior["centre_of_mass"] = obj.prior.centre_of_mass and list(obj.prior.centre_of_mass)
+    return ObjectSchema(
+        name=obj.name, cell_size=obj.cell_size, outline=rings[0], holes=rings[1:], prior=PriorSchema(**prior)
+    )
+
+
 def _restore(schema: ModelSchema) -> Identification:
-    cells, known, n = schema.cells, schema.identifiability, len(schema.cells.p_BC)
+    cells, n = schema.cells, len(schema.cells.p_BC)
     prior = schema.object.prior.model_dump()
     if prior["centre_of_mass"] is not None:
         prior["centre_of_mass"] = tuple(prior["centre_of_mass"])
@@ -157,28 +157,18 @@ def _restore(schema: ModelSchema) -> Identification:
         schema.object.name, np.array(cells.p_BC), schema.object.cell_size, np.array(cells.labels), outline,
         PhysicalPrior(**prior),
     )  # fmt: skip
+    params = CellParameters(np.array(cells.mass), np.array(cells.friction), schema.contact_friction)
+    posterior = Posterior(
+        np.array(schema.posterior.mean),
+        unpack_symmetric("posterior.covariance", schema.posterior.covariance, n + 1),
+        unpack_symmetric("posterior.prior_covariance", schema.posterior.prior_covariance, n + 1),
+    )
     return Identification(
         obj=obj,
-        params=CellParameters(np.array(cells.mass), np.array(cells.friction), schema.contact_friction),
+        params=params,
         std=CellParameters(np.array(cells.mass_std), np.array(cells.friction_std), schema.contact_friction_std),
-        posterior=Posterior(
-            np.array(schema.posterior.mean),
-            unpack_symmetric("posterior.covariance", schema.posterior.covariance, n + 1),
-            unpack_symmetric("posterior.prior_covariance", schema.posterior.prior_covariance, n + 1),
-        ),
-        identifiability=Identifiability(
-            relative_friction=np.array(cells.relative_friction),
-            relative_friction_std=np.array(cells.relative_friction_std),
-            centre_of_friction=np.array(known.centre_of_friction),
-            centre_of_friction_covariance=np.array(known.centre_of_friction_covariance),
-            learned_directions=known.learned_directions,
-            null_space=unpack_matrix("identifiability.null_space", known.null_space, n),
-            learned_share=np.array(cells.learned_share),
-            mass_min=np.array(cells.mass_min),
-            mass_max=np.array(cells.mass_max),
-            centre_of_mass_box=np.array(known.centre_of_mass_box),
-            statements=tuple(known.statements),
-        ),
+        posterior=posterior,
+        identifiability=calc_identifiability(obj, params, posterior),
         method=schema.method,
         regime=schema.regime,
         status=schema.status,

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, mode
 
 from gridpush_drake.errors import IdentificationError
 
-FORMAT_VERSION = 1
+FORMAT_VERSION: Literal[1] = 1
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -69,14 +69,13 @@ class CellsSchema(_Schema):
 
 
 class IdentifiabilitySchema(_Schema):
-    """What the data determine; see `Identifiability`. The null space is base64 of float64, rows of n."""
+    """What the data determine; see `Identifiability`."""
 
     statements: list[str]
     centre_of_friction: Point
     centre_of_friction_covariance: Matrix2
     centre_of_mass_box: Matrix2
     learned_directions: Annotated[int, Field(ge=0)]
-    null_space: str
 
 
 class PosteriorSchema(_Schema):
@@ -116,12 +115,12 @@ class ModelSchema(_Schema):
         return self
 
 
-def check_model(path: Path, content: Any) -> ModelSchema:
+def check_model(path: Path, content: dict[str, Any]) -> ModelSchema:
     """Checks what was read from a model file.
 
     Args:
         path: of the file, for messages.
-        content: the YAML document.
+        content: the YAML mapping.
 
     Returns:
         The content, checked.
@@ -129,8 +128,6 @@ def check_model(path: Path, content: Any) -> ModelSchema:
     Raises:
         IdentificationError: a key is missing, unknown or of the wrong form; the message names the first.
     """
-    if not isinstance(content, dict):
-        raise IdentificationError(f"{path}: is empty or not a mapping; expected a gridpush model")
     try:
         return ModelSchema.model_validate(content)
     except ValidationError as error:

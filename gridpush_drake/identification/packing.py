@@ -1,4 +1,4 @@
-"""Matrices as text, exact to the last bit: base64 of little-endian float64."""
+"""Symmetric matrices as text, exact to the last bit: base64 of little-endian float64."""
 
 import base64
 import binascii
@@ -11,35 +11,17 @@ from gridpush_drake.errors import IdentificationError
 Array = NDArray[np.float64]
 
 
-def pack_matrix(matrix: Array) -> str:
-    """Packs a matrix row by row, in lines of 76 characters."""
-    return base64.encodebytes(np.ascontiguousarray(matrix, dtype="<f8").tobytes()).decode()
-
-
-def unpack_matrix(name: str, text: str, columns: int) -> Array:
-    """Unpacks a matrix of so many columns.
+def pack_symmetric(matrix: Array) -> str:
+    """Packs the lower triangle of a symmetric matrix, row by row, in lines of 76 characters.
 
     Args:
-        name: what it is, at the head of an error's message.
-        text: by `pack_matrix`.
-        columns: how many.
+        matrix: of which the symmetric part is taken, where rounding has left another.
 
     Returns:
-        (rows, columns).
-
-    Raises:
-        IdentificationError: the text is not base64 of whole rows of finite numbers.
+        The text.
     """
-    values = _decode(name, text)
-    if len(values) % columns:
-        raise IdentificationError(f"{name}: holds {len(values)} numbers; expected rows of {columns}")
-    return values.reshape(-1, columns)
-
-
-def pack_symmetric(matrix: Array) -> str:
-    """Packs the lower triangle of a symmetric matrix (its symmetric part, where rounding has left another)."""
-    symmetric = (matrix + matrix.T) / 2
-    return pack_matrix(symmetric[np.tril_indices(len(matrix))])
+    triangle = ((matrix + matrix.T) / 2)[np.tril_indices(len(matrix))]
+    return base64.encodebytes(triangle.astype("<f8").tobytes()).decode()
 
 
 def unpack_symmetric(name: str, text: str, size: int) -> Array:

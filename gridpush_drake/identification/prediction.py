@@ -77,7 +77,7 @@ def calc_pose_error(obj: GridObject, predicted: ArrayLike, observed: ArrayLike) 
 
 
 def _predict_push(obj: GridObject, params: CellParameters, push: ObservedPush, regime: str) -> Prediction:
-    grid = np.union1d(make_path_times(push.push), push.t_observed)
+    grid = np.union1d(make_path_times(push.push, regime), push.t_observed)
     simulation = simulate(obj, params, push.push, push.pose, times=grid, regime=regime)  # type: ignore[arg-type]
     at = np.searchsorted(grid, push.t_observed)
     return Prediction(push.name, simulation.times, simulation.poses, simulation.poses[at], simulation.status)

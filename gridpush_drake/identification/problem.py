@@ -5,26 +5,24 @@ and mu_c the contact friction. Each observed pose gives the residual
 
     r = (dx_c, dy_c, rho dtheta),    so that |r|² is the mean squared distance of the cells' points
 
-with (x_c, y_c) the cells' centroid and rho the radius of gyration. The cells' frictions mu_i stay those of the prior
-and the masses follow, m_i = k_i / mu_i; slow pushes cannot tell the two apart (`identifiability`).
+with (x_c, y_c) the cells' centroid, its error in the observed body's axes, and rho the radius of gyration. The cells'
+frictions mu_i stay those of the prior and the masses follow, m_i = k_i / mu_i; slow pushes cannot tell the two apart
+(`identifiability`).
 """
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.dynamics.simulate import make_path_times, simulate
+from gridpush_drake.dynamics.simulate import Regime, make_path_times, simulate
 from gridpush_drake.dynamics.simulation import STATUS_NO_CONTACT, Simulation
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.pushes.log import ObservedPush, PushLog
 
 Array = NDArray[np.float64]
-
-SLOWEST = "quasi_static"
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +34,25 @@ class _TimedPush:
     rows: NDArray[np.int64]
 
 
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """Residuals and their derivatives, one entry a push.
+
+    Attributes:
+        residuals: (3K,) m.
+        by_z: (3K, n+1).
+        by_inputs: (3K, 3) by the place (x, y) where the push begins, and by log mu_c.
+    """
+
+    residuals: list[Array]
+    by_z: list[Array]
+    by_inputs: list[Array]
+
+
 class PushProblem:
     """Residuals of a log as a function of z, for one object and regime; counts the simulations it makes."""
 
-    def __init__(self, obj: GridObject, log: PushLog, friction: Array, regime: str = SLOWEST) -> None:
+    def __init__(self, obj: GridObject, log: PushLog, friction: Array, regime: Regime = "quasi_static") -> None:
         """Prepares the log.
 
         Args:
@@ -52,7 +65,7 @@ class PushProblem:
         self.friction = np.asarray(friction, dtype=np.float64)
         self.regime = regime
         self.simulations = 0
-        self._pushes = [_time(push) for push in log]
+        self._pushes = [_time(push, regime) for push in log]
         self._centroid = obj.p_BC.mean(axis=0)
         self._rho = obj.radius_of_gyration
 
@@ -70,21 +83,25 @@ class PushProblem:
         return CellParameters(np.exp(z[:-1]) / self.friction, self.friction, float(np.exp(z[-1])))
 
     def unknowns(self, params: CellParameters) -> Array:
-        """z (n+1,) of some parameters."""
+        """The unknowns z (n+1,) of some parameters."""
         return np.append(np.log(params.mass * self.friction), np.log(max(params.contact_friction, 1e-6)))
 
     def residuals(self, z: Array, pushes: Sequence[int] | None = None) -> list[Array]:
         """The residuals (3 K,) of each push (of those chosen), m."""
         return [self._residual(push, simulation) for push, simulation in self._simulate(z, pushes, gradients=False)]
 
-    def linearise(self, z: Array, pushes: Sequence[int] | None = None) -> tuple[list[Array], list[Array]]:
-        """The residuals (3 K,) of each push and their Jacobian (3 K, n+1) by z, m."""
+    def linearise(self, z: Array, pushes: Sequence[int] | None = None) -> Linearisation:
+        """The residuals of each push (of those chosen) and their exact derivatives at z."""
         params = self.params(z)
-        residuals, jacobians = [], []
+        linear = Linearisation([], [], [])
         for push, simulation in self._simulate(z, pushes, gradients=True):
-            residuals.append(self._residual(push, simulation))
-            jacobians.append(self._jacobian(simulation, push, params))
-        return residuals, jacobians
+            J = simulation.jacobian
+            by_mu_c = (J.contact_friction * params.contact_friction)[..., None]
+            by_z = np.concatenate([J.mass * params.mass, by_mu_c], axis=2)
+            linear.residuals.append(self._residual(push, simulation))
+            linear.by_z.append(self._to_residual(push, simulation, by_z))
+            linear.by_inputs.append(self._to_residual(push, simulation, np.concatenate([J.start, by_mu_c], axis=2)))
+        return linear
 
     def touched(self, z: Array) -> NDArray[np.bool_]:
         """Whether the pusher touches the object, by push."""
@@ -102,44 +119,50 @@ class PushProblem:
         dy = residual[:, 1:2] + sine * arm[:, 0] + cosine * arm[:, 1]
         return float(np.hypot(dx, dy).mean())
 
-    def _simulate(
-        self, z: Array, pushes: Sequence[int] | None, gradients: bool
-    ) -> list[tuple[_TimedPush, Simulation]]:
+    def _simulate(self, z: Array, pushes: Sequence[int] | None, gradients: bool) -> list[tuple[_TimedPush, Simulation]]:
         params = self.params(z)
         chosen = self._pushes if pushes is None else [self._pushes[i] for i in pushes]
         self.simulations += len(chosen)
 
-        def run(push: _TimedPush) -> tuple[_TimedPush, Simulation]:
-            return push, simulate(
-                self.obj, params, push.observed.push, push.observed.pose, times=push.times, regime=self.regime,
-                gradients=gradients, record=push.rows,
-            )  # type: ignore[call-overload]  # fmt: skip
-
-        with ThreadPoolExecutor(2) as pool:
-            return list(pool.map(run, chosen))
+        return [
+            (
+                push,
+                simulate(
+                    self.obj, params, push.observed.push, push.observed.pose, times=push.times, regime=self.regime,
+                    gradients=gradients, record=push.rows,
+                ),
+            )
+            for push in chosen
+        ]  # fmt: skip
 
     def _residual(self, push: _TimedPush, simulation: Simulation) -> Array:
         predicted, observed = simulation.poses[push.rows], push.observed.poses_observed
         turn = (predicted[:, 2] - observed[:, 2] + np.pi) % (2 * np.pi) - np.pi
         shift = self._centroid_at(predicted) - self._centroid_at(observed)
-        return np.column_stack([shift, self._rho * turn]).ravel()
+        return np.column_stack([_in_body(observed, shift.T).T, self._rho * turn]).ravel()
 
     def _centroid_at(self, poses: Array) -> Array:
         c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         x, y = self._centroid
         return poses[:, :2] + np.column_stack([c * x - s * y, s * x + c * y])
 
-    def _jacobian(self, simulation: Simulation, push: _TimedPush, params: CellParameters) -> Array:
-        J = simulation.jacobian
-        by_z = np.concatenate([J.mass * params.mass, (J.contact_friction * params.contact_friction)[..., None]], axis=2)
+    def _to_residual(self, push: _TimedPush, simulation: Simulation, J: Array) -> Array:
+        """Turns derivatives of the poses (K, 3, p) into those of the residual (3K, p)."""
         arm = self._centroid_at(simulation.poses[push.rows]) - simulation.poses[push.rows, :2]
-        theta = by_z[:, 2]
-        return np.stack(
-            [by_z[:, 0] - arm[:, 1:] * theta, by_z[:, 1] + arm[:, :1] * theta, self._rho * theta], axis=1
-        ).reshape(-1, by_z.shape[2])
+        theta = J[:, 2]
+        shift = np.stack([J[:, 0] - arm[:, 1:] * theta, J[:, 1] + arm[:, :1] * theta])
+        along, across = _in_body(push.observed.poses_observed, shift)
+        return np.stack([along, across, self._rho * theta], axis=1).reshape(-1, J.shape[2])
 
 
-def _time(observed: ObservedPush) -> _TimedPush:
+def _in_body(poses: Array, vectors: Array) -> Array:
+    """Turns vectors (2, K, ...) in W into the axes of bodies at poses (K, 3)."""
+    shape = (-1,) + (1,) * (vectors.ndim - 2)
+    c, s = np.cos(poses[:, 2]).reshape(shape), np.sin(poses[:, 2]).reshape(shape)
+    return np.stack([c * vectors[0] + s * vectors[1], -s * vectors[0] + c * vectors[1]])
+
+
+def _time(observed: ObservedPush, regime: Regime) -> _TimedPush:
     """Cuts the time at every observation."""
-    times = np.union1d(make_path_times(observed.push), observed.t_observed)
+    times = np.union1d(make_path_times(observed.push, regime), observed.t_observed)
     return _TimedPush(observed, times, np.searchsorted(times, observed.t_observed))

@@ -1,11 +1,13 @@
-"""Seeded random steps of the maximal LCP: moving, at rest below and above the static limit, turning, gliding."""
+"""Seeded random steps of the maximal LCP (moving, at rest below and above the static limit) and random pushes."""
 
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.maximal_lcp import MaximalLcp, make_maximal_lcp, twist_to_cells
+from gridpush_drake.dynamics.push import Push
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
 from tests.helpers.random_objects import (
@@ -53,3 +55,29 @@ def make_random_step(
     weight = 9.81 * params.total_mass
     F[i : i + 3] = force * weight * np.array([0.1 * obj.cell_size * rng.normal(), np.cos(angle), np.sin(angle)])
     return RandomStep(obj, params, q, nu, F)
+
+
+def make_random_push(
+    rng: np.random.Generator, obj: GridObject, pose=(0.0, 0.0, 0.0), *, length: float = 0.2, speeds=(0.01, 0.05, 0.1)
+) -> Push:
+    """A straight push that starts 1 µm clear of the outline, within 1 rad of its normal; three radii as users have."""
+    radius = rng.choice([0.0005, 0.005, 0.015])
+    point, tangent, normal = obj.edges.at(rng.uniform(0, obj.edges.perimeter))
+    angle = rng.uniform(-1, 1)
+    direction = -(np.cos(angle) * normal + np.sin(angle) * tangent)
+    start = point + (radius + 1e-6) * normal
+    while shapely.distance(obj.outline, shapely.Point(start)) < radius:
+        start = start - 0.002 * direction  # in a corner or a jaw
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    R, speed = np.array([[c, -s], [s, c]]), rng.choice(speeds)
+    return Push(pose[:2] + R @ start, speed * R @ direction, length / speed, radius)
+
+
+def make_random_contents(rng: np.random.Generator, obj: GridObject) -> CellParameters:
+    """Masses of 5 to 50 g a cell, friction 0.2 to 0.6, contact friction 0.1 to 0.6."""
+    return CellParameters(rng.uniform(0.005, 0.05, obj.n), rng.uniform(0.2, 0.6, obj.n), rng.uniform(0.1, 0.6))
+
+
+def refine(times: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Halves every step."""
+    return np.sort(np.concatenate([times, (times[1:] + times[:-1]) / 2]))

@@ -1,0 +1,114 @@
+"""`gridpush identify`: learn a model from observed pushes."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from gridpush_drake.apps import options
+from gridpush_drake.apps.console import MM, print_json, print_line, search_progress
+
+if TYPE_CHECKING:
+    from gridpush_drake.identification.result import Identification
+    from gridpush_drake.pushes.log import PushLog
+
+Method = Literal[
+    "default", "paper", "random_search", "weighted_sampling", "finite_difference", "cma_es", "nelder_mead"
+]  # fmt: skip
+
+
+def identify(
+    object_file: Annotated[
+        str,
+        typer.Argument(
+            metavar="OBJECT.yaml", help="The object's file, or a shipped object's name.", show_default=False
+        ),
+    ],
+    pushes: options.PushesFile,
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="MODEL.yaml", help="The model to write.")],
+    report: Annotated[
+        Path | None, typer.Option(metavar="REPORT.html", help="Also write a report, one self-contained page.")
+    ] = None,
+    method: Annotated[Method, typer.Option(help="How to search; all but the first are for comparison.")] = "default",
+    seed: options.Seed = 0,
+    regime: options.Regime = "auto",
+    budget: Annotated[int | None, typer.Option(min=1, help="Most pushes to simulate.")] = None,
+    largest_piece: options.LargestPiece = False,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Learn an object's friction and mass from pushes of it."""
+    from gridpush_drake.apps.inputs import load_log, load_object
+    from gridpush_drake.apps.kernels import compile_kernels
+    from gridpush_drake.files import check_writable, write_whole
+    from gridpush_drake.identification.identify import identify as search
+    from gridpush_drake.identification.model_file import write_model
+
+    for path in (out, report):
+        if path is not None:
+            check_writable(path, force)
+    obj = load_object(object_file, largest_piece)
+    log = load_log(pushes, obj)
+    compile_kernels()
+    with search_progress(f"identifying {obj.name}", budget) as progress:
+        result = search(obj, log, method=method, seed=seed, regime=regime, budget=budget, progress=progress)
+    write_model(out, result, force)
+    if report is not None:
+        from gridpush_drake.report.html import make_report
+
+        write_whole(report, make_report(result, log), force)
+    found = {**describe_result(result, log), "written": [str(path) for path in (out, report) if path]}
+    if json:
+        print_json(found)
+    else:
+        print_result(result, found)
+
+
+def describe_result(result: "Identification", log: "PushLog") -> dict[str, Any]:
+    """What an identification found, for machines; lengths in m."""
+    from gridpush_drake.identification.error_summary import calc_training_errors
+
+    before, after = calc_training_errors(result, log)
+    return {
+        "object": result.obj.name,
+        "cells": result.obj.n,
+        "method": result.method,
+        "regime": result.regime,
+        "status": result.status,
+        "message": result.message,
+        "seed": result.seed,
+        "simulations": result.simulations,
+        "training_pushes": result.push_names,
+        "unused_pushes": result.unused_pushes,
+        "mean_cell_error_before": before,
+        "mean_cell_error": after,
+        "contact_friction": result.params.contact_friction,
+        "contact_friction_std": result.std.contact_friction,
+        "centre_of_friction": result.identifiability.centre_of_friction,
+        "statements": result.identifiability.statements,
+    }
+
+
+def print_result(result: "Identification", found: dict[str, Any]) -> None:
+    """Prints what an identification found."""
+    centre, spread = result.identifiability.centre_of_friction, result.identifiability.centre_of_friction_covariance
+    print_line(
+        f"{result.obj.name}: {result.obj.n} cells, {len(result.push_names)} pushes, {result.simulations} simulations"
+    )
+    print_line(f"{result.status}: {result.message}")
+    print_line(
+        f"cell error of these pushes: {found['mean_cell_error'] * MM:.2f} mm; "
+        f"{found['mean_cell_error_before'] * MM:.2f} mm with uniform friction"
+    )
+    x, y = (
+        f"{value * MM:.1f} ± {max(variance, 0.0) ** 0.5 * MM:.1f}"
+        for value, variance in zip(centre, spread.diagonal(), strict=True)
+    )
+    print_line(f"centre of friction: x {x} mm, y {y} mm, in the body frame")
+    print_line(f"contact friction: {result.params.contact_friction:.2f} ± {result.std.contact_friction:.2f}")
+    if result.unused_pushes:
+        print_line(f"left out, as the pusher never touched the object: {', '.join(result.unused_pushes)}")
+    print_line("What these pushes say, and what they cannot:")
+    for statement in result.identifiability.statements:
+        print_line(f"  - {statement}")
+    print_line(f"\nWrote {' and '.join(found['written'])}.")

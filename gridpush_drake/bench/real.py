@@ -1,0 +1,247 @@
+"""`gridpush bench real`: learning from real robots' pushes, and predicting others of them.
+
+CMU (Zhou et al. 2016): 25 of a file's 50 pushes are held out, 1 to 25 of the others train; the metric is
+|dxy| + rho |dtheta|, rho = 0.05 sqrt 2 m. MIT (Yu et al. 2016): a fifth of a file's pushes trains, the rest are held
+out. The standard error of one CMU split's mean is 0.15 mm: smaller differences say nothing.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from scipy import stats
+
+from gridpush_drake.bench.shared_data import find_shared_data
+from gridpush_drake.bench.table import Table, Value
+from gridpush_drake.bench.workers import WORKERS, Report, run_jobs
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.identification.identify import identify
+from gridpush_drake.identification.prediction import calc_pose_error, predict
+from gridpush_drake.pushes.cmu import import_cmu
+from gridpush_drake.pushes.log import PushLog
+from gridpush_drake.pushes.mit import import_mit, read_model_errors
+
+CMU_RHO = 0.05 * 2**0.5
+"""m, of the metric."""
+
+FEET_SETS = ("hardboard_wide", "hardboard_middle", "plywood_wide", "plywood_middle")
+"""The CMU files whose mean counts; others are shown beside."""
+
+CMU_TEST, CMU_COUNTS = 25, (1, 2, 3, 5, 8, 12, 18, 25)
+MIT_SHARE = 0.2
+SPLITS, QUICK_SPLITS = 10, 2
+CONFIDENCE = 0.95
+MM = 1e3
+UNIFORM, POSES, CENTRE = "uniform pressure", "poses only", "poses + centre of mass"
+
+
+@dataclass(frozen=True)
+class Job:
+    """One file and split, learned from with some numbers of training pushes."""
+
+    path: Path
+    kind: str
+    split: int
+    counts: tuple[int, ...]
+    seed: int
+
+
+@dataclass(frozen=True)
+class Score:
+    """Errors of the held-out pushes of one file and split under one model."""
+
+    name: str
+    split: int
+    model: str
+    training: int
+    position: tuple[float, ...]
+    angle: tuple[float, ...]
+
+    def combined(self) -> np.ndarray:
+        """|dxy| + rho |dtheta| of each push, mm."""
+        return MM * (np.array(self.position) + CMU_RHO * np.array(self.angle))
+
+
+def run(
+    data: Path | str | None = None,
+    *,
+    splits: int = SPLITS,
+    counts: Sequence[int] = CMU_COUNTS,
+    seed: int = 0,
+    quick: bool = False,
+    figure: Path | str | None = None,
+    force: bool = False,
+    progress: bool | Report = True,
+    workers: int = WORKERS,
+) -> list[Table]:
+    """Measures the default method on the public push data sets.
+
+    Args:
+        data: folder that holds `cmu_pushes` and `mit_pushes`; found beside the repository where None.
+        splits: seeded splits of each file.
+        counts: numbers of training pushes for the CMU files.
+        seed: of the splits and of the identification.
+        quick: only `QUICK_SPLITS` splits, with 5 and 25 pushes.
+        figure: file for the curve of the error against the number of training pushes.
+        force: whether an existing figure may be replaced.
+        progress: whether to show a bar on standard error, or what to call with each piece of work that is done.
+        workers: processes.
+
+    Returns:
+        The CMU files at 5 and 25 training pushes; the curve; and the MIT files.
+
+    Raises:
+        GridPushError: the data are not there.
+    """
+    folder = find_shared_data() if data is None else Path(data)
+    if figure is not None:
+        from gridpush_drake.bench.paper_figure import check_figure
+
+        check_figure(figure, force)
+    splits, counts = (min(splits, QUICK_SPLITS), (5, 25)) if quick else (splits, tuple(counts))
+    files = [("cmu", path) for path in sorted((folder / "cmu_pushes").glob("*.txt"))]
+    files += [("mit", path) for path in sorted((folder / "mit_pushes").glob("*.mat"))]
+    if not files:
+        raise GridPushError(f"{folder}: no cmu_pushes/*.txt nor mit_pushes/*.mat; expected the public push logs there")
+    jobs = [Job(path, kind, split, counts, seed) for kind, path in files for split in range(splits)]
+    results = run_jobs(
+        run_job, jobs, lambda job: f"{job.path.stem}, split {job.split}", title="real pushes", workers=workers,
+        progress=progress,
+    )  # fmt: skip
+    scores = [score for result in results for score in result]
+    tables = []
+    if any(kind == "cmu" for kind, _ in files):
+        cmu = [path.stem for kind, path in files if kind == "cmu"]
+        tables += [_tabulate_cmu(scores, cmu, counts), _tabulate_curve(scores, cmu, counts)]
+        if figure is not None:
+            from gridpush_drake.bench.real_figure import write_curve
+
+            write_curve(figure, scores, [name for name in cmu if name in FEET_SETS] or cmu, counts, force)
+    if any(kind == "mit" for kind, _ in files):
+        tables.append(_tabulate_mit(scores, [path for kind, path in files if kind == "mit"]))
+    return tables
+
+
+def run_job(job: Job) -> list[Score]:
+    """Learns from one split of one file with each number of pushes, and predicts its held-out pushes."""
+    log, obj = _read(job.path, job.kind)
+    order = np.random.default_rng([job.seed, job.split]).permutation(len(log))
+    if job.kind == "cmu":
+        test, rest = log.subset(order[:CMU_TEST]), order[CMU_TEST:]
+        known = replace(obj, prior=replace(obj.prior, centre_of_mass=(0.0, 0.0)))
+        models, counts = [(POSES, obj), (CENTRE, known)], job.counts
+    else:
+        count = round(MIT_SHARE * len(log))
+        test, rest = log.subset(order[count:]), order[:count]
+        models, counts = [(POSES, obj)], (count,)
+    scores = [_score(job, UNIFORM, 0, obj, CellParameters.uniform(obj), test)]
+    for count in counts:
+        train = log.subset(rest[:count])
+        for model, known in models:
+            found = identify(known, train, seed=job.seed)
+            scores.append(_score(job, model, count, obj, found.params, test))
+    return scores
+
+
+def _score(job: Job, model: str, training: int, obj: GridObject, params: CellParameters, test: PushLog) -> Score:
+    errors = [
+        calc_pose_error(obj, made.at_observations[-1], seen.final_pose)
+        for made, seen in zip(predict(obj, params, test), test, strict=True)
+    ]
+    position, angle = tuple(error.position for error in errors), tuple(error.angle for error in errors)
+    return Score(job.path.stem, job.split, model, training, position, angle)
+
+
+@lru_cache(maxsize=1)
+def _read(path: Path, kind: str) -> tuple[PushLog, GridObject]:
+    return import_cmu(path) if kind == "cmu" else import_mit(path)
+
+
+def _choose(scores: Sequence[Score], names: Sequence[str], model: str, training: int) -> list[Score]:
+    return [s for s in scores if s.name in names and s.model == model and s.training == training]
+
+
+def calc_split_means(scores: Sequence[Score], names: Sequence[str], model: str, training: int) -> np.ndarray:
+    """Mean error of each split, mm, averaged over the named files."""
+    chosen = _choose(scores, names, model, training)
+    splits = sorted({score.split for score in chosen})
+    return np.array([np.mean([s.combined().mean() for s in chosen if s.split == split]) for split in splits])
+
+
+def format_interval(values: np.ndarray) -> str:
+    """Mean and Student's confidence interval of the splits' means."""
+    mean = values.mean()
+    if len(values) < 2:
+        return f"{mean:.2f}"
+    half = stats.t.ppf(0.5 + CONFIDENCE / 2, len(values) - 1) * stats.sem(values)
+    return f"{mean:.2f} ± {half:.2f}"
+
+
+def _tabulate_cmu(scores: Sequence[Score], names: Sequence[str], counts: Sequence[int]) -> Table:
+    rows: list[list[Value]] = []
+    shown = [count for count in (25, 5) if count in counts] or list(counts[-1:])
+    variants = [(UNIFORM, 0), *((model, count) for count in shown for model in (CENTRE, POSES))]
+    feet = [name for name in names if name in FEET_SETS]
+    for model, training in variants:
+        errors = np.concatenate([s.combined() for s in _choose(scores, feet or names, model, training)])
+        row: list[Value] = [model, training]
+        row += [format_interval(calc_split_means(scores, [name], model, training)) for name in names]
+        row += [
+            format_interval(calc_split_means(scores, feet or names, model, training)),
+            float(np.median(errors)),
+            float(np.quantile(errors, 0.9)),
+        ]
+        rows.append(row)
+    notes = (
+        "|dxy| + rho |dtheta| of held-out pushes, rho = 70.7 mm; mean over splits ± 95 % confidence (Student's t).",
+        f"Mean, median and 90th percentile over the feet sets: {', '.join(feet or names)}.",
+        "Repeating the same push differs by about 1.4 mm.",
+    )
+    columns = ("model", "training", *names, "mean", "median", "p90")
+    return Table("CMU pushes: held-out error, mm", columns, rows, notes)
+
+
+def _tabulate_curve(scores: Sequence[Score], names: Sequence[str], counts: Sequence[int]) -> Table:
+    rows: list[list[Value]] = []
+    feet = [name for name in names if name in FEET_SETS] or list(names)
+    for count in counts:
+        row: list[Value] = [count]
+        for model in (CENTRE, POSES):
+            worse = [
+                float(
+                    (
+                        calc_split_means(scores, [name], model, count) - calc_split_means(scores, [name], UNIFORM, 0)
+                    ).mean()
+                )
+                for name in names
+            ]
+            row += [
+                format_interval(calc_split_means(scores, feet, model, count)),
+                max(worse),
+                names[int(np.argmax(worse))],
+            ]
+        rows.append(row)
+    notes = ("Worst: on the set where learning helps least, its mean error less that of uniform pressure, mm.",)
+    columns = ("training", CENTRE, "worst", "on", POSES, "worst", "on")
+    return Table("CMU pushes: error by number of training pushes, mm", columns, rows, notes)
+
+
+def _tabulate_mit(scores: Sequence[Score], paths: Sequence[Path]) -> Table:
+    rows: list[list[Value]] = []
+    for path in paths:
+        position, angle = read_model_errors(path)
+        rows.append([path.stem, "the file's own", None, f"{MM * position:.2f}", f"{np.degrees(angle):.2f}"])
+        for model in (UNIFORM, POSES):
+            chosen = [score for score in scores if score.name == path.stem and score.model == model]
+            mm = np.array([MM * np.mean(score.position) for score in chosen])
+            degrees = np.array([np.degrees(np.mean(score.angle)) for score in chosen])
+            training = chosen[0].training
+            rows.append([path.stem, model, training, format_interval(mm), format_interval(degrees)])
+    notes = (
+        f"{100 * MIT_SHARE:.0f} % of the pushes train, the others are held out; mean over splits ± 95 % confidence.",
+    )
+    return Table("MIT pushes: held-out error", ("file", "model", "training", "position, mm", "angle, °"), rows, notes)

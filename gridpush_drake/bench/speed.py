@@ -1,0 +1,194 @@
+"""How fast a push is simulated and differentiated, beside MuJoCo and the paper."""
+
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from shapely import LineString
+
+from gridpush_drake.bench.shared_data import find_shared_data
+from gridpush_drake.bench.table import Table, Value
+from gridpush_drake.bench.timing import Timing, measure, one_core
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulate import Regime, simulate
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.object_file import find_shipped_object
+from gridpush_drake.grid.parameters import CellParameters
+
+PAPER_SIMULATION, PAPER_GRADIENT = 1.3448, 0.0069
+"""s a simulated push, and s a gradient (Song and Boularias, RSS 2020)."""
+
+MASK = Path("masks", "hammer_label.pgm")
+METRES_PER_PIXEL = 0.001
+"""Of the paper's masks in its simulations."""
+
+DURATION, SPEED, RADIUS, DT = 2.0, 0.1, 0.015, 0.01
+"""The paper's push, s and m/s, a disc in place of its finger, m, and the step, s."""
+
+FINAL, EVERY = ", with the Jacobian of the final pose", ", with the Jacobian of all poses"
+
+PLACE = 0.7
+"""Where along the object's width it is pushed, 0 to 1."""
+
+SIZES = (10, 30, 100, 300, 1000, 3000, 10000)
+"""Numbers of cells for the cost against n."""
+
+LINEAR_FROM = 300
+"""Cells from which on the slope is fitted: below, the work that does not depend on n shows."""
+
+MS = 1e3
+
+Report = Callable[[str], None]
+
+
+def run(
+    data: Path | None = None,
+    *,
+    repetitions: int = 50,
+    sizes: Sequence[int] = SIZES,
+    with_mujoco: bool = True,
+    progress: Report | None = None,
+) -> list[Table]:
+    """Measures everything, on one core.
+
+    Args:
+        data: folder of the public data; found beside the repository where None, and where it is not there the shipped
+            claw hammer stands in for the paper's.
+        repetitions: of each simulation.
+        sizes: numbers of cells for the cost against n.
+        with_mujoco: whether to run MuJoCo beside, where it is installed.
+        progress: called with what begins.
+
+    Returns:
+        The tables: one push, cost against n, start-up.
+    """
+    tell = progress or (lambda _: None)
+    with one_core() as pinned:
+        obj = _load_hammer(data)
+        tables = [_measure_push(obj, repetitions, with_mujoco, pinned, tell), _measure_sizes(sizes, repetitions, tell)]
+        tell("start-up")
+        tables.append(_measure_start_up())
+    return tables
+
+
+def make_bench_push(obj: GridObject) -> Push:
+    """The push of the measurement: upwards, from below, off the middle."""
+    x0, y0, x1, y1 = obj.outline.bounds
+    x = x0 + PLACE * (x1 - x0)
+    bottom = obj.outline.intersection(LineString([(x, y0 - 1), (x, y1 + 1)])).bounds[1]
+    return Push((x, bottom - RADIUS), (0.0, SPEED), DURATION, RADIUS)  # type: ignore[arg-type]
+
+
+def _load_hammer(data: Path | None) -> GridObject:
+    try:
+        mask = (find_shared_data() if data is None else data) / MASK
+    except GridPushError:
+        return GridObject.from_yaml(find_shipped_object("claw_hammer"))
+    return GridObject.from_mask(mask, metres_per_pixel=METRES_PER_PIXEL, name="hammer mask")
+
+
+def _simulations(obj: GridObject) -> dict[str, Callable[[], object]]:
+    """What is timed, by name; the Jacobian is expanded to all its named blocks."""
+    params, push, steps = CellParameters.random(obj, seed=0), make_bench_push(obj), round(DURATION / DT)
+    return {
+        f"{regime}{suffix}": partial(_simulate, obj, params, push, regime, record)
+        for regime in ("inertial", "quasi_static")
+        for suffix, record in (("", None), (FINAL, [steps]), (EVERY, range(steps + 1)))
+    }
+
+
+def _simulate(
+    obj: GridObject, params: CellParameters, push: Push, regime: Regime, record: Sequence[int] | None
+) -> object:
+    if record is None:
+        return simulate(obj, params, push, dt=DT, regime=regime)
+    return simulate(obj, params, push, dt=DT, regime=regime, gradients=True, record=record).jacobian
+
+
+def _measure_push(obj: GridObject, repetitions: int, with_mujoco: bool, pinned: bool, tell: Report) -> Table:
+    times: dict[str, Timing] = {}
+    for name, work in _simulations(obj).items():
+        tell(name)
+        times[name] = measure(work, repetitions, warm_up=3)
+    plain = times["inertial"].median
+    rows: list[list[Value]] = [_row(name, timing, timing.median / plain) for name, timing in times.items()]
+    notes = [
+        f"{obj.name}, {obj.n} cells, {DURATION:g} s push, step {DT * MS:g} ms; median and quartiles of {repetitions} "
+        f"runs{', pinned to one core' if pinned else ''}.",
+        "The Jacobian is by all masses and frictions, the contact friction and the push.",
+    ]
+    if with_mujoco:
+        tell("MuJoCo")
+        beside = _measure_mujoco(obj)
+        if isinstance(beside, Timing):
+            rows.append(_row("MuJoCo, cells as boxes, step 2 ms", beside, beside.median / plain))
+        else:
+            notes.append(beside)
+    rows.append(["the paper, simulation", PAPER_SIMULATION * MS, None, None, PAPER_SIMULATION / plain])
+    rows.append(["the paper, gradient by itself", PAPER_GRADIENT * MS, None, None, PAPER_GRADIENT / plain])
+    notes.append("The paper's times are as published, on its authors' computer.")
+    return Table("One push", ("what", "median, ms", "25 %, ms", "75 %, ms", "times the first"), rows, notes)
+
+
+def _measure_mujoco(obj: GridObject) -> Timing | str:
+    from gridpush_drake.bench.mujoco_push import make_mujoco_push
+
+    try:
+        push = make_mujoco_push(obj, CellParameters.random(obj, seed=0), make_bench_push(obj))
+    except ImportError:
+        return "MuJoCo is not installed: pip install 'gridpush-drake[bench]'."
+    return measure(push, repetitions=3, warm_up=0)
+
+
+def _measure_sizes(sizes: Sequence[int], repetitions: int, tell: Report) -> Table:
+    rows: list[list[Value]] = []
+    medians = []
+    for size in sizes:
+        tell(f"{size} cells")
+        obj = GridObject.from_outline(np.array([[0, 0], [0.2, 0], [0.2, 0.2], [0, 0.2]]), max_cells=size)
+        works = _simulations(obj)
+        chosen = [works[name] for name in ("inertial", f"inertial{FINAL}")]
+        fewer = max(3, int(repetitions * min(1.0, 100 / obj.n)))
+        plain, jacobian = (measure(work, fewer).median for work in chosen)
+        medians.append((obj.n, plain, jacobian))
+        rows.append([obj.n, plain * MS, jacobian * MS, jacobian / plain, plain / obj.n * 1e6])
+    columns = ("cells", "simulation, ms", "with Jacobian, ms", "ratio", "simulation, µs a cell")
+    notes = ["A square of 0.2 m; inertial, with the Jacobian of the final pose.", _describe_slopes(np.array(medians))]
+    return Table("Cost against the number of cells", columns, rows, notes)
+
+
+def _describe_slopes(medians: np.ndarray) -> str:
+    """Exponents of n in the times, by least squares in the logarithms."""
+    large = np.log(medians[medians[:, 0] >= LINEAR_FROM])
+    if len(large) < 2:
+        return f"Too few sizes of {LINEAR_FROM} cells or more to fit a slope."
+    plain, jacobian = (np.polyfit(large[:, 0], large[:, column], 1)[0] for column in (1, 2))
+    return f"Log-log slope from {LINEAR_FROM} cells: simulation {plain:.2f}, with Jacobian {jacobian:.2f}; 1 is linear."
+
+
+def _measure_start_up(repetitions: int = 7) -> Table:
+    commands = {
+        "python -c pass": ["-c", "pass"],
+        "import gridpush_drake": ["-c", "import gridpush_drake"],
+        "gridpush --help": ["-m", "gridpush_drake.apps.main", "--help"],
+    }
+    rows: list[list[Value]] = []
+    for name, arguments in commands.items():
+        timing = measure(
+            lambda arguments=arguments: subprocess.run(  # type: ignore[misc]
+                [sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL
+            ),
+            repetitions,
+        )
+        rows.append([name, timing.median, timing.low, timing.high])
+    return Table(
+        "Start-up", ("what", "median, s", "25 %, s", "75 %, s"), rows, [f"Processes, {repetitions} runs each."]
+    )
+
+
+def _row(name: str, timing: Timing, ratio: float) -> list[Value]:
+    return [name, timing.median * MS, timing.low * MS, timing.high * MS, ratio]

@@ -1,0 +1,64 @@
+"""Checks of what callers give to `simulate`."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gridpush_drake.dynamics.force_push import ForcePush
+from gridpush_drake.dynamics.friction import SPIN_MODELS
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import SimulationError
+
+
+def check_regime(regime: str, push: Push | ForcePush, friction: str, spin: str, gradients: bool | str) -> None:
+    """Refuses words that are not known, and combinations that make no sense.
+
+    Raises:
+        SimulationError: either.
+    """
+    for name, value, known in (
+        ("regime", regime, ("inertial", "quasi_static")),
+        ("friction", friction, ("isotropic", "lagged")),
+        ("spin", spin, SPIN_MODELS),
+        ("gradients", gradients, (False, True, "paper")),
+    ):
+        if value not in known:
+            raise SimulationError(f"{name} is {value!r}; expected one of {', '.join(map(repr, known))}")
+    quasi_static = regime == "quasi_static"
+    if quasi_static and isinstance(push, ForcePush):
+        raise SimulationError(
+            "regime: a force-driven push needs 'inertial'; a quasi-static body has no velocity of its own"
+        )
+    if quasi_static and friction == "lagged":
+        raise SimulationError("friction: 'lagged' needs the inertial regime, whose velocity it lags")
+    if quasi_static and gradients == "paper":
+        raise SimulationError("gradients: 'paper' differentiates momentum; it needs the inertial regime")
+    if friction == "lagged" and gradients is True:
+        raise SimulationError("gradients: the exact ones need friction='isotropic'; 'lagged' has gradients='paper'")
+
+
+def check_vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
+    """Copies three finite numbers.
+
+    Raises:
+        SimulationError: they are not.
+    """
+    try:
+        vector = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        vector = np.empty(0)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise SimulationError(f"{name} is {value!r}; expected three finite numbers")
+    return vector
+
+
+def check_record(record: ArrayLike, steps: int) -> NDArray[np.int64]:
+    """Copies the indices of the poses whose Jacobian is wanted, out of steps + 1.
+
+    Raises:
+        SimulationError: they are not distinct whole numbers from 0 to `steps`.
+    """
+    rows = np.array(record)
+    whole = rows.ndim == 1 and (len(rows) == 0 or np.issubdtype(rows.dtype, np.integer))
+    if not whole or (rows < 0).any() or (rows > steps).any() or len(np.unique(rows)) != len(rows):
+        raise SimulationError(f"record: expected distinct indices from 0 to {steps}")
+    return rows.astype(np.int64)

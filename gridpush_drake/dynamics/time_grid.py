@@ -1,0 +1,84 @@
+"""The times of a push's steps."""
+
+from math import ceil
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gridpush_drake.dynamics.force_push import ForcePush
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import SimulationError
+
+Array = NDArray[np.float64]
+
+DEFAULT_DT = 0.01
+"""s, the longest step where none is given."""
+
+DEFAULT_TIP_STEP = 0.001
+"""m, the furthest the pusher moves in a step where none is given."""
+
+SLACK = 1e-9
+"""Share of a step by which a duration may exceed a whole number of them."""
+
+
+def make_times(push: Push | ForcePush, dt: float | None, regime: str = "inertial") -> Array:
+    """Cuts a push into steps.
+
+    Args:
+        push: the push.
+        dt: step, s, the last one shortened to end with the push; None for the default steps.
+        regime: see `make_path_times`.
+
+    Returns:
+        (T+1,) s from the push's beginning.
+
+    Raises:
+        SimulationError: dt is not positive.
+    """
+    if dt is not None and not (np.isfinite(dt) and dt > 0):
+        raise SimulationError(f"dt is {dt!r}; expected a positive number (s)")
+    if dt is not None:
+        steps = max(1, ceil(push.duration / dt - SLACK))
+        return np.append(np.arange(steps) * dt, push.duration)
+    if isinstance(push, ForcePush):
+        return np.linspace(0.0, push.duration, max(1, ceil(push.duration / DEFAULT_DT - SLACK)) + 1)
+    return make_path_times(push, regime)
+
+
+def make_path_times(
+    push: Push, regime: str = "inertial", tip_step: float = DEFAULT_TIP_STEP, longest: float = DEFAULT_DT
+) -> Array:
+    """Cuts a push's path into the default steps.
+
+    Args:
+        push: the push.
+        regime: "inertial": every piece of the path is cut evenly. "quasi_static": the path's length is cut evenly,
+            whatever its pieces and however long they last, for time does not matter.
+        tip_step: furthest the pusher may move in a step, m.
+        longest: step, s; inertial regime only.
+
+    Returns:
+        (T+1,) s from the push's beginning; in the inertial regime the samples of its path are among them.
+    """
+    distance = np.linalg.norm(np.diff(push.xy, axis=0), axis=1)
+    if regime == "quasi_static":
+        arc = np.append(0.0, np.cumsum(distance))
+        count = max(1, ceil(arc[-1] / tip_step - SLACK))
+        moving = np.append(True, distance > 0)
+        cuts = np.interp(arc[-1] * np.arange(1, count) / count, arc[moving], push.t[moving])
+        return np.unique(np.concatenate([[0.0], cuts, [push.duration]]))
+    counts = np.maximum(np.ceil(np.maximum(distance / tip_step, np.diff(push.t) / longest) - SLACK), 1).astype(int)
+    pieces = [push.t[i] + (push.t[i + 1] - push.t[i]) * np.arange(count) / count for i, count in enumerate(counts)]
+    return np.append(np.concatenate(pieces), push.t[-1])
+
+
+def check_times(times: ArrayLike) -> Array:
+    """Copies the steps' times that a caller gives, (T+1,), s.
+
+    Raises:
+        SimulationError: they are not at least two finite, strictly increasing numbers.
+    """
+    times = np.array(times, dtype=np.float64)
+    if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all() or (np.diff(times) <= 0).any():
+        raise SimulationError("times: expected at least two finite, strictly increasing numbers (s)")
+    return times

@@ -1,0 +1,207 @@
+"""The default identifier: smooth priors of several strengths, weighed by evidence, checked by cross-validation.
+
+1. For each amplitude of the smoothness prior, weakest variation first, fit z by trust-region Gauss-Newton (`map_fit`),
+   each fit starting where the last one ended: coarse to fine.
+2. Weigh the fits by their evidence. The first, all but uniform, is believed beforehand by `prior_odds` to one against
+   each of the others, so that a few noisy pushes do not talk the model out of it.
+3. Average them: z = sum_a w_a z_a.
+4. Push-wise cross-validation over the training pushes: where the average predicts left-out pushes worse than the
+   uniform fit does, take the mixture of the two that predicts them best, which may be the uniform one.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.identification.map_fit import CentreOfMass, MapFit, fit_map
+from gridpush_drake.identification.noise import NoiseModel
+from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.result import STATUS_LEARNED, STATUS_MIXTURE, STATUS_NO_DATA, STATUS_PRIOR_KEPT
+from gridpush_drake.identification.smoothness import RANGE_CELLS, calc_smooth_covariance
+
+Array = NDArray[np.float64]
+
+STAGE_FITTING, STAGE_CHECKING = "fitting", "cross-validating"
+
+
+@dataclass(frozen=True)
+class DefaultOptions:
+    """What the default identifier takes for granted.
+
+    Attributes:
+        amplitudes: standard deviations of log k under each smoothness prior, increasing; the first stands for uniform.
+        prior_odds: of the first against each of the others.
+        range_cells: correlation range of the prior, cells.
+        noise: the noise model.
+        folds: most parts that the pushes are cut into for cross-validation.
+        mixtures: shares of the learned model tried where cross-validation does not favour it.
+        favoured: weight of the first amplitude above which the prior counts as kept.
+    """
+
+    amplitudes: tuple[float, ...] = (0.05, 0.3, 0.7, 1.5, 3.0)
+    prior_odds: float = 10.0
+    range_cells: float = RANGE_CELLS
+    noise: NoiseModel = field(default_factory=NoiseModel)
+    folds: int = 5
+    mixtures: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75)
+    favoured: float = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class DefaultFit:
+    """What the default identifier found.
+
+    Attributes:
+        z: (n+1,) log k and log mu_c.
+        covariance: (n+1, n+1) of z.
+        prior_covariance: (n+1, n+1) of z before the pushes, averaged with the same weights.
+        noise_std: standard deviation of what stays unexplained, per coordinate of the residual, m.
+        weights: of the amplitudes.
+        learned_share: of the average in the mixture, 1 where cross-validation favoured it.
+        status: "learned", "mixture" or "prior_kept".
+        message: the status in a sentence.
+    """
+
+    z: Array
+    covariance: Array
+    prior_covariance: Array
+    noise_std: float
+    weights: Array
+    learned_share: float
+    status: str
+    message: str
+
+
+def fit_default(
+    problem: PushProblem,
+    z0: Array,
+    log_contact_friction_std: float,
+    centre_of_mass: CentreOfMass | None,
+    options: DefaultOptions,
+    seed: int,
+    report: Callable[[Array, str], None],
+) -> DefaultFit:
+    """Runs the four steps above.
+
+    Args:
+        problem: the training pushes; at least one.
+        z0: (n+1,) prior mean of z.
+        log_contact_friction_std: prior standard deviation of log mu_c.
+        centre_of_mass: prior knowledge, or None.
+        options: see `DefaultOptions`.
+        seed: of the folds.
+        report: called with z and a word, now and then.
+
+    Returns:
+        The fit.
+    """
+    C = calc_smooth_covariance(problem.obj, options.range_cells)
+    factors = [calc_prior_factor(C, amplitude, log_contact_friction_std) for amplitude in options.amplitudes]
+    fits: list[MapFit] = []
+    for A in factors:
+        fits.append(
+            fit_map(
+                problem, z0, A, options.noise, centre_of_mass, start=fits[-1].z if fits else z0,
+                scale=fits[-1].scale if fits else 1.0, on_renewal=lambda z: report(z, STAGE_FITTING),
+            )
+        )  # fmt: skip
+    weights = _calc_weights(fits, options.prior_odds)
+    average = weights @ np.array([fit.z for fit in fits])
+    best = int(np.argmax(weights))
+    learned_share, errors = 1.0, None
+    if best > 0 and len(problem) > 1:
+        learned_share, errors = _cross_validate(
+            problem, z0, factors, fits, weights, centre_of_mass, options, seed, report
+        )
+    z = learned_share * average + (1 - learned_share) * fits[0].z
+    weights = learned_share * weights
+    weights[0] += 1 - learned_share
+    spread = [fit.covariance + np.outer(fit.z - z, fit.z - z) for fit in fits]
+    return DefaultFit(
+        z,
+        np.einsum("a,aij->ij", weights, np.array(spread)),
+        np.einsum("a,aij->ij", weights, np.array([A @ A.T for A in factors])),
+        options.noise.pose * float(weights @ np.array([fit.scale for fit in fits])),
+        weights,
+        learned_share,
+        *_describe(weights, learned_share, errors, options),
+    )
+
+
+def fit_nothing(obj: GridObject, z0: Array, log_contact_friction_std: float, options: DefaultOptions) -> DefaultFit:
+    """The prior, where no push touched the object."""
+    C = calc_smooth_covariance(obj, options.range_cells)
+    A = calc_prior_factor(C, options.amplitudes[-1], log_contact_friction_std)
+    weights = np.eye(len(options.amplitudes))[-1]
+    message = "The pusher never touched the object: nothing was learned, this is the prior."
+    return DefaultFit(z0, A @ A.T, A @ A.T, options.noise.pose, weights, 0.0, STATUS_NO_DATA, message)
+
+
+def calc_prior_factor(C: Array, amplitude: float, log_contact_friction_std: float) -> Array:
+    """Cholesky factor (n+1, n+1) of blockdiag(a² C, sigma²), the prior covariance of z."""
+    A = np.zeros((len(C) + 1, len(C) + 1))
+    A[:-1, :-1] = amplitude * np.linalg.cholesky(C)
+    A[-1, -1] = log_contact_friction_std
+    return A
+
+
+def _calc_weights(fits: list[MapFit], prior_odds: float) -> Array:
+    log_weights = np.array([fit.log_evidence for fit in fits])
+    log_weights[0] += np.log(prior_odds)
+    weights = np.exp(log_weights - log_weights.max())
+    return weights / weights.sum()
+
+
+def _cross_validate(
+    problem: PushProblem,
+    z0: Array,
+    factors: list[Array],
+    fits: list[MapFit],
+    weights: Array,
+    centre_of_mass: CentreOfMass | None,
+    options: DefaultOptions,
+    seed: int,
+    report: Callable[[Array, str], None],
+) -> tuple[float, tuple[float, float]]:
+    """Share of the learned model that predicts left-out pushes best, and the errors of uniform and learned, m."""
+    order = np.random.default_rng(seed).permutation(len(problem))
+    shares = np.append(options.mixtures, 1.0)
+    total = np.zeros(len(shares))
+    best = int(np.argmax(weights))
+    for part in np.array_split(order, min(options.folds, len(problem))):
+        rest = sorted(set(order.tolist()) - set(part.tolist()))
+        uniform, learned = (
+            fit_map(
+                problem, z0, factors[i], options.noise, centre_of_mass, pushes=rest, start=fits[i].z,
+                scale=fits[i].scale,
+            ).z
+            for i in (0, best)
+        )  # fmt: skip
+        for i, share in enumerate(shares):
+            residuals = problem.residuals((1 - share) * uniform + share * learned, sorted(part.tolist()))
+            total[i] += problem.calc_cell_errors(residuals).sum()
+        report(learned, STAGE_CHECKING)
+    errors = total / len(problem)
+    uniform_error, learned_error = float(errors[0]), float(errors[-1])
+    chosen = 1.0 if learned_error <= uniform_error else float(shares[int(np.argmin(errors))])
+    return chosen, (uniform_error, learned_error)
+
+
+def _describe(
+    weights: Array, learned_share: float, errors: tuple[float, float] | None, options: DefaultOptions
+) -> tuple[str, str]:
+    checked = ""
+    if errors:
+        uniform, learned = (f"{1e3 * error:.2f} mm" for error in errors)
+        checked = f"left-out training pushes are predicted to {learned}, by uniform friction to {uniform}"
+    if weights[0] >= options.favoured:
+        reason = checked or "the pushes do not speak against uniform friction"
+        return STATUS_PRIOR_KEPT, f"The friction was left uniform: {reason}. The contact friction was fitted."
+    if weights[0] > 1 - options.favoured:
+        reason = f" ({checked})" if checked else ""
+        share = 100 * (1 - weights[0])
+        return STATUS_MIXTURE, f"{share:.0f} % learned and the rest uniform: the pushes favour neither alone{reason}."
+    return STATUS_LEARNED, "Learned from the pushes" + (f": {checked}." if checked else ".")

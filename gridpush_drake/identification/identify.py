@@ -1,0 +1,178 @@
+"""`identify`: from a push log to a model."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from gridpush_drake.dynamics.simulate import GRAVITY, Regime
+from gridpush_drake.errors import IdentificationError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import DEFAULT_TOTAL_MASS, CellParameters
+from gridpush_drake.grid.prior import PhysicalPrior
+from gridpush_drake.identification.bounds import Bounds
+from gridpush_drake.identification.default import STAGE_CHECKING, DefaultFit, DefaultOptions, fit_default, fit_nothing
+from gridpush_drake.identification.identifiability import calc_identifiability
+from gridpush_drake.identification.map_fit import CentreOfMass
+from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.result import HistoryEntry, Identification
+from gridpush_drake.identification.search_fit import fit_by_search
+from gridpush_drake.identification.search_methods import SEARCH_METHODS
+from gridpush_drake.pushes.log import PushLog
+
+Array = NDArray[np.float64]
+Progress = Callable[[HistoryEntry], None]
+
+METHODS = ("default", *SEARCH_METHODS)
+"""Names that `identify` takes."""
+
+REGIMES = ("auto", "quasi_static", "inertial")
+
+FAST_PUSH = 0.01
+"""v²/(mu g rho) above which a log's pushes count as fast, and are simulated with inertia."""
+
+SMALLEST_CONTACT_FRICTION = 0.05
+"""Below which a prior contact friction is taken for this one, whose logarithm is the unknown."""
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")  # small matrices: threads only cost, and reorder sums
+def identify(
+    obj: GridObject,
+    log: PushLog,
+    prior: PhysicalPrior | None = None,
+    method: str = "default",
+    seed: int = 0,
+    *,
+    regime: Regime | Literal["auto"] = "auto",
+    budget: int | None = None,
+    options: DefaultOptions | None = None,
+    progress: Progress | None = None,
+) -> Identification:
+    """Learns an object's masses and frictions from pushes.
+
+    Args:
+        obj: the object.
+        log: the training pushes, with at least one observed pose each after the first.
+        prior: what is known beforehand; `obj.prior` by default.
+        method: one of METHODS: "default", the paper's, or a baseline.
+        seed: of everything random.
+        regime: "quasi_static", "inertial", or "auto": see `choose_regime`.
+        budget: most pushes to be simulated; searches only (`search_methods.DEFAULT_BUDGET_PER_PUSH` each by default).
+        options: of the default method.
+        progress: called now and then with what was reached.
+
+    Returns:
+        The model, its spread, and what the log cannot tell.
+
+    Raises:
+        IdentificationError: the method or regime is unknown, the log is empty or lacks observations.
+    """
+    for name, value, known in (("method", method, METHODS), ("regime", regime, REGIMES)):
+        if value not in known:
+            raise IdentificationError(f"{name} is {value!r}; expected one of {', '.join(known)}")
+    obj = obj if prior is None else replace(obj, prior=prior)
+    log = _check_log(obj, log)
+    used_regime = choose_regime(obj, log) if regime == "auto" else regime
+    friction = np.full(obj.n, obj.prior.friction)
+    start = CellParameters.uniform(obj, contact_friction=max(obj.prior.contact_friction, SMALLEST_CONTACT_FRICTION))
+    problem = PushProblem(obj, log, friction, used_regime)
+    z0 = problem.unknowns(start)
+    touched = problem.touched(z0)
+    unused = tuple(push.name for push, hit in zip(log, touched, strict=True) if not hit)
+    log = log.subset(np.flatnonzero(touched))
+    problem = PushProblem(obj, log, friction, used_regime)
+    tracker = Tracker(problem, progress)
+    options = options or DefaultOptions()
+    log_contact_friction_std = obj.prior.contact_friction_std / start.contact_friction
+    if not len(log):
+        fit = fit_nothing(obj, z0, log_contact_friction_std, options)
+    elif method == "default":
+        at = obj.prior.centre_of_mass
+        centre = None if at is None else CentreOfMass(at, obj.prior.centre_of_mass_std)
+        fit = fit_default(problem, z0, log_contact_friction_std, centre, options, seed, tracker.report)
+    else:
+        search = SEARCH_METHODS[method]
+        fit, friction = fit_by_search(
+            problem, log, search, start, Bounds.around(obj, start), log_contact_friction_std, options, budget, seed,
+            tracker,
+        )  # fmt: skip
+    return _make_result(obj, log, fit, friction, method, tracker, used_regime, seed, unused)
+
+
+def choose_regime(obj: GridObject, log: PushLog) -> Regime:
+    """The regime that "auto" stands for: "inertial" where v²/(mu g rho) of the log's fastest push exceeds FAST_PUSH."""
+    fastest = max((push.push.length / push.push.duration for push in log), default=0.0)
+    scale = obj.prior.friction * GRAVITY * obj.radius_of_gyration
+    return "inertial" if fastest**2 / scale > FAST_PUSH else "quasi_static"
+
+
+class Tracker:
+    """Keeps the best loss so far, and tells whoever wants to know."""
+
+    def __init__(self, problem: PushProblem, progress: Progress | None) -> None:
+        """Begins at nothing simulated."""
+        self.problem, self.progress = problem, progress
+        self.history: list[HistoryEntry] = []
+        self.simulations = 0
+
+    def report(self, z: Array, stage: str) -> None:
+        """Notes where a fit is; while checking, z was fitted to some pushes only and its loss does not count."""
+        best = self.history[-1].loss if self.history else np.inf
+        if stage != STAGE_CHECKING:
+            spent = self.problem.simulations
+            best = min(best, float(self.problem.calc_cell_errors(self.problem.residuals(z)).mean()))
+            self.problem.simulations = spent
+        self.add(HistoryEntry(self.problem.simulations, best, stage))
+
+    def add(self, entry: HistoryEntry) -> None:
+        """Notes an entry."""
+        self.history.append(entry)
+        self.simulations = entry.simulations
+        if self.progress is not None:
+            self.progress(entry)
+
+
+def _check_log(obj: GridObject, log: PushLog) -> PushLog:
+    """The log with the object's pusher radius where it has none of its own."""
+    source = log.source or "push log"
+    if not len(log):
+        raise IdentificationError(f"{source}: no pushes; expected at least one")
+    for push in log:
+        if not len(push.t_observed):
+            raise IdentificationError(
+                f"{source}: push {push.name}: object_x, object_y, object_theta: no pose after the first row; "
+                "expected at least one"
+            )
+    if not log.radius_given and obj.prior.pusher_radius is not None:
+        return log.with_radius(obj.prior.pusher_radius)
+    return log
+
+
+def _make_result(
+    obj: GridObject, log: PushLog, fit: DefaultFit, friction: Array, method: str, tracker: Tracker, regime: str,
+    seed: int, unused: tuple[str, ...],
+) -> Identification:  # fmt: skip
+    """Turns z and its covariance into masses, frictions and their standard deviations."""
+    posterior = Posterior(fit.z, fit.covariance, fit.prior_covariance)
+    share = posterior.calc_share()
+    total_mass = obj.prior.total_mass or DEFAULT_TOTAL_MASS
+    mass = share / friction
+    mass *= total_mass / mass.sum()
+    params = CellParameters(mass, friction, float(np.exp(fit.z[-1])))
+    relative_std = np.sqrt(np.maximum(np.diag(posterior.calc_share_covariance()), 0.0)) / share
+    # Between its bounds, slow pushes say nothing of a friction coefficient by itself: uniform.
+    friction_std = (obj.prior.friction_max - obj.prior.friction_min) / np.sqrt(12.0)
+    std = CellParameters(
+        np.maximum(mass * relative_std, np.finfo(float).tiny),
+        np.full(obj.n, friction_std),
+        float(params.contact_friction * np.sqrt(fit.covariance[-1, -1])),
+    )
+    return Identification(
+        obj, params, std, posterior, calc_identifiability(obj, params, posterior), method, regime, fit.status,
+        fit.message, tuple(tracker.history), max(tracker.simulations, tracker.problem.simulations), fit.noise_std,
+        seed, tuple(push.name for push in log), unused,
+    )  # fmt: skip

@@ -1,0 +1,234 @@
+"""The most probable parameters under one smoothness prior, by trust-region Gauss-Newton, and that prior's evidence.
+
+With z = z_0 + A u, A A^T the prior covariance of z, the unknown is u, a priori N(0, I). Minimised is
+
+    1/2 |u|² + sum over pushes of Huber(W_p r_p(z)) + 1/2 |(c(k) - c_0)/sigma_c|²
+
+r_p the residuals of push p, W_p their whitening (`noise`), c the centre of friction and c_0 the centre of mass where
+one is given (equal to c where all cells rub alike). Whitening, Huber's weights and the noise scale s are renewed
+between runs of the trust-region solver. The evidence is Laplace's,
+
+    log p(data) ~ -loss - 1/2 log det H_u - 1/2 sum_p log det Sigma_p - log p(c_0)
+
+where c_0 is prior knowledge, not data: its own evidence is taken off again.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.identification.noise import NoiseModel, calc_effective_count
+from gridpush_drake.identification.problem import PushProblem
+
+Array = NDArray[np.float64]
+
+RENEWALS = 4
+"""Times whitening, weights and noise scale are renewed."""
+
+EVALUATIONS = 8
+"""Most steps of the trust-region solver between renewals."""
+
+TOLERANCE = 1e-4
+"""Relative, of loss and step, at which the solver stops."""
+
+
+@dataclass(frozen=True)
+class CentreOfMass:
+    """Where the centre of mass is held to be.
+
+    Attributes:
+        at: (2,) body frame, m.
+        std: standard deviation per axis, m.
+    """
+
+    at: tuple[float, float]
+    std: float
+
+    def linearise(self, obj: GridObject, z: Array) -> tuple[Array, Array]:
+        """Whitened residual (2,) of the centre of friction at z (n+1,), and its Jacobian (2, n+1)."""
+        k = np.exp(z[:-1] - z[:-1].max())
+        share = k / k.sum()
+        centre = share @ obj.p_BC
+        J = np.zeros((2, len(z)))
+        J[:, :-1] = (share[:, None] * (obj.p_BC - centre)).T
+        return (centre - np.asarray(self.at)) / self.std, J / self.std
+
+
+@dataclass(frozen=True, eq=False)
+class MapFit:
+    """The most probable z under one prior.
+
+    Attributes:
+        z: (n+1,) log k and log mu_c.
+        covariance: (n+1, n+1) of z, Laplace's approximation.
+        scale: of the noise, s.
+        log_evidence: for the prior, up to a constant shared by all priors on the same data.
+        informed: number of directions of u that the data, not the prior, hold in place (MacKay's gamma).
+    """
+
+    z: Array
+    covariance: Array
+    scale: float
+    log_evidence: float
+    informed: float
+
+
+def fit_map(
+    problem: PushProblem,
+    z0: Array,
+    A: Array,
+    noise: NoiseModel,
+    centre_of_mass: CentreOfMass | None = None,
+    *,
+    pushes: Sequence[int] | None = None,
+    start: Array | None = None,
+    scale: float = 1.0,
+    on_renewal: Callable[[Array], None] | None = None,
+) -> MapFit:
+    """Fits z.
+
+    Args:
+        problem: the training pushes.
+        z0: (n+1,) prior mean.
+        A: (n+1, n+1) factor of the prior covariance, A A^T.
+        noise: the noise model.
+        centre_of_mass: prior knowledge of the centre of mass, or None.
+        pushes: those to use; all by default.
+        start: (n+1,) where to begin; z0 by default.
+        scale: of the noise, to begin with.
+        on_renewal: called with z after every run of the solver.
+
+    Returns:
+        The fit.
+    """
+    u = np.asarray(np.linalg.solve(A, (z0 if start is None else start) - z0), dtype=np.float64)
+    chosen = range(len(problem)) if pushes is None else pushes
+    for _ in range(RENEWALS):
+        stage = _Stage(problem, z0, A, noise, centre_of_mass, chosen, u, scale)
+        u = stage.solve(u)
+        scale, gamma = stage.renew_scale(u)
+        if on_renewal is not None:
+            on_renewal(z0 + A @ u)
+    stage = _Stage(problem, z0, A, noise, centre_of_mass, chosen, u, scale)
+    H = stage.hessian(u)
+    covariance = A @ np.linalg.solve(H, A.T)
+    evidence = -stage.loss(u) - 0.5 * np.linalg.slogdet(H)[1] - stage.log_normaliser
+    evidence -= 0.5 * noise.prior_weight * (2 * np.log(scale) + scale**-2)
+    if centre_of_mass is not None:
+        evidence -= _calc_centre_evidence(problem.obj, z0, A, centre_of_mass)
+    return MapFit(z0 + A @ u, 0.5 * (covariance + covariance.T), scale, float(evidence), gamma)
+
+
+def calc_laplace(problem: PushProblem, z: Array, A: Array, noise: NoiseModel) -> tuple[Array, float]:
+    """Spread about given parameters.
+
+    Args:
+        problem: the training pushes.
+        z: (n+1,) the parameters.
+        A: (n+1, n+1) factor of the prior covariance.
+        noise: the noise model.
+
+    Returns:
+        The covariance (n+1, n+1) of z by Laplace's approximation, and the noise scale.
+    """
+    u = np.zeros(len(z))
+    scale, _ = _Stage(problem, z, A, noise, None, range(len(problem)), u, 1.0).renew_scale(u)
+    H = _Stage(problem, z, A, noise, None, range(len(problem)), u, scale).hessian(u)
+    return A @ np.linalg.solve(H, A.T), scale
+
+
+class _Stage:
+    """The least-squares problem in u with whitening and weights held as they are at one u."""
+
+    def __init__(
+        self,
+        problem: PushProblem,
+        z0: Array,
+        A: Array,
+        noise: NoiseModel,
+        centre_of_mass: CentreOfMass | None,
+        pushes: Sequence[int],
+        u: Array,
+        scale: float,
+    ) -> None:
+        self.problem, self.z0, self.A, self.noise = problem, z0, A, noise
+        self.centre_of_mass, self.pushes, self.scale = centre_of_mass, pushes, scale
+        self._at: Array | None = None
+        linear = problem.linearise(z0 + A @ u, pushes)
+        factors = [noise.calc_factor(inputs, scale) for inputs in linear.by_inputs]
+        self.log_normaliser = float(
+            sum(calc_effective_count(len(L)) / len(L) * np.log(np.diag(L)).sum() for L in factors)
+        )
+        self.whitening = [np.linalg.inv(L) for L in factors]
+        self.weights = [noise.calc_weight(W @ r) for W, r in zip(self.whitening, linear.residuals, strict=True)]
+        self._store(u, linear.residuals, linear.by_z)
+
+    def solve(self, u: Array) -> Array:
+        """Runs the trust-region solver from u."""
+        return least_squares(
+            lambda v: self._evaluate(v)[0], u, jac=lambda v: self._evaluate(v)[1], method="trf", x_scale=1.0,
+            ftol=TOLERANCE, xtol=TOLERANCE, gtol=None, max_nfev=EVALUATIONS,
+        ).x  # fmt: skip
+
+    def hessian(self, u: Array) -> Array:
+        """Gauss-Newton Hessian (n+1, n+1) in u, the prior's identity included."""
+        J = self._evaluate(u)[1]
+        return J.T @ J
+
+    def loss(self, u: Array) -> float:
+        """Negative log posterior at u but for normalisation; Huber's, not the weighted quadratic."""
+        self._evaluate(u)
+        assert self._residuals is not None
+        whitened = [W @ r for W, r in zip(self.whitening, self._residuals, strict=True)]
+        total = 0.5 * float(u @ u) + sum(self.noise.calc_loss(w) for w in whitened)
+        if self.centre_of_mass is not None:
+            r, _ = self.centre_of_mass.linearise(self.problem.obj, self.z0 + self.A @ u)
+            total += 0.5 * float(r @ r)
+        return total
+
+    def renew_scale(self, u: Array) -> tuple[float, float]:
+        """The noise scale by MacKay's fixed point, s² = (sum w |W r|² s² + nu)/(N - gamma + nu), and gamma."""
+        H = self.hessian(u)
+        squares = sum(
+            w * float((W @ r) @ (W @ r)) for w, W, r in zip(self.weights, self.whitening, self._residuals, strict=True)
+        )
+        count = sum(calc_effective_count(len(r)) for r in self._residuals)
+        gamma = len(u) - float(np.trace(np.linalg.inv(H))) - (2 if self.centre_of_mass is not None else 0)
+        gamma = float(np.clip(gamma, 0.0, LARGEST_INFORMED_SHARE * count))
+        weight = self.noise.prior_weight
+        return float(np.sqrt((squares * self.scale**2 + weight) / (count - gamma + weight))), gamma
+
+    def _evaluate(self, u: Array) -> tuple[Array, Array]:
+        """Stacked residuals and their Jacobian by u; simulates once a point."""
+        if self._at is None or not np.array_equal(u, self._at):
+            linear = self.problem.linearise(self.z0 + self.A @ u, self.pushes)
+            self._store(u, linear.residuals, linear.by_z)
+        return self._stacked
+
+    def _store(self, u: Array, residuals: list[Array], by_z: list[Array]) -> None:
+        self._at, self._residuals = u.copy(), residuals
+        rows, jacobians = [u], [np.eye(len(u))]
+        for weight, W, r, J in zip(self.weights, self.whitening, residuals, by_z, strict=True):
+            root = np.sqrt(weight)
+            rows.append(root * (W @ r))
+            jacobians.append(root * (W @ (J @ self.A)))
+        if self.centre_of_mass is not None:
+            r, J = self.centre_of_mass.linearise(self.problem.obj, self.z0 + self.A @ u)
+            rows.append(r)
+            jacobians.append(J @ self.A)
+        self._stacked = np.concatenate(rows), np.concatenate(jacobians)
+
+
+LARGEST_INFORMED_SHARE = 0.8
+"""Of the residuals, that parameters may use up; the rest speaks of the noise."""
+
+
+def _calc_centre_evidence(obj: GridObject, z0: Array, A: Array, centre_of_mass: CentreOfMass) -> float:
+    """Log p(c_0) under the smoothness prior alone, to first order about z0: knowledge, not data."""
+    r, J = centre_of_mass.linearise(obj, z0)
+    spread = np.eye(2) + (J @ A) @ (J @ A).T
+    return float(-0.5 * r @ np.linalg.solve(spread, r) - 0.5 * np.linalg.slogdet(spread)[1])

@@ -1,0 +1,198 @@
+"""The report: one self-contained HTML page about a learned model."""
+
+import base64
+from dataclasses import dataclass
+from functools import partial
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, StrictUndefined
+from matplotlib.figure import Figure
+
+from gridpush_drake import __version__
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.identification.error_summary import ErrorSummary, calc_final_errors, summarise_errors
+from gridpush_drake.identification.prediction import Prediction, predict
+from gridpush_drake.identification.result import (
+    STATUS_BUDGET_SPENT,
+    STATUS_NO_DATA,
+    STATUS_PRIOR_KEPT,
+    Identification,
+)
+from gridpush_drake.pushes.log import PushLog
+from gridpush_drake.report.figures import draw_loss, draw_object_parts, draw_pushes
+from gridpush_drake.report.layout import to_svg
+from gridpush_drake.report.maps import draw_learned_maps, draw_unknown_maps
+from gridpush_drake.report.numbers import describe_making, list_numbers
+from gridpush_drake.report.pose_figures import MOST_DUMBBELLS, MOST_OVERLAYS, Outcome, draw_errors, draw_overlays
+
+TEMPLATE = "report.html.j2"
+
+MM = 1e3
+
+SIMILAR = 0.05
+"""Errors within this share of each other are called about the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Comparison:
+    """One log, predicted before and after learning."""
+
+    log: PushLog
+    before: list[Prediction]
+    after: list[Prediction]
+    errors_before: list[ErrorSummary]
+    errors_after: list[ErrorSummary]
+    outcomes: list[Outcome]
+
+    @property
+    def cell(self) -> tuple[float, float]:
+        """Mean cell error, m, before and after; NaN where nothing was observed."""
+        return tuple(  # type: ignore[return-value]
+            next((error.mean for error in errors if error.name == "cell"), float("nan"))
+            for errors in (self.errors_before, self.errors_after)
+        )
+
+
+def make_report(
+    identification: Identification,
+    log: PushLog,
+    held_out: PushLog | None = None,
+    truth: CellParameters | None = None,
+) -> str:
+    """Makes the report.
+
+    Args:
+        identification: the model.
+        log: the pushes it was learned from.
+        held_out: pushes it never saw, with their final poses.
+        truth: what the object's cells really are, where that is known.
+
+    Returns:
+        An HTML page that needs nothing else.
+    """
+    obj = identification.obj
+    used = log.subset([i for i, seen in enumerate(log) if seen.name not in identification.unused_pushes])
+    training = _compare(identification, used, held_out=False)
+    fresh = _compare(identification, held_out, held_out=True) if held_out else None
+    compared = [training, *([fresh] if fresh else [])]
+    judged = fresh if fresh and fresh.outcomes else training
+    outcomes = [outcome for comparison in reversed(compared) for outcome in comparison.outcomes]
+    text = files("gridpush_drake.report").joinpath("templates", TEMPLATE).read_text(encoding="utf-8")
+    return Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True).from_string(
+        text
+    ).render(
+        name=obj.name.replace("_", " "),
+        verdict=_judge(identification, judged, fresh is judged),
+        message=identification.message,
+        facts=_list_facts(identification, judged, log, held_out),
+        figures=_draw_figures(identification, log, held_out, truth, training.cell[0], outcomes),
+        known_truth=truth is not None,
+        has_held_out=fresh is not None,
+        overlays_shown=min(len(outcomes), MOST_OVERLAYS),
+        outcomes=len(outcomes),
+        line_by_line=len(outcomes) <= MOST_DUMBBELLS,
+        error_tables=[_tabulate_errors(comparison, comparison is fresh) for comparison in compared],
+        unused=identification.unused_pushes,
+        statements=identification.identifiability.statements,
+        numbers=list_numbers(identification, truth),
+        making=describe_making(identification, log, __version__),
+    )  # fmt: skip
+
+
+def _draw_figures(
+    result: Identification,
+    log: PushLog,
+    held_out: PushLog | None,
+    truth: CellParameters | None,
+    before: float,
+    outcomes: list[Outcome],
+) -> dict[str, str | None]:
+    """All figures as data URIs; None where there is nothing to draw."""
+    figures = {
+        "object": draw_object_parts(result.obj),
+        "pushes": draw_pushes(result, log, held_out),
+        "maps": draw_learned_maps(result, truth),
+        "unknown": draw_unknown_maps(result),
+        "loss": draw_loss(result.history, before) if result.history else None,
+        "overlays": draw_overlays(result.obj, outcomes) if outcomes else None,
+        "errors": draw_errors(outcomes) if outcomes else None,
+    }
+    return {name: None if figure is None else _embed(figure) for name, figure in figures.items()}
+
+
+def _compare(result: Identification, log: PushLog, held_out: bool) -> _Comparison:
+    run = partial(predict, result.obj, log=log, regime=result.regime)
+    before, after = run(params=CellParameters.uniform(result.obj)), run(params=result.params)
+    errors = zip(*(calc_final_errors(result.obj, poses, log) for poses in (before, after)), strict=True)
+    outcomes = [
+        Outcome(seen, first.at_observations[-1], second.at_observations[-1], one.cell, other.cell, held_out)
+        for seen, first, second, (one, other) in zip(log, before, after, errors, strict=True)
+        if one is not None and other is not None
+    ]
+    return _Comparison(
+        log,
+        before,
+        after,
+        summarise_errors(result.obj, before, log),
+        summarise_errors(result.obj, after, log),
+        outcomes,
+    )
+
+
+def _judge(result: Identification, judged: _Comparison, held_out: bool) -> str:
+    """The first sentence: what came of it, in plain words."""
+    before, after = judged.cell
+    name = result.obj.name.replace("_", " ")
+    if result.status == STATUS_NO_DATA or not np.isfinite(after):
+        return f"Nothing was learned about the {name}: the pusher touched it in none of the pushes."
+    which = "pushes it had never seen" if held_out else "the pushes it learned from"
+    if result.status == STATUS_PRIOR_KEPT:
+        return (
+            f"These pushes gave no reason to leave the assumption of an even object: predictions of {which} are off by "
+            f"{after * MM:.1f} mm on average."
+        )
+    count = len(result.push_names)
+    spent = "The search ended early, at its budget. " if result.status == STATUS_BUDGET_SPENT else ""
+    learned = (
+        f"{spent}After {count} push{'es' if count != 1 else ''}, the model predicts where {which} leave the {name}"
+    )
+    if after > (1 - SIMILAR) * before:
+        return (
+            f"{learned} to {after * MM:.1f} mm on average, about as well as assuming an even object "
+            f"({before * MM:.1f} mm)."
+        )
+    return f"{learned} to {after * MM:.1f} mm on average; assuming an even object, it is off by {before * MM:.1f} mm."
+
+
+def _list_facts(
+    result: Identification, judged: _Comparison, log: PushLog, held_out: PushLog | None
+) -> list[tuple[str, str]]:
+    """Three large numbers below the verdict."""
+    before, after = judged.cell
+    facts = [("pushes learned from", str(len(result.push_names)))]
+    if held_out:
+        facts.append(("pushes held out", str(len(held_out))))
+    if np.isfinite(after):
+        facts += [("error, even object", f"{before * MM:.1f} mm"), ("error, learned", f"{after * MM:.1f} mm")]
+    return facts
+
+
+def _tabulate_errors(comparison: _Comparison, held_out: bool) -> dict[str, Any]:
+    rows = [
+        (
+            first.name,
+            *(
+                f"{value * first.scale:.2f} {first.unit}"
+                for value in (first.mean, second.mean, second.median, second.p90)
+            ),
+        )
+        for first, second in zip(comparison.errors_before, comparison.errors_after, strict=True)
+    ]
+    kind = "held out" if held_out else "learned from"
+    return {"title": f"{len(comparison.outcomes)} pushes {kind}", "rows": rows}
+
+
+def _embed(figure: Figure) -> str:
+    return "data:image/svg+xml;base64," + base64.b64encode(to_svg(figure)).decode()

@@ -1,0 +1,63 @@
+import pytest
+
+from gridpush_drake.apps.demo_experiment import hide_truth, make_pushes
+from gridpush_drake.apps.kernels import compile_kernels
+from gridpush_drake.grid.object_file import write_object
+from gridpush_drake.identification.model_file import write_model
+from tests.helpers.command_line import run_gridpush
+from tests.helpers.made_identifications import make_block, make_identification
+
+
+@pytest.fixture(scope="session", autouse=True)
+def kernels():
+    """Compiled before any command runs, so that none has to say that it compiles them."""
+    compile_kernels()
+
+
+@pytest.fixture
+def gridpush(capsys):
+    def run(*args):
+        return run_gridpush(capsys, *args)
+
+    return run
+
+
+@pytest.fixture
+def refuses(gridpush, tmp_path):
+    """Runs a command that must refuse: exit code 2, one line that says so, and no new file."""
+
+    def run(*args, says):
+        before = sorted(tmp_path.rglob("*"))
+        outcome = gridpush(*args)
+        assert outcome.code == 2, outcome
+        assert outcome.out == ""
+        assert outcome.err.startswith("gridpush: error: ")
+        assert outcome.err.count("\n") == 1
+        assert "Traceback" not in outcome.err
+        for text in says:
+            assert str(text) in outcome.err
+        assert sorted(tmp_path.rglob("*")) == before
+
+    return run
+
+
+@pytest.fixture
+def block(tmp_path):
+    path = tmp_path / "block.yaml"
+    write_object(path, make_block())
+    return path
+
+
+@pytest.fixture
+def pushes(tmp_path):
+    path = tmp_path / "pushes.csv"
+    obj = make_block()
+    make_pushes(obj, hide_truth(obj, 3), 5, seed=3).write_csv(path)
+    return path
+
+
+@pytest.fixture
+def model(tmp_path):
+    path = tmp_path / "model.yaml"
+    write_model(path, make_identification())
+    return path

@@ -1,0 +1,97 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from typing import get_args
+
+import pytest
+
+from gridpush_drake.apps import identify as command
+from gridpush_drake.identification import identify as search
+from gridpush_drake.identification.model_file import read_model
+
+INTERRUPT_AFTER = 6.0
+"""s, in which the interpreter, the imports and the kernels are ready and the search has begun."""
+
+
+def test_learns_a_model_and_reports_it(gridpush, block, pushes, tmp_path):
+    model, report = tmp_path / "learned.yaml", tmp_path / "report.html"
+    outcome = gridpush("identify", block, pushes, "--out", model, "--report", report, "--seed", "1")
+    assert outcome.code == 0, outcome.err
+    for text in ("block", "cell error", "contact friction", "cannot", str(model), str(report)):
+        assert text in outcome.out
+    learned = read_model(model)
+    assert learned.seed == 1
+    assert learned.obj.prior.pusher_radius == 0.004
+    assert report.read_text().startswith("<!doctype html>")
+    assert gridpush("predict", model, pushes, "--out", tmp_path / "predicted.csv").code == 0
+    assert gridpush("show", model, "--out", tmp_path / "picture.png").code == 0
+
+
+def test_prints_one_json_document(gridpush, block, pushes, tmp_path):
+    outcome = gridpush(
+        "identify", block, pushes, "--out", tmp_path / "learned.yaml", "--method", "random_search", "--budget", "40",
+        "--regime", "quasi_static", "--json",
+    )  # fmt: skip
+    document = json.loads(outcome.out)
+    assert (document["method"], document["regime"]) == ("random_search", "quasi_static")
+    assert document["mean_cell_error"] <= document["mean_cell_error_before"] * 1.05
+
+
+def test_offers_every_method():
+    assert get_args(command.Method) == search.METHODS
+
+
+def test_refuses_to_replace_a_file_before_it_begins(refuses, block, pushes, tmp_path, monkeypatch):
+    monkeypatch.setattr(search, "identify", None)
+    for name in ("learned.yaml", "report.html"):
+        (tmp_path / name).write_text("mine")
+        outputs = ("--out", tmp_path / "learned.yaml", "--report", tmp_path / "report.html")
+        refuses("identify", block, pushes, *outputs, says=[name, "--force"])
+        (tmp_path / name).unlink()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("object_theta", "theta", ["object_theta"]),
+        ("push_1,", "push_1 ,", []),
+        ("push_1,0.0,", "push_1,soon,", ["soon"]),
+    ],
+)
+def test_refuses_a_log(refuses, gridpush, block, pushes, tmp_path, old, new, says):
+    pushes.write_text(pushes.read_text().replace(old, new, 1))
+    if says:
+        refuses("identify", block, pushes, "--out", tmp_path / "learned.yaml", says=[pushes, *says])
+
+
+def test_an_interrupt_leaves_nothing(gridpush, block, pushes, tmp_path, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(search, "identify", interrupted)
+    outcome = gridpush("identify", block, pushes, "--out", tmp_path / "learned.yaml")
+    assert outcome.code == 130
+    assert outcome.err == "gridpush: interrupted; no file was left half-written\n"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["block.yaml", "pushes.csv"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+def test_an_interrupted_process_leaves_nothing(block, pushes, tmp_path):
+    process = subprocess.Popen(
+        [
+            sys.executable, "-m", "gridpush_drake.apps.main", "identify", block, pushes, "--out", tmp_path / "m.yaml",
+            "--method", "random_search", "--budget", "100000000",
+        ],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    time.sleep(INTERRUPT_AFTER)
+    assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert out == ""
+    assert "Traceback" not in err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["block.yaml", "pushes.csv"]

@@ -1,0 +1,82 @@
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from gridpush_drake.identification.model_file import read_model
+from gridpush_drake.identification.prediction import predict
+from gridpush_drake.pushes.log import PushLog
+
+
+def test_predicts_final_poses_and_prints_errors(gridpush, model, pushes, tmp_path):
+    out = tmp_path / "predicted.csv"
+    outcome = gridpush("predict", model, pushes, "--out", out)
+    assert outcome.code == 0, outcome.err
+    for text in ("position", "angle", "cell", "combined", "mean", "median", "90 %", "mm", "°"):
+        assert text in outcome.out
+    learned, log = read_model(model), PushLog.read_csv(pushes)
+    expected = predict(learned.obj, learned.params, log.with_radius(0.004), learned.regime)
+    with out.open(newline="") as file:
+        rows = list(csv.reader(file))
+    assert rows[0] == ["push", "x", "y", "theta"]
+    assert [row[0] for row in rows[1:]] == [seen.name for seen in log]
+    np.testing.assert_array_equal(
+        np.array([row[1:] for row in rows[1:]], dtype=float), [prediction.poses[-1] for prediction in expected]
+    )
+
+
+def test_predicts_with_an_objects_prior_and_says_so(gridpush, block, pushes, tmp_path):
+    outcome = gridpush("predict", block, pushes, "--out", tmp_path / "predicted.csv")
+    assert outcome.code == 0
+    assert "an object, not a model: predicted with its prior" in outcome.out
+
+
+def test_prints_one_json_document(gridpush, model, pushes, tmp_path):
+    outcome = gridpush("predict", model, pushes, "--out", tmp_path / "predicted.csv", "--json")
+    document = json.loads(outcome.out)
+    assert document["model"] == "learned"
+    assert [error["name"].split(",")[0] for error in document["errors"]] == ["position", "angle", "cell", "combined"]
+    assert all(error["pushes"] == 5 for error in document["errors"])
+
+
+def test_final_poses_need_not_be_known(gridpush, model, tmp_path):
+    path = tmp_path / "plan.csv"
+    path.write_text(
+        "push,t,tip_x,tip_y,object_x,object_y,object_theta\n"
+        "near,0,-0.05,-0.035,0,0,0\nnear,1,-0.05,0,,,\nfar,0,1,1,0,0,0\nfar,1,1,2,,,\n"
+    )
+    outcome = gridpush("predict", model, path, "--out", tmp_path / "predicted.csv")
+    assert outcome.code == 0, outcome.err
+    assert "never touches the object in: far" in outcome.out
+    assert "rror" not in outcome.out
+    document = json.loads(gridpush("predict", model, path, "--out", tmp_path / "p.csv", "--json").out)
+    assert (document["errors"], document["untouched"]) == ([], ["far"])
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "says"),
+    [
+        ("push,t,tip_x,tip_y,object_x,object_y", "a,0,0,0,0,0", ["object_theta", "is missing"]),
+        ("push,t,tip_x,tip_y,object_x,object_y,theta", "a,0,0,0,0,0,0", ["object_theta", "rename 'theta'"]),
+        ("push,t,tip_x,tip_y,object_x,object_y,object_theta", "a,0,nought,0,0,0,0", ["tip_x", "nought"]),
+        ("push,t,tip_x,tip_y,object_x,object_y,object_theta", "a,0,nan,0,0,0,0", ["tip_x"]),
+        ("push,t,tip_x,tip_y,object_x,object_y,object_theta", "a,0,0,0,0,0,0\na,0,0,0,,,", ["t", "line 3"]),
+        ("push,t,tip_x,tip_y,object_x,object_y,object_theta", "", ["holds no push"]),
+    ],
+)
+def test_refuses_a_log(refuses, model, tmp_path, header, row, says):
+    path = tmp_path / "bad.csv"
+    path.write_text(f"{header}\n{row}\n")
+    refuses("predict", model, path, "--out", tmp_path / "predicted.csv", says=[path, *says])
+
+
+def test_refuses_an_empty_log(refuses, model, tmp_path):
+    path = tmp_path / "bad.csv"
+    path.write_text("")
+    refuses("predict", model, path, "--out", tmp_path / "predicted.csv", says=[path, "is empty"])
+
+
+def test_refuses_a_broken_model(refuses, model, pushes, tmp_path):
+    model.write_text(model.read_text().replace("seed: 0", "seed: zero", 1))
+    refuses("predict", model, pushes, "--out", tmp_path / "predicted.csv", says=[model, "seed", "integer"])

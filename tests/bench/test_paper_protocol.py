@@ -1,0 +1,179 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from shapely import Point
+
+from gridpush_drake.bench import paper, paper_tables
+from gridpush_drake.bench.paper_protocol import (
+    DURATION,
+    FINGER_RADIUS,
+    SPEED,
+    make_case,
+    place_disc,
+    read_protocol,
+)
+from gridpush_drake.bench.paper_tables import Score
+from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.errors import GridPushError, OutputError
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.grid.prior import PhysicalPrior
+from tests.helpers.random_objects import make_random_object
+from tests.helpers.shared_data import shared_data
+
+OBJECTS = ("book", "box", "hammer", "snack", "windex")
+ROWS, COLUMNS = 60, 90
+
+
+@pytest.fixture
+def made_folder(tmp_path):
+    """The protocol's form with one mask of our own: an L, its foot another part."""
+    mask = np.zeros((ROWS, COLUMNS), np.uint8)
+    mask[10:50, 20:40] = 1
+    mask[35:50, 20:80] = 2
+    (tmp_path / "ell_label.pgm").write_bytes(b"P5 %d %d 255\n" % (COLUMNS, ROWS) + mask.tobytes())
+    pushes = list(range(10))
+    splits = {str(n): [{"train": pushes[i : i + n], "test": pushes[i + n :]} for i in range(2)] for n in (1, 5)}
+    content = {
+        "masses_by_label": {"ell": [[1.0, 3.0], [4.0, 0.5]]},
+        "splits": splits,
+        "metres_per_pixel": {"simulated": 0.002},
+    }
+    (tmp_path / "protocol.json").write_text(json.dumps(content))
+    return tmp_path
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_placed_disc_touches_and_nothing_is_nearer(seed):
+    rng = np.random.default_rng(seed)
+    obj = make_random_object(rng, n=12)
+    left, bottom, right, top = obj.outline.bounds
+    x, side = rng.uniform(left, right), rng.choice([-1, 1])
+    y = place_disc(obj.edges, x, side, FINGER_RADIUS)
+    assert obj.outline.distance(Point(x, y)) == pytest.approx(FINGER_RADIUS, abs=1e-12)
+    beyond = np.linspace(y, side * (abs(top) + abs(bottom) + FINGER_RADIUS), 50)[1:]
+    assert min(obj.outline.distance(Point(x, at)) for at in beyond) > FINGER_RADIUS
+
+
+def test_reads_the_protocol():
+    protocol = read_protocol(shared_data("masks"))
+    assert set(protocol.masses) == set(OBJECTS)
+    assert all(len(sets) == 10 and min(map(min, sets)) >= 0.1 for sets in protocol.masses.values())
+    assert protocol.metres_per_pixel == 0.001
+    for count, splits in protocol.splits.items():
+        assert len(splits) == 10
+        for split in splits:
+            assert len(split.train) == count
+            assert sorted(split.train + split.test) == list(range(10))
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_ten_pushes_touch_at_their_start(name):
+    case = make_case(read_protocol(shared_data("masks")), name, mass_set=3)
+    assert len(case.log) == 10
+    starts = np.array([seen.push.start for seen in case.log])
+    for side, half in ((1, starts[:5]), (-1, starts[5:])):
+        assert (side * half[:, 1] > 0).all()
+        np.testing.assert_allclose(np.diff(half[:, 0], n=2), 0, atol=1e-12)
+        assert np.ptp(half[:, 0]) == pytest.approx(0.8 * np.ptp(case.obj.outline.exterior.xy[0]), rel=0.02)
+    for i, seen in enumerate(case.log):
+        np.testing.assert_allclose(seen.push.velocity, [0, -SPEED if i < 5 else SPEED])
+        assert seen.push.duration == DURATION
+        np.testing.assert_allclose(seen.t_observed, np.arange(1, 21) * 0.1)
+        motion = simulate(case.obj, CellParameters.uniform(case.obj), seen.push, seen.pose)
+        assert abs(motion.gaps[0]) < 1e-12
+        assert motion.status == "ok"
+
+
+def test_the_identifier_sees_neither_parts_nor_masses(made_folder):
+    case = make_case(read_protocol(made_folder), "ell", mass_set=0)
+    assert (case.obj.labels == 1).all()
+    assert case.obj.prior == PhysicalPrior()
+
+
+def test_mass_sets_differ(made_folder):
+    first, second = (make_case(read_protocol(made_folder), "ell", mass_set=i).log for i in (0, 1))
+    assert np.abs(first[0].final_pose - second[0].final_pose).max() > 1e-3
+
+
+def test_says_where_the_data_should_be(tmp_path):
+    with pytest.raises(GridPushError, match=r"nowhere.*protocol\.json"):
+        read_protocol(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"splits": {}}', '{"masses_by_label": 3}'])
+def test_refuses_another_file(tmp_path, content):
+    (tmp_path / "protocol.json").write_text(content)
+    with pytest.raises(GridPushError, match=r"protocol\.json.*masses_by_label"):
+        read_protocol(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"objects": ["spoon"]}, "spoon"),
+        ({"methods": ["guess"]}, "guess"),
+        ({"methods": []}, "methods"),
+        ({"mass_sets": 3}, "mass sets"),
+        ({"budget": 4}, "budget"),
+    ],
+)
+def test_refuses_what_it_cannot_do(made_folder, changes, message):
+    with pytest.raises(GridPushError, match=message):
+        paper.run(made_folder, **{"mass_sets": 1, "progress": False} | changes)
+
+
+def test_a_small_run(made_folder, tmp_path):
+    figure, told = tmp_path / "curve.png", []
+    methods = ("paper", "random_search")
+    tables = paper.run(made_folder, 2, methods=methods, budget=20, progress=told.append, figure=figure, workers=1)
+    by_method, by_budget = tables
+    assert by_method.columns == ("method", "ell", "all", "simulations")
+    assert [row[0] for row in by_method.rows] == ["uniform prior", *methods]
+    assert [row[-1] for row in by_method.rows] == [0, 20, 20]
+    assert by_budget.columns == ("method", "at most 5", "at most 7", "at most 20")
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    assert told == [f"ell, mass set {i}, 5 training pushes" for i in range(2)]
+    with pytest.raises(OutputError, match="exists"):
+        paper.run(made_folder, 1, methods=methods, figure=figure, progress=False)
+
+
+def test_refuses_an_unknown_kind_of_figure(made_folder, tmp_path):
+    with pytest.raises(OutputError, match=r"\.png"):
+        paper.run(made_folder, 1, progress=False, figure=tmp_path / "curve.doc")
+
+
+@pytest.mark.slow
+def test_workers_do_not_matter(made_folder):
+    options = {"mass_sets": 2, "methods": ("default", "weighted_sampling"), "budget": 50, "progress": False}
+    assert paper.run(made_folder, workers=1, **options) == paper.run(made_folder, workers=2, **options)
+
+
+def make_scores():
+    one = Score("a", 0, 5, "default", 100, 80, 0.001)
+    return [
+        replace(one, name=name, mass_set=mass_set, training=training, method=method, error=error)
+        for training in (1, 5)
+        for method, base in (("default", 0.001), ("uniform prior", 0.01))
+        for name, mass_set, error in (("a", 0, base), ("a", 1, 3 * base), ("b", 0, 5 * base), ("b", 1, 7 * base))
+    ]
+
+
+def test_tables_of_scores():
+    scores = make_scores()
+    table = paper_tables.tabulate_methods(scores, ["a", "b"], ["uniform prior", "default"], 5, 100)
+    assert table.rows[1] == ["default", "2.00 (1.00 to 3.00)", "6.00 (5.00 to 7.00)", "4.00 (3.00 to 5.00)", 80]
+    table = paper_tables.tabulate_training(scores, ["a", "b"], "default", 100)
+    assert [row[0] for row in table.rows] == [1, 5]
+    assert table.rows[0][-2] == "40.00 (30.00 to 50.00)"
+
+
+def test_interval():
+    rng = np.random.default_rng(0)
+    values = rng.normal(3.0, 1.0, 200)
+    interval = paper_tables.calc_interval(values)
+    assert interval.mean == pytest.approx(values.mean())
+    assert interval.high - interval.low == pytest.approx(2 * 1.96 * values.std() / np.sqrt(200), rel=0.05)
+    assert paper_tables.calc_interval([2.0]).mean == 2.0
+    assert np.isnan(paper_tables.calc_interval([2.0]).low)

@@ -1,0 +1,61 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gridpush_drake.bench.real import CENTRE, FEET_SETS, POSES, UNIFORM, Job, calc_split_means, run, run_job
+from gridpush_drake.errors import GridPushError
+from tests.helpers.shared_data import shared_data
+
+# The bounds, mm, for the mean over the four feet sets.
+MOST = {(CENTRE, 25): 2.4, (CENTRE, 5): 2.6, (POSES, 5): 3.1}
+MOST_ABOVE_UNIFORM = 0.15
+
+
+def test_one_split_of_real_pushes_is_learned_and_scored() -> None:
+    path = shared_data("cmu_pushes", "hardboard_wide.txt")
+    scores = run_job(Job(path, "cmu", 0, (5,), 0))
+    by_model = {score.model: score.combined() for score in scores}
+    assert set(by_model) == {UNIFORM, POSES, CENTRE}
+    assert all(len(errors) == 25 for errors in by_model.values())
+    assert by_model[CENTRE].mean() < 0.75 * by_model[UNIFORM].mean()
+
+
+def test_held_out_pushes_do_not_depend_on_the_training_count() -> None:
+    path = shared_data("cmu_pushes", "plywood_wide.txt")
+    first, second = (run_job(Job(path, "cmu", 1, (count,), 0)) for count in (1, 2))
+    assert first[0].position == second[0].position
+
+
+def test_missing_data_are_a_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(GridPushError, match="cmu_pushes"):
+        run(tmp_path, progress=False)
+
+
+@pytest.mark.slow
+def test_real_pushes_are_predicted_as_well_as_promised() -> None:
+    scores = []
+    for name in FEET_SETS:
+        path = shared_data("cmu_pushes", f"{name}.txt")
+        for split in range(10):
+            scores += run_job(Job(path, "cmu", split, (5, 25), 0))
+    for (model, count), most in MOST.items():
+        assert calc_split_means(scores, FEET_SETS, model, count).mean() <= most
+    for name in FEET_SETS:
+        uniform = calc_split_means(scores, [name], UNIFORM, 0).mean()
+        for model in (POSES, CENTRE):
+            worst = max(calc_split_means(scores, [name], model, count).mean() - uniform for count in (5, 25))
+            assert worst <= MOST_ABOVE_UNIFORM
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["abs_rect1", "abs_hex", "plywood_rect3"])
+def test_a_fifth_of_the_mit_pushes_beats_the_files_own_model(name: str) -> None:
+    from gridpush_drake.pushes.mit import read_model_errors
+
+    path = shared_data("mit_pushes", f"{name}.mat")
+    position, angle = read_model_errors(path)
+    scores = [score for split in range(3) for score in run_job(Job(path, "mit", split, (), 0))]
+    learned = [score for score in scores if score.model == POSES]
+    assert np.mean([np.mean(score.position) for score in learned]) <= position
+    assert np.mean([np.mean(score.angle) for score in learned]) <= angle

@@ -1,0 +1,39 @@
+import json
+
+import numpy as np
+import pytest
+
+from gridpush_drake.bench.mujoco_push import make_mujoco_push
+from gridpush_drake.bench.speed import make_bench_push, run
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.grid.parameters import CellParameters
+from tests.helpers.command_line import run_gridpush
+from tests.helpers.made_identifications import make_block
+
+
+def test_measures_everything():
+    push, sizes, start_up = run(repetitions=3, sizes=(4, 400, 900), with_mujoco=False)
+    assert push.rows[0][0] == "inertial"
+    assert [row[0] for row in sizes.rows] == [4, 400, 900]
+    assert "slope" in sizes.notes[-1]
+    assert len(start_up.rows) == 3
+
+
+def test_mujoco_pushes_as_we_do():
+    pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
+    obj = make_block()
+    whole, params = make_bench_push(obj), CellParameters.uniform(obj)
+    push = Push(whole.start, whole.velocity, 0.5, whole.radius)
+    expected, found = simulate(obj, params, push).final_pose, make_mujoco_push(obj, params, push)()
+    np.testing.assert_allclose(found[:2], expected[:2], atol=0.003)
+    assert abs(found[2] - expected[2]) < 0.1
+
+
+@pytest.mark.slow
+def test_the_command(capsys, tmp_path):
+    out = tmp_path / "speed.md"
+    outcome = run_gridpush(capsys, "bench", "speed", "--repetitions", "3", "--no-mujoco", "--out", out, "--json")
+    assert outcome.code == 0, outcome.err
+    assert len(json.loads(outcome.out)["tables"]) == 3
+    assert out.read_text().startswith("### One push")

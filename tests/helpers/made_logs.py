@@ -1,0 +1,50 @@
+"""A block with a heavy end, pushed in simulation: a small problem for every search."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulate import make_path_times, simulate
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.pushes.log import ObservedPush, PushLog
+
+OUTLINE = [[-0.06, -0.03], [0.06, -0.03], [0.06, 0.03], [-0.06, 0.03]]
+HEAVY_END = [[0.02, -0.03], [0.06, -0.03], [0.06, 0.03], [0.02, 0.03]]
+RADIUS = 0.005
+OBSERVED_EVERY = 10
+"""Steps."""
+
+
+@dataclass(frozen=True)
+class PushedBlock:
+    """The block, what it really weighs, how it was pushed, and what a search starts from."""
+
+    obj: GridObject
+    truth: CellParameters
+    log: PushLog
+
+    @property
+    def start(self) -> CellParameters:
+        return CellParameters.uniform(self.obj, total_mass=self.truth.total_mass)
+
+
+def make_pushed_block(max_cells: int = 8) -> PushedBlock:
+    """Three pushes at 0.05 m/s for 1 s, onto the long sides and an end."""
+    obj = GridObject.from_outline(OUTLINE, parts={2: HEAVY_END}, max_cells=max_cells, name="block")
+    truth = CellParameters.by_part(obj, {1: 0.02, 2: 0.1})
+    gap = 0.03 + RADIUS
+    pushes = [
+        Push(np.array([-0.02, gap]), np.array([0.0, -0.05]), 1.0, RADIUS),
+        Push(np.array([0.04, -gap]), np.array([0.0, 0.05]), 1.0, RADIUS),
+        Push(np.array([0.06 + RADIUS, 0.015]), np.array([-0.05, 0.0]), 1.0, RADIUS),
+    ]
+    return PushedBlock(obj, truth, PushLog(tuple(_observe(obj, truth, i, push) for i, push in enumerate(pushes))))
+
+
+def _observe(obj: GridObject, truth: CellParameters, i: int, push: Push) -> ObservedPush:
+    times = make_path_times(push)
+    poses = simulate(obj, truth, push, times=times).poses
+    rows = slice(OBSERVED_EVERY, None, OBSERVED_EVERY)
+    return ObservedPush(f"push_{i}", push, poses[0], times[rows], poses[rows])

@@ -1,0 +1,159 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gridpush_drake.errors import IdentificationError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.grid.prior import PhysicalPrior
+from gridpush_drake.identification.identify import METHODS, choose_regime, identify
+from gridpush_drake.identification.prediction import calc_pose_error, predict
+from gridpush_drake.pushes.log import ObservedPush, PushLog
+from tests.identification.simulated_pokes import make_pokes
+
+RECTANGLE = [[-0.06, -0.03], [0.06, -0.03], [0.06, 0.03], [-0.06, 0.03]]
+HANDLE = [
+    [-0.15, -0.01],
+    [0.1, -0.01],
+    [0.1, -0.05],
+    [0.13, -0.05],
+    [0.13, 0.05],
+    [0.1, 0.05],
+    [0.1, 0.01],
+    [-0.15, 0.01],
+]
+
+
+def make_block(max_cells: int = 18) -> GridObject:
+    return GridObject.from_outline(RECTANGLE, max_cells=max_cells, prior=PhysicalPrior(pusher_radius=0.008))
+
+
+def make_uneven(obj: GridObject) -> CellParameters:
+    return CellParameters(np.where(obj.p_BC[:, 0] > 0, 0.3, 0.05), np.full(obj.n, 0.4), 0.35)
+
+
+def calc_error(obj: GridObject, params: CellParameters, log: PushLog) -> float:
+    made = predict(obj, params, log)
+    return float(
+        np.mean([calc_pose_error(obj, p.poses[-1], q.final_pose).cell for p, q in zip(made, log, strict=True)])
+    )
+
+
+def test_learns_an_uneven_block_from_noisy_pokes() -> None:
+    obj = make_block()
+    truth = make_uneven(obj)
+    held_out = make_pokes(obj, truth, 10, 99, observations=1)
+    log = make_pokes(obj, truth, 6, 0, noise=(5e-4, 3.5e-3))
+    found = identify(obj, log)
+    assert found.status == "learned"
+    assert calc_error(obj, found.params, held_out) < calc_error(obj, CellParameters.uniform(obj), held_out) / 4
+    centre = found.identifiability.centre_of_friction
+    true_centre = truth.relative_friction() @ obj.p_BC
+    spread = np.sqrt(np.diag(found.identifiability.centre_of_friction_covariance))
+    assert np.linalg.norm(centre - true_centre) < 0.005
+    assert (np.abs(centre - true_centre) < 5 * spread + 0.001).all()
+    assert found.history and all(b.loss <= a.loss for a, b in zip(found.history, found.history[1:], strict=False))
+    assert all(b.simulations >= a.simulations for a, b in zip(found.history, found.history[1:], strict=False))
+
+
+def test_leaves_a_uniform_block_nearly_alone() -> None:
+    obj = make_block()
+    truth = CellParameters.uniform(obj, contact_friction=0.3)
+    log = make_pokes(obj, truth, 5, 1, noise=(1e-3, 1e-2))
+    found = identify(obj, log)
+    held_out = make_pokes(obj, truth, 10, 98, observations=1)
+    uniform = calc_error(obj, CellParameters.uniform(obj), held_out)
+    assert calc_error(obj, found.params, held_out) < uniform + 2e-4
+
+
+def test_same_seed_same_bits_and_threads_do_not_matter() -> None:
+    obj = make_block()
+    log = make_pokes(obj, make_uneven(obj), 3, 2, noise=(5e-4, 3e-3))
+    first, second = identify(obj, log, seed=4), identify(obj, log, seed=4)
+    assert np.array_equal(first.params.mass, second.params.mass)
+    assert np.array_equal(first.posterior.covariance, second.posterior.covariance)
+
+
+def test_result_carries_spread_and_samples() -> None:
+    obj = make_block()
+    found = identify(obj, make_pokes(obj, make_uneven(obj), 3, 2))
+    assert found.std.mass.shape == found.params.mass.shape
+    samples = found.samples(300, seed=1)
+    assert len(samples) == 300
+    shares = np.array([sample.relative_friction() for sample in samples])
+    centres = shares @ obj.p_BC
+    spread = np.sqrt(np.diag(found.identifiability.centre_of_friction_covariance))
+    np.testing.assert_allclose(centres.std(axis=0), spread, rtol=0.5)
+    assert all(np.allclose(sample.friction, found.params.friction) for sample in samples)
+    assert found.params.total_mass == pytest.approx(1.0)
+
+
+def test_weighed_object_keeps_its_mass() -> None:
+    obj = make_block()
+    found = identify(obj, make_pokes(obj, make_uneven(obj), 2, 2), prior=PhysicalPrior(total_mass=2.5))
+    assert found.params.total_mass == pytest.approx(2.5)
+    assert found.obj.prior.total_mass == 2.5
+
+
+def test_pushes_that_never_touch_are_left_out_and_named() -> None:
+    obj = make_block()
+    log = make_pokes(obj, make_uneven(obj), 2, 2)
+    miss = log[0]
+    far = type(miss.push)(miss.push.start + 1.0, miss.push.velocity, miss.push.duration, miss.push.radius)
+    missed = ObservedPush("far", far, miss.pose, miss.t_observed, np.zeros_like(miss.poses_observed))
+    found = identify(obj, PushLog((*log.pushes, missed)))
+    assert found.unused_pushes == ("far",)
+    assert found.push_names == ("poke_0", "poke_1")
+    nothing = identify(obj, PushLog((missed,)))
+    assert nothing.status == "no_usable_pushes"
+    np.testing.assert_allclose(nothing.params.mass, nothing.params.mass[0])
+
+
+def test_uses_the_objects_pusher_radius_where_the_log_has_none() -> None:
+    obj = make_block()
+    log = make_pokes(obj, make_uneven(obj), 2, 2)
+    bare = replace(log.with_radius(0.001), radius_given=False)
+    assert np.array_equal(identify(obj, bare).params.mass, identify(obj, log).params.mass)
+
+
+@pytest.mark.parametrize("method", METHODS[1:])
+def test_every_search_is_behind_the_same_interface(method: str) -> None:
+    obj = make_block(8)
+    log = make_pokes(obj, make_uneven(obj), 2, 2, length=0.03, observations=2, regime="inertial")
+    found = identify(obj, log, method=method, budget=30, regime="inertial")
+    assert found.method == method and found.simulations <= 30
+    assert found.history[-1].loss <= found.history[0].loss
+    assert np.linalg.eigvalsh(found.posterior.covariance).min() > 0
+
+
+def test_elongated_object_with_a_very_light_part_does_not_stall() -> None:
+    obj = GridObject.from_outline(HANDLE, max_cells=60)
+    truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.1, 2.0, 0.02), np.full(obj.n, 0.4), 0.4)
+    found = identify(obj, make_pokes(obj, truth, 5, 0))
+    centre = truth.relative_friction() @ obj.p_BC
+    assert np.linalg.norm(found.identifiability.centre_of_friction - centre) < 0.01
+
+
+def test_regime_follows_the_speed() -> None:
+    obj = make_block()
+    log = make_pokes(obj, make_uneven(obj), 1, 0)
+    assert choose_regime(obj, log) == "quasi_static"
+    push = log[0].push
+    fast = type(push)(push.start, 20 * push.velocity, push.duration / 20, push.radius)
+    hit = ObservedPush("fast", fast, log[0].pose, log[0].t_observed / 20, log[0].poses_observed)
+    assert choose_regime(obj, PushLog((hit,))) == "inertial"
+
+
+def test_bad_arguments_are_refused() -> None:
+    obj = make_block()
+    log = make_pokes(obj, make_uneven(obj), 1, 0)
+    with pytest.raises(IdentificationError, match="method is 'magic'"):
+        identify(obj, log, method="magic")
+    with pytest.raises(IdentificationError, match="regime"):
+        identify(obj, log, regime="fast")
+    with pytest.raises(IdentificationError, match="no pushes"):
+        identify(obj, PushLog(()))
+    unseen = replace(log[0], t_observed=np.empty(0), poses_observed=np.empty((0, 3)))
+    with pytest.raises(IdentificationError, match="object_x"):
+        identify(obj, PushLog((unseen,)))

@@ -1,0 +1,81 @@
+import numpy as np
+import pytest
+
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.identification.default import calc_prior_factor
+from gridpush_drake.identification.map_fit import CentreOfMass, fit_map
+from gridpush_drake.identification.noise import NoiseModel, calc_effective_count
+from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.smoothness import calc_smooth_covariance
+from tests.helpers.finite_difference import check_jacobian
+from tests.identification.simulated_pokes import make_pokes
+
+RECTANGLE = [[-0.06, -0.03], [0.06, -0.03], [0.06, 0.03], [-0.06, 0.03]]
+
+
+def make_problem(count: int = 6) -> tuple[PushProblem, CellParameters, np.ndarray, np.ndarray]:
+    obj = GridObject.from_outline(RECTANGLE, max_cells=18)
+    mass = np.where(obj.p_BC[:, 0] > 0, 0.3, 0.05)
+    truth = CellParameters(mass, np.full(obj.n, 0.4), 0.35)
+    problem = PushProblem(obj, make_pokes(obj, truth, count, 3), np.full(obj.n, 0.4))
+    z0 = problem.unknowns(CellParameters.uniform(obj))
+    return problem, truth, z0, calc_prior_factor(calc_smooth_covariance(obj), 1.5, 0.3)
+
+
+def test_centre_of_mass_residual_has_the_jacobian_it_says() -> None:
+    problem, _, z0, _ = make_problem(1)
+    known = CentreOfMass((0.01, -0.002), 0.002)
+    z = z0 + np.random.default_rng(0).normal(size=len(z0)) * 0.3
+    check_jacobian(lambda v: known.linearise(problem.obj, v)[0], z, known.linearise(problem.obj, z)[1], rtol=1e-6)
+
+
+def test_noise_free_pokes_give_the_centre_of_friction_back() -> None:
+    problem, truth, z0, A = make_problem()
+    fit = fit_map(problem, z0, A, NoiseModel())
+    found = problem.params(fit.z)
+    error = found.relative_friction() @ problem.obj.p_BC - truth.relative_friction() @ problem.obj.p_BC
+    assert np.linalg.norm(error) < 1e-3
+    assert problem.calc_cell_errors(problem.residuals(fit.z)).mean() < 3e-4
+    assert found.contact_friction == pytest.approx(truth.contact_friction, rel=0.1)
+
+
+def test_evidence_prefers_the_prior_that_can_explain_the_data() -> None:
+    problem, _, z0, A = make_problem()
+    flat = calc_prior_factor(calc_smooth_covariance(problem.obj), 0.05, 0.3)
+    assert (
+        fit_map(problem, z0, A, NoiseModel()).log_evidence > fit_map(problem, z0, flat, NoiseModel()).log_evidence + 5
+    )
+
+
+def test_covariance_shrinks_from_the_prior_and_more_data_shrink_it_further() -> None:
+    problem, _, z0, A = make_problem()
+    few = fit_map(problem, z0, A, NoiseModel(), pushes=[0, 1], scale=1.0)
+    many = fit_map(problem, z0, A, NoiseModel(), scale=1.0)
+    prior = A @ A.T
+    assert np.linalg.eigvalsh(prior - many.covariance).min() > -1e-8
+    assert np.trace(many.covariance) < np.trace(few.covariance) < np.trace(prior)
+    assert 0 < many.informed < len(z0)
+
+
+def test_known_centre_of_mass_pulls_the_centre_of_friction() -> None:
+    problem, _, z0, A = make_problem(1)
+    at = (-0.02, 0.0)
+    fit = fit_map(problem, z0, A, NoiseModel(), CentreOfMass(at, 0.0005))
+    centre = problem.params(fit.z).relative_friction() @ problem.obj.p_BC
+    assert np.linalg.norm(centre - at) < 0.005
+
+
+def test_an_outlier_counts_for_less() -> None:
+    noise = NoiseModel(outlier=1.0)
+    whitened = np.array([10.0, 0.0, 0.0])
+    size = np.linalg.norm(whitened) / np.sqrt(3)
+    assert noise.calc_weight(whitened) == pytest.approx(1 / size)
+    assert noise.calc_loss(whitened) == pytest.approx(1.5 * (2 * size - 1))
+    assert noise.calc_weight(np.full(3, 0.5)) == 1.0
+    assert noise.calc_loss(np.full(3, 0.5)) == pytest.approx(1.5 * 0.25)
+
+
+def test_many_observations_of_one_push_count_as_their_square_root() -> None:
+    assert calc_effective_count(3) == pytest.approx(3)
+    assert calc_effective_count(3 * 16) == pytest.approx(12)

@@ -1,0 +1,63 @@
+import numpy as np
+import pytest
+
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.identification.prediction import calc_pose_error, predict
+from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.pushes.log import PushLog
+from tests.helpers.finite_difference import check_jacobian
+from tests.identification.simulated_pokes import make_pokes
+
+
+def make_problem(regime: str) -> PushProblem:
+    obj = GridObject.from_outline([[-0.02, -0.06], [0.03, -0.06], [0.03, 0.04], [-0.02, 0.05]], max_cells=20)
+    truth = CellParameters.random(obj, 1, by="cell", mass_range=(0.02, 0.2))
+    log = make_pokes(obj, truth, 3, 2, length=0.03, observations=2, noise=(5e-4, 4e-3))
+    return PushProblem(obj, log, np.full(obj.n, 0.4), regime)
+
+
+@pytest.mark.parametrize("regime", ["quasi_static", "inertial"])
+def test_residuals_have_the_jacobian_they_say(regime: str) -> None:
+    problem = make_problem(regime)
+    z = np.append(np.random.default_rng(0).normal(np.log(0.02), 0.3, problem.obj.n), np.log(0.4))
+    linear = problem.linearise(z)
+    for i in range(len(problem)):
+        check_jacobian(lambda v, i=i: problem.residuals(v, [i])[0], z, linear.by_z[i], rtol=2e-5, atol=1e-9)
+
+
+def test_residual_is_the_root_mean_square_distance_of_points_for_small_turns() -> None:
+    problem = make_problem("quasi_static")
+    z = problem.unknowns(CellParameters.uniform(problem.obj, contact_friction=0.4))
+    for residual, cell_error in zip(problem.residuals(z), problem.calc_cell_errors(problem.residuals(z)), strict=True):
+        rows = residual.reshape(-1, 3)
+        assert np.sqrt((rows**2).sum(axis=1)).mean() == pytest.approx(cell_error, rel=0.2)
+
+
+def test_cell_errors_agree_with_the_cells_themselves() -> None:
+    problem = make_problem("quasi_static")
+    z = problem.unknowns(CellParameters.uniform(problem.obj, contact_friction=0.4))
+
+    log = PushLog(tuple(push.observed for push in problem._pushes))
+    for made, seen, error in zip(
+        predict(problem.obj, problem.params(z), log), log, problem.calc_cell_errors(problem.residuals(z)), strict=True
+    ):
+        pairs = zip(made.at_observations, seen.poses_observed, strict=True)
+        expected = np.mean([calc_pose_error(problem.obj, p, q).cell for p, q in pairs])
+        assert error == pytest.approx(expected, rel=1e-6)
+
+
+def test_counts_simulations() -> None:
+    problem = make_problem("quasi_static")
+    z = problem.unknowns(CellParameters.uniform(problem.obj))
+    problem.residuals(z)
+    problem.linearise(z, [0, 2])
+    assert problem.simulations == 5
+
+
+def test_unknowns_and_params_are_inverse() -> None:
+    problem = make_problem("quasi_static")
+    params = CellParameters(np.linspace(0.1, 0.5, problem.obj.n), np.full(problem.obj.n, 0.4), 0.3)
+    back = problem.params(problem.unknowns(params))
+    np.testing.assert_allclose(back.mass, params.mass, rtol=1e-12)
+    assert back.contact_friction == pytest.approx(0.3)

@@ -1,0 +1,99 @@
+import base64
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from xml.etree import ElementTree
+
+import pytest
+
+from gridpush_drake.apps.demo_experiment import hide_truth, make_pushes
+from gridpush_drake.identification.result import STATUS_NO_DATA, STATUS_PRIOR_KEPT
+from gridpush_drake.pushes.log import PushLog
+from gridpush_drake.report.html import make_report
+from tests.helpers.made_identifications import make_block, make_identification
+
+VOID = {"meta", "img", "br"}
+
+
+class Checker(HTMLParser):
+    """Checks that tags are closed in order, and collects what the page refers to."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.sources = [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.sources += [value for name, value in attrs if name in ("src", "href")]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+@pytest.fixture(scope="module")
+def experiment():
+    obj = make_block()
+    truth = hide_truth(obj, 1)
+    log = make_pushes(obj, truth, 6, 1)
+    return make_identification(obj), log[:4], log[4:], truth
+
+
+def figures_of(page):
+    checker = Checker()
+    checker.feed(page)
+    assert not checker.open
+    prefix = "data:image/svg+xml;base64,"
+    assert all(source.startswith(prefix) for source in checker.sources)
+    return [ElementTree.fromstring(base64.b64decode(source.removeprefix(prefix))) for source in checker.sources]
+
+
+def test_is_one_page_that_needs_nothing_else(experiment):
+    result, log, held_out, truth = experiment
+    page = make_report(result, log, held_out, truth)
+    assert len(figures_of(page)) == 7
+    assert not re.search(r"https?://(?!www\.w3\.org)", page)
+    for text in ("pushes it had never seen", "truth", "2 pushes held out", *result.identifiability.statements):
+        assert text.replace("'", "&#39;") in page
+
+
+def test_needs_neither_truth_nor_held_out_pushes(experiment):
+    result, log, _, _ = experiment
+    page = make_report(result, log)
+    assert len(figures_of(page)) == 7
+    assert "the pushes it learned from" in page
+    assert "held out" not in page.lower().replace("pushes held out", "")
+
+
+def test_says_that_the_prior_was_kept(experiment):
+    result, log, _, _ = experiment
+    assert "no reason to leave" in make_report(replace(result, status=STATUS_PRIOR_KEPT), log)
+
+
+def test_says_that_nothing_was_learned(experiment):
+    result, log, _, _ = experiment
+    names = tuple(seen.name for seen in log)
+    nothing = replace(result, status=STATUS_NO_DATA, history=(), push_names=(), unused_pushes=names)
+    page = make_report(nothing, log)
+    assert "Nothing was learned" in page
+    assert len(figures_of(page)) == 4
+
+
+def test_escapes_names(experiment):
+    result, log, _, _ = experiment
+    nasty = replace(log[0], name="<script>alert(1)</script>")
+    page = make_report(replace(result, unused_pushes=(nasty.name,)), PushLog((nasty, *log[1:])))
+    assert "<script" not in page
+
+
+def test_many_pushes_are_drawn_as_points(experiment):
+    result, log, held_out, _ = experiment
+    many = tuple(replace(log[i % 4], name=f"push_{i}") for i in range(40))
+    page = make_report(replace(result, unused_pushes=()), PushLog(many), held_out)
+    assert "The first 8 of 42 pushes" in page
+    figures_of(page)
+
+
+def test_is_the_same_every_time(experiment):
+    result, log, _, _ = experiment
+    assert make_report(result, log) == make_report(result, log)
