@@ -95,7 +95,7 @@ def print_result(result: "Identification", found: dict[str, Any]) -> None:
     print_line(
         f"{result.obj.name}: {result.obj.n} cells, {len(result.push_names)} pushes, {result.simulations} simulations"
     )
-    print_line(f"{result.status}: {result.message}")
+    print_line(result.message)
     print_line(
         f"cell error of these pushes: {found['mean_cell_error'] * MM:.2f} mm; "
         f"{found['mean_cell_error_before'] * MM:.2f} mm with uniform friction"

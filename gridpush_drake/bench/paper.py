@@ -27,7 +27,7 @@ from gridpush_drake.pushes.log import PushLog
 TRUTH_REGIME = "inertial"
 TRAINING_PUSHES = 5
 BUDGET = 1500
-"""Simulated pushes a search may spend: no fewer than the default method, which decides itself, ever took here."""
+"""Simulated pushes a search may spend; the default method decides itself, and takes about two thirds of it."""
 
 BUDGET_SHARES = (1 / 60, 1 / 30, 1 / 15, 1 / 6, 1 / 3, 1.0)
 """Shares of the budget at which the curve is measured, each by a run of its own."""
@@ -85,7 +85,8 @@ def run(
         GridPushError: the data are not there, or an argument is out of range.
         OutputError: the figure cannot be written.
     """
-    from gridpush_drake.bench.paper_figure import check_figure, write_figure
+    from gridpush_drake.bench.figure_file import check_figure
+    from gridpush_drake.bench.paper_figure import write_figure
 
     protocol = read_protocol(data)
     names = list(protocol.masses if objects is None else objects)

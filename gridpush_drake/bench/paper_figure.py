@@ -1,29 +1,16 @@
 """Error against the number of simulations, as in the paper's Fig. 4."""
 
 from collections.abc import Sequence
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
+from gridpush_drake.bench.figure_file import save_figure
 from gridpush_drake.bench.paper_tables import MM, UNIFORM, Score, mean_simulations, select, summarise
-from gridpush_drake.errors import OutputError
-from gridpush_drake.files import check_writable, write_whole
 
 COLUMNS = 3
 PANEL = (3.6, 2.7)
 """Width and height of a panel, inches."""
-
-DPI = 150
-
-ENDINGS = (".png", ".pdf", ".svg")
-
-
-def check_figure(path: Path | str, force: bool) -> None:
-    """Checks, before long work begins, that a figure may be written. Raises OutputError where it may not."""
-    if Path(path).suffix.lower() not in ENDINGS:
-        raise OutputError(f"{path}: is of an unknown kind; expected a name that ends in {', '.join(ENDINGS)}")
-    check_writable(path, force)
 
 
 def write_figure(
@@ -56,9 +43,7 @@ def write_figure(
     figure.supxlabel("simulated pushes")
     figure.supylabel("mean test cell error, mm")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
-    buffer = BytesIO()
-    figure.savefig(buffer, format=Path(path).suffix.lstrip("."), dpi=DPI)
-    write_whole(path, buffer.getvalue(), force)
+    save_figure(figure, path, force)
 
 
 def _draw_panel(axis, scores: Sequence[Score], methods: Sequence[str]) -> None:  # type: ignore[no-untyped-def]

@@ -99,7 +99,7 @@ def run(
     """
     folder = find_shared_data() if data is None else Path(data)
     if figure is not None:
-        from gridpush_drake.bench.paper_figure import check_figure
+        from gridpush_drake.bench.figure_file import check_figure
 
         check_figure(figure, force)
     splits, counts = (min(splits, QUICK_SPLITS), (5, 25)) if quick else (splits, tuple(counts))

@@ -1,14 +1,13 @@
 """The error on the CMU pushes against the number of training pushes."""
 
 from collections.abc import Sequence
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
-from gridpush_drake.bench.paper_figure import DPI, PANEL
+from gridpush_drake.bench.figure_file import save_figure
+from gridpush_drake.bench.paper_figure import PANEL
 from gridpush_drake.bench.real import CENTRE, POSES, UNIFORM, Score, calc_split_means
-from gridpush_drake.files import write_whole
 
 COLUMNS = 2
 
@@ -48,6 +47,4 @@ def write_curve(
     figure.supxlabel("training pushes")
     figure.supylabel("held-out error, mm (band: one standard deviation of the splits)")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
-    buffer = BytesIO()
-    figure.savefig(buffer, format=Path(path).suffix.lstrip("."), dpi=DPI)
-    write_whole(path, buffer.getvalue(), force)
+    save_figure(figure, path, force)

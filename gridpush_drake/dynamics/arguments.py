@@ -51,6 +51,16 @@ def check_vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
     return vector
 
 
+def check_number(name: str, value: float, least: float) -> None:
+    """Refuses what is not a finite number of at least `least`.
+
+    Raises:
+        SimulationError: it is not.
+    """
+    if not (np.isfinite(value) and value >= least):
+        raise SimulationError(f"{name} is {value!r}; expected a finite number >= {least:g}")
+
+
 def check_record(record: ArrayLike, steps: int) -> NDArray[np.int64]:
     """Copies the indices of the poses whose Jacobian is wanted, out of steps + 1.
 

@@ -120,7 +120,7 @@ def step_columns(
         Q[8, n + COM_X] = mass * (e1 + com_x * w) / dt
         Q[6, n + COM_Y] = -mass * w / dt
         Q[8, n + COM_Y] = mass * (-e0 + com_y * w) / dt
-    np.dot(Z, Q, N)
+    _multiply(Z, Q, N)
     Q[:6, :] = N
     if inertial:
         # x' = ... + dt R(a) w z × dc + dc - R(w dt) dc, turned into the new body frame; the same for the velocity
@@ -144,6 +144,21 @@ def step_columns(
     if path_length > 0.0:
         q = 1.0 / path_length
         _add_tip(Q, n + LENGTH, E, q * ray_x, q * ray_y, q * world_vx, q * world_vy, c, s, G, L)
+
+
+@kernel(fast_sums=True)
+def _multiply(Z, Q, N):
+    """N = Z Q for Z (6, 9), faster than BLAS for so few rows."""
+    q0, q1, q2, q3, q4, q5, q6, q7, q8 = Q[0], Q[1], Q[2], Q[3], Q[4], Q[5], Q[6], Q[7], Q[8]
+    for i in range(6):
+        z0, z1, z2, z3, z4 = Z[i, 0], Z[i, 1], Z[i, 2], Z[i, 3], Z[i, 4]
+        z5, z6, z7, z8 = Z[i, 5], Z[i, 6], Z[i, 7], Z[i, 8]
+        out = N[i]
+        for c in range(out.shape[0]):
+            out[c] = (
+                z0 * q0[c] + z1 * q1[c] + z2 * q2[c] + z3 * q3[c] + z4 * q4[c]
+                + z5 * q5[c] + z6 * q6[c] + z7 * q7[c] + z8 * q8[c]
+            )  # fmt: skip
 
 
 @kernel()

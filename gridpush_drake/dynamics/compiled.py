@@ -20,6 +20,7 @@ KERNEL_FILES = (
     "displacement.py",
     "friction.py",
     "lagged.py",
+    "modes.py",
     "paper_kernel.py",
     "rollout.py",
     "sensitivity.py",

@@ -60,7 +60,8 @@ def find_contacts(ax, ay, bx, by, previous, tx, ty, radius, reach, contacts):
             convex = turn > _STRAIGHT * length2 or (turn > -_STRAIGHT * length2 and rx * ey > ry * ex)
             if distance2 < nearest2:
                 nearest2, nearest = distance2, (_CONVEX_VERTEX if convex else _REFLEX_VERTEX)
-            if distance2 > limit2 or not convex or rx * qx + ry * qy < 0.0:
+            # word for word the test of edge j below: where it ends, the vertex begins
+            if distance2 > limit2 or not convex or (tx - ax[j]) * qx + (ty - ay[j]) * qy < qx * qx + qy * qy:
                 continue
             distance = sqrt(distance2)
             if distance == 0.0:
@@ -76,7 +77,9 @@ def find_contacts(ax, ay, bx, by, previous, tx, ty, radius, reach, contacts):
                 if distance2 < inside_distance2:
                     inside_distance2, inside_edge = distance2, i
                 continue
-            if distance2 > limit2:
+            if distance2 > limit2 or (
+                along < _STRAIGHT * length2 and _is_on_straight(ax, ay, previous, i, ex, ey, tx, ty)
+            ):
                 continue
             length = sqrt(length2)
             distance = across / length
@@ -97,9 +100,18 @@ def find_contacts(ax, ay, bx, by, previous, tx, ty, radius, reach, contacts):
         else:
             continue
         count = min(count + 1, MAX_CONTACTS)
-    if inside_edge >= 0 and (nearest == inside_edge or nearest == _REFLEX_VERTEX):
+    if inside_edge >= 0 and nearest in (inside_edge, _REFLEX_VERTEX):
         count = _contact_from_inside(ax, ay, bx, by, inside_edge, tx, ty, radius, contacts)
     return count
+
+
+@kernel()
+def _is_on_straight(ax, ay, previous, i, ex, ey, tx, ty):
+    """Whether edge i goes straight on from the one before, on which the disc is by round-off too."""
+    j = previous[i]
+    qx, qy = ax[i] - ax[j], ay[i] - ay[j]
+    straight = abs(qx * ey - qy * ex) <= _STRAIGHT * (ex * ex + ey * ey)
+    return straight and (tx - ax[j]) * qx + (ty - ay[j]) * qy < qx * qx + qy * qy
 
 
 @kernel()

@@ -3,8 +3,8 @@
 Quasi-static: d = V(w dt) u dt, the body turns about its instantaneous centre (exact for a constant twist).
 Inertial: d = dt R(a) v_com + c - R(w dt) c, the centre of mass moves straight (exact for free flight).
 
-The twist (u, w) is that of the body turned by the angle a, which in the inertial regime is how far it is expected to have
-turned halfway through the step, so that v_com = R(a)^T R^T v_com,W.
+The twist (u, w) is that of the body turned by the angle a, which in the inertial regime is how far it is expected to
+have turned halfway through the step, so that v_com = R(a)^T R^T v_com,W.
 """
 
 from math import cos, sin

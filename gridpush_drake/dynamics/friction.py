@@ -19,8 +19,6 @@ The paper's lagged direction replaces |v_i| by max(0, d_i·v_i) with d_i the dir
 
 from math import asinh, sqrt
 
-import numpy as np
-
 from gridpush_drake.dynamics.compiled import kernel
 
 SPIN_ARM = (sqrt(2) + asinh(1)) / 6
@@ -64,54 +62,52 @@ def accumulate_isotropic(px, py, k, kappa2, eps2, ux, uy, w):
 
 
 @kernel()
-def add_isotropic(px, py, k, kappa2, spin_load, eps, xi, scale, majorize, g, H):
-    """Adds scale * (gradient, Hessian) of Psi at `xi` to g (3,) and H (3, 3).
+def add_isotropic(px, py, k, kappa2, spin_load, eps, xi, majorize, g, H):
+    """Adds gradient and Hessian of Psi at `xi` to g (3,) and H (3, 3).
 
-    With `majorize` the Hessian is sum k_i G_i / s_i, the quadratic that touches Psi at xi from above: slower, but a step
-    with it always descends.
+    With `majorize` the Hessian is sum k_i G_i / s_i, the quadratic that touches Psi at xi from above: slower, but a
+    step with it always descends.
     """
     ux, uy, w = xi[0], xi[1], xi[2]
-    A0, Ax, Ay, A2, Bxx, Bxy, Bxw, Byy, Byw, Bww = accumulate_isotropic(
-        px, py, k, kappa2, eps * eps, ux, uy, w
-    )
-    g[0] += scale * (ux * A0 - w * Ay)
-    g[1] += scale * (uy * A0 + w * Ax)
-    g[2] += scale * (uy * Ax - ux * Ay + w * A2)
+    A0, Ax, Ay, A2, Bxx, Bxy, Bxw, Byy, Byw, Bww = accumulate_isotropic(px, py, k, kappa2, eps * eps, ux, uy, w)
+    g[0] += ux * A0 - w * Ay
+    g[1] += uy * A0 + w * Ax
+    g[2] += uy * Ax - ux * Ay + w * A2
     if majorize:
         Bxx = Bxy = Bxw = Byy = Byw = Bww = 0.0
     spin_bend = 0.0
     if spin_load > 0.0:
         spin_speed = sqrt(w * w + eps * eps)
-        g[2] += scale * spin_load * w / spin_speed
+        g[2] += spin_load * w / spin_speed
         spin_bend = spin_load / spin_speed
         if not majorize:
             spin_bend *= (eps / spin_speed) ** 2
-    _add_symmetric(H, scale, A0 - Bxx, -Bxy, -Ay - Bxw, A0 - Byy, Ax - Byw, A2 - Bww + spin_bend)
+    _add_symmetric(H, 1.0, A0 - Bxx, -Bxy, -Ay - Bxw, A0 - Byy, Ax - Byw, A2 - Bww + spin_bend)
 
 
 @kernel()
-def add_lagged(px, py, k, dx, dy, spin_load, spin_sign, eps, xi, scale, g, H):
-    """Adds scale * (gradient, Hessian) of the paper's lagged dissipation at `xi` to g (3,) and H (3, 3).
+def add_lagged(px, py, k, dx, dy, spin_load, spin_sign, eps, xi, g, H):
+    """Adds gradient and Hessian of the paper's lagged dissipation at `xi` to g (3,) and H (3, 3).
 
-    max(0, z) is smoothed as (z + sqrt(z² + eps²))/2, z = d_i·v_i(xi); (dx, dy) are the lagged unit directions d_i in the
-    body frame and spin_sign the sign of the current yaw rate (zero where undefined).
+    max(0, z) is smoothed as (z + sqrt(z² + eps²))/2, z = d_i·v_i(xi); (dx, dy) are the lagged unit directions d_i in
+    the body frame and spin_sign the sign of the current yaw rate (zero where undefined).
     """
     ux, uy, w = xi[0], xi[1], xi[2]
     for i in range(px.shape[0]):
         row0, row1 = dx[i], dy[i]
         row2 = px[i] * dy[i] - py[i] * dx[i]
         slope, bend = _smooth_ramp(row0 * ux + row1 * uy + row2 * w, eps)
-        load = scale * k[i] * slope
+        load = k[i] * slope
         g[0] += load * row0
         g[1] += load * row1
         g[2] += load * row2
-        load = scale * k[i] * bend
+        load = k[i] * bend
         _add_symmetric(
             H, load, row0 * row0, row0 * row1, row0 * row2, row1 * row1, row1 * row2, row2 * row2
         )  # fmt: skip
     slope, bend = _smooth_ramp(spin_sign * w, eps)
-    g[2] += scale * spin_load * slope * spin_sign
-    H[2, 2] += scale * spin_load * bend * spin_sign * spin_sign
+    g[2] += spin_load * slope * spin_sign
+    H[2, 2] += spin_load * bend * spin_sign * spin_sign
 
 
 @kernel()
@@ -132,10 +128,3 @@ def _add_symmetric(H, scale, xx, xy, xw, yy, yw, ww):
     H[1, 2] += scale * yw
     H[2, 1] += scale * yw
     H[2, 2] += scale * ww
-
-
-def calc_dissipation(p_BC, k, kappa, spin_load, xi, eps=0.0):
-    """Psi at the twist xi (3,), W; the plain NumPy form of the equation at the head of this file."""
-    v = xi[:2] + xi[2] * np.column_stack([-p_BC[:, 1], p_BC[:, 0]])
-    s = np.sqrt((v**2).sum(axis=1) + (kappa * xi[2]) ** 2 + eps**2)
-    return float(k @ s + spin_load * abs(xi[2]))

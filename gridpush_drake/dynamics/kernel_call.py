@@ -125,20 +125,21 @@ def run_kernel(
 def _make_moments(obj: GridObject, params: CellParameters) -> Array:
     """Mass, centre of mass, inertia about it, radius of gyration, cell size: kg, m, m, kg m², m, m."""
     com = params.centre_of_mass(obj)
-    return np.array(
-        [params.total_mass, com[0], com[1], params.inertia(obj), obj.radius_of_gyration, obj.cell_size]
-    )
+    return np.array([params.total_mass, com[0], com[1], params.inertia(obj), obj.radius_of_gyration, obj.cell_size])
 
 
 def _outline_arrays(obj: GridObject) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Cells and outline as the kernel wants them, made once an object."""
+    """Cells and outline as the kernel wants them, made once an object.
+
+    They are writable copies: for arrays that are not, Numba would compile the kernel once more.
+    """
     cached = obj.__dict__.get("_kernel_arrays")
     if cached is None:
         edges = obj.edges
         cached = (
-            np.ascontiguousarray(obj.p_BC.T),
-            np.ascontiguousarray(np.column_stack([edges.start, edges.end]).T),
-            np.ascontiguousarray(edges.previous),
+            np.array(obj.p_BC.T, order="C"),
+            np.array(np.column_stack([edges.start, edges.end]).T, order="C"),
+            np.array(edges.previous),
         )
         obj.__dict__["_kernel_arrays"] = cached
     return cached

@@ -60,9 +60,7 @@ def calc_step(
     method = Method(True, lagged, "separate" if lagged else spin, 0.0, stiction_tolerance, stiction_tolerance)
     load = Load(np.zeros((2, 2)), 0.0, -1.0, np.array([wrench], dtype=np.float64), np.zeros(2))
     q, nu = np.array(q, dtype=np.float64), np.array(nu, dtype=np.float64)
-    record = run_kernel(
-        obj, params, g, method, q, nu, np.array([float(dt)]), load, np.full(2, -1), np.empty((0, 3, 0))
-    )
+    record = run_kernel(obj, params, g, method, q, nu, np.array([float(dt)]), load, np.full(2, -1), np.empty((0, 3, 0)))
     if record.statuses[0, 0] != CONVERGED:
         raise SimulationError(f"the step of {obj.name} ({obj.n} cells) was not solved")
     ux, uy, w = record.twists[0]

@@ -30,7 +30,7 @@ def fill_paper_gradient(cells, mass, friction, inertia, kappa2, spin_arm, before
         ux1, uy1, w1 = after[r, 0], after[r, 1], after[r, 2]
         dx, dy, dw = ux1 - ux, uy1 - uy, w1 - w
         w_own = w if abs(w) > YAW_RATE_AT_REST else w1
-        spins = spin_arm > 0.0 and abs(w_own) > YAW_RATE_AT_REST and w_own * w1 > 0.0
+        spins = abs(w_own) > YAW_RATE_AT_REST and w_own * w1 > 0.0
         spin = spin_arm * np.sign(w_own) if spins else 0.0
         for i in range(n):
             x, y = px[i], py[i]

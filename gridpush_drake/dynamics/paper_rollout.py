@@ -11,7 +11,8 @@ With nu, nu' the twists before and after the step, of the body as the step sees 
     dnu'/dmu_i = -M_B^-1 m_i g dt f_i,      dq_{t+1} = dt dnu'
 
 and f_i the direction of cell i's motion before the step, or after it where the cell was at rest (impending motion); a
-motion that the step reversed has no friction. `paper_gradient` has the derivation.
+motion that the step reversed has no friction. A body that the step brings to rest has no derivative, and where separate
+spin friction holds its rotation, M_B^-1 gives way to its projection on translations. `paper_gradient` derives all this.
 """
 
 import numpy as np
@@ -19,13 +20,15 @@ from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.friction import SPIN_ARM
 from gridpush_drake.dynamics.kernel_call import Method, Steps
-from gridpush_drake.dynamics.lagged import SPEED_AT_REST, YAW_RATE_AT_REST
 from gridpush_drake.dynamics.paper_kernel import fill_paper_gradient
 from gridpush_drake.dynamics.simulation import Jacobian
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
 
 Array = NDArray[np.float64]
+
+REST = 1e-5
+"""m/s; a step that leaves less has stopped the body: far above the stiction tolerance, far below any push."""
 
 
 def calc_paper_jacobian(
@@ -55,12 +58,16 @@ def calc_paper_jacobian(
     dt, arm = dts[t], SPIN_ARM * obj.cell_size
     before, turn = _twists_before(obj, params, steps, t, method.ahead * dt)
     after = steps.twists[t]
-    rests = (np.abs(after[:, 2]) <= YAW_RATE_AT_REST) & (np.hypot(after[:, 0], after[:, 1]) <= SPEED_AT_REST)
-    until = np.where((rows > 0) & ~rests, dt, 0.0)
-    response = -until[:, None, None] * _rotations(turn) @ np.linalg.inv(_calc_inertia(obj, params))
+    turns = obj.radius_of_gyration * np.abs(after[:, 2]) > REST
+    moves = turns | (np.hypot(after[:, 0], after[:, 1]) > REST)
+    until = np.where((rows > 0) & moves, dt, 0.0)
+    X_B = np.linalg.inv(_calc_inertia(obj, params))
+    held = X_B - np.outer(X_B[:, 2], X_B[2]) / X_B[2, 2]
+    sticks = ~turns & (method.spin == "separate")
+    response = -until[:, None, None] * _rotations(turn) @ np.where(sticks[:, None, None], held, X_B)
     mass, friction = np.empty((len(rows), 3, obj.n)), np.empty((len(rows), 3, obj.n))
     fill_paper_gradient(
-        np.ascontiguousarray(obj.p_BC.T), params.mass, params.friction, obj.cell_size**2 / 6,
+        np.array(obj.p_BC.T, order="C"), np.array(params.mass), np.array(params.friction), obj.cell_size**2 / 6,
         arm**2 if method.spin == "coupled" else 0.0, arm if method.spin == "separate" else 0.0, before, after,
         gravity * dt, response, mass, friction,
     )  # fmt: skip

@@ -143,7 +143,7 @@ class Push:
         return float(np.linalg.norm(np.diff(self.xy, axis=0), axis=1).sum())
 
     def tip_at(self, times: ArrayLike) -> NDArray[np.float64]:
-        """Interpolates p_WP of the disc's centre at `times` (K,), s from the beginning; held past the ends. (K, 2), m."""
+        """Interpolates p_WP of the disc's centre, (K, 2) m, at times (K,), s from the beginning; held past the ends."""
         times = np.asarray(times, dtype=np.float64)
         return np.column_stack([np.interp(times, self.t, self.xy[:, axis]) for axis in (0, 1)])
 

@@ -19,8 +19,9 @@ from gridpush_drake.dynamics.compiled import kernel
 from gridpush_drake.dynamics.contact import BEND, COLUMNS, CX, CY, GAP, NX, NY, find_contacts, look_ahead
 from gridpush_drake.dynamics.displacement import calc_displacement_maps
 from gridpush_drake.dynamics.lagged import fill_lagged_directions
+from gridpush_drake.dynamics.modes import COMPLIANCE, SEPARATE
 from gridpush_drake.dynamics.sensitivity import calc_input_derivative, calc_step_derivative, fill_cell_forces
-from gridpush_drake.dynamics.step import COMPLIANCE, CONVERGED, SEPARATE, solve_step
+from gridpush_drake.dynamics.step import CONVERGED, solve_step
 
 _TINY_SPEED = 1e-12  # m/s
 _REACH = 2.0  # contacts closer than this many steps' motion are watched

@@ -1,9 +1,9 @@
 """The exact derivative of one converged step, by the implicit function theorem.
 
 Differentiating the step's equations F(xi, lam; z) = 0 at fixed modes gives K d(xi, lam) = -dF, with K as built in
-`step.build_contact_system`. The contact enters by the disc's centre twice: t at the beginning of the step gives the gap,
-and t_m, where the disc is expected halfway through it, the contact's place and directions. In the body frame, with
-alpha = T·dt_m,
+`modes.build_contact_system`. The contact enters by the disc's centre twice: t at the beginning of the step gives the
+gap, and t_m, where the disc is expected halfway through it, the contact's place and directions. In the body frame,
+with alpha = T·dt_m,
 
     dN = -bend alpha T,   dT = bend alpha N,   dc = alpha T on an edge, 0 at a vertex,   dgap = -(gx, gy)·dt
 """
@@ -12,7 +12,14 @@ from math import cos, sin, sqrt
 
 from gridpush_drake.dynamics.compiled import kernel
 from gridpush_drake.dynamics.contact import BEND, CX, CY, GX, GY, NX, NY
-from gridpush_drake.dynamics.step import SEPARATE, SLIDE_PLUS, STICK, build_contact_system, relax_jam, solve_dense
+from gridpush_drake.dynamics.modes import (
+    SEPARATE,
+    SLIDE_PLUS,
+    STICK,
+    build_contact_system,
+    relax_jam,
+    solve_dense,
+)
 
 T_X, T_Y, AHEAD_X, AHEAD_Y, V_X, V_Y, FRICTION = range(7)
 """What a step depends on through its contacts: t, t_m, the pusher's velocity v_p, and mu_c."""
@@ -96,8 +103,8 @@ def calc_step_derivative(H, contacts, modes, count, mu, compliance, vpx, vpy, dt
 def calc_input_derivative(D, h, a, n0x, n0y, bend0, tx, ty, rx, ry, w, vpx, vpy, E):
     """Differentiates a step by what it is given at its beginning, through the look ahead (`contact.look_ahead`).
 
-    With tdot = v_p - u - w z × t the disc's motion seen from the body that moves with the expected twist (u, w), with N_0
-    and T_0 the directions of the contact at the beginning, and R(a), a = h w, the turn expected until halfway,
+    With tdot = v_p - u - w z × t the disc's motion seen from the body that moves with the expected twist (u, w), with
+    N_0 and T_0 the directions of the contact at the beginning, and R(a), a = h w, the turn expected until halfway,
 
         t_m = t + h T_0 (T_0·tdot),    v_p,m = R(a)^T v_p,
 

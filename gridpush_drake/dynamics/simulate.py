@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridpush_drake.dynamics.arguments import check_record, check_regime, check_vector
+from gridpush_drake.dynamics.arguments import check_number, check_record, check_regime, check_vector
 from gridpush_drake.dynamics.columns import OTHER
 from gridpush_drake.dynamics.force_push import ForcePush
 from gridpush_drake.dynamics.kernel_call import Load, Method, Steps, run_kernel
@@ -39,6 +39,9 @@ GRAVITY = 9.81
 STICTION_TOLERANCE = 1e-9
 """m/s, of the inertial regime; a body at rest creeps slower than a few of these."""
 
+LEAST_STICTION = 1e-15
+"""m/s; below it round-off rules."""
+
 RELATIVE_STICTION = 1e-7
 """Of the speed of pusher and body; friction is never smoothed less, in either regime."""
 
@@ -67,6 +70,9 @@ def simulate(
     stiction_tolerance: float = STICTION_TOLERANCE,
 ) -> Simulation:
     """Simulates one push of a grid object (`design/physics.md`, sections 3-5).
+
+    A step is implicit in the velocities. It sees contact and directions as they are expected halfway through it (the
+    midpoint rule), except with lagged friction, which as in the paper's LCP takes them where the step begins.
 
     Args:
         obj: the object.
@@ -97,6 +103,8 @@ def simulate(
     check_regime(regime, push, friction, spin, gradients)
     if params.n != obj.n:
         raise SimulationError(f"parameters of {params.n} cells; expected {obj.n}, as {obj.name} has")
+    check_number("gravity", gravity, 0.0)
+    check_number("stiction_tolerance", stiction_tolerance, LEAST_STICTION)
     inertial, lagged = regime == "inertial", friction == "lagged"
     q, nu = check_vector("pose", pose), check_vector("velocity", velocity)
     if not inertial and nu.any():
@@ -157,14 +165,14 @@ def simulate_batch(
     Raises:
         SimulationError: the lists' lengths disagree, or as `simulate`.
     """
-    starts = np.asarray(poses, dtype=np.float64)
+    starts = np.array(poses, dtype=np.float64)
+    if starts.ndim not in (1, 2) or starts.shape[-1] != 3:
+        raise SimulationError(f"poses of shape {starts.shape}; expected (3,) or (count, 3)")
     lengths = [len(value) for value in (params, pushes) if isinstance(value, Sequence)]
     lengths += [len(starts)] if starts.ndim == 2 else []
     count = max(lengths, default=1)
     if any(length != count for length in lengths):
-        raise SimulationError(
-            f"params, pushes and poses of lengths {lengths}; expected equal lengths, or one for all"
-        )
+        raise SimulationError(f"params, pushes and poses of lengths {lengths}; expected equal lengths, or one for all")
     jobs = [
         (
             params[i] if isinstance(params, Sequence) else params,
@@ -182,7 +190,7 @@ def _make_load(push: Push | ForcePush, times: Array) -> Load:
     steps = len(times) - 1
     if isinstance(push, ForcePush):
         wrench = np.pad(push.force_during(times), ((0, 0), (0, 1)))
-        return Load(np.zeros((steps + 1, 2)), 0.0, -1.0, wrench, push.point)
+        return Load(np.zeros((steps + 1, 2)), 0.0, -1.0, wrench, np.array(push.point))
     return Load(push.tip_at(times), push.length, push.radius, np.zeros((steps, 3)), np.zeros(2))
 
 

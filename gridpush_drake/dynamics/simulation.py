@@ -55,12 +55,13 @@ class Simulation:
         velocities: (T+1, 3) (vx, vy, w) of the body frame's origin, m/s and rad/s.
         tip: (T+1, 2) centre of the pusher, m; NaN for a force-driven push.
         contact_forces: (T, 2, 2) force of the pusher on the object at its at most two contacts, N. In the quasi-static
-            regime too: it is what the support's friction asks for.
-        contact_points: (T, 2, 2) where they act, m; NaN where there is no contact.
-        modes: (T, 2) contact modes: 0 separate, 1 stick, 2 slide with lam_t = +mu_c lam_n, 3 slide with the opposite sign.
+            regime too: it is what the support's friction asks for. How two contacts that stick share it is statically
+            indeterminate; one admissible way is given.
+        contact_points: (T, 2, 2) where they act, halfway through the step, m; NaN where there is no contact.
+        modes: (T, 2) contact modes: 0 separate, 1 stick, 2 slide with lam_t = +mu_c lam_n, 3 with the opposite sign.
         gaps: (T+1,) distance from the disc's rim to the outline, m; negative where they overlap, infinite where far.
         status: "ok"; "no_contact" where the pusher never touched; "started_overlapping" where it began more than
-            `overlap_tolerance` inside the object, which then jumps clear; "not_converged" where a step was not solved.
+            0.1 mm inside the object, which then jumps clear; "not_converged" where a step was not solved.
         iterations: (T,) Newton iterations of each step.
         jacobian: derivatives of the poses, where asked for.
     """

@@ -18,11 +18,9 @@ from math import sqrt
 import numpy as np
 
 from gridpush_drake.dynamics.compiled import kernel
-from gridpush_drake.dynamics.contact import CX, CY, GAP, NX, NY
+from gridpush_drake.dynamics.contact import CX, CY, NX, NY
 from gridpush_drake.dynamics.friction import add_isotropic, add_lagged
-
-SEPARATE, STICK, SLIDE_PLUS, SLIDE_MINUS = range(4)
-"""Contact modes; `SLIDE_PLUS` has lam_t = + mu_c lam_n."""
+from gridpush_drake.dynamics.modes import COMPLIANCE, solve_modes
 
 CONVERGED, NOT_CONVERGED = 0, 1
 
@@ -31,184 +29,8 @@ _ITERATION_LIMIT = 40
 _SLOW = 0.5  # a Newton step that leaves more of the residual than this is followed by a majorizing one
 _FINAL_RESIDUAL = 1e-8  # of the load: one more Newton step squares it
 _LARGEST_RESIDUAL = 1e-6  # of the load, for a step to count as solved
-_MODE_TOLERANCE = 1e-9
-COMPLIANCE = 1e-9
-"""Of two contacts at once, in speed/load: makes redundant sticking contacts well posed."""
-
-_NORMAL_SHARE = 1e-4  # of a jam's inconsistency, left to the normal rows
 _SHARPEN = 0.1  # of the tolerance, in a step of the continuation
 _LEAST_SHARPENING = 0.97
-
-
-@kernel()
-def solve_dense(A, B, size, columns):
-    """Solves A X = B in place (X in B) by Gaussian elimination with partial pivoting; False where A is singular."""
-    for j in range(size):
-        pivot = j
-        for i in range(j + 1, size):
-            if abs(A[i, j]) > abs(A[pivot, j]):
-                pivot = i
-        if A[pivot, j] == 0.0:
-            return False
-        if pivot != j:
-            for c in range(j, size):
-                A[j, c], A[pivot, c] = A[pivot, c], A[j, c]
-            for c in range(columns):
-                B[j, c], B[pivot, c] = B[pivot, c], B[j, c]
-        inverse = 1.0 / A[j, j]
-        for i in range(j + 1, size):
-            factor = A[i, j] * inverse
-            if factor != 0.0:
-                for c in range(j + 1, size):
-                    A[i, c] -= factor * A[j, c]
-                for c in range(columns):
-                    B[i, c] -= factor * B[j, c]
-    for c in range(columns):
-        for i in range(size - 1, -1, -1):
-            total = B[i, c]
-            for j in range(i + 1, size):
-                total -= A[i, j] * B[j, c]
-            B[i, c] = total / A[i, i]
-    return True
-
-
-@kernel()
-def build_contact_system(H, contacts, modes, count, mu, compliance, K):
-    """Fills K with [[H, -E], [C, -compliance]] for the contacts that are not separate; returns its size.
-
-    C holds J_n of every touching contact and J_t of every sticking one; E holds J_n (and J_t) of a sticking contact,
-    J_n ± mu J_t of a sliding one.
-    """
-    for i in range(3):
-        for j in range(3):
-            K[i, j] = H[i, j]
-    size = 3
-    for c in range(count):
-        mode = modes[c]
-        if mode == SEPARATE:
-            continue
-        nx, ny, cx, cy = contacts[c, NX], contacts[c, NY], contacts[c, CX], contacts[c, CY]
-        n2 = cx * ny - cy * nx
-        t2 = cx * nx + cy * ny
-        slide = 0.0
-        if mode == SLIDE_PLUS:
-            slide = mu
-        elif mode == SLIDE_MINUS:
-            slide = -mu
-        K[size, 0], K[size, 1], K[size, 2] = nx, ny, n2
-        K[0, size], K[1, size], K[2, size] = -(nx - slide * ny), -(ny + slide * nx), -(n2 + slide * t2)
-        size += 1
-        if mode == STICK:
-            K[size, 0], K[size, 1], K[size, 2] = -ny, nx, t2
-            K[0, size], K[1, size], K[2, size] = ny, -nx, -t2
-            size += 1
-    for i in range(3, size):
-        for j in range(3, size):
-            K[i, j] = 0.0
-        K[i, i] = -compliance
-    return size
-
-
-@kernel()
-def relax_jam(contacts, X, columns):
-    """Makes the right-hand sides of two sticking contacts consistent, in rows 3 to 6 of X.
-
-    Two contacts that stick ask for four velocities, a rigid body has three: z^T J = 0 with z a pair of opposite forces
-    along the line d between the contacts, so z^T X must vanish too. What gaps leave of it is taken from the tangential
-    rows, the normal ones only where d is normal to the outline: the disc slips a little to close its gaps. Else the
-    two contacts would squeeze the body without bound.
-    """
-    dx, dy = contacts[1, CX] - contacts[0, CX], contacts[1, CY] - contacts[0, CY]
-    z0 = contacts[0, NX] * dx + contacts[0, NY] * dy
-    z1 = -contacts[0, NY] * dx + contacts[0, NX] * dy
-    z2 = -contacts[1, NX] * dx - contacts[1, NY] * dy
-    z3 = contacts[1, NY] * dx - contacts[1, NX] * dy
-    size = _NORMAL_SHARE * (z0 * z0 + z2 * z2) + z1 * z1 + z3 * z3
-    if size == 0.0:
-        return
-    for j in range(columns):
-        share = (z0 * X[3, j] + z1 * X[4, j] + z2 * X[5, j] + z3 * X[6, j]) / size
-        X[3, j] -= share * _NORMAL_SHARE * z0
-        X[4, j] -= share * z1
-        X[5, j] -= share * _NORMAL_SHARE * z2
-        X[6, j] -= share * z3
-
-
-@kernel()
-def _try_modes(H, rhs, contacts, modes, count, vpx, vpy, mu, dt, load, speed, compliance, K, X, xi, lam):
-    """Solves the linearised step for one choice of modes into xi (3,) and lam (2, 2); returns its worst violation."""
-    size = build_contact_system(H, contacts, modes, count, mu, compliance, K)
-    for i in range(3):
-        X[i, 0] = rhs[i]
-    row = 3
-    for c in range(count):
-        if modes[c] == SEPARATE:
-            continue
-        nx, ny = contacts[c, NX], contacts[c, NY]
-        X[row, 0] = nx * vpx + ny * vpy - contacts[c, GAP] / dt
-        row += 1
-        if modes[c] == STICK:
-            X[row, 0] = nx * vpy - ny * vpx
-            row += 1
-    if size == 7:
-        relax_jam(contacts, X, 1)
-    if not solve_dense(K, X, size, 1):
-        return np.inf
-    for i in range(3):
-        xi[i] = X[i, 0]
-    worst = 0.0
-    row = 3
-    for c in range(count):
-        mode = modes[c]
-        nx, ny, cx, cy = contacts[c, NX], contacts[c, NY], contacts[c, CX], contacts[c, CY]
-        slip_x = xi[0] - xi[2] * cy - vpx
-        slip_y = xi[1] + xi[2] * cx - vpy
-        lam[c, 0] = lam[c, 1] = 0.0
-        if mode == SEPARATE:
-            worst = max(worst, -(nx * slip_x + ny * slip_y + contacts[c, GAP] / dt) / speed)
-            continue
-        normal = X[row, 0]
-        row += 1
-        worst = max(worst, -normal / load)
-        lam[c, 0] = normal
-        slip = nx * slip_y - ny * slip_x
-        if mode == STICK:
-            lam[c, 1] = X[row, 0]
-            row += 1
-            worst = max(worst, (abs(lam[c, 1]) - mu * normal) / load)
-        elif mode == SLIDE_PLUS:
-            lam[c, 1] = mu * normal
-            worst = max(worst, slip / speed)
-        else:
-            lam[c, 1] = -mu * normal
-            worst = max(worst, -slip / speed)
-    return worst
-
-
-@kernel()
-def _solve_modes(H, rhs, contacts, modes, count, vpx, vpy, mu, dt, load, speed, compliance, K, X, xi, lam):
-    """Enumerates the contact modes of the linearised step, those in `modes` first; leaves the best in all outputs."""
-    worst = _try_modes(
-        H, rhs, contacts, modes, count, vpx, vpy, mu, dt, load, speed, compliance, K, X, xi, lam
-    )
-    if worst <= _MODE_TOLERANCE or count == 0:
-        return worst
-    best = worst if worst == worst else np.inf
-    best0, best1 = modes[0], modes[1]
-    for choice in range(4 if count == 1 else 16):
-        modes[0] = (choice + STICK) % 4
-        modes[1] = choice // 4
-        worst = _try_modes(
-            H, rhs, contacts, modes, count, vpx, vpy, mu, dt, load, speed, compliance, K, X, xi, lam
-        )
-        if worst <= _MODE_TOLERANCE:
-            return worst
-        if worst < best:
-            best, best0, best1 = worst, modes[0], modes[1]
-    modes[0], modes[1] = best0, best1
-    return _try_modes(
-        H, rhs, contacts, modes, count, vpx, vpy, mu, dt, load, speed, compliance, K, X, xi, lam
-    )
 
 
 @kernel()
@@ -233,7 +55,7 @@ def _newton(
     px, py, k, kappa2, spin_load, lagged, dx, dy, spin_sign, H0, drive, contacts, count, vpx, vpy, mu, dt,
     eps, arm, load, speed, xi, lam, modes, g, H, rhs, scratch, K, X, limit,
 ):  # fmt: skip
-    """Newton's method at one stiction tolerance; returns (status, iterations, residual). H is left as last used."""
+    """Newton's method at one stiction tolerance; returns (status, iterations). H is left as last used."""
     compliance = COMPLIANCE * speed / load if count > 1 else 0.0
     previous = np.inf
     majorize = False
@@ -244,9 +66,9 @@ def _newton(
             for j in range(3):
                 H[i, j] = H0[i, j]
         if lagged:
-            add_lagged(px, py, k, dx, dy, spin_load, spin_sign, eps, xi, 1.0, g, H)
+            add_lagged(px, py, k, dx, dy, spin_load, spin_sign, eps, xi, g, H)
         else:
-            add_isotropic(px, py, k, kappa2, spin_load, eps, xi, 1.0, False, g, H)
+            add_isotropic(px, py, k, kappa2, spin_load, eps, xi, False, g, H)
         last = False
         if iteration > 0:
             residual = _residual(g, contacts, count, lam, arm, load)
@@ -258,18 +80,18 @@ def _newton(
                 for i in range(3):
                     for j in range(3):
                         H[i, j] = H0[i, j]
-                add_isotropic(px, py, k, kappa2, spin_load, eps, xi, 1.0, True, scratch, H)
+                add_isotropic(px, py, k, kappa2, spin_load, eps, xi, True, scratch, H)
         for i in range(3):
             rhs[i] = H[i, 0] * xi[0] + H[i, 1] * xi[1] + H[i, 2] * xi[2] - g[i]
-        worst = _solve_modes(
+        worst = solve_modes(
             H, rhs, contacts, modes, count, vpx, vpy, mu, dt, load, speed, compliance, K, X, xi, lam
         )  # fmt: skip
         if not (worst < np.inf):
-            return NOT_CONVERGED, iteration + 1, np.inf
+            return NOT_CONVERGED, iteration + 1
         if last:
             status = CONVERGED if worst < _LARGEST_RESIDUAL else NOT_CONVERGED
-            return status, iteration + 1, residual
-    return NOT_CONVERGED, limit, residual
+            return status, iteration + 1
+    return NOT_CONVERGED, limit
 
 
 @kernel()
@@ -298,7 +120,7 @@ def solve_step(
     Returns:
         (status, iterations).
     """
-    status, iterations, _ = _newton(
+    status, iterations = _newton(
         px, py, k, kappa2, spin_load, lagged, dx, dy, spin_sign, H0, drive, contacts, count, vpx, vpy, mu, dt,
         eps, arm, load, speed, xi, lam, modes, g, H, rhs, scratch, K, X, _NEWTON_LIMIT,
     )  # fmt: skip
@@ -312,7 +134,7 @@ def solve_step(
     tolerance, factor = speed, _SHARPEN
     xi[:] = 0.0
     while True:
-        status, used, _ = _newton(
+        status, used = _newton(
             px, py, k, kappa2, spin_load, lagged, dx, dy, spin_sign, H0, drive, contacts, count, vpx, vpy, mu, dt,
             tolerance, arm, load, speed, xi, lam, modes, g, H, rhs, scratch, K, X, _ITERATION_LIMIT,
         )  # fmt: skip

@@ -64,8 +64,7 @@ def make_path_times(
     if regime == "quasi_static":
         arc = np.append(0.0, np.cumsum(distance))
         count = max(1, ceil(arc[-1] / tip_step - SLACK))
-        moving = np.append(True, distance > 0)
-        cuts = np.interp(arc[-1] * np.arange(1, count) / count, arc[moving], push.t[moving])
+        cuts = np.interp(arc[-1] * np.arange(1, count) / count, arc, push.t)
         return np.unique(np.concatenate([[0.0], cuts, [push.duration]]))
     counts = np.maximum(np.ceil(np.maximum(distance / tip_step, np.diff(push.t) / longest) - SLACK), 1).astype(int)
     pieces = [push.t[i] + (push.t[i + 1] - push.t[i]) * np.arange(count) / count for i, count in enumerate(counts)]

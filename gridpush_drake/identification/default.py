@@ -5,8 +5,9 @@
 2. Weigh the fits by their evidence. The first, all but uniform, is believed beforehand by `prior_odds` to one against
    each of the others, so that a few noisy pushes do not talk the model out of it.
 3. Average them: z = sum_a w_a z_a.
-4. Push-wise cross-validation over the training pushes: where the average predicts left-out pushes worse than the
-   uniform fit does, take the mixture of the two that predicts them best, which may be the uniform one.
+4. Push-wise cross-validation over the training pushes: mix the average with the uniform fit, with the smallest share of
+   the average that predicts left-out pushes as well as any, give or take a fraction of the standard error. Where the
+   pushes do not favour what was learned, that is the uniform fit.
 """
 
 from collections.abc import Callable
@@ -37,16 +38,18 @@ class DefaultOptions:
         range_cells: correlation range of the prior, cells.
         noise: the noise model.
         folds: most parts that the pushes are cut into for cross-validation.
-        mixtures: shares of the learned model tried where cross-validation does not favour it.
+        shares: of the learned model in the mixtures that cross-validation compares, increasing from 0 to 1.
+        caution: how many standard errors a smaller share may be worse than the best and be taken for it.
         favoured: weight of the first amplitude above which the prior counts as kept.
     """
 
     amplitudes: tuple[float, ...] = (0.05, 0.3, 0.7, 1.5, 3.0)
-    prior_odds: float = 10.0
+    prior_odds: float = 20.0
     range_cells: float = RANGE_CELLS
     noise: NoiseModel = field(default_factory=NoiseModel)
     folds: int = 5
-    mixtures: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75)
+    shares: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.0)
+    caution: float = 0.6
     favoured: float = 0.95
 
 
@@ -60,7 +63,7 @@ class DefaultFit:
         prior_covariance: (n+1, n+1) of z before the pushes, averaged with the same weights.
         noise_std: standard deviation of what stays unexplained, per coordinate of the residual, m.
         weights: of the amplitudes.
-        learned_share: of the average in the mixture, 1 where cross-validation favoured it.
+        learned_share: of the average in the mixture.
         status: "learned", "mixture" or "prior_kept".
         message: the status in a sentence.
     """
@@ -166,10 +169,9 @@ def _cross_validate(
     seed: int,
     report: Callable[[Array, str], None],
 ) -> tuple[float, tuple[float, float]]:
-    """Share of the learned model that predicts left-out pushes best, and the errors of uniform and learned, m."""
+    """Share of the learned model to take, and the errors of left-out pushes with the uniform and the learned one, m."""
     order = np.random.default_rng(seed).permutation(len(problem))
-    shares = np.append(options.mixtures, 1.0)
-    total = np.zeros(len(shares))
+    errors = np.empty((len(options.shares), len(problem)))
     best = int(np.argmax(weights))
     for part in np.array_split(order, min(options.folds, len(problem))):
         rest = sorted(set(order.tolist()) - set(part.tolist()))
@@ -180,14 +182,15 @@ def _cross_validate(
             ).z
             for i in (0, best)
         )  # fmt: skip
-        for i, share in enumerate(shares):
-            residuals = problem.residuals((1 - share) * uniform + share * learned, sorted(part.tolist()))
-            total[i] += problem.calc_cell_errors(residuals).sum()
+        left_out = sorted(part.tolist())
+        for i, share in enumerate(options.shares):
+            residuals = problem.residuals((1 - share) * uniform + share * learned, left_out)
+            errors[i, left_out] = problem.calc_cell_errors(residuals)
         report(learned, STAGE_CHECKING)
-    errors = total / len(problem)
-    uniform_error, learned_error = float(errors[0]), float(errors[-1])
-    chosen = 1.0 if learned_error <= uniform_error else float(shares[int(np.argmin(errors))])
-    return chosen, (uniform_error, learned_error)
+    excess = errors - errors[np.argmin(errors.mean(axis=1))]
+    standard_error = excess.std(axis=1, ddof=1) / np.sqrt(len(problem))
+    chosen = int(np.argmax(excess.mean(axis=1) <= options.caution * standard_error))
+    return options.shares[chosen], (float(errors[0].mean()), float(errors[-1].mean()))
 
 
 def _describe(

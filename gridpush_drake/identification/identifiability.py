@@ -76,7 +76,7 @@ def calc_identifiability(obj: GridObject, params: CellParameters, posterior: Pos
     box = calc_centre_of_mass_box(share, obj)
     learned = obj.n - len(null_space)
     covariance = obj.p_BC.T @ share_covariance @ obj.p_BC
-    statements = _describe(obj, learned, learned_share, np.sqrt(np.diag(covariance)), box)
+    statements = _describe(obj, learned, learned_share, np.sqrt(np.maximum(np.diag(covariance), 0.0)), box)
     return Identifiability(
         share, np.sqrt(np.maximum(np.diag(share_covariance), 0.0)), centre, covariance, learned, null_space,
         learned_share, mass_min, mass_max, box, statements,

@@ -57,7 +57,7 @@ def search_paper(
     regime: str = "inertial", progress: Progress | None = None,
 ) -> SearchResult:  # fmt: skip
     """Runs Algorithm 1; see `search.SearchMethod`. Nothing in it is random, and its model is always inertial."""
-    loss = CellLoss(obj, log, start, budget=budget, regime=regime, progress=progress)
+    loss = CellLoss(obj, log, start, budget=budget, regime="inertial", progress=progress)
     return run_search(loss, lambda: _descend(loss, bounds.clip(start), bounds))
 
 

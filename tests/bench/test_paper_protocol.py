@@ -146,7 +146,7 @@ def test_refuses_an_unknown_kind_of_figure(made_folder, tmp_path):
 
 @pytest.mark.slow
 def test_workers_do_not_matter(made_folder):
-    options = {"mass_sets": 2, "methods": ("default", "weighted_sampling"), "budget": 50, "progress": False}
+    options = {"mass_sets": 2, "methods": ("paper", "weighted_sampling"), "budget": 50, "progress": False}
     assert paper.run(made_folder, workers=1, **options) == paper.run(made_folder, workers=2, **options)
 
 

@@ -13,7 +13,7 @@ from tests.helpers.shapes import SHAPES, make_shape
 REGIMES = ["inertial", "quasi_static"]
 
 SENSITIVE = 30.0
-"""m/m: a push that multiplies a shift of its start by more, by the exact Jacobian, is not repeatable: 20 µm make 0.5 mm."""
+"""m/m: a push that magnifies a shift of its start more, by the exact Jacobian, is unrepeatable: 20 µm make 0.5 mm."""
 
 
 def calc_cell_error(obj, pose, other):
@@ -68,7 +68,7 @@ def test_halving_the_default_step_and_overlap(shape, regime):
 @pytest.mark.parametrize("regime", REGIMES)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_halving_the_default_step_and_overlap_over_many_pushes(shape, regime):
-    """What exceeds 0.5 mm begins where a contact arrives or leaves within a step, and grows with the push's instability.
+    """What exceeds 0.5 mm begins where a contact comes or goes within a step, and grows with the push's instability.
 
     With inertia a frictional impact adds to it, above all that of a second contact: Moreau's time stepping spreads it
     over two steps, and what sticks and slides in them depends on where in the step it falls. Its effect is of the order

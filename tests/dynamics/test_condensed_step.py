@@ -114,7 +114,7 @@ def test_a_pure_moment_turns_a_body_about_its_centre_of_mass_where_it_is_the_cen
 
 
 def test_quasi_static_push_is_the_limit_of_slow_inertial_ones():
-    """Inertia's share is of order v²/(mu g L), so the poses approach as v² and at 1 mm/s what is left is the steps' error."""
+    """Inertia's share is of order v²/(mu g L): the poses approach as v², and at 1 mm/s the steps' error is left."""
     for shape in ("square", "l_bracket", "claw_hammer"):
         obj = make_shape(shape, 40)
         rng = np.random.default_rng(3)

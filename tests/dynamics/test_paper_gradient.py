@@ -58,6 +58,8 @@ def test_gradient_holds_where_some_rows_stick_or_are_carried_backwards():
         if slides(lcp, solution) or margin < 0.01 or others < 1e-4 or np.abs(solution.xdot).max() < 1e-3:
             continue
         checked += 1
+        if checked > 8:
+            break
         gradient = calc_paper_gradient(lcp, solution, step.T)
         for name, x in (("mass", step.params.mass), ("friction", step.params.friction)):
             check_jacobian(

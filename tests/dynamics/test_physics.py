@@ -117,7 +117,7 @@ def calc_energy(obj, params, result):
 def test_energy_never_rises_without_a_push(friction, spin):
     """The implicit step minimises a convex function of which dissipation is a part.
 
-    With lagged directions a body at rest trembles at some 1e-7 m/s: the stiction tolerance, magnified by the ramp's tail.
+    With lagged directions a body at rest trembles at some 1e-7 m/s: the ramp's tail magnifies the stiction tolerance.
     """
     for seed in range(20):
         rng = np.random.default_rng(seed)
@@ -164,7 +164,7 @@ def test_below_the_limit_of_an_eccentric_force_a_body_does_not_creep(share, move
         middle = (low + high) / 2
         low, high = (low, middle) if starts(middle) > 1e-11 else (middle, high)
     result = simulate(obj, params, ForcePush(point, share * high * direction, 10.0))
-    way = np.abs(obj.cells_at(result.poses[:200 if moves else None]) - obj.p_BC).max()
+    way = np.abs(obj.cells_at(result.poses[: 200 if moves else None]) - obj.p_BC).max()
     print(f"{share} of {high:.3f} N: the cells move by {way:.2e} m")
     assert (way > 1e-3) if moves else (way < 1e-6)
 
@@ -182,9 +182,7 @@ def test_turning_and_shifting_object_and_push_together_changes_nothing(regime):
         turned = Push(X[:2] + R @ push.start, R @ push.velocity, push.duration, push.radius)
         nu = np.array([0.01, 0.02, 0.3]) if regime == "inertial" else np.zeros(3)
         one = simulate(obj, params, push, regime=regime, velocity=nu).poses
-        other = simulate(
-            obj, params, turned, X, regime=regime, velocity=[*(R @ nu[:2]), nu[2]]
-        ).poses
+        other = simulate(obj, params, turned, X, regime=regime, velocity=[*(R @ nu[:2]), nu[2]]).poses
         moved = np.column_stack([X[:2] + one[:, :2] @ R.T, one[:, 2] + X[2]])
         worst = max(worst, np.abs(other - moved).max())
     print(f"{regime}: frames agree within {worst:.1e}")

@@ -7,9 +7,9 @@ from shapely import Point
 from gridpush_drake.dynamics.contact import COLUMNS, CX, CY, NX, NY, find_contacts
 from gridpush_drake.dynamics.friction import SPIN_ARM
 from gridpush_drake.dynamics.kernel_call import Load, Method, run_kernel
+from gridpush_drake.dynamics.modes import SEPARATE, SLIDE_MINUS, SLIDE_PLUS, STICK
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import simulate
-from gridpush_drake.dynamics.step import SEPARATE, SLIDE_MINUS, SLIDE_PLUS, STICK
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
@@ -147,9 +147,7 @@ def walk_contacts(obj, params, push, regime, ahead=0.0):
         R = np.array([[c, -s], [s, c]])
         centre, v_tip = R.T @ (tip[t] - run.poses[t, :2]), R.T @ (tip[t + 1] - tip[t]) / dts[t]
         found = np.zeros((2, COLUMNS))
-        find_contacts(
-            *edges.start.T.copy(), *edges.end.T.copy(), edges.previous, *centre, push.radius, 0.01, found
-        )
+        find_contacts(*edges.start.T.copy(), *edges.end.T.copy(), edges.previous, *centre, push.radius, 0.01, found)
         touching = []
         for j in range(2):
             mode = run.modes[t, j]

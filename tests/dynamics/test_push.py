@@ -1,0 +1,142 @@
+"""Pushes: straight, sampled, from an outline, by a force."""
+
+import numpy as np
+import pytest
+from shapely import Point
+
+from gridpush_drake.dynamics.force_push import ForcePush
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import PushError
+from tests.helpers.shapes import make_shape
+
+
+def test_straight_push():
+    push = Push((1.0, 2.0), (0.3, 0.4), 2, 0.01)
+    np.testing.assert_allclose(push.tip_at([0.0, 1.0, 2.0]), [[1, 2], [1.3, 2.4], [1.6, 2.8]])
+    np.testing.assert_allclose(push.tip_at([-1.0, 9.0]), [[1, 2], [1.6, 2.8]])
+    assert push.length == pytest.approx(1.0)
+    assert push.start_tangent is None
+    assert isinstance(push.duration, float)
+
+
+def test_sampled_push():
+    t, xy = np.array([3.0, 4.0, 6.0]), np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.2]])
+    push = Push.along(t, xy, 0.01)
+    np.testing.assert_array_equal(push.t, [0, 1, 3])
+    np.testing.assert_allclose(push.velocity, [0.1 / 3, 0.2 / 3])
+    np.testing.assert_allclose(push.tip_at(2.0), [[0.1, 0.1]])
+    assert push.length == pytest.approx(0.3)
+    assert push.duration == 3.0
+
+
+def test_callers_arrays_are_copied():
+    t, xy, start = np.array([0.0, 1.0]), np.array([[0.0, 0.0], [0.1, 0.0]]), np.zeros(2)
+    pushes = (Push.along(t, xy, 0.01), Push(start, (0.1, 0.0), 1.0, 0.01, t=t, xy=xy))
+    for array in (t, xy, start):
+        array += 7.0
+    for push in pushes:
+        assert push.t[0] == 0.0
+        assert not push.xy[0].any()
+        with pytest.raises(ValueError, match="read-only"):
+            push.xy[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (((0.0,), (1.0, 0.0), 1.0, 0.01), "start"),
+        (((0.0, 0.0), (np.inf, 0.0), 1.0, 0.01), "velocity"),
+        (((0.0, 0.0), (1.0, 0.0), 0.0, 0.01), "duration"),
+        (((0.0, 0.0), (1.0, 0.0), np.nan, 0.01), "duration"),
+        (((0.0, 0.0), (1.0, 0.0), 1.0, -0.01), "radius"),
+    ],
+)
+def test_bad_straight_pushes(arguments, message):
+    with pytest.raises(PushError, match=message):
+        Push(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("t", "xy", "message"),
+    [
+        ([0.0], [[0.0, 0.0]], "shape"),
+        ([0.0, 1.0], [[0.0, 0.0]], "shape"),
+        ([[0.0, 1.0]], [[0.0, 0.0], [1.0, 0.0]], "shape"),
+        ([0.0, np.nan], [[0.0, 0.0], [1.0, 0.0]], "finite"),
+        ([0.0, 1.0], [[0.0, 0.0], [np.inf, 0.0]], "finite"),
+        ([0.0, 1.0, 1.0], [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]], r"t\[2\]"),
+    ],
+)
+def test_bad_sampled_pushes(t, xy, message):
+    with pytest.raises(PushError, match=message):
+        Push.along(t, xy, 0.01)
+
+
+def test_push_on_an_outline():
+    obj, pose = make_shape("square", 16), (0.3, -0.1, np.pi / 2)
+    # the outline's first vertex is (-0.05, -0.05); 0.03 m along its bottom side, turned by 90°
+    push = Push.on_outline(obj, 0.03, 0.0, 0.1, radius=0.01, speed=0.05, pose=pose, clearance=0.002)
+    np.testing.assert_allclose(push.start, [0.3 + 0.062, -0.1 - 0.02])
+    np.testing.assert_allclose(push.velocity, [-0.05, 0.0], atol=1e-15)
+    np.testing.assert_allclose(push.start_tangent, [0.0, 1.0], atol=1e-15)
+    assert push.duration == pytest.approx(2.0)
+    turned = Push.on_outline(obj, 0.03, 0.5, 0.1, radius=0.01, duration=2.0, pose=pose, clearance=0.002)
+    np.testing.assert_allclose(turned.velocity, 0.05 * np.array([-np.cos(0.5), -np.sin(0.5)]))
+    again = Push.on_outline(obj, 0.43, 0.5, 0.1, radius=0.01, duration=2.0, pose=pose, clearance=0.002)
+    np.testing.assert_allclose(again.start, turned.start)
+
+
+@pytest.mark.parametrize("shape", ["triangle", "disc", "claw_hammer"])
+def test_start_moves_along_its_tangent(shape):
+    obj, pose, step = make_shape(shape, 20), (0.1, 0.2, 0.7), 1e-7
+    for s in np.linspace(0.003, obj.edges.perimeter, 23)[:-1]:
+        one, other = (Push.on_outline(obj, s + d, 0.1, 0.1, radius=0.004, speed=0.1, pose=pose) for d in (0.0, step))
+        np.testing.assert_allclose((other.start - one.start) / step, one.start_tangent, atol=1e-6)
+        body = np.array([[np.cos(0.7), np.sin(0.7)], [-np.sin(0.7), np.cos(0.7)]]) @ (one.start - pose[:2])
+        if shape != "claw_hammer":
+            assert obj.outline.distance(Point(body)) == pytest.approx(0.004)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"radius": 0.01}, "either duration or speed"),
+        ({"radius": 0.01, "speed": 0.1, "duration": 1.0}, "either duration or speed"),
+        ({"radius": 0.0, "speed": 0.1}, "radius"),
+        ({"radius": 0.01, "speed": -0.1}, "speed"),
+        ({"radius": 0.01, "duration": 0.0}, "duration"),
+        ({"radius": 0.01, "speed": 0.1, "distance": 0.0}, "distance"),
+        ({"radius": 0.01, "speed": 0.1, "clearance": -0.1}, "clearance"),
+        ({"radius": 0.01, "speed": 0.1, "angle": np.nan}, "angle"),
+        ({"radius": 0.01, "speed": 0.1, "pose": (0.0, 0.0)}, "pose"),
+    ],
+)
+def test_bad_pushes_on_an_outline(options, message):
+    arguments = {"arc_length": 0.01, "angle": 0.0, "distance": 0.1, **options}
+    with pytest.raises(PushError, match=message):
+        Push.on_outline(make_shape("square", 4), **arguments)
+
+
+def test_force_push():
+    push = ForcePush((0.01, 0.0), [[1.0, 0.0], [0.0, 2.0]], 1.0, t=[0.0, 0.4])
+    times = np.array([0.0, 0.2, 0.4, 0.6, 2.0])
+    np.testing.assert_array_equal(push.force_during(times), [[1, 0], [1, 0], [0, 2], [0, 2]])
+    one = ForcePush((0.0, 0.0), (1.0, 2.0), 1.0)
+    np.testing.assert_array_equal(one.force_during(times), [[1, 2]] * 4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (((0.0,), (1.0, 0.0), 1.0), "shape"),
+        (((0.0, 0.0), (1.0, 0.0, 0.0), 1.0), "shape"),
+        (((0.0, 0.0), (np.nan, 0.0), 1.0), "finite"),
+        (((0.0, 0.0), (1.0, 0.0), -1.0), "duration"),
+        (((0.0, 0.0), [[1.0, 0.0], [1.0, 0.0]], 1.0), "shape"),
+        (((0.0, 0.0), [[1.0, 0.0], [1.0, 0.0]], 1.0, [0.1, 0.2]), "begin at 0"),
+        (((0.0, 0.0), [[1.0, 0.0], [1.0, 0.0]], 1.0, [0.0, 0.0]), "increase"),
+    ],
+)
+def test_bad_force_pushes(arguments, message):
+    with pytest.raises(PushError, match=message):
+        ForcePush(*arguments)
