@@ -79,8 +79,8 @@ def simulate(
         params: its cells' masses and frictions.
         push: the pusher's motion, or a force applied to the object.
         pose: (3,) q = (x, y, theta) of B in W at the beginning, m and rad.
-        dt: step, s; the last one is shortened to end with the push. By default at most `DEFAULT_DT`, and so short that
-            the pusher moves at most `DEFAULT_TIP_STEP` a step.
+        dt: step, s; the last one is shortened to end with the push. By default so short that the pusher moves at most
+            `DEFAULT_TIP_STEP` a step and, in the inertial regime, at most `DEFAULT_DT`.
         gradients: True adds the exact Jacobian of every recorded pose; "paper" the paper's closed form, of each step by
             itself.
         velocity: (3,) (vx, vy, w) of B's origin in W at the beginning; inertial regime only.

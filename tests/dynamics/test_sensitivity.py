@@ -1,5 +1,7 @@
 """Exact gradients against central differences, and the paper's against its own LCP (issue 2, physics 3)."""
 
+from collections import Counter
+
 import numpy as np
 import pytest
 
@@ -9,102 +11,15 @@ from gridpush_drake.dynamics.maximal_solvers import solve_as_qp
 from gridpush_drake.dynamics.one_step import calc_step
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import simulate
-from gridpush_drake.dynamics.simulation import Jacobian
 from gridpush_drake.grid.parameters import CellParameters
 from tests.helpers.finite_difference import check_jacobian
+from tests.helpers.push_cases import check_case, make_notch_case, make_random_case
 from tests.helpers.random_objects import make_random_object, make_random_pose
-from tests.helpers.random_pushes import make_random_contents, make_random_push
+from tests.helpers.random_pushes import make_random_contents
 from tests.helpers.shapes import SHAPES, make_shape
 
 REGIMES = ["inertial", "quasi_static"]
 SPINS = ["coupled", "separate", "none"]
-STEPS = 30
-
-GEOMETRY, PARAMETERS = (1e-6, 1e-7), (1e-4, 1e-5, 1e-6)
-"""Relative steps of the differences, tried in turn: a long one may reach over a corner of the outline, where the second
-derivative jumps, and a short one is lost in round-off."""
-
-ROUND_OFF = 1e-12
-"""m and rad, of a simulated pose."""
-
-
-class PushCase:
-    """A random curved push of a random object, as a function of everything that its final poses depend on."""
-
-    def __init__(self, shape, seed, regime, spin):
-        rng = np.random.default_rng(seed)
-        self.obj = make_shape(shape, 20)
-        self.params = make_random_contents(rng, self.obj)
-        self.pose = make_random_pose(rng)
-        straight = make_random_push(rng, self.obj, self.pose, length=0.03, speeds=(0.02, 0.1, 0.3))
-        t = np.linspace(0, straight.duration, 5)
-        self.path = straight.tip_at(t)
-        self.path[1:] += rng.normal(size=(4, 2)) * 1e-3
-        self.t, self.radius = t, straight.radius
-        moving = regime == "inertial" and seed % 2
-        nu = rng.uniform(-1, 1, 3) * (0.05, 0.05, 1.0) if moving else np.zeros(3)
-        times = np.linspace(0, straight.duration, STEPS + 1)
-        self.options = {"times": times, "velocity": nu, "regime": regime, "spin": spin}
-        self.result = self.run(gradients=True)
-        self.switched = False
-
-    def run(self, *, gradients=False, turn=0.0, stretch=0.0, **changed):
-        """Simulates with some of mass, friction, contact_friction, start, pose changed; notes a change of modes."""
-        values = {
-            "mass": self.params.mass,
-            "friction": self.params.friction,
-            "contact_friction": self.params.contact_friction,
-            "start": self.path[0],
-            "pose": self.pose,
-            **changed,
-        }
-        c, s = np.cos(turn), np.sin(turn)
-        length = np.linalg.norm(np.diff(self.path, axis=0), axis=1).sum()
-        xy = values["start"] + (1 + stretch / length) * (self.path - self.path[0]) @ np.array([[c, s], [-s, c]])
-        params = CellParameters(values["mass"], values["friction"], float(values["contact_friction"]))
-        push = Push.along(self.t, xy, self.radius)
-        result = simulate(self.obj, params, push, values["pose"], gradients=gradients, **self.options)
-        if not gradients:
-            self.switched |= bool((result.modes != self.result.modes).any())
-        return result
-
-    def blocks(self):
-        """Name, value and Jacobian of everything, and the keyword by which `run` varies it."""
-        J: Jacobian = self.result.jacobian
-        return [
-            ("mass", self.params.mass, J.mass),
-            ("friction", self.params.friction, J.friction),
-            ("contact_friction", np.array(self.params.contact_friction), J.contact_friction),
-            ("start", self.path[0], J.start),
-            ("pose", self.pose, J.pose),
-            ("turn", np.array(0.0), J.direction),
-            ("stretch", np.array(0.0), J.length),
-        ]
-
-
-def check_case(case, shape, seed):
-    """Checks every block; where the sequence of contact modes differs within the stencil, there is no derivative."""
-    skipped = 0
-    for name, value, jacobian in case.blocks():
-        if not np.any(np.abs(jacobian) > 1e-9):
-            continue  # the block is zero to the accuracy of the solution: a stuck contact ignores its friction
-        case.switched = False
-        failures = []
-        for step in PARAMETERS if name in ("mass", "friction", "contact_friction") else GEOMETRY:
-            size = max(np.abs(value).max(), 0.1 if name in ("turn", "stretch") else 0.0)
-            floor = ROUND_OFF / (step * size) + 1e-6 * np.abs(jacobian).max()
-            try:
-                check_jacobian(
-                    lambda x, name=name: case.run(**{name: x}).poses,
-                    value, jacobian, step=step * (1 if np.any(value) else 0.1), order=4, rtol=1e-5, atol=floor,
-                )  # fmt: skip
-                break
-            except AssertionError as error:
-                failures.append(str(error))
-        else:
-            assert case.switched, f"{shape}, seed {seed}, {name}: {failures}"
-            skipped += 1
-    return skipped
 
 
 def count_features(case):
@@ -118,7 +33,7 @@ def count_features(case):
 def test_exact_gradients(shape, regime):
     features, skipped, blocks = np.zeros(3, int), 0, 0
     for seed in range(6):
-        case = PushCase(shape, seed, regime, SPINS[seed % 3])
+        case = make_random_case(shape, seed, regime, SPINS[seed % 3])
         assert case.result.status == "ok"
         skipped += check_case(case, shape, seed)
         features += count_features(case)
@@ -133,9 +48,24 @@ def test_exact_gradients(shape, regime):
 @pytest.mark.parametrize("regime", REGIMES)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_exact_gradients_of_many_pushes(shape, regime):
-    skipped = sum(check_case(PushCase(shape, seed, regime, SPINS[seed % 3]), shape, seed) for seed in range(100, 140))
+    skipped = sum(
+        check_case(make_random_case(shape, seed, regime, SPINS[seed % 3]), shape, seed) for seed in range(100, 140)
+    )
     print(f"{shape}, {regime}: {skipped} of 280 blocks cross a switch")
     assert skipped < 70
+
+
+@pytest.mark.parametrize("regime", REGIMES)
+def test_exact_gradients_with_two_contacts(regime):
+    """A disc that comes to lie in a V-notch, pushed askew: both contacts slide, or one of them sticks."""
+    combinations = Counter()
+    for seed in range(16):
+        case = make_notch_case(seed, regime)
+        assert check_case(case, "notched_block", seed) == 0
+        modes = case.result.modes
+        combinations.update({tuple(sorted(row)) for row in modes[(modes != 0).all(axis=1)].tolist()})
+    print(f"{regime}: pairs of modes, by pushes: {dict(combinations)}")
+    assert {(1, 2), (2, 2), (3, 3)} <= set(combinations)
 
 
 @pytest.mark.parametrize("spin", SPINS)
@@ -188,7 +118,7 @@ def test_contact_location_is_the_derivative_by_arc_length(regime):
 
 
 def test_recorded_rows_are_those_of_the_whole_jacobian():
-    case = PushCase("l_bracket", 3, "inertial", "coupled")
+    case = make_random_case("l_bracket", 3, "inertial", "coupled")
     push = Push.along(case.t, case.path, case.radius)
     some = simulate(case.obj, case.params, push, case.pose, gradients=True, record=[30, 7], **case.options).jacobian
     np.testing.assert_array_equal(some.steps, [30, 7])
