@@ -41,7 +41,7 @@ def write_curve(
             axis.fill_between(counts, middle - spread, middle + spread, color=colour, alpha=0.15, linewidth=0)
         axis.axhline(calc_split_means(scores, [name], UNIFORM, 0).mean(), color="0.4", linestyle="--", label=UNIFORM)
         axis.set_title(name)
-        axis.set_ylim(bottom=0)
+    axes[0].set_ylim(bottom=0)  # shared by all panels
     for axis in axes[len(names) :]:
         axis.set_visible(False)
     figure.supxlabel("training pushes")
