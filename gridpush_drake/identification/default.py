@@ -59,10 +59,10 @@ class DefaultFit:
 
     Attributes:
         z: (n+1,) log k and log mu_c.
-        covariance: (n+1, n+1) of z.
-        prior_covariance: (n+1, n+1) of z before the pushes, averaged with the same weights.
+        covariance: (n+1, n+1) of z, over all amplitudes by their evidence alone.
+        prior_covariance: (n+1, n+1) of z before the pushes, averaged in the same way.
         noise_std: standard deviation of what stays unexplained, per coordinate of the residual, m.
-        weights: of the amplitudes.
+        weights: of the amplitudes in z.
         learned_share: of the average in the mixture.
         status: "learned", "mixture" or "prior_kept".
         message: the status in a sentence.
@@ -122,11 +122,13 @@ def fit_default(
     z = learned_share * average + (1 - learned_share) * fits[0].z
     weights = learned_share * weights
     weights[0] += 1 - learned_share
+    # Leaning on the uniform fit predicts better; it is no knowledge, and must not make the estimate look surer.
+    plausible = _calc_weights(fits, prior_odds=1.0)
     spread = [fit.covariance + np.outer(fit.z - z, fit.z - z) for fit in fits]
     return DefaultFit(
         z,
-        np.einsum("a,aij->ij", weights, np.array(spread)),
-        np.einsum("a,aij->ij", weights, np.array([A @ A.T for A in factors])),
+        np.einsum("a,aij->ij", plausible, np.array(spread)),
+        np.einsum("a,aij->ij", plausible, np.array([A @ A.T for A in factors])),
         options.noise.pose * float(weights @ np.array([fit.scale for fit in fits])),
         weights,
         learned_share,
