@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gridpush_drake.bench.shared_data import find_shared_data
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import make_path_times, simulate
 from gridpush_drake.errors import GridPushError
@@ -24,8 +25,8 @@ from gridpush_drake.pushes.log import ObservedPush, PushLog
 
 Array = NDArray[np.float64]
 
-DATA = Path("shared", "data", "masks")
-"""Where the data lie, in a folder above this file's or the current one."""
+MASKS = "masks"
+"""Their folder among the public data."""
 
 MAX_CELLS = 127
 PUSHES_PER_SIDE = 5
@@ -83,14 +84,6 @@ class Case:
     log: PushLog
 
 
-def find_data() -> Path:
-    """Finds the data beside the repository. Raises GridPushError where they are not there."""
-    for folder in (*Path(__file__).resolve().parents, *Path.cwd().parents):
-        if (folder / DATA).is_dir():
-            return folder / DATA
-    raise GridPushError(f"the paper's masks are not beside the repository ({DATA}); pass their folder with --data")
-
-
 def read_protocol(folder: Path | str | None = None) -> Protocol:
     """Reads `protocol.json`.
 
@@ -103,7 +96,7 @@ def read_protocol(folder: Path | str | None = None) -> Protocol:
     Raises:
         GridPushError: the folder or the file is not there, or the file is not of its form.
     """
-    folder = find_data() if folder is None else Path(folder)
+    folder = find_shared_data() / MASKS if folder is None else Path(folder)
     path = folder / "protocol.json"
     try:
         content: Any = json.loads(path.read_text())

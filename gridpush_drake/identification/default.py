@@ -62,8 +62,6 @@ class DefaultFit:
         covariance: (n+1, n+1) of z, over all amplitudes by their evidence alone.
         prior_covariance: (n+1, n+1) of z before the pushes, averaged in the same way.
         noise_std: standard deviation of what stays unexplained, per coordinate of the residual, m.
-        weights: of the amplitudes in z.
-        learned_share: of the average in the mixture.
         status: "learned", "mixture" or "prior_kept".
         message: the status in a sentence.
     """
@@ -72,8 +70,6 @@ class DefaultFit:
     covariance: Array
     prior_covariance: Array
     noise_std: float
-    weights: Array
-    learned_share: float
     status: str
     message: str
 
@@ -130,8 +126,6 @@ def fit_default(
         np.einsum("a,aij->ij", plausible, np.array(spread)),
         np.einsum("a,aij->ij", plausible, np.array([A @ A.T for A in factors])),
         options.noise.pose * float(weights @ np.array([fit.scale for fit in fits])),
-        weights,
-        learned_share,
         *_describe(weights, learned_share, errors, options),
     )
 
@@ -140,9 +134,8 @@ def fit_nothing(obj: GridObject, z0: Array, log_contact_friction_std: float, opt
     """The prior, where no push touched the object."""
     C = calc_smooth_covariance(obj, options.range_cells)
     A = calc_prior_factor(C, options.amplitudes[-1], log_contact_friction_std)
-    weights = np.eye(len(options.amplitudes))[-1]
     message = "The pusher never touched the object: nothing was learned, this is the prior."
-    return DefaultFit(z0, A @ A.T, A @ A.T, options.noise.pose, weights, 0.0, STATUS_NO_DATA, message)
+    return DefaultFit(z0, A @ A.T, A @ A.T, options.noise.pose, STATUS_NO_DATA, message)
 
 
 def calc_prior_factor(C: Array, amplitude: float, log_contact_friction_std: float) -> Array:

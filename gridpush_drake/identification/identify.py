@@ -14,7 +14,7 @@ from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import DEFAULT_TOTAL_MASS, CellParameters
 from gridpush_drake.grid.prior import PhysicalPrior
 from gridpush_drake.identification.bounds import Bounds
-from gridpush_drake.identification.default import STAGE_CHECKING, DefaultFit, DefaultOptions, fit_default, fit_nothing
+from gridpush_drake.identification.default import DefaultFit, DefaultOptions, fit_default, fit_nothing
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.map_fit import CentreOfMass
 from gridpush_drake.identification.posterior import Posterior
@@ -22,6 +22,7 @@ from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import HistoryEntry, Identification
 from gridpush_drake.identification.search_fit import fit_by_search
 from gridpush_drake.identification.search_methods import SEARCH_METHODS
+from gridpush_drake.identification.tracker import Tracker
 from gridpush_drake.pushes.log import PushLog
 
 Array = NDArray[np.float64]
@@ -110,32 +111,6 @@ def choose_regime(obj: GridObject, log: PushLog) -> Regime:
     return "inertial" if fastest**2 / scale > FAST_PUSH else "quasi_static"
 
 
-class Tracker:
-    """Keeps the best loss so far, and tells whoever wants to know."""
-
-    def __init__(self, problem: PushProblem, progress: Progress | None) -> None:
-        """Begins at nothing simulated."""
-        self.problem, self.progress = problem, progress
-        self.history: list[HistoryEntry] = []
-        self.simulations = 0
-
-    def report(self, z: Array, stage: str) -> None:
-        """Notes where a fit is; while checking, z was fitted to some pushes only and its loss does not count."""
-        best = self.history[-1].loss if self.history else np.inf
-        if stage != STAGE_CHECKING:
-            spent = self.problem.simulations
-            best = min(best, float(self.problem.calc_cell_errors(self.problem.residuals(z)).mean()))
-            self.problem.simulations = spent
-        self.add(HistoryEntry(self.problem.simulations, best, stage))
-
-    def add(self, entry: HistoryEntry) -> None:
-        """Notes an entry."""
-        self.history.append(entry)
-        self.simulations = entry.simulations
-        if self.progress is not None:
-            self.progress(entry)
-
-
 def _check_log(obj: GridObject, log: PushLog) -> PushLog:
     """The log with the object's pusher radius where it has none of its own."""
     source = log.source or "push log"
@@ -173,6 +148,6 @@ def _make_result(
     )
     return Identification(
         obj, params, std, posterior, calc_identifiability(obj, params, posterior), method, regime, fit.status,
-        fit.message, tuple(tracker.history), max(tracker.simulations, tracker.problem.simulations), fit.noise_std,
+        fit.message, tuple(tracker.history), tracker.simulations, fit.noise_std,
         seed, tuple(push.name for push in log), unused,
     )  # fmt: skip

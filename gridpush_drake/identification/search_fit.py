@@ -1,7 +1,5 @@
 """A search's result in the form of a fit: its parameters, with Laplace's spread about them."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,10 +12,8 @@ from gridpush_drake.identification.result import STATUS_BUDGET_SPENT, STATUS_LEA
 from gridpush_drake.identification.search import SearchMethod
 from gridpush_drake.identification.search_methods import DEFAULT_BUDGET_PER_PUSH
 from gridpush_drake.identification.smoothness import calc_smooth_covariance
+from gridpush_drake.identification.tracker import Tracker
 from gridpush_drake.pushes.log import PushLog
-
-if TYPE_CHECKING:
-    from gridpush_drake.identification.identify import Tracker
 
 Array = NDArray[np.float64]
 
@@ -32,7 +28,7 @@ def fit_by_search(
     options: DefaultOptions,
     budget: int | None,
     seed: int,
-    tracker: "Tracker",
+    tracker: Tracker,
 ) -> tuple[DefaultFit, Array]:
     """Runs a search.
 
@@ -62,8 +58,7 @@ def fit_by_search(
     covariance, scale = calc_laplace(final, z, A, options.noise)
     status = STATUS_BUDGET_SPENT if found.status == STATUS_BUDGET_SPENT else STATUS_LEARNED
     message = f"The search ended after {found.simulations} simulations: {found.status.replace('_', ' ')}."
-    weights = np.eye(len(options.amplitudes))[-1]
     return (
-        DefaultFit(z, covariance, A @ A.T, options.noise.pose * scale, weights, 1.0, status, message),
+        DefaultFit(z, covariance, A @ A.T, options.noise.pose * scale, status, message),
         found.params.friction,
     )
