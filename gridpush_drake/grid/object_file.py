@@ -6,6 +6,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import shapely
 import yaml
 from pydantic import ValidationError
@@ -53,6 +54,8 @@ def read_object(path: Path | str, *, largest_piece: bool = False) -> GridObject:
         found = "neither" if schema.mask is None else "both"
         raise ObjectError(f"{path}: has {found} of outline and mask; expected exactly one of them")
     name = path.stem if schema.name is None else schema.name
+    if schema.cells is not None and (schema.mask is not None or schema.parts or "max_cells" in data):
+        raise ObjectError(f"{path}: cells are the object's own; expected no mask, parts or max_cells beside them")
     if schema.mask is not None:
         for key in ("holes", "parts"):
             if getattr(schema, key):
@@ -60,17 +63,16 @@ def read_object(path: Path | str, *, largest_piece: bool = False) -> GridObject:
         image, scale = path.parent / schema.mask.image, schema.mask.metres_per_pixel
         options = {"largest_piece": largest_piece, "name": name, "prior": prior}
         return _in_file(path, object_from_mask, image, scale, schema.max_cells, **options)
-    return _in_file(path, _fill_outline, schema, name, prior)
+    return _in_file(path, _take_cells if schema.cells else _fill_outline, schema, name, prior)
 
 
 def write_object(path: Path | str, obj: GridObject, *, max_cells: int | None = None, force: bool = False) -> None:
-    """Writes an object as an outline with its parts and prior, so that `read_object` gives it back.
+    """Writes an object as an outline with its cells and prior, so that `read_object` gives it back, bit for bit.
 
     Args:
         path: the YAML file to be written.
         obj: the object.
-        max_cells: the `max_cells` it was made with, which gives the same cells again; its number of cells where
-            None.
+        max_cells: to fill its outline with when it is read; None writes its very cells.
         force: whether an existing file may be replaced.
 
     Raises:
@@ -80,10 +82,12 @@ def write_object(path: Path | str, obj: GridObject, *, max_cells: int | None = N
     data: dict[str, Any] = {"name": obj.name, "outline": _points(obj.outline.exterior)}
     if obj.outline.interiors:
         data["holes"] = [_points(ring) for ring in obj.outline.interiors]
-    parts = _parts_of(obj)
-    if parts:
-        data["parts"] = parts
-    data["max_cells"] = int(obj.n if max_cells is None else max_cells)
+    if max_cells is None:
+        data["cells"] = {"size": obj.cell_size, "centres": obj.p_BC.tolist()}
+        if (obj.labels != 1).any():
+            data["cells"]["labels"] = obj.labels.tolist()
+    else:
+        data |= _describe_parts(obj) | {"max_cells": int(max_cells)}
     if prior.total_mass is not None:
         data["total_mass"] = float(prior.total_mass)
     if prior.centre_of_mass is not None:
@@ -145,8 +149,19 @@ def _fill_outline(schema: ObjectSchema, name: str, prior: PhysicalPrior) -> Grid
     return object_from_outline(outline, parts, schema.max_cells, name=name, prior=prior)
 
 
-def _parts_of(obj: GridObject) -> list[dict[str, Any]]:
-    """The squares of each part's cells, joined; empty where part 1 is the only one."""
+def _take_cells(schema: ObjectSchema, name: str, prior: PhysicalPrior) -> GridObject:
+    assert schema.outline is not None
+    assert schema.cells is not None
+    cells = schema.cells
+    labels = [1] * len(cells.centres) if cells.labels is None else cells.labels
+    if len(labels) != len(cells.centres):
+        raise ObjectError(f"cells.labels has {len(labels)} entries; expected {len(cells.centres)}, one a cell")
+    outline = polygon_from(schema.outline, "outline", tuple(schema.holes))
+    return GridObject(name, np.array(cells.centres), cells.size, np.array(labels), outline, prior)
+
+
+def _describe_parts(obj: GridObject) -> dict[str, Any]:
+    """`parts`: the squares of each part's cells, joined; nothing where part 1 is the only one."""
     labels = sorted({int(label) for label in obj.labels} - {1})
     parts = []
     for label in labels:
@@ -154,7 +169,7 @@ def _parts_of(obj: GridObject) -> list[dict[str, Any]]:
         boxes = shapely.box(*low.T, *(low + 2 * obj.cell_size * PART_REACH).T)
         joined = shapely.union_all(boxes).simplify(obj.cell_size * (PART_REACH - 0.5))
         parts += [{"label": label, "outline": _points(piece.exterior)} for piece in _without_holes(joined)]
-    return parts
+    return {"parts": parts} if parts else {}
 
 
 def _without_holes(shape: Polygon | MultiPolygon) -> list[Polygon]:

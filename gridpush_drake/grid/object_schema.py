@@ -34,6 +34,14 @@ class PartSchema(_Schema):
     outline: Points
 
 
+class CellsSchema(_Schema):
+    """The very cells of an outline, body frame, m, instead of filling it; labels are 1 where not given."""
+
+    size: Positive
+    centres: Annotated[list[Point], Field(min_length=1)]
+    labels: list[Annotated[int, Field(ge=1)]] | None = None
+
+
 class CentreOfMassSchema(_Schema):
     """Prior of the centre of mass, body frame, m."""
 
@@ -70,6 +78,7 @@ class ObjectSchema(_Schema):
     holes: list[Points] = []
     parts: list[PartSchema] = []
     mask: MaskSchema | None = None
+    cells: CellsSchema | None = None
     max_cells: Annotated[int, Field(ge=1)] = DEFAULT_MAX_CELLS
     total_mass: Positive | None = None
     centre_of_mass: CentreOfMassSchema | None = None
@@ -109,6 +118,10 @@ EXPECTED = {
     "mask": "image and metres_per_pixel",
     "mask.image": "the name of a PGM or PNG file beside this one",
     "mask.metres_per_pixel": "a positive number, in metres",
+    "cells": "size, centres and, where there are several parts, labels",
+    "cells.size": "a positive number, in metres",
+    "cells.centres": "a list of points [x, y], in metres",
+    "cells.labels": "a list of whole numbers, 1 or more, one a cell",
     "max_cells": "a whole number, 1 or more",
     "total_mass": "a positive number, in kg",
     "centre_of_mass": "at: [x, y] and std, in metres",

@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 import yaml
@@ -5,7 +7,7 @@ from PIL import Image
 
 from gridpush_drake.errors import ObjectError, OutputError
 from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.object_file import read_object, write_object
+from gridpush_drake.grid.object_file import find_shipped_object, list_shipped_objects, read_object, write_object
 from gridpush_drake.grid.prior import PhysicalPrior
 
 FULL = """\
@@ -161,11 +163,36 @@ def test_labels_that_enclose_others_survive_writing(tmp_path):
     np.testing.assert_array_equal(read_object(tmp_path / "a.yaml").labels, first.labels)
 
 
-def test_object_without_priors_is_written_short_and_without_max_cells_keeps_its_number(tmp_path):
+@pytest.mark.parametrize("name", list_shipped_objects())
+def test_an_object_is_given_back_bit_for_bit(tmp_path, name):
+    obj = read_object(find_shipped_object(name))
+    write_object(tmp_path / "a.yaml", obj)
+    copy = read_object(tmp_path / "a.yaml")
+    for array in ("p_BC", "labels"):
+        np.testing.assert_array_equal(getattr(copy, array), getattr(obj, array))
+    np.testing.assert_array_equal(copy.edges.start, obj.edges.start)
+    assert (copy.name, copy.cell_size, copy.prior) == (obj.name, obj.cell_size, obj.prior)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (BASE + "cells: {size: 0.01, centres: [[0.05, 0.02]]}\nmax_cells: 3\n", "expected no mask, parts or max_cells"),
+        (BASE + "cells: {size: 0.01, centres: [[0.05, 0.02]], labels: [1, 2]}\n", "has 2 entries; expected 1"),
+        (BASE + "cells: {size: 0, centres: [[0.05, 0.02]]}\n", "cells.size is 0; expected a positive"),
+        (BASE + "cells: {size: 0.01, centres: []}\n", "cells.centres"),
+    ],
+)
+def test_cells_that_make_no_sense_are_refused(tmp_path, text, says):
+    with pytest.raises(ObjectError, match=re.escape(says)):
+        read_object(written(tmp_path, text))
+
+
+def test_object_without_priors_is_written_short(tmp_path):
     obj = GridObject.from_outline([[0, 0], [1, 0], [1, 1], [0, 1]], max_cells=100, name="on")
     write_object(tmp_path / "a.yaml", obj)
     data = yaml.safe_load((tmp_path / "a.yaml").read_text())
-    assert set(data) == {"name", "outline", "max_cells", "friction", "contact_friction"}
+    assert set(data) == {"name", "outline", "cells", "friction", "contact_friction"}
     copy = read_object(tmp_path / "a.yaml")
     assert (copy.n, copy.name) == (100, "on")
 
