@@ -25,6 +25,7 @@ KERNEL_FILES = (
     "rollout.py",
     "sensitivity.py",
     "step.py",
+    "step_memory.py",
 )
 
 FAST_SUMS = frozenset({"reassoc", "contract", "nsz", "arcp"})

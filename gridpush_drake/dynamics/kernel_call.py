@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.friction import SPIN_ARM
 from gridpush_drake.dynamics.rollout import rollout
+from gridpush_drake.dynamics.step_memory import make_memory
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
 
@@ -86,6 +87,7 @@ def run_kernel(
     load: Load,
     row_of_step: NDArray[np.int64],
     J: Array,
+    memory: Array | None = None,
 ) -> Steps:
     """Simulates T steps.
 
@@ -100,6 +102,7 @@ def run_kernel(
         load: what drives the body.
         row_of_step: (T+1,) row of J that records this step, -1 for none.
         J: (rows, 3, n + OTHER) filled; without columns where no derivative is wanted.
+        memory: (MEMORY_SIZE,) of the step before, updated in place; a body that was at rest by default.
 
     Returns:
         The record.
@@ -118,6 +121,7 @@ def run_kernel(
         cells, k, spin, method.lagged, method.ahead, edges, previous, load.radius, params.contact_friction,
         _make_moments(obj, params), method.inertial, np.array([method.stiction, method.relative_stiction]), q, nu,
         load.tip, load.path_length, dts, load.wrench, load.point, row_of_step, *record, J,
+        make_memory() if memory is None else memory,
     )  # fmt: skip
     return record
 

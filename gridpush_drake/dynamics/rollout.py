@@ -22,6 +22,7 @@ from gridpush_drake.dynamics.lagged import fill_lagged_directions
 from gridpush_drake.dynamics.modes import COMPLIANCE, SEPARATE
 from gridpush_drake.dynamics.sensitivity import calc_input_derivative, calc_step_derivative, fill_cell_forces
 from gridpush_drake.dynamics.step import CONVERGED, solve_step
+from gridpush_drake.dynamics.step_memory import MOVING, recall, remember
 
 _TINY_SPEED = 1e-12  # m/s
 _REACH = 2.0  # contacts closer than this many steps' motion are watched
@@ -32,7 +33,7 @@ _AT_REST = 2.0  # a body slower than so many stiction tolerances rests
 def rollout(
     cells, k, spin, lagged, ahead, edges, previous, radius, mu, moments, inertial, stiction, pose, velocity, tip,
     path_length, dts, wrench, force_point, row_of_step, poses, twists, velocities, contact_forces, contact_points,
-    modes_out, gaps, statuses, J,
+    modes_out, gaps, statuses, J, memory,
 ):  # fmt: skip
     """Simulates T steps.
 
@@ -58,6 +59,7 @@ def rollout(
             in the frame of the step, (T+1, 3), (T, 2, 2) in W, (T, 2, 2) in W, (T, 2), (T+1,), (T, 2) status and
             iterations.
         J: (rows, 3, n + OTHER) filled; without columns where no derivative is wanted.
+        memory: (MEMORY_SIZE,) of the step before, updated; see `step_memory`.
     """
     px, py = cells[0], cells[1]
     n = px.shape[0]
@@ -91,7 +93,7 @@ def rollout(
     if differentiate:
         start_columns(Q, n, c, s, body_x, body_y, yaw_rate)
         record_columns(J, row_of_step[0], Q, c, s)
-    moving_steps = 0
+    moving_steps = recall(memory, xi, last_xi, modes)
 
     for t in range(steps):
         dt = dts[t]
@@ -158,7 +160,7 @@ def rollout(
             Y[:] = 0.0
             E[:] = 0.0
         else:
-            if moving_steps >= 2:
+            if moving_steps >= MOVING:
                 for i in range(3):
                     last_xi[i], xi[i] = xi[i], 2.0 * xi[i] - last_xi[i]
             elif moving_steps == 1:
@@ -220,6 +222,7 @@ def rollout(
         velocities[t + 1, 2] = yaw_rate
         if differentiate:
             record_columns(J, row_of_step[t + 1], Q, c, s)
+    remember(memory, xi, last_xi, modes, moving_steps)
     gaps[steps] = np.inf
     if radius > 0.0:
         tx = c * (tip[steps, 0] - x) + s * (tip[steps, 1] - y)
