@@ -20,7 +20,13 @@ from gridpush_drake.grid.object import GridObject
 from gridpush_drake.identification.map_fit import CentreOfMass, MapFit, fit_map
 from gridpush_drake.identification.noise import NoiseModel
 from gridpush_drake.identification.problem import PushProblem
-from gridpush_drake.identification.result import STATUS_LEARNED, STATUS_MIXTURE, STATUS_NO_DATA, STATUS_PRIOR_KEPT
+from gridpush_drake.identification.result import (
+    STATUS_LEARNED,
+    STATUS_MIXTURE,
+    STATUS_NO_DATA,
+    STATUS_PRIOR_KEPT,
+    FitStart,
+)
 from gridpush_drake.identification.smoothness import RANGE_CELLS, calc_smooth_covariance
 
 Array = NDArray[np.float64]
@@ -64,6 +70,7 @@ class DefaultFit:
         noise_std: standard deviation of what stays unexplained, per coordinate of the residual, m.
         status: "learned", "mixture" or "prior_kept".
         message: the status in a sentence.
+        starts: where each amplitude's fit ended.
     """
 
     z: Array
@@ -72,6 +79,7 @@ class DefaultFit:
     noise_std: float
     status: str
     message: str
+    starts: tuple[FitStart, ...] = ()
 
 
 def fit_default(
@@ -82,6 +90,7 @@ def fit_default(
     options: DefaultOptions,
     seed: int,
     report: Callable[[Array, str], None],
+    starts: tuple[FitStart, ...] = (),
 ) -> DefaultFit:
     """Runs the four steps above.
 
@@ -93,6 +102,8 @@ def fit_default(
         options: see `DefaultOptions`.
         seed: of the folds.
         report: called with z and a word, now and then.
+        starts: of a fit to fewer pushes, one an amplitude; each fit begins there or where the last amplitude's ended,
+            whichever is more probable.
 
     Returns:
         The fit.
@@ -100,11 +111,12 @@ def fit_default(
     C = calc_smooth_covariance(problem.obj, options.range_cells)
     factors = [calc_prior_factor(C, amplitude, log_contact_friction_std) for amplitude in options.amplitudes]
     fits: list[MapFit] = []
-    for A in factors:
+    for i, A in enumerate(factors):
         fits.append(
             fit_map(
                 problem, z0, A, options.noise, centre_of_mass, start=fits[-1].z if fits else z0,
-                scale=fits[-1].scale if fits else 1.0, on_renewal=lambda z: report(z, STAGE_FITTING),
+                scale=fits[-1].scale if fits else 1.0, rival=starts[i] if starts else None,
+                on_renewal=lambda z: report(z, STAGE_FITTING),
             )
         )  # fmt: skip
     weights = _calc_weights(fits, options.prior_odds)
@@ -127,6 +139,7 @@ def fit_default(
         np.einsum("a,aij->ij", plausible, np.array([A @ A.T for A in factors])),
         options.noise.pose * float(weights @ np.array([fit.scale for fit in fits])),
         *_describe(weights, learned_share, errors, options),
+        tuple(FitStart(fit.z, fit.scale) for fit in fits),
     )
 
 

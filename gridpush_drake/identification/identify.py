@@ -19,7 +19,7 @@ from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.map_fit import CentreOfMass
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.problem import PushProblem
-from gridpush_drake.identification.result import HistoryEntry, Identification
+from gridpush_drake.identification.result import FitStart, HistoryEntry, Identification
 from gridpush_drake.identification.search_fit import fit_by_search
 from gridpush_drake.identification.search_methods import SEARCH_METHODS
 from gridpush_drake.identification.tracker import Tracker
@@ -52,6 +52,7 @@ def identify(
     budget: int | None = None,
     options: DefaultOptions | None = None,
     progress: Progress | None = None,
+    start: Identification | None = None,
 ) -> Identification:
     """Learns an object's masses and frictions from pushes.
 
@@ -65,6 +66,8 @@ def identify(
         budget: most pushes to be simulated; searches only (`search_methods.DEFAULT_BUDGET_PER_PUSH` each by default).
         options: of the default method.
         progress: called now and then with what was reached.
+        start: of the same object from fewer pushes, to begin with (default method only); it changes the way, not the
+            answer.
 
     Returns:
         The model, its spread, and what the log cannot tell.
@@ -79,29 +82,49 @@ def identify(
     log = _check_log(obj, log)
     used_regime = choose_regime(obj, log) if regime == "auto" else regime
     friction = np.full(obj.n, obj.prior.friction)
-    start = CellParameters.uniform(obj, contact_friction=max(obj.prior.contact_friction, SMALLEST_CONTACT_FRICTION))
+    uniform = _make_uniform(obj)
     problem = PushProblem(obj, log, friction, used_regime)
-    z0 = problem.unknowns(start)
+    z0 = problem.unknowns(uniform)
     touched = problem.touched(z0)
     unused = tuple(push.name for push, hit in zip(log, touched, strict=True) if not hit)
     log = log.subset(np.flatnonzero(touched))
     problem = PushProblem(obj, log, friction, used_regime)
     tracker = Tracker(problem, progress)
     options = options or DefaultOptions()
-    log_contact_friction_std = obj.prior.contact_friction_std / start.contact_friction
+    log_contact_friction_std = obj.prior.contact_friction_std / uniform.contact_friction
     if not len(log):
         fit = fit_nothing(obj, z0, log_contact_friction_std, options)
     elif method == "default":
         at = obj.prior.centre_of_mass
         centre = None if at is None else CentreOfMass(at, obj.prior.centre_of_mass_std)
-        fit = fit_default(problem, z0, log_contact_friction_std, centre, options, seed, tracker.report)
+        starts = _choose_starts(obj, start, options)
+        fit = fit_default(problem, z0, log_contact_friction_std, centre, options, seed, tracker.report, starts)
     else:
         search = SEARCH_METHODS[method]
         fit, friction = fit_by_search(
-            problem, log, search, start, Bounds.around(obj, start), log_contact_friction_std, options, budget, seed,
+            problem, log, search, uniform, Bounds.around(obj, uniform), log_contact_friction_std, options, budget, seed,
             tracker,
         )  # fmt: skip
     return _make_result(obj, log, fit, friction, method, tracker, used_regime, seed, unused)
+
+
+def describe_prior(obj: GridObject, options: DefaultOptions | None = None, seed: int = 0) -> Identification:
+    """What is held of an object before any push, in the form of an identification.
+
+    Args:
+        obj: the object.
+        options: of the default method, whose widest prior gives the spread.
+        seed: to be noted.
+
+    Returns:
+        The uniform model, with status "no_usable_pushes".
+    """
+    uniform = _make_uniform(obj)
+    regime: Regime = "quasi_static"
+    problem = PushProblem(obj, PushLog(()), uniform.friction, regime)
+    log_contact_friction_std = obj.prior.contact_friction_std / uniform.contact_friction
+    fit = fit_nothing(obj, problem.unknowns(uniform), log_contact_friction_std, options or DefaultOptions())
+    return _make_result(obj, PushLog(()), fit, uniform.friction, "default", Tracker(problem, None), regime, seed, ())
 
 
 def choose_regime(obj: GridObject, log: PushLog) -> Regime:
@@ -109,6 +132,22 @@ def choose_regime(obj: GridObject, log: PushLog) -> Regime:
     fastest = max((push.push.length / push.push.duration for push in log), default=0.0)
     scale = obj.prior.friction * GRAVITY * obj.radius_of_gyration
     return "inertial" if fastest**2 / scale > FAST_PUSH else "quasi_static"
+
+
+def _make_uniform(obj: GridObject) -> CellParameters:
+    """The prior's parameters; the logarithm of the contact friction is an unknown, so that it must not be nil."""
+    return CellParameters.uniform(obj, contact_friction=max(obj.prior.contact_friction, SMALLEST_CONTACT_FRICTION))
+
+
+def _choose_starts(obj: GridObject, start: Identification | None, options: DefaultOptions) -> tuple[FitStart, ...]:
+    """One start an amplitude, or none."""
+    if start is None:
+        return ()
+    if start.obj.n != obj.n:
+        raise IdentificationError(f"start: an object of {start.obj.n} cells; expected {obj.n}, as {obj.name} has")
+    if len(start.starts) == len(options.amplitudes):
+        return start.starts
+    return (FitStart(start.posterior.mean, 1.0),) * len(options.amplitudes)
 
 
 def _check_log(obj: GridObject, log: PushLog) -> PushLog:
@@ -149,5 +188,5 @@ def _make_result(
     return Identification(
         obj, params, std, posterior, calc_identifiability(obj, params, posterior), method, regime, fit.status,
         fit.message, tuple(tracker.history), tracker.simulations, fit.noise_std,
-        seed, tuple(push.name for push in log), unused,
+        seed, tuple(push.name for push in log), unused, fit.starts,
     )  # fmt: skip

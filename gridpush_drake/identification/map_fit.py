@@ -23,11 +23,15 @@ from scipy.optimize import least_squares
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.identification.noise import NoiseModel, calc_effective_count
 from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.result import FitStart
 
 Array = NDArray[np.float64]
 
 RENEWALS = 4
 """Times whitening, weights and noise scale are renewed."""
+
+WARM_RENEWALS = 2
+"""The same where a fit begins at one to nearly the same pushes."""
 
 EVALUATIONS = 8
 """Most steps of the trust-region solver between renewals."""
@@ -87,6 +91,7 @@ def fit_map(
     pushes: Sequence[int] | None = None,
     start: Array | None = None,
     scale: float = 1.0,
+    rival: FitStart | None = None,
     on_renewal: Callable[[Array], None] | None = None,
 ) -> MapFit:
     """Fits z.
@@ -100,6 +105,8 @@ def fit_map(
         pushes: those to use; all by default.
         start: (n+1,) where to begin; z0 by default.
         scale: of the noise, to begin with.
+        rival: where a fit to fewer pushes ended; it is taken instead where it is the more probable beginning, and
+            then WARM_RENEWALS do.
         on_renewal: called with z after every run of the solver.
 
     Returns:
@@ -107,7 +114,17 @@ def fit_map(
     """
     u = np.asarray(np.linalg.solve(A, (z0 if start is None else start) - z0), dtype=np.float64)
     chosen = range(len(problem)) if pushes is None else pushes
-    for _ in range(RENEWALS):
+    renewals = RENEWALS
+    if rival is not None:
+        other = np.asarray(np.linalg.solve(A, rival.z - z0), dtype=np.float64)
+        stages = [
+            _Stage(problem, z0, A, noise, centre_of_mass, chosen, v, s) for v, s in ((u, scale), (other, rival.scale))
+        ]
+        best = min(stages, key=_Stage.objective)
+        u, scale = best.start, best.scale
+        if best is stages[1]:
+            renewals = WARM_RENEWALS
+    for _ in range(renewals):
         stage = _Stage(problem, z0, A, noise, centre_of_mass, chosen, u, scale)
         u = stage.solve(u)
         scale, gamma = stage.renew_scale(u)
@@ -160,12 +177,18 @@ class _Stage:
         self._at: Array | None = None
         linear = problem.linearise(z0 + A @ u, pushes)
         factors = [noise.calc_factor(inputs, scale) for inputs in linear.by_inputs]
+        self.start = u
         self.log_normaliser = float(
             sum(calc_effective_count(len(L)) / len(L) * np.log(np.diag(L)).sum() for L in factors)
         )
         self.whitening = [np.linalg.inv(L) for L in factors]
         self.weights = [noise.calc_weight(W @ r) for W, r in zip(self.whitening, linear.residuals, strict=True)]
         self._store(u, linear.residuals, linear.by_z)
+
+    def objective(self) -> float:
+        """Negative log posterior at the start, the normalisation of the noise included."""
+        belief = self.noise.prior_weight * (np.log(self.scale) + 0.5 * self.scale**-2)
+        return self.loss(self.start) + self.log_normaliser + belief
 
     def solve(self, u: Array) -> Array:
         """Runs the trust-region solver from u."""

@@ -33,6 +33,19 @@ class HistoryEntry:
 
 
 @dataclass(frozen=True, eq=False)
+class FitStart:
+    """Where a fit ended, and so where one with more pushes may begin.
+
+    Attributes:
+        z: (n+1,) log k and log mu_c.
+        scale: of the noise.
+    """
+
+    z: NDArray[np.float64]
+    scale: float
+
+
+@dataclass(frozen=True, eq=False)
 class Identification:
     """A learned model and how far it can be trusted.
 
@@ -53,6 +66,7 @@ class Identification:
         seed: of everything random.
         push_names: of the training pushes used.
         unused_pushes: of those left out, because the pusher never touched the object in them.
+        starts: where each of the default method's fits ended, for `identify(start=...)`; empty for other methods.
     """
 
     obj: GridObject
@@ -70,6 +84,7 @@ class Identification:
     seed: int
     push_names: tuple[str, ...] = ()
     unused_pushes: tuple[str, ...] = ()
+    starts: tuple[FitStart, ...] = ()
 
     def samples(self, k: int, seed: int = 0) -> list[CellParameters]:
         """Draws k parameter sets from the posterior; every cell's friction is that of `params`, its mass varies.
