@@ -33,5 +33,17 @@ class IdentificationError(GridPushError):
     """Identification was asked for something it cannot do."""
 
 
+class PlanningError(GridPushError):
+    """A plan was asked for with arguments that make no sense."""
+
+
+class ScenarioError(GridPushError):
+    """A scenario, or a field of it, is not what it should be."""
+
+
+class StationError(GridPushError):
+    """A station cannot be built or run as asked."""
+
+
 class OutputError(GridPushError):
     """A file cannot be written where it was asked for."""

@@ -1,0 +1,1 @@
+"""From objects and YAML to a MultibodyPlant: parser, schemas, grid objects, SDFormat."""

@@ -1,0 +1,270 @@
+"""A grid object as a body of a MultibodyPlant.
+
+One rigid body with the cells' inertia stands on sphere feet, a cell on one (or four), and is pushed at boxes along its
+outline. Two ways to hold it:
+
+* "planar": a PlanarJoint whose parent frame lies `delta` below the table's top. Each foot is pressed in by delta, so
+  cell i bears m_i g by construction, as the planar model assumes. For dt = 1 ms.
+* "free": six degrees of freedom: it can tip over the table's edge and be lifted; the cells' loads shift as it is pushed
+  above the table. For dt = 2 ms.
+
+The plant's contact approximation is best left at Drake's default, "lagged": "sap" and "similar" glide.
+
+Frames: the table's top is the plane z = 0 of the world; the object's bottom is z = 0 of B, whose x and y are the grid
+object's own. Feet touch nothing but the table, sides everything but the table.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from pydrake.common import MemoryFile
+from pydrake.geometry import (
+    Box,
+    CollisionFilterDeclaration,
+    CollisionFilterScope,
+    GeometryId,
+    GeometrySet,
+    InMemoryMesh,
+    Mesh,
+    ProximityProperties,
+    Role,
+    SceneGraph,
+    Sphere,
+)
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    ModelInstanceIndex,
+    PlanarJoint,
+    RigidBody,
+    SpatialInertia,
+)
+
+from gridpush_drake.errors import ObjectError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.scene.contact_material import MakeContactProperties, calc_own_friction
+from gridpush_drake.scene.feet import FOOT_RADIUS, FeetLayout, FeetPerCell
+from gridpush_drake.scene.side_geometry import PlanarBox, make_edge_boxes, make_inner_boxes, make_outline_mesh
+
+Base = Literal["planar", "free"]
+
+DEFAULT_HEIGHT = 0.03
+"""m."""
+
+DEFAULT_DELTA = {"planar": 1e-3, "free": 1e-6}
+"""m the feet are pressed in; a free body on softer feet tips falsely."""
+
+SIDE_STIFFNESS = 3e5
+"""N/m, of the outline: a push of 3 N presses the finger in by 0.01 mm. Friction of Drake's lagged contact follows the
+normal force of the step before: on a stiffer outline that force jumps from step to step, and the finger slips."""
+
+SIDE_DISSIPATION = 100.0
+"""s/m, of the outline's contacts (Hunt-Crossley): it keeps the finger from bouncing."""
+
+DEFAULT_COLOUR = (0.55, 0.62, 0.7, 1.0)
+"""Red, green, blue and opacity."""
+
+
+@dataclass(frozen=True, eq=False)
+class GridObjectInPlant:
+    """A grid object's parts in a plant.
+
+    Attributes:
+        obj: the object.
+        base: "planar" or "free".
+        model_instance: its own.
+        body: the rigid body, with frame B.
+        joint: the planar joint; None for a free base.
+        feet: geometries, in the order of `layout`.
+        sides: geometries along and within the outline.
+        visuals: illustration geometries.
+        layout: where the feet are.
+        height: m.
+        delta: m the feet are pressed in at rest.
+        side_stiffness: N/m.
+    """
+
+    obj: GridObject
+    base: Base
+    model_instance: ModelInstanceIndex
+    body: RigidBody
+    joint: PlanarJoint | None
+    feet: tuple[GeometryId, ...]
+    sides: tuple[GeometryId, ...]
+    visuals: tuple[GeometryId, ...]
+    layout: FeetLayout
+    height: float
+    delta: float
+    side_stiffness: float
+
+
+def AddGridObject(
+    plant: MultibodyPlant,
+    scene_graph: SceneGraph,
+    obj: GridObject,
+    params: CellParameters,
+    base: Base = "planar",
+    *,
+    table: Iterable[GeometryId],
+    height: float = DEFAULT_HEIGHT,
+    name: str | None = None,
+    delta: float | None = None,
+    feet_per_cell: FeetPerCell = 1,
+    side_stiffness: float = SIDE_STIFFNESS,
+    visual: bool = True,
+    colour: Sequence[float] = DEFAULT_COLOUR,
+) -> GridObjectInPlant:
+    """Adds a grid object to a plant, before Finalize.
+
+    The table and the pusher's tip are to be stiff partners (`scene.contact_material.SetPartner`). Feet and sides are
+    filtered against whatever else is in the plant by now; where more is added afterwards, call
+    `ApplyGridObjectFilters` again.
+
+    Args:
+        plant: discrete; its gravity field is the one that the feet are made for.
+        scene_graph: of the plant.
+        obj: the object.
+        params: the true masses and frictions.
+        base: how it is held, see above.
+        table: collision geometries that the feet stand on; top at z = 0.
+        height: of the object, m.
+        name: of model instance and body; the object's by default.
+        delta: m the feet are pressed in; by default 1e-3 for "planar", 1e-6 for "free".
+        feet_per_cell: 1, or 4: at the cells' corners, so that the object is supported out to its rim. Over a table's
+            edge it tips up to one cell early, either way.
+        side_stiffness: of the outline's contacts, N/m.
+        visual: whether it has illustration geometry.
+        colour: red, green, blue and opacity of that.
+
+    Returns:
+        The parts.
+
+    Raises:
+        ObjectError: `base` is neither, a size is not positive, or there is no table.
+        ParameterError: the parameters are of another number of cells, or a friction is 2 or more.
+    """
+    if base not in DEFAULT_DELTA:
+        raise ObjectError(f"base is {base!r}; expected 'planar' or 'free'")
+    delta = DEFAULT_DELTA[base] if delta is None else delta
+    for what, value in (("height", height), ("delta", delta), ("side_stiffness", side_stiffness)):
+        if not 0 < value < np.inf:
+            raise ObjectError(f"{what} is {value!r}; expected a positive number")
+    table = list(table)
+    if not table:
+        raise ObjectError("table is empty; expected the collision geometries that the feet stand on")
+    name = obj.name if name is None else name
+    layout = FeetLayout.for_object(obj, feet_per_cell)
+    model_instance = plant.AddModelInstance(name)
+    body = plant.AddRigidBody(name, model_instance, MakeSpatialInertia(obj, params, height))
+    joint = _hold(plant, body, base, delta)
+    handle = GridObjectInPlant(
+        obj, base, model_instance, body, joint, _add_feet(plant, body, layout, params, delta),
+        _add_sides(plant, body, obj, params, height, side_stiffness),
+        _add_visual(plant, scene_graph, body, obj, height, colour) if visual else (),
+        layout, height, delta, side_stiffness,
+    )  # fmt: skip
+    ApplyGridObjectFilters(plant, scene_graph, handle, table)
+    return handle
+
+
+def MakeSpatialInertia(obj: GridObject, params: CellParameters, height: float = DEFAULT_HEIGHT) -> SpatialInertia:
+    """Sums up the cells' inertia, each a homogeneous square prism.
+
+    Args:
+        obj: the object.
+        params: its cells' masses.
+        height: of the prisms, m.
+
+    Returns:
+        M_BBo_B, about B's origin, at the object's bottom.
+
+    Raises:
+        ParameterError: the parameters are of another number of cells.
+    """
+    params.centre_of_mass(obj)  # says so where the numbers of cells differ
+    total = SpatialInertia.Zero()
+    for (x, y), mass in zip(obj.p_BC, params.mass, strict=True):
+        cell = SpatialInertia.SolidBoxWithMass(mass, obj.cell_size, obj.cell_size, height)
+        total += cell.Shift([-x, -y, -height / 2])
+    return total
+
+
+def MakeSideProperties(params: CellParameters, stiffness: float) -> ProximityProperties:
+    """Makes the contact properties of an object's sides; as `contact_material.MakeContactProperties`."""
+    friction = calc_own_friction(params.contact_friction, "contact_friction")
+    return MakeContactProperties(friction, stiffness, SIDE_DISSIPATION)
+
+
+def calc_gravity(plant: MultibodyPlant) -> float:
+    """The magnitude of a plant's gravity, m/s²; it points down."""
+    return float(np.linalg.norm(plant.gravity_field().gravity_vector()))
+
+
+def ApplyGridObjectFilters(
+    plant: MultibodyPlant, scene_graph: SceneGraph, handle: GridObjectInPlant, table: Iterable[GeometryId]
+) -> None:
+    """Lets the feet touch the table alone, and the sides everything but the table, of what is in the plant by now.
+
+    Args:
+        plant: the plant.
+        scene_graph: of the plant.
+        handle: the object.
+        table: collision geometries that the feet stand on.
+    """
+    table = list(table)
+    inspector = scene_graph.model_inspector()
+    others = set(inspector.GetGeometryIds(GeometrySet(inspector.GetAllGeometryIds()), Role.kProximity)) - set(table)
+    feet, sides = GeometrySet(list(handle.feet)), GeometrySet(list(handle.sides))
+    declaration = CollisionFilterDeclaration(CollisionFilterScope.kAll)
+    declaration.ExcludeBetween(feet, GeometrySet(list(others)))
+    declaration.ExcludeBetween(sides, GeometrySet(table))
+    scene_graph.collision_filter_manager().Apply(declaration)
+
+
+def _hold(plant: MultibodyPlant, body: RigidBody, base: Base, delta: float) -> PlanarJoint | None:
+    X_WB = RigidTransform([0.0, 0.0, -delta])
+    if base == "free":
+        plant.SetDefaultFloatingBaseBodyPose(body, X_WB)
+        return None
+    frame = plant.AddFrame(FixedOffsetFrame(f"{body.name()}_table", plant.world_frame(), X_WB, body.model_instance()))
+    return plant.AddJoint(PlanarJoint(f"{body.name()}_planar", frame, body.body_frame(), np.zeros(3)))
+
+
+def _add_feet(
+    plant: MultibodyPlant, body: RigidBody, layout: FeetLayout, params: CellParameters, delta: float
+) -> tuple[GeometryId, ...]:
+    properties = layout.make_properties(params, delta, calc_gravity(plant))
+    shape = Sphere(FOOT_RADIUS)
+    return tuple(
+        plant.RegisterCollisionGeometry(body, RigidTransform([x, y, FOOT_RADIUS]), shape, f"foot_{i}", properties[i])
+        for i, (x, y) in enumerate(layout.p_BF)
+    )
+
+
+def _add_sides(
+    plant: MultibodyPlant, body: RigidBody, obj: GridObject, params: CellParameters, height: float, stiffness: float
+) -> tuple[GeometryId, ...]:
+    properties = MakeSideProperties(params, stiffness)
+
+    def add(name: str, flat: PlanarBox) -> GeometryId:
+        X_BG = RigidTransform(RollPitchYaw(0, 0, flat.angle), [*flat.centre, height / 2])
+        return plant.RegisterCollisionGeometry(body, X_BG, Box(*flat.size, height), name, properties)
+
+    edges = [add(f"edge_{i}", flat) for i, flat in enumerate(make_edge_boxes(obj))]
+    return (*edges, *(add(f"inside_{i}", flat) for i, flat in enumerate(make_inner_boxes(obj))))
+
+
+def _add_visual(
+    plant: MultibodyPlant, scene_graph: SceneGraph, body: RigidBody, obj: GridObject, height: float,
+    colour: Sequence[float],
+) -> tuple[GeometryId, ...]:  # fmt: skip
+    file = MemoryFile(make_outline_mesh(obj.outline, height), ".obj", f"{obj.name}.obj")
+    geometry = plant.RegisterVisualGeometry(
+        body, RigidTransform(), Mesh(InMemoryMesh(mesh_file=file)), "outline", np.asarray(colour, dtype=float)
+    )
+    scene_graph.RemoveRole(plant.get_source_id(), geometry, Role.kPerception)
+    return (geometry,)

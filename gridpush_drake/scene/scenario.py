@@ -1,0 +1,239 @@
+"""`PushScenario`: all that a station is made from, as one YAML document with a default for every field.
+
+The classes are plain dataclasses as `pydrake.common.yaml` reads and writes them. Lengths are in m, angles in rad, times
+in s, masses in kg. Poses (x, y, theta) are the object's body frame B in the world frame W, whose plane z = 0 is the top
+of the table. Each field's metadata says what it should hold; `scenario_check` and `scenario_file` read it there.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from math import isfinite, radians
+from typing import Any
+
+from pydrake.multibody.parsing import AddDirectives, ModelDirective
+
+from gridpush_drake.scene.truth import CELL_MASS_RANGE, CONTACT_FRICTION_RANGE, FRICTION_RANGE
+
+CURRENT_VERSION = 1
+"""Of the schema; a scenario of another one is refused."""
+
+DEFAULT_SCENE = "package://gridpush_drake/scenes/iiwa_push.dmd.yaml"
+
+EXPECTED = "expected"
+"""Key of a field's metadata: its `Expected`."""
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What a field should hold.
+
+    Attributes:
+        text: in words, for messages.
+        holds: whether a value of the right type will do.
+    """
+
+    text: str
+    holds: Callable[[Any], bool]
+
+
+def _expecting(text: str, holds: Callable[[Any], bool], default: Any) -> Any:
+    return field(default=default, metadata={EXPECTED: Expected(text, holds)})
+
+
+def _positive(default: float, unit: str) -> Any:
+    return _expecting(f"a positive number, in {unit}", lambda value: isfinite(value) and value > 0, default)
+
+
+def _optional(unit: str) -> Any:
+    """Positive, or None."""
+    return _expecting(
+        f"a positive number{unit}, or null", lambda value: value is None or (isfinite(value) and value > 0), None
+    )
+
+
+def _not_negative(default: float, text: str) -> Any:
+    return _expecting(f"a number, 0 or more, {text}", lambda value: isfinite(value) and value >= 0, default)
+
+
+def _count(default: int, least: int) -> Any:
+    return _expecting(f"a whole number, {least} or more", lambda value: value >= least, default)
+
+
+def _word(default: str, words: Sequence[str]) -> Any:
+    return _expecting(f"one of {', '.join(words)}", lambda value: value in words, default)
+
+
+def _range(unit: str) -> dict[str, Expected]:
+    """Metadata of a range of positive numbers."""
+
+    def holds(value: list[float]) -> bool:
+        return len(value) == 2 and all(map(isfinite, value)) and 0 < value[0] <= value[1]
+
+    return {EXPECTED: Expected(f"[least, greatest], positive{unit}", holds)}
+
+
+def _is_interval(value: list[float]) -> bool:
+    return len(value) == 2 and all(map(isfinite, value)) and value[0] < value[1]
+
+
+INTERVAL = {EXPECTED: Expected("[least, greatest], in m", _is_interval)}
+
+POSE = {EXPECTED: Expected("[x, y, theta], in m and rad", lambda value: len(value) == 3 and all(map(isfinite, value)))}
+
+
+@dataclass
+class FingerConfig:
+    """The finger that pushes.
+
+    Attributes:
+        tip_radius: of the sphere at its tip, m; as the scene's finger has it.
+        push_height: of the tip's centre while it pushes, m.
+        travel_height: of the tip's centre while it passes over the object, m.
+    """
+
+    tip_radius: float = _positive(0.008, "m")
+    push_height: float = _positive(0.012, "m")
+    travel_height: float = _positive(0.12, "m")
+
+
+@dataclass
+class PokeConfig:
+    """The pushes that explore, and those held out to test what was learned.
+
+    Attributes:
+        count: pushes to learn from.
+        test_count: pushes afterwards, which are only predicted.
+        distance: [least, greatest] path of a push, m.
+        test_distance: path of a test push, m.
+        speed: of the tip, m/s.
+        slant: furthest from the outline's normal, rad.
+        clearance: between tip and object where a push begins, m.
+    """
+
+    count: int = _count(8, 1)
+    test_count: int = _count(6, 0)
+    distance: list[float] = field(default_factory=lambda: [0.06, 0.10], metadata=_range(", in m"))
+    test_distance: float = _positive(0.10, "m")
+    speed: float = _positive(0.03, "m/s")
+    slant: float = _expecting(
+        "an angle from 0 to less than pi / 2, in rad", lambda value: 0 <= value < radians(90), radians(30)
+    )
+    clearance: float = _not_negative(0.008, "in m")
+
+
+@dataclass
+class CameraConfig:
+    """What sees the object's pose. Its noise is drawn from the scenario's seed.
+
+    Attributes:
+        rate: poses a second, Hz.
+        position_noise: standard deviation per axis, m.
+        angle_noise: standard deviation, rad.
+    """
+
+    rate: float = _positive(30.0, "Hz")
+    position_noise: float = _not_negative(0.0005, "in m")
+    angle_noise: float = _not_negative(radians(0.2), "in rad")
+
+
+@dataclass
+class PartTruth:
+    """What a part of the object truly is, instead of a random draw.
+
+    Attributes:
+        label: of the part, as in the object's file.
+        cell_mass: of each of its cells, kg; null where it is drawn.
+        friction: of its cells against the table; null where it is drawn.
+    """
+
+    label: int = _count(1, 1)
+    cell_mass: float | None = _optional(", in kg")
+    friction: float | None = _optional("")
+
+
+@dataclass
+class TruthConfig:
+    """The object's true parameters, which only the simulated world knows. They are drawn by part from the seed.
+
+    Attributes:
+        cell_mass: [least, greatest] of a cell, relative: all are scaled to the object's total mass.
+        friction: [least, greatest] of a cell against the table.
+        contact_friction: [least, greatest] of the finger against the object.
+        friction_by_part: whether each part has a friction of its own; else one draw does for all. Slow pushes cannot
+            tell a heavy part from a rough one: where both vary, the centre of mass cannot be learned.
+        parts: given instead of drawn; masses given here are not scaled.
+    """
+
+    cell_mass: list[float] = field(default_factory=lambda: list(CELL_MASS_RANGE), metadata=_range(""))
+    friction: list[float] = field(default_factory=lambda: list(FRICTION_RANGE), metadata=_range(""))
+    contact_friction: list[float] = field(default_factory=lambda: list(CONTACT_FRICTION_RANGE), metadata=_range(""))
+    friction_by_part: bool = _expecting("true or false", lambda value: True, False)
+    parts: list[PartTruth] = field(default_factory=list)
+
+
+@dataclass
+class SimulationConfig:
+    """How the world is simulated.
+
+    Attributes:
+        time_step: of the plant, s.
+        stiction_tolerance: speed below which the plant takes contacts for sticking, m/s.
+    """
+
+    time_step: float = _positive(0.002, "s")
+    stiction_tolerance: float = _positive(1e-4, "m/s")
+
+
+@dataclass
+class WorkspaceConfig:
+    """The box in which the finger's tip may move, frame W.
+
+    Attributes:
+        x: [least, greatest], m.
+        y: [least, greatest], m.
+    """
+
+    x: list[float] = field(default_factory=lambda: [0.42, 0.8], metadata=INTERVAL)
+    y: list[float] = field(default_factory=lambda: [-0.4, 0.4], metadata=INTERVAL)
+
+
+def _default_directives() -> list[ModelDirective]:
+    return [ModelDirective(add_directives=AddDirectives(file=DEFAULT_SCENE))]
+
+
+@dataclass
+class PushScenario:
+    """An object, the scene it lies in, and what is to be done with it.
+
+    Attributes:
+        version: of the schema.
+        object: name of a shipped object, or an object file, relative to the scenario's own file.
+        object_pose: [x, y, theta] of B in W at the beginning, m and rad.
+        object_height: thickness of the object, m.
+        base: "free": it can tip and be lifted; "planar": it slides and turns only, each cell's load being exact.
+        directives: what stands in the scene besides the object, as Drake's model directives: a model `iiwa` with a
+            body `iiwa_link_ee_kuka`, a model `finger` with a body `finger_tip`, and a model `table`.
+        finger: that pushes.
+        pokes: how it pushes.
+        camera: what sees the object.
+        truth: what the object truly weighs and how it rubs.
+        simulation: of the world.
+        workspace: of the finger's tip.
+        seed: of everything random.
+    """
+
+    version: int = CURRENT_VERSION
+    object: str = _expecting(
+        "the name of a shipped object or of an object file", lambda value: bool(value.strip()), "claw_hammer"
+    )
+    object_pose: list[float] = field(default_factory=lambda: [0.6, 0.0, 0.0], metadata=POSE)
+    object_height: float = _positive(0.03, "m")
+    base: str = _word("free", ("free", "planar"))
+    directives: list[ModelDirective] = field(default_factory=_default_directives)
+    finger: FingerConfig = field(default_factory=FingerConfig)
+    pokes: PokeConfig = field(default_factory=PokeConfig)
+    camera: CameraConfig = field(default_factory=CameraConfig)
+    truth: TruthConfig = field(default_factory=TruthConfig)
+    simulation: SimulationConfig = field(default_factory=SimulationConfig)
+    workspace: WorkspaceConfig = field(default_factory=WorkspaceConfig)
+    seed: int = _count(0, 0)

@@ -1,0 +1,193 @@
+"""Whether a scenario makes sense as a whole: the object lies on the table, the arm gets to it, the finger clears it.
+
+Of an iiwa whose tool points down, the wrist stands over the finger's tip; from the shoulder it is as
+far as the elbow lets it be:
+
+    d^2 = a^2 + b^2 + 2 a b cos(q4),   |q4| <= 120 deg,
+
+with upper arm a and forearm b. At a given height of the tip its distance from the robot's axis lies between two radii.
+"""
+
+from math import cos, radians, sqrt
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from pydrake.geometry import SceneGraph, SceneGraphInspector, Sphere
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.systems.framework import DiagramBuilder
+from shapely import Polygon
+from shapely.affinity import affine_transform
+from shapely.geometry.base import BaseGeometry
+
+from gridpush_drake.errors import ScenarioError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.scene.parser import MakeParser
+from gridpush_drake.scene.scenario import PushScenario
+from gridpush_drake.scene.scenario_parts import AddScene, load_object
+from gridpush_drake.scene.scenario_schema import check_values
+from gridpush_drake.scene.table import FindTableOutline
+from gridpush_drake.scene.truth import MakeTruth
+
+SHOULDER_HEIGHT = 0.36
+"""m above the robot's base."""
+
+UPPER_ARM, FOREARM = 0.42, 0.40
+"""m, shoulder to elbow and elbow to wrist."""
+
+ELBOW_LIMIT = radians(120)
+
+WRIST_TO_FLANGE = 0.126
+"""m."""
+
+TIP_TOLERANCE = 1e-6
+"""m, between the scenario's tip radius and the model's."""
+
+TURNS = 36
+"""Headings that are tried where the object does not lie on the table, to say whether it could."""
+
+
+def check_scenario(scenario: PushScenario) -> None:
+    """Checks that a scenario can be built and makes sense.
+
+    Raises:
+        ScenarioError: a value will not do; the object is unknown, larger than the table, or does not lie on it; the
+            finger cannot clear the object; the workspace or the object is out of the arm's reach; a directive cannot be
+            carried out. The message names the field and the expected form.
+    """
+    check_values(scenario)
+    obj = load_object(scenario)
+    _check_truth(scenario, obj)
+    _check_heights(scenario)
+    plant, scene_graph = _parse_scene(scenario)
+    inspector = scene_graph.model_inspector()
+    _check_on_table(scenario, obj, FindTableOutline(plant, inspector))
+    _check_tip(scenario, plant, inspector)
+    _check_reach(scenario, plant)
+
+
+def calc_reach(tool_length: float, tip_height: float) -> tuple[float, float]:
+    """Calculates how far from the robot's axis the tip can be while the tool points down.
+
+    Args:
+        tool_length: from iiwa_link_ee_kuka to the tip's centre, m.
+        tip_height: of the tip's centre above the robot's base, m.
+
+    Returns:
+        Least and greatest distance, m; the greatest is 0 where the arm is nowhere long enough.
+    """
+    above_shoulder = tip_height + tool_length + WRIST_TO_FLANGE - SHOULDER_HEIGHT
+    folded = UPPER_ARM**2 + FOREARM**2 + 2 * UPPER_ARM * FOREARM * cos(ELBOW_LIMIT)
+    least, greatest = (max(0.0, d2 - above_shoulder**2) for d2 in (folded, (UPPER_ARM + FOREARM) ** 2))
+    return sqrt(least), sqrt(greatest)
+
+
+def CalcTipReach(plant: MultibodyPlant, tip_height: float) -> tuple[NDArray[np.float64], float, float]:
+    """Calculates where the tip can be while the tool points down.
+
+    Args:
+        plant: finalised, with robot and finger.
+        tip_height: of the tip's centre, z in W, m.
+
+    Returns:
+        The robot's axis (2,) in W, and the least and greatest distance from it, m, see `calc_reach`.
+    """
+    context = plant.CreateDefaultContext()
+    base, flange, tip = (plant.GetFrameByName(name) for name in ("iiwa_link_0", "iiwa_link_ee_kuka", "finger_tip"))
+    p_WR = base.CalcPoseInWorld(context).translation()
+    length = tip.CalcPose(context, flange).translation()[2]
+    return p_WR[:2].copy(), *calc_reach(length, tip_height - p_WR[2])
+
+
+def _parse_scene(scenario: PushScenario) -> tuple[MultibodyPlant, SceneGraph]:
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, scenario.simulation.time_step)
+    AddScene(MakeParser(plant), scenario)
+    plant.Finalize()
+    for model, body in (("iiwa", "iiwa_link_ee_kuka"), ("finger", "finger_tip")):
+        found = plant.HasModelInstanceNamed(model) and plant.HasBodyNamed(body, plant.GetModelInstanceByName(model))
+        if not found:
+            raise ScenarioError(f"directives: there is no body {model}::{body}; expected a robot with a finger")
+    return plant, scene_graph
+
+
+def _check_truth(scenario: PushScenario, obj: GridObject) -> None:
+    labels = [part.label for part in scenario.truth.parts]
+    for at, label in enumerate(labels):
+        if label in labels[:at]:
+            raise ScenarioError(f"truth.parts[{at}].label is {label} once more; expected each part once")
+    MakeTruth(obj, scenario.truth, scenario.seed)
+
+
+def _check_heights(scenario: PushScenario) -> None:
+    finger, height = scenario.finger, scenario.object_height
+    if not finger.tip_radius < finger.push_height <= height:
+        raise ScenarioError(
+            f"finger.push_height is {finger.push_height:g} m; expected more than the tip's radius, "
+            f"{finger.tip_radius:g} m, and at most the object's height, {height:g} m"
+        )
+    if finger.travel_height <= height + finger.tip_radius:
+        raise ScenarioError(
+            f"finger.travel_height is {finger.travel_height:g} m; expected more than the object's height "
+            f"and the tip's radius, {height + finger.tip_radius:g} m"
+        )
+
+
+def _check_on_table(scenario: PushScenario, obj: GridObject, table: BaseGeometry) -> None:
+    if table.covers(_place(obj.outline, scenario.object_pose)):
+        return
+    middle = np.array(table.centroid.coords[0])
+    for turn in np.linspace(0, 2 * np.pi, TURNS, endpoint=False):
+        turned = _place(obj.outline, [0.0, 0.0, turn])
+        left, low, right, high = turned.bounds
+        at = middle - ((left + right) / 2, (low + high) / 2)
+        if table.covers(_place(obj.outline, [*at, turn])):
+            x, y, theta = scenario.object_pose
+            near, far = table.bounds[:2], table.bounds[2:]
+            raise ScenarioError(
+                f"object_pose is [{x:g}, {y:g}, {theta:g}]: there the object is not wholly on the table; expected "
+                f"a pose on it; the table spans x {near[0]:g} to {far[0]:g} m and y {near[1]:g} to {far[1]:g} m"
+            )
+    raise ScenarioError(
+        f"object: {obj.name}, {_describe_size(obj.outline)}, is larger than the table, {_describe_size(table)}; "
+        "expected one that can lie on it"
+    )
+
+
+def _check_tip(scenario: PushScenario, plant: MultibodyPlant, inspector: SceneGraphInspector) -> None:
+    body = plant.GetBodyByName("finger_tip", plant.GetModelInstanceByName("finger"))
+    shapes = [inspector.GetShape(geometry) for geometry in plant.GetCollisionGeometriesForBody(body)]
+    radii = [shape.radius() for shape in shapes if isinstance(shape, Sphere)]
+    if len(radii) != 1 or len(shapes) != 1:
+        raise ScenarioError("directives: body finger::finger_tip must have one sphere, and nothing else, to touch with")
+    if abs(radii[0] - scenario.finger.tip_radius) > TIP_TOLERANCE:
+        raise ScenarioError(
+            f"finger.tip_radius is {scenario.finger.tip_radius:g} m; "
+            f"expected {radii[0]:g} m, as the scene's finger has it"
+        )
+
+
+def _check_reach(scenario: PushScenario, plant: MultibodyPlant) -> None:
+    p_WR, least, greatest = CalcTipReach(plant, scenario.finger.push_height)
+    workspace, robot = scenario.workspace, shapely.Point(p_WR)
+    box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
+    reach = f"between {least:.2f} and {greatest:.2f} m from the robot's axis"
+    if box.distance(robot) >= greatest or box.hausdorff_distance(robot) <= least:
+        raise ScenarioError(f"workspace is out of the arm's reach; expected a box with points {reach}")
+    x, y = scenario.object_pose[:2]
+    if not box.covers(shapely.Point(x, y)):
+        raise ScenarioError(
+            f"workspace does not contain the object's position, ({x:g}, {y:g}) m; expected that it does"
+        )
+
+
+def _place(outline: Polygon, pose: list[float]) -> Polygon:
+    """The outline in W of an object whose body frame is at `pose`."""
+    x, y, theta = pose
+    c, s = np.cos(theta), np.sin(theta)
+    return affine_transform(outline, [c, -s, s, c, x, y])
+
+
+def _describe_size(shape: BaseGeometry) -> str:
+    left, low, right, high = shape.bounds
+    return f"{right - left:.2f} x {high - low:.2f} m"

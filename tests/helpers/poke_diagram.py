@@ -1,0 +1,117 @@
+"""A small Diagram without an arm: a policy and an executor move an ideal finger, the LCP is the world, the identifier
+watches through a noisy camera.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
+from shapely import box
+
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.systems.grid_identifier import DEFAULT_PERIOD, GridIdentifier
+from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
+from gridpush_drake.systems.poke_choice import PokeRegion, PokeStyle
+from gridpush_drake.systems.poke_policy import PokePolicy
+from gridpush_drake.systems.push_executor import PushExecutor
+from gridpush_drake.systems.push_record import RecordOptions
+
+OBJECT_HEIGHT = 0.04
+FINGER_PERIOD = 0.005
+REGION = PokeRegion(workspace=box(-0.5, -0.5, 0.5, 0.5), keep_in=box(-0.35, -0.35, 0.35, 0.35))
+
+
+class IdealFinger(LeafSystem):
+    """Follows the desired pose exactly; its planar state is NaN while it is above the object."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.DeclareAbstractInputPort("tip_pose", AbstractValue.Make(RigidTransform()))
+        self.DeclareDiscreteState([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+        self.DeclarePeriodicDiscreteUpdateEvent(FINGER_PERIOD, 0.0, self._follow)
+        self.DeclareStateOutputPort("pusher_state", self.get_discrete_state_index())
+        self.DeclareVectorOutputPort("planar_state", 4, self._calc_planar_state, {self.xd_ticket()})
+
+    def get_discrete_state_index(self) -> Any:
+        from pydrake.systems.framework import DiscreteStateIndex
+
+        return DiscreteStateIndex(0)
+
+    def _follow(self, context: Context, state: Any) -> None:
+        p = self.GetInputPort("tip_pose").Eval(context).translation()
+        before = context.get_discrete_state(0).value()[:3]
+        state.set_value(0, np.concatenate([p, (p - before) / FINGER_PERIOD]))
+
+    def _calc_planar_state(self, context: Context, output: Any) -> None:
+        x, y, z, vx, vy, _ = context.get_discrete_state(0).value()
+        output.SetFromVector([x, y, vx, vy] if z < OBJECT_HEIGHT else np.full(4, np.nan))
+
+
+class Camera(LeafSystem):
+    """Samples a pose with seeded noise."""
+
+    def __init__(self, position_noise: float, angle_noise: float, period: float = DEFAULT_PERIOD) -> None:
+        super().__init__()
+        self._std = np.array([position_noise, position_noise, angle_noise])
+        self.DeclareVectorInputPort("pose", 3)
+        self.DeclareDiscreteState([np.nan] * 3)
+        self.DeclareDiscreteState(1)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._look)
+        self.DeclareVectorOutputPort("object_pose", 3, self._calc_pose, {self.xd_ticket()})
+
+    def _look(self, context: Context, state: Any) -> None:
+        count = int(context.get_discrete_state(1).value()[0])
+        noise = self._std * np.random.default_rng((7, count)).normal(size=3)
+        state.set_value(0, self.GetInputPort("pose").Eval(context) + noise)
+        state.set_value(1, [count + 1])
+
+    def _calc_pose(self, context: Context, output: Any) -> None:
+        output.SetFromVector(context.get_discrete_state(0).value())
+
+
+class PokeDiagram(NamedTuple):
+    """The Diagram and its parts."""
+
+    diagram: Diagram
+    world: GridLcpSystem
+    identifier: GridIdentifier
+    policy: PokePolicy
+    executor: PushExecutor
+
+
+def make_poke_diagram(
+    obj: GridObject,
+    truth: CellParameters,
+    *,
+    pokes: int,
+    seed: int = 0,
+    noise: tuple[float, float] = (5e-4, np.radians(0.2)),
+    style: PokeStyle | None = None,
+    **options: Any,
+) -> PokeDiagram:
+    """Makes it; `options` go to the identifier."""
+    builder = DiagramBuilder()
+    style = style or PokeStyle()
+    world = builder.AddSystem(GridLcpSystem(obj, truth, pusher_radius=style.tip_radius))
+    finger, camera = builder.AddSystem(IdealFinger()), builder.AddSystem(Camera(*noise))
+    options = {"record": RecordOptions(pose_delay=DEFAULT_PERIOD), **options}
+    identifier = builder.AddSystem(
+        GridIdentifier(obj, engaged_below=OBJECT_HEIGHT, pusher_radius=style.tip_radius, seed=seed, **options)
+    )
+    policy = builder.AddSystem(PokePolicy(obj, REGION, seed, pokes, style))
+    executor = builder.AddSystem(PushExecutor((0.0, 0.0, 0.2), obj.outline))
+    for source, port, sinks in (
+        (policy, "push_command", [(executor, "push_command")]),
+        (executor, "tip_pose", [(finger, "tip_pose")]),
+        (executor, "status", [(policy, "status")]),
+        (finger, "planar_state", [(world, "pusher_state")]),
+        (finger, "pusher_state", [(identifier, "pusher_state")]),
+        (world, "pose", [(camera, "pose")]),
+        (camera, "object_pose", [(executor, "object_pose"), (policy, "object_pose"), (identifier, "object_pose")]),
+    ):
+        for system, name in sinks:
+            builder.Connect(source.GetOutputPort(port), system.GetInputPort(name))
+    return PokeDiagram(builder.Build(), world, identifier, policy, executor)

@@ -1,0 +1,155 @@
+"""Every file in models/ is read, and says what its comments say; new files are found by themselves."""
+
+import numpy as np
+import pytest
+from pydrake.geometry import Box, Capsule, Cylinder, Role
+from pydrake.math import RollPitchYaw
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.multibody.tree import BodyIndex
+from pydrake.systems.framework import DiagramBuilder
+
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.scene.contact_material import PARTNER_FRICTION, PARTNER_STIFFNESS
+from gridpush_drake.scene.parser import MakeParser, find_models
+from gridpush_drake.scene.scenario import PushScenario
+from gridpush_drake.scene.scenario_check import check_scenario
+from gridpush_drake.scene.scenario_file import read_scenario, write_scenario
+from gridpush_drake.scene.table import FindTableOutline, FindTableTops
+
+FILES = sorted(path.relative_to(find_models()).as_posix() for path in find_models().rglob("*") if path.is_file())
+SCENES = [file for file in FILES if file.startswith("scenes/")]
+SCENARIOS = [file for file in FILES if file.startswith("scenarios/")]
+OBJECTS = [file for file in FILES if file.startswith("objects/")]
+MODELS = [file for file in FILES if file.endswith((".sdf", ".urdf"))]
+TABLE_SCENES = [file for file in SCENES if "name: table" in (find_models() / file).read_text()]
+
+
+def parse(file):
+    """The plant with a model or scene, the scene graph and the Diagram."""
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.002)
+    parser = MakeParser(plant)
+    parser.SetStrictParsing()
+    parser.AddModelsFromUrl(f"package://gridpush_drake/{file}")
+    plant.Finalize()
+    return plant, scene_graph, builder.Build()
+
+
+def half_size(shape):
+    """(3,) of the box about a primitive, m."""
+    if isinstance(shape, Box):
+        return np.array(shape.size()) / 2
+    if isinstance(shape, Cylinder):
+        return np.array([shape.radius(), shape.radius(), shape.length() / 2])
+    if isinstance(shape, Capsule):
+        return np.array([shape.radius(), shape.radius(), shape.length() / 2 + shape.radius()])
+    return np.full(3, shape.radius())
+
+
+def test_every_file_is_of_a_kind_that_is_tested():
+    known = {"package.xml", *SCENES, *SCENARIOS, *OBJECTS, *MODELS}
+    assert set(FILES) == known
+    assert all(file.endswith(".dmd.yaml") for file in SCENES)
+    assert min(map(len, (SCENES, SCENARIOS, OBJECTS, MODELS))) > 1
+
+
+@pytest.mark.parametrize("file", MODELS)
+def test_model_is_parsed_without_a_warning_and_needs_no_other_file(file):
+    plant, scene_graph, _ = parse(file)
+    inspector = scene_graph.model_inspector()
+    shapes = {type(inspector.GetShape(geometry)).__name__ for geometry in inspector.GetAllGeometryIds()}
+    assert plant.num_bodies() > 1
+    assert inspector.NumGeometriesWithRole(Role.kIllustration) > 0
+    assert not shapes & {"Mesh", "Convex"}
+
+
+@pytest.mark.parametrize("file", MODELS)
+def test_inertia_is_that_of_a_body_within_the_shapes(file):
+    """Radii of gyration are no larger than the shapes reach from the centre of mass."""
+    plant, scene_graph, _ = parse(file)
+    inspector = scene_graph.model_inspector()
+    context = plant.CreateDefaultContext()
+    for index in range(1, plant.num_bodies()):  # 0 is the world
+        body = plant.get_body(BodyIndex(index))
+        geometries = plant.GetVisualGeometriesForBody(body)
+        mass = body.get_mass(context)
+        if not mass or not geometries:
+            continue
+        inertia = body.CalcSpatialInertiaInBodyFrame(context)
+        p_BC, G = inertia.get_com(), inertia.Shift(inertia.get_com()).CopyToFullMatrix6()[:3, :3] / mass
+        reach = max(
+            np.linalg.norm(inspector.GetPoseInFrame(geometry).translation() - p_BC)
+            + np.linalg.norm(half_size(inspector.GetShape(geometry)))
+            for geometry in geometries
+        )
+        assert inertia.IsPhysicallyValid()
+        assert np.sqrt(np.trace(G) / 2) < reach, body.name()
+
+
+@pytest.mark.parametrize("file", SCENES)
+def test_scene_is_parsed_and_starts_without_contact(file):
+    plant, scene_graph, diagram = parse(file)
+    context = diagram.CreateDefaultContext()
+    query = scene_graph.get_query_output_port().Eval(scene_graph.GetMyContextFromRoot(context))
+    assert plant.HasModelInstanceNamed("iiwa")
+    assert not query.ComputePointPairPenetration()
+
+
+@pytest.mark.parametrize("file", SCENES)
+def test_scene_starts_with_the_finger_down_over_the_table(file):
+    plant, _, _ = parse(file)
+    X_WP = plant.GetFrameByName("finger_tip").CalcPoseInWorld(plant.CreateDefaultContext())
+    assert np.abs(X_WP.rotation().matrix() - RollPitchYaw(0.0, np.pi, 0.0).ToRotationMatrix().matrix()).max() < 1e-9
+    assert np.allclose(X_WP.translation(), [0.5, 0.0, 0.2], atol=0.01)
+
+
+def test_scenes_come_with_and_without_a_gripper():
+    assert [parse(file)[0].HasModelInstanceNamed("gripper") for file in TABLE_SCENES].count(True) == 1
+    assert len(TABLE_SCENES) >= 3
+
+
+@pytest.mark.parametrize(
+    ("file", "bounds", "area"),
+    [
+        ("scenes/iiwa_push.dmd.yaml", (0.2, -0.6, 1.0, 0.6), 0.8 * 1.2),
+        ("scenes/iiwa_push_round.dmd.yaml", (0.15, -0.5, 1.15, 0.5), np.pi * 0.25),
+        ("scenes/iiwa_grasp.dmd.yaml", (0.15, -0.5, 1.15, 0.5), np.pi * 0.25),
+    ],
+)
+def test_table_is_as_large_as_it_is_said_to_be(file, bounds, area):
+    plant, scene_graph, _ = parse(file)
+    outline = FindTableOutline(plant, scene_graph.model_inspector())
+    assert outline.bounds == pytest.approx(bounds, abs=1e-9)
+    assert outline.area == pytest.approx(area, rel=1e-5)
+
+
+@pytest.mark.parametrize("file", TABLE_SCENES)
+def test_table_top_is_a_stiff_partner_for_feet(file):
+    plant, scene_graph, _ = parse(file)
+    inspector = scene_graph.model_inspector()
+    for geometry in FindTableTops(plant, inspector):
+        properties = inspector.GetProximityProperties(geometry)
+        friction = properties.GetProperty("material", "coulomb_friction")
+        assert friction.static_friction() == friction.dynamic_friction() == PARTNER_FRICTION
+        assert properties.GetProperty("material", "point_contact_stiffness") == PARTNER_STIFFNESS
+
+
+@pytest.mark.parametrize("file", SCENARIOS)
+def test_scenario_is_read_and_makes_sense(file):
+    check_scenario(read_scenario(find_models() / file))
+
+
+def test_default_scenario_shows_every_field_as_it_is_by_default(tmp_path):
+    scenario = read_scenario(find_models() / "scenarios/default.yaml")
+    for name, written in (("file", scenario), ("default", PushScenario())):
+        write_scenario(tmp_path / name, written)
+    text = (tmp_path / "default").read_text()
+    assert (tmp_path / "file").read_text() == text
+    assert (find_models() / "scenarios/default.yaml").read_text().endswith(text)
+
+
+@pytest.mark.parametrize("file", OBJECTS)
+def test_object_is_read(file):
+    obj = GridObject.from_yaml(find_models() / file)
+    assert file == f"objects/{obj.name}.yaml"
+    assert obj.n > 1

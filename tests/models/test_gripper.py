@@ -1,0 +1,123 @@
+"""The gripper in simulation, moved by Drake's own controller."""
+
+import numpy as np
+import pytest
+from pydrake.geometry import Box
+from pydrake.manipulation import SchunkWsgPositionController
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
+from pydrake.multibody.tree import SpatialInertia
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource
+
+from gridpush_drake.scene.parser import MakeParser, find_models
+
+CLOSING_DOWN = RigidTransform(RollPitchYaw(-np.pi / 2, np.pi / 2, 0.0), [0.0, 0.0, 0.0])
+"""X_WB of the gripper's body: fingers forward, closing vertically, as the bracket holds it."""
+
+FULL_FORCE = -0.4
+"""Opening to ask for, m, at which the controller's 200 N/m ask for the whole 80 N; at 0 a bar is held by 6 N only."""
+
+BAR = Box(0.2, 0.03, 0.03)
+
+
+class Grip:
+    """A gripper fixed to the world, its controller, and perhaps a bar between the pads."""
+
+    def __init__(self, bar_mass=None, X_WB=CLOSING_DOWN):
+        builder = DiagramBuilder()
+        self.plant, _ = AddMultibodyPlantSceneGraph(builder, 0.002)
+        MakeParser(self.plant).AddModelsFromUrl("package://gridpush_drake/gripper/wsg_50.sdf")
+        self.gripper = self.plant.GetModelInstanceByName("gripper")
+        self.plant.WeldFrames(self.plant.world_frame(), self.plant.GetFrameByName("body"), X_WB)
+        if bar_mass is not None:
+            inertia = SpatialInertia.SolidBoxWithMass(bar_mass, *BAR.size())
+            self.bar = self.plant.AddRigidBody("bar", self.plant.AddModelInstance("bar"), inertia)
+            self.plant.RegisterCollisionGeometry(self.bar, RigidTransform(), BAR, "bar", CoulombFriction(0.5, 0.5))
+        self.plant.Finalize()
+        controller = builder.AddSystem(SchunkWsgPositionController())
+        self.opening = builder.AddSystem(ConstantVectorSource([0.1]))
+        force = builder.AddSystem(ConstantVectorSource([80.0]))
+        builder.Connect(self.plant.get_state_output_port(self.gripper), controller.get_state_input_port())
+        builder.Connect(
+            controller.get_generalized_force_output_port(), self.plant.get_actuation_input_port(self.gripper)
+        )
+        builder.Connect(self.opening.get_output_port(), controller.get_desired_position_input_port())
+        builder.Connect(force.get_output_port(), controller.get_force_limit_input_port())
+        self.simulator = Simulator(builder.Build())
+        self.context = self.simulator.get_mutable_context()
+        self.plant_context = self.plant.GetMyMutableContextFromRoot(self.context)
+        self.plant.SetPositions(self.plant_context, self.gripper, [-0.05, 0.05])
+
+    def move(self, opening, seconds):
+        source = self.opening.GetMyMutableContextFromRoot(self.context)
+        self.opening.get_mutable_source_value(source).SetFromVector([opening])
+        self.simulator.AdvanceTo(self.context.get_time() + seconds)
+
+    @property
+    def position(self):
+        return self.plant.GetPositions(self.plant_context, self.gripper)
+
+
+def test_names_are_those_of_drake_models():
+    plant = Grip().plant
+    joints = [plant.GetJointByName(f"{side}_finger_sliding_joint") for side in ("left", "right")]
+    assert [joint.child_body().name() for joint in joints] == ["left_finger", "right_finger"]
+    assert [joint.position_lower_limit() for joint in joints] == [-0.055, 0.0]
+    assert [joint.position_upper_limit() for joint in joints] == [0.0, 0.055]
+    assert [joint.position_start() for joint in joints] == [0, 1]  # the order that Drake's controller reads
+
+
+def test_it_opens_and_closes_to_what_is_asked():
+    grip = Grip(X_WB=RigidTransform())  # closing level: gravity does not hold either finger back
+    for opening in (0.1, 0.03, 0.0, 0.08):
+        grip.move(opening, 1.0)
+        assert grip.position == pytest.approx([-opening / 2, opening / 2], abs=1e-4)
+
+
+def test_pads_meet_when_closed():
+    """Inner faces of the spheres, and of the visible pads, lie at the middle at position 0, off it by the position."""
+    grip = Grip()
+    for side, sign in (("left", -1), ("right", 1)):
+        body = grip.plant.GetBodyByName(f"{side}_finger")
+        grip.plant.SetPositions(grip.plant_context, grip.gripper, [-0.02, 0.02])
+        X_BF = body.EvalPoseInWorld(grip.plant_context)
+        p_B = (CLOSING_DOWN.inverse() @ X_BF).multiply(np.array([-0.0085 - 0.003, 0.026, 0.0]))
+        assert p_B == pytest.approx([sign * 0.02, 0.103133, 0.0], abs=1e-9)
+
+
+def test_it_holds_a_bar_that_hangs_out_to_one_side():
+    """0.7 kg, gripped 8 cm from its middle: it stays between the pads for 3 s and hardly turns.
+
+    The controller's spring between the fingers' middle and the body's, 2000 N/m, gives way by 2 mm.
+    """
+    grip = Grip(bar_mass=0.7)
+    p_WG = grip.plant.GetFrameByName("grasp").CalcPoseInWorld(grip.plant_context).translation()
+    forward = CLOSING_DOWN.rotation().matrix()[:, 1]
+    start = RigidTransform(p_WG + 0.08 * forward)
+    grip.plant.SetFreeBodyPose(grip.plant_context, grip.bar, start)
+    grip.plant.SetPositions(grip.plant_context, grip.gripper, [-0.0155, 0.0155])
+    grip.move(FULL_FORCE, 3.0)
+    X_WB = grip.bar.EvalPoseInWorld(grip.plant_context)
+    turned = (start.rotation().inverse() @ X_WB.rotation()).ToAngleAxis().angle()
+    assert np.degrees(turned) < 0.5
+    assert np.linalg.norm(X_WB.translation() - start.translation()) < 0.003
+    assert np.diff(grip.position) == pytest.approx(0.03, abs=1e-3)
+
+
+def test_the_bracket_lets_it_close_vertically_with_the_right_finger_below():
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, 0.002)
+    MakeParser(plant).AddModels(str(find_models() / "scenes/iiwa_grasp.dmd.yaml"))
+    plant.Finalize()
+    context = plant.CreateDefaultContext()
+    X_WG = plant.GetFrameByName("grasp").CalcPoseInWorld(context)
+    left, right, tip = (
+        plant.GetBodyByName(name).EvalPoseInWorld(context).translation()
+        for name in ("left_finger", "right_finger", "finger_tip")
+    )
+    assert X_WG.rotation().matrix()[:, 0] == pytest.approx([0, 0, -1], abs=1e-9)
+    assert abs(X_WG.rotation().matrix()[2, 1]) < 1e-9
+    assert left[2] - right[2] == pytest.approx(2 * (0.05 + 0.0115), abs=1e-9)
+    assert right[2] - tip[2] > 0.1
