@@ -1,0 +1,185 @@
+"""`EstimateVisualizer`: what is believed of an object, drawn over it in Meshcat while it is learned."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import AbstractValue
+from pydrake.geometry import Meshcat
+from pydrake.systems.framework import Context, EventStatus, InputPort, LeafSystem, State
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulate import Regime, simulate
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.pushes.log import DEFAULT_PUSHER_RADIUS
+from gridpush_drake.systems.cell_colors import CellColors, Shown
+from gridpush_drake.systems.estimate_drawing import EMPTY, NOTHING, Canvas, Drawing
+from gridpush_drake.systems.push_command import PUSH_COMMAND_SIZE, PushCommand
+
+Array = NDArray[np.float64]
+
+PUBLISH_PERIOD = 1 / 30
+"""s."""
+
+
+class EstimateVisualizer(LeafSystem):
+    """Colours an object's cells by their estimate, live and in a recording, and shows what the next push will do.
+
+    Drawn are the cells in the colours of their mass or friction; the estimated centre of mass, with the ellipse of
+    `estimate_drawing.SIGMAS` standard deviations about it; the commanded push as an arrow; and, as a translucent ghost,
+    the pose that the estimate at the time of the command predicts for its end. Everything is below `path`: the cells
+    and the centre at `path`/object/<count of estimates>, arrow and ghost at `path`/push/<count of pushes>.
+
+    .. pydrake_system::
+
+      name: EstimateVisualizer
+      input_ports:
+      - object_pose
+      - mass
+      - friction
+      - contact_friction
+      - centre_of_mass
+      - centre_of_mass_covariance
+      - push_command
+
+    - object_pose: vector (3), X_WB as x, y, theta, m and rad.
+    - mass: vector (n), the cells' estimated masses, kg.
+    - friction: vector (n), the cells' estimated friction coefficients.
+    - contact_friction: vector (1), the finger's estimated friction coefficient; need not be connected.
+    - centre_of_mass: vector (2), in B, m; need not be connected.
+    - centre_of_mass_covariance: vector (4), row by row, m²; need not be connected.
+    - push_command: vector (6), see `PushCommand`; need not be connected.
+
+    Initialising a Simulator wipes what is below `path` and begins anew.
+    """
+
+    def __init__(
+        self,
+        obj: GridObject,
+        meshcat: Meshcat,
+        *,
+        height: float,
+        path: str = "estimate",
+        shows: Shown = "mass",
+        limits: tuple[float, float] | None = None,
+        period: float = PUBLISH_PERIOD,
+        pusher_radius: float | None = None,
+        regime: Regime = "quasi_static",
+        lift: float = 0.0,
+    ) -> None:
+        """Declares ports, state and events.
+
+        Args:
+            obj: the object.
+            meshcat: where to draw.
+            height: of the object, m.
+            path: in Meshcat, below which everything is drawn.
+            shows: which of the cells' values gives their colour, see `CellColors`.
+            limits: of the colour scale, see `CellColors`.
+            period: between two updates of the scene, s.
+            pusher_radius: of the finger's tip, m; by default the object's file's, or DEFAULT_PUSHER_RADIUS.
+            regime: of the prediction, see `simulate`.
+            lift: of everything above the table, m.
+
+        Raises:
+            StationError: `shows` or `limits` is not what `CellColors` takes.
+        """
+        super().__init__()
+        self._obj = obj
+        self._canvas = Canvas(obj, meshcat, path.rstrip("/"), height, lift, CellColors(shows, limits), period)
+        self._radius = pusher_radius or obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
+        self._regime: Regime = regime
+        self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
+        self._mass = self.DeclareVectorInputPort("mass", obj.n)
+        self._friction = self.DeclareVectorInputPort("friction", obj.n)
+        self._contact_friction = self.DeclareVectorInputPort("contact_friction", 1)
+        self._centre = self.DeclareVectorInputPort("centre_of_mass", 2)
+        self._covariance = self.DeclareVectorInputPort("centre_of_mass_covariance", 4)
+        self._command = self.DeclareVectorInputPort("push_command", PUSH_COMMAND_SIZE)
+        self._drawing = self.DeclareAbstractState(AbstractValue.Make(NOTHING))
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._Begin)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._Update)
+        self.DeclareInitializationPublishEvent(self._PublishAnew)
+        self.DeclarePeriodicPublishEvent(period, 0.0, self._Publish)
+        self.DeclareForcedPublishEvent(self._PublishNow)
+
+    def _Begin(self, context: Context, state: State) -> EventStatus:
+        """Forgets what was drawn before."""
+        self._Store(state, self._CalcDrawing(context, NOTHING))
+        return EventStatus.Succeeded()
+
+    def _Update(self, context: Context, state: State) -> EventStatus:
+        drawn = self._Load(context)
+        present = self._CalcDrawing(context, drawn)
+        if present is drawn:
+            return EventStatus.DidNothing()
+        self._Store(state, present)
+        return EventStatus.Succeeded()
+
+    def _PublishAnew(self, context: Context) -> EventStatus:
+        self._canvas.Wipe()
+        return self._Publish(context)
+
+    def _PublishNow(self, context: Context) -> EventStatus:
+        """Draws the inputs as they are where no Simulator was initialised, and as a periodic event otherwise."""
+        drawing = self._Load(context)
+        if not drawing.estimate:
+            self._canvas.Wipe()
+            drawing = self._CalcDrawing(context, drawing)
+        self._Send(context, drawing)
+        return EventStatus.Succeeded()
+
+    def _Publish(self, context: Context) -> EventStatus:
+        self._Send(context, self._Load(context))
+        return EventStatus.Succeeded()
+
+    def _Load(self, context: Context) -> Drawing:
+        value: Any = context.get_abstract_state(int(self._drawing))  # pydrake's stubs have its get_value return None
+        drawing: Drawing = value.get_value()
+        return drawing
+
+    def _Store(self, state: State, drawing: Drawing) -> None:
+        state.get_mutable_abstract_state(int(self._drawing)).set_value(drawing)
+
+    def _CalcDrawing(self, context: Context, drawn: Drawing) -> Drawing:
+        """What the inputs ask for; `drawn` itself where that is drawn already."""
+        mass, friction = self._Eval(self._mass, context), self._Eval(self._friction, context)
+        centre, covariance = self._Eval(self._centre, context), self._Eval(self._covariance, context)
+        present = drawn
+        if not drawn.estimate or not drawn.has_estimate(mass, friction, centre, covariance):
+            present = replace(
+                drawn, estimate=drawn.estimate + 1, mass=mass, friction=friction, centre=centre, covariance=covariance
+            )
+        vector = self._Eval(self._command, context)
+        command = PushCommand.from_vector(vector) if len(vector) else PushCommand()
+        if command.number == drawn.command.number:
+            return present
+        predicted = self._Predict(context, command, mass, friction)
+        return replace(present, push=drawn.push + 1, command=command, predicted=predicted)
+
+    def _Predict(self, context: Context, command: PushCommand, mass: Array, friction: Array) -> Array:
+        """The pose (3,) after a push; empty where the model cannot say."""
+        if not (command.number and command.distance > 0 and command.speed > 0):
+            return EMPTY
+        contact = self._Eval(self._contact_friction, context)
+        mu = float(contact[0]) if len(contact) else self._obj.prior.contact_friction
+        pose, duration = self._Eval(self._object_pose, context), command.distance / command.speed
+        if not np.isfinite(pose).all():
+            return EMPTY
+        try:
+            push = Push(command.start, (command.end - command.start) / duration, duration, self._radius)
+            params = CellParameters(mass, friction, mu)
+            motion = simulate(self._obj, params, push, pose, regime=self._regime)
+        except GridPushError:  # an estimate or a command out of range has no ghost; whoever made it says why
+            return EMPTY
+        return motion.final_pose
+
+    def _Eval(self, port: InputPort, context: Context) -> Array:
+        """A port's value; empty where an optional one is not connected."""
+        return np.array(port.Eval(context)) if port.HasValue(context) else EMPTY
+
+    def _Send(self, context: Context, drawing: Drawing) -> None:
+        self._canvas.Send(drawing, self._Eval(self._object_pose, context), context.get_time())

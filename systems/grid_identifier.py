@@ -1,0 +1,251 @@
+"""The identifier as a Drake system: watches pushes, keeps their log, and learns when one ends.
+
+Every `period` it looks at the object and the tip; `push_segmenter` finds the pushes, `push_record` writes them down,
+and `identify` learns from the log when a push has ended. The estimate is that of `identify` on the log it keeps.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import Context, LeafSystem, State
+
+from gridpush_drake.dynamics.simulate import Regime
+from gridpush_drake.errors import IdentificationError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.identification.centre_of_mass import calc_centre_of_mass
+from gridpush_drake.identification.default import DefaultOptions
+from gridpush_drake.identification.identify import METHODS, REGIMES, describe_prior, identify
+from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.result import HistoryEntry, Identification
+from gridpush_drake.pushes.log import DEFAULT_PUSHER_RADIUS, PushLog
+from gridpush_drake.systems.push_record import RecordOptions, make_observed_push
+from gridpush_drake.systems.push_segmenter import Episode, Sample, SegmenterOptions, SegmenterState, advance
+
+Array = NDArray[np.float64]
+
+DEFAULT_PERIOD = 1 / 30
+"""s."""
+
+SOURCE = "observed pushes"
+"""What the log says of where it comes from."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """An identification, and what the ports show of it that it takes time to calculate.
+
+    Attributes:
+        found: the identification, or the prior in its form.
+        learned: whether it rests on a push.
+        centre_of_mass: (2,) p_BBcm, m.
+        centre_of_mass_covariance: (2, 2) m².
+        loss: mean cell error of the training pushes, m; NaN where there are none.
+    """
+
+    found: Identification
+    learned: bool
+    centre_of_mass: Array
+    centre_of_mass_covariance: Array
+    loss: float
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifierState:
+    """All that the identifier remembers; never changed, only replaced.
+
+    Attributes:
+        segmenter: where the present push stands.
+        log: the pushes so far.
+        estimate: from them.
+    """
+
+    segmenter: SegmenterState = field(default_factory=SegmenterState)
+    log: PushLog = field(default_factory=lambda: PushLog((), SOURCE))
+    estimate: Estimate | None = None
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "IdentifierState":
+        """Itself: Drake copies the state at every update, and nothing in it is ever changed."""
+        return self
+
+
+class GridIdentifier(LeafSystem):
+    """Learns the masses and frictions of an object of n cells from the pushes that it sees.
+
+    .. pydrake_system::
+
+        name: GridIdentifier
+        input_ports:
+        - object_pose
+        - pusher_state
+        output_ports:
+        - mass
+        - friction
+        - mass_std
+        - friction_std
+        - contact_friction
+        - centre_of_mass
+        - centre_of_mass_covariance
+        - loss
+        - num_pushes
+        - identification
+        - push_log
+
+    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object was not seen.
+    * pusher_state: vector of 6, the tip's centre p_WP in m and its velocity v_WP in m/s, in W; a sample with NaN is
+      passed over.
+    * mass: vector of n, estimated mass of each cell, kg.
+    * friction: vector of n, estimated friction coefficient of each cell against the support.
+    * mass_std: vector of n, standard deviation of `mass`, kg.
+    * friction_std: vector of n, standard deviation of `friction`.
+    * contact_friction: vector of 1, estimated friction coefficient of the tip against the object.
+    * centre_of_mass: vector of 2, estimated p_BBcm in B, m.
+    * centre_of_mass_covariance: vector of 4, its covariance in B, row-major, m²; see `identification.centre_of_mass`.
+    * loss: vector of 1, mean cell error of the pushes learned from, m; NaN before the first.
+    * num_pushes: vector of 1, pushes in the log.
+    * identification: abstract `Identification`, or None before the first push.
+    * push_log: abstract `PushLog`, all pushes so far.
+
+    Before the first push the outputs are the prior's. Abstract state: one `IdentifierState`.
+    """
+
+    def __init__(
+        self,
+        obj: GridObject,
+        period: float = DEFAULT_PERIOD,
+        engaged_below: float = SegmenterOptions.engaged_below,
+        method: str = "default",
+        options: DefaultOptions | None = None,
+        max_learning_pushes: int | None = None,
+        regime: Regime | Literal["auto"] = "auto",
+        seed: int = 0,
+        warm_start: bool = True,
+        *,
+        pusher_radius: float | None = None,
+        segmenter: SegmenterOptions | None = None,
+        record: RecordOptions | None = None,
+        progress: Callable[[HistoryEntry], None] | None = None,
+    ) -> None:
+        """Declares the system.
+
+        Args:
+            obj: the object.
+            period: between samples, s.
+            engaged_below: height of the tip's centre below which it can touch the object, m.
+            method: one of `identify.METHODS`.
+            options: of the default method.
+            max_learning_pushes: later pushes are logged, not learned from; None for no limit.
+            regime: of the simulations, or "auto".
+            seed: of everything random.
+            warm_start: whether learning begins where it ended the last time (default method only). The answer is the
+                same to a fraction of its standard deviation; without, it is the offline one bit for bit.
+            pusher_radius: of the tip, m; by default the prior's, or DEFAULT_PUSHER_RADIUS. Where given, it replaces the
+                prior's in `self.obj`, so that the object's file and the log's say the same offline.
+            segmenter: other options of finding pushes; its `engaged_below` is replaced by the argument.
+            record: options of writing them down; its `pose_delay` where the sensor's poses are old when they are read.
+            progress: called now and then while learning.
+
+        Raises:
+            IdentificationError: an argument is out of range.
+        """
+        super().__init__()
+        for name, value, known in (("method", method, METHODS), ("regime", regime, REGIMES)):
+            if value not in known:
+                raise IdentificationError(f"{name} is {value!r}; expected one of {', '.join(known)}")
+        if not (np.isfinite(period) and period > 0):
+            raise IdentificationError(f"period is {period!r}; expected a positive number (s)")
+        if max_learning_pushes is not None and max_learning_pushes < 0:
+            raise IdentificationError(f"max_learning_pushes is {max_learning_pushes}; expected 0 or more")
+        if pusher_radius is not None:
+            obj = replace(obj, prior=replace(obj.prior, pusher_radius=pusher_radius))
+        self.obj, self.max_learning_pushes, self.warm_start = obj, max_learning_pushes, warm_start
+        self._radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
+        self._segmenter = replace(segmenter or SegmenterOptions(), engaged_below=engaged_below)
+        self._record = record or RecordOptions()
+        self._learning: dict[str, Any] = {
+            "method": method, "seed": seed, "regime": regime, "options": options, "progress": progress,
+        }  # fmt: skip
+        self._prior = _make_estimate(describe_prior(obj, options, seed), None)
+        self._state = self.DeclareAbstractState(AbstractValue.Make(IdentifierState()))
+        self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
+        self._pusher_state = self.DeclareVectorInputPort("pusher_state", 6)
+        self._declare_outputs()
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update)
+
+    def Learn(self, log: PushLog, start: Identification | None = None) -> Identification:
+        """Identifies the object from the log's first `max_learning_pushes`, as the system does when a push ends."""
+        return identify(self.obj, log[: self.max_learning_pushes], start=start, **self._learning)
+
+    def _declare_outputs(self) -> None:
+        def declare(name: str, size: int, calc: Callable[[Estimate], Any]) -> None:
+            self.DeclareVectorOutputPort(
+                name, size, lambda context, output: output.SetFromVector(calc(self._get_estimate(context))), state
+            )
+
+        state, n = {self.abstract_state_ticket(self._state)}, self.obj.n
+        declare("mass", n, lambda estimate: estimate.found.params.mass)
+        declare("friction", n, lambda estimate: estimate.found.params.friction)
+        declare("mass_std", n, lambda estimate: estimate.found.std.mass)
+        declare("friction_std", n, lambda estimate: estimate.found.std.friction)
+        declare("contact_friction", 1, lambda estimate: [estimate.found.params.contact_friction])
+        declare("centre_of_mass", 2, lambda estimate: estimate.centre_of_mass)
+        declare("centre_of_mass_covariance", 4, lambda estimate: estimate.centre_of_mass_covariance.ravel())
+        declare("loss", 1, lambda estimate: [estimate.loss])
+        self.DeclareVectorOutputPort("num_pushes", 1, self._calc_num_pushes, state)
+        make = lambda: AbstractValue.Make(object())  # noqa: E731
+        self.DeclareAbstractOutputPort("identification", make, self._calc_identification, state)
+        self.DeclareAbstractOutputPort("push_log", make, self._calc_push_log, state)
+
+    def _get_state(self, context: Context) -> IdentifierState:
+        return context.get_abstract_state(int(self._state)).get_value()
+
+    def _get_estimate(self, context: Context) -> Estimate:
+        return self._get_state(context).estimate or self._prior
+
+    def _calc_num_pushes(self, context: Context, output: Any) -> None:
+        output.SetFromVector([len(self._get_state(context).log)])
+
+    def _calc_identification(self, context: Context, output: Any) -> None:
+        estimate = self._get_estimate(context)
+        output.set_value(estimate.found if estimate.learned else None)
+
+    def _calc_push_log(self, context: Context, output: Any) -> None:
+        output.set_value(self._get_state(context).log)
+
+    def _update(self, context: Context, state: State) -> None:
+        before = self._get_state(context)
+        pusher = tuple(self._pusher_state.Eval(context).tolist())
+        pose = tuple(self._object_pose.Eval(context).tolist())
+        sample = Sample(context.get_time(), pose, pusher[:3], pusher[3:])
+        segmenter, episode = advance(before.segmenter, sample, self._segmenter)
+        after = replace(before, segmenter=segmenter)
+        state.get_mutable_abstract_state(int(self._state)).set_value(self._take_in(after, episode))
+
+    def _take_in(self, state: IdentifierState, episode: Episode | None) -> IdentifierState:
+        """Logs a push that has ended, and learns from it."""
+        if episode is None:
+            return state
+        name = f"push_{len(state.log) + 1}"
+        observed = make_observed_push(episode, self.obj, self._radius, name, self._record)
+        if observed is None:
+            return state
+        log = replace(state.log, pushes=(*state.log.pushes, observed))
+        if self.max_learning_pushes is not None and len(log) > self.max_learning_pushes:
+            return replace(state, log=log)
+        start = state.estimate.found if state.estimate is not None and self.warm_start else None
+        found = self.Learn(log, start)
+        return replace(state, log=log, estimate=_make_estimate(found, log[: self.max_learning_pushes]))
+
+
+def _make_estimate(found: Identification, log: PushLog | None) -> Estimate:
+    """Calculates what the ports show; `log` holds the pushes offered, None before any."""
+    loss = np.nan
+    if log is not None and found.push_names:
+        used = log.subset([i for i, seen in enumerate(log) if seen.name in found.push_names])
+        problem = PushProblem(found.obj, used, found.params.friction, found.regime)  # type: ignore[arg-type]
+        residuals = problem.residuals(problem.unknowns(found.params))
+        loss = float(problem.calc_cell_errors(residuals).mean())
+    return Estimate(found, log is not None, *calc_centre_of_mass(found), loss)

@@ -1,0 +1,249 @@
+"""The grid object under a pusher, as a Drake system: `dynamics.simulate`, one step at a time.
+
+With q = (x, y, theta) the pose X_WB and nu = (vx, vy, w) the velocity of B's origin,
+
+    (q, nu)[n+1] = step(q[n], nu[n]; m, mu, mu_c; p_WP(t_n), v_WP(t_n), W(t_n)),     t_n = n dt
+
+The pusher is where its port says when the step begins, and moves on through the step at the velocity that its port says
+then. Where the true motion bends within a step, the next step begins at the true place again: no error adds up.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.common.value import AbstractValue, Value
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    DiscreteStateIndex,
+    DiscreteValues,
+    LeafSystem,
+    ValueProducer,
+)
+
+from gridpush_drake.dynamics.arguments import check_number, check_vector
+from gridpush_drake.dynamics.columns import OTHER
+from gridpush_drake.dynamics.friction import SPIN_MODELS
+from gridpush_drake.dynamics.kernel_call import Load, Method, Steps, run_kernel
+from gridpush_drake.dynamics.simulate import AHEAD, GRAVITY, RELATIVE_STICTION, STICTION_TOLERANCE, Regime
+from gridpush_drake.dynamics.simulation import RawJacobian
+from gridpush_drake.dynamics.step import CONVERGED
+from gridpush_drake.dynamics.step_memory import MEMORY_SIZE, make_memory
+from gridpush_drake.dynamics.time_grid import DEFAULT_DT
+from gridpush_drake.errors import SimulationError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.pushes.log import DEFAULT_PUSHER_RADIUS
+
+Array = NDArray[np.float64]
+
+NO_PUSHER = -1.0
+"""Radius, m, by which the kernel knows that there is none."""
+
+_STATE, _MEMORY, _CONTACT_FORCE, _UNSOLVED = map(DiscreteStateIndex, range(4))
+_MASS, _FRICTION, _CONTACT_FRICTION = range(3)
+
+
+class GridLcpSystem(LeafSystem):
+    """A grid object of n cells that is pushed, stepped every `dt` by the condensed LCP.
+
+    .. pydrake_system::
+
+        name: GridLcpSystem
+        input_ports:
+        - pusher_state
+        - applied_wrench
+        output_ports:
+        - pose
+        - velocity
+        - cell_positions
+        - contact_force
+        - step_jacobian
+        - unsolved_steps
+
+    * pusher_state: vector of 4, (x, y) of the disc's centre p_WP in m and its velocity v_WP in m/s, in W. Not
+      connected, or NaN in it: there is no pusher.
+    * applied_wrench: vector of 3, force in W in N acting at B's origin, and moment in N m, constant during a step; zero
+      where not connected. Inertial regime only.
+    * pose: vector of 3, q = (x, y, theta) of B in W, m and rad.
+    * velocity: vector of 3, (vx, vy, w) of B's origin in W, m/s and rad/s.
+    * cell_positions: vector of 2n, x and y of every cell's centre p_WC in turn, m.
+    * contact_force: vector of 2, force of the pusher on the object in W during the last step, N.
+    * step_jacobian: abstract `dynamics.simulation.Jacobian` with one row: the derivatives of the pose at the end of the
+      step that begins now by mass, friction, contact friction, pose, and the pusher's place (`start`), direction and
+      way (`length`) during it; the velocity at the beginning is held. Depends on the inputs directly.
+    * unsolved_steps: vector of 1, how many steps the solver did not solve to tolerance (as in `simulate`, the motion
+      goes on from what it had).
+
+    Discrete state: (q, nu); the solver's memory (`dynamics.step_memory`); the last contact force; the unsolved steps.
+    Numeric parameters: mass (n), kg; friction (n); contact friction (1).
+    """
+
+    def __init__(
+        self,
+        obj: GridObject,
+        params: CellParameters | None = None,
+        dt: float = DEFAULT_DT,
+        regime: Regime = "inertial",
+        pusher_radius: float | None = None,
+        spin: str = "coupled",
+        gravity: float = GRAVITY,
+        *,
+        pose: ArrayLike = (0.0, 0.0, 0.0),
+        velocity: ArrayLike = (0.0, 0.0, 0.0),
+        stiction_tolerance: float = STICTION_TOLERANCE,
+    ) -> None:
+        """Declares the system.
+
+        Args:
+            obj: the object.
+            params: default masses and frictions; the prior's by default.
+            dt: step, s. At 0.01 s a pusher of 0.1 m/s moves 1 mm a step.
+            regime: "inertial" or "quasi_static", see `simulate`.
+            pusher_radius: of the disc, m; by default the prior's, or DEFAULT_PUSHER_RADIUS.
+            spin: how the cells resist spinning, see `dynamics.friction`.
+            gravity: m/s².
+            pose: (3,) at the beginning, m and rad.
+            velocity: (3,) at the beginning, m/s and rad/s.
+            stiction_tolerance: speed below which friction is smoothed, m/s; inertial regime only.
+
+        Raises:
+            SimulationError: an argument is out of range.
+            ParameterError: `params` belongs to another object.
+        """
+        super().__init__()
+        if regime not in ("inertial", "quasi_static"):
+            raise SimulationError(f"regime is {regime!r}; expected 'inertial' or 'quasi_static'")
+        if spin not in SPIN_MODELS:
+            raise SimulationError(f"spin is {spin!r}; expected one of {', '.join(map(repr, SPIN_MODELS))}")
+        if not (np.isfinite(dt) and dt > 0):
+            raise SimulationError(f"dt is {dt!r}; expected a positive number (s)")
+        check_number("gravity", gravity, 0.0)
+        radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS if pusher_radius is None else pusher_radius
+        if not (np.isfinite(radius) and radius > 0):
+            raise SimulationError(f"pusher_radius is {radius!r}; expected a positive number (m)")
+        params = CellParameters.uniform(obj) if params is None else params
+        params.centre_of_mass(obj)
+        self.obj, self.dt, self.regime, self.pusher_radius, self.gravity = obj, float(dt), regime, radius, gravity
+        inertial = regime == "inertial"
+        self._method = Method(inertial, False, spin, AHEAD, stiction_tolerance, RELATIVE_STICTION)
+        self._declare_state(params, np.concatenate([check_vector("pose", pose), check_vector("velocity", velocity)]))
+        self._pusher_state = self.DeclareVectorInputPort("pusher_state", 4)
+        self._wrench = self.DeclareVectorInputPort("applied_wrench", 3) if inertial else None
+        self._declare_outputs()
+        self.DeclarePeriodicDiscreteUpdateEvent(self.dt, 0.0, self._step)
+
+    def SetPose(self, context: Context, pose: ArrayLike, velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+        """Places the object: pose (3,) m and rad, velocity (3,) m/s and rad/s.
+
+        Raises:
+            SimulationError: they are not finite numbers.
+        """
+        state = np.concatenate([check_vector("pose", pose), check_vector("velocity", velocity)])
+        context.SetDiscreteState(_STATE, state)
+        context.SetDiscreteState(_MEMORY, make_memory())
+        context.SetDiscreteState(_CONTACT_FORCE, np.zeros(2))
+        context.SetDiscreteState(_UNSOLVED, np.zeros(1))
+
+    def SetParameters(self, context: Context, params: CellParameters) -> None:
+        """Gives this Context masses and frictions of its own.
+
+        Raises:
+            ParameterError: they belong to another object.
+        """
+        params.centre_of_mass(self.obj)
+        for index, value in ((_MASS, params.mass), (_FRICTION, params.friction)):
+            context.get_mutable_numeric_parameter(index).SetFromVector(value)
+        context.get_mutable_numeric_parameter(_CONTACT_FRICTION).SetFromVector([params.contact_friction])
+
+    def GetParameters(self, context: Context) -> CellParameters:
+        """The Context's masses and frictions."""
+        mass, friction, contact = (context.get_numeric_parameter(i).CopyToVector() for i in range(3))
+        return CellParameters(mass, friction, float(contact[0]))
+
+    def _declare_state(self, params: CellParameters, state: Array) -> None:
+        self.DeclareNumericParameter(BasicVector(params.mass))
+        self.DeclareNumericParameter(BasicVector(params.friction))
+        self.DeclareNumericParameter(BasicVector([params.contact_friction]))
+        self.DeclareDiscreteState(state)
+        self.DeclareDiscreteState(MEMORY_SIZE)
+        self.DeclareDiscreteState(2)
+        self.DeclareDiscreteState(1)
+        # Checking and copying n masses at every step would cost as much as the step.
+        self._params = self.DeclareCacheEntry(
+            description="cell parameters",
+            value_producer=ValueProducer(
+                allocate=lambda: Value[object](),
+                calc=lambda context, value: value.set_value(self.GetParameters(context)),
+            ),
+            prerequisites_of_calc={self.all_parameters_ticket()},
+        )
+
+    def _declare_outputs(self) -> None:
+        state = {self.discrete_state_ticket(_STATE)}
+        self.DeclareVectorOutputPort("pose", 3, self._calc_pose, state)
+        self.DeclareVectorOutputPort("velocity", 3, self._calc_velocity, state)
+        self.DeclareVectorOutputPort("cell_positions", 2 * self.obj.n, self._calc_cell_positions, state)
+        force = {self.discrete_state_ticket(_CONTACT_FORCE)}
+        self.DeclareVectorOutputPort("contact_force", 2, self._calc_contact_force, force)
+        inputs = {self.all_input_ports_ticket(), self.all_parameters_ticket(), self.xd_ticket()}
+        self.DeclareAbstractOutputPort(
+            "step_jacobian", lambda: AbstractValue.Make(object()), self._calc_step_jacobian, inputs
+        )
+        unsolved = {self.discrete_state_ticket(_UNSOLVED)}
+        self.DeclareVectorOutputPort("unsolved_steps", 1, self._calc_unsolved_steps, unsolved)
+
+    def _calc_pose(self, context: Context, output: Any) -> None:
+        output.SetFromVector(context.get_discrete_state(_STATE).value()[:3])
+
+    def _calc_velocity(self, context: Context, output: Any) -> None:
+        output.SetFromVector(context.get_discrete_state(_STATE).value()[3:])
+
+    def _calc_cell_positions(self, context: Context, output: Any) -> None:
+        output.SetFromVector(self.obj.cells_at(context.get_discrete_state(_STATE).value()[:3]).ravel())
+
+    def _calc_contact_force(self, context: Context, output: Any) -> None:
+        output.SetFromVector(context.get_discrete_state(_CONTACT_FORCE).value())
+
+    def _calc_unsolved_steps(self, context: Context, output: Any) -> None:
+        output.SetFromVector(context.get_discrete_state(_UNSOLVED).value())
+
+    def _calc_step_jacobian(self, context: Context, output: Any) -> None:
+        J = np.empty((1, 3, self.obj.n + OTHER))
+        self._run(context, context.get_discrete_state(_MEMORY).CopyToVector(), J)
+        params: CellParameters = self._params.Eval(context)
+        raw = RawJacobian(
+            np.array([1]), J, self.obj.p_BC, self.obj.cell_size, params.mass, params.friction, self.gravity,
+            self._method.inertial, None,
+        )  # fmt: skip
+        output.set_value(raw.expand())
+
+    def _step(self, context: Context, next_state: DiscreteValues) -> None:
+        memory = context.get_discrete_state(_MEMORY).CopyToVector()
+        record = self._run(context, memory, np.empty((0, 3, 0)))
+        next_state.set_value(_STATE, np.concatenate([record.poses[1], record.velocities[1]]))
+        next_state.set_value(_MEMORY, memory)
+        next_state.set_value(_CONTACT_FORCE, record.contact_forces[0].sum(axis=0))
+        unsolved = context.get_discrete_state(_UNSOLVED).value() + (record.statuses[0, 0] != CONVERGED)
+        next_state.set_value(_UNSOLVED, unsolved)
+
+    def _run(self, context: Context, memory: Array, J: Array) -> Steps:
+        """Takes one step from the Context; `memory` is updated and J (1 or 0 rows) filled."""
+        state = context.get_discrete_state(_STATE).CopyToVector()
+        row_of_step = np.array([-1, 0 if len(J) else -1])
+        return run_kernel(
+            self.obj, self._params.Eval(context), self.gravity, self._method, state[:3], state[3:],
+            np.array([self.dt]), self._calc_load(context), row_of_step, J, memory,
+        )  # fmt: skip
+
+    def _calc_load(self, context: Context) -> Load:
+        wrench = np.zeros((1, 3))
+        if self._wrench is not None and self._wrench.HasValue(context):
+            wrench[0] = self._wrench.Eval(context)
+        pusher = self._pusher_state.Eval(context) if self._pusher_state.HasValue(context) else np.full(4, np.nan)
+        if not np.isfinite(pusher).all():
+            return Load(np.zeros((2, 2)), 0.0, NO_PUSHER, wrench, np.zeros(2))
+        way = pusher[2:] * self.dt
+        tip = np.array([pusher[:2], pusher[:2] + way])
+        return Load(tip, float(np.hypot(*way)), self.pusher_radius, wrench, np.zeros(2))

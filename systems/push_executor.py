@@ -1,0 +1,227 @@
+"""`PushExecutor`: from a push command to the finger's desired pose."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike, NDArray
+from pydrake.common.value import AbstractValue
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.systems.framework import Context, EventStatus, InputPort, LeafSystem, OutputPort, State
+from shapely.affinity import affine_transform
+
+from gridpush_drake.systems import push_status
+from gridpush_drake.systems.push_command import PUSH_COMMAND_SIZE, PushCommand
+from gridpush_drake.systems.push_motion import Leg, Point
+from gridpush_drake.systems.push_status import PushStatus
+from gridpush_drake.systems.push_way import PushingStyle, make_legs
+
+Array = NDArray[np.float64]
+Reach = Callable[[Array, Array], str | None]
+"""Of the tip's way (k, 3), m in W, and speeds (k - 1,) on its pieces, m/s: None, or why the arm cannot follow."""
+
+HURRIES = (1.0, 0.5, 0.25)
+"""Shares of the travelling speeds, tried in turn until the arm can follow: stretched, its joints turn fast."""
+
+R_WP_DOWN = RollPitchYaw(0.0, np.pi, 0.0).ToRotationMatrix()
+"""Of a tool that points down. Not (pi, 0, 0), from which the arm's elbow hangs."""
+
+
+@dataclass(frozen=True)
+class ExecutorState:
+    """All that the executor remembers.
+
+    Attributes:
+        rest: p_WP where the tip stays when there is nothing to do, m.
+        legs: the current one and those still to come.
+        leg_start: when the current one began, s.
+        status: as on the port.
+    """
+
+    rest: Point
+    legs: tuple[Leg, ...] = ()
+    leg_start: float = 0.0
+    status: PushStatus = field(default_factory=PushStatus)
+
+    def position(self, time: float) -> Array:
+        """(3,) p_WP desired at `time`, m."""
+        return self.legs[0].position(time - self.leg_start) if self.legs else np.array(self.rest)
+
+
+class PushExecutor(LeafSystem):
+    """Carries out straight pushes: over the object, down beside it, along, a pause, and up again.
+
+    A command is taken up when the executor is idle and the command's number is not the last one's. It is refused, with
+    its reason in the status, where distance or speed are not usable, where the tip would start in the object or touch
+    it, and where the arm cannot follow. The desired position, velocity and acceleration are continuous.
+
+    .. pydrake_system::
+
+        name: PushExecutor
+        input_ports:
+        - push_command
+        - object_pose
+        output_ports:
+        - tip_pose
+        - status
+
+    Ports:
+        push_command: vector of 6, see `PushCommand`: number, x, y (m), direction (rad), distance (m), speed (m/s).
+        object_pose: vector of 3: measured (x, y, theta) of B in W, m and rad; read when a command is taken up, which
+            waits while they are NaN (the object is not seen). Need not be connected where there is no outline.
+        tip_pose: abstract `RigidTransform`, X_WP desired: P at the tip's centre, its z axis pointing down, m.
+        status: abstract `PushStatus`.
+    """
+
+    def __init__(
+        self,
+        home: ArrayLike,
+        outline: shapely.Polygon | None = None,
+        reach: Reach | None = None,
+        style: PushingStyle | None = None,
+    ):
+        """Makes an executor.
+
+        Args:
+            home: (3,) p_WP where the tip is at the beginning, m.
+            outline: of the object in B, m; None asks no questions about the object.
+            reach: whether the arm can follow a way; None trusts it.
+            style: heights, speeds and times.
+        """
+        super().__init__()
+        self.style = style or PushingStyle()
+        self._outline, self._reach = outline, reach
+        self._command_port = self.DeclareVectorInputPort("push_command", PUSH_COMMAND_SIZE)
+        self._pose_port = self.DeclareVectorInputPort("object_pose", 3)
+        x, y, z = np.asarray(home, float).tolist()
+        self._state = self.DeclareAbstractState(AbstractValue.Make(ExecutorState((x, y, z))))
+        self._tip_port = self.DeclareAbstractOutputPort(
+            "tip_pose",
+            lambda: AbstractValue.Make(RigidTransform()),
+            self._calc_tip_pose,
+            {self.time_ticket(), self.abstract_state_ticket(self._state)},
+        )
+        self._status_port = self.DeclareAbstractOutputPort(
+            "status",
+            lambda: AbstractValue.Make(PushStatus()),
+            self._calc_status,
+            {self.abstract_state_ticket(self._state)},
+        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(self.style.period, 0.0, self._update)
+
+    def get_push_command_port(self) -> InputPort:
+        """The command's port."""
+        return self._command_port
+
+    def get_object_pose_port(self) -> InputPort:
+        """The measured pose's port."""
+        return self._pose_port
+
+    def get_tip_pose_port(self) -> OutputPort:
+        """The desired pose's port."""
+        return self._tip_port
+
+    def get_status_port(self) -> OutputPort:
+        """The status's port."""
+        return self._status_port
+
+    def _calc_tip_pose(self, context: Context, output: AbstractValue) -> None:
+        state = self._get_state(context)
+        output.set_value(RigidTransform(R_WP_DOWN, state.position(context.get_time())))
+
+    def _calc_status(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self._get_state(context).status)
+
+    def _get_state(self, context: Context) -> ExecutorState:
+        state: ExecutorState = context.get_abstract_state(int(self._state)).get_value()
+        return state
+
+    def _update(self, context: Context, state: State) -> EventStatus:
+        """Goes on to the next leg when one is done; takes up or refuses a command when idle."""
+        now, time = self._get_state(context), context.get_time()
+        new = self._go_on(now, time) if now.legs else self._take_up(context, now, time)
+        if new is now:
+            return EventStatus.DidNothing()
+        state.get_mutable_abstract_state(int(self._state)).set_value(new)
+        return EventStatus.Succeeded()
+
+    def _go_on(self, now: ExecutorState, time: float) -> ExecutorState:
+        done, *left = now.legs
+        if time - now.leg_start < done.duration:
+            return now
+        phase = left[0].phase if left else push_status.IDLE
+        executed = now.status.executed + (not left)
+        status = replace(now.status, phase=phase, executed=executed)
+        return ExecutorState(done.end, tuple(left), time, status)
+
+    def _take_up(self, context: Context, now: ExecutorState, time: float) -> ExecutorState:
+        command = PushCommand.from_vector(self._command_port.Eval(context))
+        if command.number in (0, now.status.number):
+            return now
+        if self._outline is not None and np.isnan(self._pose_port.Eval(context)).any():
+            return now  # the object is not seen: wait until it is
+        legs, reason = self._plan(context, command, now.rest)
+        status = replace(now.status, number=command.number, reason=reason)
+        if reason:
+            return replace(now, status=replace(status, refused=status.refused + 1))
+        return ExecutorState(now.rest, legs, time, replace(status, phase=legs[0].phase))
+
+    def _plan(self, context: Context, command: PushCommand, rest: Point) -> tuple[tuple[Leg, ...], str]:
+        """The legs of a command, and why it is refused or ""."""
+        reason = self._find_fault(command)
+        if reason is None and self._outline is not None:
+            reason = self._find_overlap(command, self._pose_port.Eval(context))
+        if reason is not None:
+            return (), reason
+        legs, reason = plan_push(command, rest, self.style, self._reach)
+        return legs, reason or ""
+
+    def _find_fault(self, command: PushCommand) -> str | None:
+        if not np.isfinite(command.to_vector()).all():
+            return "the command has numbers that are not finite"
+        if command.distance <= 0.0:
+            return f"distance {command.distance:.3g} m; expected a positive number"
+        if not 0.0 < command.speed <= self.style.largest_push_speed:
+            return f"speed {command.speed:.3g} m/s; expected more than 0, at most {self.style.largest_push_speed:.3g}"
+        return None
+
+    def _find_overlap(self, command: PushCommand, pose: Array) -> str | None:
+        """Why the tip cannot start where it is told to, with the object at `pose` (3,)."""
+        x, y, theta = pose
+        c, s = np.cos(theta), np.sin(theta)
+        outline_W = affine_transform(self._outline, [c, -s, s, c, x, y])
+        start = shapely.Point(command.start)
+        where = f"({command.x:.3f}, {command.y:.3f}) m"
+        if outline_W.contains(start):
+            return f"the push would start inside the object, at {where}"
+        gap = outline_W.distance(start) - self.style.tip_radius
+        if not gap >= self.style.clearance:
+            return f"the tip would start {gap:.4f} m from the object, at {where}; expected {self.style.clearance:.4f}"
+        return None
+
+
+def plan_push(
+    command: PushCommand, rest: Point, style: PushingStyle, reach: Reach | None
+) -> tuple[tuple[Leg, ...], str | None]:
+    """Plans the way of a push, as fast as the arm can follow.
+
+    Args:
+        command: the push.
+        rest: p_WP where the tip is, m.
+        style: heights, speeds and times.
+        reach: whether the arm can follow a way; None trusts it.
+
+    Returns:
+        The legs, and None; or no legs, and why the arm cannot follow.
+    """
+    reason = None
+    for hurry in HURRIES:
+        legs = make_legs(command, rest, style, hurry)
+        if reach is None:
+            return legs, None
+        way = np.array([legs[0].start] + [leg.end for leg in legs])
+        reason = reach(way, np.array([leg.top_speed for leg in legs]))
+        if reason is None:
+            return legs, None
+    return (), reason

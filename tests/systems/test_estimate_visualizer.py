@@ -1,0 +1,238 @@
+"""What `EstimateVisualizer` keeps and draws; the pictures are drawn by a real browser."""
+
+import numpy as np
+import pytest
+from pydrake.geometry import Meshcat
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.primitives import TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.scene.meshcat_server import AimCamera, StartMeshcatServer, write_recording
+from gridpush_drake.systems.cell_colors import CellColors
+from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
+from gridpush_drake.systems.meshcat_drawing import CENTRE_COLOR, PLAN_COLOR
+from gridpush_drake.systems.push_command import PushCommand
+from tests.helpers.chromium import find_pixels, freeze_recording, require_chromium, take_picture
+from tests.helpers.made_identifications import make_block
+
+LEARNED_AT, MOVED_AT, END = 1.0, 2.0, 3.0
+"""When the estimate and the command change, and when the object has moved, s."""
+
+HEIGHT = 0.03
+RADIUS = 0.004
+FIRST = np.array([0.5, 0.0, 0.0])
+LAST = np.array([0.5, 0.08, 0.3])
+COVARIANCE = np.diag([0.01, 0.006]) ** 2
+COMMAND = PushCommand(1, 0.52, -0.04, np.pi / 2, 0.08, 0.05)
+
+LEAST_SEEN = 400
+"""Pixels that something as large as a third of the object takes at least."""
+
+
+@pytest.fixture(scope="module")
+def obj():
+    return make_block()
+
+
+@pytest.fixture(scope="module")
+def estimates(obj):
+    """Even, and learned: the second part weighs sixteen times as much a cell as the first."""
+    return CellParameters.uniform(obj), CellParameters.by_part(obj, {1: 0.01, 2: 0.16})
+
+
+@pytest.fixture
+def meshcat():
+    server = StartMeshcatServer(0)
+    AimCamera(server, [0.5, 0.0, 0.0], 0.3)
+    return server
+
+
+def make_diagram(obj, meshcat: Meshcat, estimates, optional: bool = True, **options) -> tuple[Diagram, object]:
+    builder = DiagramBuilder()
+    visualizer = builder.AddSystem(EstimateVisualizer(obj, meshcat, height=HEIGHT, **options))
+
+    def feed(port, times, values, hold=PiecewisePolynomial.ZeroOrderHold):
+        source = builder.AddSystem(TrajectorySource(hold(times, np.array(values, dtype=float).T)))
+        builder.Connect(source.get_output_port(), visualizer.GetInputPort(port))
+
+    changes = [0.0, LEARNED_AT, END]
+    before, after = estimates
+    feed("mass", changes, [before.mass, after.mass, after.mass])
+    feed("friction", changes, [before.friction, after.friction, after.friction])
+    feed(
+        "object_pose", [0.0, LEARNED_AT, MOVED_AT, END], [FIRST, FIRST, LAST, LAST], PiecewisePolynomial.FirstOrderHold
+    )
+    if optional:
+        centres = [params.centre_of_mass(obj) for params in (before, after, after)]
+        feed("centre_of_mass", changes, centres)
+        feed("centre_of_mass_covariance", changes, [COVARIANCE.ravel(), COVARIANCE.ravel() / 9, COVARIANCE.ravel() / 9])
+        feed("contact_friction", changes, [[0.5], [0.4], [0.4]])
+        feed("push_command", changes, [PushCommand().to_vector(), COMMAND.to_vector(), COMMAND.to_vector()])
+    return builder.Build(), visualizer
+
+
+def load_drawing(visualizer, root):
+    return visualizer.GetMyContextFromRoot(root).get_abstract_state(0).get_value()
+
+
+def test_draws_each_estimate_and_each_push_once(obj, meshcat, estimates):
+    diagram, visualizer = make_diagram(obj, meshcat, estimates)
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(LEARNED_AT - 0.1)
+    assert meshcat.HasPath("estimate/object/1/cells")
+    assert not meshcat.HasPath("estimate/object/2")
+    assert not meshcat.HasPath("estimate/push")
+    simulator.AdvanceTo(END - 0.1)
+    assert meshcat.HasPath("estimate/object/2/centre/ellipse")
+    assert meshcat.HasPath("estimate/push/1/arrow")
+    assert not meshcat.HasPath("estimate/object/3")
+    assert not meshcat.HasPath("estimate/push/2")
+    drawing = load_drawing(visualizer, simulator.get_context())
+    assert (drawing.estimate, drawing.push) == (2, 1)
+    np.testing.assert_array_equal(drawing.mass, estimates[1].mass)
+
+
+def test_the_ghost_is_where_the_core_predicts_it_by_the_present_estimate(obj, meshcat, estimates):
+    diagram, visualizer = make_diagram(obj, meshcat, estimates, pusher_radius=RADIUS)
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(END - 0.1)
+    params = CellParameters(estimates[1].mass, estimates[1].friction, 0.4)
+    push = Push(COMMAND.start, [0.0, COMMAND.speed], COMMAND.distance / COMMAND.speed, RADIUS)
+    expected = simulate(obj, params, push, FIRST, regime="quasi_static").final_pose
+    drawing = load_drawing(visualizer, simulator.get_context())
+    np.testing.assert_allclose(drawing.predicted, expected, atol=1e-9)
+    assert np.linalg.norm(drawing.predicted - FIRST) > 0.01
+    assert meshcat.HasPath("estimate/push/1/ghost")
+
+
+def test_keeps_what_it_drew_in_its_context(obj, meshcat, estimates):
+    diagram, visualizer = make_diagram(obj, meshcat, estimates)
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(LEARNED_AT - 0.1)
+    copy = simulator.get_context().Clone()
+    simulator.AdvanceTo(END - 0.1)
+    assert load_drawing(visualizer, copy).estimate == 1
+    other = Simulator(diagram, copy)
+    other.get_mutable_context().SetTime(0.0)
+    other.AdvanceTo(END - 0.1)
+    drawings = [load_drawing(visualizer, sim.get_context()) for sim in (simulator, other)]
+    np.testing.assert_array_equal(drawings[0].predicted, drawings[1].predicted)
+    assert drawings[0].estimate == drawings[1].estimate == 2
+
+
+def test_begins_anew_when_it_is_initialised(obj, meshcat, estimates):
+    diagram, _ = make_diagram(obj, meshcat, estimates, path="again")
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(END - 0.1)
+    assert meshcat.HasPath("again/object/2")
+    simulator.get_mutable_context().SetTime(0.0)
+    simulator.Initialize()
+    assert meshcat.HasPath("again/object/1")
+    assert not meshcat.HasPath("again/object/2")
+    assert not meshcat.HasPath("again/push")
+
+
+def test_needs_neither_a_centre_nor_a_command(obj, meshcat, estimates):
+    diagram, _ = make_diagram(obj, meshcat, estimates, optional=False, path="bare")
+    context = diagram.CreateDefaultContext()
+    diagram.ForcedPublish(context)
+    assert meshcat.HasPath("bare/object/1/cells")
+    assert not meshcat.HasPath("bare/object/1/centre")
+
+
+@pytest.mark.parametrize("spoilt", [{"speed": 0.0}, {"distance": 0.0}])
+def test_a_push_that_cannot_be_simulated_has_no_ghost(obj, meshcat, estimates, spoilt):
+    command = PushCommand(**{**vars(COMMAND), **spoilt})
+    diagram, visualizer = make_diagram(obj, meshcat, estimates, optional=False, path="spoilt")
+    context = diagram.CreateDefaultContext()
+    inner = visualizer.GetMyMutableContextFromRoot(context)
+    visualizer.GetInputPort("push_command").FixValue(inner, command.to_vector())
+    diagram.ForcedPublish(context)
+    assert meshcat.HasPath("spoilt/push/1")
+    assert not meshcat.HasPath("spoilt/push/1/ghost")
+    assert meshcat.HasPath("spoilt/push/1/arrow") == (command.distance > 0)
+
+
+def find_colors(obj, estimates, picture):
+    """Pixels in the colours of the even cells, and of the learned light and heavy ones."""
+    colors = CellColors()
+    even = colors.calc_colors(estimates[0].mass, estimates[0].friction)[0]
+    learned = colors.calc_colors(estimates[1].mass, estimates[1].friction)
+    light, heavy = learned[obj.labels == 1][0], learned[obj.labels == 2][0]
+    return [find_pixels(picture, color) for color in (even, light, heavy)]
+
+
+def check_before(obj, estimates, picture):
+    even, light, heavy = (found.sum() for found in find_colors(obj, estimates, picture))
+    assert even > LEAST_SEEN
+    assert max(light, heavy) < LEAST_SEEN / 10
+
+
+def check_after(obj, estimates, picture):
+    even, light, heavy = find_colors(obj, estimates, picture)
+    assert min(light.sum(), heavy.sum()) > LEAST_SEEN
+    assert even.sum() < LEAST_SEEN / 10
+    assert np.nonzero(heavy)[1].mean() > np.nonzero(light)[1].mean() + 20  # the heavy end is the right one
+
+
+def test_the_live_page_shows_the_cells_in_the_colours_of_their_estimate(obj, meshcat, estimates):
+    require_chromium()
+    diagram, _ = make_diagram(obj, meshcat, estimates)
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(END - 0.1)
+    check_after(obj, estimates, take_picture(meshcat.web_url(), size=(800, 600)))
+
+
+@pytest.mark.slow
+def test_the_live_page_changes_when_the_estimate_does(obj, meshcat, estimates):
+    require_chromium()
+    diagram, _ = make_diagram(obj, meshcat, estimates)
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(LEARNED_AT - 0.1)
+    picture = take_picture(meshcat.web_url())
+    check_before(obj, estimates, picture)
+    assert not find_pixels(picture, color_of(PLAN_COLOR)).any()
+    assert find_pixels(picture, color_of(CENTRE_COLOR)).sum() > 50
+    simulator.AdvanceTo(END - 0.1)
+    picture = take_picture(meshcat.web_url())
+    check_after(obj, estimates, picture)
+    assert find_pixels(picture, color_of(PLAN_COLOR)).sum() > 100
+
+
+def color_of(rgba):
+    return rgba.r(), rgba.g(), rgba.b()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("recorded_from", ["before", "after"])
+def test_the_recording_changes_its_colours_as_the_estimate_improves(obj, meshcat, estimates, tmp_path, recorded_from):
+    """Whether the recording is begun before the Simulator is initialised or after."""
+    require_chromium()
+    empty = len(meshcat.StaticHtml())
+    diagram, _ = make_diagram(obj, meshcat, estimates)
+    simulator = Simulator(diagram)
+    if recorded_from == "before":
+        meshcat.StartRecording(30.0)
+    simulator.Initialize()
+    if recorded_from == "after":
+        meshcat.StartRecording(30.0)
+    simulator.AdvanceTo(END - 0.1)
+    path = tmp_path / "recording.html"
+    write_recording(meshcat, path)
+    assert path.stat().st_size < empty + 200_000
+
+    def picture_at(time):
+        return take_picture(freeze_recording(path, time, tmp_path / "still.html"))
+
+    for time in (0.0, LEARNED_AT - 0.1):
+        check_before(obj, estimates, picture_at(time))
+    middle = picture_at(LEARNED_AT + 0.15)
+    check_after(obj, estimates, middle)
+    end = take_picture(path, virtual_time=20_000)
+    check_after(obj, estimates, end)
+    rows = [np.nonzero(find_colors(obj, estimates, picture)[2])[0].mean() for picture in (middle, end)]
+    assert rows[1] < rows[0] - 30  # the object moves away from the camera, up in the picture

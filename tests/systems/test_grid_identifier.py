@@ -1,0 +1,176 @@
+"""The identifier in a Diagram: the LCP is the world, an ideal finger pokes it, a camera watches with noise."""
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+
+from gridpush_drake.errors import IdentificationError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.identification.error_summary import calc_mean_cell_error
+from gridpush_drake.identification.identify import describe_prior, identify
+from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.pushes.log import PushLog
+from gridpush_drake.systems.grid_identifier import GridIdentifier
+from gridpush_drake.systems.poke_choice import PokeStyle
+from tests.helpers.poke_diagram import PokeDiagram, make_poke_diagram
+from tests.helpers.shapes import make_shape
+from tests.identification.simulated_pokes import make_pokes
+
+FAST = PokeStyle(distance=(0.05, 0.08), speed=0.06)
+
+
+def make_hammer(cells: int = 30) -> tuple[GridObject, CellParameters]:
+    """A hammer whose head is four times as heavy a cell as its handle."""
+    obj = make_shape("claw_hammer", cells)
+    mass = np.where(obj.p_BC[:, 0] > 0.02, 4.0, 1.0)
+    return obj, CellParameters(mass / mass.sum(), np.full(obj.n, 0.4), 0.3)
+
+
+class Run:
+    """A Diagram in its Simulator."""
+
+    def __init__(self, parts: PokeDiagram) -> None:
+        self.parts = parts
+        self.simulator = Simulator(parts.diagram)
+        self.root = self.simulator.get_mutable_context()
+
+    def until(self, pushes: int, longest: float = 120.0) -> "Run":
+        def done() -> bool:
+            return self.eval("num_pushes")[0] >= pushes or self.root.get_time() > longest
+
+        while not done():
+            self.simulator.AdvanceTo(self.root.get_time() + 0.5)
+        return self
+
+    def eval(self, port: str, system: str = "identifier"):
+        leaf = getattr(self.parts, system)
+        return leaf.GetOutputPort(port).Eval(leaf.GetMyContextFromRoot(self.root))
+
+
+@pytest.fixture(scope="module")
+def cold() -> Run:
+    obj, truth = make_hammer()
+    return Run(make_poke_diagram(obj, truth, pokes=4, seed=1, style=FAST, warm_start=False)).until(4)
+
+
+def test_learns_what_it_has_never_seen(cold):
+    obj, truth = make_hammer()
+    held_out = make_pokes(obj, truth, 10, 99, observations=1, length=0.1)
+    found = CellParameters(cold.eval("mass"), cold.eval("friction"), float(cold.eval("contact_friction")[0]))
+    errors = [calc_mean_cell_error(obj, p, held_out, "quasi_static") for p in (CellParameters.uniform(obj), found)]
+    assert errors[1] < errors[0] / 3 and errors[1] < 0.003, errors
+    miss = cold.eval("centre_of_mass") - truth.centre_of_mass(obj)
+    covariance = cold.eval("centre_of_mass_covariance").reshape(2, 2)
+    assert np.linalg.norm(miss) < 0.006
+    assert miss @ np.linalg.solve(covariance, miss) < 13.8, "beyond the 99.9 % ellipse"
+    assert 0 < cold.eval("loss")[0] < 0.002
+    assert (cold.eval("mass_std") > 0).all() and cold.eval("mass_std").shape == cold.eval("friction_std").shape
+
+
+def test_is_the_offline_answer_bit_for_bit(cold):
+    log = cold.eval("push_log")
+    assert len(log) == 4 and cold.eval("status", "executor").refused == 0
+    offline = identify(cold.parts.identifier.obj, log, seed=1)
+    np.testing.assert_array_equal(cold.eval("mass"), offline.params.mass)
+    np.testing.assert_array_equal(cold.eval("mass_std"), offline.std.mass)
+    np.testing.assert_array_equal(cold.eval("identification").posterior.covariance, offline.posterior.covariance)
+
+
+def test_csv_gives_the_same_answer(cold, tmp_path):
+    path = tmp_path / "pushes.csv"
+    log = cold.eval("push_log")
+    log.write_csv(path)
+    back = PushLog.read_csv(path)
+    for one, other in zip(log, back, strict=True):
+        assert one.name == other.name
+        for name in ("t", "xy"):
+            np.testing.assert_array_equal(getattr(one.push, name), getattr(other.push, name))
+        for name in ("pose", "t_observed", "poses_observed"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    offline = identify(cold.parts.identifier.obj, back, seed=1)
+    np.testing.assert_array_equal(cold.eval("mass"), offline.params.mass)
+    np.testing.assert_array_equal(cold.eval("identification").posterior.mean, offline.posterior.mean)
+
+
+def test_log_holds_what_was_to_be_seen(cold):
+    """First and last poses are averages of many looks: nearer to the world's than one look is."""
+    obj, truth = make_hammer()
+    exact = Run(make_poke_diagram(obj, truth, pokes=1, seed=1, noise=(0.0, 0.0), style=FAST)).until(1)
+    (seen,) = exact.eval("push_log")
+    np.testing.assert_allclose(seen.final_pose, exact.eval("pose", "world"), atol=1e-6)
+    np.testing.assert_allclose(seen.pose, 0.0, atol=1e-12)
+    noisy = cold.eval("push_log")[0]
+    assert np.abs(noisy.pose[:2]).max() < 4 * 5e-4 / np.sqrt(30)
+    assert seen.push.length == pytest.approx(exact.parts.policy.style.clearance + 0.065, abs=0.016)
+    assert len(seen.t_observed) == 10
+    problem = PushProblem(obj, PushLog((seen,)), truth.friction, "inertial")
+    errors = problem.residuals(problem.unknowns(truth))[0].reshape(-1, 3)
+    assert np.abs(errors).max() < 4e-4, "poses belong to the tip's place at their time, with the camera's delay"
+
+
+def test_warm_start_ends_at_the_same_answer(cold):
+    obj, truth = make_hammer()
+    warm = Run(make_poke_diagram(obj, truth, pokes=4, seed=1, style=FAST)).until(4)
+    one, other = warm.eval("identification"), cold.eval("identification")
+    for a, b in zip(warm.eval("push_log"), cold.eval("push_log"), strict=True):
+        np.testing.assert_array_equal(a.poses_observed, b.poses_observed)
+    std = np.sqrt(np.diag(other.posterior.covariance))
+    assert (np.abs(one.posterior.mean - other.posterior.mean) < 0.3 * std).all()
+
+
+def test_clone_learns_the_same():
+    obj, truth = make_hammer(12)
+    run = Run(make_poke_diagram(obj, truth, pokes=2, seed=3, style=FAST)).until(1)
+    run.simulator.AdvanceTo(run.root.get_time() + 3.0)
+    clone = Simulator(run.parts.diagram, run.root.Clone())
+    end = run.root.get_time() + 5.0
+    clone.AdvanceTo(end)
+    run.simulator.AdvanceTo(end)
+    context = run.parts.identifier.GetMyContextFromRoot(clone.get_context())
+    assert run.eval("num_pushes")[0] == 2
+    for name in ("mass", "mass_std", "centre_of_mass", "loss", "num_pushes"):
+        np.testing.assert_array_equal(run.parts.identifier.GetOutputPort(name).Eval(context), run.eval(name))
+
+
+def test_later_pushes_are_logged_but_not_learned_from():
+    obj, truth = make_hammer(12)
+    run = Run(make_poke_diagram(obj, truth, pokes=2, seed=3, style=FAST, max_learning_pushes=1)).until(1)
+    mass = run.eval("mass")
+    run.until(2)
+    assert run.eval("num_pushes")[0] == 2 and len(run.eval("push_log")) == 2
+    assert run.eval("identification").push_names == ("push_1",)
+    np.testing.assert_array_equal(run.eval("mass"), mass)
+
+
+def test_prior_before_the_first_push():
+    obj, _ = make_hammer()
+    system = GridIdentifier(obj)
+    context = system.CreateDefaultContext()
+    prior = describe_prior(obj)
+
+    def look(name: str):
+        return system.GetOutputPort(name).Eval(context)
+
+    uniform = CellParameters.uniform(obj)
+    np.testing.assert_allclose(look("mass"), uniform.mass, rtol=1e-12)
+    np.testing.assert_array_equal(look("friction"), uniform.friction)
+    np.testing.assert_array_equal(look("mass_std"), prior.std.mass)
+    np.testing.assert_allclose(look("centre_of_mass"), obj.p_BC.mean(axis=0), atol=1e-12)
+    assert look("num_pushes")[0] == 0 and np.isnan(look("loss")[0])
+    assert look("identification") is None and len(look("push_log")) == 0
+    assert np.linalg.eigvalsh(look("centre_of_mass_covariance").reshape(2, 2)).min() > 0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"method": "magic"}, "method"),
+        ({"regime": "fast"}, "regime"),
+        ({"period": 0.0}, "period"),
+        ({"max_learning_pushes": -1}, "max_learning_pushes"),
+    ],
+)
+def test_bad_arguments_are_refused(options: dict, message: str) -> None:
+    with pytest.raises(IdentificationError, match=message):
+        GridIdentifier(make_hammer(12)[0], **options)
