@@ -88,6 +88,29 @@ def draw_loss(history: Sequence[HistoryEntry], before: float | None = None) -> F
     return figure
 
 
+def draw_learning(errors: Sequence[float], noise_floor: float | None = None) -> Figure:
+    """Draws how the error of held-out predictions falls with the pushes learned from.
+
+    Args:
+        errors: mean cell error of the held-out pushes, m: before the first push, after it, after the second, ...
+        noise_floor: error that the true parameters leave, m, where it is known.
+
+    Returns:
+        The figure.
+    """
+    figure, axes = make_grid(1, 1, 6.5, 2.9)
+    ax = axes[0, 0]
+    ax.plot(np.arange(len(errors)), np.array(errors) * MM, "o-", color=LEARNED, markersize=5, linewidth=1.6)
+    ax.axhline(errors[0] * MM, color=BEFORE, linewidth=1.2, linestyle="dashed", label="even object")
+    if noise_floor is not None:
+        ax.axhline(noise_floor * MM, color=FAINT, linewidth=1.2, linestyle="dashed", label="true masses and frictions")
+    ax.set_xticks(np.arange(len(errors)))
+    ax.set_ylim(bottom=0)
+    tidy(ax, "pushes learned from", "mean cell error, mm")
+    ax.legend(fontsize=FONT, frameon=False)
+    return figure
+
+
 def draw_path(obj: GridObject, push: Push, poses: NDArray[np.float64], width: float = 6.0) -> Figure:
     """Draws a simulated motion: the object from its beginning to its end, and the pusher's path."""
     figure, axes = make_grid(1, 1, width, 0.75 * width)

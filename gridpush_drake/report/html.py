@@ -1,6 +1,7 @@
 """The report: one self-contained HTML page about a learned model."""
 
 import base64
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
@@ -12,7 +13,12 @@ from matplotlib.figure import Figure
 
 from gridpush_drake import __version__
 from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.identification.error_summary import ErrorSummary, calc_final_errors, summarise_errors
+from gridpush_drake.identification.error_summary import (
+    ErrorSummary,
+    calc_final_errors,
+    calc_mean_cell_error,
+    summarise_errors,
+)
 from gridpush_drake.identification.prediction import Prediction, predict
 from gridpush_drake.identification.result import (
     STATUS_BUDGET_SPENT,
@@ -21,7 +27,7 @@ from gridpush_drake.identification.result import (
     Identification,
 )
 from gridpush_drake.pushes.log import PushLog
-from gridpush_drake.report.figures import draw_loss, draw_object_parts, draw_pushes
+from gridpush_drake.report.figures import draw_learning, draw_loss, draw_object_parts, draw_pushes
 from gridpush_drake.report.layout import to_svg
 from gridpush_drake.report.maps import draw_learned_maps, draw_unknown_maps
 from gridpush_drake.report.numbers import describe_making, list_numbers
@@ -60,6 +66,7 @@ def make_report(
     log: PushLog,
     held_out: PushLog | None = None,
     truth: CellParameters | None = None,
+    learning: Sequence[float] | None = None,
 ) -> str:
     """Makes the report.
 
@@ -68,6 +75,8 @@ def make_report(
         log: the pushes it was learned from.
         held_out: pushes it never saw, with their final poses.
         truth: what the object's cells really are, where that is known.
+        learning: mean cell error of the held-out pushes, m, before the first push and after each; None where nobody
+            followed it.
 
     Returns:
         An HTML page that needs nothing else.
@@ -87,7 +96,8 @@ def make_report(
         verdict=_judge(identification, judged, fresh is judged),
         message=identification.message,
         facts=_list_facts(identification, judged, log, held_out),
-        figures=_draw_figures(identification, log, held_out, truth, training.cell[0], outcomes),
+        figures=_draw_figures(identification, log, held_out, truth, training.cell[0], outcomes)
+        | {"learning": _embed(_draw_learning(identification, held_out, truth, learning)) if learning else None},
         known_truth=truth is not None,
         has_held_out=fresh is not None,
         overlays_shown=min(len(outcomes), MOST_OVERLAYS),
@@ -120,6 +130,14 @@ def _draw_figures(
         "errors": draw_errors(outcomes) if outcomes else None,
     }
     return {name: None if figure is None else _embed(figure) for name, figure in figures.items()}
+
+
+def _draw_learning(
+    result: Identification, held_out: PushLog | None, truth: CellParameters | None, learning: Sequence[float]
+) -> Figure:
+    known = truth is not None and held_out is not None
+    floor = calc_mean_cell_error(result.obj, truth, held_out, result.regime) if known else None  # type: ignore[arg-type]
+    return draw_learning(learning, floor)
 
 
 def _compare(result: Identification, log: PushLog, held_out: bool) -> _Comparison:

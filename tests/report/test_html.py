@@ -6,11 +6,12 @@ from xml.etree import ElementTree
 
 import pytest
 
-from gridpush_drake.apps.demo_experiment import hide_truth, make_pushes
 from gridpush_drake.identification.result import STATUS_NO_DATA, STATUS_PRIOR_KEPT
 from gridpush_drake.pushes.log import PushLog
 from gridpush_drake.report.html import make_report
+from gridpush_drake.scene.truth import hide_truth
 from tests.helpers.made_identifications import make_block, make_identification
+from tests.helpers.simulated_pushes import make_pushes
 
 VOID = {"meta", "img", "br"}
 
@@ -55,6 +56,14 @@ def test_is_one_page_that_needs_nothing_else(experiment):
     assert not re.search(r"https?://(?!www\.w3\.org)", page)
     for text in ("pushes it had never seen", "truth", "2 pushes held out", *result.identifiability.statements):
         assert text.replace("'", "&#39;") in page
+
+
+def test_draws_how_the_error_fell_push_by_push(experiment):
+    result, log, held_out, truth = experiment
+    page = make_report(result, log, held_out, truth, learning=[0.03, 0.012, 0.004])
+    assert len(figures_of(page)) == 8
+    assert "Push by push" in page
+    assert "Push by push" not in make_report(result, log, held_out, truth)
 
 
 def test_needs_neither_truth_nor_held_out_pushes(experiment):

@@ -1,0 +1,1 @@
+"""The whole cell in one Diagram: plant, iiwa, controllers, identifier and Meshcat."""

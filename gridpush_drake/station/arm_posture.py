@@ -1,0 +1,128 @@
+"""Which posture the arm has when the finger's tip is somewhere: the one of all that is nearest to the nominal posture.
+
+With q the joint angles, J(q) the tip's Jacobian (rotation above translation) and e the pose's error, one step of
+
+    dq = J+ e + (I - J+ J)(q_nominal - q)
+
+moves the tip where it should be and, in the null space, as near to q_nominal as possible. Drake's differential inverse
+kinematics with joint centring has the same fixed point, so that what is found here is what the moving arm does.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import JacobianWrtVariable
+
+from gridpush_drake.errors import StationError
+from gridpush_drake.systems.push_executor import R_WP_DOWN
+
+Array = NDArray[np.float64]
+
+TIP_FRAME = "finger_tip"
+"""Name of the frame at the centre of the finger's tip."""
+
+SEED_POSTURE = (0.0, 0.6, 0.0, -1.75, 0.0, 0.8, 0.0)
+"""Elbow up, hand down, about where a table is: a search begins here, rad."""
+
+POSITION_TOLERANCE = 1e-6
+"""m and rad, of a pose that counts as reached."""
+
+CENTRING_TOLERANCE = 1e-6
+"""rad, of the last step."""
+
+
+class ArmPosture:
+    """The tip's kinematics and their inverse.
+
+    Attributes:
+        lower: (7,) joint limits, rad.
+        upper: likewise.
+        speed: (7,) rad/s.
+    """
+
+    def __init__(self, control_plant: MultibodyPlant):
+        """Takes the plant that `MakeControlPlant` makes."""
+        self._plant = control_plant
+        self._context = control_plant.CreateDefaultContext()
+        self._tip, self._world = control_plant.GetFrameByName(TIP_FRAME), control_plant.world_frame()
+        self.lower, self.upper = control_plant.GetPositionLowerLimits(), control_plant.GetPositionUpperLimits()
+        self.speed = control_plant.GetVelocityUpperLimits()
+
+    def calc_tip_pose(self, q: Array) -> RigidTransform:
+        """X_WP of the tip's frame at the joint angles q (7,), rad."""
+        self._plant.SetPositions(self._context, q)
+        return self._tip.CalcPoseInWorld(self._context)
+
+    def calc_step(self, q: Array, p_WP: Array, q_nominal: Array) -> tuple[Array, float]:
+        """One step towards the tool pointing down with its tip at p_WP.
+
+        Args:
+            q: (7,) rad.
+            p_WP: (3,) m.
+            q_nominal: (7,) rad.
+
+        Returns:
+            dq (7,), rad, and the error's norm before the step, m and rad.
+        """
+        X_WP = self.calc_tip_pose(q)
+        J = self._plant.CalcJacobianSpatialVelocity(
+            self._context, JacobianWrtVariable.kV, self._tip, np.zeros(3), self._world, self._world
+        )
+        e = np.concatenate([_calc_rotation_error(X_WP.rotation().matrix()), p_WP - X_WP.translation()])
+        J_plus = np.linalg.pinv(J)
+        away = q_nominal - q
+        return J_plus @ e + away - J_plus @ (J @ away), float(np.linalg.norm(e))
+
+    def solve(self, p_WP: ArrayLike, q_nominal: Array, q_seed: Array, iterations: int = 200) -> Array | None:
+        """Finds the posture with the tool down and its tip at p_WP.
+
+        Args:
+            p_WP: (3,) m.
+            q_nominal: (7,) posture to stay near to, rad.
+            q_seed: (7,) where the search begins, rad.
+            iterations: at most.
+
+        Returns:
+            (7,) rad, or None where the search does not arrive. Joint limits are not looked at.
+        """
+        q, target = q_seed, np.asarray(p_WP, float)
+        for _ in range(iterations):
+            dq, error = self.calc_step(q, target, q_nominal)
+            q = q + dq
+            if error < POSITION_TOLERANCE and np.abs(dq).max() < CENTRING_TOLERANCE:
+                return q
+            if not np.abs(q).max() < 2.0 * np.pi:
+                return None
+        return None
+
+
+def CalcStartPosture(control_plant: MultibodyPlant, p_WP: ArrayLike, q_seed: ArrayLike = SEED_POSTURE) -> Array:
+    """Calculates the posture in which the tool points down with its tip at p_WP.
+
+    Args:
+        control_plant: as `MakeControlPlant` makes it.
+        p_WP: (3,) m.
+        q_seed: (7,) of the search, rad.
+
+    Returns:
+        (7,) rad.
+
+    Raises:
+        StationError: there is none within the joint limits.
+    """
+    posture, seed = ArmPosture(control_plant), np.array(q_seed, float)
+    q = posture.solve(p_WP, seed, seed)
+    if q is None or (q < posture.lower).any() or (q > posture.upper).any():
+        where = np.round(np.asarray(p_WP, float), 3).tolist()
+        raise StationError(f"tip at {where} m: the arm does not reach it with the finger down")
+    return q
+
+
+def _calc_rotation_error(R_WP: Array) -> Array:
+    """(3,) rotation vector in W that turns R_WP into the tool's, for small angles exact to second order, rad."""
+    R = R_WP_DOWN.matrix() @ R_WP.T
+    sine = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    length = np.linalg.norm(sine)
+    angle = np.arctan2(length, (np.trace(R) - 1.0) / 2.0)
+    return sine if length < np.finfo(float).eps else angle / length * sine

@@ -1,0 +1,110 @@
+"""How the robot behaves while it works: its limits, what it touches, how well its finger follows."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from pydrake.systems.framework import Context, EventStatus
+
+from gridpush_drake.station.arm_posture import TIP_FRAME
+from gridpush_drake.station.push_station import PushStation
+from gridpush_drake.systems.push_status import PUSHING
+
+DEFAULT_PERIOD = 0.02
+"""Between two looks, s."""
+
+
+@dataclass
+class Conduct:
+    """What was seen up to now; shares are of the limits, so that 1 is just allowed.
+
+    Attributes:
+        position_share: furthest that a joint was from the middle of its range.
+        velocity_share: fastest that a joint turned.
+        torque_share: greatest torque that a joint was asked for.
+        tracking_error: furthest that the tip was from where it should be at the time, during pushes, m.
+        touched: pairs of bodies that should not have touched and did.
+        looks: how often it was looked at.
+    """
+
+    position_share: float = 0.0
+    velocity_share: float = 0.0
+    torque_share: float = 0.0
+    tracking_error: float = 0.0
+    touched: set[tuple[str, str]] = field(default_factory=set)
+    looks: int = 0
+
+    @property
+    def blameless(self) -> bool:
+        """Whether all limits were kept and nothing was touched but the object, and that with the tip alone."""
+        return max(self.position_share, self.velocity_share, self.torque_share) <= 1.0 and not self.touched
+
+
+class ConductMonitor:
+    """Watches a station: `simulator.set_monitor(ConductMonitor(station))`.
+
+    Attributes:
+        conduct: what was seen up to now.
+    """
+
+    def __init__(self, station: PushStation, period: float = DEFAULT_PERIOD) -> None:
+        """Makes the monitor.
+
+        Args:
+            station: the station, or a part of the Diagram that is simulated.
+            period: between two looks, s; 0 looks at every step.
+        """
+        self.conduct = Conduct()
+        self._station, self._period, self._next = station, period, -np.inf
+        plant, iiwa = station.plant, station.arm.iiwa
+        joints = [plant.get_joint(index) for index in plant.GetJointIndices(iiwa)]
+        joints = [joint for joint in joints if joint.num_positions() == 1]
+        lower, upper = (
+            np.array([limits(joint)[0] for joint in joints])
+            for limits in (lambda j: j.position_lower_limits(), lambda j: j.position_upper_limits())
+        )
+        self._middle, self._half = (lower + upper) / 2, (upper - lower) / 2
+        self._speed = np.array([joint.velocity_upper_limits()[0] for joint in joints])
+        self._torque = np.array(
+            [plant.get_joint_actuator(index).effort_limit() for index in plant.GetJointActuatorIndices(iiwa)]
+        )
+        self._object = station.object_in_plant.body.index()
+        self._tip = plant.GetBodyByName(TIP_FRAME).index()
+        inspector = station.scene_graph.model_inspector()
+        self._table = {plant.GetBodyFromFrameId(inspector.GetFrameId(geometry)).index() for geometry in station.table}
+
+    def __call__(self, root_context: Context) -> EventStatus:
+        """Looks, where it is time to."""
+        if root_context.get_time() >= self._next:
+            self._next = root_context.get_time() + self._period
+            self._look(self._station.GetMyContextFromRoot(root_context))
+        return EventStatus.DidNothing()
+
+    def _look(self, context: Context) -> None:
+        station, seen = self._station, self.conduct
+
+        def read(port: str) -> Any:
+            return station.GetOutputPort(port).Eval(context)
+
+        def share(now: float, values: np.ndarray, limits: np.ndarray) -> float:
+            return max(now, float(np.max(np.abs(values) / limits)))
+
+        seen.looks += 1
+        seen.position_share = share(seen.position_share, read("iiwa.position_measured") - self._middle, self._half)
+        seen.velocity_share = share(seen.velocity_share, read("iiwa.velocity_estimated"), self._speed)
+        seen.torque_share = share(seen.torque_share, read("iiwa.torque_commanded"), self._torque)
+        if read("executor.status").phase == PUSHING:
+            gap = read("executor.tip_pose").translation() - read("pusher.state")[:3]
+            seen.tracking_error = max(seen.tracking_error, float(np.linalg.norm(gap)))
+        contacts = read("contact_results")
+        for i in range(contacts.num_point_pair_contacts()):
+            contact = contacts.point_pair_contact_info(i)
+            self._judge(contact.bodyA_index(), contact.bodyB_index())
+
+    def _judge(self, a: int, b: int) -> None:
+        pair = {a, b}
+        if self._object in pair and (self._tip in pair or pair & self._table):
+            return
+        plant = self._station.plant
+        first, second = sorted(plant.get_body(index).name() for index in pair)
+        self.conduct.touched.add((first, second))

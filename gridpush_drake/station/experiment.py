@@ -1,0 +1,269 @@
+"""An experiment: the station pokes an object it knows nothing about, learns, and is tested on pushes it never saw."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from pydrake.geometry import Meshcat
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Diagram, DiagramBuilder
+
+from gridpush_drake.errors import StationError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.identification.result import Identification
+from gridpush_drake.pushes.log import PushLog
+from gridpush_drake.scene.meshcat_server import AimCamera
+from gridpush_drake.scene.scenario import PushScenario
+from gridpush_drake.scene.scenario_check import CalcTipReach
+from gridpush_drake.station.conduct import Conduct, ConductMonitor
+from gridpush_drake.station.push_station import MakePushStation, PushStation
+from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
+from gridpush_drake.systems.poke_choice import PokeRegion, PokeStyle
+from gridpush_drake.systems.poke_policy import PokePolicy
+from gridpush_drake.systems.push_status import PushStatus
+
+FINISHED, OBJECT_LOST, INTERRUPTED, STUCK = "finished", "object_lost", "interrupted", "stuck"
+
+ADVANCE = 0.1
+"""Simulated between two looks at how far the experiment is, s."""
+
+EDGE_MARGIN = 0.03
+"""Between the object and the table's edge, where pokes are meant to leave it, m."""
+
+MIDDLE_MARGIN = 0.09
+"""Between the object's centroid and the limits of where the finger can be, for the finger to get around it, m."""
+
+RING_SEGMENTS = 32
+"""A quarter turn, of the polygon for a ring."""
+
+REFUSALS = 20
+"""In a row, after which the experiment is stuck."""
+
+PATIENCE = 10.0
+"""Simulated without a push being under way, after which it is stuck, s."""
+
+CAMERA_DISTANCE, CAMERA_AZIMUTH, CAMERA_ELEVATION = 1.05, 0.6, 0.7
+"""Of Meshcat's camera, m, rad and rad: opposite the robot, a little to its left."""
+
+LOST_AFTER = 0.5
+"""Simulated without the object being seen, after which it is lost, s."""
+
+
+@dataclass
+class ExperimentRecord:
+    """What came of an experiment; filled while it runs.
+
+    Attributes:
+        obj: the object.
+        truth: what it really weighs and how it rubs.
+        log: all pushes, in order.
+        training: how many of them, from the first, are to learn from.
+        estimates: the identification after each push learned from.
+        status: "finished", "object_lost", "interrupted" or "stuck"; empty while it runs.
+        message: the status in a sentence.
+        conduct: how the robot behaved.
+        duration: simulated, s.
+    """
+
+    obj: GridObject
+    truth: CellParameters
+    log: PushLog = field(default_factory=lambda: PushLog(()))
+    training: int = 0
+    estimates: list[Identification] = field(default_factory=list)
+    status: str = ""
+    message: str = ""
+    conduct: Conduct = field(default_factory=Conduct)
+    duration: float = 0.0
+
+    @property
+    def training_log(self) -> PushLog:
+        """The pushes learned from."""
+        return self.log[: self.training]
+
+    @property
+    def held_out_log(self) -> PushLog:
+        """The pushes that were only predicted."""
+        return self.log[self.training :]
+
+
+Progress = Callable[[PushStatus, int], None]
+"""Told now and then the executor's status and how many pushes are in the log."""
+
+
+class PushExperiment:
+    """The station with a policy that pokes, to be run once or many times.
+
+    Attributes:
+        station: the station.
+        diagram: of station, policy and, with Meshcat, the estimate's picture.
+        simulator: of the diagram.
+    """
+
+    def __init__(self, scenario: PushScenario, meshcat: Meshcat | None = None) -> None:
+        """Makes the Diagram.
+
+        Args:
+            scenario: what stands where, and how it is poked.
+            meshcat: to show it in; None for none.
+
+        Raises:
+            ScenarioError, StationError: see `MakePushStation`.
+        """
+        self._scenario = scenario
+        builder = DiagramBuilder()
+        self.station: PushStation = builder.AddSystem(MakePushStation(scenario, meshcat, show_object=False))
+        self._policy = builder.AddNamedSystem("policy", _make_policy(self.station))
+        station, policy = self.station, self._policy
+        builder.Connect(station.GetOutputPort("object.pose"), policy.GetInputPort("object_pose"))
+        builder.Connect(station.GetOutputPort("executor.status"), policy.GetInputPort("status"))
+        builder.Connect(policy.GetOutputPort("push_command"), station.GetInputPort("push_command"))
+        if meshcat is not None:
+            AddEstimateVisualizer(builder, station, policy, meshcat)
+        self.diagram: Diagram = builder.Build()
+        self.diagram.set_name("push_experiment")
+        self.simulator = Simulator(self.diagram)
+
+    def AimCamera(self, meshcat: Meshcat) -> None:
+        """Points Meshcat's camera at where the object begins."""
+        x, y, _ = self._scenario.object_pose
+        AimCamera(meshcat, (x, y, 0.0), CAMERA_DISTANCE, CAMERA_AZIMUTH, CAMERA_ELEVATION)
+
+    def run(
+        self, seed: int | None = None, progress: Progress | None = None, realtime_rate: float = 0.0
+    ) -> ExperimentRecord:
+        """Runs the experiment from its beginning.
+
+        Args:
+            seed: of everything random, instead of the scenario's.
+            progress: see `Progress`.
+            realtime_rate: at most so many simulated seconds a second; 0 for as fast as possible.
+
+        Returns:
+            What came of it. Ctrl-C ends it early, with what there is by then.
+
+        Raises:
+            StationError: not a single push could be carried out.
+        """
+        simulator = self.simulator
+        simulator.reset_context(self.diagram.CreateDefaultContext())
+        context = simulator.get_mutable_context()
+        seed = self._scenario.seed if seed is None else seed
+        self.station.SetStart(context, seed)
+        self._policy.seed = seed
+        monitor = ConductMonitor(self.station)
+        record = ExperimentRecord(
+            self.station.obj, self.station.truth, training=self._scenario.pokes.count, conduct=monitor.conduct
+        )
+        simulator.set_target_realtime_rate(realtime_rate)
+        simulator.set_monitor(monitor)
+        watch = _Watch(self._scenario.pokes.count + self._scenario.pokes.test_count)
+        try:
+            simulator.Initialize()
+            while not record.status:
+                simulator.AdvanceTo(context.get_time() + ADVANCE)
+                status = self._note(record)
+                record.status, record.message = watch.judge(context.get_time(), status, self._read("object.pose"))
+                if progress is not None:
+                    progress(status, len(record.log))
+        except KeyboardInterrupt:
+            self._note(record)
+            record.status, record.message = INTERRUPTED, f"Interrupted after {len(record.log)} pushes."
+        if not len(record.log) and record.status == STUCK:
+            raise StationError(record.message)
+        return record
+
+    def _note(self, record: ExperimentRecord) -> PushStatus:
+        record.log = self._read("estimate.push_log")
+        found = self._read("estimate.identification")
+        if found is not None and (not record.estimates or found is not record.estimates[-1]):
+            record.estimates.append(found)
+        record.duration = self.simulator.get_context().get_time()
+        status: PushStatus = self._read("executor.status")
+        return status
+
+    def _read(self, port: str) -> Any:
+        root = self.simulator.get_context()
+        return self.station.GetOutputPort(port).Eval(self.station.GetMyContextFromRoot(root))
+
+
+@dataclass
+class _Watch:
+    """Decides when an experiment is over."""
+
+    pushes: int
+    last_seen: float = 0.0
+    last_busy: float = 0.0
+    executed: int = 0
+    refused: int = 0
+
+    def judge(self, time: float, status: PushStatus, pose: NDArray[np.float64]) -> tuple[str, str]:
+        """Status and message; empty while it goes on."""
+        if np.isfinite(pose).all():
+            self.last_seen = time
+        if not status.ready:
+            self.last_busy = time
+        if status.executed > self.executed:
+            self.executed, self.refused = status.executed, status.refused
+        if time - self.last_seen > LOST_AFTER:
+            return OBJECT_LOST, f"The object left the table during push {status.executed + (not status.ready)}."
+        if status.executed >= self.pushes:
+            return FINISHED, f"All {self.pushes} pushes were carried out."
+        if status.refused - self.refused >= REFUSALS:
+            return STUCK, f"The last {REFUSALS} pushes were refused; the last one because {status.reason}."
+        if time - self.last_busy > PATIENCE:
+            return STUCK, (
+                f"No push was found for {PATIENCE:g} s: from where the object lies, the finger reaches no place from "
+                "which it could push; is the object within the workspace?"
+            )
+        return "", ""
+
+
+def AddEstimateVisualizer(
+    builder: DiagramBuilder, station: PushStation, policy: PokePolicy, meshcat: Meshcat
+) -> EstimateVisualizer:
+    """Shows the station's estimate and what the policy commands, in Meshcat."""
+    visualizer = builder.AddNamedSystem(
+        "estimate_visualizer", EstimateVisualizer(station.obj, meshcat, height=station.object_in_plant.height)
+    )
+    builder.Connect(station.GetOutputPort("object.pose_true"), visualizer.GetInputPort("object_pose"))
+    for port in ("mass", "friction", "contact_friction", "centre_of_mass", "centre_of_mass_covariance"):
+        builder.Connect(station.GetOutputPort(f"estimate.{port}"), visualizer.GetInputPort(port))
+    builder.Connect(policy.GetOutputPort("push_command"), visualizer.GetInputPort("push_command"))
+    return visualizer
+
+
+def MakeRing(axis: NDArray[np.float64], least: float, greatest: float) -> shapely.Polygon:
+    """The places about the robot's axis (2,) between two distances, m."""
+    outer, inner = (shapely.Point(axis).buffer(radius, RING_SEGMENTS) for radius in (greatest, least))
+    return outer - inner
+
+
+def _make_policy(station: PushStation) -> PokePolicy:
+    scenario, pokes = station.scenario, station.scenario.pokes
+    x, y = scenario.workspace.x, scenario.workspace.y
+    box = shapely.box(x[0], y[0], x[1], y[1])
+    axis, least, greatest = CalcTipReach(station.plant, scenario.finger.push_height)
+    keep_in = station.table_top.buffer(-EDGE_MARGIN)
+    middle = MakeRing(axis, least + MIDDLE_MARGIN, greatest - MIDDLE_MARGIN) & box.buffer(-MIDDLE_MARGIN)
+    region = PokeRegion(MakeRing(axis, least, greatest) & box, keep_in, None if middle.is_empty else middle)
+    style = PokeStyle(
+        distance=(pokes.distance[0], pokes.distance[1]),
+        speed=pokes.speed,
+        slant=pokes.slant,
+        tip_radius=scenario.finger.tip_radius,
+        clearance=pokes.clearance,
+    )
+    return PokePolicy(
+        station.obj,
+        region,
+        scenario.seed,
+        pokes.count,
+        style,
+        reach=lambda command: station.FindObstacle(command) is None,
+        test_pushes=pokes.test_count,
+        test_distance=pokes.test_distance,
+    )

@@ -1,0 +1,310 @@
+"""`MakePushStation`: table, object, iiwa with a finger, camera, executor and identifier in one Diagram.
+
+The station knows the object's outline. What its cells weigh and how they rub, the truth, goes to the plant alone;
+everything else in the station sees the object through its camera.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, cast
+
+from pydrake.geometry import (
+    GeometryId,
+    Meshcat,
+    MeshcatVisualizer,
+    MeshcatVisualizerParams,
+    Role,
+    SceneGraph,
+)
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
+from shapely.geometry.base import BaseGeometry
+
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.scene.contact_material import SetPartner
+from gridpush_drake.scene.grid_object import AddGridObject, Base, GridObjectInPlant
+from gridpush_drake.scene.grid_object_state import SetGridObjectParameters, SetGridObjectPose
+from gridpush_drake.scene.parser import MakeParser
+from gridpush_drake.scene.scenario import PushScenario
+from gridpush_drake.scene.scenario_check import check_scenario
+from gridpush_drake.scene.scenario_parts import AddScene, load_object
+from gridpush_drake.scene.skin import AddSkin, find_drake_models
+from gridpush_drake.scene.table import TABLE, FindTableOutline
+from gridpush_drake.scene.truth import MakeTruth
+from gridpush_drake.station.arm_posture import TIP_FRAME, CalcStartPosture
+from gridpush_drake.station.arm_reach import ArmReach
+from gridpush_drake.station.iiwa import (
+    AddIiwaControl,
+    Arm,
+    ArmControl,
+    MakeControlPlant,
+    SetArmStart,
+)
+from gridpush_drake.systems.grid_identifier import GridIdentifier
+from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
+from gridpush_drake.systems.push_command import PushCommand
+from gridpush_drake.systems.push_executor import PushExecutor, plan_push
+from gridpush_drake.systems.push_record import RecordOptions
+from gridpush_drake.systems.push_way import PushingStyle
+from gridpush_drake.systems.pusher_state_sensor import PusherStateSensor
+
+HOME = (0.5, 0.0, 0.2)
+"""p_WP of the tip at the beginning, m: above the middle of the table, where the arm's posture is comfortable."""
+
+LOST_BELOW = -0.01
+"""z of the object's bottom in W below which the camera has lost it, m: it has left the table."""
+
+IIWA_OUTPUTS = (
+    "position_commanded",
+    "position_measured",
+    "velocity_estimated",
+    "state_estimated",
+    "torque_commanded",
+    "torque_measured",
+    "torque_external",
+)
+"""Of the driver, exported as `iiwa.position_commanded` and so on."""
+
+ESTIMATE_OUTPUTS = (
+    "mass",
+    "friction",
+    "mass_std",
+    "friction_std",
+    "contact_friction",
+    "centre_of_mass",
+    "centre_of_mass_covariance",
+    "loss",
+    "num_pushes",
+    "identification",
+    "push_log",
+)
+"""Of the identifier, exported as `estimate.mass` and so on."""
+
+
+class PushStation(Diagram):
+    """The station as a Diagram, with handles on what it was made from.
+
+    .. pydrake_system::
+
+        name: PushStation
+        input_ports:
+        - push_command
+        output_ports:
+        - executor.status
+        - executor.tip_pose
+        - pusher.state
+        - object.pose
+        - object.pose_true
+        - estimate.mass
+        - estimate.friction
+        - ...
+        - iiwa.position_measured
+        - ...
+        - body_poses
+        - contact_results
+        - query_object
+
+    - ``push_command``: (6,) see `systems.push_command`.
+    - ``executor.status``: abstract `PushStatus`; ``executor.tip_pose``: abstract `RigidTransform`, X_WP desired.
+    - ``pusher.state``: (6,) p_WP, m, and v_WP, m/s, of the tip's centre, from the joints.
+    - ``object.pose``: (3,) as the camera sees it, m and rad; ``object.pose_true``: as it is, for display and judgement.
+    - ``estimate.*``: see `GridIdentifier`; ``iiwa.*``: see Drake's `SimIiwaDriver`; the last three: the plant's own.
+
+    Attributes:
+        scenario: what it was made from.
+        obj: the object.
+        truth: what the plant's object really weighs and how it rubs.
+        plant: the plant.
+        scene_graph: of the plant.
+        arm: the robot in the plant.
+        object_in_plant: the object in the plant.
+        table: the table's collision geometries.
+        table_top: where on it things may lie, a polygon in W, m.
+        style: how the executor pushes.
+    """
+
+    def __init__(self, builder: DiagramBuilder, parts: dict[str, Any]) -> None:
+        """Takes over a builder's systems; `MakePushStation` calls it."""
+        super().__init__()
+        self.scenario: PushScenario = parts["scenario"]
+        self.obj: GridObject = parts["obj"]
+        self.truth: CellParameters = parts["truth"]
+        self.plant: MultibodyPlant = parts["plant"]
+        self.scene_graph: SceneGraph = parts["scene_graph"]
+        self.arm: Arm = parts["arm"]
+        self.object_in_plant: GridObjectInPlant = parts["object_in_plant"]
+        self.table: tuple[GeometryId, ...] = parts["table"]
+        self.table_top: BaseGeometry = parts["table_top"]
+        self.style: PushingStyle = parts["style"]
+        self._reach: ArmReach = parts["reach"]
+        self._control: ArmControl = parts["control"]
+        self._camera: PlanarPoseSensor = parts["camera"]
+        builder.BuildInto(self)
+
+    def FindObstacle(self, command: PushCommand) -> str | None:
+        """Says why the arm cannot carry out a push, come from its home; None where it can."""
+        return plan_push(command, HOME, self.style, self._reach)[1]
+
+    def SetStart(self, root_context: Context, seed: int | None = None) -> None:
+        """Puts arm and object where the scenario has them, at rest. Call it on every fresh Context.
+
+        Args:
+            root_context: of the station, or of the Diagram it is part of.
+            seed: of the hidden truth and the camera's noise, instead of the scenario's: one Diagram serves many runs.
+        """
+        SetArmStart(self, root_context, self.plant, self.arm, self._control)
+        plant_context = self.plant.GetMyMutableContextFromRoot(root_context)
+        SetGridObjectPose(self.plant, plant_context, self.object_in_plant, self.scenario.object_pose)
+        if seed is not None:
+            self.truth = MakeTruth(self.obj, self.scenario.truth, seed)
+            SetGridObjectParameters(self.plant, self.scene_graph, root_context, self.object_in_plant, self.truth)
+            self._camera.SetSeed(root_context, seed)
+
+
+def MakePushStation(scenario: PushScenario, meshcat: Meshcat | None = None, *, show_object: bool = True) -> PushStation:
+    """Makes the station.
+
+    Args:
+        scenario: what stands where.
+        meshcat: to show it in; None for none.
+        show_object: whether the object's plain outline is shown; not where its estimate is drawn in its place.
+
+    Returns:
+        The station. Call its `SetStart` on each new Context.
+
+    Raises:
+        ScenarioError: the scenario makes no sense, see `check_scenario`.
+        StationError: the arm cannot take the posture in which it begins.
+    """
+    check_scenario(scenario)
+    obj = LoadPushedObject(scenario)
+    truth = MakeTruth(obj, scenario.truth, scenario.seed)
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, scenario.simulation.time_step)
+    plant.set_name("plant")
+    plant.set_stiction_tolerance(scenario.simulation.stiction_tolerance)
+    scene_graph.set_name("scene_graph")
+    arm, table = _add_scene(plant, scene_graph, scenario)
+    object_in_plant = AddGridObject(
+        plant,
+        scene_graph,
+        obj,
+        truth,
+        cast(Base, scenario.base),
+        table=table,
+        height=scenario.object_height,
+        visual=show_object,
+    )
+    skin = find_drake_models() if meshcat is not None else None
+    if skin is not None:
+        AddSkin(plant, scene_graph, skin)
+    plant.Finalize()
+
+    control_plant = MakeControlPlant()
+    q_start = CalcStartPosture(control_plant, HOME)
+    control = AddIiwaControl(builder, plant, arm, control_plant, q_start)
+    reach, style = ArmReach(control_plant, q_start), make_style(scenario)
+    executor = builder.AddNamedSystem("executor", PushExecutor(HOME, obj.outline, reach, style))
+    camera = builder.AddNamedSystem("camera", _make_camera(scenario, object_in_plant))
+    eye = builder.AddNamedSystem(
+        "eye", PlanarPoseSensor(object_in_plant.body.index(), period=1 / scenario.camera.rate, lowest=LOST_BELOW)
+    )
+    tip = builder.AddNamedSystem("tip_sensor", PusherStateSensor(plant.GetBodyByName(TIP_FRAME).index()))
+    identifier = builder.AddNamedSystem("identifier", _make_identifier(scenario, obj))
+
+    builder.Connect(executor.GetOutputPort("tip_pose"), control.tip_pose)
+    poses = plant.get_body_poses_output_port()
+    for sensor in (camera, eye, tip):
+        builder.Connect(poses, sensor.GetInputPort("body_poses"))
+    builder.Connect(plant.get_body_spatial_velocities_output_port(), tip.GetInputPort("body_spatial_velocities"))
+    for consumer in (executor, identifier):
+        builder.Connect(camera.GetOutputPort("object_pose"), consumer.GetInputPort("object_pose"))
+    builder.Connect(tip.GetOutputPort("pusher_state"), identifier.GetInputPort("pusher_state"))
+    if meshcat is not None:
+        AddMeshcat(builder, scene_graph, meshcat)
+
+    builder.ExportInput(executor.GetInputPort("push_command"), "push_command")
+    _export(builder, executor, "executor", ("status", "tip_pose"))
+    builder.ExportOutput(tip.GetOutputPort("pusher_state"), "pusher.state")
+    builder.ExportOutput(camera.GetOutputPort("object_pose"), "object.pose")
+    builder.ExportOutput(eye.GetOutputPort("object_pose"), "object.pose_true")
+    _export(builder, identifier, "estimate", ESTIMATE_OUTPUTS)
+    _export(builder, control.driver, "iiwa", IIWA_OUTPUTS)
+    builder.ExportOutput(poses, "body_poses")
+    builder.ExportOutput(plant.get_contact_results_output_port(), "contact_results")
+    builder.ExportOutput(scene_graph.get_query_output_port(), "query_object")
+    station = PushStation(
+        builder,
+        {
+            "scenario": scenario, "obj": obj, "truth": truth, "plant": plant, "scene_graph": scene_graph, "arm": arm,
+            "object_in_plant": object_in_plant, "table": table, "control": control, "camera": camera,
+            "table_top": FindTableOutline(plant, scene_graph.model_inspector()), "reach": reach, "style": style,
+        },
+    )  # fmt: skip
+    station.set_name("station")
+    return station
+
+
+def LoadPushedObject(scenario: PushScenario) -> GridObject:
+    """Reads the scenario's object, with its finger as the pusher. Raises ScenarioError where there is none."""
+    obj = load_object(scenario)
+    return replace(obj, prior=replace(obj.prior, pusher_radius=scenario.finger.tip_radius))
+
+
+def make_style(scenario: PushScenario) -> PushingStyle:
+    """How the scenario's finger pushes."""
+    finger = scenario.finger
+    return PushingStyle(
+        travel_height=finger.travel_height, push_height=finger.push_height, tip_radius=finger.tip_radius
+    )
+
+
+def AddMeshcat(builder: DiagramBuilder, scene_graph: SceneGraph, meshcat: Meshcat) -> MeshcatVisualizer:
+    """Shows the illustration geometry, and nothing else."""
+    params = MeshcatVisualizerParams(role=Role.kIllustration, prefix="station")
+    return MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, params)
+
+
+def _add_scene(
+    plant: MultibodyPlant, scene_graph: SceneGraph, scenario: PushScenario
+) -> tuple[Arm, tuple[GeometryId, ...]]:
+    """Adds what the directives say; returns the robot and the table's collision geometries."""
+    AddScene(MakeParser(plant), scenario)
+    table = tuple(
+        geometry
+        for body in plant.GetBodyIndices(plant.GetModelInstanceByName(TABLE))
+        for geometry in plant.GetCollisionGeometriesForBody(plant.get_body(body))
+    )
+    SetPartner(plant, scene_graph, [*table, *plant.GetCollisionGeometriesForBody(plant.GetBodyByName(TIP_FRAME))])
+    return Arm(*map(plant.GetModelInstanceByName, ("iiwa", "finger"))), table
+
+
+def _make_camera(scenario: PushScenario, object_in_plant: GridObjectInPlant) -> PlanarPoseSensor:
+    camera = scenario.camera
+    return PlanarPoseSensor(
+        object_in_plant.body.index(),
+        period=1 / camera.rate,
+        position_noise=camera.position_noise,
+        angle_noise=camera.angle_noise,
+        lowest=LOST_BELOW,
+        seed=scenario.seed,
+    )
+
+
+def _make_identifier(scenario: PushScenario, obj: GridObject) -> GridIdentifier:
+    return GridIdentifier(
+        obj,
+        period=1 / scenario.camera.rate,
+        engaged_below=scenario.object_height,
+        pusher_radius=scenario.finger.tip_radius,
+        max_learning_pushes=scenario.pokes.count,
+        seed=scenario.seed,
+        warm_start=False,  # it gains little, and so `gridpush identify` finds the same from the log, bit for bit
+        record=RecordOptions(pose_delay=1 / scenario.camera.rate),  # it sees the picture before the one being taken
+    )
+
+
+def _export(builder: DiagramBuilder, system: System, prefix: str, ports: Sequence[str]) -> None:
+    for port in ports:
+        builder.ExportOutput(system.GetOutputPort(port), f"{prefix}.{port}")

@@ -1,0 +1,121 @@
+import numpy as np
+import pytest
+
+from gridpush_drake.errors import ScenarioError, StationError
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.identification.error_summary import calc_mean_cell_error
+from gridpush_drake.identification.identify import identify
+from gridpush_drake.pushes.log import PushLog
+from gridpush_drake.scene.scenario import PushScenario
+from gridpush_drake.station.experiment import FINISHED, OBJECT_LOST, STUCK, PushExperiment, _Watch
+from gridpush_drake.systems.push_command import PushCommand
+from gridpush_drake.systems.push_status import PUSHING, PushStatus
+
+
+def make_scenario(count=1, test_count=0, **fields):
+    scenario = PushScenario(**fields)
+    scenario.pokes.count, scenario.pokes.test_count = count, test_count
+    return scenario
+
+
+@pytest.fixture(scope="module")
+def short():
+    """One push to learn from and one held out, by one Diagram, twice."""
+    experiment = PushExperiment(make_scenario(1, 1))
+    told = []
+    first = experiment.run(progress=lambda status, logged: told.append((status.phase, logged)))
+    return first, experiment.run(), told
+
+
+def test_carries_out_its_pushes(short):
+    record, _, told = short
+    assert record.status == FINISHED
+    assert (len(record.training_log), len(record.held_out_log), len(record.estimates)) == (1, 1, 1)
+    assert record.held_out_log[0].push.length == pytest.approx(0.1 + 0.008, abs=1e-3)
+    assert record.conduct.blameless
+    assert {PUSHING} < {phase for phase, _ in told}
+    assert told[-1][1] == 2
+
+
+def test_a_second_run_of_the_same_diagram_is_the_same(short):
+    first, second, _ = short
+    for one, other in zip(first.log, second.log, strict=True):
+        np.testing.assert_array_equal(one.push.xy, other.push.xy)
+        np.testing.assert_array_equal(one.poses_observed, other.poses_observed)
+    np.testing.assert_array_equal(first.estimates[-1].params.mass, second.estimates[-1].params.mass)
+
+
+def test_the_log_says_the_same_offline(short, tmp_path):
+    record, _, _ = short
+    path = tmp_path / "pushes.csv"
+    record.training_log.write_csv(path)
+    read = PushLog.read_csv(path)
+    assert not read.radius_given
+    direct, offline = identify(record.obj, record.training_log), identify(record.obj, read)
+    np.testing.assert_array_equal(direct.params.mass, offline.params.mass)
+    np.testing.assert_array_equal(direct.params.mass, record.estimates[-1].params.mass)
+
+
+def test_ends_when_the_object_leaves_the_table():
+    experiment = PushExperiment(make_scenario(2, object="open_book", object_pose=[0.6, 0.0, 0.0]))
+    station = experiment.station
+
+    def shove(status, logged):
+        """Somebody throws it off the table during the second push."""
+        if status.executed == 1 and status.phase == PUSHING:
+            context = station.plant.GetMyMutableContextFromRoot(experiment.simulator.get_mutable_context())
+            station.plant.SetFloatingBaseBodyPoseInWorldFrame(context, station.object_in_plant.body, _beside_table())
+
+    record = experiment.run(progress=shove)
+    assert record.status == OBJECT_LOST
+    assert "left the table during push 2" in record.message
+    assert len(record.estimates) == 1
+
+
+def _beside_table():
+    from pydrake.math import RigidTransform
+
+    return RigidTransform([0.6, 1.5, -0.2])
+
+
+def test_an_object_out_of_the_fingers_workspace_is_an_error():
+    scenario = make_scenario()
+    scenario.workspace.x, scenario.workspace.y = [0.585, 0.615], [-0.015, 0.015]
+    with pytest.raises(StationError, match="workspace"):
+        PushExperiment(scenario).run()
+
+
+def test_an_unknown_object_suggests_the_nearest():
+    with pytest.raises(ScenarioError, match="claw_hammer"):
+        PushExperiment(make_scenario(object="claw_hamer"))
+
+
+def test_gives_up_after_many_refusals():
+    watch, seen = _Watch(5), np.zeros(3)
+    assert watch.judge(0.1, PushStatus(), seen) == ("", "")
+    status, message = watch.judge(0.2, PushStatus(number=20, refused=20, reason="the arm sulks"), seen)
+    assert status == STUCK
+    assert "the arm sulks" in message
+
+
+def test_commands_are_numbered_anew_in_each_run(short):
+    assert PushCommand().number == 0
+    first, second, _ = short
+    assert [seen.name for seen in first.log] == [seen.name for seen in second.log] == ["push_1", "push_2"]
+
+
+@pytest.mark.slow
+def test_learns_a_hammer():
+    record = PushExperiment(make_scenario(8, 6, seed=1)).run()
+    obj = record.obj
+    assert record.status == FINISHED
+    assert record.conduct.blameless, record.conduct
+    assert record.conduct.tracking_error < 1e-3
+    before, after = (
+        calc_mean_cell_error(obj, params, record.held_out_log, "quasi_static")
+        for params in (CellParameters.uniform(obj), record.estimates[-1].params)
+    )
+    assert after < before / 3
+    assert after < 5e-3
+    gap = record.estimates[-1].params.centre_of_mass(obj) - record.truth.centre_of_mass(obj)
+    assert np.linalg.norm(gap) < 8e-3

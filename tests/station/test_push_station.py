@@ -1,0 +1,96 @@
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+
+from gridpush_drake.errors import ScenarioError
+from gridpush_drake.scene.scenario import PushScenario
+from gridpush_drake.scene.truth import MakeTruth
+from gridpush_drake.station.conduct import ConductMonitor
+from gridpush_drake.station.push_station import ESTIMATE_OUTPUTS, IIWA_OUTPUTS, MakePushStation
+from gridpush_drake.systems.push_command import PushCommand
+
+
+def advance_until_idle(simulator, station, command, limit=15.0):
+    context = simulator.get_mutable_context()
+    station.GetInputPort("push_command").FixValue(context, command.to_vector())
+    end = context.get_time() + limit
+    while context.get_time() < end:
+        simulator.AdvanceTo(context.get_time() + 0.1)
+        status = station.GetOutputPort("executor.status").Eval(context)
+        if status.ready and status.number == command.number:
+            return status
+    raise AssertionError(f"not done after {limit} s: {status}")
+
+
+@pytest.fixture(scope="module")
+def station():
+    return MakePushStation(PushScenario())
+
+
+@pytest.fixture
+def simulator(station):
+    context = station.CreateDefaultContext()
+    station.SetStart(context)
+    station.GetInputPort("push_command").FixValue(context, PushCommand().to_vector())
+    return Simulator(station, context)
+
+
+def test_has_the_ports_it_names(station):
+    outputs = {station.get_output_port(i).get_name() for i in range(station.num_output_ports())}
+    assert {f"iiwa.{name}" for name in IIWA_OUTPUTS} | {f"estimate.{name}" for name in ESTIMATE_OUTPUTS} <= outputs
+    assert {"executor.status", "pusher.state", "object.pose", "object.pose_true", "contact_results"} <= outputs
+    assert [station.get_input_port(i).get_name() for i in range(station.num_input_ports())] == ["push_command"]
+
+
+def test_a_push_moves_the_object_and_is_learned_from(station, simulator):
+    context = simulator.get_mutable_context()
+    monitor = ConductMonitor(station, period=0.005)
+    simulator.set_monitor(monitor)
+    simulator.Initialize()
+    prior = station.GetOutputPort("estimate.mass").Eval(context).copy()
+    np.testing.assert_allclose(prior, prior.mean())
+    # across the hammer's handle, off its centre
+    status = advance_until_idle(simulator, station, PushCommand(1, 0.53, -0.04, np.pi / 2, 0.08, 0.05))
+    assert (status.executed, status.refused) == (1, 0)
+    log = station.GetOutputPort("estimate.push_log").Eval(context)
+    assert len(log) == 1
+    (seen,) = log
+    moved = np.linalg.norm(station.obj.cells_at(seen.final_pose) - station.obj.cells_at(seen.pose), axis=1)
+    assert moved.mean() > 0.01
+    true_pose = station.GetOutputPort("object.pose_true").Eval(context)
+    assert np.linalg.norm(seen.final_pose[:2] - true_pose[:2]) < 5e-4
+    assert np.ptp(station.GetOutputPort("estimate.mass").Eval(context)) > 0
+    assert monitor.conduct.blameless, monitor.conduct
+    assert monitor.conduct.tracking_error < 1e-3
+
+
+def test_refuses_what_the_arm_cannot_reach(station, simulator):
+    status = advance_until_idle(simulator, station, PushCommand(1, 0.95, 0.3, 0.0, 0.1, 0.03), limit=1.0)
+    assert (status.executed, status.refused) == (0, 1)
+    assert "reach" in status.reason
+    assert "reach" in station.FindObstacle(PushCommand(1, 0.95, 0.3, 0.0, 0.1, 0.03))
+    assert station.FindObstacle(PushCommand(1, 0.55, -0.1, np.pi / 2, 0.1, 0.03)) is None
+
+
+def test_the_truth_goes_to_the_plant_alone(station):
+    """Two truths: everything but the plant's own outputs is the same before the first push."""
+    ports = [f"estimate.{name}" for name in ("mass", "friction", "mass_std", "contact_friction", "centre_of_mass")]
+    seen = []
+    for seed in (0, 1):
+        context = station.CreateDefaultContext()
+        station.SetStart(context, seed)
+        body = station.object_in_plant.body
+        inertia = body.CalcSpatialInertiaInBodyFrame(station.plant.GetMyContextFromRoot(context))
+        truth = MakeTruth(station.obj, station.scenario.truth, seed)
+        np.testing.assert_allclose(inertia.get_com()[:2], truth.centre_of_mass(station.obj), atol=1e-12)
+        seen.append([station.GetOutputPort(port).Eval(context).copy() for port in ports])
+    for first, second in zip(*seen, strict=True):
+        np.testing.assert_array_equal(first, second)
+    station.SetStart(station.CreateDefaultContext(), 0)
+
+
+def test_a_scenario_that_makes_no_sense_is_refused():
+    scenario = PushScenario()
+    scenario.object_pose = [3.0, 0.0, 0.0]
+    with pytest.raises(ScenarioError, match="object_pose"):
+        MakePushStation(scenario)
