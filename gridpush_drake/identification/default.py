@@ -47,6 +47,8 @@ class DefaultOptions:
         shares: of the learned model in the mixtures that cross-validation compares, increasing from 0 to 1.
         caution: how many standard errors a smaller share may be worse than the best and be taken for it.
         favoured: weight of the first amplitude above which the prior counts as kept.
+        gross: mean cell error of the training pushes, in standard deviations of a pose, above which (and above twice
+            the learned model's) a mixture does not explain the pushes at all.
     """
 
     amplitudes: tuple[float, ...] = (0.05, 0.3, 0.7, 1.5, 3.0)
@@ -57,6 +59,7 @@ class DefaultOptions:
     shares: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.0)
     caution: float = 0.6
     favoured: float = 0.95
+    gross: float = 8.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +128,7 @@ def fit_default(
     learned_share, errors = 1.0, None
     if best > 0 and len(problem) > 1:
         learned_share, errors = _cross_validate(
-            problem, z0, factors, fits, weights, centre_of_mass, options, seed, report
+            problem, z0, factors, fits, weights, average, centre_of_mass, options, seed, report
         )
     z = learned_share * average + (1 - learned_share) * fits[0].z
     weights = learned_share * weights
@@ -172,6 +175,7 @@ def _cross_validate(
     factors: list[Array],
     fits: list[MapFit],
     weights: Array,
+    average: Array,
     centre_of_mass: CentreOfMass | None,
     options: DefaultOptions,
     seed: int,
@@ -195,10 +199,21 @@ def _cross_validate(
             residuals = problem.residuals((1 - share) * uniform + share * learned, left_out)
             errors[i, left_out] = problem.calc_cell_errors(residuals)
         report(learned, STAGE_CHECKING)
-    excess = errors - errors[np.argmin(errors.mean(axis=1))]
+    candidates = _explains(problem, fits[0].z, average, options)
+    excess = errors - errors[np.argmin(np.where(candidates, errors.mean(axis=1), np.inf))]
     standard_error = excess.std(axis=1, ddof=1) / np.sqrt(len(problem))
-    chosen = int(np.argmax(excess.mean(axis=1) <= options.caution * standard_error))
+    chosen = int(np.argmax(candidates & (excess.mean(axis=1) <= options.caution * standard_error)))
     return options.shares[chosen], (float(errors[0].mean()), float(errors[-1].mean()))
+
+
+def _explains(problem: PushProblem, uniform: Array, learned: Array, options: DefaultOptions) -> NDArray[np.bool_]:
+    """Whether the mixture at each share explains the training pushes, by and large; what was learned counts as such.
+
+    Halfway between two models a push may go round the object's other side, and neither model's predictions are met.
+    """
+    mixtures = [(1 - share) * uniform + share * learned for share in options.shares]
+    errors = np.array([problem.calc_cell_errors(problem.residuals(z)).mean() for z in mixtures])
+    return errors <= max(2 * errors[-1], options.gross * options.noise.pose)
 
 
 def _describe(

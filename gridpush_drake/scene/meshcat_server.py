@@ -1,5 +1,6 @@
 """Meshcat: started with clear errors, and its recordings written."""
 
+import logging
 from math import cos, sin
 from pathlib import Path
 from typing import Any
@@ -50,10 +51,15 @@ def StartMeshcatServer(port: int | None = None, host: str = "localhost", *, show
     if port is not None and port != 0 and not LEAST_PORT <= port <= GREATEST_PORT:
         raise StationError(f"port is {port}; expected one from {LEAST_PORT} to {GREATEST_PORT}, or 0 for any free one")
     params = MeshcatParams(host=host, port=port, show_stats_plot=show_stats)
+    log = logging.getLogger("drake")
+    level = log.level
+    log.setLevel(logging.WARNING)  # whoever starts it says where its page is
     try:
         meshcat = Meshcat(params)
     except RuntimeError as error:
         raise StationError(_explain(port, host)) from error
+    finally:
+        log.setLevel(level)
     ApplyLook(meshcat)
     return meshcat
 
