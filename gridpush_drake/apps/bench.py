@@ -93,6 +93,76 @@ def real(
     _show(tables, out, force, json)
 
 
+@app.command("planning")
+def planning(
+    data: Data = None,
+    quick: Quick = False,
+    sets: Annotated[int, typer.Option(min=1, help="Parameter and mass sets of each object.")] = 10,
+    seed: options.Seed = 0,
+    out: Out = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Choose contact points, and push objects to goal poses on the paper's round table."""
+    from gridpush_drake.apps.kernels import compile_kernels
+    from gridpush_drake.bench.planning import run
+
+    _check((out,), force)
+    compile_kernels()
+    tables = run(data and data / "masks", sets=sets, seed=seed, quick=quick, progress=stderr.isatty())
+    _show(tables, out, force, json)
+
+
+@app.command("pregrasp")
+def pregrasp(
+    quick: Quick = False,
+    mass_sets: Annotated[int | None, typer.Option(min=1, help="Hidden sets of masses and frictions an object.")] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, help="Tables, starts and noises a set.")] = None,
+    depth: Annotated[float, typer.Option(help="Of the gripper's fingers: what must hang over, m.")] = 0.03,
+    seed: options.Seed = 0,
+    out: Out = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Slide objects of hidden masses to the table's edge, and compare pokes by design with random ones."""
+    from gridpush_drake.apps.kernels import compile_kernels
+    from gridpush_drake.bench.pregrasp import MASS_SETS, SEEDS, run
+
+    _check((out,), force)
+    compile_kernels()
+    tables = run(
+        mass_sets=mass_sets or MASS_SETS, seeds=seeds or SEEDS, seed=seed, depth=depth, quick=quick,
+        progress=stderr.isatty(),
+    )  # fmt: skip
+    _show(tables, out, force, json)
+
+
+@app.command("drake")
+def drake(
+    quick: Quick = False,
+    seed: options.Seed = 0,
+    out: Out = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Set Drake's plant beside the grid LCP, time the LCP system, and let the whole station learn."""
+    from gridpush_drake.apps.kernels import compile_kernels
+    from gridpush_drake.bench import lcp_system, plant, station
+
+    _check((out,), force)
+    compile_kernels()
+    with step_progress("GridLcpSystem") as report:
+        tables = lcp_system.run(progress=report)
+    shown = stderr.isatty()
+    if quick:
+        tables += plant.run(plant.OBJECTS[:1], 2, seed=seed, progress=shown)
+        tables += station.run(station.OBJECTS[:1], (seed,), progress=shown)
+    else:
+        tables += plant.run(seed=seed, progress=shown)
+        tables += station.run(seeds=[seed + s for s in station.SEEDS], progress=shown)
+    _show(tables, out, force, json)
+
+
 def _check(paths: "Sequence[Path | None]", force: bool) -> None:
     from gridpush_drake.files import check_writable
 

@@ -106,6 +106,26 @@ def step_progress(what: str, total: int | None = None) -> Iterator[Callable[[str
         yield report
 
 
+@contextmanager
+def count_progress(what: str, total: int) -> Iterator[Callable[[str, int], None]]:
+    """Shows how far a count has come, and what is being done, on a terminal's standard error only.
+
+    Args:
+        what: the work.
+        total: to count to.
+
+    Yields:
+        What the work calls now and then, with what it is doing and its count.
+    """
+    with _bar() as progress:
+        task = progress.add_task(what, total=total)
+
+        def report(doing: str, count: int) -> None:
+            progress.update(task, completed=count, description=f"{what}: {doing}")
+
+        yield report
+
+
 def _bar() -> Any:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn

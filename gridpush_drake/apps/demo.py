@@ -1,128 +1,114 @@
-"""`gridpush demo`: learn a shipped object from simulated pushes with a hidden truth."""
+"""`gridpush demo`: a robot that pokes an object it knows nothing about, and comes to know it."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gridpush_drake.apps import options
-from gridpush_drake.apps.console import MM, print_json, print_line, search_progress
+from gridpush_drake.apps.console import count_progress, print_json, print_notice
 
 if TYPE_CHECKING:
-    from gridpush_drake.grid.parameters import CellParameters
-    from gridpush_drake.identification.result import Identification
-    from gridpush_drake.pushes.log import PushLog
+    from pydrake.geometry import Meshcat
 
-FILES = ("report.html", "model.yaml", "object.yaml", "pushes.csv", "held_out.csv", "truth.yaml")
+    from gridpush_drake.scene.scenario import PushScenario
+    from gridpush_drake.station.experiment import ExperimentRecord
 
-HELD_OUT = 6
-"""Pushes kept back to judge the model by."""
+FRAMES_A_SECOND = 20.0
+"""Of the recording."""
+
+EXIT_INTERRUPTED = 130
 
 
 def demo(
     object_file: Annotated[
-        str, typer.Option("--object", metavar="NAME|FILE", help="A shipped object's name, or an object file.")
-    ] = "claw_hammer",
-    pushes: Annotated[int, typer.Option(min=1, help="How many pushes to learn from.")] = 8,
-    seed: options.Seed = 0,
+        str | None,
+        typer.Option("--object", metavar="NAME|FILE", help="A shipped object's name, or an object file."),
+    ] = None,
+    scenario_file: Annotated[
+        Path | None,
+        typer.Option("--scenario", metavar="FILE", help="What stands where, as YAML; see models/scenarios."),
+    ] = None,
+    pushes: Annotated[int | None, typer.Option(min=1, help="How many pushes to learn from.  [default: 8]")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of everything random.  [default: 0]")] = None,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for what the demo writes.")] = Path(
         "gridpush_demo"
     ),
-    open_report: Annotated[bool, typer.Option("--open", help="Open the report in the browser.")] = False,
+    open_browser: Annotated[
+        bool, typer.Option("--open", help="Watch it in the browser, and open the report at the end.")
+    ] = False,
+    realtime_rate: Annotated[
+        float, typer.Option(min=0, metavar="R", help="Simulated seconds a second, at most; 0: as fast as it goes.")
+    ] = 0.0,
+    port: Annotated[
+        int | None, typer.Option(metavar="N", help="For Meshcat to listen on.  [default: the first free one from 7000]")
+    ] = None,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Push a simulated object with a hidden mass and friction, learn them, and write a report."""
-    from gridpush_drake.apps.demo_experiment import hide_truth, make_pushes
-    from gridpush_drake.apps.inputs import load_object, make_folder
+    """Let a simulated iiwa poke an object whose weights are hidden, learn them, and write a report and a recording."""
+    from gridpush_drake.apps.demo_files import FILES, write_demo
+    from gridpush_drake.apps.demo_verdict import judge, print_verdict
+    from gridpush_drake.apps.inputs import make_folder
     from gridpush_drake.apps.kernels import compile_kernels
     from gridpush_drake.files import check_writable
-    from gridpush_drake.identification.identify import identify
+    from gridpush_drake.scene.meshcat_server import StartMeshcatServer
+    from gridpush_drake.scene.scenario_check import check_scenario
 
-    obj = load_object(object_file)
+    scenario = _make_scenario(scenario_file, object_file, pushes, seed)
+    check_scenario(scenario)
     make_folder(out)
     for name in FILES:
         check_writable(out / name, force)
+    meshcat = StartMeshcatServer(port)
     compile_kernels()
-    truth = hide_truth(obj, seed)
-    log = make_pushes(obj, truth, pushes + HELD_OUT, seed)
-    training, held_out = log[:pushes], log[pushes:]
-    with search_progress(f"identifying {obj.name}", None) as progress:
-        result = identify(obj, training, seed=seed, progress=progress)
-    _write(out, result, training, held_out, truth, force)
-    verdict = _judge(result, held_out, truth)
+    print_notice(f"Watch it at {meshcat.web_url()}")
+    if open_browser:
+        typer.launch(meshcat.web_url())
+    record = _run(scenario, meshcat, realtime_rate)
+    written = write_demo(out, scenario, record, meshcat, force)
+    verdict = judge(record)
     if json:
-        print_json({**verdict, "written": [str(out / name) for name in FILES]})
+        print_json({**verdict, "written": [str(path) for path in written]})
     else:
-        _print_verdict(verdict)
-        print_line(f"\nThe report is {out / FILES[0]}; beside it are {', '.join(FILES[1:])}.")
-    if open_report:
+        print_verdict(verdict, written)
+    if open_browser and (out / FILES[0]) in written:
         typer.launch(str((out / FILES[0]).resolve()))
+    if record.status == "interrupted":
+        raise typer.Exit(EXIT_INTERRUPTED)
 
 
-def _write(
-    folder: Path,
-    result: "Identification",
-    training: "PushLog",
-    held_out: "PushLog",
-    truth: "CellParameters",
-    force: bool,
-) -> None:
-    import yaml
+def _make_scenario(
+    scenario_file: Path | None, object_file: str | None, pushes: int | None, seed: int | None
+) -> "PushScenario":
+    """The scenario of a file, or the default one, with what the command line says instead."""
+    from gridpush_drake.scene.scenario import PushScenario
+    from gridpush_drake.scene.scenario_file import read_scenario
 
-    from gridpush_drake.apps.demo_experiment import describe_truth
-    from gridpush_drake.files import write_whole
-    from gridpush_drake.grid.object_file import write_object
-    from gridpush_drake.identification.model_file import write_model
-    from gridpush_drake.report.html import make_report
-
-    report, model, object_file, pushes, kept_back, true = (folder / name for name in FILES)
-    write_whole(report, make_report(result, training, held_out, truth), force)
-    write_model(model, result, force)
-    write_object(object_file, result.obj, force=force)
-    training.write_csv(pushes, force)
-    held_out.write_csv(kept_back, force)
-    write_whole(true, yaml.safe_dump(describe_truth(result.obj, truth), sort_keys=False), force)
+    scenario = read_scenario(scenario_file) if scenario_file else PushScenario()
+    if object_file is not None:
+        scenario.object = object_file
+    if pushes is not None:
+        scenario.pokes.count = pushes
+    if seed is not None:
+        scenario.seed = seed
+    return scenario
 
 
-def _judge(result: "Identification", held_out: "PushLog", truth: "CellParameters") -> dict[str, Any]:
-    """Errors before and after learning; lengths in m."""
-    import numpy as np
+def _run(scenario: "PushScenario", meshcat: "Meshcat", realtime_rate: float) -> "ExperimentRecord":
+    from gridpush_drake.station.experiment import PushExperiment
+    from gridpush_drake.systems.push_status import PushStatus
 
-    from gridpush_drake.grid.parameters import CellParameters
-    from gridpush_drake.identification.error_summary import calc_mean_cell_error
+    experiment = PushExperiment(scenario, meshcat)
+    experiment.AimCamera(meshcat)
+    training, total = scenario.pokes.count, scenario.pokes.count + scenario.pokes.test_count
+    with count_progress("the robot", total) as report:
 
-    obj = result.obj
-    uniform = CellParameters.uniform(obj)
+        def show(status: PushStatus, logged: int) -> None:
+            kind = "push" if status.executed < training else "held-out push"
+            at = min(status.executed + 1, total)
+            refused = f" (refused {status.refused}: {status.reason})" if status.reason else ""
+            report(f"{kind} {at} of {total}, {status.phase}{refused}", status.executed)
 
-    def compare(params: CellParameters) -> dict[str, float]:
-        gap = params.relative_friction() @ obj.p_BC - truth.relative_friction() @ obj.p_BC
-        return {
-            "held_out_cell_error": calc_mean_cell_error(obj, params, held_out, result.regime),
-            "centre_of_friction_error": float(np.linalg.norm(gap)),
-            "centre_of_mass_error": float(np.linalg.norm(params.centre_of_mass(obj) - truth.centre_of_mass(obj))),
-        }
-
-    return {
-        "object": obj.name,
-        "pushes": len(result.push_names),
-        "held_out": len(held_out),
-        "status": result.status,
-        "message": result.message,
-        "before": compare(uniform),
-        "after": compare(result.params),
-    }
-
-
-def _print_verdict(verdict: dict[str, Any]) -> None:
-    before, after = verdict["before"], verdict["after"]
-    print_line(
-        f"The {verdict['object'].replace('_', ' ')} after {verdict['pushes']} simulated pushes: {verdict['message']}"
-    )
-    for what, key in (
-        (f"error of {verdict['held_out']} pushes held out", "held_out_cell_error"),
-        ("error of the centre of friction", "centre_of_friction_error"),
-        ("error of the centre of mass", "centre_of_mass_error"),
-    ):
-        print_line(f"  {what}: {before[key] * MM:.1f} mm assuming an even object, {after[key] * MM:.1f} mm as learned")
-    print_line("  (slow pushes do not show mass by itself: the centre of mass supposes equal friction of all cells)")
+        meshcat.StartRecording(FRAMES_A_SECOND)
+        return experiment.run(progress=show, realtime_rate=realtime_rate)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from gridpush_drake.apps import bench, demo, identify, import_logs, predict, show, simulate
+from gridpush_drake.apps import bench, demo, export, identify, import_logs, plan, predict, show, simulate, slide, view
 from gridpush_drake.errors import GridPushError
 
 EXIT_BAD_INPUT = 2
@@ -26,6 +26,10 @@ app.command("identify")(identify.identify)
 app.command("predict")(predict.predict)
 app.command("simulate")(simulate.simulate)
 app.command("show")(show.show)
+app.command("plan")(plan.plan)
+app.command("export")(export.export)
+app.command("view")(view.view)
+app.command("slide")(slide.slide)
 app.add_typer(import_logs.app, name="import")
 app.add_typer(bench.app, name="bench")
 
@@ -48,7 +52,7 @@ def common(
 
 
 def main(args: list[str] | None = None) -> None:
-    """Runs the command line and exits: 0 done, 2 bad input (said in one line), 130 interrupted.
+    """Runs the command line and exits: 0 done, 1 no plan found, 2 bad input (said in one line), 130 interrupted.
 
     Args:
         args: instead of the process's own.

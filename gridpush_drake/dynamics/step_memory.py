@@ -24,7 +24,7 @@ def make_memory() -> NDArray[np.float64]:
 
 
 @kernel()
-def recall(memory, xi, last_xi, modes):  # type: ignore[no-untyped-def]
+def recall(memory, xi, last_xi, modes):
     """Fills twists (3,) and modes (2,) from the memory; returns the steps moved in a row."""
     for i in range(3):
         xi[i], last_xi[i] = memory[i], memory[_LAST + i]
@@ -34,7 +34,7 @@ def recall(memory, xi, last_xi, modes):  # type: ignore[no-untyped-def]
 
 
 @kernel()
-def remember(memory, xi, last_xi, modes, moving_steps):  # type: ignore[no-untyped-def]
+def remember(memory, xi, last_xi, modes, moving_steps):
     """Fills the memory (MEMORY_SIZE,)."""
     for i in range(3):
         memory[i], memory[_LAST + i] = xi[i], last_xi[i]

@@ -46,7 +46,7 @@ REFUSALS = 20
 PATIENCE = 10.0
 """Simulated without a push being under way, after which it is stuck, s."""
 
-CAMERA_DISTANCE, CAMERA_AZIMUTH, CAMERA_ELEVATION = 1.05, 0.6, 0.7
+CAMERA_DISTANCE, CAMERA_AZIMUTH, CAMERA_ELEVATION = 0.85, 0.7, 0.75
 """Of Meshcat's camera, m, rad and rad: opposite the robot, a little to its left."""
 
 LOST_AFTER = 0.5

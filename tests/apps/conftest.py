@@ -1,11 +1,12 @@
 import pytest
 
-from gridpush_drake.apps.demo_experiment import hide_truth, make_pushes
 from gridpush_drake.apps.kernels import compile_kernels
 from gridpush_drake.grid.object_file import write_object
 from gridpush_drake.identification.model_file import write_model
+from gridpush_drake.scene.truth import hide_truth
 from tests.helpers.command_line import run_gridpush
 from tests.helpers.made_identifications import make_block, make_identification
+from tests.helpers.simulated_pushes import make_pushes
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -1,66 +1,136 @@
 import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
 import yaml
 
-from gridpush_drake.apps.demo import FILES
-from gridpush_drake.apps.demo_experiment import PushStyle, describe_truth, hide_truth, make_pushes
+from gridpush_drake.apps.demo_files import FILES
 from gridpush_drake.identification.model_file import read_model
 from gridpush_drake.pushes.log import PushLog
-from tests.helpers.made_identifications import make_block
+from gridpush_drake.scene.meshcat_server import StartMeshcatServer, looks_like_recording
+
+SHORT = "object: {object}\npokes: {{count: {count}, test_count: {test_count}, speed: 0.06}}\n"
 
 
-def test_learns_and_reports(gridpush, block, tmp_path):
+def write_scenario(folder, object_name="open_book", count=2, test_count=1):
+    path = folder / "scenario.yaml"
+    path.write_text(SHORT.format(object=object_name, count=count, test_count=test_count))
+    return path
+
+
+@pytest.mark.slow
+def test_learns_and_reports(gridpush, tmp_path):
     out = tmp_path / "demo"
-    outcome = gridpush("demo", "--object", block, "--pushes", "4", "--out", out, "--json")
+    outcome = gridpush("demo", "--scenario", write_scenario(tmp_path), "--out", out, "--port", "0", "--json")
     assert outcome.code == 0, outcome.err
     assert sorted(path.name for path in out.iterdir()) == sorted(FILES)
     verdict = json.loads(outcome.out)
-    assert verdict["pushes"] == 4
-    assert verdict["after"]["held_out_cell_error"] < verdict["before"]["held_out_cell_error"]
-    assert read_model(out / "model.yaml").push_names == tuple(
-        seen.name for seen in PushLog.read_csv(out / "pushes.csv")
-    )
-    assert yaml.safe_load((out / "truth.yaml").read_text())["object"] == "block"
+    assert (verdict["status"], verdict["pushes"], verdict["held_out"]) == ("finished", 2, 1)
+    assert verdict["conduct"]["touched"] == []
+    assert max(verdict["conduct"][f"{what}_share"] for what in ("position", "velocity", "torque")) <= 1
+    assert looks_like_recording(out / "recording.html")
+    assert "Push by push" in (out / "report.html").read_text()
+    assert yaml.safe_load((out / "truth.yaml").read_text())["object"] == "open_book"
+    assert yaml.safe_load((out / "scenario.yaml").read_text())["pokes"]["count"] == 2
+
+    # the same files, offline
+    offline = tmp_path / "offline.yaml"
+    again = gridpush("identify", out / "object.yaml", out / "pushes.csv", "--out", offline)
+    assert again.code == 0, again.err
+    np.testing.assert_array_equal(read_model(offline).params.mass, read_model(out / "model.yaml").params.mass)
+    assert len(PushLog.read_csv(out / "held_out.csv")) == 1
 
 
-def test_replaces_nothing_unasked(gridpush, refuses, block, tmp_path):
+def test_replaces_nothing_unasked(refuses, tmp_path):
     out = tmp_path / "demo"
     out.mkdir()
     (out / "pushes.csv").write_text("mine")
-    refuses("demo", "--object", block, "--out", out, says=["pushes.csv", "--force"])
+    refuses("demo", "--out", out, says=["pushes.csv", "--force"])
     assert (out / "pushes.csv").read_text() == "mine"
 
 
 def test_refuses_an_unknown_object(refuses, tmp_path):
-    refuses("demo", "--object", "hamer", "--out", tmp_path / "demo", says=["hamer", "claw_hammer"])
+    refuses("demo", "--object", "claw_hamer", "--out", tmp_path / "demo", says=["claw_hamer", "claw_hammer"])
 
 
-def test_the_experiment_follows_its_seed():
-    obj = make_block()
-    first, again, other = (make_pushes(obj, hide_truth(obj, seed), 3, seed) for seed in (5, 5, 6))
-    for one, same in zip(first, again, strict=True):
-        np.testing.assert_array_equal(one.poses_observed, same.poses_observed)
-    assert not np.array_equal(first[0].pose, other[0].pose)
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("version: 0\n", ["version", "older"]),
+        ("objekt: claw_hammer\n", ["objekt", "object"]),
+        ("object_pose: [2.0, 0.0, 0.0]\n", ["object_pose", "table"]),
+        ("workspace: {x: [2.0, 3.0]}\n", ["workspace", "reach"]),
+    ],
+)
+def test_refuses_a_scenario_that_makes_no_sense(refuses, tmp_path, text, says):
+    path = tmp_path / "bad.yaml"
+    path.write_text(text)
+    refuses("demo", "--scenario", path, "--out", tmp_path / "demo", says=says)
 
 
-def test_the_pusher_starts_at_the_outline_and_goes_inwards():
-    obj, style = make_block(), PushStyle()
-    for seen in make_pushes(obj, hide_truth(obj, 0), 6, 0, style):
-        moved = np.linalg.norm(obj.cells_at(seen.final_pose) - obj.cells_at(seen.pose), axis=1).mean()
-        assert moved > 0.8 * style.least_motion
-        assert style.shortest - 1e-9 <= seen.push.length <= style.longest + 1e-9
-        assert len(seen.t_observed) == style.samples
+def test_refuses_an_object_larger_than_the_table(refuses, tmp_path):
+    door = tmp_path / "door.yaml"
+    door.write_text("name: door\noutline: [[-1, -0.4], [1, -0.4], [1, 0.4], [-1, 0.4]]\nmax_cells: 60\n")
+    refuses("demo", "--object", door, "--out", tmp_path / "demo", says=["door", "larger than the table"])
 
 
-def test_the_truth_keeps_the_total_mass():
-    obj = make_block()
-    truth = hide_truth(obj, 0)
-    assert truth.total_mass == pytest.approx(1.2)
-    described = describe_truth(obj, truth)
-    assert sum(part["cells"] * part["cell_mass"] for part in described["parts"]) == pytest.approx(1.2)
-    assert sum(part["relative_friction"] for part in described["parts"]) == pytest.approx(1)
+def test_refuses_a_port_in_use(gridpush, tmp_path):
+    server = StartMeshcatServer(0)
+    with socket.socket() as probe:
+        assert probe.connect_ex(("localhost", server.port())) == 0
+    outcome = gridpush("demo", "--out", tmp_path / "demo", "--port", str(server.port()))
+    assert outcome.code == 2
+    assert str(server.port()) in outcome.err
+    assert "in use" in outcome.err
+
+
+@pytest.mark.slow
+def test_an_interrupted_demo_keeps_what_was_done(tmp_path):
+    out = tmp_path / "demo"
+    command = shutil.which("gridpush") or sys.executable
+    arguments = [
+        command,
+        "demo",
+        "--scenario",
+        write_scenario(tmp_path, count=5),
+        "--out",
+        out,
+        "--port",
+        "0",
+        "--json",
+    ]
+    process = subprocess.Popen(
+        arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    assert "Watch it at" in _read_until(process.stderr, "Watch it at")
+    time.sleep(25)
+    os.kill(process.pid, signal.SIGINT)
+    printed, errors = process.communicate(timeout=60)
+    assert "Traceback" not in errors
+    assert process.returncode == 130, errors
+    verdict = json.loads(printed)
+    assert verdict["status"] == "interrupted"
+    assert (out / "recording.html").exists()
+    assert (out / "scenario.yaml").exists()
+    assert ("model.yaml" in {path.name for path in out.iterdir()}) == (verdict["pushes"] > 0)
+
+
+def _read_until(stream, text):
+    read = ""
+    while text not in read:
+        line = stream.readline()
+        if not line:
+            break
+        read += line
+    return read
 
 
 @pytest.mark.slow
@@ -68,5 +138,5 @@ def test_the_hammer_as_readme_says(gridpush, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     outcome = gridpush("demo")
     assert outcome.code == 0, outcome.err
-    assert "claw hammer after 8 simulated pushes" in outcome.out
+    assert "claw hammer after 8 pushes" in outcome.out
     assert (tmp_path / "gridpush_demo" / "report.html").exists()

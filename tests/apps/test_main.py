@@ -11,6 +11,7 @@ from gridpush_drake.apps.options import OptionError, parse_numbers
 COMMANDS = [
     (), ("demo",), ("identify",), ("predict",), ("simulate",), ("show",), ("import",), ("import", "cmu"),
     ("import", "mit"), ("bench",), ("bench", "speed"), ("bench", "paper"), ("bench", "real"),
+    ("bench", "drake"), ("export",), ("view",),
 ]  # fmt: skip
 
 

@@ -27,6 +27,7 @@ def short():
     return first, experiment.run(), told
 
 
+@pytest.mark.slow
 def test_carries_out_its_pushes(short):
     record, _, told = short
     assert record.status == FINISHED
@@ -37,6 +38,7 @@ def test_carries_out_its_pushes(short):
     assert told[-1][1] == 2
 
 
+@pytest.mark.slow
 def test_a_second_run_of_the_same_diagram_is_the_same(short):
     first, second, _ = short
     for one, other in zip(first.log, second.log, strict=True):
@@ -45,6 +47,7 @@ def test_a_second_run_of_the_same_diagram_is_the_same(short):
     np.testing.assert_array_equal(first.estimates[-1].params.mass, second.estimates[-1].params.mass)
 
 
+@pytest.mark.slow
 def test_the_log_says_the_same_offline(short, tmp_path):
     record, _, _ = short
     path = tmp_path / "pushes.csv"
@@ -56,6 +59,7 @@ def test_the_log_says_the_same_offline(short, tmp_path):
     np.testing.assert_array_equal(direct.params.mass, record.estimates[-1].params.mass)
 
 
+@pytest.mark.slow
 def test_ends_when_the_object_leaves_the_table():
     experiment = PushExperiment(make_scenario(2, object="open_book", object_pose=[0.6, 0.0, 0.0]))
     station = experiment.station
@@ -78,6 +82,7 @@ def _beside_table():
     return RigidTransform([0.6, 1.5, -0.2])
 
 
+@pytest.mark.slow
 def test_an_object_out_of_the_fingers_workspace_is_an_error():
     scenario = make_scenario()
     scenario.workspace.x, scenario.workspace.y = [0.585, 0.615], [-0.015, 0.015]
@@ -98,6 +103,7 @@ def test_gives_up_after_many_refusals():
     assert "the arm sulks" in message
 
 
+@pytest.mark.slow
 def test_commands_are_numbered_anew_in_each_run(short):
     assert PushCommand().number == 0
     first, second, _ = short

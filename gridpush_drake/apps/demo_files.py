@@ -1,0 +1,82 @@
+"""What the demo leaves in its folder."""
+
+from pathlib import Path
+
+import yaml
+from pydrake.geometry import Meshcat
+
+from gridpush_drake.files import write_whole
+from gridpush_drake.grid.object_file import write_object
+from gridpush_drake.identification.error_summary import calc_mean_cell_error
+from gridpush_drake.identification.identify import describe_prior
+from gridpush_drake.identification.model_file import write_model
+from gridpush_drake.identification.result import Identification
+from gridpush_drake.pushes.log import PushLog
+from gridpush_drake.report.html import make_report
+from gridpush_drake.scene.meshcat_server import write_recording
+from gridpush_drake.scene.scenario import PushScenario
+from gridpush_drake.scene.scenario_file import write_scenario
+from gridpush_drake.scene.truth import describe_truth
+from gridpush_drake.station.experiment import ExperimentRecord
+
+FILES = (
+    "report.html",
+    "recording.html",
+    "model.yaml",
+    "object.yaml",
+    "pushes.csv",
+    "held_out.csv",
+    "truth.yaml",
+    "scenario.yaml",
+)
+
+
+def write_demo(
+    folder: Path,
+    scenario: PushScenario,
+    record: ExperimentRecord,
+    meshcat: Meshcat,
+    force: bool,
+) -> list[Path]:
+    """Writes what an experiment came to.
+
+    The model is the station's own: that which `gridpush identify` makes of object.yaml and pushes.csv.
+
+    Args:
+        folder: where; it exists.
+        scenario: of the experiment.
+        record: of the experiment; what it was too short for is not written.
+        meshcat: with its recording.
+        force: whether existing files may be replaced.
+
+    Returns:
+        The files written, in the order of FILES.
+
+    Raises:
+        OutputError: a file exists and `force` is not set, or it cannot be written.
+    """
+    report, recording, model, object_file, pushes, kept_back, truth, setting = (folder / name for name in FILES)
+    written = [recording, object_file, truth, setting]
+    write_recording(meshcat, recording, force)
+    write_object(object_file, record.obj, force=force)
+    write_whole(truth, yaml.safe_dump(describe_truth(record.obj, record.truth), sort_keys=False), force)
+    write_scenario(setting, scenario, force)
+    training, held_out = record.training_log, record.held_out_log
+    if record.estimates:
+        result = record.estimates[-1]
+        training.write_csv(pushes, force)
+        write_model(model, result, force)
+        learning = calc_learning(record, result, held_out) if len(held_out) else None
+        page = make_report(result, training, held_out if len(held_out) else None, record.truth, learning)
+        write_whole(report, page, force)
+        written += [pushes, model, report]
+    if len(held_out):
+        held_out.write_csv(kept_back, force)
+        written.append(kept_back)
+    return [folder / name for name in FILES if folder / name in written]
+
+
+def calc_learning(record: ExperimentRecord, result: Identification, held_out: PushLog) -> list[float]:
+    """Mean cell error of the held-out pushes, m, before the first push and after each."""
+    estimates = [describe_prior(record.obj), *record.estimates]
+    return [calc_mean_cell_error(record.obj, found.params, held_out, result.regime) for found in estimates]

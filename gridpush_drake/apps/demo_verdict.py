@@ -1,0 +1,66 @@
+"""What came of the demo, in numbers and in words."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gridpush_drake.apps.console import MM, print_line
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.identification.error_summary import calc_mean_cell_error
+from gridpush_drake.station.experiment import FINISHED, ExperimentRecord
+
+
+def judge(record: ExperimentRecord) -> dict[str, Any]:
+    """Errors before and after learning, lengths in m, and how the robot behaved; for JSON."""
+    conduct = record.conduct
+    verdict: dict[str, Any] = {
+        "object": record.obj.name,
+        "status": record.status,
+        "message": record.message,
+        "pushes": len(record.training_log),
+        "held_out": len(record.held_out_log),
+        "simulated_seconds": record.duration,
+        "conduct": {
+            "position_share": conduct.position_share,
+            "velocity_share": conduct.velocity_share,
+            "torque_share": conduct.torque_share,
+            "tracking_error": conduct.tracking_error,
+            "touched": sorted(map(list, conduct.touched)),
+        },
+    }
+    if record.estimates:
+        verdict["learned"] = record.estimates[-1].message
+        verdict["before"] = _compare(record, CellParameters.uniform(record.obj))
+        verdict["after"] = _compare(record, record.estimates[-1].params)
+    return verdict
+
+
+def print_verdict(verdict: dict[str, Any], written: list[Path]) -> None:
+    """Prints a verdict, and what was written."""
+    name = verdict["object"].replace("_", " ")
+    if verdict["status"] != FINISHED:
+        print_line(verdict["message"])
+    if "after" in verdict:
+        print_line(f"The {name} after {verdict['pushes']} pushes: {verdict['learned']}")
+        before, after = verdict["before"], verdict["after"]
+        rows = [("error of the centre of mass", "centre_of_mass_error")]
+        if verdict["held_out"]:
+            rows.insert(0, (f"error of {verdict['held_out']} pushes held out", "held_out_cell_error"))
+        for what, key in rows:
+            print_line(
+                f"  {what}: {before[key] * MM:.1f} mm assuming an even object, {after[key] * MM:.1f} mm as learned"
+            )
+    else:
+        print_line(f"Nothing was learned about the {name}.")
+    folder, names = written[0].parent, [path.name for path in written]
+    print_line(f"\nIn {folder}: {', '.join(names)}.")
+
+
+def _compare(record: ExperimentRecord, params: CellParameters) -> dict[str, float]:
+    obj, truth = record.obj, record.truth
+    regime = record.estimates[-1].regime
+    return {
+        "held_out_cell_error": calc_mean_cell_error(obj, params, record.held_out_log, regime),
+        "centre_of_mass_error": float(np.linalg.norm(params.centre_of_mass(obj) - truth.centre_of_mass(obj))),
+    }

@@ -1,0 +1,175 @@
+"""`gridpush bench pregrasp`: slides to the table's rim with hidden masses, and what pokes are worth.
+
+Two experiments in the quasi-static LCP world with a table's edge (`bench.pregrasp_world`):
+
+    sliding     every object with hidden masses and frictions is explored, slid to the rim and grasped there, by the
+                method, by the paper's two ablations, and with the true parameters
+    exploring   pokes chosen by design, or at random, until the centre of mass's standard deviation is small
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from gridpush_drake.bench.pregrasp_exploration import AIMS, ExplorationScore, explore
+from gridpush_drake.bench.pregrasp_objects import OBJECTS, load_bench_object, make_table
+from gridpush_drake.bench.pregrasp_tables import SlideScore, tabulate_exploration, tabulate_objects, tabulate_slides
+from gridpush_drake.bench.pregrasp_world import EdgeWorld, learn, learn_as_the_paper, run_pregrasp
+from gridpush_drake.bench.table import Table
+from gridpush_drake.bench.workers import WORKERS, Report, run_jobs
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.planning.belief import Belief
+from gridpush_drake.planning.grasp_parts import GraspPart, Gripper, find_grasp_parts
+from gridpush_drake.planning.pregrasp import PreGraspOptions, PreGraspPlanner
+from gridpush_drake.pushes.log import PushLog
+
+LEARNED, TRUE, UNIFORM, UNBOUNDED = "learned", "true", "uniform", "unbounded"
+METHODS = (LEARNED, TRUE, UNIFORM, UNBOUNDED)
+"""The method; the true parameters; uniform mass; the paper's identification without a bound on the friction."""
+
+EXPLORING = {f"exploring, {aim}": aim for aim in AIMS}
+
+MASS_SETS, SEEDS = 10, 3
+QUICK_MASS_SETS, QUICK_SEEDS = 2, 1
+
+FRICTION_RANGE = (0.25, 0.5)
+"""What the frictions of an object's parts are drawn from, and what the method knows of them."""
+
+CONTACT_FRICTION_RANGE = (0.35, 0.65)
+"""Of the finger on the object."""
+
+NO_BOUND = (0.01, 10.0)
+"""Frictions that the unbounded ablation may believe in."""
+
+MASS_RANGE = (0.1, 5.0)
+"""kg a cell, log-uniform by part, as the paper's."""
+
+DEPTH = 0.03
+"""m of a part that must hang over: the fingers' depth."""
+
+OFFSET = 0.05
+"""m, at most, of the object from the table's middle at the beginning."""
+
+PAPER_PUSHES = 4
+"""Pokes that the unbounded ablation learns from before it slides; the method decides itself."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One object with one mass set and seed, by one method, or both ways of exploring."""
+
+    name: str
+    mass_set: int
+    seed: int
+    method: str
+    depth: float = DEPTH
+
+
+def run(
+    objects: Sequence[str] = OBJECTS,
+    mass_sets: int = MASS_SETS,
+    seeds: int = SEEDS,
+    methods: Sequence[str] = METHODS,
+    seed: int = 0,
+    progress: bool | Report = True,
+    *,
+    depth: float = DEPTH,
+    exploring: bool = True,
+    quick: bool = False,
+    workers: int = WORKERS,
+) -> list[Table]:
+    """Measures both experiments.
+
+    Args:
+        objects: names of shipped objects; all that have a graspable part by default.
+        mass_sets: hidden sets of masses and frictions an object.
+        seeds: tables, starts and noises a mass set; the table takes turns with both.
+        methods: of METHODS.
+        seed: of everything random.
+        progress: whether to show a bar on standard error, or what to call with each piece of work that is done.
+        depth: of the gripper's fingers, m; the deeper, the nearer the object comes to tipping.
+        exploring: whether to compare pokes too.
+        quick: only `QUICK_MASS_SETS` mass sets and `QUICK_SEEDS` seeds.
+        workers: processes.
+
+    Returns:
+        Slides by method; slides of the first method by object; and pokes, by design and at random.
+
+    Raises:
+        GridPushError: a name is not known, or a count is not positive.
+    """
+    _check(objects, mass_sets, seeds, methods)
+    if quick:
+        mass_sets, seeds = min(mass_sets, QUICK_MASS_SETS), min(seeds, QUICK_SEEDS)
+    wanted = (*methods, *EXPLORING) if exploring else tuple(methods)
+    jobs = [
+        Job(name, mass_set, seed + i, method, depth)
+        for mass_set in range(mass_sets)
+        for i in range(seeds)
+        for name in objects
+        for method in wanted
+    ]
+    done = run_jobs(run_job, jobs, _describe, title="pre-grasp sliding", workers=workers, progress=progress)
+    slides = [score for score in done if isinstance(score, SlideScore)]
+    tables = [tabulate_slides(slides, methods), tabulate_objects(slides, objects, methods[0])]
+    if exploring:
+        tables.append(tabulate_exploration([score for score in done if isinstance(score, ExplorationScore)], objects))
+    return tables
+
+
+def run_job(job: Job) -> SlideScore | ExplorationScore:
+    """Runs one job."""
+    obj, parts = _load(job.name, job.depth)
+    truth = make_truth(obj, job.mass_set)
+    if job.method in EXPLORING:
+        return explore(obj, truth, job.name, job.mass_set, job.seed, EXPLORING[job.method])
+    rng = np.random.default_rng([job.seed, job.mass_set])
+    surface = make_table(job.seed + job.mass_set)
+    start = np.append(rng.uniform(-OFFSET, OFFSET, 2), rng.uniform(-np.pi, np.pi))
+    world = EdgeWorld(obj, truth, surface, start, rng)
+    planner = PreGraspPlanner(obj, surface, PreGraspOptions(least_pokes=_least_pokes(job.method)), parts)
+
+    def believe(log: PushLog) -> Belief | None:
+        if job.method == LEARNED:
+            return learn(obj, planner, log)
+        if job.method == UNBOUNDED:
+            return learn_as_the_paper(obj, planner, log, NO_BOUND)
+        return Belief.of_parameters(obj, truth if job.method == TRUE else CellParameters.uniform(obj))
+
+    outcome = run_pregrasp(world, planner, believe)
+    return SlideScore(job.name, job.method, outcome)
+
+
+def make_truth(obj: GridObject, mass_set: int) -> CellParameters:
+    """Hidden masses and frictions, by part."""
+    truth = CellParameters.random(obj, mass_set, MASS_RANGE, FRICTION_RANGE)
+    rng = np.random.default_rng([mass_set, 1])
+    return replace(truth, contact_friction=float(rng.uniform(*CONTACT_FRICTION_RANGE)))
+
+
+def _least_pokes(method: str) -> int:
+    return {LEARNED: PreGraspOptions().least_pokes, UNBOUNDED: PAPER_PUSHES}.get(method, 0)
+
+
+@lru_cache(maxsize=16)
+def _load(name: str, depth: float) -> tuple[GridObject, tuple[GraspPart, ...]]:
+    obj = load_bench_object(name, FRICTION_RANGE)
+    return obj, tuple(find_grasp_parts(obj, Gripper(depth=depth)))
+
+
+def _check(objects: Sequence[str], mass_sets: int, seeds: int, methods: Sequence[str]) -> None:
+    for what, given, known in (("objects", objects, OBJECTS), ("methods", methods, METHODS)):
+        unknown = [name for name in given if name not in known]
+        if unknown or not given:
+            raise GridPushError(f"{what}: {', '.join(unknown) or 'none'}; expected some of {', '.join(known)}")
+    for what, count in (("mass sets", mass_sets), ("seeds", seeds)):
+        if count < 1:
+            raise GridPushError(f"{what}: {count}; expected at least 1")
+
+
+def _describe(job: Job) -> str:
+    return f"{job.name}, mass set {job.mass_set}, {job.method}"

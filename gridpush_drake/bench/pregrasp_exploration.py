@@ -1,0 +1,112 @@
+"""How many pokes it takes to find the centre of mass, chosen by design and at random.
+
+Either the centre is wanted in both directions, or, as for a goal at the table's edge, across one line: here along the
+object's longest direction.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridpush_drake.bench.pregrasp_world import see
+from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.identification.identify import identify
+from gridpush_drake.planning.exploration import PokeOptions, choose_poke, make_centre_functional, make_pokes
+from gridpush_drake.planning.knowledge import Knowledge
+from gridpush_drake.pushes.log import ObservedPush, PushLog
+
+Array = NDArray[np.float64]
+
+WANTED_STD = 0.005
+"""m, of the centre of mass, in the direction wanted or, of both, in the one least known."""
+
+BOTH, ALONG = "both directions", "along the object"
+AIMS = (BOTH, ALONG)
+"""What of the centre of mass is wanted."""
+
+MOST_POKES = 16
+"""Made before giving up; then counted as one more."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One run.
+
+    Attributes:
+        pokes: made until the standard deviation was small; `MOST_POKES` + 1 where it never was.
+        stds: of what is wanted after each poke, m.
+        errors: of what is wanted after each poke, m.
+        chi_square: squared error of the final estimate in units of its covariance, for each direction wanted; 1 on
+            average where that is right.
+    """
+
+    pokes: int
+    stds: tuple[float, ...]
+    errors: tuple[float, ...]
+    chi_square: float
+
+
+@dataclass(frozen=True)
+class ExplorationScore:
+    """Both ways with one object and one mass set."""
+
+    name: str
+    aim: str
+    active: Trace
+    random: Trace
+
+
+def explore(
+    obj: GridObject, truth: CellParameters, name: str, mass_set: int, seed: int, aim: str = BOTH
+) -> ExplorationScore:
+    """Pokes an object both ways, from the same hidden truth.
+
+    Args:
+        obj: the object.
+        truth: its hidden parameters. All its cells are made to rub alike: only then is the centre of friction the
+            centre of mass.
+        name: of the object.
+        mass_set: number of the hidden set.
+        seed: of noise and random pokes.
+        aim: of AIMS.
+
+    Returns:
+        The two runs.
+    """
+    alike = CellParameters(truth.mass, np.full(obj.n, obj.prior.friction), truth.contact_friction)
+    long = np.linalg.svd(obj.p_BC - obj.p_BC.mean(axis=0))[2][0]
+    wanted = np.eye(2) if aim == BOTH else long[None]
+    runs = [_run(obj, alike, wanted, active, np.random.default_rng([seed, mass_set])) for active in (True, False)]
+    return ExplorationScore(name, aim, *runs)
+
+
+def _run(obj: GridObject, truth: CellParameters, wanted: Array, active: bool, rng: np.random.Generator) -> Trace:
+    """One run; `wanted` (1 or 2, 2) are the directions in which the centre is."""
+    centre, options = wanted @ truth.centre_of_mass(obj), PokeOptions()
+    knowledge, pose, log = Knowledge.of_prior(obj), np.zeros(3), list[ObservedPush]()
+    stds: list[float] = []
+    errors: list[float] = []
+    chi_square = np.nan
+    while len(log) < MOST_POKES and not (stds and stds[-1] < WANTED_STD):
+        pokes = make_pokes(knowledge, pose, options)
+        if active:
+            F = wanted @ make_centre_functional(obj, knowledge.posterior)
+            push = choose_poke(knowledge, pose, pokes, F).push
+        else:
+            push = pokes[int(rng.integers(len(pokes)))]
+        after = see(simulate(obj, truth, push, pose, regime="quasi_static").final_pose, rng)
+        log.append(ObservedPush(f"poke_{len(log)}", push, pose, np.array([push.duration]), after[None]))
+        pose = after
+        seen = PushLog(tuple(log))
+        found = identify(obj, seen, regime="quasi_static")
+        knowledge = Knowledge.of_identification(found, seen if active else None)
+        covariance = wanted @ found.identifiability.centre_of_friction_covariance @ wanted.T
+        error = wanted @ found.identifiability.centre_of_friction - centre
+        stds.append(float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])))
+        errors.append(float(np.linalg.norm(error)))
+        chi_square = float(error @ np.linalg.solve(covariance, error)) / len(wanted)
+    count = len(log) if stds[-1] < WANTED_STD else MOST_POKES + 1
+    return Trace(count, tuple(stds), tuple(errors), chi_square)

@@ -1,0 +1,158 @@
+"""The world of the pre-grasp benchmark: a hidden object on a table with an edge.
+
+The truth is the quasi-static LCP with loads that follow what still lies on the table (`planning.edge_push`); poses are
+seen with noise.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.identification.identify import identify
+from gridpush_drake.identification.result import Identification
+from gridpush_drake.planning.belief import Belief
+from gridpush_drake.planning.edge_push import is_held, simulate_near_edge
+from gridpush_drake.planning.pregrasp import PreGraspPlanner
+from gridpush_drake.planning.pregrasp_goal import calc_overhangs
+from gridpush_drake.planning.surface import SupportSurface
+from gridpush_drake.pushes.log import ObservedPush, PushLog
+
+Array = NDArray[np.float64]
+
+POSITION_NOISE = 0.0005
+"""m per axis, standard deviation of a pose seen."""
+
+ANGLE_NOISE = 0.003
+"""rad."""
+
+MOST_LEARNED_FROM = 14
+"""Pushes: the latest ones; the cost of learning grows with them, and what they tell hardly does."""
+
+
+def see(pose: Array, rng: np.random.Generator) -> Array:
+    """A pose (3,) with noise."""
+    return pose + np.array([POSITION_NOISE, POSITION_NOISE, ANGLE_NOISE]) * rng.standard_normal(3)
+
+
+@dataclass(eq=False)
+class EdgeWorld:
+    """A hidden object on a table.
+
+    Attributes:
+        obj: the object.
+        truth: its hidden parameters.
+        surface: the table.
+        pose: (3,) where it is.
+        rng: of the noise.
+        dropped: whether it fell.
+    """
+
+    obj: GridObject
+    truth: CellParameters
+    surface: SupportSurface
+    pose: Array
+    rng: np.random.Generator
+    dropped: bool = False
+
+    def observe(self) -> Array:
+        """The pose with noise, (3,)."""
+        return see(self.pose, self.rng)
+
+    def push(self, push: Push) -> bool:
+        """Makes a push; returns whether the object was on the table with all its cells throughout."""
+        motion = simulate_near_edge(self.obj, self.truth, push, self.pose, self.surface)
+        self.pose, self.dropped = motion.final_pose, self.dropped or motion.fell
+        return bool(self.surface.contains(self.obj.cells_at(motion.poses)).all())
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended.
+
+    Attributes:
+        grasped: whether a part was declared graspable, and truly hangs over with the object at rest.
+        dropped: whether the object fell.
+        pokes: made.
+        slides: made.
+        reason: the last decision's.
+    """
+
+    grasped: bool
+    dropped: bool
+    pokes: int
+    slides: int
+    reason: str
+
+
+Believe = Callable[[PushLog], Belief | None]
+"""From the pushes seen so far to what is believed; None where more must be seen first."""
+
+
+def run_pregrasp(world: EdgeWorld, planner: PreGraspPlanner, believe: Believe) -> Outcome:
+    """Runs the task to its end.
+
+    Args:
+        world: the hidden object.
+        planner: decides.
+        believe: learns.
+
+    Returns:
+        The outcome.
+    """
+    log: list[ObservedPush] = []
+    counts = {"poke": 0, "slide": 0}
+    belief, learned_from = believe(PushLog(())), 0
+    while True:
+        if len(log) != learned_from:
+            belief, learned_from = believe(PushLog(tuple(log[-MOST_LEARNED_FROM:]))), len(log)
+        # looked at anew: since the last push somebody may have moved it, which says nothing of its masses
+        pose = world.observe()
+        decision = planner.decide(pose, belief, counts["poke"], counts["slide"])
+        push = decision.push
+        if push is None:
+            break
+        counts[decision.action] += 1
+        on_table = world.push(push)
+        if world.dropped:
+            return Outcome(False, True, counts["poke"], counts["slide"], "fell during a push: " + decision.reason)
+        if on_table:
+            seen = world.observe()
+            log.append(ObservedPush(f"push_{len(log)}", push, pose, np.array([push.duration]), seen[None]))
+    grasped = decision.action == "grasp" and _hangs_over(world, planner)
+    return Outcome(grasped, False, counts["poke"], counts["slide"], decision.reason)
+
+
+def learn(obj: GridObject, planner: PreGraspPlanner, log: PushLog) -> Belief | None:
+    """What the default method learns, with its spread."""
+    found = _identify(obj, log, "default")
+    return None if found is None else Belief.of_identification(found, log=log)
+
+
+def learn_as_the_paper(
+    obj: GridObject, planner: PreGraspPlanner, log: PushLog, friction_range: tuple[float, float]
+) -> Belief | None:
+    """What the paper's method learns: masses and frictions within a range, taken for granted.
+
+    The first `planner.options.least_pokes` pushes are chosen, as the default method's are, by what that one learned.
+    """
+    if len(log) < planner.options.least_pokes:
+        return learn(obj, planner, log)
+    wide = replace(obj, prior=replace(obj.prior, friction_min=friction_range[0], friction_max=friction_range[1]))
+    found = _identify(wide, log, "paper")
+    return None if found is None else Belief.of_parameters(obj, found.params)
+
+
+def _identify(obj: GridObject, log: PushLog, method: str) -> Identification | None:
+    if not len(log):
+        return None
+    return identify(obj, log, method=method, regime="quasi_static")
+
+
+def _hangs_over(world: EdgeWorld, planner: PreGraspPlanner) -> bool:
+    overhangs = calc_overhangs(planner.parts, world.pose, world.surface)
+    return bool(overhangs.max() >= 0) and is_held(world.obj, world.truth, world.pose, world.surface)

@@ -1,0 +1,233 @@
+"""What to do next to get an object to the table's rim and grasp it there (the paper's Algorithm 3, made safe).
+
+    explore   poke until the set of possible masses leaves a goal that is safe
+    slide     push towards the goals, stable at the worst all the way; learn from every push that stayed on the table
+    grasp     a graspable part hangs over far enough, and the object stays put at the worst
+
+Each decision depends on what is seen and known now and on how many pushes were made, on nothing else: an object that
+slipped, or was moved by somebody, is simply decided on anew. Whatever cannot be done safely is not done, and the
+decision says why.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import PlanningError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.planning.belief import Belief
+from gridpush_drake.planning.exploration import PokeChoice, PokeOptions, choose_poke, make_centre_functional, make_pokes
+from gridpush_drake.planning.grasp_parts import GraspPart, Gripper, find_grasp_parts
+from gridpush_drake.planning.pregrasp_goal import (
+    GoalOptions,
+    PreGraspGoal,
+    check_room,
+    find_grasp_at,
+    find_pregrasp_goals,
+)
+from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.slide_push import Slide, SlideOptions, make_stability_rule, plan_slide
+from gridpush_drake.planning.surface import SupportSurface
+
+Array = NDArray[np.float64]
+Action = Literal["poke", "slide", "grasp", "fail"]
+
+MM = 1e3
+"""Millimetres in a metre."""
+
+
+ACCEPTED_SHARE = 2 / 3
+"""Of the margin asked of a goal, that it must still have where the object ends up: pushes end only nearly there."""
+
+
+HOPE_SIGMAS = 4.0
+"""How many of the centre's standard deviations across the rim further pokes may add to a margin."""
+
+
+@dataclass(frozen=True)
+class PreGraspOptions:
+    """How far to go, and how carefully.
+
+    Attributes:
+        gripper: its measures.
+        goal: how goals are sought, and what counts as safe.
+        slide: how pushes of the slide are chosen.
+        poke: what pokes may be chosen from.
+        least_pokes: made in any case, unless the object can be grasped where it lies.
+        most_pokes: made before giving up.
+        most_slides: made before giving up.
+        poke_margin: how far inside the rim pokes keep every cell, m.
+    """
+
+    gripper: Gripper = field(default_factory=Gripper)
+    goal: GoalOptions = field(default_factory=GoalOptions)
+    slide: SlideOptions = field(default_factory=SlideOptions)
+    poke: PokeOptions = field(default_factory=PokeOptions)
+    least_pokes: int = 3
+    most_pokes: int = 15
+    most_slides: int = 30
+    poke_margin: float = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class PreGraspDecision:
+    """What to do next.
+
+    Attributes:
+        action: "poke" and "slide" are pushes to make; "grasp" and "fail" end the task.
+        push: to make; None at the end.
+        goal: that the slide goes to, or the present pose where it can be grasped; None where there is none.
+        expected_pose: (3,) of the object after a slide; None otherwise.
+        margin: stability margin of the goal at the worst, m; NaN without a goal.
+        reason: in a sentence.
+    """
+
+    action: Action
+    push: Push | None
+    goal: PreGraspGoal | None
+    expected_pose: Array | None
+    margin: float
+    reason: str
+
+
+class PreGraspPlanner:
+    """Decides what to do next with one object on one table.
+
+    Attributes:
+        obj: the object.
+        surface: the table.
+        options: how far to go, and how carefully.
+        parts: the graspable parts.
+    """
+
+    def __init__(
+        self,
+        obj: GridObject,
+        surface: SupportSurface,
+        options: PreGraspOptions | None = None,
+        parts: Sequence[GraspPart] | None = None,
+    ) -> None:
+        """Finds the graspable parts.
+
+        Args:
+            obj: the object.
+            surface: the table.
+            options: how far to go, and how carefully.
+            parts: the graspable parts, where they are known already.
+
+        Raises:
+            PlanningError: there is no graspable part, or the table is smaller than the object.
+        """
+        self.obj, self.surface = obj, surface
+        self.options = options or PreGraspOptions()
+        self.parts = tuple(find_grasp_parts(obj, self.options.gripper) if parts is None else parts)
+        check_room(obj, self.parts, surface)
+
+    @threadpool_limits.wrap(limits=1, user_api="blas")
+    def decide(self, pose: ArrayLike, belief: Belief | None, pokes: int = 0, slides: int = 0) -> PreGraspDecision:
+        """Decides what to do next.
+
+        Args:
+            pose: (3,) where the object is seen, X_WB, m and rad.
+            belief: what is believed of it; None before the first push.
+            pokes: made so far.
+            slides: made so far.
+
+        Returns:
+            The decision.
+        """
+        q = np.asarray(pose, dtype=np.float64)
+        if belief is None:
+            return self._poke(q, Belief.of_prior(self.obj), None, pokes, "nothing is known of the object yet")
+        here = find_grasp_at(belief.masses, self.parts, q, self.surface, self.options.goal)
+        if here is not None and here.margin >= ACCEPTED_SHARE * self.options.goal.margin:
+            reason = f"a part hangs over, and the object stays put with {here.margin * MM:.0f} mm to spare"
+            return PreGraspDecision("grasp", None, here, None, here.margin, reason)
+        if belief.knowledge is not None and pokes < self.options.least_pokes:
+            return self._poke(q, belief, None, pokes, "too little is known of the object yet")
+        goals = find_pregrasp_goals(belief.masses, self.parts, q, self.surface, self.options.goal)
+        if not goals or goals[0].margin < self.options.goal.margin:
+            best = goals[0] if goals else None
+            return self._poke(q, belief, best, pokes, self._describe_lack(best))
+        if slides >= self.options.most_slides:
+            return _fail(f"not at the rim after {slides} slides", goals[0])
+        slide = plan_slide(belief.masses, belief.params, belief.draws, q, goals, self.surface, self.options.slide)
+        if slide is None:
+            return self._poke(q, belief, goals[0], pokes, "no push towards a goal is safe all the way")
+        return _slide(slide)
+
+    def _describe_lack(self, best: PreGraspGoal | None) -> str:
+        needed = f"{self.options.goal.margin * MM:.0f} mm are asked for"
+        if best is None:
+            return "no pose lets a graspable part hang over this table's rim"
+        return f"the safest goal has a stability margin of {best.margin * MM:.0f} mm at the worst; {needed}"
+
+    def _poke(self, pose: Array, belief: Belief, best: PreGraspGoal | None, pokes: int, why: str) -> PreGraspDecision:
+        """The poke that tells most about the centre of mass, across the rim of the best goal; or failure."""
+        if belief.knowledge is None:
+            return _fail(f"{why}, and pokes would not tell more", best)
+        if pokes >= self.options.most_pokes:
+            return _fail(f"{why}, after {pokes} pokes", best)
+        direction = None if best is None else best.weakest
+        choice = suggest_poke(belief, pose, self.surface, direction, self.options)
+        if choice is None:
+            return _fail(f"{why}, and no poke keeps the object on the table", best)
+        if best is not None and best.margin + HOPE_SIGMAS * choice.std < self.options.goal.margin:
+            return _fail(f"{why}; pokes cannot tell mass from friction, only closer friction bounds would help", best)
+        reason = (
+            f"{why}; this poke is expected to bring the centre's standard deviation"
+            f"{'' if direction is None else ' across the rim'} from {choice.std * MM:.1f} mm "
+            f"to {choice.expected_std * MM:.1f} mm"
+        )
+        return PreGraspDecision("poke", choice.push, best, None, np.nan if best is None else best.margin, reason)
+
+
+def suggest_poke(
+    belief: Belief,
+    pose: ArrayLike,
+    surface: SupportSurface,
+    direction: ArrayLike | None = None,
+    options: PreGraspOptions | None = None,
+) -> PokeChoice | None:
+    """The poke that is expected to tell most about the centre of mass.
+
+    Args:
+        belief: what is believed of the object; its `knowledge` must not be None.
+        pose: (3,) where the object lies, X_WB, m and rad.
+        surface: the table, inside whose rim the object stays, or at least no farther out and no less stable than it is.
+        direction: (2,) unit vector in the body frame along which the centre matters; both where None.
+        options: what pokes may be chosen from.
+
+    Returns:
+        The poke; None where none keeps the object on the table.
+
+    Raises:
+        PlanningError: the belief leaves nothing to learn.
+    """
+    options, knowledge = options or PreGraspOptions(), belief.knowledge
+    if knowledge is None:
+        raise PlanningError("belief: parameters taken for granted; expected knowledge that pokes can add to")
+    rule = make_stability_rule(belief.masses, pose, surface, options.slide.margin, options.slide.inset)
+    constraints = PushConstraints(surface, edge_margin=options.poke_margin, pose_rule=rule)
+    pokes = make_pokes(knowledge, pose, options.poke, constraints)
+    if not pokes:
+        return None
+    F = make_centre_functional(knowledge.obj, knowledge.posterior, direction)
+    return choose_poke(knowledge, pose, pokes, F)
+
+
+def _slide(slide: Slide) -> PreGraspDecision:
+    reason = (
+        f"{slide.planned.cost * MM:.0f} mm from a goal after this push; stability margin {slide.margin * MM:.0f} mm "
+        "or more on the way"
+    )
+    return PreGraspDecision("slide", slide.planned.push, slide.goal, slide.planned.pose, slide.goal.margin, reason)
+
+
+def _fail(reason: str, goal: PreGraspGoal | None) -> PreGraspDecision:
+    return PreGraspDecision("fail", None, goal, None, np.nan if goal is None else goal.margin, reason)

@@ -1,0 +1,223 @@
+"""What a push must keep clear of: the table's edge, obstacles, and whatever else a caller knows.
+
+A push is cut short where going on would break a rule. A rule that is broken where the push begins (an object that
+already hangs over the edge, or lies at an obstacle) asks instead that it does not get worse.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike, NDArray
+from shapely import Polygon
+from shapely.geometry.base import BaseGeometry
+
+from gridpush_drake.errors import PlanningError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.planning.surface import SupportSurface
+
+Array = NDArray[np.float64]
+PoseRule = Callable[[Array], NDArray[np.bool_]]
+"""From poses (K, 3) along a push, in order, to whether each is allowed, (K,)."""
+
+CHECK_EVERY = 0.003
+"""m of the pusher's motion between poses that are checked."""
+
+SLACK = 1e-6
+"""m, for round-off."""
+
+
+@dataclass(frozen=True, eq=False)
+class PushConstraints:
+    """The rules.
+
+    Attributes:
+        surface: the table; None for one without end.
+        obstacles: polygons in W that neither object nor finger may touch.
+        edge_margin: least distance of every cell from the table's edge, inwards, m; negative lets cells hang over.
+        obstacle_margin: least distance of object and finger from an obstacle, m.
+        finger_inset: least distance of the finger's centre from the table's edge, inwards, m; negative lets it hang
+            beyond, as a finger that ends above the table may.
+        pose_rule: says of further poses of the object whether they are allowed; None allows all.
+
+    Raises:
+        PlanningError: a number is not finite, or the obstacles' margin is negative.
+    """
+
+    surface: SupportSurface | None = None
+    obstacles: tuple[Polygon, ...] = ()
+    edge_margin: float = 0.0
+    obstacle_margin: float = 0.005
+    finger_inset: float = 0.0
+    pose_rule: PoseRule | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "obstacles", tuple(self.obstacles))
+        for name in ("edge_margin", "obstacle_margin", "finger_inset"):
+            if not np.isfinite(getattr(self, name)):
+                raise PlanningError(f"{name} is {getattr(self, name)!r}; expected a finite number (m)")
+        if self.obstacle_margin < 0:
+            raise PlanningError(f"obstacle_margin is {self.obstacle_margin!r}; expected a number >= 0 (m)")
+        for obstacle in self.obstacles:
+            if not isinstance(obstacle, Polygon) or obstacle.is_empty or not obstacle.is_valid:
+                raise PlanningError("obstacles: expected simple polygons that do not cross themselves")
+
+    @property
+    def is_free(self) -> bool:
+        """Whether nothing is forbidden."""
+        return self.surface is None and not self.obstacles and self.pose_rule is None
+
+    def start_at(self, obj: GridObject, pose: ArrayLike, radius: float) -> "PushChecker":
+        """The rules for pushes of an object at `pose` (3,) by a disc of `radius`, m."""
+        return PushChecker(self, obj, np.asarray(pose, dtype=np.float64), radius)
+
+    def allow_pose(self, obj: GridObject, pose: ArrayLike) -> tuple[bool, bool]:
+        """Whether the object may be at a pose (3,) by itself.
+
+        Returns:
+            Whether all cells are as far from the table's edge as they must, and whether an obstacle is in the way.
+        """
+        q = np.asarray(pose, dtype=np.float64)
+        body = shapely.polygons(place_points(np.array(make_body(obj).exterior.coords)[:-1], q[None]))[0]
+        on_table, blocked = True, False
+        if self.surface is not None:
+            on_table = bool(shapely.covers(self.surface.polygon.buffer(-self.edge_margin + SLACK), body))
+        if self.obstacles:
+            blocked = float(shapely.distance(shapely.union_all(list(self.obstacles)), body)) < (
+                self.obstacle_margin - SLACK
+            )
+        return on_table, blocked
+
+
+class PushChecker:
+    """The rules for one object at one pose and one disc.
+
+    Attributes:
+        constraints: the rules.
+        body: union of outline and cells, body frame.
+    """
+
+    def __init__(self, constraints: PushConstraints, obj: GridObject, pose: Array, radius: float) -> None:
+        self.constraints, self.body = constraints, make_body(obj)
+        self._vertices = np.array(self.body.exterior.coords)[:-1]
+        surface = constraints.surface
+        self._table: BaseGeometry | None = None
+        self._finger_table: BaseGeometry | None = None
+        self._hull = self._vertices
+        if surface is not None:
+            table = surface.polygon.buffer(-constraints.edge_margin)
+            if surface.is_convex:
+                self._hull = np.array(self.body.convex_hull.exterior.coords)[:-1]
+            over = self._measure_overhang(pose, table)
+            self._table = table.buffer(over + SLACK) if over > 0 else table.buffer(SLACK)
+            self._finger_table = surface.polygon.buffer(-constraints.finger_inset)
+            shapely.prepare(self._table)
+            shapely.prepare(self._finger_table)
+        self._blocked: BaseGeometry | None = None
+        self._finger_blocked: BaseGeometry | None = None
+        if constraints.obstacles:
+            union = shapely.union_all(list(constraints.obstacles))
+            room = float(shapely.distance(union, self.place(pose[None])[0]))
+            self._blocked = union.buffer(max(min(constraints.obstacle_margin, room) - SLACK, -SLACK))
+            self._finger_blocked = union.buffer(constraints.obstacle_margin + radius)
+            shapely.prepare(self._blocked)
+            shapely.prepare(self._finger_blocked)
+
+    def place(self, poses: Array) -> NDArray[np.object_]:
+        """The body as polygons (K,) at poses (K, 3), world frame; without its holes."""
+        return np.asarray(shapely.polygons(place_points(self._vertices, poses)))
+
+    def allows_finger(self, p_WP: Array) -> NDArray[np.bool_]:
+        """Whether the disc's centre may be at p_WP (..., 2)."""
+        allowed = np.ones(p_WP.shape[:-1], dtype=bool)
+        if self._finger_table is not None:
+            allowed &= shapely.contains_xy(self._finger_table, p_WP[..., 0], p_WP[..., 1])
+        if self._finger_blocked is not None:
+            allowed &= ~shapely.contains_xy(self._finger_blocked, p_WP[..., 0], p_WP[..., 1])
+        return allowed
+
+    def overlaps_obstacle(self, pose: Array) -> bool:
+        """Whether the body at a pose (3,) overlaps an obstacle."""
+        return any(obstacle.intersects(self.place(pose[None])[0]) for obstacle in self.constraints.obstacles)
+
+    @property
+    def has_obstacles(self) -> bool:
+        """Whether there are any."""
+        return self._blocked is not None
+
+    @property
+    def table_is_convex(self) -> bool:
+        """Whether the table is, or there is none."""
+        return self._table is None or self._hull is not self._vertices
+
+    def bounds(self, points: Array, room: float) -> tuple[Array, Array]:
+        """Least and greatest x and y, m, of the table, or of `points` (K, 2) and the obstacles with some room, m."""
+        if self.constraints.surface is not None:
+            box = np.array(self.constraints.surface.polygon.bounds)
+            return box[:2], box[2:]
+        corners = [points, *(np.array(obstacle.bounds).reshape(2, 2) for obstacle in self.constraints.obstacles)]
+        points = np.concatenate(corners)
+        return points.min(axis=0) - room, points.max(axis=0) + room
+
+    def allows_poses(self, poses: Array) -> NDArray[np.bool_]:
+        """Whether the object may be at poses (K, 3), in order along a push."""
+        allowed = self.allows_geometry(poses)
+        if self.constraints.pose_rule is not None:
+            allowed &= self.constraints.pose_rule(poses)
+        return allowed
+
+    def allows_geometry(self, poses: Array) -> NDArray[np.bool_]:
+        """Whether edge and obstacles let the object be at poses (K, 3)."""
+        allowed = np.ones(len(poses), dtype=bool)
+        if self._table is not None:
+            points = place_points(self._hull, poses)
+            allowed &= shapely.contains_xy(self._table, points[..., 0], points[..., 1]).all(axis=1)
+            if self._hull is self._vertices:
+                allowed &= shapely.covers(self._table, self.place(poses))
+        if self._blocked is not None:
+            allowed &= ~shapely.intersects(self._blocked, self.place(poses))
+        return allowed
+
+    def count_allowed(self, tip: Array, poses: Array) -> int:
+        """How far a push may go.
+
+        Args:
+            tip: (T+1, 2) p_WP of the disc's centre, m.
+            poses: (T+1, 3) of the object.
+
+        Returns:
+            How many of the steps' ends, from the first on, are allowed; 0 where the push must not even begin.
+        """
+        if self.constraints.is_free:
+            return len(tip)
+        step = max(float(np.linalg.norm(np.diff(tip, axis=0), axis=1).mean()), SLACK)
+        rows = np.unique(np.append(np.arange(0, len(tip), max(1, int(CHECK_EVERY / step))), len(tip) - 1))
+        allowed = self.allows_finger(tip[rows]) & self.allows_poses(poses[rows])
+        if allowed.all():
+            return len(tip)
+        first = int(np.argmin(allowed))
+        return int(rows[first - 1]) + 1 if first else 0
+
+    def _measure_overhang(self, pose: Array, table: BaseGeometry) -> float:
+        points = place_points(self._hull, pose[None])[0]
+        return float(shapely.distance(shapely.points(points), table).max()) if not table.is_empty else 0.0
+
+
+def make_body(obj: GridObject) -> Polygon:
+    """Union of the outline and the cells' squares, kept with the object; its largest piece."""
+    cached = obj.__dict__.get("_swept_body")
+    if cached is None:
+        half = obj.cell_size / 2
+        x, y = obj.p_BC.T
+        union = shapely.union_all([obj.outline, *shapely.box(x - half, y - half, x + half, y + half)])
+        cached = Polygon(max(getattr(union, "geoms", [union]), key=lambda piece: piece.area).exterior)
+        obj.__dict__["_swept_body"] = cached
+    return cached
+
+
+def place_points(p_BP: Array, poses: Array) -> Array:
+    """Points (V, 2) of the body at poses (K, 3): (K, V, 2), m."""
+    c, s = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
+    x, y = p_BP.T
+    return np.stack([poses[:, 0, None] + c * x - s * y, poses[:, 1, None] + s * x + c * y], axis=-1)

@@ -1,0 +1,178 @@
+"""The next push of a slide to the table's rim: towards one of several goals, safe all the way.
+
+Contact-point optimisation proposes pushes towards each goal, forbidden to pass poses whose stability margin is too
+thin. The proposals are then tried on several draws from what is believed of the object, with the loads that an
+overhanging object has (`edge_push`), and cut short before the first pose in which any draw's margin is too thin. Taken
+is the proposal that, so cut, ends nearest to its goal on the average of the draws.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.planning.contact_point import ContactOptions, optimise_contact
+from gridpush_drake.planning.contact_search import SearchOptions
+from gridpush_drake.planning.convex import calc_margin_inside, hull_of
+from gridpush_drake.planning.edge_push import simulate_near_edge
+from gridpush_drake.planning.planned_push import PlannedPush, calc_goal_error
+from gridpush_drake.planning.pregrasp_goal import PreGraspGoal
+from gridpush_drake.planning.push_constraints import PoseRule, PushConstraints
+from gridpush_drake.planning.stability import SUPPORT_INSET, MassSet, calc_stability_margin, calc_stability_margins
+from gridpush_drake.planning.surface import SupportSurface
+
+Array = NDArray[np.float64]
+
+FREE_OVERHANG = 1.0
+"""m that cells may hang over the rim as far as the push search is concerned; stability is the limit."""
+
+CHECK_EVERY = 0.003
+"""m of the pusher's motion between poses that are checked."""
+
+
+@dataclass(frozen=True)
+class SlideOptions:
+    """How pushes of a slide are chosen.
+
+    Attributes:
+        margin: least stability margin on the way, m.
+        inset: m inside the rim that a cell's centre must be to hold.
+        goals: so many of the best goals are pushed towards.
+        proposals: tried on the draws, over all goals.
+        least_gain: by which a push must bring the object nearer to its goal, mean of the cells, m.
+        finger_overhang: how far beyond the rim the finger's centre may be, m.
+        contact: what pushes may be chosen from.
+    """
+
+    margin: float = 0.002
+    inset: float = SUPPORT_INSET
+    goals: int = 3
+    proposals: int = 10
+    least_gain: float = 0.0005
+    finger_overhang: float = 0.03
+    contact: ContactOptions = field(
+        default_factory=lambda: ContactOptions(distance_range=(0.004, 0.15), search=SearchOptions(starts=6, budget=24))
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Slide:
+    """A push towards a goal.
+
+    Attributes:
+        planned: the push, and where it is expected to end.
+        goal: that it goes to.
+        margin: least stability margin of any draw on the way, m.
+        spread: root mean square distance of the draws' ends from their mean, of the cells, m.
+    """
+
+    planned: PlannedPush
+    goal: PreGraspGoal
+    margin: float
+    spread: float
+
+
+def make_stability_rule(
+    masses: MassSet, pose: ArrayLike, surface: SupportSurface, margin: float, inset: float = SUPPORT_INSET
+) -> PoseRule:
+    """A rule for a push's poses: the stability margin must not fall below `margin`, m.
+
+    Where it is thinner at `pose` (3,) already, or with the object wholly on the table, it must not get thinner still.
+    """
+    obj, corners = masses.obj, masses.centre_of_mass_polygon
+    whole = calc_margin_inside(corners, hull_of(obj.p_BC))
+    wanted = min(margin, whole, calc_stability_margin(masses, pose, surface, inset)) - THINNER
+
+    def rule(poses: Array) -> NDArray[np.bool_]:
+        return np.asarray(calc_stability_margins(masses, poses, surface, inset) >= wanted)
+
+    return rule
+
+
+THINNER = 1e-4
+"""m that a margin may become thinner where it is thin already, for round-off."""
+
+
+def plan_slide(
+    masses: MassSet,
+    params: CellParameters,
+    draws: Sequence[CellParameters],
+    pose: ArrayLike,
+    goals: Sequence[PreGraspGoal],
+    surface: SupportSurface,
+    options: SlideOptions | None = None,
+) -> Slide | None:
+    """Chooses the next push.
+
+    Args:
+        masses: the masses held possible.
+        params: the model.
+        draws: further models to try the pushes on; the model itself is always tried.
+        pose: (3,) where the object lies, X_WB, m and rad.
+        goals: best first.
+        surface: the table.
+        options: how to choose.
+
+    Returns:
+        The push; None where none is safe and brings the object nearer to a goal.
+    """
+    options = options or SlideOptions()
+    q = np.asarray(pose, dtype=np.float64)
+    rule = make_stability_rule(masses, q, surface, options.margin, options.inset)
+    constraints = PushConstraints(
+        surface, edge_margin=-FREE_OVERHANG, finger_inset=-options.finger_overhang, pose_rule=rule
+    )
+    proposals: list[tuple[PlannedPush, PreGraspGoal]] = []
+    for goal in goals[: options.goals]:
+        plan = optimise_contact(masses.obj, params, q, goal.pose, constraints=constraints, options=options.contact)
+        proposals += [(push, goal) for push in plan.candidates if push.cost < plan.start_cost - options.least_gain]
+    proposals.sort(key=lambda each: each[0].cost)
+    slides = [
+        _try(planned, goal, masses, (params, *draws), q, surface, rule, options)
+        for planned, goal in proposals[: options.proposals]
+    ]
+    return min((slide for slide in slides if slide is not None), key=lambda slide: slide.planned.cost, default=None)
+
+
+def _try(
+    planned: PlannedPush,
+    goal: PreGraspGoal,
+    masses: MassSet,
+    models: Sequence[CellParameters],
+    pose: Array,
+    surface: SupportSurface,
+    rule: PoseRule,
+    options: SlideOptions,
+) -> Slide | None:
+    """The push cut so short that it is safe with every model; None where nothing useful is left of it."""
+    obj = masses.obj
+    motions = [simulate_near_edge(obj, model, planned.push, pose, surface) for model in models]
+    checks = np.unique(np.append(np.arange(0.0, planned.distance, CHECK_EVERY), planned.distance))
+    paths = []
+    for motion in motions:
+        path = np.column_stack([np.interp(checks, motion.travelled, motion.poses[:, i]) for i in range(3)])
+        allowed = rule(path) & (~np.bool_(motion.fell) | (checks < motion.travelled[-1]))
+        checks = checks[: int(np.argmin(allowed))] if not allowed.all() else checks
+        paths.append(path)
+    useful = checks >= options.contact.distance_range[0]
+    if not useful.any():
+        return None
+    ends = np.array([path[: len(checks)] for path in paths])
+    costs = np.where(useful, calc_goal_error(obj, ends, goal.pose).mean(axis=0), np.inf)
+    best = int(np.argmin(costs))
+    start_cost = float(calc_goal_error(obj, pose, goal.pose))
+    if costs[best] > start_cost - options.least_gain:
+        return None
+    distance = float(checks[best])
+    push = Push.on_outline(
+        obj, planned.arc_length, planned.angle, distance, radius=planned.push.radius,
+        speed=planned.push.length / planned.push.duration, pose=pose, clearance=options.contact.clearance,
+    )  # fmt: skip
+    cells = obj.cells_at(ends[:, best])
+    spread = float(np.sqrt(((cells - cells.mean(axis=0)) ** 2).sum(axis=2).mean()))
+    margin = float(calc_stability_margins(masses, ends[:, : best + 1].reshape(-1, 3), surface, options.inset).min())
+    cut = replace(planned, distance=distance, push=push, pose=ends[0, best], cost=float(costs[best]))
+    return Slide(cut, goal, margin, spread)

@@ -1,0 +1,47 @@
+import json
+
+import pytest
+
+from tests.helpers.made_identifications import make_identification
+from tests.helpers.plant_object import parse_sdf
+
+
+def test_writes_a_learned_model_that_drake_loads(gridpush, model, tmp_path):
+    out = tmp_path / "block.sdf"
+    outcome = gridpush("export", model, out)
+    assert outcome.code == 0, outcome.err
+    assert "learned model" in outcome.out and str(out) in outcome.out
+    plant, _ = parse_sdf(out)
+    assert (plant.num_positions(), plant.GetBodyByName("block").default_mass()) == (
+        7,
+        pytest.approx(make_identification().params.total_mass, rel=1e-6),
+    )
+
+
+def test_writes_an_object_held_to_the_plane(gridpush, tmp_path):
+    out = tmp_path / "book.sdf"
+    document = json.loads(gridpush("export", "open_book", out, "--base", "planar", "--height", "0.05", "--json").out)
+    assert document["base"] == "planar"
+    assert document["total_mass"] == pytest.approx(0.92)
+    plant, _ = parse_sdf(out)
+    assert plant.num_positions() == 3
+
+
+def test_replaces_a_file_only_when_told(gridpush, refuses, block, tmp_path):
+    out = tmp_path / "block.sdf"
+    out.write_text("mine")
+    refuses("export", block, out, says=[out, "--force"])
+    assert out.read_text() == "mine"
+    assert gridpush("export", block, out, "--force").code == 0
+    assert out.read_text().startswith("<?xml")
+
+
+def test_refuses_what_makes_no_sense(refuses, block, tmp_path):
+    out = tmp_path / "block.sdf"
+    refuses("export", block, tmp_path / "block.urdf", says=["OUT.sdf", "block.urdf", ".sdf"])
+    refuses("export", block, tmp_path / "missing" / "block.sdf", says=["missing", "does not exist"])
+    refuses("export", block, out, "--height", "0", says=["height"])
+    refuses("export", block, out, "--base", "flying", says=["flying"])
+    refuses("export", "claw_hamer", out, says=["claw_hamer"])
+    refuses("export", tmp_path / "nothing.yaml", out, says=["nothing.yaml"])
+    assert not out.exists()

@@ -1,0 +1,85 @@
+"""Drake's plant and the grid LCP agree on where a push ends."""
+
+import numpy as np
+import pytest
+
+from gridpush_drake.bench.plant import OBJECTS, PlantJob, calc_scores, draw_push, make_table, run_job
+from gridpush_drake.bench.plant_push import PlantPusher
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.errors import ObjectError, PushError
+from gridpush_drake.grid.parameters import CellParameters
+from tests.helpers.shapes import make_shape
+
+LARGEST_POSITION, LARGEST_ANGLE = 1e-3, np.radians(0.5)
+"""m and rad, between the last poses after a push of 10 cm."""
+
+
+@pytest.fixture(scope="module")
+def obj():
+    return make_shape("l_bracket", 40)
+
+
+@pytest.fixture(scope="module")
+def params(obj):
+    rng = np.random.default_rng(2)
+    return CellParameters(rng.uniform(0.005, 0.03, obj.n), rng.uniform(0.2, 0.6, obj.n), 0.45)
+
+
+def test_one_push_ends_where_the_model_has_it(obj, params):
+    rig = PlantPusher(obj, params, 0.01)
+    push, pose = draw_push(obj, params, 7, 0.01)
+    motion = rig.push(params, push, pose)
+    expected = simulate(obj, params, push, pose, 1e-3, spin="none")
+    assert motion.tracking_error < 1e-5
+    assert np.linalg.norm(motion.poses[-1, :2] - pose[:2]) > 0.01
+    np.testing.assert_allclose(motion.poses[-1], expected.final_pose, rtol=0, atol=3e-4)
+    # and all along the way
+    np.testing.assert_allclose(motion.poses, expected.poses, rtol=0, atol=1e-3)
+
+
+def test_a_plant_pushes_again_the_same(obj, params):
+    rig = PlantPusher(obj, CellParameters.uniform(obj), 0.01)
+    push = Push.on_outline(obj, 0.02, 0.1, 0.02, radius=0.01, speed=0.1)
+    first = rig.push(params, push)
+    rig.push(CellParameters.uniform(obj), push, (0.1, 0.1, 1.0))
+    np.testing.assert_array_equal(rig.push(params, push).poses, first.poses)
+    with pytest.raises(PushError, match="radius"):
+        rig.push(params, Push.on_outline(obj, 0.02, 0.1, 0.02, radius=0.02, speed=0.1))
+
+
+def test_a_free_object_pushed_low_moves_as_the_model_has_it(obj, params):
+    # the higher the push, the more load shifts to the cells in front
+    push = Push.on_outline(obj, 0.02, 0.3, 0.03, radius=0.01, speed=0.05)
+    expected = simulate(obj, params, push, dt=2e-3, spin="none").final_pose
+    low, high = (
+        np.abs(PlantPusher(obj, params, 0.01, "free", push_height=z).push(params, push).poses[-1] - expected)
+        for z in (5e-4, 0.02)
+    )
+    assert np.linalg.norm(low[:2]) < 2e-4 and low[2] < np.radians(0.2)
+    assert np.linalg.norm(high[:2]) > 5 * np.linalg.norm(low[:2])
+
+
+def test_tables_and_names():
+    with pytest.raises(ObjectError, match="spanner"):
+        calc_scores(("spanner",), 1)
+    scores = run_job(PlantJob("toolbox", "planar", (4,)))
+    table = make_table(scores)
+    assert [row[:4] for row in table.rows] == [["toolbox", "planar", "none", 1], ["toolbox", "planar", "coupled", 1]]
+    assert scores[0].position < LARGEST_POSITION
+
+
+@pytest.mark.slow
+def test_plant_and_model_agree():
+    scores = calc_scores(OBJECTS, 3, ("planar",), seed=100, workers=1, progress=False)
+    for score in scores:
+        assert score.tracking_error < 2e-5
+        assert score.position < LARGEST_POSITION, score
+        assert score.angle < LARGEST_ANGLE, score
+
+
+@pytest.mark.slow
+def test_a_free_base_differs_by_the_loads_that_shift():
+    scores = calc_scores(("claw_hammer", "toolbox"), 3, ("free",), workers=1, progress=False)
+    assert max(score.position for score in scores) < 5e-3
+    assert max(score.tilt for score in scores) < 1e-3

@@ -1,0 +1,101 @@
+import numpy as np
+import pytest
+
+from gridpush_drake.bench import pregrasp
+from gridpush_drake.bench.pregrasp_exploration import ALONG, MOST_POKES, explore
+from gridpush_drake.bench.pregrasp_objects import OBJECTS, load_bench_object, make_table
+from gridpush_drake.bench.pregrasp_tables import SlideScore, tabulate_exploration, tabulate_slides
+from gridpush_drake.bench.pregrasp_world import EdgeWorld, Outcome, see
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import GridPushError
+
+SHIPPED = tuple(name for name in OBJECTS if name != "hammer")
+
+
+def test_hidden_parameters_stay_within_what_is_told(monkeypatch):
+    obj = load_bench_object("pliers", pregrasp.FRICTION_RANGE)
+    truths = [pregrasp.make_truth(obj, i) for i in range(5)]
+    low, high = pregrasp.FRICTION_RANGE
+    assert (obj.prior.friction_min, obj.prior.friction_max, obj.prior.total_mass) == (low, high, None)
+    assert all((low <= truth.friction).all() and (truth.friction <= high).all() for truth in truths)
+    assert len({round(float(truth.mass[0]), 6) for truth in truths}) == 5
+    again = pregrasp.make_truth(obj, 3)
+    np.testing.assert_array_equal(again.mass, truths[3].mass)
+    assert again.contact_friction == truths[3].contact_friction
+
+
+def test_tables_take_turns():
+    assert [len(make_table(seed).corners) for seed in range(3)] == [4, 120, 6]
+    assert make_table(3).polygon.equals(make_table(0).polygon)
+
+
+def test_the_world_drops_what_is_pushed_off():
+    obj = load_bench_object("toothpaste_tube", pregrasp.FRICTION_RANGE)
+    rng = np.random.default_rng(0)
+    world = EdgeWorld(obj, pregrasp.make_truth(obj, 0), make_table(0), np.array([0.3, 0.0, 0.0]), rng)
+    assert np.abs(world.observe() - world.pose).max() < 0.02
+    assert world.push(Push((0.19, 0.0), (0.03, 0.0), 1.0, 0.008))
+    assert not world.dropped
+    assert world.pose[0] > 0.31
+    for _ in range(12):
+        start = world.pose[:2] - 0.108 * np.array([np.cos(world.pose[2]), np.sin(world.pose[2])])
+        on_table = world.push(Push(start, (0.03, 0.0), 1.0, 0.008))
+        if world.dropped:
+            break
+    assert world.dropped
+    assert not on_table
+
+
+def test_noise_is_as_large_as_it_says():
+    rng = np.random.default_rng(0)
+    noise = np.array([see(np.zeros(3), rng) for _ in range(2000)])
+    np.testing.assert_allclose(noise.std(axis=0), [0.0005, 0.0005, 0.003], rtol=0.1)
+
+
+def test_the_table_counts_what_happened():
+    outcomes = [Outcome(True, False, 3, 2, ""), Outcome(False, True, 1, 1, ""), Outcome(False, False, 5, 0, "")]
+    table = tabulate_slides([SlideScore("pliers", "learned", outcome) for outcome in outcomes], ["learned"])
+    assert tuple(table.rows[0]) == ("learned", 3, pytest.approx(100 / 3), 1, 1, 3.0, 1.0)
+
+
+def test_runs_with_the_true_parameters():
+    tables = pregrasp.run(
+        ["toolbox"], mass_sets=1, seeds=1, methods=["true"], exploring=False, progress=False, workers=1
+    )
+    assert tuple(tables[0].rows[0][:4]) == ("true", 1, 100.0, 0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"objects": ["open_book"]}, "objects: open_book"),
+        ({"methods": []}, "methods: none"),
+        ({"mass_sets": 0}, "mass sets: 0"),
+        ({"seeds": -1}, "seeds: -1"),
+    ],
+)
+def test_refuses_what_makes_no_sense(arguments, says):
+    with pytest.raises(GridPushError, match=says):
+        pregrasp.run(**arguments)
+
+
+@pytest.mark.slow
+def test_pokes_by_design_are_fewer_and_the_spread_is_honest():
+    scores = []
+    for i, name in enumerate(SHIPPED[:4]):
+        obj = load_bench_object(name, pregrasp.FRICTION_RANGE)
+        scores.append(explore(obj, pregrasp.make_truth(obj, i), name, i, 0, ALONG))
+    designed = np.mean([score.active.pokes for score in scores])
+    assert designed < np.mean([score.random.pokes for score in scores])
+    assert designed < MOST_POKES
+    assert max(score.active.errors[-1] for score in scores) < 0.02
+    assert tabulate_exploration(scores, SHIPPED).rows[-1][0] == "all"
+
+
+@pytest.mark.slow
+def test_what_was_learned_drops_nothing():
+    tables = pregrasp.run(
+        ["pliers", "toolbox"], mass_sets=2, seeds=1, methods=["learned"], exploring=False, progress=False
+    )
+    assert tables[0].rows[0][3] == 0
+    assert tables[0].rows[0][2] >= 75.0
