@@ -56,9 +56,7 @@ def test_two_lcp_solvers_and_the_qp_agree(case):
                 assert solution.residuals.worst < 1e-12, (case, seed, solution.residuals)
                 velocities.append(solution.xdot)
         scale = max(np.abs(step.nu).max(), np.abs(velocities[0]).max())
-        np.testing.assert_allclose(
-            velocities[1:], velocities[:1] * 5, rtol=0, atol=1e-11 * scale + 1e-14
-        )
+        np.testing.assert_allclose(velocities[1:], velocities[:1] * 5, rtol=0, atol=1e-11 * scale + 1e-14)
 
 
 def test_the_qp_covers_every_state_of_a_friction_row():
