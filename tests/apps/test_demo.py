@@ -12,9 +12,15 @@ import pytest
 import yaml
 
 from gridpush_drake.apps.demo_files import FILES
+from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.model_file import read_model
 from gridpush_drake.pushes.log import PushLog
 from gridpush_drake.scene.meshcat_server import StartMeshcatServer, looks_like_recording
+from gridpush_drake.systems.cell_colors import CellColors
+from tests.helpers.chromium import find_pixels, freeze_recording, take_picture
+
+LEAST_SEEN = 500
+"""Pixels that a whole object takes at least."""
 
 SHORT = "object: {object}\npokes: {{count: {count}, test_count: {test_count}, speed: 0.06}}\n"
 
@@ -40,12 +46,31 @@ def test_learns_and_reports(gridpush, tmp_path):
     assert yaml.safe_load((out / "truth.yaml").read_text())["object"] == "open_book"
     assert yaml.safe_load((out / "scenario.yaml").read_text())["pokes"]["count"] == 2
 
+    check_recording(out, verdict["simulated_seconds"], tmp_path)
+
     # the same files, offline
     offline = tmp_path / "offline.yaml"
     again = gridpush("identify", out / "object.yaml", out / "pushes.csv", "--out", offline)
     assert again.code == 0, again.err
     np.testing.assert_array_equal(read_model(offline).params.mass, read_model(out / "model.yaml").params.mass)
     assert len(PushLog.read_csv(out / "held_out.csv")) == 1
+
+
+def check_recording(out, duration, tmp_path):
+    """A real browser shows the cells in the colours of their estimate: even at first, as learned at last."""
+    model = read_model(out / "model.yaml")
+    even = CellColors().calc_colors(CellParameters.uniform(model.obj).mass, model.params.friction)[0]
+    learned = CellColors().calc_colors(model.params.mass, model.params.friction)
+    extreme = learned[np.argmax(np.linalg.norm(learned - even, axis=1))]
+    seen = []
+    for name, moment in (("first", 0.2), ("last", duration - 0.2)):
+        frozen = freeze_recording(out / "recording.html", moment, tmp_path / f"{name}.html")
+        picture = take_picture(frozen, tmp_path / f"{name}.png")
+        seen.append([int(find_pixels(picture, color).sum()) for color in (even, extreme)])
+    (even_first, extreme_first), (even_last, extreme_last) = seen
+    assert even_first > LEAST_SEEN, seen
+    assert extreme_last > max(LEAST_SEEN / 10, 3 * extreme_first), seen
+    assert even_last < even_first / 2, seen
 
 
 def test_replaces_nothing_unasked(refuses, tmp_path):
