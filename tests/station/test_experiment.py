@@ -1,3 +1,6 @@
+import gc
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -108,6 +111,28 @@ def test_commands_are_numbered_anew_in_each_run(short):
     assert PushCommand().number == 0
     first, second, _ = short
     assert [seen.name for seen in first.log] == [seen.name for seen in second.log] == ["push_1", "push_2"]
+
+
+def _read_memory():
+    """Resident, MB."""
+    status = Path("/proc/self/status")
+    if not status.exists():
+        pytest.skip("memory is read from /proc")
+    return int(next(line for line in status.read_text().splitlines() if line.startswith("VmRSS")).split()[1]) / 1024
+
+
+@pytest.mark.slow
+def test_runs_of_one_diagram_leak_no_memory():
+    """At most 50 MB in 50 demos of 8 pushes, seen on 8 pushes after the first 4."""
+    scenario = make_scenario(4, object="open_book")
+    scenario.pokes.speed = 0.1
+    experiment = PushExperiment(scenario)
+    used = []
+    for seed in range(3):
+        assert len(experiment.run(seed).log) == 4
+        gc.collect()
+        used.append(_read_memory())
+    assert used[-1] - used[0] < 50 / 400 * 8, used
 
 
 @pytest.mark.slow
