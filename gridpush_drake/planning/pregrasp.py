@@ -10,7 +10,7 @@ decision says why.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -20,6 +20,7 @@ from threadpoolctl import threadpool_limits
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.grid.object import GridObject
+from gridpush_drake.planning.arm_limits import ANY_ARM, ArmLimits
 from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.exploration import PokeChoice, PokeOptions, choose_poke, make_centre_functional, make_pokes
 from gridpush_drake.planning.grasp_parts import GraspPart, Gripper, find_grasp_parts
@@ -103,6 +104,7 @@ class PreGraspPlanner:
         surface: the table.
         options: how far to go, and how carefully.
         parts: the graspable parts.
+        limits: of the arm.
     """
 
     def __init__(
@@ -111,6 +113,7 @@ class PreGraspPlanner:
         surface: SupportSurface,
         options: PreGraspOptions | None = None,
         parts: Sequence[GraspPart] | None = None,
+        limits: ArmLimits = ANY_ARM,
     ) -> None:
         """Finds the graspable parts.
 
@@ -119,11 +122,12 @@ class PreGraspPlanner:
             surface: the table.
             options: how far to go, and how carefully.
             parts: the graspable parts, where they are known already.
+            limits: of the arm that is to do it.
 
         Raises:
             PlanningError: there is no graspable part, or the table is smaller than the object.
         """
-        self.obj, self.surface = obj, surface
+        self.obj, self.surface, self.limits = obj, surface, limits
         self.options = options or PreGraspOptions()
         self.parts = tuple(find_grasp_parts(obj, self.options.gripper) if parts is None else parts)
         check_room(obj, self.parts, surface)
@@ -144,19 +148,21 @@ class PreGraspPlanner:
         q = np.asarray(pose, dtype=np.float64)
         if belief is None:
             return self._poke(q, Belief.of_prior(self.obj), None, pokes, "nothing is known of the object yet")
-        here = find_grasp_at(belief.masses, self.parts, q, self.surface, self.options.goal)
+        here = find_grasp_at(belief.masses, self.parts, q, self.surface, self.options.goal, self.limits)
         if here is not None and here.margin >= ACCEPTED_SHARE * self.options.goal.margin:
             reason = f"a part hangs over, and the object stays put with {here.margin * MM:.0f} mm to spare"
             return PreGraspDecision("grasp", None, here, None, here.margin, reason)
         if belief.knowledge is not None and pokes < self.options.least_pokes:
             return self._poke(q, belief, None, pokes, "too little is known of the object yet")
-        goals = find_pregrasp_goals(belief.masses, self.parts, q, self.surface, self.options.goal)
+        goals = find_pregrasp_goals(belief.masses, self.parts, q, self.surface, self.options.goal, self.limits)
         if not goals or goals[0].margin < self.options.goal.margin:
             best = goals[0] if goals else None
             return self._poke(q, belief, best, pokes, self._describe_lack(best))
         if slides >= self.options.most_slides:
             return _fail(f"not at the rim after {slides} slides", goals[0])
-        slide = plan_slide(belief.masses, belief.params, belief.draws, q, goals, self.surface, self.options.slide)
+        slide = plan_slide(
+            belief.masses, belief.params, belief.draws, q, goals, self.surface, self.options.slide, self.limits
+        )
         if slide is None:
             return self._poke(q, belief, goals[0], pokes, "no push towards a goal is safe all the way")
         return _slide(slide)
@@ -174,7 +180,7 @@ class PreGraspPlanner:
         if pokes >= self.options.most_pokes:
             return _fail(f"{why}, after {pokes} pokes", best)
         direction = None if best is None else best.weakest
-        choice = suggest_poke(belief, pose, self.surface, direction, self.options)
+        choice = suggest_poke(belief, pose, self.surface, direction, self.options, self.limits)
         if choice is None:
             return _fail(f"{why}, and no poke keeps the object on the table", best)
         if best is not None and best.margin + HOPE_SIGMAS * choice.std < self.options.goal.margin:
@@ -193,6 +199,7 @@ def suggest_poke(
     surface: SupportSurface,
     direction: ArrayLike | None = None,
     options: PreGraspOptions | None = None,
+    limits: ArmLimits = ANY_ARM,
 ) -> PokeChoice | None:
     """The poke that is expected to tell most about the centre of mass.
 
@@ -202,9 +209,10 @@ def suggest_poke(
         surface: the table, inside whose rim the object stays, or at least no farther out and no less stable than it is.
         direction: (2,) unit vector in the body frame along which the centre matters; both where None.
         options: what pokes may be chosen from.
+        limits: of the arm that is to poke.
 
     Returns:
-        The poke; None where none keeps the object on the table.
+        The poke; None where none within the arm's reach keeps the object on the table.
 
     Raises:
         PlanningError: the belief leaves nothing to learn.
@@ -213,12 +221,23 @@ def suggest_poke(
     if knowledge is None:
         raise PlanningError("belief: parameters taken for granted; expected knowledge that pokes can add to")
     rule = make_stability_rule(belief.masses, pose, surface, options.slide.margin, options.slide.inset)
-    constraints = PushConstraints(surface, edge_margin=options.poke_margin, pose_rule=rule)
+    constraints = PushConstraints(
+        surface,
+        edge_margin=options.poke_margin,
+        pose_rule=rule,
+        finger_region=limits.finger_region,
+        push_rule=limits.can_push,
+    )
     pokes = make_pokes(knowledge, pose, options.poke, constraints)
     if not pokes:
         return None
     F = make_centre_functional(knowledge.obj, knowledge.posterior, direction)
-    return choose_poke(knowledge, pose, pokes, F)
+    choice = choose_poke(knowledge, pose, pokes, F)
+    for index in np.argsort(choice.expected_stds, kind="stable").tolist():
+        expected = float(choice.expected_stds[index])
+        if np.isfinite(expected) and constraints.allows_push(pokes[index]):
+            return replace(choice, push=pokes[index], index=index, expected_std=expected)
+    return None
 
 
 def _slide(slide: Slide) -> PreGraspDecision:

@@ -10,6 +10,7 @@ Goals are ranked by how far the object has to be slid (mean distance of its cell
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 import shapely
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.grid.object import GridObject
+from gridpush_drake.planning.arm_limits import ANY_ARM, ArmLimits
 from gridpush_drake.planning.convex import calc_margin_inside, find_weakest_direction, hull_of
 from gridpush_drake.planning.grasp_parts import GraspPart
 from gridpush_drake.planning.planned_push import calc_goal_error
@@ -27,6 +29,12 @@ Array = NDArray[np.float64]
 
 TOUCH = 1e-9
 """m, for round-off."""
+
+GOALS_FOR_AN_ARM = 6
+"""Goals looked for that the arm can grasp at; to ask the arm takes time."""
+
+PARTS_FOR_AN_ARM = 12
+"""Parts that hang over which the arm is asked about."""
 
 
 @dataclass(frozen=True)
@@ -125,6 +133,7 @@ def find_grasp_at(
     pose: ArrayLike,
     surface: SupportSurface,
     options: GoalOptions | None = None,
+    limits: ArmLimits = ANY_ARM,
 ) -> PreGraspGoal | None:
     """The part that can be taken where the object lies now, the nearest to the middle of its possible centres of mass.
 
@@ -134,9 +143,10 @@ def find_grasp_at(
         pose: (3,) X_WB, m and rad.
         surface: the table.
         options: `least_overhang` and `inset` count.
+        limits: of the arm that is to grasp it.
 
     Returns:
-        The present pose as a goal, whatever its margin; None where no part hangs over far enough.
+        The present pose as a goal, whatever its margin; None where no part that the arm can take hangs over far enough.
     """
     options = options or GoalOptions()
     q = np.asarray(pose, dtype=np.float64)
@@ -145,9 +155,12 @@ def find_grasp_at(
     if not len(free):
         return None
     middle = masses.centre_of_mass_polygon.mean(axis=0)
-    best = min(free.tolist(), key=lambda i: float(np.linalg.norm(parts[i].p_BG - middle)))
+    nearest = sorted(free.tolist(), key=lambda i: float(np.linalg.norm(parts[i].p_BG - middle)))
     margin, weakest = _judge(masses, q, surface, options.inset)
-    return PreGraspGoal(q.copy(), parts[best], float(overhangs[best]), margin, 0.0, weakest)
+    goals = [PreGraspGoal(q.copy(), parts[i], float(overhangs[i]), margin, 0.0, weakest) for i in nearest]
+    if limits.can_grasp is None:
+        return goals[0]
+    return next((goal for goal in goals[:PARTS_FOR_AN_ARM] if limits.can_grasp(goal)), None)
 
 
 def find_pregrasp_goals(
@@ -156,6 +169,7 @@ def find_pregrasp_goals(
     pose: ArrayLike,
     surface: SupportSurface,
     options: GoalOptions | None = None,
+    limits: ArmLimits = ANY_ARM,
 ) -> list[PreGraspGoal]:
     """Seeks goal poses.
 
@@ -165,6 +179,7 @@ def find_pregrasp_goals(
         pose: (3,) where the object is, X_WB, m and rad.
         surface: the table.
         options: how to seek.
+        limits: of the arm that is to grasp the object.
 
     Returns:
         The goals: safe ones, whose margin is at least `options.margin`, by rank; and where there are none the one
@@ -177,17 +192,22 @@ def find_pregrasp_goals(
     obj, q = masses.obj, np.asarray(pose, dtype=np.float64)
     check_room(obj, parts, surface)
     for shrink in (1.0, 0.5):
-        goals = _find_goals(masses, parts, q, surface, replace(options, overhang=shrink * options.overhang))
+        goals = _find_goals(masses, parts, q, surface, replace(options, overhang=shrink * options.overhang), limits)
         if goals and goals[0].margin >= options.margin:
             break
     return goals
 
 
 def _find_goals(
-    masses: MassSet, parts: Sequence[GraspPart], q: Array, surface: SupportSurface, options: GoalOptions
+    masses: MassSet,
+    parts: Sequence[GraspPart],
+    q: Array,
+    surface: SupportSurface,
+    options: GoalOptions,
+    limits: ArmLimits,
 ) -> list[PreGraspGoal]:
     """The goals at one overhang."""
-    poses, chosen = _propose(masses, parts, q, surface, options)
+    poses, chosen = _propose(masses, parts, q, surface, options, limits)
     goals: list[PreGraspGoal] = []
     for candidate, part in zip(poses, chosen, strict=True):
         overhang = float(calc_overhangs([part], candidate, surface)[0])
@@ -198,8 +218,16 @@ def _find_goals(
         goals.append(PreGraspGoal(candidate, part, overhang, margin, travel, weakest))
     safe = [goal for goal in goals if goal.margin >= options.margin]
     if not safe:
-        return sorted(goals, key=lambda goal: -goal.margin)[:1]
-    return sorted(safe, key=lambda goal: goal.travel + options.charge * max(options.comfort - goal.margin, 0.0))
+        return _keep(sorted(goals, key=lambda goal: -goal.margin), limits)[:1]
+    rank = sorted(safe, key=lambda goal: goal.travel + options.charge * max(options.comfort - goal.margin, 0.0))
+    return _keep(rank, limits)
+
+
+def _keep(goals: list[PreGraspGoal], limits: ArmLimits) -> list[PreGraspGoal]:
+    """The goals, in their order, that the arm can grasp at: the first few."""
+    if limits.can_grasp is None:
+        return goals
+    return list(islice(filter(limits.can_grasp, goals), GOALS_FOR_AN_ARM))
 
 
 def check_room(obj: GridObject, parts: Sequence[GraspPart], surface: SupportSurface) -> None:
@@ -213,7 +241,12 @@ def check_room(obj: GridObject, parts: Sequence[GraspPart], surface: SupportSurf
 
 
 def _propose(
-    masses: MassSet, parts: Sequence[GraspPart], pose: Array, surface: SupportSurface, options: GoalOptions
+    masses: MassSet,
+    parts: Sequence[GraspPart],
+    pose: Array,
+    surface: SupportSurface,
+    options: GoalOptions,
+    limits: ArmLimits,
 ) -> tuple[Array, list[GraspPart]]:
     """Poses (N, 3) that are promising by what a straight rim would say, and the part that hangs over in each."""
     obj = masses.obj
@@ -221,6 +254,8 @@ def _propose(
     angles = 2 * np.pi * np.arange(options.directions) / options.directions
     places = surface.perimeter * (np.arange(options.places) + 0.5) / options.places
     rim = [surface.rim_at(s) for s in places]
+    if limits.rim_region is not None:
+        rim = [(point, normal) for point, normal in rim if shapely.contains_xy(limits.rim_region, *point)]
     found: list[tuple[float, float, Array, GraspPart]] = []
     for angle in angles:
         w = np.array([np.cos(angle), np.sin(angle)])
@@ -239,7 +274,7 @@ def _propose(
     if not promising:
         promising = sorted(found, key=lambda f: (-round(f[0], 4) if np.isfinite(f[0]) else np.inf, f[1]))
     kept = promising[: options.tried]
-    return np.array([f[2] for f in kept]), [f[3] for f in kept]
+    return np.array([f[2] for f in kept]).reshape(-1, 3), [f[3] for f in kept]
 
 
 def _judge(masses: MassSet, pose: Array, surface: SupportSurface, inset: float) -> tuple[float, Array]:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
+from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.planning.surface import SupportSurface
@@ -20,6 +21,9 @@ from gridpush_drake.planning.surface import SupportSurface
 Array = NDArray[np.float64]
 PoseRule = Callable[[Array], NDArray[np.bool_]]
 """From poses (K, 3) along a push, in order, to whether each is allowed, (K,)."""
+
+PushRule = Callable[[Push], bool]
+"""Whether a push can be carried out."""
 
 CHECK_EVERY = 0.003
 """m of the pusher's motion between poses that are checked."""
@@ -40,9 +44,11 @@ class PushConstraints:
         finger_inset: least distance of the finger's centre from the table's edge, inwards, m; negative lets it hang
             beyond, as a finger that ends above the table may.
         pose_rule: says of further poses of the object whether they are allowed; None allows all.
+        finger_region: where the finger's centre may be, W; None for anywhere.
+        push_rule: asked last, of a push that is about to be chosen: whether a robot can carry it out; None allows all.
 
     Raises:
-        PlanningError: a number is not finite, or the obstacles' margin is negative.
+        PlanningError: a number is not finite, the obstacles' margin is negative, or the finger's region is empty.
     """
 
     surface: SupportSurface | None = None
@@ -51,6 +57,8 @@ class PushConstraints:
     obstacle_margin: float = 0.005
     finger_inset: float = 0.0
     pose_rule: PoseRule | None = None
+    finger_region: BaseGeometry | None = None
+    push_rule: PushRule | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "obstacles", tuple(self.obstacles))
@@ -59,14 +67,20 @@ class PushConstraints:
                 raise PlanningError(f"{name} is {getattr(self, name)!r}; expected a finite number (m)")
         if self.obstacle_margin < 0:
             raise PlanningError(f"obstacle_margin is {self.obstacle_margin!r}; expected a number >= 0 (m)")
+        if self.finger_region is not None and self.finger_region.is_empty:
+            raise PlanningError("finger_region is empty; expected some place where the finger may be")
         for obstacle in self.obstacles:
             if not isinstance(obstacle, Polygon) or obstacle.is_empty or not obstacle.is_valid:
                 raise PlanningError("obstacles: expected simple polygons that do not cross themselves")
 
     @property
     def is_free(self) -> bool:
-        """Whether nothing is forbidden."""
-        return self.surface is None and not self.obstacles and self.pose_rule is None
+        """Whether no pose of object or finger is forbidden."""
+        return not self.obstacles and all(rule is None for rule in (self.surface, self.pose_rule, self.finger_region))
+
+    def allows_push(self, push: Push) -> bool:
+        """Whether `push_rule` lets a push be chosen."""
+        return self.push_rule is None or self.push_rule(push)
 
     def start_at(self, obj: GridObject, pose: ArrayLike, radius: float) -> "PushChecker":
         """The rules for pushes of an object at `pose` (3,) by a disc of `radius`, m."""
@@ -114,6 +128,9 @@ class PushChecker:
             self._finger_table = surface.polygon.buffer(-constraints.finger_inset)
             shapely.prepare(self._table)
             shapely.prepare(self._finger_table)
+        self._finger_region = constraints.finger_region
+        if self._finger_region is not None:
+            shapely.prepare(self._finger_region)
         self._blocked: BaseGeometry | None = None
         self._finger_blocked: BaseGeometry | None = None
         if constraints.obstacles:
@@ -133,6 +150,8 @@ class PushChecker:
         allowed = np.ones(p_WP.shape[:-1], dtype=bool)
         if self._finger_table is not None:
             allowed &= shapely.contains_xy(self._finger_table, p_WP[..., 0], p_WP[..., 1])
+        if self._finger_region is not None:
+            allowed &= shapely.contains_xy(self._finger_region, p_WP[..., 0], p_WP[..., 1])
         if self._finger_blocked is not None:
             allowed &= ~shapely.contains_xy(self._finger_blocked, p_WP[..., 0], p_WP[..., 1])
         return allowed

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.planning.arm_limits import ANY_ARM, ArmLimits
 from gridpush_drake.planning.contact_point import ContactOptions, optimise_contact
 from gridpush_drake.planning.contact_search import SearchOptions
 from gridpush_drake.planning.convex import calc_margin_inside, hull_of
@@ -104,6 +105,7 @@ def plan_slide(
     goals: Sequence[PreGraspGoal],
     surface: SupportSurface,
     options: SlideOptions | None = None,
+    limits: ArmLimits = ANY_ARM,
 ) -> Slide | None:
     """Chooses the next push.
 
@@ -115,15 +117,21 @@ def plan_slide(
         goals: best first.
         surface: the table.
         options: how to choose.
+        limits: of the arm that is to push.
 
     Returns:
-        The push; None where none is safe and brings the object nearer to a goal.
+        The push; None where none is safe, within the arm's reach, and brings the object nearer to a goal.
     """
     options = options or SlideOptions()
     q = np.asarray(pose, dtype=np.float64)
     rule = make_stability_rule(masses, q, surface, options.margin, options.inset)
     constraints = PushConstraints(
-        surface, edge_margin=-FREE_OVERHANG, finger_inset=-options.finger_overhang, pose_rule=rule
+        surface,
+        edge_margin=-FREE_OVERHANG,
+        finger_inset=-options.finger_overhang,
+        pose_rule=rule,
+        finger_region=limits.finger_region,
+        push_rule=limits.can_push,
     )
     proposals: list[tuple[PlannedPush, PreGraspGoal]] = []
     for goal in goals[: options.goals]:
@@ -134,7 +142,8 @@ def plan_slide(
         _try(planned, goal, masses, (params, *draws), q, surface, rule, options)
         for planned, goal in proposals[: options.proposals]
     ]
-    return min((slide for slide in slides if slide is not None), key=lambda slide: slide.planned.cost, default=None)
+    useful = sorted((slide for slide in slides if slide is not None), key=lambda slide: slide.planned.cost)
+    return next((slide for slide in useful if constraints.allows_push(slide.planned.push)), None)
 
 
 def _try(

@@ -14,6 +14,9 @@ from pydrake.multibody.parsing import AddDirectives, ModelDirective
 
 from gridpush_drake.scene.truth import CELL_MASS_RANGE, CONTACT_FRICTION_RANGE, FRICTION_RANGE
 
+KNOWN_FRICTION_RANGE = (0.3, 0.4)
+"""Of any cell against the table, as somebody knows who has seen what the object is made of."""
+
 CURRENT_VERSION = 1
 """Of the schema; a scenario of another one is refused."""
 
@@ -122,6 +125,47 @@ class PokeConfig:
 
 
 @dataclass
+class GoalConfig:
+    """Where to push the object to.
+
+    Attributes:
+        pose: [x, y, theta] of B in W at the goal, m and rad.
+        tolerance: mean distance of the cells from where they should be at which it is reached, m.
+        max_pushes: made before giving up.
+    """
+
+    pose: list[float] = field(default_factory=lambda: [0.6, 0.15, 1.0], metadata=POSE)
+    tolerance: float = _positive(0.02, "m")
+    max_pushes: int = _count(25, 1)
+
+
+@dataclass
+class PreGraspConfig:
+    """How the object is slid to the table's edge and grasped there.
+
+    Attributes:
+        friction: [least, greatest] that is known beforehand of any cell's friction against the table; the narrower, the
+            better the pushes show where the mass is.
+        margin: least distance of the centre of mass, at its worst, from where the object would tip, m.
+        least_pokes: made in any case before it slides.
+        most_pokes: made before giving up.
+        most_slides: made before giving up.
+        force: of the gripper, N.
+        lift: height, m.
+        hold: how long it is held up, s.
+    """
+
+    friction: list[float] = field(default_factory=lambda: list(KNOWN_FRICTION_RANGE), metadata=_range(""))
+    margin: float = _positive(0.003, "m")
+    least_pokes: int = _count(3, 1)
+    most_pokes: int = _count(12, 1)
+    most_slides: int = _count(20, 1)
+    force: float = _positive(80.0, "N")
+    lift: float = _positive(0.1, "m")
+    hold: float = _positive(3.0, "s")
+
+
+@dataclass
 class CameraConfig:
     """What sees the object's pose. Its noise is drawn from the scenario's seed.
 
@@ -219,6 +263,8 @@ class PushScenario:
         truth: what the object truly weighs and how it rubs.
         simulation: of the world.
         workspace: of the finger's tip.
+        goal: where to push the object to, where that is the task.
+        pregrasp: how to slide it to the edge and grasp it, where that is the task; the scene then has a model `gripper`.
         seed: of everything random.
     """
 
@@ -236,4 +282,6 @@ class PushScenario:
     truth: TruthConfig = field(default_factory=TruthConfig)
     simulation: SimulationConfig = field(default_factory=SimulationConfig)
     workspace: WorkspaceConfig = field(default_factory=WorkspaceConfig)
+    goal: GoalConfig = field(default_factory=GoalConfig)
+    pregrasp: PreGraspConfig = field(default_factory=PreGraspConfig)
     seed: int = _count(0, 0)
