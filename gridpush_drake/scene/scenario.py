@@ -264,7 +264,7 @@ class PushScenario:
         simulation: of the world.
         workspace: of the finger's tip.
         goal: where to push the object to, where that is the task.
-        pregrasp: how to slide it to the edge and grasp it, where that is the task; the scene then has a model `gripper`.
+        pregrasp: how to slide it to the edge and grasp it, where that is the task; the scene has a `gripper`.
         seed: of everything random.
     """
 
