@@ -21,7 +21,7 @@ from gridpush_drake.identification.default import DefaultOptions
 from gridpush_drake.identification.identify import METHODS, REGIMES, describe_prior, identify
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import HistoryEntry, Identification
-from gridpush_drake.pushes.log import DEFAULT_PUSHER_RADIUS, PushLog
+from gridpush_drake.pushes.log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
 from gridpush_drake.systems.push_record import RecordOptions, make_observed_push
 from gridpush_drake.systems.push_segmenter import Episode, Sample, SegmenterOptions, SegmenterState, advance
 
@@ -127,6 +127,8 @@ class GridIdentifier(LeafSystem):
         pusher_radius: float | None = None,
         segmenter: SegmenterOptions | None = None,
         record: RecordOptions | None = None,
+        admit: Callable[[ObservedPush], bool] | None = None,
+        memory: int | None = None,
         progress: Callable[[HistoryEntry], None] | None = None,
     ) -> None:
         """Declares the system.
@@ -146,6 +148,8 @@ class GridIdentifier(LeafSystem):
                 prior's in `self.obj`, so that the object's file and the log's say the same offline.
             segmenter: other options of finding pushes; its `engaged_below` is replaced by the argument.
             record: options of writing them down; its `pose_delay` where the sensor's poses are old when they are read.
+            admit: whether a push may be learned from, such as one that took place wholly on the table; None admits all.
+            memory: only the latest so many of those are learned from; None for no limit.
             progress: called now and then while learning.
 
         Raises:
@@ -159,12 +163,15 @@ class GridIdentifier(LeafSystem):
             raise IdentificationError(f"period is {period!r}; expected a positive number (s)")
         if max_learning_pushes is not None and max_learning_pushes < 0:
             raise IdentificationError(f"max_learning_pushes is {max_learning_pushes}; expected 0 or more")
+        if memory is not None and memory < 1:
+            raise IdentificationError(f"memory is {memory}; expected 1 or more")
         if pusher_radius is not None:
             obj = replace(obj, prior=replace(obj.prior, pusher_radius=pusher_radius))
         self.obj, self.max_learning_pushes, self.warm_start = obj, max_learning_pushes, warm_start
         self._radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
         self._segmenter = replace(segmenter or SegmenterOptions(), engaged_below=engaged_below)
         self._record = record or RecordOptions()
+        self._admit, self._memory = admit, memory
         self._learning: dict[str, Any] = {
             "method": method, "seed": seed, "regime": regime, "options": options, "progress": progress,
         }  # fmt: skip
@@ -176,8 +183,14 @@ class GridIdentifier(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update)
 
     def Learn(self, log: PushLog, start: Identification | None = None) -> Identification:
-        """Identifies the object from the log's first `max_learning_pushes`, as the system does when a push ends."""
-        return identify(self.obj, log[: self.max_learning_pushes], start=start, **self._learning)
+        """Identifies the object from a log, as the system does when a push ends: from what `select` takes of it."""
+        return identify(self.obj, self.select(log), start=start, **self._learning)
+
+    def select(self, log: PushLog) -> PushLog:
+        """The pushes of a log that are learned from."""
+        first = log[: self.max_learning_pushes]
+        admitted = [i for i, seen in enumerate(first) if self._admit is None or self._admit(seen)]
+        return first.subset(admitted[-self._memory :] if self._memory is not None else admitted)
 
     def _declare_outputs(self) -> None:
         def declare(name: str, size: int, calc: Callable[[Estimate], Any]) -> None:
@@ -233,11 +246,11 @@ class GridIdentifier(LeafSystem):
         if observed is None:
             return state
         log = replace(state.log, pushes=(*state.log.pushes, observed))
-        if self.max_learning_pushes is not None and len(log) > self.max_learning_pushes:
+        chosen = self.select(log)
+        if not len(chosen) or chosen[-1] is not observed:
             return replace(state, log=log)
         start = state.estimate.found if state.estimate is not None and self.warm_start else None
-        found = self.Learn(log, start)
-        return replace(state, log=log, estimate=_make_estimate(found, log[: self.max_learning_pushes]))
+        return replace(state, log=log, estimate=_make_estimate(self.Learn(log, start), chosen))
 
 
 def _make_estimate(found: Identification, log: PushLog | None) -> Estimate:

@@ -63,6 +63,8 @@ class PreGraspOptions:
         most_pokes: made before giving up.
         most_slides: made before giving up.
         poke_margin: how far inside the rim pokes keep every cell, m.
+        most_arm: farthest that a part may be from where the centre of mass is believed, m: held farther off, the object
+            would turn in the gripper.
     """
 
     gripper: Gripper = field(default_factory=Gripper)
@@ -73,6 +75,7 @@ class PreGraspOptions:
     most_pokes: int = 15
     most_slides: int = 30
     poke_margin: float = 0.02
+    most_arm: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,13 +151,16 @@ class PreGraspPlanner:
         q = np.asarray(pose, dtype=np.float64)
         if belief is None:
             return self._poke(q, Belief.of_prior(self.obj), None, pokes, "nothing is known of the object yet")
-        here = find_grasp_at(belief.masses, self.parts, q, self.surface, self.options.goal, self.limits)
+        parts = self._find_parts_near(belief)
+        here = find_grasp_at(belief.masses, parts, q, self.surface, self.options.goal, self.limits)
         if here is not None and here.margin >= ACCEPTED_SHARE * self.options.goal.margin:
             reason = f"a part hangs over, and the object stays put with {here.margin * MM:.0f} mm to spare"
             return PreGraspDecision("grasp", None, here, None, here.margin, reason)
         if belief.knowledge is not None and pokes < self.options.least_pokes:
             return self._poke(q, belief, None, pokes, "too little is known of the object yet")
-        goals = find_pregrasp_goals(belief.masses, self.parts, q, self.surface, self.options.goal, self.limits)
+        goals = []
+        if parts:
+            goals = find_pregrasp_goals(belief.masses, parts, q, self.surface, self.options.goal, self.limits)
         if not goals or goals[0].margin < self.options.goal.margin:
             best = goals[0] if goals else None
             return self._poke(q, belief, best, pokes, self._describe_lack(best))
@@ -166,6 +172,11 @@ class PreGraspPlanner:
         if slide is None:
             return self._poke(q, belief, goals[0], pokes, "no push towards a goal is safe all the way")
         return _slide(slide)
+
+    def _find_parts_near(self, belief: Belief) -> tuple[GraspPart, ...]:
+        """The parts near enough to where the centre of mass is believed."""
+        middle = belief.masses.centre_of_mass_polygon.mean(axis=0)
+        return tuple(part for part in self.parts if np.linalg.norm(part.p_BG - middle) <= self.options.most_arm)
 
     def _describe_lack(self, best: PreGraspGoal | None) -> str:
         needed = f"{self.options.goal.margin * MM:.0f} mm are asked for"
