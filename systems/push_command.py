@@ -1,10 +1,12 @@
 """What a push command is on a port: a vector of six numbers."""
 
 from dataclasses import dataclass
-from math import cos, sin
+from math import atan2, cos, sin
 
 import numpy as np
 from numpy.typing import NDArray
+
+from gridpush_drake.dynamics.push import Push
 
 PUSH_COMMAND_SIZE = 6
 
@@ -48,3 +50,10 @@ class PushCommand:
         """Reads what `to_vector` wrote."""
         number, *rest = vector.tolist()
         return cls(round(number), *rest)
+
+    @classmethod
+    def from_push(cls, number: int, push: Push) -> "PushCommand":
+        """The command for a straight push."""
+        x, y = push.start.tolist()
+        direction = atan2(push.velocity[1], push.velocity[0])
+        return cls(number, x, y, direction, push.length, push.length / push.duration)

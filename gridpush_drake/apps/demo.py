@@ -1,26 +1,40 @@
-"""`gridpush demo`: a robot that pokes an object it knows nothing about, and comes to know it."""
+"""`gridpush demo`: a robot and an object it knows nothing about: poked, learned, slid to the edge, grasped, lifted."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gridpush_drake.apps import options
-from gridpush_drake.apps.console import count_progress, print_json, print_notice
+from gridpush_drake.apps.console import print_json, print_notice
 
 if TYPE_CHECKING:
-    from pydrake.geometry import Meshcat
-
+    from gridpush_drake.apps.demo_task import DemoTask
     from gridpush_drake.scene.scenario import PushScenario
-    from gridpush_drake.station.experiment import ExperimentRecord
 
-FRAMES_A_SECOND = 20.0
-"""Of the recording."""
+EXIT_NOT_DONE = 1
+"""Where everything went as it should but the robot did not get there."""
 
 EXIT_INTERRUPTED = 130
 
 
+class TaskName(StrEnum):
+    """What the robot is to do."""
+
+    identify = "identify"
+    push = "push"
+    pregrasp = "pregrasp"
+
+
 def demo(
+    task: Annotated[
+        TaskName,
+        typer.Option(
+            help="identify: poke an object and learn it; push: push it to a goal, learning on the way; pregrasp: poke "
+            "it, learn it, slide it to the table's edge and lift it there."
+        ),
+    ] = TaskName.pregrasp,
     object_file: Annotated[
         str | None,
         typer.Option("--object", metavar="NAME|FILE", help="A shipped object's name, or an object file."),
@@ -29,7 +43,9 @@ def demo(
         Path | None,
         typer.Option("--scenario", metavar="FILE", help="What stands where, as YAML; see models/scenarios."),
     ] = None,
-    pushes: Annotated[int | None, typer.Option(min=1, help="How many pushes to learn from.  [default: 8]")] = None,
+    pushes: Annotated[
+        int | None, typer.Option(min=1, help="How many pushes to learn from (--task identify).  [default: 8]")
+    ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Of everything random.  [default: 0]")] = None,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for what the demo writes.")] = Path(
         "gridpush_demo"
@@ -46,46 +62,53 @@ def demo(
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Let a simulated iiwa poke an object whose weights are hidden, learn them, and write a report and a recording."""
-    from gridpush_drake.apps.demo_files import FILES, write_demo
-    from gridpush_drake.apps.demo_verdict import judge, print_verdict
+    """Let a simulated iiwa deal with an object whose weights are hidden from it; write a report and a recording.
+
+    Exit code 1 where the robot did not get there.
+    """
+    from gridpush_drake.apps.demo_task import load_task
     from gridpush_drake.apps.inputs import make_folder
     from gridpush_drake.apps.kernels import compile_kernels
     from gridpush_drake.files import check_writable
     from gridpush_drake.scene.meshcat_server import StartMeshcatServer
     from gridpush_drake.scene.scenario_check import check_scenario
 
-    scenario = _make_scenario(scenario_file, object_file, pushes, seed)
+    if pushes is not None and task is not TaskName.identify:
+        raise options.OptionError(f"--pushes: is for --task identify; {task} decides itself how many to make")
+    chosen = load_task(task)
+    scenario = _make_scenario(chosen, scenario_file, object_file, pushes, seed)
     check_scenario(scenario)
     make_folder(out)
-    for name in FILES:
+    for name in chosen.files:
         check_writable(out / name, force)
     meshcat = StartMeshcatServer(port)
     compile_kernels()
     print_notice(f"Watch it at {meshcat.web_url()}")
     if open_browser:
         typer.launch(meshcat.web_url())
-    record = _run(scenario, meshcat, realtime_rate)
-    written = write_demo(out, scenario, record, meshcat, force)
-    verdict = judge(record)
+    record = chosen.run(scenario, meshcat, realtime_rate)
+    written = chosen.write(out, scenario, record, meshcat, force)
+    verdict = chosen.judge(record)
     if json:
         print_json({**verdict, "written": [str(path) for path in written]})
     else:
-        print_verdict(verdict, written)
-    if open_browser and (out / FILES[0]) in written:
-        typer.launch(str((out / FILES[0]).resolve()))
-    if record.status == "interrupted":
+        chosen.tell(verdict, written)
+    report = out / chosen.files[0]
+    if open_browser and report in written:
+        typer.launch(str(report.resolve()))
+    if verdict["status"] == "interrupted":
         raise typer.Exit(EXIT_INTERRUPTED)
+    if not verdict.get("done", True):
+        raise typer.Exit(EXIT_NOT_DONE)
 
 
 def _make_scenario(
-    scenario_file: Path | None, object_file: str | None, pushes: int | None, seed: int | None
+    task: "DemoTask", scenario_file: Path | None, object_file: str | None, pushes: int | None, seed: int | None
 ) -> "PushScenario":
-    """The scenario of a file, or the default one, with what the command line says instead."""
-    from gridpush_drake.scene.scenario import PushScenario
+    """The scenario of a file, or the task's own one, with what the command line says instead."""
     from gridpush_drake.scene.scenario_file import read_scenario
 
-    scenario = read_scenario(scenario_file) if scenario_file else PushScenario()
+    scenario = read_scenario(scenario_file) if scenario_file else task.make_scenario()
     if object_file is not None:
         scenario.object = object_file
     if pushes is not None:
@@ -93,22 +116,3 @@ def _make_scenario(
     if seed is not None:
         scenario.seed = seed
     return scenario
-
-
-def _run(scenario: "PushScenario", meshcat: "Meshcat", realtime_rate: float) -> "ExperimentRecord":
-    from gridpush_drake.station.experiment import PushExperiment
-    from gridpush_drake.systems.push_status import PushStatus
-
-    experiment = PushExperiment(scenario, meshcat)
-    experiment.AimCamera(meshcat)
-    training, total = scenario.pokes.count, scenario.pokes.count + scenario.pokes.test_count
-    with count_progress("the robot", total) as report:
-
-        def show(status: PushStatus, logged: int) -> None:
-            kind = "push" if status.executed < training else "held-out push"
-            at = min(status.executed + 1, total)
-            refused = f" (refused {status.refused}: {status.reason})" if status.reason else ""
-            report(f"{kind} {at} of {total}, {status.phase}{refused}", status.executed)
-
-        meshcat.StartRecording(FRAMES_A_SECOND)
-        return experiment.run(progress=show, realtime_rate=realtime_rate)

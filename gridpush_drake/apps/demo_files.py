@@ -1,4 +1,4 @@
-"""What the demo leaves in its folder."""
+"""What the demo leaves in its folder: what all tasks write, and what identifying does."""
 
 from pathlib import Path
 
@@ -6,7 +6,9 @@ import yaml
 from pydrake.geometry import Meshcat
 
 from gridpush_drake.files import write_whole
+from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.object_file import write_object
+from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.error_summary import calc_mean_cell_error
 from gridpush_drake.identification.identify import describe_prior
 from gridpush_drake.identification.model_file import write_model
@@ -55,12 +57,8 @@ def write_demo(
     Raises:
         OutputError: a file exists and `force` is not set, or it cannot be written.
     """
-    report, recording, model, object_file, pushes, kept_back, truth, setting = (folder / name for name in FILES)
-    written = [recording, object_file, truth, setting]
-    write_recording(meshcat, recording, force)
-    write_object(object_file, record.obj, force=force)
-    write_whole(truth, yaml.safe_dump(describe_truth(record.obj, record.truth), sort_keys=False), force)
-    write_scenario(setting, scenario, force)
+    report, _, model, _, pushes, kept_back, _, _ = (folder / name for name in FILES)
+    written = write_setting(folder, scenario, record.obj, record.truth, meshcat, force)
     training, held_out = record.training_log, record.held_out_log
     if record.estimates:
         result = record.estimates[-1]
@@ -74,6 +72,19 @@ def write_demo(
         held_out.write_csv(kept_back, force)
         written.append(kept_back)
     return [folder / name for name in FILES if folder / name in written]
+
+
+def write_setting(
+    folder: Path, scenario: PushScenario, obj: GridObject, truth: CellParameters, meshcat: Meshcat, force: bool
+) -> list[Path]:
+    """Writes what every task has: recording.html, object.yaml, truth.yaml, scenario.yaml; see `write_demo`."""
+    names = ("recording.html", "object.yaml", "truth.yaml", "scenario.yaml")
+    recording, object_file, hidden, setting = written = [folder / name for name in names]
+    write_recording(meshcat, recording, force)
+    write_object(object_file, obj, force=force)
+    write_whole(hidden, yaml.safe_dump(describe_truth(obj, truth), sort_keys=False), force)
+    write_scenario(setting, scenario, force)
+    return written
 
 
 def calc_learning(record: ExperimentRecord, result: Identification, held_out: PushLog) -> list[float]:

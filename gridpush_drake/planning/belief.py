@@ -2,13 +2,15 @@
 
 from dataclasses import dataclass
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.result import Identification
+from gridpush_drake.planning.consistent_draws import draw_consistent
 from gridpush_drake.planning.knowledge import Knowledge
-from gridpush_drake.planning.stability import MassSet
+from gridpush_drake.planning.stability import LEAST_SHARE, MassSet
 from gridpush_drake.pushes.log import PushLog
 
 DRAWS = 4
@@ -60,7 +62,7 @@ class Belief:
         return cls(
             found.params,
             MassSet.from_posterior(found.obj, found.posterior, friction_range, seed=seed),
-            tuple(found.samples(draws, seed)) if draws else (),
+            _draw_models(found, draws, seed),
             Knowledge.of_identification(found, log),
         )
 
@@ -75,3 +77,16 @@ class Belief:
     def of_parameters(cls, obj: GridObject, params: CellParameters) -> "Belief":
         """Parameters taken for granted, without doubt."""
         return cls(params, MassSet.of_masses(obj, params))
+
+
+def _draw_models(found: Identification, count: int, seed: int) -> tuple[CellParameters, ...]:
+    """Models that agree with the pushes; every cell's friction is the found one, its mass varies."""
+    if not count:
+        return ()
+    shares, contact_frictions = draw_consistent(found.posterior, count, seed)
+    friction = found.params.friction
+    total = float(found.params.mass @ friction)
+    return tuple(
+        CellParameters(total * np.maximum(share, LEAST_SHARE) / friction, friction, float(mu_c))
+        for share, mu_c in zip(shares, contact_frictions, strict=True)
+    )

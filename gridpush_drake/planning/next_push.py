@@ -8,6 +8,7 @@ else the first of the two that come nearest. Where nothing gains, every place is
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,9 +151,10 @@ class _PushSearch:
         return found
 
     def _take(self, candidates: Sequence[PlannedPush], count: int) -> list[tuple[float, PlannedPush]]:
-        """The best few candidates, as far as they are safe, each after the way that it leaves."""
+        """The best few candidates that are allowed, as far as they are safe, each after the way that it leaves."""
         if self.caution is None:
-            return [(self.way.calc_cost(push.pose), push) for push in candidates[:count]]
+            allowed = (push for push in candidates if self.constraints.allows_push(push.push))
+            return [(self.way.calc_cost(push.pose), push) for push in islice(allowed, count)]
         before = self.caution.simulations
         taken: list[tuple[float, PlannedPush]] = []
         for way, push in sorted(
@@ -162,7 +164,7 @@ class _PushSearch:
             if len(taken) >= count and way >= taken[count - 1][0]:
                 break
             safe = self.caution.cut(self.pose, push)
-            if safe is not None:
+            if safe is not None and self.constraints.allows_push(safe.push):
                 taken = sorted([*taken, (self.way.calc_cost(safe.pose), safe)], key=lambda pair: pair[0])
         self.simulations += self.caution.simulations - before
         return taken[:count]

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 REACHED = "reached"
 GOAL_OFF_TABLE, START_OFF_TABLE = "goal_off_table", "start_off_table"
 GOAL_BLOCKED, START_BLOCKED = "goal_blocked", "start_blocked"
+GOAL_OUT_OF_REACH = "goal_out_of_reach"
 NO_WAY, STUCK, TOO_MANY_PUSHES = "no_way", "stuck", "too_many_pushes"
 
 REASONS = {
@@ -28,6 +29,7 @@ REASONS = {
     GOAL_OFF_TABLE: "At the goal pose the object hangs over the table's edge further than it may.",
     START_OFF_TABLE: "Where the object lies, its centre is not over the table.",
     GOAL_BLOCKED: "At the goal pose the object touches an obstacle, or is nearer to one than it may be.",
+    GOAL_OUT_OF_REACH: "At the goal pose the finger does not come to the object.",
     START_BLOCKED: "Where the object lies, it overlaps an obstacle.",
     NO_WAY: "There is no way to the goal for the object between the obstacles and the table's edges.",
     STUCK: "No push that the finger can make brings the object nearer to the goal.",
@@ -158,7 +160,12 @@ def check_ends(obj: GridObject, start: Array, goal: Array, constraints: PushCons
     table, blocked = constraints.allow_pose(obj, goal)
     if not table:
         return GOAL_OFF_TABLE
-    return GOAL_BLOCKED if blocked else None
+    if blocked:
+        return GOAL_BLOCKED
+    region = constraints.finger_region
+    if region is not None and region.distance(checker.place(goal[None])[0]) > radius:
+        return GOAL_OUT_OF_REACH
+    return None
 
 
 def check_tolerance(tolerance: float, max_pushes: int) -> None:

@@ -12,20 +12,13 @@ from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.planning.contact_point import ContactOptions, check_pose
-from gridpush_drake.planning.next_push import HorizonOptions, NextPush, choose_push
+from gridpush_drake.planning.next_push import HorizonOptions, NextPush
 from gridpush_drake.planning.planned_push import PlannedPush, calc_goal_error
-from gridpush_drake.planning.push_caution import Caution, CautionOptions, draw_doubts
+from gridpush_drake.planning.push_caution import CautionOptions
 from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.push_decision import DEFAULT_CAUTION, GoalRules, decide_push
 from gridpush_drake.planning.push_learner import Learner, LearningOptions
-from gridpush_drake.planning.push_plan import (
-    DEFAULT_MAX_PUSHES,
-    DEFAULT_TOLERANCE,
-    REASONS,
-    STUCK,
-    check_ends,
-    check_tolerance,
-    judge,
-)
+from gridpush_drake.planning.push_plan import DEFAULT_MAX_PUSHES, DEFAULT_TOLERANCE, REASONS
 from gridpush_drake.planning.push_world import PushWorld
 from gridpush_drake.planning.way_to_goal import WayToGoal
 from gridpush_drake.pushes.log import ObservedPush, PushLog
@@ -35,9 +28,6 @@ Progress = Callable[["PushStep"], None]
 
 DEFAULT_LEARNING = LearningOptions()
 """When to learn, where nothing else is said."""
-
-DEFAULT_CAUTION = CautionOptions()
-"""How much is doubted, where nothing else is said."""
 
 LOST = "lost"
 LOST_REASON = "The object is not seen any more: it has fallen, or something hides it."
@@ -139,15 +129,14 @@ def push_to_goal(
     Raises:
         PlanningError: an argument is out of range.
     """
-    check_tolerance(tolerance, max_pushes)
     if patience < 1:
         raise PlanningError(f"patience is {patience!r}; expected at least 1")
-    drive = _Drive(
-        world, obj, check_pose("goal", goal), Learner(obj, params or CellParameters.uniform(obj), learning),
+    rules = GoalRules(
         constraints or PushConstraints(), options or ContactOptions(), horizons or HorizonOptions(horizon=1), caution,
-        tolerance,
-        max_pushes, patience,
+        tolerance, max_pushes,
     )  # fmt: skip
+    learner = Learner(obj, params or CellParameters.uniform(obj), learning)
+    drive = _Drive(world, obj, check_pose("goal", goal), learner, rules, patience)
     status: str | None = None
     while status is None:
         made = len(drive.steps)
@@ -165,12 +154,7 @@ class _Drive:
     obj: GridObject
     goal: Array
     learner: Learner
-    constraints: PushConstraints
-    options: ContactOptions
-    horizons: HorizonOptions
-    caution: CautionOptions | None
-    tolerance: float
-    max_pushes: int
+    rules: GoalRules
     patience: int
     steps: list[PushStep] = field(default_factory=list)
     simulations: int = 0
@@ -183,37 +167,18 @@ class _Drive:
         q = _look(self.world, self.patience)
         if q is None:
             return LOST
-        self.error = float(calc_goal_error(self.obj, q, self.goal))
         begin = perf_counter()
-        decision = self._decide(q)
+        decision = decide_push(
+            self.obj, q, self.goal, len(self.steps), self.learner.params, self.learner.identification, self.rules,
+            self.way,
+        )  # fmt: skip
         self.seconds += perf_counter() - begin
-        if isinstance(decision, str):
-            return decision
-        self.simulations += decision.simulations
-        if decision.push is None:
-            return STUCK
-        self._make(decision, decision.push)
-        return None
-
-    def _decide(self, q: Array) -> NextPush | str:
-        """The next push, or why there should be none."""
-        bad = check_ends(self.obj, q, self.goal, self.constraints, self.options.radius)
-        if bad is not None:
-            return bad
-        if self.way is None or self.way.direct:
-            checker = self.constraints.start_at(self.obj, q, self.options.radius)
-            self.way = WayToGoal(self.obj, q, self.goal, checker)
-        status = judge(self.obj, q, self.way, len(self.steps), self.tolerance, self.max_pushes)
-        if status is not None:
-            return status
-        model = self.learner.params
-        caution = None
-        if self.caution is not None:
-            doubts = draw_doubts(self.obj, model, self.learner.identification, self.caution)
-            caution = Caution(self.obj, [model, *doubts], self.constraints, self.options, self.caution)
-        return choose_push(
-            self.obj, model, q, self.way, self.tolerance, self.constraints, self.options, self.horizons, caution
-        )
+        self.error, self.way = decision.error, decision.way
+        if decision.chosen is not None:
+            self.simulations += decision.chosen.simulations
+        if decision.chosen is not None and decision.chosen.push is not None:
+            self._make(decision.chosen, decision.chosen.push)
+        return decision.status
 
     def _make(self, decision: NextPush, planned: PlannedPush) -> None:
         """Makes a push, and learns from it unless the goal is reached."""
@@ -222,7 +187,7 @@ class _Drive:
         if len(seen.t_observed):
             off = float(calc_goal_error(self.obj, seen.final_pose, planned.pose))
             after = float(calc_goal_error(self.obj, seen.final_pose, self.goal))
-        learned = not after <= self.tolerance and self.learner.take(seen, off)
+        learned = not after <= self.rules.tolerance and self.learner.take(seen, off)
         self.steps.append(PushStep(planned, seen, decision.way, off, after, decision.horizon, learned))
 
     def finish(self, status: str) -> PushRun:

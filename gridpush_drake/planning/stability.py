@@ -11,7 +11,8 @@ agrees with it. The farthest that its centre of mass can be in a direction d is 
 
 whose solution takes every cell on the far side of the line d.p = h as heavy, and on the near side as light, as can be:
 sorting the cells along d and trying every cut finds it. k itself is known up to the posterior's spread: h is taken for
-many draws from it, and the value is kept that all but a small share of the draws stay below. The half-planes
+many draws from it that agree with the pushes (`consistent_draws`), and the value is kept that all but a small share of
+the draws stay below. The half-planes
 d.c <= h(d) over many d bound the centre of mass by a polygon, from outside.
 
 The object stays put while its centre of mass is inside the convex hull of what holds it: the cells whose centres are on
@@ -29,6 +30,7 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.planning.consistent_draws import draw_consistent
 from gridpush_drake.planning.convex import bound_by_half_planes, hull_of
 from gridpush_drake.planning.hull_kernel import calc_margins
 from gridpush_drake.planning.surface import SupportSurface
@@ -114,7 +116,7 @@ class MassSet:
         low, high = friction_range or (obj.prior.friction_min, obj.prior.friction_max)
         if not 0 < low <= high < np.inf:
             raise PlanningError(f"friction_range is {(low, high)!r}; expected 0 < least <= greatest")
-        share, _ = posterior.draw(draws, seed)
+        share, _ = draw_consistent(posterior, draws, seed)
         share = np.maximum(share, LEAST_SHARE)
         return cls(obj, share / high, share / low, confidence)
 

@@ -32,6 +32,7 @@ from gridpush_drake.report.layout import to_svg
 from gridpush_drake.report.maps import draw_learned_maps, draw_unknown_maps
 from gridpush_drake.report.numbers import describe_making, list_numbers
 from gridpush_drake.report.pose_figures import MOST_DUMBBELLS, MOST_OVERLAYS, Outcome, draw_errors, draw_overlays
+from gridpush_drake.report.story import Story
 
 TEMPLATE = "report.html.j2"
 
@@ -67,6 +68,7 @@ def make_report(
     held_out: PushLog | None = None,
     truth: CellParameters | None = None,
     learning: Sequence[float] | None = None,
+    story: Story | None = None,
 ) -> str:
     """Makes the report.
 
@@ -77,6 +79,7 @@ def make_report(
         truth: what the object's cells really are, where that is known.
         learning: mean cell error of the held-out pushes, m, before the first push and after each; None where nobody
             followed it.
+        story: what a robot did with the object; None where it only looked.
 
     Returns:
         An HTML page that needs nothing else.
@@ -93,11 +96,15 @@ def make_report(
         text
     ).render(
         name=obj.name.replace("_", " "),
-        verdict=_judge(identification, judged, fresh is judged),
+        verdict=_judge(identification, judged, fresh is judged) if story is None else story.verdict,
         message=identification.message,
-        facts=_list_facts(identification, judged, log, held_out),
+        facts=_list_facts(identification, judged, log, held_out) if story is None else story.facts,
+        story=story,
         figures=_draw_figures(identification, log, held_out, truth, training.cell[0], outcomes)
-        | {"learning": _embed(_draw_learning(identification, held_out, truth, learning)) if learning else None},
+        | {
+            "learning": _embed(_draw_learning(identification, held_out, truth, learning)) if learning else None,
+            "story": None if story is None else _embed(story.figure),
+        },
         known_truth=truth is not None,
         has_held_out=fresh is not None,
         overlays_shown=min(len(outcomes), MOST_OVERLAYS),

@@ -134,7 +134,7 @@ class GoalConfig:
         max_pushes: made before giving up.
     """
 
-    pose: list[float] = field(default_factory=lambda: [0.6, 0.15, 1.0], metadata=POSE)
+    pose: list[float] = field(default_factory=lambda: [0.6, 0.15, 2.5], metadata=POSE)
     tolerance: float = _positive(0.02, "m")
     max_pushes: int = _count(25, 1)
 
@@ -150,6 +150,7 @@ class PreGraspConfig:
         least_pokes: made in any case before it slides.
         most_pokes: made before giving up.
         most_slides: made before giving up.
+        most_arm: farthest that the gripper may take it from its estimated centre of mass, m.
         force: of the gripper, N.
         lift: height, m.
         hold: how long it is held up, s.
@@ -160,6 +161,7 @@ class PreGraspConfig:
     least_pokes: int = _count(3, 1)
     most_pokes: int = _count(12, 1)
     most_slides: int = _count(20, 1)
+    most_arm: float = _positive(0.1, "m")
     force: float = _positive(80.0, "N")
     lift: float = _positive(0.1, "m")
     hold: float = _positive(3.0, "s")

@@ -6,16 +6,19 @@ With q the joint angles, J(q) the tip's Jacobian (rotation above translation) an
 
 moves the tip where it should be and, in the null space, as near to q_nominal as possible. Drake's differential inverse
 kinematics with joint centring has the same fixed point, so that what is found here is what the moving arm does.
+
+The tool points down; its turn about the vertical (yaw) is zero at `R_WP_DOWN`.
 """
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JacobianWrtVariable
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.systems.push_executor import R_WP_DOWN
+from gridpush_drake.systems.tool_motion import calc_tool_rotation
 
 Array = NDArray[np.float64]
 
@@ -54,13 +57,16 @@ class ArmPosture:
         self._plant.SetPositions(self._context, q)
         return self._tip.CalcPoseInWorld(self._context)
 
-    def calc_step(self, q: Array, p_WP: Array, q_nominal: Array) -> tuple[Array, float]:
+    def calc_step(
+        self, q: Array, p_WP: Array, q_nominal: Array, R_WP: RotationMatrix = R_WP_DOWN
+    ) -> tuple[Array, float]:
         """One step towards the tool pointing down with its tip at p_WP.
 
         Args:
             q: (7,) rad.
             p_WP: (3,) m.
             q_nominal: (7,) rad.
+            R_WP: of the tool, see `calc_tool_rotation`.
 
         Returns:
             dq (7,), rad, and the error's norm before the step, m and rad.
@@ -69,12 +75,14 @@ class ArmPosture:
         J = self._plant.CalcJacobianSpatialVelocity(
             self._context, JacobianWrtVariable.kV, self._tip, np.zeros(3), self._world, self._world
         )
-        e = np.concatenate([_calc_rotation_error(X_WP.rotation().matrix()), p_WP - X_WP.translation()])
+        e = np.concatenate([_calc_rotation_error(X_WP.rotation().matrix(), R_WP.matrix()), p_WP - X_WP.translation()])
         J_plus = np.linalg.pinv(J)
         away = q_nominal - q
         return J_plus @ e + away - J_plus @ (J @ away), float(np.linalg.norm(e))
 
-    def solve(self, p_WP: ArrayLike, q_nominal: Array, q_seed: Array, iterations: int = 200) -> Array | None:
+    def solve(
+        self, p_WP: ArrayLike, q_nominal: Array, q_seed: Array, iterations: int = 200, yaw: float = 0.0
+    ) -> Array | None:
         """Finds the posture with the tool down and its tip at p_WP.
 
         Args:
@@ -82,13 +90,14 @@ class ArmPosture:
             q_nominal: (7,) posture to stay near to, rad.
             q_seed: (7,) where the search begins, rad.
             iterations: at most.
+            yaw: of the tool, rad.
 
         Returns:
             (7,) rad, or None where the search does not arrive. Joint limits are not looked at.
         """
-        q, target = q_seed, np.asarray(p_WP, float)
+        q, target, R_WP = q_seed, np.asarray(p_WP, float), calc_tool_rotation(yaw)
         for _ in range(iterations):
-            dq, error = self.calc_step(q, target, q_nominal)
+            dq, error = self.calc_step(q, target, q_nominal, R_WP)
             q = q + dq
             if error < POSITION_TOLERANCE and np.abs(dq).max() < CENTRING_TOLERANCE:
                 return q
@@ -119,9 +128,9 @@ def CalcStartPosture(control_plant: MultibodyPlant, p_WP: ArrayLike, q_seed: Arr
     return q
 
 
-def _calc_rotation_error(R_WP: Array) -> Array:
-    """(3,) rotation vector in W that turns R_WP into the tool's, for small angles exact to second order, rad."""
-    R = R_WP_DOWN.matrix() @ R_WP.T
+def _calc_rotation_error(R_WP: Array, R_wanted: Array) -> Array:
+    """(3,) rotation vector in W that turns R_WP into the wanted one, for small angles exact to second order, rad."""
+    R = R_wanted @ R_WP.T
     sine = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     length = np.linalg.norm(sine)
     angle = np.arctan2(length, (np.trace(R) - 1.0) / 2.0)

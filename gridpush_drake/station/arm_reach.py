@@ -5,6 +5,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.multibody.plant import MultibodyPlant
 
 from gridpush_drake.station.arm_posture import ArmPosture
+from gridpush_drake.systems.tool_motion import TURNING_RADIUS, calc_tool_rotation
 
 Array = NDArray[np.float64]
 
@@ -21,8 +22,8 @@ ARRIVED = 1e-5
 class ArmReach:
     """Leads the arm along a way in steps and says what stops it.
 
-    It is what a `PushExecutor` takes as `reach`. The postures are those of `arm_posture`, to which the moving arm is
-    drawn.
+    It is what a `PushExecutor` and a `GraspExecutor` take as `reach`. The postures are those of `arm_posture`, to which
+    the moving arm is drawn.
     """
 
     def __init__(
@@ -46,15 +47,18 @@ class ArmReach:
         self._lower, self._upper = self._posture.lower + position_margin, self._posture.upper - position_margin
         self._speed = speed_share * self._posture.speed
 
-    def __call__(self, way: ArrayLike, speeds: ArrayLike) -> str | None:
+    def __call__(self, way: ArrayLike, speeds: ArrayLike, yaws: ArrayLike | None = None) -> str | None:
         """None where the tip can go along `way`, else a sentence that says why not.
 
         Args:
             way: (k, 3) corners p_WP of the tip's way, m.
-            speeds: (k - 1,) greatest on its pieces, m/s.
+            speeds: (k - 1,) greatest on its pieces, m/s; of the way that `tool_motion` measures where the tool turns.
+            yaws: (k,) of the tool at the corners, rad; None where it does not turn.
         """
         corners = np.array(way, float)
-        q, reason = self._follow(self._nominal, self._p_WN, corners[0], None)
+        turns = np.zeros(len(corners)) if yaws is None else np.asarray(yaws, float)
+        corners = np.column_stack([corners, turns])
+        q, reason = self._follow(self._nominal, np.append(self._p_WN, 0.0), corners[0], None)
         for start, end, speed in zip(corners[:-1], corners[1:], np.asarray(speeds, float), strict=True):
             if reason is not None:
                 break
@@ -62,14 +66,16 @@ class ArmReach:
         return reason
 
     def _follow(self, q: Array, start: Array, end: Array, speed: float | None) -> tuple[Array, str | None]:
-        """Leads the arm from posture q, tip at `start`, to `end`; returns the last posture and what stopped it."""
-        length = float(np.linalg.norm(end - start))
+        """Leads the arm from posture q, tip and yaw at `start` (4,), to `end`; returns its last posture and stop."""
+        turn = float(end[3] - start[3])
+        length = float(np.hypot(np.linalg.norm(end[:3] - start[:3]), TURNING_RADIUS * turn))
         count = int(np.ceil(length / STEP))
         for i in range(1, count + 1):
-            p_WP = start + (end - start) * (i / count)
+            p_WP = start[:3] + (end[:3] - start[:3]) * (i / count)
+            R_WP = calc_tool_rotation(float(start[3]) + turn * (i / count))
             before, where = q, "({:.2f}, {:.2f}, {:.2f}) m".format(*p_WP)
             for _ in range(STEPS_PER_POSTURE):
-                dq, error = self._posture.calc_step(q, p_WP, self._nominal)
+                dq, error = self._posture.calc_step(q, p_WP, self._nominal, R_WP)
                 q = q + dq
                 if error < ARRIVED:
                     break

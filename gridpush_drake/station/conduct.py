@@ -8,7 +8,11 @@ from pydrake.systems.framework import Context, EventStatus
 
 from gridpush_drake.station.arm_posture import TIP_FRAME
 from gridpush_drake.station.push_station import PushStation
+from gridpush_drake.systems import grasp_status
 from gridpush_drake.systems.push_status import PUSHING
+
+GRIPPING = (grasp_status.CLOSING, grasp_status.LIFTING, grasp_status.HOLDING, grasp_status.OPENING)
+"""Phases of a grasp in which the gripper's fingers may touch the object."""
 
 DEFAULT_PERIOD = 0.02
 """Between two looks, s."""
@@ -36,7 +40,7 @@ class Conduct:
 
     @property
     def blameless(self) -> bool:
-        """Whether all limits were kept and nothing was touched but the object, and that with the tip alone."""
+        """Whether all limits were kept and nothing was touched but the object, by the tip or a grasp."""
         return max(self.position_share, self.velocity_share, self.torque_share) <= 1.0 and not self.touched
 
 
@@ -70,6 +74,8 @@ class ConductMonitor:
         )
         self._object = station.object_in_plant.body.index()
         self._tip = plant.GetBodyByName(TIP_FRAME).index()
+        fingers = () if station.gripper is None else ("left_finger", "right_finger")
+        self._fingers = {plant.GetBodyByName(name, station.gripper).index() for name in fingers}
         inspector = station.scene_graph.model_inspector()
         self._table = {plant.GetBodyFromFrameId(inspector.GetFrameId(geometry)).index() for geometry in station.table}
 
@@ -97,13 +103,15 @@ class ConductMonitor:
             gap = read("executor.tip_pose").translation() - read("pusher.state")[:3]
             seen.tracking_error = max(seen.tracking_error, float(np.linalg.norm(gap)))
         contacts = read("contact_results")
+        gripping = station.gripper is not None and read("grasp.status").phase in GRIPPING
+        allowed = {self._tip, *self._table, *(self._fingers if gripping else ())}
         for i in range(contacts.num_point_pair_contacts()):
             contact = contacts.point_pair_contact_info(i)
-            self._judge(contact.bodyA_index(), contact.bodyB_index())
+            self._judge(contact.bodyA_index(), contact.bodyB_index(), allowed)
 
-    def _judge(self, a: int, b: int) -> None:
+    def _judge(self, a: int, b: int, allowed: set[int]) -> None:
         pair = {a, b}
-        if self._object in pair and (self._tip in pair or pair & self._table):
+        if self._object in pair and pair & allowed:
             return
         plant = self._station.plant
         first, second = sorted(plant.get_body(index).name() for index in pair)

@@ -1,11 +1,8 @@
 """An experiment: the station pokes an object it knows nothing about, learns, and is tested on pushes it never saw."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
@@ -18,27 +15,22 @@ from gridpush_drake.identification.result import Identification
 from gridpush_drake.pushes.log import PushLog
 from gridpush_drake.scene.meshcat_server import AimCamera
 from gridpush_drake.scene.scenario import PushScenario
-from gridpush_drake.scene.scenario_check import CalcTipReach
-from gridpush_drake.station.conduct import Conduct, ConductMonitor
+from gridpush_drake.station.conduct import Conduct
+from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.push_station import MakePushStation, PushStation
+from gridpush_drake.station.task_run import INTERRUPTED, Progress, Sight, TaskRun
 from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
 from gridpush_drake.systems.poke_choice import PokeRegion, PokeStyle
 from gridpush_drake.systems.poke_policy import PokePolicy
 from gridpush_drake.systems.push_status import PushStatus
 
-FINISHED, OBJECT_LOST, INTERRUPTED, STUCK = "finished", "object_lost", "interrupted", "stuck"
-
-ADVANCE = 0.1
-"""Simulated between two looks at how far the experiment is, s."""
+FINISHED, OBJECT_LOST, STUCK = "finished", "object_lost", "stuck"
 
 EDGE_MARGIN = 0.03
 """Between the object and the table's edge, where pokes are meant to leave it, m."""
 
 MIDDLE_MARGIN = 0.09
 """Between the object's centroid and the limits of where the finger can be, for the finger to get around it, m."""
-
-RING_SEGMENTS = 32
-"""A quarter turn, of the polygon for a ring."""
 
 REFUSALS = 20
 """In a row, after which the experiment is stuck."""
@@ -49,8 +41,10 @@ PATIENCE = 10.0
 CAMERA_DISTANCE, CAMERA_AZIMUTH, CAMERA_ELEVATION = 0.85, 0.7, 0.75
 """Of Meshcat's camera, m, rad and rad: opposite the robot, a little to its left."""
 
-LOST_AFTER = 0.5
-"""Simulated without the object being seen, after which it is lost, s."""
+__all__ = [
+    "FINISHED", "INTERRUPTED", "OBJECT_LOST", "STUCK", "AddEstimateVisualizer", "ExperimentRecord", "Progress",
+    "PushExperiment",
+]  # fmt: skip
 
 
 @dataclass
@@ -90,10 +84,6 @@ class ExperimentRecord:
         return self.log[self.training :]
 
 
-Progress = Callable[[PushStatus, int], None]
-"""Told now and then the executor's status and how many pushes are in the log."""
-
-
 class PushExperiment:
     """The station with a policy that pokes, to be run once or many times.
 
@@ -125,7 +115,8 @@ class PushExperiment:
             AddEstimateVisualizer(builder, station, policy, meshcat)
         self.diagram: Diagram = builder.Build()
         self.diagram.set_name("push_experiment")
-        self.simulator = Simulator(self.diagram)
+        self._task = TaskRun(self.station, self.diagram)
+        self.simulator: Simulator = self._task.simulator
 
     def AimCamera(self, meshcat: Meshcat) -> None:
         """Points Meshcat's camera at where the object begins."""
@@ -148,46 +139,30 @@ class PushExperiment:
         Raises:
             StationError: not a single push could be carried out.
         """
-        simulator = self.simulator
-        simulator.reset_context(self.diagram.CreateDefaultContext())
-        context = simulator.get_mutable_context()
         seed = self._scenario.seed if seed is None else seed
-        self.station.SetStart(context, seed)
         self._policy.seed = seed
-        monitor = ConductMonitor(self.station)
-        record = ExperimentRecord(
-            self.station.obj, self.station.truth, training=self._scenario.pokes.count, conduct=monitor.conduct
-        )
-        simulator.set_target_realtime_rate(realtime_rate)
-        simulator.set_monitor(monitor)
-        watch = _Watch(self._scenario.pokes.count + self._scenario.pokes.test_count)
-        try:
-            simulator.Initialize()
-            while not record.status:
-                simulator.AdvanceTo(context.get_time() + ADVANCE)
-                status = self._note(record)
-                record.status, record.message = watch.judge(context.get_time(), status, self._read("object.pose"))
-                if progress is not None:
-                    progress(status, len(record.log))
-        except KeyboardInterrupt:
-            self._note(record)
-            record.status, record.message = INTERRUPTED, f"Interrupted after {len(record.log)} pushes."
+        pokes = self._scenario.pokes
+        record = ExperimentRecord(self.station.obj, self.station.truth, training=pokes.count)
+        watch = _Watch(pokes.count + pokes.test_count)
+
+        def judge(time: float) -> tuple[str, str]:
+            return watch.judge(time, self._note(record), self._task.read("object.pose"))
+
+        end = self._task.run(judge, seed, progress, realtime_rate)
+        record.truth = self.station.truth
+        record.status, record.message = end.status, end.message
+        record.conduct, record.duration = end.conduct, end.duration
         if not len(record.log) and record.status == STUCK:
             raise StationError(record.message)
         return record
 
     def _note(self, record: ExperimentRecord) -> PushStatus:
-        record.log = self._read("estimate.push_log")
-        found = self._read("estimate.identification")
+        record.log = self._task.read("estimate.push_log")
+        found = self._task.read("estimate.identification")
         if found is not None and (not record.estimates or found is not record.estimates[-1]):
             record.estimates.append(found)
-        record.duration = self.simulator.get_context().get_time()
-        status: PushStatus = self._read("executor.status")
+        status: PushStatus = self._task.read("executor.status")
         return status
-
-    def _read(self, port: str) -> Any:
-        root = self.simulator.get_context()
-        return self.station.GetOutputPort(port).Eval(self.station.GetMyContextFromRoot(root))
 
 
 @dataclass
@@ -195,20 +170,19 @@ class _Watch:
     """Decides when an experiment is over."""
 
     pushes: int
-    last_seen: float = 0.0
+    sight: Sight = field(default_factory=Sight)
     last_busy: float = 0.0
     executed: int = 0
     refused: int = 0
 
     def judge(self, time: float, status: PushStatus, pose: NDArray[np.float64]) -> tuple[str, str]:
         """Status and message; empty while it goes on."""
-        if np.isfinite(pose).all():
-            self.last_seen = time
+        lost = self.sight.is_lost(time, pose)
         if not status.ready:
             self.last_busy = time
         if status.executed > self.executed:
             self.executed, self.refused = status.executed, status.refused
-        if time - self.last_seen > LOST_AFTER:
+        if lost:
             return OBJECT_LOST, f"The object left the table during push {status.executed + (not status.ready)}."
         if status.executed >= self.pushes:
             return FINISHED, f"All {self.pushes} pushes were carried out."
@@ -236,20 +210,11 @@ def AddEstimateVisualizer(
     return visualizer
 
 
-def MakeRing(axis: NDArray[np.float64], least: float, greatest: float) -> shapely.Polygon:
-    """The places about the robot's axis (2,) between two distances, m."""
-    outer, inner = (shapely.Point(axis).buffer(radius, RING_SEGMENTS) for radius in (greatest, least))
-    return outer - inner
-
-
 def _make_policy(station: PushStation) -> PokePolicy:
     scenario, pokes = station.scenario, station.scenario.pokes
-    x, y = scenario.workspace.x, scenario.workspace.y
-    box = shapely.box(x[0], y[0], x[1], y[1])
-    axis, least, greatest = CalcTipReach(station.plant, scenario.finger.push_height)
     keep_in = station.table_top.buffer(-EDGE_MARGIN)
-    middle = MakeRing(axis, least + MIDDLE_MARGIN, greatest - MIDDLE_MARGIN) & box.buffer(-MIDDLE_MARGIN)
-    region = PokeRegion(MakeRing(axis, least, greatest) & box, keep_in, None if middle.is_empty else middle)
+    middle = MakeFingerRegion(station, MIDDLE_MARGIN)
+    region = PokeRegion(MakeFingerRegion(station), keep_in, None if middle.is_empty else middle)
     style = PokeStyle(
         distance=(pokes.distance[0], pokes.distance[1]),
         speed=pokes.speed,

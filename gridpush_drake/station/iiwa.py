@@ -10,7 +10,7 @@ from pydrake.multibody.inverse_kinematics import (
     DifferentialInverseKinematicsParameters,
 )
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex
+from pydrake.multibody.tree import FixedOffsetFrame, ModelInstanceIndex
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, System
 from pydrake.systems.primitives import SharedPointerSystem
 
@@ -24,6 +24,15 @@ IIWA_URL = "package://gridpush_drake/iiwa/iiwa14_primitives.urdf"
 
 FINGER_URL = "package://gridpush_drake/finger/finger.sdf"
 """The finger's model."""
+
+BRACKET_URL = "package://gridpush_drake/gripper/bracket.sdf"
+"""The bracket's model, that carries finger and gripper."""
+
+GRIPPER_URL = "package://gridpush_drake/gripper/wsg_50.sdf"
+"""The gripper's model."""
+
+GRASP_FRAME = "grasp"
+"""Name of the frame in the middle between the gripper's pads."""
 
 BASE_FRAME = "iiwa_link_0"
 """Fixed to the world."""
@@ -54,10 +63,12 @@ class Arm:
     Attributes:
         iiwa: the arm's model instance.
         finger: the finger's.
+        gripper: the gripper's; None where there is none.
     """
 
     iiwa: ModelInstanceIndex
     finger: ModelInstanceIndex
+    gripper: ModelInstanceIndex | None = None
 
 
 @dataclass(frozen=True)
@@ -87,19 +98,44 @@ def AddIiwa(plant: MultibodyPlant) -> Arm:
     return Arm(iiwa, finger)
 
 
-def MakeControlPlant(gravity: ArrayLike | None = None) -> MultibodyPlant:
+def MakeControlPlant(gravity: ArrayLike | None = None, gripper: bool = False) -> MultibodyPlant:
     """Makes the plant that the controllers know: arm and finger, and nothing else.
 
     Args:
         gravity: (3,) of the plant to be controlled, m/s²; Drake's by default.
+        gripper: whether the flange carries bracket, finger and gripper instead of the finger alone. The gripper is
+            rigid, so that the plant has the arm's positions only; it has its frame `GRASP_FRAME`.
     """
     plant = MultibodyPlant(time_step=0.0)
-    AddIiwa(plant)
+    if gripper:
+        _add_iiwa_with_gripper(plant)
+    else:
+        AddIiwa(plant)
     if gravity is not None:
         plant.mutable_gravity_field().set_gravity_vector(np.asarray(gravity, float))
     plant.Finalize()
     plant.set_name("control_plant")
     return plant
+
+
+def _add_iiwa_with_gripper(plant: MultibodyPlant) -> None:
+    """Adds the arm with bracket, finger and a rigid gripper, as in the scenes that have one."""
+    parser = MakeParser(plant)
+    iiwa, bracket, finger = (parser.AddModelsFromUrl(url)[0] for url in (IIWA_URL, BRACKET_URL, FINGER_URL))
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(BASE_FRAME, iiwa))
+    plant.WeldFrames(plant.GetFrameByName(FLANGE_FRAME, iiwa), plant.GetFrameByName("bracket", bracket))
+    plant.WeldFrames(plant.GetFrameByName("finger_mount", bracket), plant.GetFrameByName("finger", finger))
+    whole = MultibodyPlant(time_step=0.0)
+    (wsg,) = MakeParser(whole).AddModelsFromUrl(GRIPPER_URL)
+    whole.Finalize()
+    context, base = whole.CreateDefaultContext(), whole.GetFrameByName("body", wsg)
+    inertia = whole.CalcSpatialInertia(context, base, whole.GetBodyIndices(wsg))
+    instance = plant.AddModelInstance("gripper")
+    rigid = plant.AddRigidBody("body", instance, inertia)
+    for name in ("mount", GRASP_FRAME):
+        X_BF = whole.GetFrameByName(name, wsg).CalcPose(context, base)
+        plant.AddFrame(FixedOffsetFrame(name, rigid.body_frame(), X_BF, instance))
+    plant.WeldFrames(plant.GetFrameByName("gripper_mount", bracket), plant.GetFrameByName("mount", instance))
 
 
 def AddIiwaControl(

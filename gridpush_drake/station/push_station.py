@@ -4,8 +4,8 @@ The station knows the object's outline. What its cells weigh and how they rub, t
 everything else in the station sees the object through its camera.
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 from pydrake.geometry import (
@@ -16,12 +16,16 @@ from pydrake.geometry import (
     Role,
     SceneGraph,
 )
+from pydrake.manipulation import SchunkWsgPositionController
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
+from pydrake.multibody.tree import ModelInstanceIndex
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort, System
 from shapely.geometry.base import BaseGeometry
 
+from gridpush_drake.errors import StationError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.pushes.log import ObservedPush
 from gridpush_drake.scene.contact_material import SetPartner
 from gridpush_drake.scene.grid_object import AddGridObject, Base, GridObjectInPlant
 from gridpush_drake.scene.grid_object_state import SetGridObjectParameters, SetGridObjectPose
@@ -34,13 +38,18 @@ from gridpush_drake.scene.table import TABLE, FindTableOutline
 from gridpush_drake.scene.truth import MakeTruth
 from gridpush_drake.station.arm_posture import TIP_FRAME, CalcStartPosture
 from gridpush_drake.station.arm_reach import ArmReach
+from gridpush_drake.station.grasp_clearance import GraspClearance
 from gridpush_drake.station.iiwa import (
+    GRASP_FRAME,
     AddIiwaControl,
     Arm,
     ArmControl,
     MakeControlPlant,
     SetArmStart,
 )
+from gridpush_drake.systems.grasp_command import GraspCommand
+from gridpush_drake.systems.grasp_executor import GraspExecutor
+from gridpush_drake.systems.grasp_way import GraspingStyle
 from gridpush_drake.systems.grid_identifier import GridIdentifier
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 from gridpush_drake.systems.push_command import PushCommand
@@ -51,6 +60,9 @@ from gridpush_drake.systems.pusher_state_sensor import PusherStateSensor
 
 HOME = (0.5, 0.0, 0.2)
 """p_WP of the tip at the beginning, m: above the middle of the table, where the arm's posture is comfortable."""
+
+GRIPPER = "gripper"
+"""Name of the gripper's model instance; a scene need not have one."""
 
 LOST_BELOW = -0.01
 """z of the object's bottom in W below which the camera has lost it, m: it has left the table."""
@@ -82,6 +94,21 @@ ESTIMATE_OUTPUTS = (
 """Of the identifier, exported as `estimate.mass` and so on."""
 
 
+@dataclass(frozen=True)
+class Learning:
+    """What the station's identifier learns from.
+
+    Attributes:
+        most_pushes: the first so many; None for no limit.
+        memory: of those, the latest so many; None for no limit.
+        admit: whether a push may be learned from; None admits all.
+    """
+
+    most_pushes: int | None = None
+    memory: int | None = None
+    admit: Callable[[ObservedPush], bool] | None = None
+
+
 class PushStation(Diagram):
     """The station as a Diagram, with handles on what it was made from.
 
@@ -90,6 +117,7 @@ class PushStation(Diagram):
         name: PushStation
         input_ports:
         - push_command
+        - grasp_command
         output_ports:
         - executor.status
         - executor.tip_pose
@@ -104,12 +132,17 @@ class PushStation(Diagram):
         - body_poses
         - contact_results
         - query_object
+        - grasp.status
+        - gripper.state
 
     - ``push_command``: (6,) see `systems.push_command`.
     - ``executor.status``: abstract `PushStatus`; ``executor.tip_pose``: abstract `RigidTransform`, X_WP desired.
     - ``pusher.state``: (6,) p_WP, m, and v_WP, m/s, of the tip's centre, from the joints.
     - ``object.pose``: (3,) as the camera sees it, m and rad; ``object.pose_true``: as it is, for display and judgement.
-    - ``estimate.*``: see `GridIdentifier`; ``iiwa.*``: see Drake's `SimIiwaDriver`; the last three: the plant's own.
+    - ``estimate.*``: see `GridIdentifier`; ``iiwa.*``: see Drake's `SimIiwaDriver`; the three after: the plant's own.
+    - Where the scene has a gripper: ``grasp_command``: (6,) see `systems.grasp_command`, need not be connected;
+      ``grasp.status``: abstract `GraspStatus`; ``gripper.state``: (4,) the fingers' positions, left and right, m, and
+      velocities, m/s. ``executor.tip_pose`` is then what push and grasp executor together desire.
 
     Attributes:
         scenario: what it was made from.
@@ -122,6 +155,7 @@ class PushStation(Diagram):
         table: the table's collision geometries.
         table_top: where on it things may lie, a polygon in W, m.
         style: how the executor pushes.
+        gripper: its model instance; None where the scene has none.
     """
 
     def __init__(self, builder: DiagramBuilder, parts: dict[str, Any]) -> None:
@@ -137,6 +171,8 @@ class PushStation(Diagram):
         self.table: tuple[GeometryId, ...] = parts["table"]
         self.table_top: BaseGeometry = parts["table_top"]
         self.style: PushingStyle = parts["style"]
+        self.gripper: ModelInstanceIndex | None = self.arm.gripper
+        self._grasping: GraspExecutor | None = parts["grasping"]
         self._reach: ArmReach = parts["reach"]
         self._control: ArmControl = parts["control"]
         self._camera: PlanarPoseSensor = parts["camera"]
@@ -145,6 +181,16 @@ class PushStation(Diagram):
     def FindObstacle(self, command: PushCommand) -> str | None:
         """Says why the arm cannot carry out a push, come from its home; None where it can."""
         return plan_push(command, HOME, self.style, self._reach)[1]
+
+    def FindGraspObstacle(self, command: GraspCommand) -> str | None:
+        """Says why the arm cannot carry out a grasp, come from its home; None where it can.
+
+        Raises:
+            StationError: the scene has no gripper.
+        """
+        if self._grasping is None:
+            raise StationError("the scene has no gripper; expected a model named gripper")
+        return self._grasping.plan(command, (*HOME, 0.0))[1] or None
 
     def SetStart(self, root_context: Context, seed: int | None = None) -> None:
         """Puts arm and object where the scenario has them, at rest. Call it on every fresh Context.
@@ -162,13 +208,20 @@ class PushStation(Diagram):
             self._camera.SetSeed(root_context, seed)
 
 
-def MakePushStation(scenario: PushScenario, meshcat: Meshcat | None = None, *, show_object: bool = True) -> PushStation:
+def MakePushStation(
+    scenario: PushScenario,
+    meshcat: Meshcat | None = None,
+    *,
+    show_object: bool = True,
+    learning: Learning | None = None,
+) -> PushStation:
     """Makes the station.
 
     Args:
         scenario: what stands where.
         meshcat: to show it in; None for none.
         show_object: whether the object's plain outline is shown; not where its estimate is drawn in its place.
+        learning: what is learned from; the first `scenario.pokes.count` pushes by default.
 
     Returns:
         The station. Call its `SetStart` on each new Context.
@@ -201,7 +254,7 @@ def MakePushStation(scenario: PushScenario, meshcat: Meshcat | None = None, *, s
         AddSkin(plant, scene_graph, skin)
     plant.Finalize()
 
-    control_plant = MakeControlPlant()
+    control_plant = MakeControlPlant(gripper=arm.gripper is not None)
     q_start = CalcStartPosture(control_plant, HOME)
     control = AddIiwaControl(builder, plant, arm, control_plant, q_start)
     reach, style = ArmReach(control_plant, q_start), make_style(scenario)
@@ -211,9 +264,12 @@ def MakePushStation(scenario: PushScenario, meshcat: Meshcat | None = None, *, s
         "eye", PlanarPoseSensor(object_in_plant.body.index(), period=1 / scenario.camera.rate, lowest=LOST_BELOW)
     )
     tip = builder.AddNamedSystem("tip_sensor", PusherStateSensor(plant.GetBodyByName(TIP_FRAME).index()))
-    identifier = builder.AddNamedSystem("identifier", _make_identifier(scenario, obj))
+    identifier = builder.AddNamedSystem("identifier", _make_identifier(scenario, obj, learning))
 
-    builder.Connect(executor.GetOutputPort("tip_pose"), control.tip_pose)
+    table_top = FindTableOutline(plant, scene_graph.model_inspector())
+    grasping = _add_grasping(builder, plant, arm, control_plant, executor, reach, table_top, scenario)
+    desired = executor if grasping is None else grasping
+    builder.Connect(desired.GetOutputPort("tip_pose"), control.tip_pose)
     poses = plant.get_body_poses_output_port()
     for sensor in (camera, eye, tip):
         builder.Connect(poses, sensor.GetInputPort("body_poses"))
@@ -225,7 +281,8 @@ def MakePushStation(scenario: PushScenario, meshcat: Meshcat | None = None, *, s
         AddMeshcat(builder, scene_graph, meshcat)
 
     builder.ExportInput(executor.GetInputPort("push_command"), "push_command")
-    _export(builder, executor, "executor", ("status", "tip_pose"))
+    _export(builder, executor, "executor", ("status",))
+    _export(builder, desired, "executor", ("tip_pose",))
     builder.ExportOutput(tip.GetOutputPort("pusher_state"), "pusher.state")
     builder.ExportOutput(camera.GetOutputPort("object_pose"), "object.pose")
     builder.ExportOutput(eye.GetOutputPort("object_pose"), "object.pose_true")
@@ -234,12 +291,17 @@ def MakePushStation(scenario: PushScenario, meshcat: Meshcat | None = None, *, s
     builder.ExportOutput(poses, "body_poses")
     builder.ExportOutput(plant.get_contact_results_output_port(), "contact_results")
     builder.ExportOutput(scene_graph.get_query_output_port(), "query_object")
+    if grasping is not None:
+        builder.ExportInput(grasping.GetInputPort("grasp_command"), "grasp_command")
+        _export(builder, grasping, "grasp", ("status",))
+        builder.ExportOutput(plant.get_state_output_port(arm.gripper), "gripper.state")
     station = PushStation(
         builder,
         {
             "scenario": scenario, "obj": obj, "truth": truth, "plant": plant, "scene_graph": scene_graph, "arm": arm,
             "object_in_plant": object_in_plant, "table": table, "control": control, "camera": camera,
-            "table_top": FindTableOutline(plant, scene_graph.model_inspector()), "reach": reach, "style": style,
+            "table_top": table_top, "reach": reach, "style": style,
+            "grasping": grasping,
         },
     )  # fmt: skip
     station.set_name("station")
@@ -277,7 +339,45 @@ def _add_scene(
         for geometry in plant.GetCollisionGeometriesForBody(plant.get_body(body))
     )
     SetPartner(plant, scene_graph, [*table, *plant.GetCollisionGeometriesForBody(plant.GetBodyByName(TIP_FRAME))])
-    return Arm(*map(plant.GetModelInstanceByName, ("iiwa", "finger"))), table
+    gripper = plant.GetModelInstanceByName(GRIPPER) if plant.HasModelInstanceNamed(GRIPPER) else None
+    iiwa, finger = map(plant.GetModelInstanceByName, ("iiwa", "finger"))
+    return Arm(iiwa, finger, gripper), table
+
+
+def make_grasping_style(scenario: PushScenario, control_plant: MultibodyPlant) -> GraspingStyle:
+    """How the scenario's gripper grasps, carried by the arm of a plant that `MakeControlPlant` made."""
+    grasp, tip = (control_plant.GetFrameByName(name) for name in (GRASP_FRAME, TIP_FRAME))
+    x, y, z = grasp.CalcPose(control_plant.CreateDefaultContext(), tip).translation().tolist()
+    pregrasp = scenario.pregrasp
+    return GraspingStyle(
+        p_PG=(x, y, z), travel_height=scenario.finger.travel_height, force=pregrasp.force, hold_time=pregrasp.hold
+    )
+
+
+def _add_grasping(
+    builder: DiagramBuilder, plant: MultibodyPlant, arm: Arm, control_plant: MultibodyPlant, executor: PushExecutor,
+    reach: ArmReach, table_top: BaseGeometry, scenario: PushScenario,
+) -> GraspExecutor | None:  # fmt: skip
+    """Adds what moves the gripper, and the tool while it grasps; returns it, or None where there is no gripper."""
+    if arm.gripper is None:
+        return None
+    style = make_grasping_style(scenario, control_plant)
+    grasping: GraspExecutor = builder.AddNamedSystem(
+        "grasp_executor", GraspExecutor(reach, style, GraspClearance(table_top, style))
+    )
+    controller = builder.AddNamedSystem("gripper_controller", SchunkWsgPositionController())
+    state: OutputPort = plant.get_state_output_port(arm.gripper)
+    for source, target in (
+        (executor.GetOutputPort("tip_pose"), grasping.GetInputPort("push_tip_pose")),
+        (executor.GetOutputPort("status"), grasping.GetInputPort("push_status")),
+        (state, grasping.GetInputPort("gripper_state")),
+        (state, controller.get_state_input_port()),
+        (grasping.GetOutputPort("gripper_position"), controller.get_desired_position_input_port()),
+        (grasping.GetOutputPort("gripper_force_limit"), controller.get_force_limit_input_port()),
+        (controller.get_generalized_force_output_port(), plant.get_actuation_input_port(arm.gripper)),
+    ):
+        builder.Connect(source, target)
+    return grasping
 
 
 def _make_camera(scenario: PushScenario, object_in_plant: GridObjectInPlant) -> PlanarPoseSensor:
@@ -292,13 +392,16 @@ def _make_camera(scenario: PushScenario, object_in_plant: GridObjectInPlant) -> 
     )
 
 
-def _make_identifier(scenario: PushScenario, obj: GridObject) -> GridIdentifier:
+def _make_identifier(scenario: PushScenario, obj: GridObject, learning: Learning | None) -> GridIdentifier:
+    learning = learning or Learning(scenario.pokes.count)
     return GridIdentifier(
         obj,
         period=1 / scenario.camera.rate,
         engaged_below=scenario.object_height,
         pusher_radius=scenario.finger.tip_radius,
-        max_learning_pushes=scenario.pokes.count,
+        max_learning_pushes=learning.most_pushes,
+        memory=learning.memory,
+        admit=learning.admit,
         seed=scenario.seed,
         warm_start=False,  # it gains little, and so `gridpush identify` finds the same from the log, bit for bit
         record=RecordOptions(pose_delay=1 / scenario.camera.rate),  # it sees the picture before the one being taken

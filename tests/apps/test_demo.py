@@ -34,7 +34,9 @@ def write_scenario(folder, object_name="open_book", count=2, test_count=1):
 @pytest.mark.slow
 def test_learns_and_reports(gridpush, tmp_path):
     out = tmp_path / "demo"
-    outcome = gridpush("demo", "--scenario", write_scenario(tmp_path), "--out", out, "--port", "0", "--json")
+    outcome = gridpush(
+        "demo", "--task", "identify", "--scenario", write_scenario(tmp_path), "--out", out, "--port", "0", "--json"
+    )
     assert outcome.code == 0, outcome.err
     assert sorted(path.name for path in out.iterdir()) == sorted(FILES)
     verdict = json.loads(outcome.out)
@@ -77,12 +79,21 @@ def test_replaces_nothing_unasked(refuses, tmp_path):
     out = tmp_path / "demo"
     out.mkdir()
     (out / "pushes.csv").write_text("mine")
-    refuses("demo", "--out", out, says=["pushes.csv", "--force"])
+    refuses("demo", "--task", "identify", "--out", out, says=["pushes.csv", "--force"])
     assert (out / "pushes.csv").read_text() == "mine"
 
 
 def test_refuses_an_unknown_object(refuses, tmp_path):
-    refuses("demo", "--object", "claw_hamer", "--out", tmp_path / "demo", says=["claw_hamer", "claw_hammer"])
+    refuses(
+        "demo",
+        "--task",
+        "identify",
+        "--object",
+        "claw_hamer",
+        "--out",
+        tmp_path / "demo",
+        says=["claw_hamer", "claw_hammer"],
+    )
 
 
 @pytest.mark.parametrize(
@@ -97,20 +108,29 @@ def test_refuses_an_unknown_object(refuses, tmp_path):
 def test_refuses_a_scenario_that_makes_no_sense(refuses, tmp_path, text, says):
     path = tmp_path / "bad.yaml"
     path.write_text(text)
-    refuses("demo", "--scenario", path, "--out", tmp_path / "demo", says=says)
+    refuses("demo", "--task", "identify", "--scenario", path, "--out", tmp_path / "demo", says=says)
 
 
 def test_refuses_an_object_larger_than_the_table(refuses, tmp_path):
     door = tmp_path / "door.yaml"
     door.write_text("name: door\noutline: [[-1, -0.4], [1, -0.4], [1, 0.4], [-1, 0.4]]\nmax_cells: 60\n")
-    refuses("demo", "--object", door, "--out", tmp_path / "demo", says=["door", "larger than the table"])
+    refuses(
+        "demo",
+        "--task",
+        "identify",
+        "--object",
+        door,
+        "--out",
+        tmp_path / "demo",
+        says=["door", "larger than the table"],
+    )
 
 
 def test_refuses_a_port_in_use(gridpush, tmp_path):
     server = StartMeshcatServer(0)
     with socket.socket() as probe:
         assert probe.connect_ex(("localhost", server.port())) == 0
-    outcome = gridpush("demo", "--out", tmp_path / "demo", "--port", str(server.port()))
+    outcome = gridpush("demo", "--task", "identify", "--out", tmp_path / "demo", "--port", str(server.port()))
     assert outcome.code == 2
     assert str(server.port()) in outcome.err
     assert "in use" in outcome.err

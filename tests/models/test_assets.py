@@ -113,7 +113,7 @@ def test_scenes_come_with_and_without_a_gripper():
     [
         ("scenes/iiwa_push.dmd.yaml", (0.2, -0.6, 1.0, 0.6), 0.8 * 1.2),
         ("scenes/iiwa_push_round.dmd.yaml", (0.15, -0.5, 1.15, 0.5), np.pi * 0.25),
-        ("scenes/iiwa_grasp.dmd.yaml", (0.15, -0.5, 1.15, 0.5), np.pi * 0.25),
+        ("scenes/iiwa_grasp.dmd.yaml", (0.2, -1.05, 1.0, 0.15), 0.8 * 1.2),
     ],
 )
 def test_table_is_as_large_as_it_is_said_to_be(file, bounds, area):

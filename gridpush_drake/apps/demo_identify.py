@@ -1,0 +1,32 @@
+"""The demo's first task: a robot pokes an object it knows nothing about, and comes to know it."""
+
+from pydrake.geometry import Meshcat
+
+from gridpush_drake.apps.console import count_progress
+from gridpush_drake.apps.demo_files import FILES, write_demo
+from gridpush_drake.apps.demo_task import FRAMES_A_SECOND, DemoTask
+from gridpush_drake.apps.demo_verdict import judge, print_verdict
+from gridpush_drake.scene.scenario import PushScenario
+from gridpush_drake.station.experiment import ExperimentRecord, PushExperiment
+from gridpush_drake.systems.push_status import PushStatus
+
+
+def run(scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> ExperimentRecord:
+    """Runs the experiment."""
+    experiment = PushExperiment(scenario, meshcat)
+    experiment.AimCamera(meshcat)
+    training, total = scenario.pokes.count, scenario.pokes.count + scenario.pokes.test_count
+    with count_progress("the robot", total) as report:
+
+        def show(status: PushStatus, logged: int) -> None:
+            kind = "push" if status.executed < training else "held-out push"
+            at = min(status.executed + 1, total)
+            refused = f" (refused {status.refused}: {status.reason})" if status.reason else ""
+            report(f"{kind} {at} of {total}, {status.phase}{refused}", status.executed)
+
+        meshcat.StartRecording(FRAMES_A_SECOND)
+        return experiment.run(progress=show, realtime_rate=realtime_rate)
+
+
+TASK = DemoTask(FILES, PushScenario, run, write_demo, judge, print_verdict)
+"""As the demo uses it."""

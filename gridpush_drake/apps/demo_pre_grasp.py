@@ -1,0 +1,154 @@
+"""The demo's whole story: poke the object, learn it, slide it to the table's edge, grasp what hangs over, lift it."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydrake.geometry import Meshcat
+
+from gridpush_drake.apps.console import MM, count_progress, print_line
+from gridpush_drake.apps.demo_files import write_setting
+from gridpush_drake.apps.demo_task import FRAMES_A_SECOND, DemoTask
+from gridpush_drake.files import write_whole
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.identification.model_file import write_model
+from gridpush_drake.planning.belief import Belief
+from gridpush_drake.report.html import make_report
+from gridpush_drake.report.pre_grasp_figure import GraspDrawn, PushDrawn, draw_pre_grasp
+from gridpush_drake.report.story import Story
+from gridpush_drake.scene.parser import find_models
+from gridpush_drake.scene.scenario import PushScenario
+from gridpush_drake.scene.scenario_file import read_scenario
+from gridpush_drake.station.pre_grasp_task import HELD, PreGraspRecord, PreGraspStep, PreGraspTask
+from gridpush_drake.systems.pre_grasp_status import EXPLORING
+from gridpush_drake.systems.push_status import PushStatus
+
+FILES = ("report.html", "recording.html", "model.yaml", "object.yaml", "pushes.csv", "truth.yaml", "scenario.yaml")
+
+SCENARIO = "scenarios/grasp.yaml"
+"""Among the shipped models."""
+
+HEADS = ("time", "what", "why")
+
+
+def make_scenario() -> PushScenario:
+    """The shipped scenario of a robot that can grasp."""
+    return read_scenario(find_models() / SCENARIO)
+
+
+def run(scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> PreGraspRecord:
+    """Runs the task."""
+    task = PreGraspTask(scenario, meshcat)
+    task.AimCamera(meshcat)
+    with count_progress("the robot", 1) as report:
+
+        def show(status: PushStatus, logged: int) -> None:
+            now = task.task.read("status", task.controller)
+            report(f"{now.mode}, {now.pokes} pokes and {now.slides} slides", int(now.over))
+
+        meshcat.StartRecording(FRAMES_A_SECOND)
+        return task.run(progress=show, realtime_rate=realtime_rate)
+
+
+def write(folder: Path, scenario: PushScenario, record: PreGraspRecord, meshcat: Meshcat, force: bool) -> list[Path]:
+    """Writes what a run came to.
+
+    Args:
+        folder: where; it exists.
+        scenario: of the run.
+        record: of the run; what it was too short for is not written.
+        meshcat: with its recording.
+        force: whether existing files may be replaced.
+
+    Returns:
+        The files written, in the order of FILES.
+    """
+    written = write_setting(folder, scenario, record.obj, record.truth, meshcat, force)
+    if record.estimates:
+        found = record.estimates[-1]
+        report, model, pushes = folder / "report.html", folder / "model.yaml", folder / "pushes.csv"
+        record.log.write_csv(pushes, force)
+        write_model(model, found, force)
+        used = record.log.subset([i for i, seen in enumerate(record.log) if seen.name in found.push_names])
+        write_whole(report, make_report(found, used, truth=record.truth, story=tell_story(record)), force)
+        written += [pushes, model, report]
+    return [folder / name for name in FILES if folder / name in written]
+
+
+def judge(record: PreGraspRecord) -> dict[str, Any]:
+    """What came of it, lengths in m; for JSON."""
+    last, conduct = record.last, record.conduct
+    verdict: dict[str, Any] = {
+        "object": record.obj.name,
+        "status": record.status,
+        "done": record.status == HELD,
+        "message": record.message,
+        "pokes": last.pokes,
+        "slides": last.slides,
+        "grasps": last.grasps,
+        "raised": record.raised,
+        "simulated_seconds": record.duration,
+        "conduct": {
+            "position_share": conduct.position_share,
+            "velocity_share": conduct.velocity_share,
+            "torque_share": conduct.torque_share,
+            "tracking_error": conduct.tracking_error,
+            "touched": sorted(map(list, conduct.touched)),
+        },
+    }
+    if record.estimates:
+        found, truth = record.estimates[-1], record.truth.centre_of_mass(record.obj)
+        for name, params in (("before", CellParameters.uniform(record.obj)), ("after", found.params)):
+            error = float(np.linalg.norm(params.centre_of_mass(record.obj) - truth))
+            verdict[name] = {"centre_of_mass_error": error}
+    return verdict
+
+
+def tell(verdict: dict[str, Any], written: list[Path]) -> None:
+    """Prints a verdict, and what was written."""
+    name = verdict["object"].replace("_", " ")
+    print_line(f"The {name} after {verdict['pokes']} pokes and {verdict['slides']} slides: {verdict['message']}")
+    if "after" in verdict:
+        before, after = (verdict[key]["centre_of_mass_error"] * MM for key in ("before", "after"))
+        print_line(f"  error of the centre of mass: {before:.1f} mm assuming an even object, {after:.1f} mm as learned")
+    print_line(f"\nIn {written[0].parent}: {', '.join(path.name for path in written)}.")
+
+
+def tell_story(record: PreGraspRecord) -> Story:
+    """The run for the report's head."""
+    last = record.last
+    belief = Belief.of_identification(record.estimates[-1])
+    poses = [step.pose for step in record.steps if np.isfinite(step.pose).all() and not step.status.over]
+    pushes = [
+        PushDrawn(step.push.start, step.push.end, step.status.mode == EXPLORING)
+        for step in record.steps
+        if step.push is not None
+    ]
+    grasp = next((step.grasp for step in reversed(record.steps) if step.grasp is not None), None)
+    drawn = None if grasp is None else GraspDrawn(np.array([grasp.x, grasp.y]), grasp.approach)
+    return Story(
+        verdict=f"{record.message} It took {_count(last.pokes, 'poke')} and {_count(last.slides, 'slide')}.",
+        facts=(
+            ("pokes", str(last.pokes)),
+            ("slides", str(last.slides)),
+            ("simulated", f"{record.duration:.0f} s"),
+            ("raised by", f"{record.raised * MM:.0f} mm"),
+        ),
+        figure=draw_pre_grasp(record.obj, record.surface, poses, pushes, belief.masses, record.truth, drawn),
+        caption="Left: pokes to learn, then slides to the table's edge. Right: as long as its centre of mass is within "
+        "what holds the object it stays put; it was judged on every place where the centre of mass may still be.",
+        heads=HEADS,
+        steps=[_describe(step) for step in record.steps],
+    )
+
+
+def _describe(step: PreGraspStep) -> tuple[str, str, str]:
+    return f"{step.time:.1f} s", step.status.mode, step.status.reason
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+TASK = DemoTask(FILES, make_scenario, run, write, judge, tell)
+"""As the demo uses it."""

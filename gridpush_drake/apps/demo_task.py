@@ -1,0 +1,47 @@
+"""What the demo's tasks have in common: how each is set up, run, written down and judged."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pydrake.geometry import Meshcat
+
+    from gridpush_drake.scene.scenario import PushScenario
+
+
+@dataclass(frozen=True)
+class DemoTask:
+    """A task of the demo; `Record` below stands for its own kind of record.
+
+    Attributes:
+        files: that it leaves in its folder, the report first.
+        make_scenario: the one that it has by itself.
+        run: scenario, Meshcat, realtime rate -> Record. Begins Meshcat's recording when all is set up.
+        write: folder, scenario, Record, Meshcat, force -> the files written.
+        judge: Record -> what came of it, for JSON; "status" and "done" among it.
+        tell: verdict, files written -> prints it.
+    """
+
+    files: tuple[str, ...]
+    make_scenario: Callable[[], "PushScenario"]
+    run: Callable[["PushScenario", "Meshcat", float], Any]
+    write: Callable[[Path, "PushScenario", Any, "Meshcat", bool], list[Path]]
+    judge: Callable[[Any], dict[str, Any]]
+    tell: Callable[[dict[str, Any], list[Path]], None]
+
+
+FRAMES_A_SECOND = 20.0
+"""Of the recording."""
+
+
+def load_task(name: str) -> DemoTask:
+    """Finds a task, by one of the words of `demo.TaskName`; what it needs is imported only now."""
+    if name == "identify":
+        from gridpush_drake.apps.demo_identify import TASK
+    elif name == "push":
+        from gridpush_drake.apps.demo_push import TASK
+    else:
+        from gridpush_drake.apps.demo_pre_grasp import TASK
+    return TASK

@@ -1,0 +1,286 @@
+"""Pushing an unknown object to a goal pose: the station learns it from the very pushes that bring it there."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from pydrake.geometry import Meshcat, Rgba
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource
+
+from gridpush_drake.errors import ScenarioError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.identification.result import Identification
+from gridpush_drake.planning.contact_point import ContactOptions
+from gridpush_drake.planning.planned_push import calc_goal_error
+from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.push_decision import GoalRules
+from gridpush_drake.planning.surface import SupportSurface
+from gridpush_drake.pushes.log import PushLog
+from gridpush_drake.scene.meshcat_server import AimCamera
+from gridpush_drake.scene.scenario import PushScenario
+from gridpush_drake.station.conduct import Conduct
+from gridpush_drake.station.experiment import AddEstimateVisualizer
+from gridpush_drake.station.finger_region import MakeFingerRegion
+from gridpush_drake.station.push_station import Learning, MakePushStation, PushStation
+from gridpush_drake.station.task_run import Progress, TaskRun
+from gridpush_drake.systems import contact_point_status as modes
+from gridpush_drake.systems.contact_point_controller import ContactPointController
+from gridpush_drake.systems.contact_point_status import ContactPointStatus
+from gridpush_drake.systems.meshcat_drawing import AddGhost, MakePlanarTransform
+from gridpush_drake.systems.push_command import PushCommand
+
+Array = NDArray[np.float64]
+
+REACHED, FAILED, LOST, STUCK = "reached", "failed", "lost", "stuck"
+
+MEMORY = 8
+"""Pushes: the latest ones are learned from; the cost of learning grows with them."""
+
+EDGE_MARGIN = 0.03
+"""Between the object and the table's edge, m."""
+
+RIM_DETAIL = 5e-4
+"""m by which the rim may be simplified: of a round table to a polygon of few corners."""
+
+LONGEST_PUSH = 0.25
+"""m."""
+
+SHORTEST_PUSH = 0.003
+"""Of what is left of a push when the finger has come to the object, m."""
+
+LOST_AFTER = 5.0
+"""Simulated without the object being seen, after which it is not waited for any longer, s."""
+
+PATIENCE = 15.0
+"""Simulated without anything new, after which the task is stuck, s."""
+
+GOAL_COLOR = Rgba(0.16, 0.55, 0.35)
+"""Of the outline at the goal."""
+
+CAMERA_DISTANCE, CAMERA_AZIMUTH, CAMERA_ELEVATION = 0.95, 0.7, 0.75
+"""Of Meshcat's camera, m, rad and rad: opposite the robot, a little to its left."""
+
+
+@dataclass(frozen=True, eq=False)
+class PushTaskStep:
+    """A change of what the controller says.
+
+    Attributes:
+        time: s.
+        status: of the controller.
+        pose: (3,) where the object was seen, X_WB, m and rad; NaN where it was not.
+        push: the command, where a push began.
+    """
+
+    time: float
+    status: ContactPointStatus
+    pose: Array
+    push: PushCommand | None = None
+
+
+@dataclass
+class PushTaskRecord:
+    """What came of a run; filled while it runs.
+
+    Attributes:
+        obj: the object.
+        truth: what it really weighs and how it rubs.
+        surface: the table.
+        goal: (3,) where it should lie, X_WB, m and rad.
+        tolerance: mean cell error at which the goal counts as reached, m.
+        log: all pushes, in order.
+        estimates: the identification after each push learned from.
+        steps: what the controller said, in order.
+        pose: (3,) where the object truly lay at the end, X_WB, m and rad; NaN where it had fallen.
+        error: mean cell error to the goal there, m.
+        status: "reached", "failed", "lost", "stuck" or "interrupted"; empty while it runs.
+        message: the status in a sentence.
+        conduct: how the robot behaved.
+        duration: simulated, s.
+    """
+
+    obj: GridObject
+    truth: CellParameters
+    surface: SupportSurface
+    goal: Array
+    tolerance: float
+    log: PushLog = field(default_factory=lambda: PushLog(()))
+    estimates: list[Identification] = field(default_factory=list)
+    steps: list[PushTaskStep] = field(default_factory=list)
+    pose: Array = field(default_factory=lambda: np.full(3, np.nan))
+    error: float = float("nan")
+    status: str = ""
+    message: str = ""
+    conduct: Conduct = field(default_factory=Conduct)
+    duration: float = 0.0
+
+    @property
+    def last(self) -> ContactPointStatus:
+        """The controller's last status."""
+        return self.steps[-1].status if self.steps else ContactPointStatus()
+
+    @property
+    def statuses(self) -> list[ContactPointStatus]:
+        """All that the controller said, in order."""
+        return [step.status for step in self.steps]
+
+    @property
+    def pushes(self) -> int:
+        """How many were made."""
+        return self.last.pushes
+
+
+class PushTask:
+    """The station with a controller that pushes the object to a goal; to be run once or many times.
+
+    Attributes:
+        station: the station.
+        controller: the system.
+        task: runs its Diagram.
+        surface: the table.
+    """
+
+    def __init__(self, scenario: PushScenario, meshcat: Meshcat | None = None) -> None:
+        """Makes the Diagram.
+
+        Args:
+            scenario: what stands where, and where the object should go.
+            meshcat: to show it in; None for none.
+
+        Raises:
+            ScenarioError: the scenario makes no sense.
+            StationError: see `MakePushStation`.
+        """
+        self._scenario = scenario
+        builder = DiagramBuilder()
+        self.station: PushStation = builder.AddSystem(
+            MakePushStation(scenario, meshcat, show_object=False, learning=Learning(most_pushes=None, memory=MEMORY))
+        )
+        station = self.station
+        self.surface = SupportSurface(_simplify(station.table_top))
+        goal = builder.AddNamedSystem("goal", ConstantVectorSource(np.array(scenario.goal.pose)))
+        self.controller = builder.AddNamedSystem("controller", ContactPointController(station.obj, self.make_rules()))
+        builder.Connect(goal.get_output_port(), self.controller.GetInputPort("goal_pose"))
+        for port, source in (
+            ("object_pose", "object.pose"),
+            ("identification", "estimate.identification"),
+            ("push_log", "estimate.push_log"),
+            ("push_status", "executor.status"),
+        ):
+            builder.Connect(station.GetOutputPort(source), self.controller.GetInputPort(port))
+        builder.Connect(self.controller.GetOutputPort("push_command"), station.GetInputPort("push_command"))
+        if meshcat is not None:
+            AddEstimateVisualizer(builder, station, self.controller, meshcat)
+            AddGoal(meshcat, station.obj, scenario.goal.pose, station.object_in_plant.height)
+        diagram = builder.Build()
+        diagram.set_name("push_task")
+        self.task = TaskRun(station, diagram)
+
+    def make_rules(self) -> GoalRules:
+        """How the controller pushes, by the scenario."""
+        scenario, station = self._scenario, self.station
+        clearance = scenario.pokes.clearance
+        constraints = PushConstraints(
+            self.surface,
+            edge_margin=EDGE_MARGIN,
+            finger_region=MakeFingerRegion(station),
+            push_rule=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,
+        )
+        contact = ContactOptions(
+            scenario.finger.tip_radius, clearance, scenario.pokes.speed, (clearance + SHORTEST_PUSH, LONGEST_PUSH)
+        )
+        return GoalRules(constraints, contact, tolerance=scenario.goal.tolerance, max_pushes=scenario.goal.max_pushes)
+
+    def AimCamera(self, meshcat: Meshcat) -> None:
+        """Points Meshcat's camera at the middle between where the object begins and where it should go."""
+        x, y = (np.array(self._scenario.object_pose[:2]) + self._scenario.goal.pose[:2]) / 2
+        AimCamera(meshcat, (float(x), float(y), 0.0), CAMERA_DISTANCE, CAMERA_AZIMUTH, CAMERA_ELEVATION)
+
+    def run(
+        self, seed: int | None = None, progress: Progress | None = None, realtime_rate: float = 0.0
+    ) -> PushTaskRecord:
+        """Runs the task from its beginning.
+
+        Args:
+            seed: of everything random, instead of the scenario's.
+            progress: see `Progress`.
+            realtime_rate: at most so many simulated seconds a second; 0 for as fast as possible.
+
+        Returns:
+            What came of it. Ctrl-C ends it early, with what there is by then.
+        """
+        goal = self._scenario.goal
+        record = PushTaskRecord(self.station.obj, self.station.truth, self.surface, np.array(goal.pose), goal.tolerance)
+        end = self.task.run(_Watch(self, record).judge, seed, progress, realtime_rate)
+        record.truth = self.station.truth
+        record.status, record.message = end.status, end.message
+        record.conduct, record.duration = end.conduct, end.duration
+        return record
+
+
+@dataclass(eq=False)
+class _Watch:
+    """Follows a run: writes down what is new, and decides when it is over."""
+
+    run: PushTask
+    record: PushTaskRecord
+    last_new: float = 0.0
+    last_seen: float = 0.0
+
+    def judge(self, time: float) -> tuple[str, str]:
+        """Status and message; empty while it goes on."""
+        self._note(time)
+        status = self.record.last
+        if np.isnan(self.record.pose).any():
+            return LOST, f"The object left the table during push {status.pushes + (status.mode == modes.PUSHING)}."
+        if time - self.last_seen > LOST_AFTER:
+            return LOST, f"The object has not been seen for {LOST_AFTER:g} s."
+        if status.mode in (modes.REACHED, modes.FAILED):
+            return status.mode, status.reason
+        if time - self.last_new > PATIENCE:
+            return STUCK, f"Nothing happened for {PATIENCE:g} s: {status.reason}"
+        return "", ""
+
+    def _note(self, time: float) -> None:
+        record, read = self.record, self.run.task.read
+        record.log = read("estimate.push_log")
+        found = read("estimate.identification")
+        if found is not None and (not record.estimates or found is not record.estimates[-1]):
+            record.estimates.append(found)
+        record.pose = np.array(read("object.pose_true"))
+        record.error = float(calc_goal_error(record.obj, record.pose, record.goal))
+        pose = np.array(read("object.pose"))
+        if np.isfinite(pose).all():
+            self.last_seen = time
+        status: ContactPointStatus = read("status", self.run.controller)
+        if not read("executor.status").ready:
+            self.last_new = time
+        if status is record.last:
+            return
+        self.last_new = time
+        push = PushCommand.from_vector(read("push_command", self.run.controller))
+        record.steps.append(PushTaskStep(time, status, pose, push if status.mode == modes.PUSHING else None))
+
+
+def AddGoal(meshcat: Meshcat, obj: GridObject, pose: Array | list[float], height: float, path: str = "goal") -> None:
+    """Draws an object's translucent outline where it should go.
+
+    Args:
+        meshcat: where to draw.
+        obj: the object.
+        pose: (3,) X_WB, m and rad.
+        height: of the object, m.
+        path: below which it is drawn.
+    """
+    meshcat.Delete(path)
+    AddGhost(meshcat, path, obj, height, GOAL_COLOR)
+    meshcat.SetTransform(path, MakePlanarTransform(pose))
+
+
+def _simplify(top: shapely.Geometry) -> shapely.Polygon:
+    if not isinstance(top, shapely.Polygon):
+        raise ScenarioError("directives: the table's top is in several pieces; expected one")
+    return shapely.simplify(top, RIM_DETAIL)

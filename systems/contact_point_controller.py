@@ -1,0 +1,227 @@
+"""Pushing an object to a goal pose, push by push, as a Drake system.
+
+    waiting ---- at rest, and seen ----> pushing ----> waiting      a push, then a new look
+       |
+       +--> reached, failed       until there is another goal, or somebody moves the object
+
+Whenever the robot is ready, the object is looked at until it lies still; then `planning.push_decision` says where and
+how to push, by what was learned so far. So an object that slipped, or was moved by somebody, is pushed from where it
+lies.
+"""
+
+from dataclasses import replace
+from math import cos, nan, sin
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.identification.result import Identification
+from gridpush_drake.planning.planned_push import PlannedPush, calc_goal_error
+from gridpush_drake.planning.push_decision import GoalRules, PushDecision, decide_push, forbid
+from gridpush_drake.planning.push_plan import REACHED, REASONS, TOO_MANY_PUSHES
+from gridpush_drake.pushes.log import PushLog
+from gridpush_drake.systems import contact_point_status as modes
+from gridpush_drake.systems.contact_point_state import ControllerOptions, ControllerState, Pose
+from gridpush_drake.systems.contact_point_status import ContactPointStatus
+from gridpush_drake.systems.push_command import PUSH_COMMAND_SIZE, PushCommand
+from gridpush_drake.systems.push_status import PushStatus
+
+Array = NDArray[np.float64]
+REFUSED, ERROR = "refused", "error"
+"""Causes of a failure that planning does not know of."""
+
+
+class ContactPointController(LeafSystem):
+    """Pushes an object to a goal pose.
+
+    One push at a time is commanded, when the executor is ready and the object lies still. A refused push is not tried
+    again, but another one is chosen. A command that was not taken up when the object went out of sight is withdrawn.
+    With another goal on the port everything begins anew, after the push under way.
+
+    .. pydrake_system::
+
+        name: ContactPointController
+        input_ports:
+        - goal_pose
+        - object_pose
+        - identification
+        - push_log
+        - push_status
+        output_ports:
+        - push_command
+        - status
+
+    * goal_pose: vector of 3, where the object should lie, (x, y, theta) of B in W, m and rad; NaN for nowhere.
+    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object was not seen.
+    * identification: abstract `Identification`, or None: then the prior counts.
+    * push_log: abstract `PushLog`, all pushes so far; need not be connected.
+    * push_status: abstract `PushStatus` of the executor.
+    * push_command: vector of 6, see `PushCommand`; number 0 before the first.
+    * status: abstract `ContactPointStatus`.
+
+    Abstract state: one `ControllerState`.
+    """
+
+    def __init__(
+        self,
+        obj: GridObject,
+        rules: GoalRules | None = None,
+        *,
+        params: CellParameters | None = None,
+        options: ControllerOptions | None = None,
+    ) -> None:
+        """Declares the system.
+
+        Args:
+            obj: the object.
+            rules: table, obstacles, finger, arm, how near to the goal, and how pushes are chosen.
+            params: the model before anything was learned; the prior's by default.
+            options: how to go about it.
+        """
+        super().__init__()
+        self.obj, self.rules, self.options = obj, rules or GoalRules(), options or ControllerOptions()
+        self._params = CellParameters.uniform(obj) if params is None else params
+        self._state = self.DeclareAbstractState(AbstractValue.Make(ControllerState()))
+        self._goal_pose = self.DeclareVectorInputPort("goal_pose", 3)
+        self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
+        self._identification = self.DeclareAbstractInputPort("identification", AbstractValue.Make(object()))
+        self._push_log = self.DeclareAbstractInputPort("push_log", AbstractValue.Make(object()))
+        self._push_status = self.DeclareAbstractInputPort("push_status", AbstractValue.Make(PushStatus()))
+        state = {self.abstract_state_ticket(self._state)}
+        self.DeclareVectorOutputPort(
+            "push_command",
+            PUSH_COMMAND_SIZE,
+            lambda context, output: output.SetFromVector(self._get_state(context).command.to_vector()),
+            state,
+        )
+        self.DeclareAbstractOutputPort(
+            "status",
+            lambda: AbstractValue.Make(ContactPointStatus()),
+            lambda context, output: output.set_value(self._get_state(context).status),
+            state,
+        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(self.options.period, 0.0, self._update)
+
+    def _get_state(self, context: Context) -> ControllerState:
+        state: ControllerState = context.get_abstract_state(int(self._state)).get_value()
+        return state
+
+    def _update(self, context: Context, state: State) -> EventStatus:
+        now = self._get_state(context)
+        new = self._go_on(context, now)
+        if new is now:
+            return EventStatus.DidNothing()
+        state.get_mutable_abstract_state(int(self._state)).set_value(new)
+        return EventStatus.Succeeded()
+
+    def _go_on(self, context: Context, now: ControllerState) -> ControllerState:
+        """One look: waits for the robot, then for a goal, then for the object, then decides."""
+        executor: PushStatus = self._push_status.Eval(context)
+        pose, time = self._object_pose.Eval(context), context.get_time()
+        seen = bool(np.isfinite(pose).all())
+        if not executor.ready or now.command.number not in (0, executor.number):
+            return self._wait_for_robot(now, executor, seen, time)
+        if now.status.mode == modes.PUSHING:
+            now = self._end_push(now, executor, self._read_log(context))
+        now = self._take_goal(now, tuple(self._goal_pose.Eval(context).tolist()), executor)
+        if now.goal is None:
+            return now
+        now = self._look(now, time, pose, seen)
+        if len(now.looks) < self.options.looks:
+            return now
+        return self._decide(now, executor, self._identification.Eval(context), self._read_log(context))
+
+    def _read_log(self, context: Context) -> PushLog:
+        return self._push_log.Eval(context) if self._push_log.HasValue(context) else PushLog(())
+
+    def _wait_for_robot(self, now: ControllerState, executor: PushStatus, seen: bool, time: float) -> ControllerState:
+        if seen:
+            return replace(now, last_seen=time)
+        if executor.ready and now.command.number != executor.number:
+            # it was not taken up, and when the object is seen again it may lie elsewhere
+            return replace(now, command=PushCommand(executor.number)).turn_to(modes.WAITING, "The object is not seen.")
+        return now
+
+    def _end_push(self, now: ControllerState, executor: PushStatus, log: PushLog) -> ControllerState:
+        """After a push that was carried out, or refused."""
+        status = now.status
+        if executor.executed > now.executed:
+            off = nan
+            if len(log) > now.logged and status.expected_pose is not None and len(log[-1].t_observed):
+                off = float(calc_goal_error(self.obj, log[-1].final_pose, status.expected_pose))
+            now = replace(now, refused=(), executed=executor.executed)
+            return now.turn_to(
+                modes.WAITING, "A push was made.", pushes=status.pushes + 1, refused=0, prediction_error=off
+            )
+        direction = now.command.direction
+        refused = (*now.refused, np.array([*now.command.start, cos(direction), sin(direction)]))
+        now = replace(now, refused=refused)
+        if len(refused) < self.options.most_refusals:
+            return now.turn_to(modes.WAITING, f"A push was refused: {executor.reason}.", refused=len(refused))
+        reason = f"The last {len(refused)} pushes were refused; the last one because {executor.reason}."
+        return now.turn_to(modes.FAILED, reason, REFUSED, refused=len(refused))
+
+    def _take_goal(self, now: ControllerState, goal: Pose, executor: PushStatus) -> ControllerState:
+        """Begins anew where another goal is given."""
+        wanted = goal if np.isfinite(goal).all() else None
+        if wanted == now.goal and now.status.reason != ContactPointStatus.reason:
+            return now
+        reason = "No goal is given." if wanted is None else "Looking at the object."
+        begun = ControllerState(
+            goal=wanted, command=now.command, issued=now.issued, executed=executor.executed, last_seen=now.last_seen
+        )
+        return begun.turn_to(modes.WAITING, reason)
+
+    def _look(self, now: ControllerState, time: float, pose: Array, seen: bool) -> ControllerState:
+        """Takes in what is seen of the object at rest."""
+        if not seen:
+            if time - now.last_seen <= self.options.patience or now.status.mode == modes.LOST:
+                return replace(now, looks=()) if now.looks else now
+            return now.turn_to(modes.LOST, f"The object has not been seen for {self.options.patience:g} s.")
+        if now.status.mode == modes.LOST:
+            now = now.turn_to(modes.WAITING, "The object is seen again.")
+        looks = np.array([*now.looks, pose])[-self.options.looks :]
+        off = np.abs(looks - looks[-1])
+        moved = (off[:, :2].max(axis=1) > self.options.rest) | (off[:, 2] > self.options.rest_angle)
+        kept = looks[int(np.flatnonzero(moved)[-1]) + 1 :] if moved.any() else looks
+        return replace(now, looks=tuple((x, y, theta) for x, y, theta in kept.tolist()), last_seen=time)
+
+    def _decide(
+        self, now: ControllerState, executor: PushStatus, found: Identification | None, log: PushLog
+    ) -> ControllerState:
+        pose, goal = np.mean(now.looks, axis=0), np.array(now.goal)
+        if now.status.mode in (modes.REACHED, modes.FAILED):
+            since = np.inf if now.decided_at is None else calc_goal_error(self.obj, pose, now.decided_at)
+            if since < self.options.moved or now.status.cause == TOO_MANY_PUSHES:
+                return now
+            now = replace(now, refused=()).turn_to(modes.WAITING, "Somebody moved the object.", refused=0)
+        now = replace(now, decided_at=pose)
+        params = self._params if found is None else found.params
+        rules = forbid(self.rules, now.refused, self.options.apart, self.options.turned)
+        try:
+            decision = decide_push(self.obj, pose, goal, now.status.pushes, params, found, rules, now.way)
+        except GridPushError as error:
+            return now.turn_to(modes.FAILED, f"No push could be planned: {error}.", ERROR)
+        now = replace(now, way=decision.way)
+        if decision.chosen is not None and decision.chosen.push is not None:
+            return self._command(now, executor, decision, decision.chosen.push, len(log))
+        mode = modes.REACHED if decision.status == REACHED else modes.FAILED
+        cause = str(decision.status)
+        return now.turn_to(mode, REASONS[cause], cause, error=decision.error)
+
+    def _command(
+        self, now: ControllerState, executor: PushStatus, decision: PushDecision, planned: PlannedPush, logged: int
+    ) -> ControllerState:
+        command = PushCommand.from_push(now.issued + 1, planned.push)
+        x, y, theta = planned.pose.tolist()
+        expected = float(calc_goal_error(self.obj, planned.pose, np.array(now.goal)))
+        now = now.turn_to(
+            modes.PUSHING, f"Push {now.status.pushes + 1} is under way.", error=decision.error,
+            expected_pose=(x, y, theta), expected_error=expected,
+        )  # fmt: skip
+        return replace(now, command=command, issued=command.number, executed=executor.executed, logged=logged)
