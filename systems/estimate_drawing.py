@@ -5,10 +5,12 @@ there already is not sent again.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.geometry import Meshcat
+from pydrake.math import RigidTransform
 
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.systems.cell_colors import CellColors
@@ -87,18 +89,22 @@ class Canvas:
     colors: CellColors
     period: float
 
-    def Send(self, drawing: Drawing, pose: Array, time: float) -> None:
+    def Send(self, drawing: Drawing, pose: Array, time: float, X_WB: RigidTransform | None = None) -> None:
         """Brings the scene up to date.
 
         Args:
             drawing: what is to be seen.
             pose: (3,) of the object, x, y, theta, m and rad; with NaN where it is not seen, and stays where it was.
             time: of the Context, s; what is recorded, is recorded for this time.
+            X_WB: of the object where it is known to be, lifted or tipped, instead of `pose`.
         """
         moment = max(time, self.meshcat.get_mutable_recording().start_time())  # an earlier one would end the process
         self._SendEstimate(drawing, moment)
         self._SendPush(drawing, moment)
-        if np.isfinite(pose).all():
+        if X_WB is not None:
+            raised: Any = np.array([0.0, 0.0, self.lift])
+            self.meshcat.SetTransform(f"{self.path}/object", RigidTransform(raised) @ X_WB, moment)
+        elif np.isfinite(pose).all():
             self.meshcat.SetTransform(f"{self.path}/object", MakePlanarTransform(pose, self.lift), moment)
 
     def Wipe(self) -> None:

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.value import AbstractValue
+from pydrake.common.value import AbstractValue, Value
 from pydrake.geometry import Meshcat
+from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, InputPort, LeafSystem, State
 
 from gridpush_drake.dynamics.push import Push
@@ -44,6 +45,7 @@ class EstimateVisualizer(LeafSystem):
       - centre_of_mass
       - centre_of_mass_covariance
       - push_command
+      - body_poses
 
     - object_pose: vector (3), X_WB as x, y, theta, m and rad.
     - mass: vector (n), the cells' estimated masses, kg.
@@ -52,6 +54,8 @@ class EstimateVisualizer(LeafSystem):
     - centre_of_mass: vector (2), in B, m; need not be connected.
     - centre_of_mass_covariance: vector (4), row by row, m²; need not be connected.
     - push_command: vector (6), see `PushCommand`; need not be connected.
+    - body_poses: abstract `list[RigidTransform]`, as a MultibodyPlant gives it; need not be connected. Where it is, and
+      `body` is given, the object is drawn where that body is, lifted and tipped as it may be.
 
     Initialising a Simulator wipes what is below `path` and begins anew.
     """
@@ -69,6 +73,7 @@ class EstimateVisualizer(LeafSystem):
         pusher_radius: float | None = None,
         regime: Regime = "quasi_static",
         lift: float = 0.0,
+        body: int | None = None,
     ) -> None:
         """Declares ports, state and events.
 
@@ -83,6 +88,7 @@ class EstimateVisualizer(LeafSystem):
             pusher_radius: of the finger's tip, m; by default the object's file's, or DEFAULT_PUSHER_RADIUS.
             regime: of the prediction, see `simulate`.
             lift: of everything above the table, m.
+            body: index of the object among `body_poses`.
 
         Raises:
             StationError: `shows` or `limits` is not what `CellColors` takes.
@@ -99,6 +105,8 @@ class EstimateVisualizer(LeafSystem):
         self._centre = self.DeclareVectorInputPort("centre_of_mass", 2)
         self._covariance = self.DeclareVectorInputPort("centre_of_mass_covariance", 4)
         self._command = self.DeclareVectorInputPort("push_command", PUSH_COMMAND_SIZE)
+        self._body = body
+        self._body_poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
         self._drawing = self.DeclareAbstractState(AbstractValue.Make(NOTHING))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._Begin)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._Update)
@@ -182,4 +190,7 @@ class EstimateVisualizer(LeafSystem):
         return np.array(port.Eval(context)) if port.HasValue(context) else EMPTY
 
     def _Send(self, context: Context, drawing: Drawing) -> None:
-        self._canvas.Send(drawing, self._Eval(self._object_pose, context), context.get_time())
+        X_WB = None
+        if self._body is not None and self._body_poses.HasValue(context):
+            X_WB = self._body_poses.Eval(context)[self._body]
+        self._canvas.Send(drawing, self._Eval(self._object_pose, context), context.get_time(), X_WB)

@@ -98,7 +98,7 @@ def make_grasp_legs(
         The legs.
     """
     x, y, z, turn = rest
-    high = max(style.travel_height, z)
+    high = style.travel_height
     x1, y1, low = calc_tip(style, command.p_WG, yaw).tolist()
     x0, y0 = (np.array([x1, y1]) - style.standoff * command.heading).tolist()
     above, outside, inside = (x0, y0, high, yaw), (x0, y0, low, yaw), (x1, y1, low, yaw)
@@ -107,7 +107,7 @@ def make_grasp_legs(
     fast, careful = style.travel_acceleration, style.careful_acceleration
     vertical = hurry * style.vertical_speed
     approaching, closing = grasp_status.APPROACHING, grasp_status.CLOSING
-    legs = [ToolLeg(approaching, rest, (x, y, high, turn), vertical, fast, opening=opened)] if z < high else []
+    legs = [ToolLeg(approaching, rest, (x, y, high, turn), vertical, fast, opening=opened)] if z != high else []
     legs += [
         ToolLeg(approaching, (x, y, high, turn), above, hurry * style.travel_speed, fast, opening=opened),
         ToolLeg(approaching, above, outside, vertical, fast, opening=opened),
@@ -152,7 +152,7 @@ def make_homing_legs(pose: ToolPose, rest: ToolPose, style: GraspingStyle, hurry
     """Makes the way from a free place to the rest: up, over, down; as `make_retreat_legs`."""
     x0, y0, z, yaw = pose
     x, y, z_rest, turn = rest
-    high = max(style.travel_height, z, z_rest)
+    high = max(style.travel_height, z)
     phase, vertical, opened = grasp_status.RETREATING, hurry * style.vertical_speed, (style.opening, style.opening)
     acceleration = style.travel_acceleration
     corners = [(pose, (x0, y0, high, yaw), vertical)]

@@ -1,6 +1,7 @@
 """What the demo leaves in its folder: what all tasks write, and what identifying does."""
 
 from pathlib import Path
+from typing import Any
 
 import yaml
 from pydrake.geometry import Meshcat
@@ -15,10 +16,12 @@ from gridpush_drake.identification.model_file import write_model
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.pushes.log import PushLog
 from gridpush_drake.report.html import make_report
+from gridpush_drake.report.story import Story
 from gridpush_drake.scene.meshcat_server import write_recording
 from gridpush_drake.scene.scenario import PushScenario
 from gridpush_drake.scene.scenario_file import write_scenario
 from gridpush_drake.scene.truth import describe_truth
+from gridpush_drake.station.conduct import Conduct
 from gridpush_drake.station.experiment import ExperimentRecord
 
 FILES = (
@@ -85,6 +88,29 @@ def write_setting(
     write_whole(hidden, yaml.safe_dump(describe_truth(obj, truth), sort_keys=False), force)
     write_scenario(setting, scenario, force)
     return written
+
+
+def write_learned(
+    folder: Path, log: PushLog, found: Identification, truth: CellParameters, story: Story, force: bool
+) -> list[Path]:
+    """Writes what tasks that learn on the way have besides: pushes.csv, model.yaml, report.html; see `write_demo`."""
+    pushes, model, report = written = [folder / name for name in ("pushes.csv", "model.yaml", "report.html")]
+    used = log.subset([i for i, seen in enumerate(log) if seen.name in found.push_names])
+    log.write_csv(pushes, force)
+    write_model(model, found, force)
+    write_whole(report, make_report(found, used, truth=truth, story=story), force)
+    return written
+
+
+def describe_conduct(conduct: Conduct) -> dict[str, Any]:
+    """How the robot behaved, for JSON."""
+    return {
+        "position_share": conduct.position_share,
+        "velocity_share": conduct.velocity_share,
+        "torque_share": conduct.torque_share,
+        "tracking_error": conduct.tracking_error,
+        "touched": sorted(map(list, conduct.touched)),
+    }
 
 
 def calc_learning(record: ExperimentRecord, result: Identification, held_out: PushLog) -> list[float]:

@@ -7,13 +7,10 @@ import numpy as np
 from pydrake.geometry import Meshcat
 
 from gridpush_drake.apps.console import MM, count_progress, print_line
-from gridpush_drake.apps.demo_files import write_setting
+from gridpush_drake.apps.demo_files import describe_conduct, write_learned, write_setting
 from gridpush_drake.apps.demo_task import FRAMES_A_SECOND, DemoTask
-from gridpush_drake.files import write_whole
 from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.identification.model_file import write_model
 from gridpush_drake.planning.belief import Belief
-from gridpush_drake.report.html import make_report
 from gridpush_drake.report.pre_grasp_figure import GraspDrawn, PushDrawn, draw_pre_grasp
 from gridpush_drake.report.story import Story
 from gridpush_drake.scene.parser import find_models
@@ -65,19 +62,13 @@ def write(folder: Path, scenario: PushScenario, record: PreGraspRecord, meshcat:
     """
     written = write_setting(folder, scenario, record.obj, record.truth, meshcat, force)
     if record.estimates:
-        found = record.estimates[-1]
-        report, model, pushes = folder / "report.html", folder / "model.yaml", folder / "pushes.csv"
-        record.log.write_csv(pushes, force)
-        write_model(model, found, force)
-        used = record.log.subset([i for i, seen in enumerate(record.log) if seen.name in found.push_names])
-        write_whole(report, make_report(found, used, truth=record.truth, story=tell_story(record)), force)
-        written += [pushes, model, report]
+        written += write_learned(folder, record.log, record.estimates[-1], record.truth, tell_story(record), force)
     return [folder / name for name in FILES if folder / name in written]
 
 
 def judge(record: PreGraspRecord) -> dict[str, Any]:
     """What came of it, lengths in m; for JSON."""
-    last, conduct = record.last, record.conduct
+    last = record.last
     verdict: dict[str, Any] = {
         "object": record.obj.name,
         "status": record.status,
@@ -88,13 +79,7 @@ def judge(record: PreGraspRecord) -> dict[str, Any]:
         "grasps": last.grasps,
         "raised": record.raised,
         "simulated_seconds": record.duration,
-        "conduct": {
-            "position_share": conduct.position_share,
-            "velocity_share": conduct.velocity_share,
-            "torque_share": conduct.torque_share,
-            "tracking_error": conduct.tracking_error,
-            "touched": sorted(map(list, conduct.touched)),
-        },
+        "conduct": describe_conduct(record.conduct),
     }
     if record.estimates:
         found, truth = record.estimates[-1], record.truth.centre_of_mass(record.obj)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,12 +37,11 @@ FRAMES_A_SECOND = 20.0
 """Of the recording."""
 
 
+MODULES = {"identify": "demo_identify", "push": "demo_push", "pregrasp": "demo_pre_grasp"}
+"""Where each task is."""
+
+
 def load_task(name: str) -> DemoTask:
     """Finds a task, by one of the words of `demo.TaskName`; what it needs is imported only now."""
-    if name == "identify":
-        from gridpush_drake.apps.demo_identify import TASK
-    elif name == "push":
-        from gridpush_drake.apps.demo_push import TASK
-    else:
-        from gridpush_drake.apps.demo_pre_grasp import TASK
-    return TASK
+    task: DemoTask = import_module(f"gridpush_drake.apps.{MODULES[name]}").TASK
+    return task

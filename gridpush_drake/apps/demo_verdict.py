@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from gridpush_drake.apps.console import MM, print_line
+from gridpush_drake.apps.demo_files import describe_conduct
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.error_summary import calc_mean_cell_error
 from gridpush_drake.station.experiment import FINISHED, ExperimentRecord
@@ -13,7 +14,6 @@ from gridpush_drake.station.experiment import FINISHED, ExperimentRecord
 
 def judge(record: ExperimentRecord) -> dict[str, Any]:
     """Errors before and after learning, lengths in m, and how the robot behaved; for JSON."""
-    conduct = record.conduct
     verdict: dict[str, Any] = {
         "object": record.obj.name,
         "status": record.status,
@@ -21,13 +21,7 @@ def judge(record: ExperimentRecord) -> dict[str, Any]:
         "pushes": len(record.training_log),
         "held_out": len(record.held_out_log),
         "simulated_seconds": record.duration,
-        "conduct": {
-            "position_share": conduct.position_share,
-            "velocity_share": conduct.velocity_share,
-            "torque_share": conduct.torque_share,
-            "tracking_error": conduct.tracking_error,
-            "touched": sorted(map(list, conduct.touched)),
-        },
+        "conduct": describe_conduct(record.conduct),
     }
     if record.estimates:
         verdict["learned"] = record.estimates[-1].message

@@ -28,6 +28,9 @@ Array = NDArray[np.float64]
 HEADINGS = 36
 """Tried over a full turn."""
 
+MOST_SLANT = np.radians(75)
+"""Between a heading and the shortest way in to the table."""
+
 STEP = 0.005
 """m, between grasp points tried."""
 
@@ -172,8 +175,12 @@ def _propose(
     x, y = np.arange(left, right + step, step), np.arange(low, high + step, step)
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     points = points[shapely.contains_xy(beyond, points[:, 0], points[:, 1])]
+    inwards = np.diff(shapely.get_coordinates(shapely.shortest_line(shapely.points(points), surface.polygon)), axis=0)
+    inwards = inwards[::2] / np.linalg.norm(inwards[::2], axis=1, keepdims=True)
     angles = np.pi * (2 * np.arange(1, headings + 1) / headings - 1)
-    return np.repeat(points, headings, axis=0), np.tile(angles, len(points))
+    ahead = inwards @ np.array([np.cos(angles), np.sin(angles)])
+    chosen, heading = np.nonzero(ahead >= np.cos(MOST_SLANT))
+    return points[chosen], angles[heading]
 
 
 def _filter(

@@ -100,7 +100,7 @@ def _draw_way(
     for push in pushes:
         color = BEFORE if push.poke else LEARNED
         ax.annotate(
-            "", push.end, push.start,
+            "", tuple(push.end), tuple(push.start),
             arrowprops={"arrowstyle": "-|>", "color": color, "linewidth": 1.5, "shrinkA": 0, "shrinkB": 0}, zorder=5,
         )  # fmt: skip
     points = np.concatenate([obj.cells_at(pose) for pose in poses] + [np.array([p.start, p.end]) for p in pushes])

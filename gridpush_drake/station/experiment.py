@@ -200,9 +200,12 @@ def AddEstimateVisualizer(
     builder: DiagramBuilder, station: PushStation, policy: PokePolicy, meshcat: Meshcat
 ) -> EstimateVisualizer:
     """Shows the station's estimate and what the policy commands, in Meshcat."""
+    part = station.object_in_plant
     visualizer = builder.AddNamedSystem(
-        "estimate_visualizer", EstimateVisualizer(station.obj, meshcat, height=station.object_in_plant.height)
+        "estimate_visualizer",
+        EstimateVisualizer(station.obj, meshcat, height=part.height, body=int(part.body.index())),
     )
+    builder.Connect(station.GetOutputPort("body_poses"), visualizer.GetInputPort("body_poses"))
     builder.Connect(station.GetOutputPort("object.pose_true"), visualizer.GetInputPort("object_pose"))
     for port in ("mass", "friction", "contact_friction", "centre_of_mass", "centre_of_mass_covariance"):
         builder.Connect(station.GetOutputPort(f"estimate.{port}"), visualizer.GetInputPort(port))

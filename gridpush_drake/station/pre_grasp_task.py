@@ -49,11 +49,14 @@ CLEARANCE = 0.006
 RIM_DETAIL = 5e-4
 """m by which the rim may be simplified, inwards: of a round table to a polygon of few corners."""
 
-RIM_STEP = 0.02
+RIM_STEP = 0.03
 """m along the rim, between places that the gripper is tried at."""
 
 RIM_SPARE = 0.002
 """m between the gripper's tips and the rim, beyond their least clearance, where places of the rim are tried."""
+
+GRASP_STEP = 0.002
+"""m between grasp points tried: a narrow handle has room for the pads along its middle only."""
 
 GRASPS_TRIED = 12
 """Of those found at a pose, that the arm is asked about."""
@@ -208,7 +211,13 @@ class PreGraspTask:
     def find_grasp(self, pose: Array, centre_of_mass: Array) -> SideGrasp | None:
         """How the gripper takes the object at `pose` (3,), as near its centre of mass (2,), body frame, as it can."""
         found = find_side_grasps(
-            self.obj, pose, self.surface, self._gripper, centre_of_mass, height=self._scenario.object_height
+            self.obj,
+            pose,
+            self.surface,
+            self._gripper,
+            centre_of_mass,
+            height=self._scenario.object_height,
+            step=GRASP_STEP,
         )
         for grasp in found[:GRASPS_TRIED]:
             if self.station.FindGraspObstacle(self._make_command(grasp)) is None:

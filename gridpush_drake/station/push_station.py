@@ -56,6 +56,7 @@ from gridpush_drake.systems.push_command import PushCommand
 from gridpush_drake.systems.push_executor import PushExecutor, plan_push
 from gridpush_drake.systems.push_record import RecordOptions
 from gridpush_drake.systems.push_way import PushingStyle
+from gridpush_drake.systems.pusher_gate import PusherGate
 from gridpush_drake.systems.pusher_state_sensor import PusherStateSensor
 
 HOME = (0.5, 0.0, 0.2)
@@ -276,7 +277,8 @@ def MakePushStation(
     builder.Connect(plant.get_body_spatial_velocities_output_port(), tip.GetInputPort("body_spatial_velocities"))
     for consumer in (executor, identifier):
         builder.Connect(camera.GetOutputPort("object_pose"), consumer.GetInputPort("object_pose"))
-    builder.Connect(tip.GetOutputPort("pusher_state"), identifier.GetInputPort("pusher_state"))
+    pusher = tip if grasping is None else _add_gate(builder, tip, grasping)
+    builder.Connect(pusher.GetOutputPort("pusher_state"), identifier.GetInputPort("pusher_state"))
     if meshcat is not None:
         AddMeshcat(builder, scene_graph, meshcat)
 
@@ -306,6 +308,14 @@ def MakePushStation(
     )  # fmt: skip
     station.set_name("station")
     return station
+
+
+def _add_gate(builder: DiagramBuilder, tip: System, grasping: GraspExecutor) -> PusherGate:
+    """Keeps the tip's motions in a grasp from being taken for pushes."""
+    gate: PusherGate = builder.AddNamedSystem("pusher_gate", PusherGate())
+    builder.Connect(tip.GetOutputPort("pusher_state"), gate.GetInputPort("pusher_state"))
+    builder.Connect(grasping.GetOutputPort("status"), gate.GetInputPort("grasp_status"))
+    return gate
 
 
 def LoadPushedObject(scenario: PushScenario) -> GridObject:

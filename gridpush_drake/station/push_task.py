@@ -132,6 +132,16 @@ class PushTaskRecord:
         """How many were made."""
         return self.last.pushes
 
+    @property
+    def rest_poses(self) -> list[Array]:
+        """(3,) where the object was seen at rest, before the first push in the log and after each."""
+        return [*(seen.pose for seen in self.log[:1]), *(seen.final_pose for seen in self.log)]
+
+    @property
+    def expected_errors(self) -> list[float]:
+        """Mean cell error to the goal that was expected after each push that began, m."""
+        return [step.status.expected_error for step in self.steps if step.push is not None]
+
 
 class PushTask:
     """The station with a controller that pushes the object to a goal; to be run once or many times.

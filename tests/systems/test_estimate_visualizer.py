@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from pydrake.common.value import Value
 from pydrake.geometry import Meshcat
+from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource
@@ -142,6 +144,23 @@ def test_needs_neither_a_centre_nor_a_command(obj, meshcat, estimates):
     diagram.ForcedPublish(context)
     assert meshcat.HasPath("bare/object/1/cells")
     assert not meshcat.HasPath("bare/object/1/centre")
+
+
+def test_an_object_in_the_air_is_drawn_where_its_body_is(obj, meshcat, estimates):
+    require_chromium()
+    diagram, visualizer = make_diagram(obj, meshcat, estimates, optional=False, body=1)
+    context = diagram.CreateDefaultContext()
+    inner = visualizer.GetMyMutableContextFromRoot(context)
+
+    def find_rows(height):
+        X_WB = RigidTransform(RollPitchYaw(0.0, 0.0, 0.3), [0.5, 0.0, height])
+        visualizer.GetInputPort("body_poses").FixValue(inner, Value[list[RigidTransform]]([RigidTransform(), X_WB]))
+        diagram.ForcedPublish(context)
+        return np.nonzero(find_colors(obj, estimates, take_picture(meshcat.web_url()))[0])[0]
+
+    low, high = find_rows(0.0), find_rows(0.06)
+    assert min(low.size, high.size) > LEAST_SEEN
+    assert high.mean() < low.mean() - 30  # up in the picture
 
 
 @pytest.mark.parametrize("spoilt", [{"speed": 0.0}, {"distance": 0.0}])

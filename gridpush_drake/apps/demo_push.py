@@ -1,0 +1,100 @@
+"""The demo's second task: a robot pushes an object it knows nothing about to a goal, and learns it on the way."""
+
+from pathlib import Path
+from typing import Any
+
+from pydrake.geometry import Meshcat
+
+from gridpush_drake.apps.console import MM, count_progress, print_line
+from gridpush_drake.apps.demo_files import describe_conduct, write_learned, write_setting
+from gridpush_drake.apps.demo_task import FRAMES_A_SECOND, DemoTask
+from gridpush_drake.planning.planned_push import calc_goal_error
+from gridpush_drake.report.push_figure import draw_push_run
+from gridpush_drake.report.story import Story
+from gridpush_drake.scene.scenario import PushScenario
+from gridpush_drake.station.push_task import PushTask, PushTaskRecord
+from gridpush_drake.systems.push_status import PushStatus
+
+FILES = ("report.html", "recording.html", "model.yaml", "object.yaml", "pushes.csv", "truth.yaml", "scenario.yaml")
+
+REACHED = "reached"
+
+HEADS = ("push", "from", "left to go")
+
+
+def run(scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> PushTaskRecord:
+    """Runs the task."""
+    task = PushTask(scenario, meshcat)
+    task.AimCamera(meshcat)
+    with count_progress("the robot", scenario.goal.max_pushes) as report:
+
+        def show(status: PushStatus, logged: int) -> None:
+            report(f"push {status.executed + (not status.ready)}, {status.phase}", status.executed)
+
+        meshcat.StartRecording(FRAMES_A_SECOND)
+        return task.run(progress=show, realtime_rate=realtime_rate)
+
+
+def write(folder: Path, scenario: PushScenario, record: PushTaskRecord, meshcat: Meshcat, force: bool) -> list[Path]:
+    """Writes what a run came to; see `demo_pre_grasp.write`."""
+    written = write_setting(folder, scenario, record.obj, record.truth, meshcat, force)
+    if record.estimates:
+        written += write_learned(folder, record.log, record.estimates[-1], record.truth, tell_story(record), force)
+    return [folder / name for name in FILES if folder / name in written]
+
+
+def judge(record: PushTaskRecord) -> dict[str, Any]:
+    """What came of it, lengths in m; for JSON."""
+    return {
+        "object": record.obj.name,
+        "status": record.status,
+        "done": record.status == REACHED,
+        "message": record.message,
+        "pushes": record.pushes,
+        "goal": [float(value) for value in record.goal],
+        "error": record.error,
+        "simulated_seconds": record.duration,
+        "conduct": describe_conduct(record.conduct),
+    }
+
+
+def tell(verdict: dict[str, Any], written: list[Path]) -> None:
+    """Prints a verdict, and what was written."""
+    name = verdict["object"].replace("_", " ")
+    print_line(f"The {name} after {verdict['pushes']} pushes: {verdict['message']}")
+    print_line(f"  mean distance of its cells from where they should be: {verdict['error'] * MM:.1f} mm")
+    print_line(f"\nIn {written[0].parent}: {', '.join(path.name for path in written)}.")
+
+
+def tell_story(record: PushTaskRecord) -> Story:
+    """The run for the report's head."""
+    pushes = [seen.push for seen in record.log]
+    steps = []
+    for number, (seen, pose) in enumerate(zip(record.log, record.rest_poses[1:], strict=False), start=1):
+        x, y = seen.push.start.tolist()
+        left = float(calc_goal_error(record.obj, pose, record.goal)) * MM
+        steps.append((str(number), f"({x:.3f}, {y:.3f}) m, {seen.push.length * MM:.0f} mm far", f"{left:.0f} mm"))
+    return Story(
+        verdict=record.message,
+        facts=(
+            ("pushes", str(record.pushes)),
+            ("left to go", f"{record.error * MM:.1f} mm"),
+            ("simulated", f"{record.duration:.0f} s"),
+        ),
+        figure=draw_push_run(
+            record.obj,
+            record.rest_poses,
+            pushes,
+            record.goal,
+            record.surface,
+            expected=record.expected_errors,
+            tolerance=record.tolerance,
+        ),
+        caption="The object at rest after every push, the pushes as arrows, the goal dotted; and how far off it was.",
+        heads=HEADS,
+        steps=steps,
+    )
+
+
+TASK = DemoTask(FILES, PushScenario, run, write, judge, tell)
+"""As the demo uses it."""

@@ -1,0 +1,40 @@
+"""Hides the finger's tip from whoever learns from pushes while the tool grasps: those motions are no pushes."""
+
+import numpy as np
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
+
+from gridpush_drake.systems.grasp_status import GraspStatus
+
+PUSHER_STATE_SIZE = 6
+
+
+class PusherGate(LeafSystem):
+    """Passes the tip's state on, but not during a grasp.
+
+    .. pydrake_system::
+
+        name: PusherGate
+        input_ports:
+        - pusher_state
+        - grasp_status
+        output_ports:
+        - pusher_state
+
+    - ``pusher_state`` (input): (6,) p_WP, m, and v_WP, m/s.
+    - ``grasp_status``: abstract `GraspStatus`.
+    - ``pusher_state`` (output): (6,) the same while the grasp executor is idle, else NaN.
+    """
+
+    def __init__(self) -> None:
+        """Declares the ports."""
+        super().__init__()
+        self._pusher = self.DeclareVectorInputPort("pusher_state", PUSHER_STATE_SIZE)
+        self._status = self.DeclareAbstractInputPort("grasp_status", AbstractValue.Make(GraspStatus()))
+        self.DeclareVectorOutputPort(
+            "pusher_state", PUSHER_STATE_SIZE, self._calc, {self._pusher.ticket(), self._status.ticket()}
+        )
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        idle = self._status.Eval(context).ready
+        output.SetFromVector(self._pusher.Eval(context) if idle else np.full(PUSHER_STATE_SIZE, np.nan))
