@@ -258,15 +258,15 @@ def plan_grasp(
     Returns:
         The legs, and ""; or no legs, and why the arm cannot follow.
     """
-    reason: str | None = None
+    reasons: list[str] = []
     for yaw in calc_yaws(command.approach):
         for hurry in HURRIES:
             legs = make_grasp_legs(command, rest, style, yaw, hurry)
             found = reach and reach(*_describe(legs))
             if not found:
                 return legs, ""
-            reason = reason or found
-    return (), reason or ""
+            reasons.append(found)
+    return (), reasons[len(HURRIES) - 1]  # of the lesser turn, as slow as can be
 
 
 def _describe(legs: tuple[ToolLeg, ...]) -> tuple[Array, Array, Array]:

@@ -151,7 +151,7 @@ def make_retreat_legs(
 def make_homing_legs(pose: ToolPose, rest: ToolPose, style: GraspingStyle, hurry: float = 1.0) -> tuple[ToolLeg, ...]:
     """Makes the way from a free place to the rest: up, over, down; as `make_retreat_legs`."""
     x0, y0, z, yaw = pose
-    x, y, z_rest, turn = rest
+    x, y, _, turn = rest
     high = max(style.travel_height, z)
     phase, vertical, opened = grasp_status.RETREATING, hurry * style.vertical_speed, (style.opening, style.opening)
     acceleration = style.travel_acceleration

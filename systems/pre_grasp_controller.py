@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from gridpush_drake.planning.side_grasp import SideGrasp
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
@@ -26,6 +25,7 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.pregrasp import PreGraspDecision, PreGraspPlanner
+from gridpush_drake.planning.side_grasp import SideGrasp
 from gridpush_drake.pushes.log import PushLog
 from gridpush_drake.systems import grasp_status, pre_grasp_status
 from gridpush_drake.systems.grasp_command import GRASP_COMMAND_SIZE, GraspCommand
@@ -94,6 +94,12 @@ class ControllerState:
         """Itself: Drake copies the state at every update, and nothing in it is ever changed."""
         return self
 
+    @property
+    def shown_push(self) -> PushCommand:
+        """The push command on the port: none once the object is grasped."""
+        grasping = (pre_grasp_status.VERIFYING, pre_grasp_status.GRASPING, pre_grasp_status.HOLDING)
+        return PushCommand() if self.status.mode in grasping else self.push
+
     def turn_to(self, mode: str, reason: str, **others: Any) -> "ControllerState":
         """In another mode, with nothing seen yet."""
         return replace(self, status=replace(self.status, mode=mode, reason=reason, **others), looks=())
@@ -121,7 +127,7 @@ class PreGraspController(LeafSystem):
     * push_log: abstract `PushLog`, all pushes so far.
     * push_status: abstract `PushStatus` of the push executor.
     * grasp_status: abstract `GraspStatus` of the grasp executor.
-    * push_command: vector of 6, see `PushCommand`; number 0 before the first.
+    * push_command: vector of 6, see `PushCommand`; number 0 before the first, and while the object is grasped.
     * grasp_command: vector of 6, see `GraspCommand`; number 0 before the first.
     * status: abstract `PreGraspStatus`.
 
@@ -167,7 +173,7 @@ class PreGraspController(LeafSystem):
                 name, size, lambda context, output: output.SetFromVector(command(self._get_state(context))), state
             )
 
-        declare("push_command", PUSH_COMMAND_SIZE, lambda now: now.push.to_vector())
+        declare("push_command", PUSH_COMMAND_SIZE, lambda now: now.shown_push.to_vector())
         declare("grasp_command", GRASP_COMMAND_SIZE, lambda now: now.grasp.to_vector())
         self.DeclareAbstractOutputPort(
             "status",

@@ -17,7 +17,7 @@ from gridpush_drake.scene.parser import find_models
 from gridpush_drake.scene.scenario import PushScenario
 from gridpush_drake.scene.scenario_file import read_scenario
 from gridpush_drake.station.pre_grasp_task import HELD, PreGraspRecord, PreGraspStep, PreGraspTask
-from gridpush_drake.systems.pre_grasp_status import EXPLORING
+from gridpush_drake.systems.pre_grasp_status import EXPLORING, WAITING
 from gridpush_drake.systems.push_status import PushStatus
 
 FILES = ("report.html", "recording.html", "model.yaml", "object.yaml", "pushes.csv", "truth.yaml", "scenario.yaml")
@@ -102,7 +102,8 @@ def tell(verdict: dict[str, Any], written: list[Path]) -> None:
 def tell_story(record: PreGraspRecord) -> Story:
     """The run for the report's head."""
     last = record.last
-    belief = Belief.of_identification(record.estimates[-1])
+    prior = record.obj.prior
+    belief = Belief.of_identification(record.estimates[-1], (prior.friction_min, prior.friction_max))
     poses = [step.pose for step in record.steps if np.isfinite(step.pose).all() and not step.status.over]
     pushes = [
         PushDrawn(step.push.start, step.push.end, step.status.mode == EXPLORING)
@@ -123,12 +124,12 @@ def tell_story(record: PreGraspRecord) -> Story:
         caption="Left: pokes to learn, then slides to the table's edge. Right: as long as its centre of mass is within "
         "what holds the object it stays put; it was judged on every place where the centre of mass may still be.",
         heads=HEADS,
-        steps=[_describe(step) for step in record.steps],
+        steps=[_describe(step) for step in record.steps if step.status.mode != WAITING],
     )
 
 
 def _describe(step: PreGraspStep) -> tuple[str, str, str]:
-    return f"{step.time:.1f} s", step.status.mode, step.status.reason
+    return f"{step.time:.1f}\N{NO-BREAK SPACE}s", step.status.mode, step.status.reason
 
 
 def _count(number: int, what: str) -> str:

@@ -28,7 +28,7 @@ PANEL_HEIGHT = 4.4
 JAW_LENGTH, JAW_WIDTH = 0.08, 0.02
 """Of the gripper's fingers as drawn, m."""
 
-LEGEND_BELOW = -0.07
+LEGEND_BELOW = -0.15
 """Of the axes' height."""
 
 

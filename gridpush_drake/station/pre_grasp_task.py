@@ -67,6 +67,12 @@ LIFTED_SHARE = 0.7
 PATIENCE = 60.0
 """Simulated without anything new, after which the task is stuck, s."""
 
+CAMERA_BACK, CAMERA_LEFT, CAMERA_UP = 0.08, 0.12, 0.08
+"""m from where the object begins to what Meshcat's camera looks at."""
+
+CAMERA_DISTANCE, CAMERA_AZIMUTH, CAMERA_ELEVATION = 0.95, 0.25, 0.45
+"""Of Meshcat's camera, m, rad and rad: beyond the rim that things are slid to."""
+
 LOST_AFTER = 10.0
 """Simulated without the object being seen, after which it is not waited for any longer, s."""
 
@@ -184,7 +190,8 @@ class PreGraspTask:
     def AimCamera(self, meshcat: Meshcat) -> None:
         """Points Meshcat's camera at where the object begins and where it may be grasped."""
         x, y, _ = self._scenario.object_pose
-        AimCamera(meshcat, (x, y + 0.1, 0.05), 1.25, 0.9, 0.55)
+        target = (x - CAMERA_BACK, y + CAMERA_LEFT, CAMERA_UP)
+        AimCamera(meshcat, target, CAMERA_DISTANCE, CAMERA_AZIMUTH, CAMERA_ELEVATION)
 
     def run(
         self, seed: int | None = None, progress: Progress | None = None, realtime_rate: float = 0.0
