@@ -16,7 +16,7 @@ import numpy as np
 from gridpush_drake.bench.pregrasp_exploration import AIMS, ExplorationScore, explore
 from gridpush_drake.bench.pregrasp_objects import OBJECTS, load_bench_object, make_table
 from gridpush_drake.bench.pregrasp_tables import SlideScore, tabulate_exploration, tabulate_objects, tabulate_slides
-from gridpush_drake.bench.pregrasp_world import EdgeWorld, learn, learn_as_the_paper, run_pregrasp
+from gridpush_drake.bench.pregrasp_world import Believe, EdgeWorld, Learner, PaperLearner, run_pregrasp
 from gridpush_drake.bench.table import Table
 from gridpush_drake.bench.workers import WORKERS, Report, run_jobs
 from gridpush_drake.errors import GridPushError
@@ -25,7 +25,6 @@ from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.grasp_parts import GraspPart, Gripper, find_grasp_parts
 from gridpush_drake.planning.pregrasp import PreGraspOptions, PreGraspPlanner
-from gridpush_drake.pushes.log import PushLog
 
 LEARNED, WIDE, TRUE = "learned", "learned, wide friction", "true"
 UNIFORM, UNBOUNDED = "uniform", "unbounded"
@@ -64,6 +63,9 @@ must come close to tipping; the true masses still leave a grasp in every case.""
 
 MOST_ARMS = {"toolbox": 0.15}
 """The same for objects that offer nothing to hold so near to their middle: this one can be taken by its rim only."""
+
+ARM_SLACK = 0.02
+"""m that a grasp may be farther from the true centre of mass than `MOST_ARM` and still count as near."""
 
 OFFSET = 0.05
 """m, at most, of the object from the table's middle at the beginning."""
@@ -150,15 +152,17 @@ def run_job(job: Job) -> SlideScore | ExplorationScore:
     options = PreGraspOptions(least_pokes=_least_pokes(job.method), most_arm=arm)
     planner = PreGraspPlanner(obj, surface, options, parts)
 
-    def believe(log: PushLog) -> Belief | None:
-        if job.method in (LEARNED, WIDE):
-            return learn(obj, planner, log)
-        if job.method == UNBOUNDED:
-            return learn_as_the_paper(obj, planner, log, NO_BOUND)
-        return Belief.of_parameters(obj, truth if job.method == TRUE else CellParameters.uniform(obj))
+    outcome = run_pregrasp(world, planner, _make_learner(obj, truth, job.method))
+    return SlideScore(job.name, job.method, outcome, near=outcome.arm <= arm + ARM_SLACK)
 
-    outcome = run_pregrasp(world, planner, believe)
-    return SlideScore(job.name, job.method, outcome)
+
+def _make_learner(obj: GridObject, truth: CellParameters, method: str) -> Believe:
+    if method in (LEARNED, WIDE):
+        return Learner(obj)
+    if method == UNBOUNDED:
+        return PaperLearner(obj, NO_BOUND, PAPER_PUSHES)
+    granted = Belief.of_parameters(obj, truth if method == TRUE else CellParameters.uniform(obj))
+    return lambda log: granted
 
 
 def make_truth(obj: GridObject, mass_set: int) -> CellParameters:

@@ -19,11 +19,19 @@ LIKELY = {BOTH: 5.991 / 2, ALONG: 3.841}
 
 @dataclass(frozen=True)
 class SlideScore:
-    """How one run ended."""
+    """How one run ended.
+
+    Attributes:
+        name: of the object.
+        method: of what is believed.
+        outcome: the end.
+        near: whether the part to be grasped is as near to the true centre of mass as asked.
+    """
 
     name: str
     method: str
     outcome: Outcome
+    near: bool = True
 
 
 def tabulate_slides(scores: Sequence[SlideScore], methods: Sequence[str]) -> Table:

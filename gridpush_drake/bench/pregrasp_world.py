@@ -5,7 +5,7 @@ seen with noise.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from gridpush_drake.identification.identify import identify
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.edge_push import is_held, simulate_near_edge
+from gridpush_drake.planning.held_cells import find_held
 from gridpush_drake.planning.pregrasp import PreGraspPlanner
 from gridpush_drake.planning.pregrasp_goal import calc_overhangs
 from gridpush_drake.planning.surface import SupportSurface
@@ -67,7 +68,7 @@ class EdgeWorld:
         """Makes a push; returns whether the object was on the table with all its cells throughout."""
         motion = simulate_near_edge(self.obj, self.truth, push, self.pose, self.surface)
         self.pose, self.dropped = motion.final_pose, self.dropped or motion.fell
-        return bool(self.surface.contains(self.obj.cells_at(motion.poses)).all())
+        return bool(find_held(self.obj, motion.poses, self.surface).all())
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,7 @@ class Outcome:
         pokes: made.
         slides: made.
         reason: the last decision's.
+        arm: m from the true centre of mass to the middle of the part to be grasped; NaN where there is none.
     """
 
     grasped: bool
@@ -87,6 +89,7 @@ class Outcome:
     pokes: int
     slides: int
     reason: str
+    arm: float = np.nan
 
 
 Believe = Callable[[PushLog], Belief | None]
@@ -124,33 +127,59 @@ def run_pregrasp(world: EdgeWorld, planner: PreGraspPlanner, believe: Believe) -
             seen = world.observe()
             log.append(ObservedPush(f"push_{len(log)}", push, pose, np.array([push.duration]), seen[None]))
     grasped = decision.action == "grasp" and _hangs_over(world, planner)
-    return Outcome(grasped, False, counts["poke"], counts["slide"], decision.reason)
+    arm = np.nan
+    if decision.action == "grasp" and decision.goal is not None:
+        arm = float(np.linalg.norm(decision.goal.part.p_BG - world.truth.centre_of_mass(world.obj)))
+    return Outcome(grasped, False, counts["poke"], counts["slide"], decision.reason, arm)
 
 
-def learn(obj: GridObject, planner: PreGraspPlanner, log: PushLog) -> Belief | None:
-    """What the default method learns, with its spread."""
-    found = _identify(obj, log, "default")
-    return None if found is None else Belief.of_identification(found, log=log)
+@dataclass(eq=False)
+class Learner:
+    """What the default method learns, with its spread; each time it begins where it ended the last time.
+
+    Attributes:
+        obj: the object.
+        found: the last time.
+    """
+
+    obj: GridObject
+    found: Identification | None = None
+
+    def __call__(self, log: PushLog) -> Belief | None:
+        """What is believed after pushes; None before the first."""
+        if not len(log):
+            return None
+        self.found = identify(self.obj, log, regime="quasi_static", start=self.found)
+        return Belief.of_identification(self.found, log=log)
 
 
-def learn_as_the_paper(
-    obj: GridObject, planner: PreGraspPlanner, log: PushLog, friction_range: tuple[float, float]
-) -> Belief | None:
+@dataclass(eq=False)
+class PaperLearner:
     """What the paper's method learns: masses and frictions within a range, taken for granted.
 
-    The first `planner.options.least_pokes` pushes are chosen, as the default method's are, by what that one learned.
+    Attributes:
+        obj: the object.
+        friction_range: that frictions are sought in.
+        least_pokes: the first pushes, chosen, as the default method's are, by what that one learned.
+        first: what learns from those.
     """
-    if len(log) < planner.options.least_pokes:
-        return learn(obj, planner, log)
-    wide = replace(obj, prior=replace(obj.prior, friction_min=friction_range[0], friction_max=friction_range[1]))
-    found = _identify(wide, log, "paper")
-    return None if found is None else Belief.of_parameters(obj, found.params)
 
+    obj: GridObject
+    friction_range: tuple[float, float]
+    least_pokes: int
+    first: Learner = field(init=False)
 
-def _identify(obj: GridObject, log: PushLog, method: str) -> Identification | None:
-    if not len(log):
-        return None
-    return identify(obj, log, method=method, regime="quasi_static")
+    def __post_init__(self) -> None:
+        self.first = Learner(self.obj)
+
+    def __call__(self, log: PushLog) -> Belief | None:
+        """What is believed after pushes; None before the first."""
+        if len(log) < self.least_pokes or not len(log):
+            return self.first(log)
+        low, high = self.friction_range
+        wide = replace(self.obj, prior=replace(self.obj.prior, friction_min=low, friction_max=high))
+        found = identify(wide, log, method="paper", regime="quasi_static")
+        return Belief.of_parameters(self.obj, found.params)
 
 
 def _hangs_over(world: EdgeWorld, planner: PreGraspPlanner) -> bool:

@@ -17,6 +17,7 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.planning.edge_loads import calc_edge_loads
+from gridpush_drake.planning.held_cells import find_held
 from gridpush_drake.planning.surface import SupportSurface
 
 Array = NDArray[np.float64]
@@ -50,7 +51,7 @@ class EdgeMotion:
 
 def is_held(obj: GridObject, params: CellParameters, pose: ArrayLike, surface: SupportSurface) -> bool:
     """Whether an object at rest at a pose (3,) stays on the table."""
-    return calc_edge_loads(obj, params.mass, surface.contains(obj.cells_at(pose))) is not None
+    return calc_edge_loads(obj, params.mass, find_held(obj, pose, surface)) is not None
 
 
 def simulate_near_edge(
@@ -83,14 +84,14 @@ def simulate_near_edge(
     times = make_path_times(push, "quasi_static")
     travelled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(push.tip_at(times), axis=0), axis=1)))
     whole = simulate(obj, params, push, q, times=times, regime="quasi_static")
-    on_table = surface.contains(obj.cells_at(whole.poses)).all(axis=1)
+    on_table = find_held(obj, whole.poses, surface).all(axis=1)
     if on_table.all():
         return EdgeMotion(whole.poses, travelled, False)
     # up to here nothing hangs over; go on from there in pieces
     first = max(int(np.argmin(on_table)) - 1, 0)
     poses, done, q = [whole.poses[: first + 1]], [travelled[: first + 1]], whole.poses[first]
     while first < len(times) - 1:
-        load = calc_edge_loads(obj, params.mass, surface.contains(obj.cells_at(q)))
+        load = calc_edge_loads(obj, params.mass, find_held(obj, q, surface))
         if load is None:
             return EdgeMotion(np.concatenate(poses), np.concatenate(done), True)
         last = min(max(int(np.searchsorted(travelled, travelled[first] + piece)), first + 1), len(times) - 1)

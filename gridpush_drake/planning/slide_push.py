@@ -138,12 +138,16 @@ def plan_slide(
         plan = optimise_contact(masses.obj, params, q, goal.pose, constraints=constraints, options=options.contact)
         proposals += [(push, goal) for push in plan.candidates if push.cost < plan.start_cost - options.least_gain]
     proposals.sort(key=lambda each: each[0].cost)
-    slides = [
-        _try(planned, goal, masses, (params, *draws), q, surface, rule, options)
-        for planned, goal in proposals[: options.proposals]
-    ]
-    useful = sorted((slide for slide in slides if slide is not None), key=lambda slide: slide.planned.cost)
-    return next((slide for slide in useful if constraints.allows_push(slide.planned.push)), None)
+    best: Slide | None = None
+    for planned, goal in proposals[: options.proposals]:
+        if best is not None and planned.cost >= best.planned.cost:
+            break  # cut short and with doubt, it would hardly end nearer than the model has it end
+        slide = _try(planned, goal, masses, (params, *draws), q, surface, rule, options)
+        if slide is None or (best is not None and slide.planned.cost >= best.planned.cost):
+            continue
+        if constraints.allows_push(slide.planned.push):
+            best = slide
+    return best
 
 
 def _try(
@@ -158,17 +162,17 @@ def _try(
 ) -> Slide | None:
     """The push cut so short that it is safe with every model; None where nothing useful is left of it."""
     obj = masses.obj
-    motions = [simulate_near_edge(obj, model, planned.push, pose, surface) for model in models]
     checks = np.unique(np.append(np.arange(0.0, planned.distance, CHECK_EVERY), planned.distance))
     paths = []
-    for motion in motions:
+    for model in models:
+        motion = simulate_near_edge(obj, model, planned.push, pose, surface)
         path = np.column_stack([np.interp(checks, motion.travelled, motion.poses[:, i]) for i in range(3)])
         allowed = rule(path) & (~np.bool_(motion.fell) | (checks < motion.travelled[-1]))
         checks = checks[: int(np.argmin(allowed))] if not allowed.all() else checks
         paths.append(path)
+        if not (checks >= options.contact.distance_range[0]).any():
+            return None
     useful = checks >= options.contact.distance_range[0]
-    if not useful.any():
-        return None
     ends = np.array([path[: len(checks)] for path in paths])
     costs = np.where(useful, calc_goal_error(obj, ends, goal.pose).mean(axis=0), np.inf)
     best = int(np.argmin(costs))

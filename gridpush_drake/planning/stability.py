@@ -32,6 +32,7 @@ from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.planning.consistent_draws import draw_consistent
 from gridpush_drake.planning.convex import bound_by_half_planes, hull_of
+from gridpush_drake.planning.held_cells import find_held
 from gridpush_drake.planning.hull_kernel import calc_margins
 from gridpush_drake.planning.surface import SupportSurface
 
@@ -181,7 +182,7 @@ def calc_support_polygon(
     Returns:
         (V, 2) corners, body frame, m, counterclockwise; empty where no three cells hold it.
     """
-    return hull_of(obj.p_BC[surface.contains(obj.cells_at(pose), inset)])
+    return hull_of(obj.p_BC[find_held(obj, pose, surface, inset)])
 
 
 def calc_stability_margins(
@@ -201,7 +202,7 @@ def calc_stability_margins(
     obj = masses.obj
     q = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
     order = np.lexsort((obj.p_BC[:, 1], obj.p_BC[:, 0]))
-    held = surface.contains(obj.cells_at(q), inset)[:, order]
+    held = find_held(obj, q, surface, inset)[:, order]
     margins = np.empty(len(q))
     calc_margins(obj.p_BC[order], np.ascontiguousarray(held), masses.centre_of_mass_polygon, margins)
     return margins

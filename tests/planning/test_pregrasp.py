@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import shapely
 
-from gridpush_drake.bench.pregrasp_world import EdgeWorld, learn, run_pregrasp
+from gridpush_drake.bench.pregrasp_world import EdgeWorld, Learner, run_pregrasp
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
@@ -251,7 +251,7 @@ def test_the_whole_task_with_hidden_masses(pan, parts):
     truth = CellParameters.random(pan, 3, friction_range=(0.25, 0.5))
     planner = PreGraspPlanner(pan, TABLE, parts=parts)
     world = EdgeWorld(pan, truth, TABLE, np.array([0.02, 0.03, 0.5]), np.random.default_rng(0))
-    outcome = run_pregrasp(world, planner, lambda log: learn(pan, planner, log))
+    outcome = run_pregrasp(world, planner, Learner(pan))
     assert outcome.grasped, outcome
     assert not outcome.dropped
     assert outcome.pokes >= 3
@@ -267,7 +267,7 @@ def test_hidden_masses_never_fall(pan, parts, seed):
     middle = surface.polygon.centroid
     start = np.array([middle.x, middle.y, float(seed)])
     world = EdgeWorld(pan, truth, surface, start, np.random.default_rng(seed))
-    outcome = run_pregrasp(world, planner, lambda log: learn(pan, planner, log))
+    outcome = run_pregrasp(world, planner, Learner(pan))
     assert not outcome.dropped, outcome
     assert outcome.grasped, outcome
 
@@ -287,6 +287,6 @@ def test_an_object_that_somebody_moved_is_slid_from_where_it_is(pan, parts):
     truth = CellParameters.random(pan, 3, friction_range=(0.25, 0.5))
     planner = PreGraspPlanner(pan, TABLE, parts=parts)
     world = MovedWorld(pan, truth, TABLE, np.array([0.02, 0.03, 0.5]), np.random.default_rng(0))
-    outcome = run_pregrasp(world, planner, lambda log: learn(pan, planner, log))
+    outcome = run_pregrasp(world, planner, Learner(pan))
     assert world.looks > 7
     assert outcome.grasped, outcome
