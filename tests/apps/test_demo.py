@@ -143,6 +143,8 @@ def test_an_interrupted_demo_keeps_what_was_done(tmp_path):
     arguments = [
         command,
         "demo",
+        "--task",
+        "identify",
         "--scenario",
         write_scenario(tmp_path, count=5),
         "--out",
@@ -179,9 +181,9 @@ def _read_until(stream, text):
 
 
 @pytest.mark.slow
-def test_the_hammer_as_readme_says(gridpush, tmp_path, monkeypatch):
+def test_the_hammer_is_learned(gridpush, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    outcome = gridpush("demo")
+    outcome = gridpush("demo", "--task", "identify")
     assert outcome.code == 0, outcome.err
     assert "claw hammer after 8 pushes" in outcome.out
     assert (tmp_path / "gridpush_demo" / "report.html").exists()
