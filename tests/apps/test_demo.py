@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from gridpush_drake.apps.demo_files import FILES
+from gridpush_drake.apps.demo_pre_grasp import FILES as STORY_FILES
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.model_file import read_model
 from gridpush_drake.pushes.log import PushLog
@@ -181,9 +182,17 @@ def _read_until(stream, text):
 
 
 @pytest.mark.slow
-def test_the_hammer_is_learned(gridpush, tmp_path, monkeypatch):
+def test_the_whole_story_as_readme_says(gridpush, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    outcome = gridpush("demo", "--task", "identify")
+    outcome = gridpush("demo", "--json")
     assert outcome.code == 0, outcome.err
-    assert "claw hammer after 8 pushes" in outcome.out
-    assert (tmp_path / "gridpush_demo" / "report.html").exists()
+    verdict = json.loads(outcome.out)
+    assert verdict["status"] == "held"
+    assert verdict["raised"] > 0.08
+    assert verdict["pokes"] >= 3
+    assert verdict["slides"] >= 1
+    assert verdict["conduct"]["touched"] == []
+    assert max(verdict["conduct"][f"{what}_share"] for what in ("position", "velocity", "torque")) <= 1
+    out = tmp_path / "gridpush_demo"
+    assert sorted(path.name for path in out.iterdir()) == sorted(STORY_FILES)
+    assert "What the robot did" in (out / "report.html").read_text()
