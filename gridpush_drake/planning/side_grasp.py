@@ -3,13 +3,12 @@
 Seen from above, with the grasp point G in the middle between the pads and the x axis along the heading in which the
 fingers point, the gripper is made of rectangles:
 
-    pads       [-pad_length/2, pad_length/2] x pad_width       on the object, a margin inside its outline
-    jaws       [-body_front, jaw_reach] x jaw_width            the lower one clear of the table
-    the rest   [-body_back, -body_front] x body_width          clear of the object, and of the table
-
     pads       [-pad_length/2, pad_length/2] x pad_width   wholly on the object, a margin inside its outline
     jaws       [-body_front, jaw_reach] x jaw_width        the lower one clear of the table
     the rest   [-body_back, -body_front] x body_width      clear of the object, and of the table
+
+For each of many headings the places where the pads and the lower jaw may be are found by `pad_places`, exactly; what is
+left is looked at one by one.
 """
 
 from dataclasses import dataclass, fields
@@ -18,18 +17,29 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 from shapely.affinity import affine_transform
+from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.grid.object import GridObject
+from gridpush_drake.planning.pad_places import TOUCH, Handle, Walls, find_handles, find_places, get_edges
 from gridpush_drake.planning.surface import SupportSurface
 
 Array = NDArray[np.float64]
 
-HEADINGS = 36
-"""Tried over a full turn."""
+HEADINGS = 72
+"""Tried over a full turn, beside those of narrow handles."""
+
+SHORTEST_EDGE = 0.25
+"""Of the pads' length, that the sides of a narrow handle are long."""
+
+ARC_DETAIL = 4
+"""Pieces of a quarter turn, where what is within or about the outline is round."""
 
 MOST_SLANT = np.radians(75)
 """Between a heading and the shortest way in to the table."""
+
+SLANT_SPARE = np.radians(5)
+"""For the directions between those in which the table is seen from corners of the overhang."""
 
 STEP = 0.005
 """m, between grasp points tried."""
@@ -124,8 +134,8 @@ def find_side_grasps(
         aim: (2,) point near which to grasp, body frame, m: the estimated centre of mass; by default the mean of the
             cells.
         height: of the object, m.
-        step: between grasp points tried, m.
-        headings: tried over a full turn.
+        step: between grasp points tried, m: at most so much across the heading, four times as much along it.
+        headings: tried over a full turn, beside those of narrow handles.
 
     Returns:
         The grasps, by distance from `aim`, at equal distance by clearance from the table; none where there is no place.
@@ -146,13 +156,14 @@ def find_side_grasps(
             f"{gripper.opening - 2 * gripper.height_clearance:g} m"
         )
     outline = _place(obj.outline, q)
-    points, angles = _propose(outline, surface, gripper, step, headings)
+    c, s = np.cos(q[2]), np.sin(q[2])
+    R = np.array([[c, -s], [s, c]])
+    points, angles = _propose(outline, surface, gripper, R @ target + q[:2], step, headings)
     kept = _filter(outline, points, angles, surface, gripper)
     points, angles = points[kept], angles[kept]
     if not len(points):
         return []
-    c, s = np.cos(q[2]), np.sin(q[2])
-    p_BG = (points - q[:2]) @ np.array([[c, -s], [s, c]])
+    p_BG = (points - q[:2]) @ R
     distance = np.linalg.norm(p_BG - target, axis=1)
     clear = shapely.distance(_make_rectangles(points, angles, *_lower_jaw(gripper)), surface.polygon)
     order = np.lexsort((-clear, np.round(distance, 6)))
@@ -163,50 +174,82 @@ def find_side_grasps(
 
 
 def _propose(
-    outline: shapely.Polygon, surface: SupportSurface, gripper: SideGripper, step: float, headings: int
+    outline: shapely.Polygon, surface: SupportSurface, gripper: SideGripper, aim: Array, step: float, headings: int
 ) -> tuple[Array, Array]:
-    """Points (k, 2) of the overhang and headings (k,) with which the fingers come from beyond the rim."""
-    # no farther out than half the pads' width or in than half the jaw's, whatever the heading
-    beyond = outline.buffer(-gripper.margin - gripper.pad_width / 2, quad_segs=2)
-    beyond -= surface.polygon.buffer(gripper.table_clearance + gripper.jaw_width / 2, join_style="mitre")
+    """Points (k, 2) and headings (k,) with which the pads are on the overhang and the lower jaw clear of the table."""
+    inner = outline.buffer(-gripper.margin, quad_segs=ARC_DETAIL)
+    # no farther in than half the jaw's width, whatever the heading; the pads reach no farther from there than this
+    least, half = gripper.table_clearance + gripper.jaw_width / 2, np.hypot(gripper.pad_length, gripper.pad_width) / 2
+    beyond = inner - surface.polygon.buffer(least, join_style="mitre")
+    overhang = inner - surface.polygon.buffer(least - half, join_style="mitre")
     if beyond.is_empty:
         return np.empty((0, 2)), np.empty(0)
-    left, low, right, high = beyond.bounds
-    x, y = np.arange(left, right + step, step), np.arange(low, high + step, step)
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    points = points[shapely.contains_xy(beyond, points[:, 0], points[:, 1])]
-    inwards = np.diff(shapely.get_coordinates(shapely.shortest_line(shapely.points(points), surface.polygon)), axis=0)
-    inwards = inwards[::2] / np.linalg.norm(inwards[::2], axis=1, keepdims=True)
-    angles = np.pi * (2 * np.arange(1, headings + 1) / headings - 1)
-    ahead = inwards @ np.array([np.cos(angles), np.sin(angles)])
-    chosen, heading = np.nonzero(ahead >= np.cos(MOST_SLANT))
-    return points[chosen], angles[heading]
+    table = surface.polygon.buffer(gripper.table_clearance)
+    pads = Walls(get_edges(overhang), -gripper.pad_length / 2, gripper.pad_length / 2, gripper.pad_width)
+    grown = _grow(outline, gripper.object_clearance + 4 * TOUCH)
+    jaw = Walls(get_edges(table), *_lower_jaw(gripper))
+    rest = Walls(get_edges(grown), -gripper.body_back - gripper.standoff, -gripper.body_front, gripper.body_width)
+    shapely.prepare(overhang)
+    handles, even = _choose_headings(beyond, pads, surface, step, headings)
+    tries = [*((handle.heading, handle.corners) for handle in handles), *((angle, None) for angle in even)]
+    points, angles = find_places(overhang, pads, (jaw, rest), tries, aim, step)
+    inwards = _find_ways_in(points, surface)
+    ahead = inwards[:, 0] * np.cos(angles) + inwards[:, 1] * np.sin(angles) >= np.cos(MOST_SLANT)
+    return points[ahead], angles[ahead]
+
+
+def _choose_headings(
+    beyond: BaseGeometry, pads: Walls, surface: SupportSurface, step: float, count: int
+) -> tuple[list[Handle], list[float]]:
+    """Headings that point inwards from somewhere `beyond` the rim: along narrow handles, and of `count` even ones."""
+    even = np.pi * (2 * np.arange(1, count + 1) / count - 1)
+    # in anything wider the pads have a step's play at the nearest of the even headings
+    length, off = pads.front - pads.back, min(np.pi / count, np.pi / 4)
+    widest = length * np.sin(off) + pads.width * np.cos(off) + step
+    handles = find_handles(pads.edges, SHORTEST_EDGE * length, widest)
+    both = [Handle(handle.heading + turn, handle.corners) for turn in (0.0, -np.pi) for handle in handles]
+    # the way in from any point leads over the region's boundary, and from there on in the same direction
+    inwards = _find_ways_in(shapely.get_coordinates(shapely.segmentize(beyond, STEP)), surface)
+
+    def points_in(headings: Array) -> NDArray[np.bool_]:
+        ahead = inwards @ np.array([np.cos(headings), np.sin(headings)])
+        return np.asarray((ahead >= np.cos(MOST_SLANT + SLANT_SPARE)).any(axis=0))
+
+    kept = points_in(np.array([handle.heading for handle in both]))
+    return [both[k] for k in np.flatnonzero(kept)], even[points_in(even)].tolist()
+
+
+def _find_ways_in(points: Array, surface: SupportSurface) -> Array:
+    """Unit vectors (k, 2) from points (k, 2) beyond the rim to the nearest place of the table."""
+    lines = shapely.shortest_line(shapely.points(points), surface.polygon)
+    inwards = shapely.get_coordinates(lines).reshape(-1, 2, 2)
+    inwards = inwards[:, 1] - inwards[:, 0]
+    return np.asarray(inwards / np.linalg.norm(inwards, axis=1, keepdims=True))
 
 
 def _filter(
     outline: shapely.Polygon, points: Array, angles: Array, surface: SupportSurface, gripper: SideGripper
 ) -> NDArray[np.int64]:
-    """Indices of those whose pads lie on the object, and whose gripper is clear of the table and of the object."""
-    half = gripper.pad_length / 2
+    """Indices of those whose gripper, but for the lower jaw, is clear of the table and of the object."""
     kept = np.arange(len(points))
-    inner, table = outline.buffer(-gripper.margin), surface.polygon.buffer(gripper.table_clearance)
-    grown = outline.buffer(gripper.object_clearance)
-    for shape in (inner, table, grown):
+    table, grown = surface.polygon.buffer(gripper.table_clearance), _grow(outline, gripper.object_clearance)
+    for shape in (table, grown):
         shapely.prepare(shape)
     body = (-gripper.body_back - gripper.standoff, -gripper.body_front, gripper.body_width)
     jaws_before = (-gripper.body_front - gripper.standoff, gripper.jaw_reach - gripper.standoff, gripper.jaw_width)
     tests = (
-        (inner, True, (-half, half, gripper.pad_width)),
-        (table, False, _lower_jaw(gripper)),
-        (table, False, body),
-        (grown, False, body),
-        (grown, False, jaws_before),
+        (table, body),
+        (grown, body),
+        (grown, jaws_before),
     )
-    for shape, wanted, (back, front, width) in tests:
-        rectangles = _make_rectangles(points[kept], angles[kept], back, front, width)
-        found = shapely.covers(shape, rectangles) if wanted else ~shapely.intersects(shape, rectangles)
-        kept = kept[found]
+    for shape, (back, front, width) in tests:
+        kept = kept[~shapely.intersects(shape, _make_rectangles(points[kept], angles[kept], back, front, width))]
     return kept
+
+
+def _grow(outline: shapely.Polygon, clearance: float) -> BaseGeometry:
+    """What is nowhere nearer to the outline than the clearance, of few edges."""
+    return outline.buffer(clearance / np.cos(np.pi / (4 * ARC_DETAIL)), quad_segs=ARC_DETAIL)
 
 
 def _lower_jaw(gripper: SideGripper) -> tuple[float, float, float]:

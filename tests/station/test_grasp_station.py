@@ -7,6 +7,7 @@ from pydrake.systems.analysis import Simulator
 from gridpush_drake.errors import StationError
 from gridpush_drake.planning.side_grasp import find_side_grasps
 from gridpush_drake.planning.surface import SupportSurface
+from gridpush_drake.planning.varied_grasps import choose_varied
 from gridpush_drake.scene.grid_object_state import SetGridObjectPose
 from gridpush_drake.scene.parser import find_models
 from gridpush_drake.scene.scenario import PushScenario
@@ -65,7 +66,8 @@ class Run:
         """The command for the best grasp by the true centre of mass that the arm can carry out."""
         station = self.station
         centre = station.truth.centre_of_mass(station.obj)
-        for grasp in find_side_grasps(station.obj, self.pose, SupportSurface(station.table_top), aim=centre)[:TRIED]:
+        found = find_side_grasps(station.obj, self.pose, SupportSurface(station.table_top), aim=centre)
+        for grasp in choose_varied(found, TRIED):
             command = GraspCommand(1, *grasp.p_WG, 0.015, grasp.approach, LIFT)
             if station.FindGraspObstacle(command) is None:
                 return command

@@ -1,0 +1,63 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gridpush_drake.apps.main import main
+from gridpush_drake.bench import pregrasp_station
+from gridpush_drake.bench.pregrasp_station import GraspJob, GraspScore, run_job, tabulate
+from gridpush_drake.errors import GridPushError, ObjectError
+
+HELD = GraspScore("pliers", 0, "held", "It was lifted.", 4, 2, 0.1, 0.002, 60.0, 30.0)
+
+
+def test_the_table_counts_what_happened():
+    scores = [
+        HELD,
+        replace(HELD, seed=1, pokes=6, raised=0.09, centre_of_mass_error=0.004, duration=80.0, wall=50.0),
+        replace(HELD, seed=2, status="failed", message="No safe way.", pokes=8, slides=5, raised=0.0, wall=10.0),
+        replace(HELD, name="toolbox", status="dropped", message="It fell.", raised=-0.7, slides=1),
+        replace(HELD, name="toolbox", seed=1, status="stuck", message="Nothing.", pokes=0, slides=0, duration=61.0),
+    ]
+    scores[-1] = replace(scores[-1], centre_of_mass_error=np.nan, raised=0.0, wall=40.0)
+    table = tabulate(scores, ["pliers", "toolbox"])
+    rows = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
+    assert [row["object"] for row in rows] == ["pliers", "toolbox", "all"]
+    counts = [(row["runs"], row["held"], row["dropped"], row["given up"]) for row in rows]
+    assert counts == [(3, 2, 0, 1), (2, 0, 1, 1), (5, 2, 1, 2)]
+    assert [row["pokes"] for row in rows] == pytest.approx([6.0, 2.0, 4.4])
+    assert [row["slides"] for row in rows] == pytest.approx([3.0, 0.5, 2.0])
+    assert [row["raised, mm"] for row in rows] == pytest.approx([95.0, np.nan, 95.0], nan_ok=True)
+    assert [row["CoM error, mm"] for row in rows] == pytest.approx([8 / 3, 2.0, 2.5])
+    assert [row["simulated, s"] for row in rows] == pytest.approx([200 / 3, 60.5, 64.2])
+    assert [row["wall, s"] for row in rows] == pytest.approx([30.0, 35.0, 32.0])
+    assert [note for note in table.notes if "seed" in note] == [
+        "pliers, seed 2: failed. No safe way.",
+        "toolbox, seed 0: dropped. It fell.",
+        "toolbox, seed 1: stuck. Nothing.",
+    ]
+
+
+def test_refuses_what_makes_no_sense():
+    with pytest.raises(ObjectError, match="brick"):
+        pregrasp_station.run(["claw_hammer", "brick"], [0], progress=False)
+    with pytest.raises(GridPushError, match="objects: none"):
+        pregrasp_station.run([], [0], progress=False)
+    with pytest.raises(GridPushError, match="seeds: none"):
+        pregrasp_station.run(["claw_hammer"], [], progress=False)
+
+
+def test_the_command_refuses_an_unknown_object(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["bench", "grasp", "--objects", "brick", "--quick"])
+    assert ended.value.code == 2
+    assert "brick" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_the_hammer_is_held():
+    score = run_job(GraspJob("claw_hammer", 0))
+    assert score.status == "held", score.message
+    assert score.raised > 0.07
+    assert score.centre_of_mass_error < 0.02
+    assert score.duration > 10.0
