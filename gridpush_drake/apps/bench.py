@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 from sys import stderr
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -119,6 +119,9 @@ def pregrasp(
     mass_sets: Annotated[int | None, typer.Option(min=1, help="Hidden sets of masses and frictions an object.")] = None,
     seeds: Annotated[int | None, typer.Option(min=1, help="Tables, starts and noises a set.")] = None,
     depth: Annotated[float, typer.Option(help="Of the gripper's fingers: what must hang over, m.")] = 0.03,
+    experiment: Annotated[
+        Literal["all", "sliding", "exploring"], typer.Option(help="Which of the two to measure.")
+    ] = "all",
     seed: options.Seed = 0,
     out: Out = None,
     force: options.Force = False,
@@ -131,9 +134,32 @@ def pregrasp(
     _check((out,), force)
     compile_kernels()
     tables = run(
-        mass_sets=mass_sets or MASS_SETS, seeds=seeds or SEEDS, seed=seed, depth=depth, quick=quick,
-        progress=stderr.isatty(),
+        mass_sets=mass_sets or MASS_SETS, seeds=seeds or SEEDS, seed=seed, depth=depth, experiment=experiment,
+        quick=quick, progress=stderr.isatty(),
     )  # fmt: skip
+    _show(tables, out, force, json)
+
+
+@app.command("grasp")
+def grasp(
+    quick: Quick = False,
+    objects: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="A shipped object; may be repeated. By default three.")
+    ] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, help="Hidden truths and noises an object.")] = None,
+    seed: options.Seed = 0,
+    out: Out = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Let the whole station poke objects, slide them to the table's edge, grasp and lift them."""
+    from gridpush_drake.apps.kernels import compile_kernels
+    from gridpush_drake.bench.pregrasp_station import OBJECTS, SEEDS, run
+
+    _check((out,), force)
+    compile_kernels()
+    chosen = range(seed, seed + (seeds or len(SEEDS)))
+    tables = run(objects or OBJECTS, chosen, quick=quick, progress=stderr.isatty())
     _show(tables, out, force, json)
 
 

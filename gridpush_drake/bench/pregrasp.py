@@ -13,9 +13,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from gridpush_drake.bench.pregrasp_exploration import AIMS, ExplorationScore, explore
+from gridpush_drake.bench.pregrasp_exploration import AIMS, DISTANCES, ExplorationScore, explore
 from gridpush_drake.bench.pregrasp_objects import OBJECTS, load_bench_object, make_table
-from gridpush_drake.bench.pregrasp_tables import SlideScore, tabulate_exploration, tabulate_objects, tabulate_slides
+from gridpush_drake.bench.pregrasp_tables import (
+    SlideScore,
+    tabulate_exploration,
+    tabulate_exploration_by_object,
+    tabulate_objects,
+    tabulate_slides,
+)
 from gridpush_drake.bench.pregrasp_world import Believe, EdgeWorld, Learner, PaperLearner, run_pregrasp
 from gridpush_drake.bench.table import Table
 from gridpush_drake.bench.workers import WORKERS, Report, run_jobs
@@ -32,7 +38,11 @@ METHODS = (LEARNED, WIDE, TRUE, UNIFORM, UNBOUNDED)
 """The method; the same where less is known of the friction; the true parameters; uniform mass; the paper's
 identification without a bound on the friction."""
 
-EXPLORING = {f"exploring, {aim}": aim for aim in AIMS}
+EXPLORING = {f"exploring, {aim}, {1e3 * distance:.0f} mm": (aim, distance) for distance in DISTANCES for aim in AIMS}
+"""What is wanted of the centre of mass, and the pokes' length (m), of each comparison of pokes."""
+
+SLIDING_ONLY, EXPLORING_ONLY, ALL = "sliding", "exploring", "all"
+EXPERIMENTS = (ALL, SLIDING_ONLY, EXPLORING_ONLY)
 
 MASS_SETS, SEEDS = 10, 3
 QUICK_MASS_SETS, QUICK_SEEDS = 2, 1
@@ -94,7 +104,7 @@ def run(
     progress: bool | Report = True,
     *,
     depth: float = DEPTH,
-    exploring: bool = True,
+    experiment: str = ALL,
     quick: bool = False,
     workers: int = WORKERS,
 ) -> list[Table]:
@@ -108,32 +118,36 @@ def run(
         seed: of everything random.
         progress: whether to show a bar on standard error, or what to call with each piece of work that is done.
         depth: of the gripper's fingers, m; the deeper, the nearer the object comes to tipping.
-        exploring: whether to compare pokes too.
+        experiment: of EXPERIMENTS.
         quick: only `QUICK_MASS_SETS` mass sets and `QUICK_SEEDS` seeds.
         workers: processes.
 
     Returns:
-        Slides by method; slides of the first method by object; and pokes, by design and at random.
+        Slides by method; slides of the first method by object; and pokes by design and at random, by their length and
+        by object. Pokes are compared with the first seed only.
 
     Raises:
         GridPushError: a name is not known, or a count is not positive.
     """
-    _check(objects, mass_sets, seeds, methods)
+    _check(objects, mass_sets, seeds, methods, experiment)
     if quick:
         mass_sets, seeds = min(mass_sets, QUICK_MASS_SETS), min(seeds, QUICK_SEEDS)
-    wanted = (*methods, *EXPLORING) if exploring else tuple(methods)
+    sliding, exploring = experiment != EXPLORING_ONLY, experiment != SLIDING_ONLY
     jobs = [
         Job(name, mass_set, seed + i, method, depth)
         for mass_set in range(mass_sets)
         for i in range(seeds)
         for name in objects
-        for method in wanted
+        for method in ((*methods,) * sliding + (*EXPLORING,) * (exploring and i == 0))
     ]
     done = run_jobs(run_job, jobs, _describe, title="pre-grasp sliding", workers=workers, progress=progress)
     slides = [score for score in done if isinstance(score, SlideScore)]
-    tables = [tabulate_slides(slides, methods), tabulate_objects(slides, objects, methods[0])]
+    pokes = [score for score in done if isinstance(score, ExplorationScore)]
+    tables = []
+    if sliding:
+        tables += [tabulate_slides(slides, methods), tabulate_objects(slides, objects, methods[0])]
     if exploring:
-        tables.append(tabulate_exploration([score for score in done if isinstance(score, ExplorationScore)], objects))
+        tables += [tabulate_exploration(pokes), tabulate_exploration_by_object(pokes, objects)]
     return tables
 
 
@@ -143,7 +157,7 @@ def run_job(job: Job) -> SlideScore | ExplorationScore:
     obj, parts = _load(job.name, job.depth, friction_range)
     truth = make_truth(obj, job.mass_set)
     if job.method in EXPLORING:
-        return explore(obj, truth, job.name, job.mass_set, job.seed, EXPLORING[job.method])
+        return explore(obj, truth, job.name, job.mass_set, job.seed, *EXPLORING[job.method])
     rng = np.random.default_rng([job.seed, job.mass_set])
     surface = make_table(job.seed + job.mass_set)
     start = np.append(rng.uniform(-OFFSET, OFFSET, 2), rng.uniform(-np.pi, np.pi))
@@ -184,8 +198,12 @@ def _load(name: str, depth: float, friction_range: tuple[float, float]) -> tuple
     return obj, tuple(find_grasp_parts(obj, Gripper(depth=depth)))
 
 
-def _check(objects: Sequence[str], mass_sets: int, seeds: int, methods: Sequence[str]) -> None:
-    for what, given, known in (("objects", objects, OBJECTS), ("methods", methods, METHODS)):
+def _check(objects: Sequence[str], mass_sets: int, seeds: int, methods: Sequence[str], experiment: str) -> None:
+    for what, given, known in (
+        ("objects", objects, OBJECTS),
+        ("methods", methods, METHODS),
+        ("experiment", [experiment], EXPERIMENTS),
+    ):
         unknown = [name for name in given if name not in known]
         if unknown or not given:
             raise GridPushError(f"{what}: {', '.join(unknown) or 'none'}; expected some of {', '.join(known)}")

@@ -16,6 +16,8 @@ MM = 1e3
 LIKELY = {BOTH: 5.991 / 2, ALONG: 3.841}
 """What 95 % of chi squares stay below, per direction: of two degrees of freedom, and of one."""
 
+EXPLORE_COLUMNS = ("runs", "by design", "at random", "ratio", "error, mm", "at random, mm", "within 95 %, %")
+
 
 @dataclass(frozen=True)
 class SlideScore:
@@ -69,20 +71,17 @@ def tabulate_objects(scores: Sequence[SlideScore], objects: Sequence[str], metho
     return Table(f"Pre-grasp sliding by object, {method}", columns, rows)
 
 
-def tabulate_exploration(scores: Sequence[ExplorationScore], objects: Sequence[str]) -> Table:
-    """Pokes needed, by design and at random, and whether the stated spread is right."""
+def tabulate_exploration(scores: Sequence[ExplorationScore]) -> Table:
+    """Pokes needed, by design and at random, by their length; and whether the stated spread is right."""
     rows = []
     for aim in AIMS:
-        of_aim = [score for score in scores if score.aim == aim]
-        for name in objects:
-            of_name = [score for score in of_aim if score.name == name]
-            if of_name:
-                rows.append(_explore_row(name, aim, of_name))
-        if of_aim:
-            rows.append(_explore_row("all", aim, of_aim))
+        for distance in sorted({score.distance for score in scores}):
+            chosen = [score for score in scores if score.aim == aim and score.distance == distance]
+            if chosen:
+                rows.append((aim, MM * distance, *_explore_row(aim, chosen)))
     return Table(
         f"Pokes until the centre of mass is known to {WANTED_STD * MM:.0f} mm",
-        ("object", "wanted", "runs", "by design", "at random", "ratio", "error, mm", "at random, mm", "within 95 %, %"),
+        ("wanted", "poke, mm", *EXPLORE_COLUMNS),
         rows,
         (
             "by design, at random: mean number of pokes; the poke said to tell most, or any of the same pool.",
@@ -93,12 +92,23 @@ def tabulate_exploration(scores: Sequence[ExplorationScore], objects: Sequence[s
     )
 
 
-def _explore_row(name: str, aim: str, scores: Sequence[ExplorationScore]) -> tuple[str | float | int, ...]:
+def tabulate_exploration_by_object(scores: Sequence[ExplorationScore], objects: Sequence[str]) -> Table:
+    """The same by object, over all lengths."""
+    rows = []
+    for aim in AIMS:
+        for name in objects:
+            chosen = [score for score in scores if score.aim == aim and score.name == name]
+            if chosen:
+                rows.append((aim, name, *_explore_row(aim, chosen)))
+    return Table("The same by object, pokes of all lengths", ("wanted", "object", *EXPLORE_COLUMNS), rows)
+
+
+def _explore_row(aim: str, scores: Sequence[ExplorationScore]) -> tuple[float | int, ...]:
     active, random = [score.active for score in scores], [score.random for score in scores]
     designed, drawn = _mean_pokes(active), _mean_pokes(random)
     within = np.mean([trace.chi_square <= LIKELY[aim] for trace in (*active, *random)])
     return (
-        name, aim, len(scores), designed, drawn, designed / drawn, _mean_error(active), _mean_error(random),
+        len(scores), designed, drawn, designed / drawn, _mean_error(active), _mean_error(random),
         PERCENT * float(within),
     )  # fmt: skip
 

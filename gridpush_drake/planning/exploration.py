@@ -7,7 +7,8 @@ r = J z + noise, with J exact from its simulation and noise ~ N(0, R) (`identifi
 
 whatever will be seen. What matters is linear in z near the mean, f = F z: the centre of friction, which is the centre
 of mass where all cells rub alike, along one direction or both; or the poses that other pushes are predicted to end in.
-The poke is chosen that makes trace F S' F^T least (Bayesian linear design: Chaloner and Verdinelli 1995, section 2).
+The poke is chosen that makes the largest eigenvalue of F S' F^T least, the variance of what is then known least
+(Bayesian linear design by its worst direction: Chaloner and Verdinelli 1995, section 2).
 """
 
 from collections.abc import Sequence
@@ -70,7 +71,7 @@ class PokeChoice:
     Attributes:
         push: the poke.
         index: among those offered.
-        std: root of the summed variance of what matters, now.
+        std: of what matters, in the direction least known, now.
         expected_std: the same after the poke.
         expected_stds: (N,) the same for every poke offered; infinite where it would not touch the object.
     """
@@ -122,7 +123,7 @@ def make_pokes(
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def choose_poke(knowledge: Knowledge, pose: ArrayLike, pokes: Sequence[Push], F: Array) -> PokeChoice:
-    """Chooses the poke that is expected to leave the least variance of what matters.
+    """Chooses the poke that is expected to leave the least variance of what matters, in the direction least known.
 
     Args:
         knowledge: what is known.
@@ -139,16 +140,15 @@ def choose_poke(knowledge: Knowledge, pose: ArrayLike, pokes: Sequence[Push], F:
     if not pokes:
         raise PlanningError("pokes: none; expected at least one to choose from")
     S = knowledge.posterior.covariance
-    now = float(np.trace(F @ S @ F.T))
-    left = np.full(len(pokes), np.inf)
+    stds = np.full(len(pokes), np.inf)
     for i, push in enumerate(pokes):
         seen = calc_observation(knowledge, push, pose)
         if seen is not None:
-            left[i] = max(now - calc_gain(S, F, *seen), 0.0)
-    best = int(np.argmin(left))
-    if not np.isfinite(left[best]):
+            stds[i] = calc_worst_std(calc_remaining(S, F, *seen))
+    best = int(np.argmin(stds))
+    if not np.isfinite(stds[best]):
         raise PlanningError("pokes: none of them touches the object")
-    return PokeChoice(pokes[best], best, now**0.5, float(left[best] ** 0.5), np.sqrt(left))
+    return PokeChoice(pokes[best], best, calc_worst_std(F @ S @ F.T), float(stds[best]), stds)
 
 
 def calc_observation(knowledge: Knowledge, push: Push, pose: ArrayLike) -> tuple[Array, Array] | None:
@@ -173,8 +173,8 @@ def calc_observation(knowledge: Knowledge, push: Push, pose: ArrayLike) -> tuple
     return J, factor @ factor.T
 
 
-def calc_gain(S: Array, F: Array, J: Array, R: Array) -> float:
-    """Variance of what matters that an observation takes away: trace F S J^T (J S J^T + R)^-1 J S F^T.
+def calc_remaining(S: Array, F: Array, J: Array, R: Array) -> Array:
+    """Covariance (m, m) of what matters after an observation, F S' F^T.
 
     Args:
         S: (n+1, n+1) covariance of z.
@@ -184,7 +184,12 @@ def calc_gain(S: Array, F: Array, J: Array, R: Array) -> float:
     """
     SJ = S @ J.T
     G = F @ SJ
-    return float(np.einsum("ij,ji->", G, np.linalg.solve(J @ SJ + R, G.T)))
+    return np.asarray(F @ S @ F.T - G @ np.linalg.solve(J @ SJ + R, G.T))
+
+
+def calc_worst_std(covariance: Array) -> float:
+    """Standard deviation in the direction least known, of a covariance (m, m)."""
+    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
 
 
 def make_centre_functional(obj: GridObject, posterior: Posterior, direction: ArrayLike | None = None) -> Array:

@@ -22,7 +22,14 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.planning.arm_limits import ANY_ARM, ArmLimits
 from gridpush_drake.planning.belief import Belief
-from gridpush_drake.planning.exploration import PokeChoice, PokeOptions, choose_poke, make_centre_functional, make_pokes
+from gridpush_drake.planning.exploration import (
+    PokeChoice,
+    PokeOptions,
+    calc_worst_std,
+    choose_poke,
+    make_centre_functional,
+    make_pokes,
+)
 from gridpush_drake.planning.grasp_parts import GraspPart, Gripper, find_grasp_parts
 from gridpush_drake.planning.pregrasp_goal import (
     GoalOptions,
@@ -151,19 +158,18 @@ class PreGraspPlanner:
         q = np.asarray(pose, dtype=np.float64)
         if belief is None:
             return self._poke(q, Belief.of_prior(self.obj), None, pokes, "nothing is known of the object yet")
-        parts = self._find_parts_near(belief)
+        parts = self._find_parts_near(belief, self.options.most_arm)
         here = find_grasp_at(belief.masses, parts, q, self.surface, self.options.goal, self.limits)
         if here is not None and here.margin >= ACCEPTED_SHARE * self.options.goal.margin:
             reason = f"a part hangs over, and the object stays put with {here.margin * MM:.0f} mm to spare"
             return PreGraspDecision("grasp", None, here, None, here.margin, reason)
         if belief.knowledge is not None and pokes < self.options.least_pokes:
             return self._poke(q, belief, None, pokes, "too little is known of the object yet")
-        goals = []
-        if parts:
-            goals = find_pregrasp_goals(belief.masses, parts, q, self.surface, self.options.goal, self.limits)
-        if not goals or goals[0].margin < self.options.goal.margin:
-            best = goals[0] if goals else None
-            return self._poke(q, belief, best, pokes, self._describe_lack(best))
+        goals = self._find_goals(q, belief, parts)
+        if not goals:
+            return self._poke_or_give_up(q, belief, pokes)
+        if goals[0].margin < self.options.goal.margin:
+            return self._poke(q, belief, goals[0], pokes, self._describe_lack(goals[0].margin))
         if slides >= self.options.most_slides:
             return _fail(f"not at the rim after {slides} slides", goals[0])
         slide = plan_slide(
@@ -173,16 +179,29 @@ class PreGraspPlanner:
             return self._poke(q, belief, goals[0], pokes, "no push towards a goal is safe all the way")
         return _slide(slide)
 
-    def _find_parts_near(self, belief: Belief) -> tuple[GraspPart, ...]:
-        """The parts near enough to where the centre of mass is believed."""
+    def _find_parts_near(self, belief: Belief, arm: float) -> tuple[GraspPart, ...]:
+        """The parts no farther than `arm` (m) from where the centre of mass is believed."""
         middle = belief.masses.centre_of_mass_polygon.mean(axis=0)
-        return tuple(part for part in self.parts if np.linalg.norm(part.p_BG - middle) <= self.options.most_arm)
+        return tuple(part for part in self.parts if np.linalg.norm(part.p_BG - middle) <= arm)
 
-    def _describe_lack(self, best: PreGraspGoal | None) -> str:
+    def _find_goals(self, pose: Array, belief: Belief, parts: tuple[GraspPart, ...]) -> list[PreGraspGoal]:
+        if not parts:
+            return []
+        return find_pregrasp_goals(belief.masses, parts, pose, self.surface, self.options.goal, self.limits)
+
+    def _poke_or_give_up(self, pose: Array, belief: Belief, pokes: int) -> PreGraspDecision:
+        """Without any goal: a poke where the centre of mass may still turn out to be near a part that allows one."""
+        arm = self.options.most_arm
+        near = f" within {arm * MM:.0f} mm of the centre of mass" if np.isfinite(arm) else ""
+        why = f"no pose lets a graspable part{near} hang over the rim where the arm can take it"
+        hoped = self._find_parts_near(belief, arm + HOPE_SIGMAS * _calc_centre_std(belief))
+        if not self._find_goals(pose, belief, hoped):
+            return _fail(why, None)
+        return self._poke(pose, belief, None, pokes, why)
+
+    def _describe_lack(self, margin: float) -> str:
         needed = f"{self.options.goal.margin * MM:.0f} mm are asked for"
-        if best is None:
-            return "no pose lets a graspable part hang over this table's rim"
-        return f"the safest goal has a stability margin of {best.margin * MM:.0f} mm at the worst; {needed}"
+        return f"the safest goal has a stability margin of {margin * MM:.0f} mm at the worst; {needed}"
 
     def _poke(self, pose: Array, belief: Belief, best: PreGraspGoal | None, pokes: int, why: str) -> PreGraspDecision:
         """The poke that tells most about the centre of mass, across the rim of the best goal; or failure."""
@@ -249,6 +268,15 @@ def suggest_poke(
         if np.isfinite(expected) and constraints.allows_push(pokes[index]):
             return replace(choice, push=pokes[index], index=index, expected_std=expected)
     return None
+
+
+def _calc_centre_std(belief: Belief) -> float:
+    """Of the centre of mass in the direction least known, m."""
+    if belief.knowledge is None:
+        return 0.0
+    posterior = belief.knowledge.posterior
+    F = make_centre_functional(belief.knowledge.obj, posterior)
+    return calc_worst_std(F @ posterior.covariance @ F.T)
 
 
 def _slide(slide: Slide) -> PreGraspDecision:

@@ -11,7 +11,8 @@ from gridpush_drake.apps.options import OptionError, parse_numbers
 COMMANDS = [
     (), ("demo",), ("identify",), ("predict",), ("simulate",), ("show",), ("import",), ("import", "cmu"),
     ("import", "mit"), ("bench",), ("bench", "speed"), ("bench", "paper"), ("bench", "real"),
-    ("bench", "drake"), ("export",), ("view",),
+    ("bench", "drake"), ("bench", "planning"), ("bench", "pregrasp"), ("bench", "grasp"), ("export",), ("view",),
+    ("plan",), ("slide",),
 ]  # fmt: skip
 
 

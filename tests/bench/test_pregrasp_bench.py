@@ -4,7 +4,12 @@ import pytest
 from gridpush_drake.bench import pregrasp
 from gridpush_drake.bench.pregrasp_exploration import ALONG, MOST_POKES, explore
 from gridpush_drake.bench.pregrasp_objects import OBJECTS, load_bench_object, make_table
-from gridpush_drake.bench.pregrasp_tables import SlideScore, tabulate_exploration, tabulate_slides
+from gridpush_drake.bench.pregrasp_tables import (
+    SlideScore,
+    tabulate_exploration,
+    tabulate_exploration_by_object,
+    tabulate_slides,
+)
 from gridpush_drake.bench.pregrasp_world import EdgeWorld, Outcome, see
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
@@ -60,7 +65,7 @@ def test_the_table_counts_what_happened():
 
 def test_runs_with_the_true_parameters():
     tables = pregrasp.run(
-        ["toolbox"], mass_sets=1, seeds=1, methods=["true"], exploring=False, progress=False, workers=1
+        ["toolbox"], mass_sets=1, seeds=1, methods=["true"], experiment=pregrasp.SLIDING_ONLY, progress=False, workers=1
     )
     assert tuple(tables[0].rows[0][:4]) == ("true", 1, 100.0, 0)
 
@@ -89,13 +94,19 @@ def test_pokes_by_design_are_fewer_and_the_spread_is_honest():
     assert designed < np.mean([score.random.pokes for score in scores])
     assert designed < MOST_POKES
     assert max(score.active.errors[-1] for score in scores) < 0.02
-    assert tabulate_exploration(scores, SHIPPED).rows[-1][0] == "all"
+    assert tabulate_exploration(scores).rows[0][:3] == (ALONG, 40.0, 4)
+    assert len(tabulate_exploration_by_object(scores, SHIPPED).rows) == 4
 
 
 @pytest.mark.slow
 def test_what_was_learned_drops_nothing():
     tables = pregrasp.run(
-        ["pliers", "toolbox"], mass_sets=2, seeds=1, methods=["learned"], exploring=False, progress=False
+        ["pliers", "toolbox"],
+        mass_sets=2,
+        seeds=1,
+        methods=["learned"],
+        experiment=pregrasp.SLIDING_ONLY,
+        progress=False,
     )
     assert tables[0].rows[0][3] == 0
     assert tables[0].rows[0][2] >= 75.0

@@ -8,6 +8,7 @@ from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.grid.prior import PhysicalPrior
 from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.planning.arm_limits import ArmLimits
 from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.edge_push import is_held, simulate_near_edge
 from gridpush_drake.planning.grasp_parts import Gripper, find_grasp_parts
@@ -216,6 +217,27 @@ def test_what_no_poke_can_tell_is_not_poked_for(pan, parts):
     decision = planner.decide((0.0, 0.0, 0.0), belief, pokes=3)
     assert decision.action == "fail"
     assert "closer friction bounds" in decision.reason
+
+
+def test_where_no_pose_can_be_grasped_at_pokes_are_not_wasted(pan, parts):
+    clumsy = ArmLimits(can_grasp=lambda goal: False)
+    planner = PreGraspPlanner(pan, TABLE, PreGraspOptions(most_arm=0.1), parts, clumsy)
+    asks = planner.decide((0.0, 0.0, 0.0), Belief.of_prior(pan), pokes=2)
+    assert asks.action == "poke"
+    ends = planner.decide((0.0, 0.0, 0.0), Belief.of_prior(pan), pokes=3)
+    assert (ends.action, ends.goal) == ("fail", None)
+    assert "within 100 mm of the centre of mass" in ends.reason
+    assert "arm can take it" in ends.reason
+
+
+def test_a_part_too_far_off_is_hoped_for_while_the_centre_may_be_nearer(pan, parts, heavy_plate):
+    far = tuple(part for part in parts if part.p_BG[0] > 0.15)
+    planner = PreGraspPlanner(pan, TABLE, PreGraspOptions(most_arm=0.1), far)
+    asks = planner.decide((0.0, 0.0, 0.0), Belief.of_prior(pan), pokes=3)
+    assert asks.action == "poke"
+    assert "no pose lets" in asks.reason
+    ends = planner.decide((0.0, 0.0, 0.0), Belief.of_parameters(pan, heavy_plate), pokes=3)
+    assert ends.action == "fail"
 
 
 def test_a_decision_forgets_where_the_object_was(pan, parts, heavy_plate):
