@@ -1,7 +1,5 @@
 """`GridLcpSystem` is `simulate`, one step at a time."""
 
-import time
-
 import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
@@ -210,22 +208,6 @@ def test_pusher_that_speeds_up_is_followed():
         world.simulator.AdvanceTo(2.0)
         errors.append(np.abs(obj.cells_at(world.eval("pose")) - obj.cells_at(fine.final_pose)).max())
     assert errors[1] < 2e-4 and errors[2] < errors[0]
-
-
-def test_two_second_push_runs_twenty_times_faster_than_real_time():
-    obj = read_object(find_shipped_object("claw_hammer"))
-    assert obj.n >= 122
-    push = make_push(obj, 0.1)
-    world = World(GridLcpSystem(obj, make_params(obj, 0), DT, pusher_radius=RADIUS), make_trajectory(push))
-    spent = []
-    for _ in range(5):
-        world.root.SetTime(0.0)
-        world.system.SetPose(world.context, np.zeros(3))
-        world.simulator.Initialize()
-        start = time.perf_counter()
-        world.simulator.AdvanceTo(push.duration)
-        spent.append(time.perf_counter() - start)
-    assert push.duration / min(spent) > 20, f"{push.duration / min(spent):.0f} times real time"
 
 
 def test_bad_arguments_are_refused():
