@@ -14,8 +14,7 @@ from math import cos, nan, sin
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context
 
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.grid.object import GridObject
@@ -26,17 +25,19 @@ from gridpush_drake.planning.push_decision import GoalRules, PushDecision, decid
 from gridpush_drake.planning.push_plan import REACHED, REASONS, TOO_MANY_PUSHES
 from gridpush_drake.pushes.log import PushLog
 from gridpush_drake.systems import contact_point_status as modes
-from gridpush_drake.systems.contact_point_state import ControllerOptions, ControllerState, Pose
+from gridpush_drake.systems.contact_point_state import ControllerOptions, ControllerState
 from gridpush_drake.systems.contact_point_status import ContactPointStatus
+from gridpush_drake.systems.object_controller import ObjectController
 from gridpush_drake.systems.push_command import PUSH_COMMAND_SIZE, PushCommand
 from gridpush_drake.systems.push_status import PushStatus
+from gridpush_drake.systems.rest_looks import Pose
 
 Array = NDArray[np.float64]
 REFUSED, ERROR = "refused", "error"
 """Causes of a failure that planning does not know of."""
 
 
-class ContactPointController(LeafSystem):
+class ContactPointController(ObjectController[ControllerState]):
     """Pushes an object to a goal pose.
 
     One push at a time is commanded, when the executor is ready and the object lies still. A refused push is not tried
@@ -47,22 +48,22 @@ class ContactPointController(LeafSystem):
 
         name: ContactPointController
         input_ports:
-        - goal_pose
         - object_pose
         - identification
         - push_log
         - push_status
+        - goal_pose
         output_ports:
-        - push_command
         - status
+        - push_command
 
-    * goal_pose: vector of 3, where the object should lie, (x, y, theta) of B in W, m and rad; NaN for nowhere.
     * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object was not seen.
     * identification: abstract `Identification`, or None: then the prior counts.
     * push_log: abstract `PushLog`, all pushes so far; need not be connected.
     * push_status: abstract `PushStatus` of the executor.
-    * push_command: vector of 6, see `PushCommand`; number 0 before the first.
+    * goal_pose: vector of 3, where the object should lie, (x, y, theta) of B in W, m and rad; NaN for nowhere.
     * status: abstract `ContactPointStatus`.
+    * push_command: vector of 6, see `PushCommand`; number 0 before the first.
 
     Abstract state: one `ControllerState`.
     """
@@ -83,55 +84,24 @@ class ContactPointController(LeafSystem):
             params: the model before anything was learned; the prior's by default.
             options: how to go about it.
         """
-        super().__init__()
         self.obj, self.rules, self.options = obj, rules or GoalRules(), options or ControllerOptions()
+        super().__init__(ControllerState(), self.options.period)
         self._params = CellParameters.uniform(obj) if params is None else params
-        self._state = self.DeclareAbstractState(AbstractValue.Make(ControllerState()))
         self._goal_pose = self.DeclareVectorInputPort("goal_pose", 3)
-        self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
-        self._identification = self.DeclareAbstractInputPort("identification", AbstractValue.Make(object()))
-        self._push_log = self.DeclareAbstractInputPort("push_log", AbstractValue.Make(object()))
-        self._push_status = self.DeclareAbstractInputPort("push_status", AbstractValue.Make(PushStatus()))
-        state = {self.abstract_state_ticket(self._state)}
-        self.DeclareVectorOutputPort(
-            "push_command",
-            PUSH_COMMAND_SIZE,
-            lambda context, output: output.SetFromVector(self._get_state(context).command.to_vector()),
-            state,
-        )
-        self.DeclareAbstractOutputPort(
-            "status",
-            lambda: AbstractValue.Make(ContactPointStatus()),
-            lambda context, output: output.set_value(self._get_state(context).status),
-            state,
-        )
-        self.DeclarePeriodicUnrestrictedUpdateEvent(self.options.period, 0.0, self._update)
-
-    def _get_state(self, context: Context) -> ControllerState:
-        state: ControllerState = context.get_abstract_state(int(self._state)).get_value()
-        return state
-
-    def _update(self, context: Context, state: State) -> EventStatus:
-        now = self._get_state(context)
-        new = self._go_on(context, now)
-        if new is now:
-            return EventStatus.DidNothing()
-        state.get_mutable_abstract_state(int(self._state)).set_value(new)
-        return EventStatus.Succeeded()
+        self._declare_command("push_command", PUSH_COMMAND_SIZE, lambda now: now.command.to_vector())
 
     def _go_on(self, context: Context, now: ControllerState) -> ControllerState:
         """One look: waits for the robot, then for a goal, then for the object, then decides."""
         executor: PushStatus = self._push_status.Eval(context)
         pose, time = self._object_pose.Eval(context), context.get_time()
-        seen = bool(np.isfinite(pose).all())
         if not executor.ready or now.command.number not in (0, executor.number):
-            return self._wait_for_robot(now, executor, seen, time)
+            return self._wait_for_robot(now, executor, pose, time)
         if now.status.mode == modes.PUSHING:
             now = self._end_push(now, executor, self._read_log(context))
         now = self._take_goal(now, tuple(self._goal_pose.Eval(context).tolist()), executor)
         if now.goal is None:
             return now
-        now = self._look(now, time, pose, seen)
+        now = self._look(now, time, pose)
         if len(now.looks) < self.options.looks:
             return now
         return self._decide(now, executor, self._identification.Eval(context), self._read_log(context))
@@ -139,10 +109,9 @@ class ContactPointController(LeafSystem):
     def _read_log(self, context: Context) -> PushLog:
         return self._push_log.Eval(context) if self._push_log.HasValue(context) else PushLog(())
 
-    def _wait_for_robot(self, now: ControllerState, executor: PushStatus, seen: bool, time: float) -> ControllerState:
-        if seen:
-            return replace(now, last_seen=time)
-        if executor.ready and now.command.number != executor.number:
+    def _wait_for_robot(self, now: ControllerState, executor: PushStatus, pose: Array, time: float) -> ControllerState:
+        now = replace(now, looks=now.looks.wait(time, pose))
+        if np.isnan(pose).any() and executor.ready:
             # it was not taken up, and when the object is seen again it may lie elsewhere
             return replace(now, command=PushCommand(executor.number)).turn_to(modes.WAITING, "The object is not seen.")
         return now
@@ -173,28 +142,23 @@ class ContactPointController(LeafSystem):
             return now
         reason = "No goal is given." if wanted is None else "Looking at the object."
         begun = ControllerState(
-            goal=wanted, command=now.command, issued=now.issued, executed=executor.executed, last_seen=now.last_seen
+            goal=wanted, command=now.command, issued=now.issued, executed=executor.executed, looks=now.looks
         )
         return begun.turn_to(modes.WAITING, reason)
 
-    def _look(self, now: ControllerState, time: float, pose: Array, seen: bool) -> ControllerState:
+    def _look(self, now: ControllerState, time: float, pose: Array) -> ControllerState:
         """Takes in what is seen of the object at rest."""
-        if not seen:
-            if time - now.last_seen <= self.options.patience or now.status.mode == modes.LOST:
-                return replace(now, looks=()) if now.looks else now
+        looks, lost = now.looks.take_in(time, pose, self.options), now.status.mode == modes.LOST
+        if not lost and looks.is_overdue(time, self.options):
             return now.turn_to(modes.LOST, f"The object has not been seen for {self.options.patience:g} s.")
-        if now.status.mode == modes.LOST:
+        if lost and len(looks):
             now = now.turn_to(modes.WAITING, "The object is seen again.")
-        looks = np.array([*now.looks, pose])[-self.options.looks :]
-        off = np.abs(looks - looks[-1])
-        moved = (off[:, :2].max(axis=1) > self.options.rest) | (off[:, 2] > self.options.rest_angle)
-        kept = looks[int(np.flatnonzero(moved)[-1]) + 1 :] if moved.any() else looks
-        return replace(now, looks=tuple((x, y, theta) for x, y, theta in kept.tolist()), last_seen=time)
+        return now if looks is now.looks else replace(now, looks=looks)
 
     def _decide(
         self, now: ControllerState, executor: PushStatus, found: Identification | None, log: PushLog
     ) -> ControllerState:
-        pose, goal = np.mean(now.looks, axis=0), np.array(now.goal)
+        pose, goal = now.looks.calc_mean(), np.array(now.goal)
         if now.status.mode in (modes.REACHED, modes.FAILED):
             since = np.inf if now.decided_at is None else calc_goal_error(self.obj, pose, now.decided_at)
             if since < self.options.moved or now.status.cause == TOO_MANY_PUSHES:

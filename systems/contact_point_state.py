@@ -7,48 +7,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.errors import PlanningError
 from gridpush_drake.planning.way_to_goal import WayToGoal
 from gridpush_drake.systems.contact_point_status import ContactPointStatus
 from gridpush_drake.systems.push_command import PushCommand
+from gridpush_drake.systems.rest_looks import LookOptions, Pose, RestLooks
 
 Array = NDArray[np.float64]
-Pose = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class ControllerOptions:
+class ControllerOptions(LookOptions):
     """How the controller goes about it.
 
     Attributes:
-        period: between two looks, s.
-        looks: at the object at rest, whose mean counts.
-        rest: looks further apart than this are not of one rest, m,
-        rest_angle: likewise, rad.
-        patience: how long the object may be out of sight before it counts as lost, s.
         most_refusals: pushes in a row that the executor refuses before it is given up.
         apart: pushes that begin nearer to a refused one than this, m,
         turned: in a direction less different than this, rad, are like it, and not tried.
         moved: mean cell distance by which somebody must have moved an object for a new attempt after the end, m.
     """
 
-    period: float = 0.05
-    looks: int = 6
-    rest: float = 0.004
-    rest_angle: float = 0.04
-    patience: float = 1.0
     most_refusals: int = 10
     apart: float = 0.01
     turned: float = 0.2
     moved: float = 0.01
-
-    def __post_init__(self) -> None:
-        for name in ("period", "rest", "rest_angle", "patience", "apart", "turned", "moved"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise PlanningError(f"{name} is {getattr(self, name)!r}; expected a positive number")
-        for name in ("looks", "most_refusals"):
-            if getattr(self, name) < 1:
-                raise PlanningError(f"{name} is {getattr(self, name)!r}; expected 1 or more")
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +42,7 @@ class ControllerState:
         command: on the port.
         issued: the greatest number of a command so far.
         executed: of the executor when the goal was given, or the last command issued.
-        looks: poses seen since everything came to rest.
-        last_seen: when the object was, s.
+        looks: what was seen since everything came to rest.
         decided_at: where the object lay at the last decision.
         way: to the goal.
         refused: pushes that were refused since the last one that was not, (4,) each, see `push_decision.forbid`.
@@ -74,8 +54,7 @@ class ControllerState:
     command: PushCommand = field(default_factory=PushCommand)
     issued: int = 0
     executed: int = 0
-    looks: tuple[Pose, ...] = ()
-    last_seen: float = 0.0
+    looks: RestLooks = field(default_factory=RestLooks)
     decided_at: Array | None = None
     way: WayToGoal | None = None
     refused: tuple[Array, ...] = ()
@@ -89,4 +68,4 @@ class ControllerState:
         """In another mode, with nothing seen yet, and no push under way."""
         none = {"expected_pose": None, "expected_error": nan}
         status = replace(self.status, mode=mode, reason=reason, cause=cause, **{**none, **others})
-        return replace(self, status=status, looks=())
+        return replace(self, status=status, looks=self.looks.forget())

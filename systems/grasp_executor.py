@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import BasicVector, Context
 
 from gridpush_drake.systems import grasp_status
 from gridpush_drake.systems.grasp_command import GRASP_COMMAND_SIZE, GraspCommand
@@ -21,6 +21,7 @@ from gridpush_drake.systems.grasp_way import (
 )
 from gridpush_drake.systems.push_executor import HURRIES
 from gridpush_drake.systems.push_status import PushStatus
+from gridpush_drake.systems.replaced_state import ReplacedStateSystem
 from gridpush_drake.systems.tool_motion import ToolLeg, ToolPose, calc_tool_pose, make_transform
 
 Array = NDArray[np.float64]
@@ -61,7 +62,7 @@ class GraspState:
     status: GraspStatus = field(default_factory=GraspStatus)
 
 
-class GraspExecutor(LeafSystem):
+class GraspExecutor(ReplacedStateSystem[GraspState]):
     """Grasps what overhangs the table's rim, from the side, lifts it and holds it; else passes the finger's pose on.
 
     A command is taken up when the push executor is idle, this one too, and the command's number is not the last one's.
@@ -108,15 +109,14 @@ class GraspExecutor(LeafSystem):
             style: measures, heights, speeds and times.
             objection: what else speaks against a command; None for nothing.
         """
-        super().__init__()
         self.style = style or GraspingStyle()
+        super().__init__(GraspState(), self.style.period)
         self._reach, self._objection = reach, objection
         self._push_pose = self.DeclareAbstractInputPort("push_tip_pose", AbstractValue.Make(RigidTransform()))
         self._push_status = self.DeclareAbstractInputPort("push_status", AbstractValue.Make(PushStatus()))
         self._command = self.DeclareVectorInputPort("grasp_command", GRASP_COMMAND_SIZE)
         self._gripper = self.DeclareVectorInputPort("gripper_state", GRIPPER_STATE_SIZE)
-        self._state = self.DeclareAbstractState(AbstractValue.Make(GraspState()))
-        remembered = self.abstract_state_ticket(self._state)
+        remembered = self._remembered
         self.DeclareAbstractOutputPort(
             "tip_pose",
             lambda: AbstractValue.Make(RigidTransform()),
@@ -128,7 +128,6 @@ class GraspExecutor(LeafSystem):
         self.DeclareAbstractOutputPort(
             "status", lambda: AbstractValue.Make(GraspStatus()), self._calc_status, {remembered}
         )
-        self.DeclarePeriodicUnrestrictedUpdateEvent(self.style.period, 0.0, self._update)
 
     def _calc_tip_pose(self, context: Context, output: AbstractValue) -> None:
         state = self._get_state(context)
@@ -149,18 +148,10 @@ class GraspExecutor(LeafSystem):
     def _calc_status(self, context: Context, output: AbstractValue) -> None:
         output.set_value(self._get_state(context).status)
 
-    def _get_state(self, context: Context) -> GraspState:
-        state: GraspState = context.get_abstract_state(int(self._state)).get_value()
-        return state
-
-    def _update(self, context: Context, state: State) -> EventStatus:
+    def _go_on(self, context: Context, now: GraspState) -> GraspState:
         """Goes on with a grasp, or takes up or refuses a command."""
-        now, time = self._get_state(context), context.get_time()
-        new = self._go_on(context, now, time) if now.legs else self._take_up(context, now, time)
-        if new is now:
-            return EventStatus.DidNothing()
-        state.get_mutable_abstract_state(int(self._state)).set_value(new)
-        return EventStatus.Succeeded()
+        time = context.get_time()
+        return self._follow(context, now, time) if now.legs else self._take_up(context, now, time)
 
     def _take_up(self, context: Context, now: GraspState, time: float) -> GraspState:
         if not self._command.HasValue(context) or not self._push_status.Eval(context).ready:
@@ -192,7 +183,7 @@ class GraspExecutor(LeafSystem):
             return f"lift {command.lift:.3g} m; expected more than 0, at most {self.style.largest_lift:.3g}"
         return None
 
-    def _go_on(self, context: Context, now: GraspState, time: float) -> GraspState:
+    def _follow(self, context: Context, now: GraspState, time: float) -> GraspState:
         """Looks at the gripper; the next leg when one is done. What fails is given up as soon as the tool rests."""
         leg, left = now.legs[0], now.legs[1:]
         over = time - now.leg_start >= leg.duration

@@ -29,7 +29,8 @@ class PlanarPoseSensor(LeafSystem):
       counts whole turns. NaN where the body is lost from sight.
 
     The noise of the k-th picture depends on k and the seed alone, which is numeric parameter 0: a Context and its clone
-    see the same. The body is lost from sight where its origin lies lower than `lowest` above z = 0.
+    see the same. The body is lost from sight where its origin lies lower than `lowest` above z = 0, and while the lens
+    is covered, which numeric parameter 1 says.
     """
 
     def __init__(
@@ -57,6 +58,7 @@ class PlanarPoseSensor(LeafSystem):
         self._std = np.array([position_noise, position_noise, angle_noise])
         self._lowest = lowest
         self._seed = self.DeclareNumericParameter(BasicVector([float(seed)]))
+        self._covered = self.DeclareNumericParameter(BasicVector([0.0]))
         self._body_poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
         self._seen = self.DeclareDiscreteState(np.full(3, np.nan))
         self._yaw = self.DeclareDiscreteState(1)
@@ -70,6 +72,11 @@ class PlanarPoseSensor(LeafSystem):
         context = self.GetMyMutableContextFromRoot(root_context)
         context.get_mutable_numeric_parameter(self._seed).SetFromVector([float(seed)])
 
+    def SetCovered(self, root_context: Context, covered: bool) -> None:
+        """Covers the lens in a Diagram's Context, or uncovers it; it counts from the next picture."""
+        context = self.GetMyMutableContextFromRoot(root_context)
+        context.get_mutable_numeric_parameter(self._covered).SetFromVector([float(covered)])
+
     def _look_first(self, context: Context, state: Any) -> None:
         """Sees what the first picture will show, so that something is known from the beginning."""
         if context.get_discrete_state(self._count).value()[0] == 0:
@@ -82,7 +89,8 @@ class PlanarPoseSensor(LeafSystem):
 
     def _see(self, context: Context, state: Any, count: int) -> None:
         X_WB: RigidTransform = self._body_poses.Eval(context)[self._body]
-        if X_WB.translation()[2] < self._lowest:
+        covered = bool(context.get_numeric_parameter(self._covered).value()[0])
+        if covered or X_WB.translation()[2] < self._lowest:
             state.set_value(self._seen, np.full(3, np.nan))
             return
         q = CalcPlanarPose(X_WB, float(context.get_discrete_state(self._yaw).value()[0]))

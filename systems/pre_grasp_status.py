@@ -7,13 +7,14 @@ from gridpush_drake.planning.pregrasp_goal import PreGraspGoal
 WAITING = "waiting"
 EXPLORING = "exploring"
 SLIDING = "sliding"
+STOPPING = "stopping"
 VERIFYING = "verifying"
 GRASPING = "grasping"
 HOLDING = "holding"
 LOST = "lost"
 FAILED = "failed"
 
-MODES = (WAITING, EXPLORING, SLIDING, VERIFYING, GRASPING, HOLDING, LOST, FAILED)
+MODES = (WAITING, EXPLORING, SLIDING, STOPPING, VERIFYING, GRASPING, HOLDING, LOST, FAILED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,8 +22,9 @@ class PreGraspStatus:
     """Where a controller stands.
 
     Attributes:
-        mode: "waiting" (to see the object at rest), "exploring", "sliding", "verifying" (that it can be grasped where
-            it lies), "grasping" (until it is lifted), "holding", "lost" (from sight) or "failed".
+        mode: "waiting" (to see the object at rest), "exploring", "sliding", "stopping" (a push that is broken off),
+            "verifying" (that it can be grasped where it lies), "grasping" (until it is lifted), "holding", "lost" (from
+            sight) or "failed".
         reason: for the mode, in a sentence.
         pokes: commanded so far.
         slides: likewise.

@@ -8,14 +8,15 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform, RollPitchYaw
-from pydrake.systems.framework import Context, EventStatus, InputPort, LeafSystem, OutputPort, State
+from pydrake.systems.framework import Context, InputPort, OutputPort
 from shapely.affinity import affine_transform
 
 from gridpush_drake.systems import push_status
 from gridpush_drake.systems.push_command import PUSH_COMMAND_SIZE, PushCommand
 from gridpush_drake.systems.push_motion import Leg, Point
 from gridpush_drake.systems.push_status import PushStatus
-from gridpush_drake.systems.push_way import PushingStyle, make_legs
+from gridpush_drake.systems.push_way import PushingStyle, break_off, make_legs
+from gridpush_drake.systems.replaced_state import ReplacedStateSystem
 
 Array = NDArray[np.float64]
 Reach = Callable[[Array, Array], str | None]
@@ -49,12 +50,13 @@ class ExecutorState:
         return self.legs[0].position(time - self.leg_start) if self.legs else np.array(self.rest)
 
 
-class PushExecutor(LeafSystem):
+class PushExecutor(ReplacedStateSystem[ExecutorState]):
     """Carries out straight pushes: over the object, down beside it, along, a pause, and up again.
 
     A command is taken up when the executor is idle and the command's number is not the last one's. It is refused, with
     its reason in the status, where distance or speed are not usable, where the tip would start in the object or touch
-    it, and where the arm cannot follow. The desired position, velocity and acceleration are continuous.
+    it, and where the arm cannot follow. A command that is withdrawn, by another with number 0, is broken off: the
+    finger stops as soon as it can, and goes up. The desired position, velocity and acceleration are continuous.
 
     .. pydrake_system::
 
@@ -89,26 +91,24 @@ class PushExecutor(LeafSystem):
             reach: whether the arm can follow a way; None trusts it.
             style: heights, speeds and times.
         """
-        super().__init__()
         self.style = style or PushingStyle()
+        x, y, z = np.asarray(home, float).tolist()
+        super().__init__(ExecutorState((x, y, z)), self.style.period)
         self._outline, self._reach = outline, reach
         self._command_port = self.DeclareVectorInputPort("push_command", PUSH_COMMAND_SIZE)
         self._pose_port = self.DeclareVectorInputPort("object_pose", 3)
-        x, y, z = np.asarray(home, float).tolist()
-        self._state = self.DeclareAbstractState(AbstractValue.Make(ExecutorState((x, y, z))))
         self._tip_port = self.DeclareAbstractOutputPort(
             "tip_pose",
             lambda: AbstractValue.Make(RigidTransform()),
             self._calc_tip_pose,
-            {self.time_ticket(), self.abstract_state_ticket(self._state)},
+            {self.time_ticket(), self._remembered},
         )
         self._status_port = self.DeclareAbstractOutputPort(
             "status",
             lambda: AbstractValue.Make(PushStatus()),
             self._calc_status,
-            {self.abstract_state_ticket(self._state)},
+            {self._remembered},
         )
-        self.DeclarePeriodicUnrestrictedUpdateEvent(self.style.period, 0.0, self._update)
 
     def get_push_command_port(self) -> InputPort:
         """The command's port."""
@@ -133,20 +133,15 @@ class PushExecutor(LeafSystem):
     def _calc_status(self, context: Context, output: AbstractValue) -> None:
         output.set_value(self._get_state(context).status)
 
-    def _get_state(self, context: Context) -> ExecutorState:
-        state: ExecutorState = context.get_abstract_state(int(self._state)).get_value()
-        return state
+    def _go_on(self, context: Context, now: ExecutorState) -> ExecutorState:
+        """Goes on to the next leg when one is done; breaks off, takes up or refuses a command."""
+        time = context.get_time()
+        return self._follow(context, now, time) if now.legs else self._take_up(context, now, time)
 
-    def _update(self, context: Context, state: State) -> EventStatus:
-        """Goes on to the next leg when one is done; takes up or refuses a command when idle."""
-        now, time = self._get_state(context), context.get_time()
-        new = self._go_on(now, time) if now.legs else self._take_up(context, now, time)
-        if new is now:
-            return EventStatus.DidNothing()
-        state.get_mutable_abstract_state(int(self._state)).set_value(new)
-        return EventStatus.Succeeded()
-
-    def _go_on(self, now: ExecutorState, time: float) -> ExecutorState:
+    def _follow(self, context: Context, now: ExecutorState, time: float) -> ExecutorState:
+        if self._command_port.Eval(context)[0] == 0:
+            legs = break_off(now.legs, time - now.leg_start)
+            now = now if legs == now.legs else replace(now, legs=legs)
         done, *left = now.legs
         if time - now.leg_start < done.duration:
             return now

@@ -11,7 +11,7 @@ continuous, and is greatest in the middle, where it is a. A ramp covers v T / 2;
 C = 0 and the top speed falls to sqrt(2 a d / 3).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
@@ -22,6 +22,9 @@ Point = tuple[float, float, float]
 
 RAMP_PEAK = 1.5
 """Greatest slope of 3 u^2 - 2 u^3: a ramp's greatest acceleration over its mean one."""
+
+ROUND_OFF = 1e-9
+"""Share of a leg by which it is not worth cutting it short."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,21 @@ class Leg:
         if self.length == 0.0:
             return np.zeros(3)
         return self._speed(t) / self.length * np.subtract(self.end, self.start)
+
+    def stop_from(self, t: float) -> "Leg":
+        """The same motion up to time t, and from there the soonest stop; itself where it ends as soon anyway.
+
+        A motion that has begun is cut short to what it has travelled and one ramp more, or to two ramps: up to t it is
+        then the same, and all is as continuous as before. One that has not begun becomes none.
+        """
+        if t <= 0.0 or self.length == 0.0:
+            return replace(self, end=self.start)
+        braking = self.top_speed * self.ramp / 2.0
+        share = (max(self._travelled(t), braking) + braking) / self.length
+        if share >= 1.0 - ROUND_OFF:
+            return self
+        x, y, z = (np.array(self.start) + share * np.subtract(self.end, self.start)).tolist()
+        return replace(self, end=(x, y, z))
 
     def _travelled(self, t: float) -> float:
         """The way s made in time t, m."""

@@ -17,7 +17,7 @@ class PushStatus:
     Attributes:
         phase: "idle", "approaching", "descending", "pushing", "settling" or "retracting".
         number: of the last command taken up or refused; 0 before the first.
-        executed: commands carried out to the end.
+        executed: commands carried out to the end, or broken off.
         refused: commands refused.
         reason: why the last command was refused; empty where it was not.
     """

@@ -1,6 +1,6 @@
 """The way of the finger's tip in a push: over the object, down beside it, along, a pause, and up again."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -68,3 +68,25 @@ def make_legs(command: PushCommand, rest: ArrayLike, style: PushingStyle, hurry:
         Leg(push_status.RETRACTING, (x1, y1, low), (x1, y1, high), *vertical),
     ]
     return tuple(legs)
+
+
+def break_off(legs: tuple[Leg, ...], t: float) -> tuple[Leg, ...]:
+    """What is left of a push that is to stop as soon as it can; then, as ever, a pause, and up.
+
+    Args:
+        legs: still to come; the first one is under way.
+        t: since that one began, s.
+
+    Returns:
+        The legs; as they were where the push itself is over.
+    """
+    phases = [leg.phase for leg in legs]
+    if push_status.PUSHING not in phases:
+        return legs
+    i = phases.index(push_status.PUSHING)
+    push = legs[i].stop_from(t if i == 0 else 0.0)
+    if push.end == legs[i].end:
+        return legs
+    x, y, _ = push.end
+    after = [replace(leg, start=(x, y, leg.start[2]), end=(x, y, leg.end[2])) for leg in legs[i + 1 :]]
+    return (*legs[:i], push, *after)

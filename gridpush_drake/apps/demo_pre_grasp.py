@@ -16,7 +16,8 @@ from gridpush_drake.report.story import Story
 from gridpush_drake.scene.parser import find_models
 from gridpush_drake.scene.scenario import PushScenario
 from gridpush_drake.scene.scenario_file import read_scenario
-from gridpush_drake.station.pre_grasp_task import HELD, PreGraspRecord, PreGraspStep, PreGraspTask
+from gridpush_drake.station.pre_grasp_record import PreGraspRecord, PreGraspStep
+from gridpush_drake.station.pre_grasp_task import HELD, PreGraspTask
 from gridpush_drake.systems.pre_grasp_status import EXPLORING, WAITING
 from gridpush_drake.systems.push_status import PushStatus
 

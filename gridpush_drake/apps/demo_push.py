@@ -12,7 +12,8 @@ from gridpush_drake.planning.planned_push import calc_goal_error
 from gridpush_drake.report.push_figure import draw_push_run
 from gridpush_drake.report.story import Story
 from gridpush_drake.scene.scenario import PushScenario
-from gridpush_drake.station.push_task import PushTask, PushTaskRecord
+from gridpush_drake.station.push_task import PushTask
+from gridpush_drake.station.push_task_record import PushTaskRecord
 from gridpush_drake.systems.push_status import PushStatus
 
 FILES = ("report.html", "recording.html", "model.yaml", "object.yaml", "pushes.csv", "truth.yaml", "scenario.yaml")

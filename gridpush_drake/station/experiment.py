@@ -9,17 +9,14 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from gridpush_drake.errors import StationError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.identification.result import Identification
 from gridpush_drake.pushes.log import PushLog
 from gridpush_drake.scene.meshcat_server import AimCamera
 from gridpush_drake.scene.scenario import PushScenario
-from gridpush_drake.station.conduct import Conduct
 from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.push_station import MakePushStation, PushStation
-from gridpush_drake.station.task_run import INTERRUPTED, Progress, Sight, TaskRun
-from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
+from gridpush_drake.station.task_record import TaskRecord
+from gridpush_drake.station.task_run import INTERRUPTED, Progress, Sight
+from gridpush_drake.station.task_wiring import BuildTask
 from gridpush_drake.systems.poke_choice import PokeRegion, PokeStyle
 from gridpush_drake.systems.poke_policy import PokePolicy
 from gridpush_drake.systems.push_status import PushStatus
@@ -42,36 +39,20 @@ CAMERA_DISTANCE, CAMERA_AZIMUTH, CAMERA_ELEVATION = 0.85, 0.7, 0.75
 """Of Meshcat's camera, m, rad and rad: opposite the robot, a little to its left."""
 
 __all__ = [
-    "FINISHED", "INTERRUPTED", "OBJECT_LOST", "STUCK", "AddEstimateVisualizer", "ExperimentRecord", "Progress",
+    "FINISHED", "INTERRUPTED", "OBJECT_LOST", "STUCK", "ExperimentRecord", "Progress",
     "PushExperiment",
 ]  # fmt: skip
 
 
 @dataclass
-class ExperimentRecord:
-    """What came of an experiment; filled while it runs.
+class ExperimentRecord(TaskRecord):
+    """What came of an experiment: "finished", "object_lost", "interrupted" or "stuck"; filled while it runs.
 
     Attributes:
-        obj: the object.
-        truth: what it really weighs and how it rubs.
-        log: all pushes, in order.
-        training: how many of them, from the first, are to learn from.
-        estimates: the identification after each push learned from.
-        status: "finished", "object_lost", "interrupted" or "stuck"; empty while it runs.
-        message: the status in a sentence.
-        conduct: how the robot behaved.
-        duration: simulated, s.
+        training: how many pushes, from the first, are to learn from.
     """
 
-    obj: GridObject
-    truth: CellParameters
-    log: PushLog = field(default_factory=lambda: PushLog(()))
     training: int = 0
-    estimates: list[Identification] = field(default_factory=list)
-    status: str = ""
-    message: str = ""
-    conduct: Conduct = field(default_factory=Conduct)
-    duration: float = 0.0
 
     @property
     def training_log(self) -> PushLog:
@@ -107,15 +88,8 @@ class PushExperiment:
         builder = DiagramBuilder()
         self.station: PushStation = builder.AddSystem(MakePushStation(scenario, meshcat, show_object=False))
         self._policy = builder.AddNamedSystem("policy", _make_policy(self.station))
-        station, policy = self.station, self._policy
-        builder.Connect(station.GetOutputPort("object.pose"), policy.GetInputPort("object_pose"))
-        builder.Connect(station.GetOutputPort("executor.status"), policy.GetInputPort("status"))
-        builder.Connect(policy.GetOutputPort("push_command"), station.GetInputPort("push_command"))
-        if meshcat is not None:
-            AddEstimateVisualizer(builder, station, policy, meshcat)
-        self.diagram: Diagram = builder.Build()
-        self.diagram.set_name("push_experiment")
-        self._task = TaskRun(self.station, self.diagram)
+        self._task = BuildTask(builder, self.station, self._policy, "push_experiment", meshcat)
+        self.diagram: Diagram = self._task.diagram
         self.simulator: Simulator = self._task.simulator
 
     def AimCamera(self, meshcat: Meshcat) -> None:
@@ -130,8 +104,7 @@ class PushExperiment:
 
         Args:
             seed: of everything random, instead of the scenario's.
-            progress: see `Progress`.
-            realtime_rate: at most so many simulated seconds a second; 0 for as fast as possible.
+            progress, realtime_rate: see `TaskRun.run`.
 
         Returns:
             What came of it. Ctrl-C ends it early, with what there is by then.
@@ -148,19 +121,14 @@ class PushExperiment:
         def judge(time: float) -> tuple[str, str]:
             return watch.judge(time, self._note(record), self._task.read("object.pose"))
 
-        end = self._task.run(judge, seed, progress, realtime_rate)
-        record.truth = self.station.truth
-        record.status, record.message = end.status, end.message
-        record.conduct, record.duration = end.conduct, end.duration
+        self._task.run(judge, seed, progress, realtime_rate)
+        record.note_end(self._task)
         if not len(record.log) and record.status == STUCK:
             raise StationError(record.message)
         return record
 
     def _note(self, record: ExperimentRecord) -> PushStatus:
-        record.log = self._task.read("estimate.push_log")
-        found = self._task.read("estimate.identification")
-        if found is not None and (not record.estimates or found is not record.estimates[-1]):
-            record.estimates.append(found)
+        record.note_learned(self._task)
         status: PushStatus = self._task.read("executor.status")
         return status
 
@@ -194,23 +162,6 @@ class _Watch:
                 "which it could push; is the object within the workspace?"
             )
         return "", ""
-
-
-def AddEstimateVisualizer(
-    builder: DiagramBuilder, station: PushStation, policy: PokePolicy, meshcat: Meshcat
-) -> EstimateVisualizer:
-    """Shows the station's estimate and what the policy commands, in Meshcat."""
-    part = station.object_in_plant
-    visualizer = builder.AddNamedSystem(
-        "estimate_visualizer",
-        EstimateVisualizer(station.obj, meshcat, height=part.height, body=int(part.body.index())),
-    )
-    builder.Connect(station.GetOutputPort("body_poses"), visualizer.GetInputPort("body_poses"))
-    builder.Connect(station.GetOutputPort("object.pose_true"), visualizer.GetInputPort("object_pose"))
-    for port in ("mass", "friction", "contact_friction", "centre_of_mass", "centre_of_mass_covariance"):
-        builder.Connect(station.GetOutputPort(f"estimate.{port}"), visualizer.GetInputPort(port))
-    builder.Connect(policy.GetOutputPort("push_command"), visualizer.GetInputPort("push_command"))
-    return visualizer
 
 
 def _make_policy(station: PushStation) -> PokePolicy:

@@ -4,8 +4,6 @@ The station knows the object's outline. What its cells weigh and how they rub, t
 everything else in the station sees the object through its camera.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from typing import Any, cast
 
 from pydrake.geometry import (
@@ -16,57 +14,44 @@ from pydrake.geometry import (
     Role,
     SceneGraph,
 )
-from pydrake.manipulation import SchunkWsgPositionController
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort, System
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.pushes.log import ObservedPush
-from gridpush_drake.scene.contact_material import SetPartner
 from gridpush_drake.scene.grid_object import AddGridObject, Base, GridObjectInPlant
 from gridpush_drake.scene.grid_object_state import SetGridObjectParameters, SetGridObjectPose
-from gridpush_drake.scene.parser import MakeParser
 from gridpush_drake.scene.scenario import PushScenario
 from gridpush_drake.scene.scenario_check import check_scenario
-from gridpush_drake.scene.scenario_parts import AddScene, load_object
 from gridpush_drake.scene.skin import AddSkin, find_drake_models
-from gridpush_drake.scene.table import TABLE, FindTableOutline
+from gridpush_drake.scene.table import FindTableOutline
 from gridpush_drake.scene.truth import MakeTruth
-from gridpush_drake.station.arm_posture import TIP_FRAME, CalcStartPosture
+from gridpush_drake.station.arm_posture import CalcStartPosture
 from gridpush_drake.station.arm_reach import ArmReach
-from gridpush_drake.station.grasp_clearance import GraspClearance
+from gridpush_drake.station.exports import ExportOutputs
+from gridpush_drake.station.grasping import AddGrasping, AddPusherGate, ExportGrasping, make_grasping_style
 from gridpush_drake.station.iiwa import (
-    GRASP_FRAME,
     AddIiwaControl,
     Arm,
     ArmControl,
     MakeControlPlant,
     SetArmStart,
 )
+from gridpush_drake.station.learning import ESTIMATE_OUTPUTS, Learning, make_identifier
+from gridpush_drake.station.sensing import AddSensors
+from gridpush_drake.station.station_scene import AddStationScene, LoadPushedObject
 from gridpush_drake.systems.grasp_command import GraspCommand
 from gridpush_drake.systems.grasp_executor import GraspExecutor
-from gridpush_drake.systems.grasp_way import GraspingStyle
-from gridpush_drake.systems.grid_identifier import GridIdentifier
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 from gridpush_drake.systems.push_command import PushCommand
 from gridpush_drake.systems.push_executor import PushExecutor, plan_push
-from gridpush_drake.systems.push_record import RecordOptions
 from gridpush_drake.systems.push_way import PushingStyle
-from gridpush_drake.systems.pusher_gate import PusherGate
-from gridpush_drake.systems.pusher_state_sensor import PusherStateSensor
 
 HOME = (0.5, 0.0, 0.2)
 """p_WP of the tip at the beginning, m: above the middle of the table, where the arm's posture is comfortable."""
-
-GRIPPER = "gripper"
-"""Name of the gripper's model instance; a scene need not have one."""
-
-LOST_BELOW = -0.01
-"""z of the object's bottom in W below which the camera has lost it, m: it has left the table."""
 
 IIWA_OUTPUTS = (
     "position_commanded",
@@ -78,36 +63,6 @@ IIWA_OUTPUTS = (
     "torque_external",
 )
 """Of the driver, exported as `iiwa.position_commanded` and so on."""
-
-ESTIMATE_OUTPUTS = (
-    "mass",
-    "friction",
-    "mass_std",
-    "friction_std",
-    "contact_friction",
-    "centre_of_mass",
-    "centre_of_mass_covariance",
-    "loss",
-    "num_pushes",
-    "identification",
-    "push_log",
-)
-"""Of the identifier, exported as `estimate.mass` and so on."""
-
-
-@dataclass(frozen=True)
-class Learning:
-    """What the station's identifier learns from.
-
-    Attributes:
-        most_pushes: the first so many; None for no limit.
-        memory: of those, the latest so many; None for no limit.
-        admit: whether a push may be learned from; None admits all.
-    """
-
-    most_pushes: int | None = None
-    memory: int | None = None
-    admit: Callable[[ObservedPush], bool] | None = None
 
 
 class PushStation(Diagram):
@@ -208,6 +163,10 @@ class PushStation(Diagram):
             SetGridObjectParameters(self.plant, self.scene_graph, root_context, self.object_in_plant, self.truth)
             self._camera.SetSeed(root_context, seed)
 
+    def CoverCamera(self, root_context: Context, covered: bool = True) -> None:
+        """Covers the camera, which then sees no object, or uncovers it."""
+        self._camera.SetCovered(root_context, covered)
+
 
 def MakePushStation(
     scenario: PushScenario,
@@ -239,7 +198,7 @@ def MakePushStation(
     plant.set_name("plant")
     plant.set_stiction_tolerance(scenario.simulation.stiction_tolerance)
     scene_graph.set_name("scene_graph")
-    arm, table = _add_scene(plant, scene_graph, scenario)
+    arm, table = AddStationScene(plant, scene_graph, scenario)
     object_in_plant = AddGridObject(
         plant,
         scene_graph,
@@ -260,68 +219,47 @@ def MakePushStation(
     control = AddIiwaControl(builder, plant, arm, control_plant, q_start)
     reach, style = ArmReach(control_plant, q_start), make_style(scenario)
     executor = builder.AddNamedSystem("executor", PushExecutor(HOME, obj.outline, reach, style))
-    camera = builder.AddNamedSystem("camera", _make_camera(scenario, object_in_plant))
-    eye = builder.AddNamedSystem(
-        "eye", PlanarPoseSensor(object_in_plant.body.index(), period=1 / scenario.camera.rate, lowest=LOST_BELOW)
-    )
-    tip = builder.AddNamedSystem("tip_sensor", PusherStateSensor(plant.GetBodyByName(TIP_FRAME).index()))
-    identifier = builder.AddNamedSystem("identifier", _make_identifier(scenario, obj, learning))
+    sensors = AddSensors(builder, plant, scenario, object_in_plant)
+    camera, tip = sensors.camera, sensors.tip
+    identifier = builder.AddNamedSystem("identifier", make_identifier(scenario, obj, learning))
 
     table_top = FindTableOutline(plant, scene_graph.model_inspector())
-    grasping = _add_grasping(builder, plant, arm, control_plant, executor, reach, table_top, scenario)
+    grasping = None
+    if arm.gripper is not None:
+        grasping_style = make_grasping_style(scenario, control_plant)
+        grasping = AddGrasping(builder, plant, arm, executor, reach, table_top, grasping_style)
     desired = executor if grasping is None else grasping
     builder.Connect(desired.GetOutputPort("tip_pose"), control.tip_pose)
-    poses = plant.get_body_poses_output_port()
-    for sensor in (camera, eye, tip):
-        builder.Connect(poses, sensor.GetInputPort("body_poses"))
-    builder.Connect(plant.get_body_spatial_velocities_output_port(), tip.GetInputPort("body_spatial_velocities"))
     for consumer in (executor, identifier):
         builder.Connect(camera.GetOutputPort("object_pose"), consumer.GetInputPort("object_pose"))
-    pusher = tip if grasping is None else _add_gate(builder, tip, grasping)
+    pusher = tip if grasping is None else AddPusherGate(builder, tip, grasping)
     builder.Connect(pusher.GetOutputPort("pusher_state"), identifier.GetInputPort("pusher_state"))
     if meshcat is not None:
         AddMeshcat(builder, scene_graph, meshcat)
 
     builder.ExportInput(executor.GetInputPort("push_command"), "push_command")
-    _export(builder, executor, "executor", ("status",))
-    _export(builder, desired, "executor", ("tip_pose",))
+    ExportOutputs(builder, executor, "executor", ("status",))
+    ExportOutputs(builder, desired, "executor", ("tip_pose",))
     builder.ExportOutput(tip.GetOutputPort("pusher_state"), "pusher.state")
     builder.ExportOutput(camera.GetOutputPort("object_pose"), "object.pose")
-    builder.ExportOutput(eye.GetOutputPort("object_pose"), "object.pose_true")
-    _export(builder, identifier, "estimate", ESTIMATE_OUTPUTS)
-    _export(builder, control.driver, "iiwa", IIWA_OUTPUTS)
-    builder.ExportOutput(poses, "body_poses")
+    builder.ExportOutput(sensors.eye.GetOutputPort("object_pose"), "object.pose_true")
+    ExportOutputs(builder, identifier, "estimate", ESTIMATE_OUTPUTS)
+    ExportOutputs(builder, control.driver, "iiwa", IIWA_OUTPUTS)
+    builder.ExportOutput(plant.get_body_poses_output_port(), "body_poses")
     builder.ExportOutput(plant.get_contact_results_output_port(), "contact_results")
     builder.ExportOutput(scene_graph.get_query_output_port(), "query_object")
     if grasping is not None:
-        builder.ExportInput(grasping.GetInputPort("grasp_command"), "grasp_command")
-        _export(builder, grasping, "grasp", ("status",))
-        builder.ExportOutput(plant.get_state_output_port(arm.gripper), "gripper.state")
+        ExportGrasping(builder, plant, arm, grasping)
     station = PushStation(
         builder,
         {
             "scenario": scenario, "obj": obj, "truth": truth, "plant": plant, "scene_graph": scene_graph, "arm": arm,
             "object_in_plant": object_in_plant, "table": table, "control": control, "camera": camera,
-            "table_top": table_top, "reach": reach, "style": style,
-            "grasping": grasping,
+            "table_top": table_top, "reach": reach, "style": style, "grasping": grasping,
         },
     )  # fmt: skip
     station.set_name("station")
     return station
-
-
-def _add_gate(builder: DiagramBuilder, tip: System, grasping: GraspExecutor) -> PusherGate:
-    """Keeps the tip's motions in a grasp from being taken for pushes."""
-    gate: PusherGate = builder.AddNamedSystem("pusher_gate", PusherGate())
-    builder.Connect(tip.GetOutputPort("pusher_state"), gate.GetInputPort("pusher_state"))
-    builder.Connect(grasping.GetOutputPort("status"), gate.GetInputPort("grasp_status"))
-    return gate
-
-
-def LoadPushedObject(scenario: PushScenario) -> GridObject:
-    """Reads the scenario's object, with its finger as the pusher. Raises ScenarioError where there is none."""
-    obj = load_object(scenario)
-    return replace(obj, prior=replace(obj.prior, pusher_radius=scenario.finger.tip_radius))
 
 
 def make_style(scenario: PushScenario) -> PushingStyle:
@@ -336,88 +274,3 @@ def AddMeshcat(builder: DiagramBuilder, scene_graph: SceneGraph, meshcat: Meshca
     """Shows the illustration geometry, and nothing else."""
     params = MeshcatVisualizerParams(role=Role.kIllustration, prefix="station")
     return MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, params)
-
-
-def _add_scene(
-    plant: MultibodyPlant, scene_graph: SceneGraph, scenario: PushScenario
-) -> tuple[Arm, tuple[GeometryId, ...]]:
-    """Adds what the directives say; returns the robot and the table's collision geometries."""
-    AddScene(MakeParser(plant), scenario)
-    table = tuple(
-        geometry
-        for body in plant.GetBodyIndices(plant.GetModelInstanceByName(TABLE))
-        for geometry in plant.GetCollisionGeometriesForBody(plant.get_body(body))
-    )
-    SetPartner(plant, scene_graph, [*table, *plant.GetCollisionGeometriesForBody(plant.GetBodyByName(TIP_FRAME))])
-    gripper = plant.GetModelInstanceByName(GRIPPER) if plant.HasModelInstanceNamed(GRIPPER) else None
-    iiwa, finger = map(plant.GetModelInstanceByName, ("iiwa", "finger"))
-    return Arm(iiwa, finger, gripper), table
-
-
-def make_grasping_style(scenario: PushScenario, control_plant: MultibodyPlant) -> GraspingStyle:
-    """How the scenario's gripper grasps, carried by the arm of a plant that `MakeControlPlant` made."""
-    grasp, tip = (control_plant.GetFrameByName(name) for name in (GRASP_FRAME, TIP_FRAME))
-    x, y, z = grasp.CalcPose(control_plant.CreateDefaultContext(), tip).translation().tolist()
-    pregrasp = scenario.pregrasp
-    return GraspingStyle(
-        p_PG=(x, y, z), travel_height=scenario.finger.travel_height, force=pregrasp.force, hold_time=pregrasp.hold
-    )
-
-
-def _add_grasping(
-    builder: DiagramBuilder, plant: MultibodyPlant, arm: Arm, control_plant: MultibodyPlant, executor: PushExecutor,
-    reach: ArmReach, table_top: BaseGeometry, scenario: PushScenario,
-) -> GraspExecutor | None:  # fmt: skip
-    """Adds what moves the gripper, and the tool while it grasps; returns it, or None where there is no gripper."""
-    if arm.gripper is None:
-        return None
-    style = make_grasping_style(scenario, control_plant)
-    grasping: GraspExecutor = builder.AddNamedSystem(
-        "grasp_executor", GraspExecutor(reach, style, GraspClearance(table_top, style))
-    )
-    controller = builder.AddNamedSystem("gripper_controller", SchunkWsgPositionController())
-    state: OutputPort = plant.get_state_output_port(arm.gripper)
-    for source, target in (
-        (executor.GetOutputPort("tip_pose"), grasping.GetInputPort("push_tip_pose")),
-        (executor.GetOutputPort("status"), grasping.GetInputPort("push_status")),
-        (state, grasping.GetInputPort("gripper_state")),
-        (state, controller.get_state_input_port()),
-        (grasping.GetOutputPort("gripper_position"), controller.get_desired_position_input_port()),
-        (grasping.GetOutputPort("gripper_force_limit"), controller.get_force_limit_input_port()),
-        (controller.get_generalized_force_output_port(), plant.get_actuation_input_port(arm.gripper)),
-    ):
-        builder.Connect(source, target)
-    return grasping
-
-
-def _make_camera(scenario: PushScenario, object_in_plant: GridObjectInPlant) -> PlanarPoseSensor:
-    camera = scenario.camera
-    return PlanarPoseSensor(
-        object_in_plant.body.index(),
-        period=1 / camera.rate,
-        position_noise=camera.position_noise,
-        angle_noise=camera.angle_noise,
-        lowest=LOST_BELOW,
-        seed=scenario.seed,
-    )
-
-
-def _make_identifier(scenario: PushScenario, obj: GridObject, learning: Learning | None) -> GridIdentifier:
-    learning = learning or Learning(scenario.pokes.count)
-    return GridIdentifier(
-        obj,
-        period=1 / scenario.camera.rate,
-        engaged_below=scenario.object_height,
-        pusher_radius=scenario.finger.tip_radius,
-        max_learning_pushes=learning.most_pushes,
-        memory=learning.memory,
-        admit=learning.admit,
-        seed=scenario.seed,
-        warm_start=False,  # it gains little, and so `gridpush identify` finds the same from the log, bit for bit
-        record=RecordOptions(pose_delay=1 / scenario.camera.rate),  # it sees the picture before the one being taken
-    )
-
-
-def _export(builder: DiagramBuilder, system: System, prefix: str, ports: Sequence[str]) -> None:
-    for port in ports:
-        builder.ExportOutput(system.GetOutputPort(port), f"{prefix}.{port}")

@@ -3,29 +3,25 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 from pydrake.geometry import Meshcat, Rgba
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
-from gridpush_drake.errors import ScenarioError
 from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.identification.result import Identification
 from gridpush_drake.planning.contact_point import ContactOptions
 from gridpush_drake.planning.planned_push import calc_goal_error
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.push_decision import GoalRules
-from gridpush_drake.planning.surface import SupportSurface
-from gridpush_drake.pushes.log import PushLog
 from gridpush_drake.scene.meshcat_server import AimCamera
 from gridpush_drake.scene.scenario import PushScenario
-from gridpush_drake.station.conduct import Conduct
-from gridpush_drake.station.experiment import AddEstimateVisualizer
 from gridpush_drake.station.finger_region import MakeFingerRegion
-from gridpush_drake.station.push_station import Learning, MakePushStation, PushStation
-from gridpush_drake.station.task_run import Progress, TaskRun
+from gridpush_drake.station.learning import Learning
+from gridpush_drake.station.push_station import MakePushStation, PushStation
+from gridpush_drake.station.push_task_record import PushTaskRecord, PushTaskStep
+from gridpush_drake.station.table_surface import make_surface
+from gridpush_drake.station.task_run import Progress, Sight
+from gridpush_drake.station.task_wiring import BuildTask
 from gridpush_drake.systems import contact_point_status as modes
 from gridpush_drake.systems.contact_point_controller import ContactPointController
 from gridpush_drake.systems.contact_point_status import ContactPointStatus
@@ -41,9 +37,6 @@ MEMORY = 8
 
 EDGE_MARGIN = 0.03
 """Between the object and the table's edge, m."""
-
-RIM_DETAIL = 5e-4
-"""m by which the rim may be simplified: of a round table to a polygon of few corners."""
 
 LONGEST_PUSH = 0.25
 """m."""
@@ -62,85 +55,6 @@ GOAL_COLOR = Rgba(0.16, 0.55, 0.35)
 
 CAMERA_DISTANCE, CAMERA_AZIMUTH, CAMERA_ELEVATION = 0.95, 0.7, 0.75
 """Of Meshcat's camera, m, rad and rad: opposite the robot, a little to its left."""
-
-
-@dataclass(frozen=True, eq=False)
-class PushTaskStep:
-    """A change of what the controller says.
-
-    Attributes:
-        time: s.
-        status: of the controller.
-        pose: (3,) where the object was seen, X_WB, m and rad; NaN where it was not.
-        push: the command, where a push began.
-    """
-
-    time: float
-    status: ContactPointStatus
-    pose: Array
-    push: PushCommand | None = None
-
-
-@dataclass
-class PushTaskRecord:
-    """What came of a run; filled while it runs.
-
-    Attributes:
-        obj: the object.
-        truth: what it really weighs and how it rubs.
-        surface: the table.
-        goal: (3,) where it should lie, X_WB, m and rad.
-        tolerance: mean cell error at which the goal counts as reached, m.
-        log: all pushes, in order.
-        estimates: the identification after each push learned from.
-        steps: what the controller said, in order.
-        pose: (3,) where the object truly lay at the end, X_WB, m and rad; NaN where it had fallen.
-        error: mean cell error to the goal there, m.
-        status: "reached", "failed", "lost", "stuck" or "interrupted"; empty while it runs.
-        message: the status in a sentence.
-        conduct: how the robot behaved.
-        duration: simulated, s.
-    """
-
-    obj: GridObject
-    truth: CellParameters
-    surface: SupportSurface
-    goal: Array
-    tolerance: float
-    log: PushLog = field(default_factory=lambda: PushLog(()))
-    estimates: list[Identification] = field(default_factory=list)
-    steps: list[PushTaskStep] = field(default_factory=list)
-    pose: Array = field(default_factory=lambda: np.full(3, np.nan))
-    error: float = float("nan")
-    status: str = ""
-    message: str = ""
-    conduct: Conduct = field(default_factory=Conduct)
-    duration: float = 0.0
-
-    @property
-    def last(self) -> ContactPointStatus:
-        """The controller's last status."""
-        return self.steps[-1].status if self.steps else ContactPointStatus()
-
-    @property
-    def statuses(self) -> list[ContactPointStatus]:
-        """All that the controller said, in order."""
-        return [step.status for step in self.steps]
-
-    @property
-    def pushes(self) -> int:
-        """How many were made."""
-        return self.last.pushes
-
-    @property
-    def rest_poses(self) -> list[Array]:
-        """(3,) where the object was seen at rest, before the first push in the log and after each."""
-        return [*(seen.pose for seen in self.log[:1]), *(seen.final_pose for seen in self.log)]
-
-    @property
-    def expected_errors(self) -> list[float]:
-        """Mean cell error to the goal that was expected after each push that began, m."""
-        return [step.status.expected_error for step in self.steps if step.push is not None]
 
 
 class PushTask:
@@ -170,24 +84,13 @@ class PushTask:
             MakePushStation(scenario, meshcat, show_object=False, learning=Learning(most_pushes=None, memory=MEMORY))
         )
         station = self.station
-        self.surface = SupportSurface(_simplify(station.table_top))
+        self.surface = make_surface(station)
         goal = builder.AddNamedSystem("goal", ConstantVectorSource(np.array(scenario.goal.pose)))
         self.controller = builder.AddNamedSystem("controller", ContactPointController(station.obj, self.make_rules()))
         builder.Connect(goal.get_output_port(), self.controller.GetInputPort("goal_pose"))
-        for port, source in (
-            ("object_pose", "object.pose"),
-            ("identification", "estimate.identification"),
-            ("push_log", "estimate.push_log"),
-            ("push_status", "executor.status"),
-        ):
-            builder.Connect(station.GetOutputPort(source), self.controller.GetInputPort(port))
-        builder.Connect(self.controller.GetOutputPort("push_command"), station.GetInputPort("push_command"))
+        self.task = BuildTask(builder, station, self.controller, "push_task", meshcat)
         if meshcat is not None:
-            AddEstimateVisualizer(builder, station, self.controller, meshcat)
             AddGoal(meshcat, station.obj, scenario.goal.pose, station.object_in_plant.height)
-        diagram = builder.Build()
-        diagram.set_name("push_task")
-        self.task = TaskRun(station, diagram)
 
     def make_rules(self) -> GoalRules:
         """How the controller pushes, by the scenario."""
@@ -216,18 +119,15 @@ class PushTask:
 
         Args:
             seed: of everything random, instead of the scenario's.
-            progress: see `Progress`.
-            realtime_rate: at most so many simulated seconds a second; 0 for as fast as possible.
+            progress, realtime_rate: see `TaskRun.run`.
 
         Returns:
             What came of it. Ctrl-C ends it early, with what there is by then.
         """
         goal = self._scenario.goal
         record = PushTaskRecord(self.station.obj, self.station.truth, self.surface, np.array(goal.pose), goal.tolerance)
-        end = self.task.run(_Watch(self, record).judge, seed, progress, realtime_rate)
-        record.truth = self.station.truth
-        record.status, record.message = end.status, end.message
-        record.conduct, record.duration = end.conduct, end.duration
+        self.task.run(_Watch(self, record).judge, seed, progress, realtime_rate)
+        record.note_end(self.task)
         return record
 
 
@@ -238,7 +138,7 @@ class _Watch:
     run: PushTask
     record: PushTaskRecord
     last_new: float = 0.0
-    last_seen: float = 0.0
+    sight: Sight = field(default_factory=lambda: Sight(LOST_AFTER))
 
     def judge(self, time: float) -> tuple[str, str]:
         """Status and message; empty while it goes on."""
@@ -246,7 +146,8 @@ class _Watch:
         status = self.record.last
         if np.isnan(self.record.pose).any():
             return LOST, f"The object left the table during push {status.pushes + (status.mode == modes.PUSHING)}."
-        if time - self.last_seen > LOST_AFTER:
+        lost = self.sight.is_lost(time, self.run.task.read("object.pose"))
+        if lost and self.run.task.read("executor.status").ready:
             return LOST, f"The object has not been seen for {LOST_AFTER:g} s."
         if status.mode in (modes.REACHED, modes.FAILED):
             return status.mode, status.reason
@@ -256,15 +157,9 @@ class _Watch:
 
     def _note(self, time: float) -> None:
         record, read = self.record, self.run.task.read
-        record.log = read("estimate.push_log")
-        found = read("estimate.identification")
-        if found is not None and (not record.estimates or found is not record.estimates[-1]):
-            record.estimates.append(found)
+        record.note_learned(self.run.task)
         record.pose = np.array(read("object.pose_true"))
         record.error = float(calc_goal_error(record.obj, record.pose, record.goal))
-        pose = np.array(read("object.pose"))
-        if np.isfinite(pose).all():
-            self.last_seen = time
         status: ContactPointStatus = read("status", self.run.controller)
         if not read("executor.status").ready:
             self.last_new = time
@@ -272,7 +167,8 @@ class _Watch:
             return
         self.last_new = time
         push = PushCommand.from_vector(read("push_command", self.run.controller))
-        record.steps.append(PushTaskStep(time, status, pose, push if status.mode == modes.PUSHING else None))
+        step = PushTaskStep(time, status, np.array(read("object.pose")), push if status.mode == modes.PUSHING else None)
+        record.steps.append(step)
 
 
 def AddGoal(meshcat: Meshcat, obj: GridObject, pose: Array | list[float], height: float, path: str = "goal") -> None:
@@ -288,9 +184,3 @@ def AddGoal(meshcat: Meshcat, obj: GridObject, pose: Array | list[float], height
     meshcat.Delete(path)
     AddGhost(meshcat, path, obj, height, GOAL_COLOR)
     meshcat.SetTransform(path, MakePlanarTransform(pose))
-
-
-def _simplify(top: shapely.Geometry) -> shapely.Polygon:
-    if not isinstance(top, shapely.Polygon):
-        raise ScenarioError("directives: the table's top is in several pieces; expected one")
-    return shapely.simplify(top, RIM_DETAIL)

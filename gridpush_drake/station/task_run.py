@@ -23,7 +23,7 @@ ADVANCE = 0.1
 """Simulated between two looks at how far a task is, s."""
 
 LOST_AFTER = 0.5
-"""Simulated without the object being seen, after which it has left the table, s."""
+"""Simulated without the object being seen, after which it has left the table, where a task says nothing else, s."""
 
 Judge = Callable[[float], tuple[str, str]]
 """Called with the time, s, after every step: the task's status and a sentence about it; two empty ones to go on."""
@@ -56,12 +56,13 @@ class TaskRun:
         station: the station.
         diagram: that it is part of, with the systems that command it.
         simulator: of the diagram.
+        end: how the last run ended, or stands.
     """
 
     def __init__(self, station: PushStation, diagram: Diagram) -> None:
         """Makes the simulator."""
         self.station, self.diagram = station, diagram
-        self.simulator = Simulator(diagram)
+        self.simulator, self.end = Simulator(diagram), TaskEnd()
 
     def run(
         self, judge: Judge, seed: int | None = None, progress: Progress | None = None, realtime_rate: float = 0.0
@@ -82,7 +83,7 @@ class TaskRun:
         context = simulator.get_mutable_context()
         station.SetStart(context, station.scenario.seed if seed is None else seed)
         monitor = ConductMonitor(station)
-        end = TaskEnd(conduct=monitor.conduct)
+        end = self.end = TaskEnd(conduct=monitor.conduct)
         simulator.set_target_realtime_rate(realtime_rate)
         simulator.set_monitor(monitor)
         try:
@@ -112,13 +113,15 @@ class Sight:
     """Whether the object is still there, for judges.
 
     Attributes:
+        lost_after: simulated without the object being seen, after which it is lost, s.
         last_seen: s.
     """
 
+    lost_after: float = LOST_AFTER
     last_seen: float = 0.0
 
     def is_lost(self, time: float, pose: np.ndarray) -> bool:
-        """Whether it has not been seen for `LOST_AFTER`; `pose` (3,) is NaN where it is not seen."""
+        """Whether it has not been seen for `lost_after`; `pose` (3,) is NaN where it is not seen."""
         if np.isfinite(pose).all():
             self.last_seen = time
-        return time - self.last_seen > LOST_AFTER
+        return time - self.last_seen > self.lost_after

@@ -6,7 +6,8 @@ from gridpush_drake.errors import ScenarioError
 from gridpush_drake.scene.scenario import PushScenario
 from gridpush_drake.scene.truth import MakeTruth
 from gridpush_drake.station.conduct import ConductMonitor
-from gridpush_drake.station.push_station import ESTIMATE_OUTPUTS, IIWA_OUTPUTS, MakePushStation
+from gridpush_drake.station.learning import ESTIMATE_OUTPUTS
+from gridpush_drake.station.push_station import IIWA_OUTPUTS, MakePushStation
 from gridpush_drake.systems.push_command import PushCommand
 
 

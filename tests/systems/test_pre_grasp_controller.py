@@ -166,6 +166,51 @@ def test_an_object_out_of_sight_is_lost_and_dealt_with_where_it_is_seen_again(le
     assert robot.wait().mode == "grasping"
 
 
+def test_a_push_not_taken_up_when_the_object_goes_out_of_sight_is_taken_back(learned):
+    robot = make_robot((0.0, 0.0, 0.0), learned, patience=1.0)
+    assert robot.wait().mode == "exploring"
+    first = robot.push
+    robot.see(NOWHERE)
+    status = robot.wait(0.5)
+    assert (status.mode, status.pokes, robot.push.number) == ("waiting", 0, 0)
+    assert robot.wait().mode == "lost"
+    robot.see((0.1, 0.05, 0.5))
+    assert robot.wait().mode == "exploring"
+    assert (robot.push.number, robot.status.pokes) == (1, 1)
+    assert np.linalg.norm(robot.push.start - first.start) > 0.02
+
+
+def test_an_object_unseen_only_since_the_push_ended_is_not_lost_yet(learned):
+    robot = make_robot((0.0, 0.0, 0.0), learned, patience=1.0)
+    robot.wait()
+    robot.pushing = PushStatus(PUSHING, 1)
+    robot.wait(5.0)
+    robot.pushing = PushStatus(number=1, executed=1)
+    robot.see(NOWHERE)
+    assert robot.wait(0.8).mode == "waiting"
+    assert robot.wait(0.5).mode == "lost"
+
+
+def test_a_push_in_which_the_object_might_fall_is_broken_off(learned):
+    robot = make_robot((0.0, 0.0, 0.0), learned)
+    robot.wait()
+    command = robot.push
+    robot.pushing = PushStatus(PUSHING, 1)
+    robot.see((-0.3, 0.0, 0.0))  # over the rim, but the heavy end holds it
+    assert (robot.wait(0.2).mode, robot.push) == ("exploring", command)
+    robot.see((-0.45, 0.0, 0.0))  # its centre of mass is beyond the rim
+    status = robot.wait(0.2)
+    assert (status.mode, robot.push.number) == ("stopping", 0)
+    assert "might fall" in status.reason
+    robot.see((-0.3, 0.0, 0.0))
+    assert robot.wait(0.2) is status  # what was begun is not taken up again
+    robot.pushing = PushStatus(number=1, executed=1)
+    assert robot.wait(0.2).mode == "waiting"
+    assert robot.status.pokes == 1
+    robot.wait()
+    assert robot.push.number in (0, 2)
+
+
 def test_a_stranger_who_moves_the_object_between_two_looks_changes_the_decision(learned):
     robot = make_robot((0.0, 0.0, 0.0), learned)
     robot.wait(0.2)  # some looks, not enough yet

@@ -137,6 +137,43 @@ def test_command_that_comes_during_a_push_waits():
     assert run.status == PushStatus("idle", 2, executed=2)
 
 
+def test_withdrawn_command_is_broken_off_smoothly():
+    run = Run(step=0.001)
+    run.give(PUSH)
+    while run.status.phase != "pushing":
+        run.advance(0.005)
+    run.advance(0.8)
+    at = run.p[-1]
+    run.give(PushCommand())
+    run.advance(3.0)
+    assert (run.status.ready, run.status.executed, run.status.refused) == (True, 1, 0)
+    pushed = np.array(run.p)[np.array(run.phases) == "pushing"]
+    way = np.linalg.norm(pushed[-1] - at)
+    ramp = 1.5 * PUSH.speed / STYLE.push_acceleration
+    assert way == pytest.approx(PUSH.speed * (ramp / 2 + STYLE.period), abs=1.1 * PUSH.speed * STYLE.period)
+    assert np.linalg.norm(pushed[-1] - pushed[0]) < 0.6 * PUSH.distance
+    np.testing.assert_allclose(run.p[-1], [*pushed[-1][:2], STYLE.travel_height], atol=1e-9)
+    v = np.diff(np.array(run.p), axis=0) / run.step
+    a = np.linalg.norm(np.diff(v, axis=0), axis=1) / run.step
+    assert a.max() < 1.05 * STYLE.travel_acceleration
+    phases = [phase for i, phase in enumerate(run.phases) if i == 0 or phase != run.phases[i - 1]]
+    assert phases[-4:] == ["pushing", "settling", "retracting", "idle"]
+
+
+def test_command_withdrawn_on_the_way_down_pushes_nothing():
+    run = Run()
+    run.give(PUSH)
+    while run.status.phase != "descending":
+        run.advance(0.005)
+    run.give(PushCommand())
+    run.advance(3.0)
+    assert run.status.ready
+    low = np.array(run.p)[np.array(run.p)[:, 2] < 0.1 - 1e-9]
+    np.testing.assert_allclose(low[:, :2], np.broadcast_to(PUSH.start, (len(low), 2)), atol=1e-9)
+    run.carry_out(PushCommand(2, PUSH.x, PUSH.y, PUSH.direction, PUSH.distance, PUSH.speed))
+    assert run.status.executed == 2
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -57,3 +57,21 @@ def test_wait_and_leg_of_no_length():
     for t in (-1.0, 0.0, 0.1, 1.0):
         np.testing.assert_array_equal(leg.position(t), A)
         np.testing.assert_array_equal(leg.velocity(t), 0.0)
+
+
+@pytest.mark.parametrize("leg", LEGS)
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.5, 0.9])
+def test_stop_is_the_same_motion_first_and_then_the_soonest_end(leg, share):
+    t = share * leg.moving_time
+    stopped = leg.stop_from(t)
+    for s in np.linspace(0.0, min(t, stopped.moving_time / 2), 9):
+        np.testing.assert_allclose(stopped.position(s), leg.position(s), atol=1e-12)
+        np.testing.assert_allclose(stopped.velocity(s), leg.velocity(s), atol=1e-12)
+    np.testing.assert_allclose(stopped.position(t), leg.position(t), atol=1e-12)
+    assert stopped.moving_time == pytest.approx(min(max(t, leg.ramp) + leg.ramp, leg.moving_time))
+    assert stopped.stop_from(t + 0.1 * leg.ramp) == stopped
+
+
+def test_stop_before_the_beginning_is_no_motion():
+    assert LEGS[0].stop_from(0.0).end == A
+    assert LEGS[0].stop_from(0.0).length == 0.0

@@ -81,6 +81,25 @@ def test_body_below_the_table_is_lost_from_sight():
     np.testing.assert_allclose(seen.data()[:, 0], [0.3, 0.1, 1.0], atol=1e-12)
 
 
+def test_covered_camera_sees_nothing_until_it_is_uncovered():
+    diagram, context, log, _ = _make(noise=1e-3)
+    plain, plain_context, plain_log, _ = _make(noise=1e-3)
+    camera = next(system for system in diagram.GetSystems() if isinstance(system, PlanarPoseSensor))
+    simulator = Simulator(diagram, context)
+    simulator.AdvanceTo(0.52)
+    camera.SetCovered(context, True)
+    simulator.AdvanceTo(1.02)
+    camera.SetCovered(context, False)
+    simulator.AdvanceTo(1.5)
+    Simulator(plain, plain_context).AdvanceTo(1.5)
+    seen, plainly = log.FindLog(context), plain_log.FindLog(plain_context)
+    taken = seen.sample_times() - 0.05  # of the picture that is shown
+    covered = (taken > 0.52) & (taken < 1.02)
+    assert covered.sum() == 10
+    assert np.isnan(seen.data()[:, covered]).all()
+    np.testing.assert_array_equal(seen.data()[:, ~covered], plainly.data()[:, ~covered])
+
+
 def test_clone_sees_the_same():
     diagram, context, _, _ = _make(noise=1e-3)
     simulator = Simulator(diagram, context)

@@ -1,0 +1,67 @@
+"""`ObjectController`: what systems share that push an object about by what is seen and learned of it."""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import AbstractValue
+
+from gridpush_drake.systems.push_status import PushStatus
+from gridpush_drake.systems.replaced_state import ReplacedStateSystem
+
+Array = NDArray[np.float64]
+S = TypeVar("S")
+
+
+class ObjectController(ReplacedStateSystem[S]):
+    """Base of controllers: a state that is replaced at every look, and ports that show parts of it.
+
+    .. pydrake_system::
+
+        name: ObjectController
+        input_ports:
+        - object_pose
+        - identification
+        - push_log
+        - push_status
+        output_ports:
+        - status
+
+    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object was not seen.
+    * identification: abstract `Identification`, or None before the first push.
+    * push_log: abstract `PushLog`, all pushes so far.
+    * push_status: abstract `PushStatus` of the push executor.
+    * status: abstract, the state's `status`.
+
+    Abstract state: one S, which has a `status`.
+    """
+
+    def __init__(self, begin: S, period: float) -> None:
+        """Declares the ports.
+
+        Args:
+            begin: the state at the beginning.
+            period: between two looks, s.
+        """
+        super().__init__(begin, period)
+        self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
+        self._identification = self.DeclareAbstractInputPort("identification", AbstractValue.Make(object()))
+        self._push_log = self.DeclareAbstractInputPort("push_log", AbstractValue.Make(object()))
+        self._push_status = self.DeclareAbstractInputPort("push_status", AbstractValue.Make(PushStatus()))
+        status: Any = begin.status  # type: ignore[attr-defined]
+        self.DeclareAbstractOutputPort(
+            "status",
+            lambda: AbstractValue.Make(type(status)()),
+            lambda context, output: output.set_value(self._get_state(context).status),  # type: ignore[attr-defined]
+            {self._remembered},
+        )
+
+    def _declare_command(self, name: str, size: int, show: Callable[[S], Array]) -> None:
+        """Declares an output port for a vector that a state shows."""
+        self.DeclareVectorOutputPort(
+            name,
+            size,
+            lambda context, output: output.SetFromVector(show(self._get_state(context))),
+            {self._remembered},
+        )

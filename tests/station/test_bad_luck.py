@@ -1,0 +1,125 @@
+"""The whole story in the full station when things go wrong: out of sight, slipping, shoved while the robot works."""
+
+from math import cos, sin
+
+import numpy as np
+import pytest
+
+from gridpush_drake.apps.demo_pre_grasp import make_scenario
+from gridpush_drake.scene.grid_object_state import CalcPlanarPose, SetGridObjectPose
+from gridpush_drake.station import pre_grasp_task
+from gridpush_drake.station.pre_grasp_task import HELD, LOST, PreGraspTask
+from gridpush_drake.systems import pre_grasp_status
+from gridpush_drake.systems.pre_grasp_state import ControllerOptions
+from gridpush_drake.systems.push_command import PushCommand
+from gridpush_drake.systems.push_status import PUSHING
+
+PATIENCE = ControllerOptions().patience
+"""s."""
+
+
+class Stranger:
+    """Somebody who meddles with a task."""
+
+    def __init__(self, task):
+        self.task, self.station = task, task.station
+
+    @property
+    def context(self):
+        return self.task.task.simulator.get_mutable_context()
+
+    @property
+    def mode(self):
+        return self.task.task.read("status", self.task.controller).mode
+
+    @property
+    def pose(self):
+        plant = self.station.plant
+        return CalcPlanarPose(plant, plant.GetMyContextFromRoot(self.context), self.station.object_in_plant)
+
+    def push_direction(self):
+        command = PushCommand.from_vector(self.task.task.read("push_command", self.task.controller))
+        return np.array([cos(command.direction), sin(command.direction), 0.0])
+
+    def put(self, pose):
+        plant = self.station.plant
+        SetGridObjectPose(plant, plant.GetMyMutableContextFromRoot(self.context), self.station.object_in_plant, pose)
+
+    def cover(self, covered):
+        self.station.CoverCamera(self.context, covered)
+
+
+def list_modes(record):
+    return [step.status.mode for step in record.steps]
+
+
+@pytest.mark.slow
+def test_an_object_out_of_sight_for_good_is_lost_and_the_finger_goes_up():
+    task = PreGraspTask(make_scenario())
+    stranger = Stranger(task)
+
+    def meddle(status, logged):
+        if status.phase == PUSHING:
+            stranger.cover(True)
+
+    record = task.run(progress=meddle)
+    assert record.status == LOST
+    assert record.message == f"The object has not been seen for {pre_grasp_task.LOST_AFTER:g} s."
+    assert record.last.mode == pre_grasp_status.LOST
+    assert f"not been seen for {PATIENCE:g} s" in record.last.reason
+    assert record.last.pokes == 1
+    assert task.task.read("executor.status").ready
+    assert task.task.read("pusher.state")[2] == pytest.approx(task.station.style.travel_height, abs=2e-3)
+    assert np.abs(task.task.read("pusher.state")[3:]).max() < 1e-3
+
+
+@pytest.mark.slow
+def test_an_object_out_of_sight_for_a_while_and_nudged_in_a_slide_is_lifted_all_the_same():
+    task = PreGraspTask(make_scenario())
+    stranger, covered, nudged = Stranger(task), [], []
+
+    def meddle(status, logged):
+        time = stranger.context.get_time()
+        if status.ready and status.executed == 2 and not covered:
+            stranger.cover(True)
+            covered.append(time)
+        if covered and time > covered[0] + 2 * PATIENCE:
+            stranger.cover(False)
+        if status.phase == PUSHING and stranger.mode == pre_grasp_status.SLIDING and not nudged:
+            nudged.append(stranger.pose)
+            stranger.put(nudged[0] + 0.025 * stranger.push_direction() + (0.0, 0.0, 0.1))
+
+    record = task.run(progress=meddle)
+    modes = list_modes(record)
+    assert covered and nudged
+    lost = modes.index(pre_grasp_status.LOST)
+    assert "not been seen" in record.steps[lost].status.reason
+    assert record.steps[lost + 1].status.reason == "The object is seen again."
+    assert record.status == HELD, record.message
+
+
+@pytest.mark.slow
+def test_a_slide_in_which_the_object_is_shoved_over_the_rim_is_broken_off():
+    scenario = make_scenario()
+    scenario.truth.contact_friction = [0.05, 0.05]  # and the finger slips
+    task = PreGraspTask(scenario)
+    stranger, shoved = Stranger(task), []
+    outwards = np.array([0.0, 1.0, 0.0])  # the rim is at y = 0.15 m
+
+    def meddle(status, logged):
+        if shoved or status.phase != PUSHING or stranger.mode != pre_grasp_status.SLIDING:
+            return
+        context = task.controller.GetMyContextFromRoot(stranger.context)
+        guard = task.controller._get_state(context).guard
+        far = next(far for far in np.arange(0.0, 0.2, 0.002) if guard.find_fault(stranger.pose + far * outwards))
+        shoved.append(far)
+        stranger.put(stranger.pose + (far + 0.002) * outwards)
+
+    record = task.run(progress=meddle)
+    modes = list_modes(record)
+    assert shoved
+    stop = record.steps[modes.index(pre_grasp_status.STOPPING)]
+    assert "might fall" in stop.status.reason
+    assert stop.push is None
+    assert record.steps[modes.index(pre_grasp_status.STOPPING) + 1].status.reason == "A push was broken off."
+    assert record.status == HELD, record.message
