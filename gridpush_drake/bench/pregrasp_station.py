@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,6 +11,9 @@ from gridpush_drake.bench.table import Table, Value
 from gridpush_drake.bench.workers import WORKERS, Report, run_jobs
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.grid.object_file import find_shipped_object
+
+if TYPE_CHECKING:
+    from gridpush_drake.station.pre_grasp_record import PreGraspRecord
 
 OBJECTS = ("claw_hammer", "combination_wrench", "spray_bottle")
 SEEDS = (0, 1, 2)
@@ -119,7 +123,11 @@ def run_job(job: GraspJob) -> GraspScore:
     task = PreGraspTask(scenario)
     begin = perf_counter()
     record = task.run()
-    wall = perf_counter() - begin
+    return make_score(job, record, perf_counter() - begin)
+
+
+def make_score(job: GraspJob, record: "PreGraspRecord", wall: float) -> GraspScore:
+    """What came of a run that took `wall` seconds."""
     error = float("nan")
     if record.estimates:
         found, truth = (params.centre_of_mass(record.obj) for params in (record.estimates[-1].params, record.truth))

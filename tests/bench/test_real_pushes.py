@@ -11,6 +11,8 @@ from tests.helpers.shared_data import shared_data
 MOST = {(CENTRE, 25): 2.4, (CENTRE, 5): 2.6, (POSES, 5): 3.1}
 MOST_ABOVE_UNIFORM = 0.15
 
+LONG_SPLITS = 3  # in which 25 pushes are learned from too
+
 
 def test_one_split_of_real_pushes_is_learned_and_scored() -> None:
     path = shared_data("cmu_pushes", "hardboard_wide.txt")
@@ -38,14 +40,15 @@ def test_real_pushes_are_predicted_as_well_as_promised() -> None:
     for name in FEET_SETS:
         path = shared_data("cmu_pushes", f"{name}.txt")
         for split in range(10):
-            scores += run_job(Job(path, "cmu", split, (5, 25), 0))
+            scores += run_job(Job(path, "cmu", split, (5, 25) if split < LONG_SPLITS else (5,), 0))
     for (model, count), most in MOST.items():
         assert calc_split_means(scores, FEET_SETS, model, count).mean() <= most
-    for name in FEET_SETS:
-        uniform = calc_split_means(scores, [name], UNIFORM, 0).mean()
-        for model in (POSES, CENTRE):
-            worst = max(calc_split_means(scores, [name], model, count).mean() - uniform for count in (5, 25))
-            assert worst <= MOST_ABOVE_UNIFORM
+    for count, splits in ((5, 10), (25, LONG_SPLITS)):
+        alike = [score for score in scores if score.split < splits]
+        for name in FEET_SETS:
+            uniform = calc_split_means(alike, [name], UNIFORM, 0).mean()
+            for model in (POSES, CENTRE):
+                assert calc_split_means(alike, [name], model, count).mean() - uniform <= MOST_ABOVE_UNIFORM
 
 
 @pytest.mark.slow
@@ -55,7 +58,7 @@ def test_a_fifth_of_the_mit_pushes_beats_the_files_own_model(name: str) -> None:
 
     path = shared_data("mit_pushes", f"{name}.mat")
     position, angle = read_model_errors(path)
-    scores = [score for split in range(3) for score in run_job(Job(path, "mit", split, (), 0))]
+    scores = [score for split in range(2) for score in run_job(Job(path, "mit", split, (), 0))]
     learned = [score for score in scores if score.model == POSES]
     assert np.mean([np.mean(score.position) for score in learned]) <= position
     assert np.mean([np.mean(score.angle) for score in learned]) <= angle
