@@ -49,10 +49,10 @@ def test_exact_gradients(shape, regime):
 @pytest.mark.parametrize("shape", SHAPES)
 def test_exact_gradients_of_many_pushes(shape, regime):
     skipped = sum(
-        check_case(make_random_case(shape, seed, regime, SPINS[seed % 3]), shape, seed) for seed in range(100, 140)
+        check_case(make_random_case(shape, seed, regime, SPINS[seed % 3]), shape, seed) for seed in range(100, 120)
     )
-    print(f"{shape}, {regime}: {skipped} of 280 blocks cross a switch")
-    assert skipped < 70
+    print(f"{shape}, {regime}: {skipped} of 140 blocks cross a switch")
+    assert skipped < 35
 
 
 @pytest.mark.parametrize("regime", REGIMES)
