@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.planning.convex import calc_margin_inside, hull_of
-from gridpush_drake.planning.slide_push import SlideOptions
+from gridpush_drake.planning.slide_push import SlideOptions, calc_kept_margin
 from gridpush_drake.planning.stability import MassSet, calc_stability_margin
 from gridpush_drake.planning.surface import SupportSurface
 
@@ -48,9 +47,8 @@ class PushGuard:
         cls, masses: MassSet, surface: SupportSurface, pose: Array, options: SlideOptions, error: float
     ) -> "PushGuard":
         """The guard of a push from `pose` (3,), planned with `options`; `error` is that of a look, m."""
-        whole = calc_margin_inside(masses.centre_of_mass_polygon, hull_of(masses.obj.p_BC))
-        here = calc_stability_margin(masses, pose, surface, options.inset)
-        return cls(masses, surface, min(options.margin, float(whole), here), options.inset, error)
+        margin = calc_kept_margin(masses, pose, surface, options.margin, options.inset)
+        return cls(masses, surface, margin, options.inset, error)
 
     def find_fault(self, pose: Array) -> str | None:
         """Why the push should not go on with the object seen at `pose` (3,), in half a sentence; None where it may."""

@@ -138,7 +138,7 @@ def run(
         for mass_set in range(mass_sets)
         for i in range(seeds)
         for name in objects
-        for method in ((*methods,) * sliding + (*EXPLORING,) * (exploring and i == 0))
+        for method in (*(methods if sliding else ()), *(EXPLORING if exploring and i == 0 else ()))
     ]
     done = run_jobs(run_job, jobs, _describe, title="pre-grasp sliding", workers=workers, progress=progress)
     slides = [score for score in done if isinstance(score, SlideScore)]

@@ -29,8 +29,7 @@ def find_held(obj: GridObject, poses: ArrayLike, surface: SupportSurface, inset:
     q = np.asarray(poses, dtype=np.float64)
     if not surface.is_convex:
         return surface.contains(obj.cells_at(q), inset)
-    normals = surface.edge_normals
-    offsets = (normals * surface.corners).sum(axis=1)
+    normals, offsets = surface.edge_normals, surface.edge_offsets
     reach = float(np.linalg.norm(obj.p_BC, axis=1).max()) + inset + ROUND_OFF
     gaps = (offsets - q[..., :2] @ normals.T).reshape(-1, len(normals))
     near = gaps.min(axis=0) < reach

@@ -167,7 +167,7 @@ class PreGraspPlanner:
             return self._poke(q, belief, None, pokes, "too little is known of the object yet")
         goals = self._find_goals(q, belief, parts)
         if not goals:
-            return self._poke_or_give_up(q, belief, pokes)
+            return self._poke_or_give_up(q, belief, parts, pokes)
         if goals[0].margin < self.options.goal.margin:
             return self._poke(q, belief, goals[0], pokes, self._describe_lack(goals[0].margin))
         if slides >= self.options.most_slides:
@@ -189,13 +189,15 @@ class PreGraspPlanner:
             return []
         return find_pregrasp_goals(belief.masses, parts, pose, self.surface, self.options.goal, self.limits)
 
-    def _poke_or_give_up(self, pose: Array, belief: Belief, pokes: int) -> PreGraspDecision:
-        """Without any goal: a poke where the centre of mass may still turn out to be near a part that allows one."""
+    def _poke_or_give_up(
+        self, pose: Array, belief: Belief, parts: tuple[GraspPart, ...], pokes: int
+    ) -> PreGraspDecision:
+        """No goal with `parts`: a poke where the centre of mass may still turn out to be near others that allow one."""
         arm = self.options.most_arm
         near = f" within {arm * MM:.0f} mm of the centre of mass" if np.isfinite(arm) else ""
         why = f"no pose lets a graspable part{near} hang over the rim where the arm can take it"
         hoped = self._find_parts_near(belief, arm + HOPE_SIGMAS * _calc_centre_std(belief))
-        if not self._find_goals(pose, belief, hoped):
+        if len(hoped) == len(parts) or not self._find_goals(pose, belief, hoped):
             return _fail(why, None)
         return self._poke(pose, belief, None, pokes, why)
 

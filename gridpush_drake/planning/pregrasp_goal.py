@@ -119,8 +119,7 @@ def calc_overhangs(parts: Sequence[GraspPart], pose: ArrayLike, surface: Support
     q = np.asarray(pose, dtype=np.float64)
     corners = np.array([part.footprint for part in parts]).reshape(-1, 4, 2) @ _rotation(q[2]).T + q[:2]
     if surface.is_convex:
-        offsets = (surface.edge_normals * surface.corners).sum(axis=1)
-        return np.asarray((corners @ surface.edge_normals.T - offsets).min(axis=1).max(axis=1))
+        return np.asarray((corners @ surface.edge_normals.T - surface.edge_offsets).min(axis=1).max(axis=1))
     prints = shapely.polygons(corners)
     clear = shapely.distance(prints, surface.polygon)
     inside = surface.signed_distances(corners).max(axis=1)

@@ -83,14 +83,23 @@ def make_stability_rule(
 
     Where it is thinner at `pose` (3,) already, or with the object wholly on the table, it must not get thinner still.
     """
-    obj, corners = masses.obj, masses.centre_of_mass_polygon
-    whole = calc_margin_inside(corners, hull_of(obj.p_BC))
-    wanted = min(margin, whole, calc_stability_margin(masses, pose, surface, inset)) - THINNER
+    wanted = calc_kept_margin(masses, pose, surface, margin, inset) - THINNER
 
     def rule(poses: Array) -> NDArray[np.bool_]:
         return np.asarray(calc_stability_margins(masses, poses, surface, inset) >= wanted)
 
     return rule
+
+
+def calc_kept_margin(
+    masses: MassSet, pose: ArrayLike, surface: SupportSurface, margin: float, inset: float = SUPPORT_INSET
+) -> float:
+    """The stability margin that a push keeps, m.
+
+    It is `margin`, or less where it is thinner at `pose` (3,) already, or with the object wholly on the table.
+    """
+    whole = calc_margin_inside(masses.centre_of_mass_polygon, hull_of(masses.obj.p_BC))
+    return min(margin, float(whole), calc_stability_margin(masses, pose, surface, inset))
 
 
 THINNER = 1e-4

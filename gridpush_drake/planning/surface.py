@@ -127,6 +127,11 @@ class SupportSurface:
         return np.column_stack([tangent[:, 1], -tangent[:, 0]])
 
     @cached_property
+    def edge_offsets(self) -> Array:
+        """(k,) where the edges' lines are along their normals n, m: n.p is as great for all p on a line."""
+        return np.asarray((self.edge_normals * self.corners).sum(axis=1))
+
+    @cached_property
     def is_convex(self) -> bool:
         """Whether no corner turns inwards."""
         along = np.roll(self.corners, -1, axis=0) - self.corners
@@ -208,8 +213,7 @@ class SupportSurface:
         # a square's support function: half times the 1-norm of the normal seen from the body
         x, y = self.edge_normals.T
         across = np.abs(c[..., None] * x + s[..., None] * y) + np.abs(-s[..., None] * x + c[..., None] * y)
-        offsets = (self.edge_normals * self.corners).sum(axis=1)
-        gaps = offsets - centres @ self.edge_normals.T - half * across[..., None, :]
+        gaps = self.edge_offsets - centres @ self.edge_normals.T - half * across[..., None, :]
         return np.asarray(gaps.min(axis=-1))
 
     def contains_cells(self, obj: GridObject, pose: ArrayLike, margin: float = 0.0) -> bool | NDArray[np.bool_]:
@@ -236,7 +240,7 @@ class SupportSurface:
             body: (V, 2) corners, m.
         """
         table = self if self.is_convex else SupportSurface(self.polygon.convex_hull)
-        offsets = (table.edge_normals * table.corners).sum(axis=1)
+        offsets = table.edge_offsets
         for angle in 2 * np.pi * np.arange(FIT_ANGLES) / FIT_ANGLES:
             c, s = np.cos(angle), np.sin(angle)
             turned = np.asarray(body, dtype=np.float64) @ np.array([[c, s], [-s, c]])
@@ -246,7 +250,7 @@ class SupportSurface:
 
     def _half_plane_distances(self, p: Array) -> Array:
         """Least distance (...,) inside the edges' lines; convex tables only."""
-        offsets = (self.edge_normals * self.corners).sum(axis=1)
+        offsets = self.edge_offsets
         return np.asarray((offsets - p @ self.edge_normals.T).min(axis=-1))
 
     def _project(self, p: Array) -> tuple[Array, Array]:

@@ -121,8 +121,8 @@ class PushExperiment:
         def judge(time: float) -> tuple[str, str]:
             return watch.judge(time, self._note(record), self._task.read("object.pose"))
 
-        self._task.run(judge, seed, progress, realtime_rate)
-        record.note_end(self._task)
+        end = self._task.run(judge, seed, progress, realtime_rate)
+        record.note_end(self._task, end)
         if not len(record.log) and record.status == STUCK:
             raise StationError(record.message)
         return record

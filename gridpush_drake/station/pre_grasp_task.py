@@ -11,6 +11,7 @@ from gridpush_drake.errors import ScenarioError
 from gridpush_drake.planning.arm_limits import ArmLimits
 from gridpush_drake.planning.contact_point import ContactOptions
 from gridpush_drake.planning.exploration import PokeOptions
+from gridpush_drake.planning.held_cells import find_held
 from gridpush_drake.planning.pregrasp import ACCEPTED_SHARE, PreGraspOptions, PreGraspPlanner
 from gridpush_drake.planning.pregrasp_goal import GoalOptions
 from gridpush_drake.planning.slide_push import SlideOptions
@@ -116,9 +117,9 @@ class PreGraspTask:
         """
         record = PreGraspRecord(self.obj, self.station.truth, self.surface)
         watch = _Watch(self, record)
-        self.task.run(watch.judge, seed, progress, realtime_rate)
-        watch.note(self.task.end.duration)
-        record.note_end(self.task)
+        end = self.task.run(watch.judge, seed, progress, realtime_rate)
+        watch.note(end.duration)
+        record.note_end(self.task, end)
         return record
 
     def calc_raised(self) -> float:
@@ -131,7 +132,7 @@ class PreGraspTask:
     def _admit(self, seen: ObservedPush) -> bool:
         """Whether the object was wholly on the table, as far as it was seen: the model knows no edge."""
         poses = np.vstack([seen.pose[None], seen.poses_observed])
-        return bool(self.surface.contains(self.obj.cells_at(poses)).all())
+        return bool(find_held(self.obj, poses, self.surface).all())
 
     def _make_limits(self) -> ArmLimits:
         station = self.station

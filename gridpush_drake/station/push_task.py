@@ -126,8 +126,8 @@ class PushTask:
         """
         goal = self._scenario.goal
         record = PushTaskRecord(self.station.obj, self.station.truth, self.surface, np.array(goal.pose), goal.tolerance)
-        self.task.run(_Watch(self, record).judge, seed, progress, realtime_rate)
-        record.note_end(self.task)
+        end = self.task.run(_Watch(self, record).judge, seed, progress, realtime_rate)
+        record.note_end(self.task, end)
         return record
 
 

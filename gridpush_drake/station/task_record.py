@@ -7,7 +7,7 @@ from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.pushes.log import PushLog
 from gridpush_drake.station.conduct import Conduct
-from gridpush_drake.station.task_run import TaskRun
+from gridpush_drake.station.task_run import TaskEnd, TaskRun
 
 
 @dataclass
@@ -41,7 +41,7 @@ class TaskRecord:
         if found is not None and (not self.estimates or found is not self.estimates[-1]):
             self.estimates.append(found)
 
-    def note_end(self, task: TaskRun) -> None:
+    def note_end(self, task: TaskRun, end: TaskEnd) -> None:
         """Writes down how the task's last run ended."""
-        self.truth, end = task.station.truth, task.end
+        self.truth = task.station.truth
         self.status, self.message, self.conduct, self.duration = end.status, end.message, end.conduct, end.duration

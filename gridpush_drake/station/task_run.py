@@ -56,13 +56,12 @@ class TaskRun:
         station: the station.
         diagram: that it is part of, with the systems that command it.
         simulator: of the diagram.
-        end: how the last run ended, or stands.
     """
 
     def __init__(self, station: PushStation, diagram: Diagram) -> None:
         """Makes the simulator."""
         self.station, self.diagram = station, diagram
-        self.simulator, self.end = Simulator(diagram), TaskEnd()
+        self.simulator = Simulator(diagram)
 
     def run(
         self, judge: Judge, seed: int | None = None, progress: Progress | None = None, realtime_rate: float = 0.0
@@ -83,7 +82,7 @@ class TaskRun:
         context = simulator.get_mutable_context()
         station.SetStart(context, station.scenario.seed if seed is None else seed)
         monitor = ConductMonitor(station)
-        end = self.end = TaskEnd(conduct=monitor.conduct)
+        end = TaskEnd(conduct=monitor.conduct)
         simulator.set_target_realtime_rate(realtime_rate)
         simulator.set_monitor(monitor)
         try:
