@@ -58,7 +58,7 @@ class ContactPointController(ObjectController[ControllerState]):
         - push_command
 
     * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object was not seen.
-    * identification: abstract `Identification`, or None: then the prior counts.
+    * identification: abstract `Identification`; without `push_names` what was learned before counts, see `params`.
     * push_log: abstract `PushLog`, all pushes so far; need not be connected.
     * push_status: abstract `PushStatus` of the executor.
     * goal_pose: vector of 3, where the object should lie, (x, y, theta) of B in W, m and rad; NaN for nowhere.
@@ -85,7 +85,7 @@ class ContactPointController(ObjectController[ControllerState]):
             options: how to go about it.
         """
         self.obj, self.rules, self.options = obj, rules or GoalRules(), options or ControllerOptions()
-        super().__init__(ControllerState(), self.options.period)
+        super().__init__(obj, ControllerState(), self.options.period)
         self._params = CellParameters.uniform(obj) if params is None else params
         self._goal_pose = self.DeclareVectorInputPort("goal_pose", 3)
         self._declare_command("push_command", PUSH_COMMAND_SIZE, lambda now: now.command.to_vector())
@@ -104,7 +104,12 @@ class ContactPointController(ObjectController[ControllerState]):
         now = self._look(now, time, pose)
         if len(now.looks) < self.options.looks:
             return now
-        return self._decide(now, executor, self._identification.Eval(context), self._read_log(context))
+        return self._decide(now, executor, self._read_found(context), self._read_log(context))
+
+    def _read_found(self, context: Context) -> Identification | None:
+        """What was learned; None where that is nothing yet."""
+        found: Identification = self._identification.Eval(context)
+        return found if found.push_names else None
 
     def _read_log(self, context: Context) -> PushLog:
         return self._push_log.Eval(context) if self._push_log.HasValue(context) else PushLog(())

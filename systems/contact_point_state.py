@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.planning.way_to_goal import WayToGoal
-from gridpush_drake.systems.contact_point_status import ContactPointStatus
+from gridpush_drake.systems.contact_point_status import ContactPointMode, ContactPointStatus
 from gridpush_drake.systems.push_command import PushCommand
 from gridpush_drake.systems.rest_looks import LookOptions, Pose, RestLooks
 
@@ -64,7 +64,7 @@ class ControllerState:
         """Itself: Drake copies the state at every update, and nothing in it is ever changed."""
         return self
 
-    def turn_to(self, mode: str, reason: str, cause: str = "", **others: Any) -> "ControllerState":
+    def turn_to(self, mode: ContactPointMode, reason: str, cause: str = "", **others: Any) -> "ControllerState":
         """In another mode, with nothing seen yet, and no push under way."""
         none = {"expected_pose": None, "expected_error": nan}
         status = replace(self.status, mode=mode, reason=reason, cause=cause, **{**none, **others})

@@ -1,13 +1,21 @@
 """What a contact-point controller says of itself on its port."""
 
 from dataclasses import dataclass
+from enum import StrEnum
 from math import nan
 
-WAITING = "waiting"
-PUSHING = "pushing"
-REACHED = "reached"
-FAILED = "failed"
-LOST = "lost"
+
+class ContactPointMode(StrEnum):
+    """What a contact-point controller is doing."""
+
+    WAITING = "waiting"
+    PUSHING = "pushing"
+    REACHED = "reached"
+    FAILED = "failed"
+    LOST = "lost"
+
+
+WAITING, PUSHING, REACHED, FAILED, LOST = ContactPointMode
 
 
 @dataclass(frozen=True)
@@ -28,7 +36,7 @@ class ContactPointStatus:
             NaN before.
     """
 
-    mode: str = WAITING
+    mode: ContactPointMode = WAITING
     reason: str = "Nothing was seen yet."
     cause: str = ""
     pushes: int = 0

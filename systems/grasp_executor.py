@@ -11,7 +11,7 @@ from pydrake.systems.framework import BasicVector, Context
 
 from gridpush_drake.systems import grasp_status
 from gridpush_drake.systems.grasp_command import GRASP_COMMAND_SIZE, GraspCommand
-from gridpush_drake.systems.grasp_status import HELD, MISSED, REFUSED, SLIPPED, GraspStatus
+from gridpush_drake.systems.grasp_status import HELD, MISSED, REFUSED, SLIPPED, GraspOutcome, GraspStatus
 from gridpush_drake.systems.grasp_way import (
     GraspingStyle,
     calc_yaws,
@@ -211,7 +211,7 @@ class GraspExecutor(ReplacedStateSystem[GraspState]):
             return now
         return self._fail(now, SLIPPED, f"the opening fell from {1e3 * now.closed:.1f} to {1e3 * opening:.1f} mm")
 
-    def _fail(self, now: GraspState, outcome: str, reason: str) -> GraspState:
+    def _fail(self, now: GraspState, outcome: GraspOutcome, reason: str) -> GraspState:
         return replace(now, status=replace(now.status, outcome=outcome, reason=reason))
 
     def _turn_back(self, context: Context, now: GraspState, time: float) -> GraspState:

@@ -1,20 +1,34 @@
 """What a grasp executor says of itself on its port."""
 
 from dataclasses import dataclass
+from enum import StrEnum
 
-IDLE = "idle"
-APPROACHING = "approaching"
-ENTERING = "entering"
-CLOSING = "closing"
-LIFTING = "lifting"
-HOLDING = "holding"
-OPENING = "opening"
-RETREATING = "retreating"
 
-REFUSED = "refused"
-MISSED = "missed"
-SLIPPED = "slipped"
-HELD = "held"
+class GraspPhase(StrEnum):
+    """What a grasp executor is doing."""
+
+    IDLE = "idle"
+    APPROACHING = "approaching"
+    ENTERING = "entering"
+    CLOSING = "closing"
+    LIFTING = "lifting"
+    HOLDING = "holding"
+    OPENING = "opening"
+    RETREATING = "retreating"
+
+
+class GraspOutcome(StrEnum):
+    """What came of a grasp command; NONE while it is under way, and false."""
+
+    NONE = ""
+    REFUSED = "refused"
+    MISSED = "missed"
+    SLIPPED = "slipped"
+    HELD = "held"
+
+
+IDLE, APPROACHING, ENTERING, CLOSING, LIFTING, HOLDING, OPENING, RETREATING = GraspPhase
+NONE, REFUSED, MISSED, SLIPPED, HELD = GraspOutcome
 
 
 @dataclass(frozen=True)
@@ -29,9 +43,9 @@ class GraspStatus:
         reason: why it was refused, or what went wrong; empty where nothing did.
     """
 
-    phase: str = IDLE
+    phase: GraspPhase = IDLE
     number: int = 0
-    outcome: str = ""
+    outcome: GraspOutcome = NONE
     reason: str = ""
 
     @property

@@ -40,14 +40,12 @@ class Estimate:
 
     Attributes:
         found: the identification, or the prior in its form.
-        learned: whether it rests on a push.
         centre_of_mass: (2,) p_BBcm, m.
         centre_of_mass_covariance: (2, 2) m².
         loss: mean cell error of the training pushes, m; NaN where there are none.
     """
 
     found: Identification
-    learned: bool
     centre_of_mass: Array
     centre_of_mass_covariance: Array
     loss: float
@@ -106,7 +104,7 @@ class GridIdentifier(LeafSystem):
     * centre_of_mass_covariance: vector of 4, its covariance in B, row-major, m²; see `identification.centre_of_mass`.
     * loss: vector of 1, mean cell error of the pushes learned from, m; NaN before the first.
     * num_pushes: vector of 1, pushes in the log.
-    * identification: abstract `Identification`, or None before the first push.
+    * identification: abstract `Identification`; while nothing was learned the prior's, whose `push_names` are empty.
     * push_log: abstract `PushLog`, all pushes so far.
 
     Before the first push the outputs are the prior's. Abstract state: one `IdentifierState`.
@@ -208,9 +206,11 @@ class GridIdentifier(LeafSystem):
         declare("centre_of_mass_covariance", 4, lambda estimate: estimate.centre_of_mass_covariance.ravel())
         declare("loss", 1, lambda estimate: [estimate.loss])
         self.DeclareVectorOutputPort("num_pushes", 1, self._calc_num_pushes, state)
-        make = lambda: AbstractValue.Make(object())  # noqa: E731
-        self.DeclareAbstractOutputPort("identification", make, self._calc_identification, state)
-        self.DeclareAbstractOutputPort("push_log", make, self._calc_push_log, state)
+        found, log = self._prior.found, IdentifierState().log
+        self.DeclareAbstractOutputPort(
+            "identification", lambda: AbstractValue.Make(found), self._calc_identification, state
+        )
+        self.DeclareAbstractOutputPort("push_log", lambda: AbstractValue.Make(log), self._calc_push_log, state)
 
     def _get_state(self, context: Context) -> IdentifierState:
         return context.get_abstract_state(int(self._state)).get_value()
@@ -222,8 +222,7 @@ class GridIdentifier(LeafSystem):
         output.SetFromVector([len(self._get_state(context).log)])
 
     def _calc_identification(self, context: Context, output: Any) -> None:
-        estimate = self._get_estimate(context)
-        output.set_value(estimate.found if estimate.learned else None)
+        output.set_value(self._get_estimate(context).found)
 
     def _calc_push_log(self, context: Context, output: Any) -> None:
         output.set_value(self._get_state(context).log)
@@ -261,4 +260,4 @@ def _make_estimate(found: Identification, log: PushLog | None) -> Estimate:
         problem = PushProblem(found.obj, used, found.params.friction, found.regime)  # type: ignore[arg-type]
         residuals = problem.residuals(problem.unknowns(found.params))
         loss = float(problem.calc_cell_errors(residuals).mean())
-    return Estimate(found, log is not None, *calc_centre_of_mass(found), loss)
+    return Estimate(found, *calc_centre_of_mass(found), loss)

@@ -27,7 +27,7 @@ from gridpush_drake.dynamics.columns import OTHER
 from gridpush_drake.dynamics.friction import SPIN_MODELS
 from gridpush_drake.dynamics.kernel_call import Load, Method, Steps, run_kernel
 from gridpush_drake.dynamics.simulate import AHEAD, GRAVITY, RELATIVE_STICTION, STICTION_TOLERANCE, Regime
-from gridpush_drake.dynamics.simulation import RawJacobian
+from gridpush_drake.dynamics.simulation import Jacobian, RawJacobian
 from gridpush_drake.dynamics.step import CONVERGED
 from gridpush_drake.dynamics.step_memory import MEMORY_SIZE, make_memory
 from gridpush_drake.dynamics.time_grid import DEFAULT_DT
@@ -188,8 +188,9 @@ class GridLcpSystem(LeafSystem):
         force = {self.discrete_state_ticket(_CONTACT_FORCE)}
         self.DeclareVectorOutputPort("contact_force", 2, self._calc_contact_force, force)
         inputs = {self.all_input_ports_ticket(), self.all_parameters_ticket(), self.xd_ticket()}
+        none = _make_zero_jacobian(self.obj.n)
         self.DeclareAbstractOutputPort(
-            "step_jacobian", lambda: AbstractValue.Make(object()), self._calc_step_jacobian, inputs
+            "step_jacobian", lambda: AbstractValue.Make(none), self._calc_step_jacobian, inputs
         )
         unsolved = {self.discrete_state_ticket(_UNSOLVED)}
         self.DeclareVectorOutputPort("unsolved_steps", 1, self._calc_unsolved_steps, unsolved)
@@ -247,3 +248,11 @@ class GridLcpSystem(LeafSystem):
         way = pusher[2:] * self.dt
         tip = np.array([pusher[:2], pusher[:2] + way])
         return Load(tip, float(np.hypot(*way)), self.pusher_radius, wrench, np.zeros(2))
+
+
+def _make_zero_jacobian(n: int) -> Jacobian:
+    """One row of nothing, for n cells."""
+    zeros, by_cell = np.zeros((1, 3)), np.zeros((1, 3, n))
+    return Jacobian(
+        np.array([1]), by_cell, by_cell, zeros, np.zeros((1, 3, 2)), zeros, zeros, np.zeros((1, 3, 3)), None
+    )

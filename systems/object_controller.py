@@ -7,6 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue
 
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.identification.identify import describe_prior
+from gridpush_drake.pushes.log import PushLog
 from gridpush_drake.systems.push_status import PushStatus
 from gridpush_drake.systems.replaced_state import ReplacedStateSystem
 
@@ -29,7 +32,7 @@ class ObjectController(ReplacedStateSystem[S]):
         - status
 
     * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object was not seen.
-    * identification: abstract `Identification`, or None before the first push.
+    * identification: abstract `Identification`; without `push_names` before the first push.
     * push_log: abstract `PushLog`, all pushes so far.
     * push_status: abstract `PushStatus` of the push executor.
     * status: abstract, the state's `status`.
@@ -37,17 +40,18 @@ class ObjectController(ReplacedStateSystem[S]):
     Abstract state: one S, which has a `status`.
     """
 
-    def __init__(self, begin: S, period: float) -> None:
+    def __init__(self, obj: GridObject, begin: S, period: float) -> None:
         """Declares the ports.
 
         Args:
+            obj: the object.
             begin: the state at the beginning.
             period: between two looks, s.
         """
         super().__init__(begin, period)
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
-        self._identification = self.DeclareAbstractInputPort("identification", AbstractValue.Make(object()))
-        self._push_log = self.DeclareAbstractInputPort("push_log", AbstractValue.Make(object()))
+        self._identification = self.DeclareAbstractInputPort("identification", AbstractValue.Make(describe_prior(obj)))
+        self._push_log = self.DeclareAbstractInputPort("push_log", AbstractValue.Make(PushLog(())))
         self._push_status = self.DeclareAbstractInputPort("push_status", AbstractValue.Make(PushStatus()))
         status: Any = begin.status  # type: ignore[attr-defined]
         self.DeclareAbstractOutputPort(

@@ -63,7 +63,7 @@ class PreGraspController(ObjectController[ControllerState]):
         - grasp_command
 
     * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object was not seen.
-    * identification: abstract `Identification`, or None before the first push.
+    * identification: abstract `Identification`; without `push_names` before the first push.
     * push_log: abstract `PushLog`, all pushes so far.
     * push_status: abstract `PushStatus` of the push executor.
     * grasp_status: abstract `GraspStatus` of the grasp executor.
@@ -98,7 +98,7 @@ class PreGraspController(ObjectController[ControllerState]):
             options: how to go about it.
         """
         self.planner, self.options, self.seed = planner, options or ControllerOptions(), seed
-        super().__init__(ControllerState(), self.options.period)
+        super().__init__(planner.obj, ControllerState(), self.options.period)
         self._find_grasp, self._friction_range = find_grasp, friction_range
         self._height, self._lift = grasp_height, lift
         self._grasp_status = self.DeclareAbstractInputPort("grasp_status", AbstractValue.Make(GraspStatus()))
@@ -163,7 +163,7 @@ class PreGraspController(ObjectController[ControllerState]):
             now = now.turn_to(pre_grasp_status.WAITING, "The object is seen again.")
         return now if looks is now.looks else replace(now, looks=looks)
 
-    def _decide(self, now: ControllerState, pose: Array, found: Identification | None, log: PushLog) -> ControllerState:
+    def _decide(self, now: ControllerState, pose: Array, found: Identification, log: PushLog) -> ControllerState:
         belief = self._believe(found, log)
         decision = self.planner.decide(pose, belief, now.status.pokes, now.status.slides)
         told = {"goal": decision.goal, "margin": decision.margin, "expected_pose": None}
@@ -176,8 +176,8 @@ class PreGraspController(ObjectController[ControllerState]):
         assert belief is not None
         return self._command_grasp(now, pose, belief, told)
 
-    def _believe(self, found: Identification | None, log: PushLog) -> Belief | None:
-        if found is None:
+    def _believe(self, found: Identification, log: PushLog) -> Belief | None:
+        if not found.push_names:
             return None
         used = log.subset([i for i, seen in enumerate(log) if seen.name in found.push_names])
         return Belief.of_identification(found, self._friction_range, seed=self.seed, log=used)

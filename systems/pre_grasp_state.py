@@ -5,7 +5,7 @@ from typing import Any
 
 from gridpush_drake.systems import pre_grasp_status
 from gridpush_drake.systems.grasp_command import GraspCommand
-from gridpush_drake.systems.pre_grasp_status import PreGraspStatus
+from gridpush_drake.systems.pre_grasp_status import PreGraspMode, PreGraspStatus
 from gridpush_drake.systems.push_command import PushCommand
 from gridpush_drake.systems.push_guard import PushGuard
 from gridpush_drake.systems.rest_looks import LookOptions, RestLooks
@@ -59,6 +59,6 @@ class ControllerState:
         without = (pre_grasp_status.STOPPING, *GRASPING)
         return PushCommand() if self.status.mode in without else self.push
 
-    def turn_to(self, mode: str, reason: str, **others: Any) -> "ControllerState":
+    def turn_to(self, mode: PreGraspMode, reason: str, **others: Any) -> "ControllerState":
         """In another mode, with nothing seen yet."""
         return replace(self, status=replace(self.status, mode=mode, reason=reason, **others), looks=self.looks.forget())

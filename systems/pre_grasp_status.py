@@ -1,20 +1,26 @@
 """What a pre-grasp controller says of itself on its port."""
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 from gridpush_drake.planning.pregrasp_goal import PreGraspGoal
 
-WAITING = "waiting"
-EXPLORING = "exploring"
-SLIDING = "sliding"
-STOPPING = "stopping"
-VERIFYING = "verifying"
-GRASPING = "grasping"
-HOLDING = "holding"
-LOST = "lost"
-FAILED = "failed"
 
-MODES = (WAITING, EXPLORING, SLIDING, STOPPING, VERIFYING, GRASPING, HOLDING, LOST, FAILED)
+class PreGraspMode(StrEnum):
+    """What a pre-grasp controller is doing."""
+
+    WAITING = "waiting"
+    EXPLORING = "exploring"
+    SLIDING = "sliding"
+    STOPPING = "stopping"
+    VERIFYING = "verifying"
+    GRASPING = "grasping"
+    HOLDING = "holding"
+    LOST = "lost"
+    FAILED = "failed"
+
+
+WAITING, EXPLORING, SLIDING, STOPPING, VERIFYING, GRASPING, HOLDING, LOST, FAILED = PreGraspMode
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +40,7 @@ class PreGraspStatus:
         margin: stability margin of the goal at the worst, m; NaN without one.
     """
 
-    mode: str = WAITING
+    mode: PreGraspMode = WAITING
     reason: str = "The object was not looked at yet."
     pokes: int = 0
     slides: int = 0

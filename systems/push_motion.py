@@ -17,6 +17,8 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from gridpush_drake.systems.push_status import PushPhase
+
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]
 
@@ -40,7 +42,7 @@ class Leg:
         wait: to stay at the end, s.
     """
 
-    phase: str
+    phase: PushPhase
     start: Point
     end: Point
     speed: float = 1.0

@@ -1,13 +1,21 @@
 """What a push executor says of itself on its port."""
 
 from dataclasses import dataclass
+from enum import StrEnum
 
-IDLE = "idle"
-APPROACHING = "approaching"
-DESCENDING = "descending"
-PUSHING = "pushing"
-SETTLING = "settling"
-RETRACTING = "retracting"
+
+class PushPhase(StrEnum):
+    """What a push executor is doing."""
+
+    IDLE = "idle"
+    APPROACHING = "approaching"
+    DESCENDING = "descending"
+    PUSHING = "pushing"
+    SETTLING = "settling"
+    RETRACTING = "retracting"
+
+
+IDLE, APPROACHING, DESCENDING, PUSHING, SETTLING, RETRACTING = PushPhase
 
 
 @dataclass(frozen=True)
@@ -22,7 +30,7 @@ class PushStatus:
         reason: why the last command was refused; empty where it was not.
     """
 
-    phase: str = IDLE
+    phase: PushPhase = IDLE
     number: int = 0
     executed: int = 0
     refused: int = 0

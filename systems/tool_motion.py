@@ -16,8 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 
+from gridpush_drake.systems.grasp_status import GraspPhase
 from gridpush_drake.systems.push_executor import R_WP_DOWN
 from gridpush_drake.systems.push_motion import Leg
+from gridpush_drake.systems.push_status import PushPhase
 
 Array = NDArray[np.float64]
 ToolPose = tuple[float, float, float, float]
@@ -59,7 +61,7 @@ class ToolLeg:
         opening: that the gripper is asked for at the beginning and at the end of the leg, m; linear in between.
     """
 
-    phase: str
+    phase: GraspPhase
     start: ToolPose
     end: ToolPose
     speed: float = 1.0
@@ -69,11 +71,11 @@ class ToolLeg:
 
     @cached_property
     def profile(self) -> Leg:
-        """The way made in time, along the x axis."""
+        """The way made in time, along the x axis; of no phase of a push."""
         *p_start, from_yaw = self.start
         *p_end, to_yaw = self.end
         way = hypot(float(np.linalg.norm(np.subtract(p_end, p_start))), TURNING_RADIUS * (to_yaw - from_yaw))
-        return Leg(self.phase, (0.0, 0.0, 0.0), (way, 0.0, 0.0), self.speed, self.acceleration, self.wait)
+        return Leg(PushPhase.IDLE, (0.0, 0.0, 0.0), (way, 0.0, 0.0), self.speed, self.acceleration, self.wait)
 
     @property
     def duration(self) -> float:

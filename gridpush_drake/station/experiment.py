@@ -15,13 +15,13 @@ from gridpush_drake.scene.scenario import PushScenario
 from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.push_station import MakePushStation, PushStation
 from gridpush_drake.station.task_record import TaskRecord
-from gridpush_drake.station.task_run import INTERRUPTED, Progress, Sight
+from gridpush_drake.station.task_run import GO_ON, INTERRUPTED, Judgement, Progress, Sight, TaskStatus
 from gridpush_drake.station.task_wiring import BuildTask
 from gridpush_drake.systems.poke_choice import PokeRegion, PokeStyle
 from gridpush_drake.systems.poke_policy import PokePolicy
 from gridpush_drake.systems.push_status import PushStatus
 
-FINISHED, OBJECT_LOST, STUCK = "finished", "object_lost", "stuck"
+FINISHED, OBJECT_LOST, STUCK = TaskStatus.FINISHED, TaskStatus.OBJECT_LOST, TaskStatus.STUCK
 
 EDGE_MARGIN = 0.03
 """Between the object and the table's edge, where pokes are meant to leave it, m."""
@@ -118,7 +118,7 @@ class PushExperiment:
         record = ExperimentRecord(self.station.obj, self.station.truth, training=pokes.count)
         watch = _Watch(pokes.count + pokes.test_count)
 
-        def judge(time: float) -> tuple[str, str]:
+        def judge(time: float) -> Judgement:
             return watch.judge(time, self._note(record), self._task.read("object.pose"))
 
         end = self._task.run(judge, seed, progress, realtime_rate)
@@ -143,8 +143,8 @@ class _Watch:
     executed: int = 0
     refused: int = 0
 
-    def judge(self, time: float, status: PushStatus, pose: NDArray[np.float64]) -> tuple[str, str]:
-        """Status and message; empty while it goes on."""
+    def judge(self, time: float, status: PushStatus, pose: NDArray[np.float64]) -> Judgement:
+        """Status and message."""
         lost = self.sight.is_lost(time, pose)
         if not status.ready:
             self.last_busy = time
@@ -161,7 +161,7 @@ class _Watch:
                 f"No push was found for {PATIENCE:g} s: from where the object lies, the finger reaches no place from "
                 "which it could push; is the object within the workspace?"
             )
-        return "", ""
+        return GO_ON
 
 
 def _make_policy(station: PushStation) -> PokePolicy:

@@ -24,7 +24,7 @@ from gridpush_drake.station.learning import Learning
 from gridpush_drake.station.pre_grasp_record import PreGraspRecord, PreGraspStep
 from gridpush_drake.station.push_station import MakePushStation, PushStation
 from gridpush_drake.station.table_surface import make_surface
-from gridpush_drake.station.task_run import Progress, Sight
+from gridpush_drake.station.task_run import GO_ON, Judgement, Progress, Sight, TaskStatus
 from gridpush_drake.station.task_wiring import BuildTask
 from gridpush_drake.systems import pre_grasp_status
 from gridpush_drake.systems.grasp_command import GraspCommand
@@ -33,7 +33,8 @@ from gridpush_drake.systems.push_command import PushCommand
 
 Array = NDArray[np.float64]
 
-HELD, DROPPED, FAILED, LOST, STUCK = "held", "dropped", "failed", "lost", "stuck"
+HELD, DROPPED, FAILED = TaskStatus.HELD, TaskStatus.DROPPED, TaskStatus.FAILED
+LOST, STUCK = TaskStatus.LOST, TaskStatus.STUCK
 
 MEMORY = 14
 """Pushes: the latest ones are learned from; the cost of learning grows with them, what they tell hardly does."""
@@ -164,8 +165,8 @@ class _Watch:
     last_new: float = 0.0
     sight: Sight = field(default_factory=lambda: Sight(LOST_AFTER))
 
-    def judge(self, time: float) -> tuple[str, str]:
-        """Status and message; empty while it goes on."""
+    def judge(self, time: float) -> Judgement:
+        """Status and message."""
         self.note(time)
         status, run = self.record.last, self.run
         lost = self.sight.is_lost(time, run.task.read("object.pose"))
@@ -182,7 +183,7 @@ class _Watch:
             return LOST, f"The object has not been seen for {LOST_AFTER:g} s."
         if time - self.last_new > PATIENCE:
             return STUCK, f"Nothing happened for {PATIENCE:g} s: {status.reason}"
-        return "", ""
+        return GO_ON
 
     @property
     def at_rest(self) -> bool:

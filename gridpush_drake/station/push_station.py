@@ -4,7 +4,8 @@ The station knows the object's outline. What its cells weigh and how they rub, t
 everything else in the station sees the object through its camera.
 """
 
-from typing import Any, cast
+from dataclasses import dataclass
+from typing import cast
 
 from pydrake.geometry import (
     GeometryId,
@@ -15,7 +16,6 @@ from pydrake.geometry import (
     SceneGraph,
 )
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from shapely.geometry.base import BaseGeometry
 
@@ -63,6 +63,34 @@ IIWA_OUTPUTS = (
     "torque_external",
 )
 """Of the driver, exported as `iiwa.position_commanded` and so on."""
+
+
+@dataclass(frozen=True, eq=False)
+class StationParts:
+    """What a `PushStation` is made from; the first ten are its attributes.
+
+    Attributes:
+        scenario, obj, truth, plant, scene_graph, arm, object_in_plant, table, table_top, style: see `PushStation`.
+        reach: of the arm.
+        control: of the arm.
+        camera: sees the object, with noise.
+        grasping: carries out grasps; None where the scene has no gripper.
+    """
+
+    scenario: PushScenario
+    obj: GridObject
+    truth: CellParameters
+    plant: MultibodyPlant
+    scene_graph: SceneGraph
+    arm: Arm
+    object_in_plant: GridObjectInPlant
+    table: tuple[GeometryId, ...]
+    table_top: BaseGeometry
+    style: PushingStyle
+    reach: ArmReach
+    control: ArmControl
+    camera: PlanarPoseSensor
+    grasping: GraspExecutor | None
 
 
 class PushStation(Diagram):
@@ -114,24 +142,15 @@ class PushStation(Diagram):
         gripper: its model instance; None where the scene has none.
     """
 
-    def __init__(self, builder: DiagramBuilder, parts: dict[str, Any]) -> None:
+    def __init__(self, builder: DiagramBuilder, parts: StationParts) -> None:
         """Takes over a builder's systems; `MakePushStation` calls it."""
         super().__init__()
-        self.scenario: PushScenario = parts["scenario"]
-        self.obj: GridObject = parts["obj"]
-        self.truth: CellParameters = parts["truth"]
-        self.plant: MultibodyPlant = parts["plant"]
-        self.scene_graph: SceneGraph = parts["scene_graph"]
-        self.arm: Arm = parts["arm"]
-        self.object_in_plant: GridObjectInPlant = parts["object_in_plant"]
-        self.table: tuple[GeometryId, ...] = parts["table"]
-        self.table_top: BaseGeometry = parts["table_top"]
-        self.style: PushingStyle = parts["style"]
-        self.gripper: ModelInstanceIndex | None = self.arm.gripper
-        self._grasping: GraspExecutor | None = parts["grasping"]
-        self._reach: ArmReach = parts["reach"]
-        self._control: ArmControl = parts["control"]
-        self._camera: PlanarPoseSensor = parts["camera"]
+        self.scenario, self.obj, self.truth = parts.scenario, parts.obj, parts.truth
+        self.plant, self.scene_graph, self.arm = parts.plant, parts.scene_graph, parts.arm
+        self.object_in_plant, self.table, self.table_top = parts.object_in_plant, parts.table, parts.table_top
+        self.style, self.gripper = parts.style, parts.arm.gripper
+        self._grasping, self._reach = parts.grasping, parts.reach
+        self._control, self._camera = parts.control, parts.camera
         builder.BuildInto(self)
 
     def FindObstacle(self, command: PushCommand) -> str | None:
@@ -252,11 +271,10 @@ def MakePushStation(
         ExportGrasping(builder, plant, arm, grasping)
     station = PushStation(
         builder,
-        {
-            "scenario": scenario, "obj": obj, "truth": truth, "plant": plant, "scene_graph": scene_graph, "arm": arm,
-            "object_in_plant": object_in_plant, "table": table, "control": control, "camera": camera,
-            "table_top": table_top, "reach": reach, "style": style, "grasping": grasping,
-        },
+        StationParts(
+            scenario, obj, truth, plant, scene_graph, arm, object_in_plant, table, table_top, style, reach, control,
+            camera, grasping,
+        ),
     )  # fmt: skip
     station.set_name("station")
     return station

@@ -20,7 +20,7 @@ from gridpush_drake.station.learning import Learning
 from gridpush_drake.station.push_station import MakePushStation, PushStation
 from gridpush_drake.station.push_task_record import PushTaskRecord, PushTaskStep
 from gridpush_drake.station.table_surface import make_surface
-from gridpush_drake.station.task_run import Progress, Sight
+from gridpush_drake.station.task_run import GO_ON, Judgement, Progress, Sight, TaskStatus
 from gridpush_drake.station.task_wiring import BuildTask
 from gridpush_drake.systems import contact_point_status as modes
 from gridpush_drake.systems.contact_point_controller import ContactPointController
@@ -30,7 +30,7 @@ from gridpush_drake.systems.push_command import PushCommand
 
 Array = NDArray[np.float64]
 
-REACHED, FAILED, LOST, STUCK = "reached", "failed", "lost", "stuck"
+REACHED, FAILED, LOST, STUCK = TaskStatus.REACHED, TaskStatus.FAILED, TaskStatus.LOST, TaskStatus.STUCK
 
 MEMORY = 8
 """Pushes: the latest ones are learned from; the cost of learning grows with them."""
@@ -140,8 +140,8 @@ class _Watch:
     last_new: float = 0.0
     sight: Sight = field(default_factory=lambda: Sight(LOST_AFTER))
 
-    def judge(self, time: float) -> tuple[str, str]:
-        """Status and message; empty while it goes on."""
+    def judge(self, time: float) -> Judgement:
+        """Status and message."""
         self._note(time)
         status = self.record.last
         if np.isnan(self.record.pose).any():
@@ -150,10 +150,10 @@ class _Watch:
         if lost and self.run.task.read("executor.status").ready:
             return LOST, f"The object has not been seen for {LOST_AFTER:g} s."
         if status.mode in (modes.REACHED, modes.FAILED):
-            return status.mode, status.reason
+            return TaskStatus(status.mode), status.reason
         if time - self.last_new > PATIENCE:
             return STUCK, f"Nothing happened for {PATIENCE:g} s: {status.reason}"
-        return "", ""
+        return GO_ON
 
     def _note(self, time: float) -> None:
         record, read = self.record, self.run.task.read

@@ -7,7 +7,7 @@ from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.pushes.log import PushLog
 from gridpush_drake.station.conduct import Conduct
-from gridpush_drake.station.task_run import TaskEnd, TaskRun
+from gridpush_drake.station.task_run import TaskEnd, TaskRun, TaskStatus
 
 
 @dataclass
@@ -19,7 +19,7 @@ class TaskRecord:
         truth: what it really weighs and how it rubs.
         log: all pushes, in order.
         estimates: the identification after each push learned from.
-        status: how it ended, in a word; empty while it runs.
+        status: how it ended.
         message: the status in a sentence.
         conduct: how the robot behaved.
         duration: simulated, s.
@@ -29,7 +29,7 @@ class TaskRecord:
     truth: CellParameters
     log: PushLog = field(default_factory=lambda: PushLog(()), kw_only=True)
     estimates: list[Identification] = field(default_factory=list, kw_only=True)
-    status: str = field(default="", kw_only=True)
+    status: TaskStatus = field(default=TaskStatus.RUNNING, kw_only=True)
     message: str = field(default="", kw_only=True)
     conduct: Conduct = field(default_factory=Conduct, kw_only=True)
     duration: float = field(default=0.0, kw_only=True)
@@ -38,7 +38,7 @@ class TaskRecord:
         """Writes down the pushes made, and what was learned from them."""
         self.log = task.read("estimate.push_log")
         found = task.read("estimate.identification")
-        if found is not None and (not self.estimates or found is not self.estimates[-1]):
+        if found.push_names and (not self.estimates or found is not self.estimates[-1]):
             self.estimates.append(found)
 
     def note_end(self, task: TaskRun, end: TaskEnd) -> None:

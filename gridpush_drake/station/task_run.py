@@ -7,6 +7,7 @@ presses Ctrl-C.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,23 @@ from gridpush_drake.station.conduct import Conduct, ConductMonitor
 from gridpush_drake.station.push_station import PushStation
 from gridpush_drake.systems.push_status import PushStatus
 
-INTERRUPTED = "interrupted"
+
+class TaskStatus(StrEnum):
+    """How a task in the station stands, or ended; RUNNING is false."""
+
+    RUNNING = ""
+    INTERRUPTED = "interrupted"
+    STUCK = "stuck"
+    LOST = "lost"
+    FAILED = "failed"
+    FINISHED = "finished"
+    OBJECT_LOST = "object_lost"
+    REACHED = "reached"
+    HELD = "held"
+    DROPPED = "dropped"
+
+
+INTERRUPTED = TaskStatus.INTERRUPTED
 
 ADVANCE = 0.1
 """Simulated between two looks at how far a task is, s."""
@@ -25,8 +42,13 @@ ADVANCE = 0.1
 LOST_AFTER = 0.5
 """Simulated without the object being seen, after which it has left the table, where a task says nothing else, s."""
 
-Judge = Callable[[float], tuple[str, str]]
-"""Called with the time, s, after every step: the task's status and a sentence about it; two empty ones to go on."""
+Judgement = tuple[TaskStatus, str]
+"""A task's status, and a sentence about it."""
+
+GO_ON: Judgement = (TaskStatus.RUNNING, "")
+
+Judge = Callable[[float], Judgement]
+"""Called with the time, s, after every step."""
 
 Progress = Callable[[PushStatus, int], None]
 """Told now and then the executor's status and how many pushes are in the log."""
@@ -37,13 +59,13 @@ class TaskEnd:
     """How a run ended; filled while it runs.
 
     Attributes:
-        status: as the judge says, or "interrupted"; empty while it runs.
+        status: as the judge says, or INTERRUPTED.
         message: the status in a sentence.
         conduct: how the robot behaved.
         duration: simulated, s.
     """
 
-    status: str = ""
+    status: TaskStatus = TaskStatus.RUNNING
     message: str = ""
     conduct: Conduct = field(default_factory=Conduct)
     duration: float = 0.0

@@ -10,6 +10,7 @@ from shapely import box
 
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.identification.identify import describe_prior
 from gridpush_drake.planning.contact_point import ContactOptions
 from gridpush_drake.planning.planned_push import calc_goal_error
 from gridpush_drake.planning.push_constraints import PushConstraints
@@ -212,7 +213,7 @@ def test_a_command_that_was_not_taken_up_is_withdrawn():
     controller = ContactPointController(OBJ, RULES)
     simulator = Simulator(controller)
     context = simulator.get_mutable_context()
-    for port, value in (("push_status", PushStatus()), ("identification", None)):
+    for port, value in (("push_status", PushStatus()), ("identification", describe_prior(OBJ))):
         controller.GetInputPort(port).FixValue(context, AbstractValue.Make(value))
     controller.GetInputPort("goal_pose").FixValue(context, np.array(GOAL))
     object_pose = controller.GetInputPort("object_pose")

@@ -8,7 +8,7 @@ from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.systems.grasp_command import GraspCommand
 from gridpush_drake.systems.grasp_executor import GraspExecutor
-from gridpush_drake.systems.grasp_status import GraspStatus
+from gridpush_drake.systems.grasp_status import GraspPhase, GraspStatus
 from gridpush_drake.systems.grasp_way import GraspingStyle, calc_tip, calc_yaws
 from gridpush_drake.systems.push_status import PUSHING, PushStatus
 from gridpush_drake.systems.tool_motion import TURNING_RADIUS, ToolLeg, calc_tool_pose, make_transform
@@ -204,10 +204,10 @@ def test_yaws_point_the_fingers_along_the_approach(approach):
 
 
 def test_a_leg_turns_and_moves_with_one_share():
-    leg = ToolLeg("approaching", (0.0, 0.0, 0.1, 0.0), (0.3, 0.0, 0.1, 1.0), 0.2, 1.0)
+    leg = ToolLeg(GraspPhase.APPROACHING, (0.0, 0.0, 0.1, 0.0), (0.3, 0.0, 0.1, 1.0), 0.2, 1.0)
     middle = leg.calc_pose(leg.duration / 2)
     np.testing.assert_allclose(middle, [0.15, 0.0, 0.1, 0.5], atol=1e-12)
     assert leg.profile.length == pytest.approx(np.hypot(0.3, TURNING_RADIUS))
-    turn = ToolLeg("approaching", (0.0, 0.0, 0.1, 0.0), (0.0, 0.0, 0.1, 1.0), 0.2, 1.0)
+    turn = ToolLeg(GraspPhase.APPROACHING, (0.0, 0.0, 0.1, 0.0), (0.0, 0.0, 0.1, 1.0), 0.2, 1.0)
     assert turn.duration > TURNING_RADIUS / 0.2
     assert isinstance(make_transform(turn.calc_pose(1.0)), RigidTransform)

@@ -158,7 +158,7 @@ def test_prior_before_the_first_push():
     np.testing.assert_array_equal(look("mass_std"), prior.std.mass)
     np.testing.assert_allclose(look("centre_of_mass"), obj.p_BC.mean(axis=0), atol=1e-12)
     assert look("num_pushes")[0] == 0 and np.isnan(look("loss")[0])
-    assert look("identification") is None and len(look("push_log")) == 0
+    assert look("identification").push_names == () and len(look("push_log")) == 0
     assert np.linalg.eigvalsh(look("centre_of_mass_covariance").reshape(2, 2)).min() > 0
 
 

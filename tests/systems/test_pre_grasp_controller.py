@@ -11,7 +11,7 @@ from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.identification.identify import identify
+from gridpush_drake.identification.identify import describe_prior, identify
 from gridpush_drake.planning.pregrasp import PreGraspPlanner
 from gridpush_drake.planning.side_grasp import SideGripper, find_side_grasps
 from gridpush_drake.planning.surface import SupportSurface
@@ -44,7 +44,7 @@ class Robot:
         self.controller = PreGraspController(planner, self.find_grasp, options=ControllerOptions(**options))
         self.simulator = Simulator(self.controller)
         self.context = self.simulator.get_mutable_context()
-        self.log, self.found = PushLog(()), None
+        self.log, self.found = PushLog(()), describe_prior(BAR)
         self.pushing, self.grasping = PushStatus(), GraspStatus()
         self.see(pose)
         self.tell()

@@ -5,10 +5,16 @@ import pytest
 from scipy.integrate import quad
 
 from gridpush_drake.systems.push_motion import Leg
+from gridpush_drake.systems.push_status import PUSHING
 
 A, B = (0.1, 0.2, 0.3), (0.4, 0.2, -0.1)  # 0.5 m apart
 
-LEGS = [Leg("", A, B, 0.3, 1.0), Leg("", A, B, 0.05, 0.5, 0.3), Leg("", A, B, 10.0, 1.0), Leg("", A, B, 0.7, 2.0)]
+LEGS = [
+    Leg(PUSHING, A, B, 0.3, 1.0),
+    Leg(PUSHING, A, B, 0.05, 0.5, 0.3),
+    Leg(PUSHING, A, B, 10.0, 1.0),
+    Leg(PUSHING, A, B, 0.7, 2.0),
+]
 
 
 @pytest.mark.parametrize("leg", LEGS)
@@ -52,7 +58,7 @@ def test_short_leg_is_slower():
 
 
 def test_wait_and_leg_of_no_length():
-    leg = Leg("", A, A, wait=0.3)
+    leg = Leg(PUSHING, A, A, wait=0.3)
     assert (leg.length, leg.moving_time, leg.duration) == (0.0, 0.0, 0.3)
     for t in (-1.0, 0.0, 0.1, 1.0):
         np.testing.assert_array_equal(leg.position(t), A)
