@@ -31,6 +31,7 @@ from gridpush_drake.systems.object_controller import ObjectController
 from gridpush_drake.systems.push_command import PUSH_COMMAND_SIZE, PushCommand
 from gridpush_drake.systems.push_status import PushStatus
 from gridpush_drake.systems.rest_looks import Pose
+from gridpush_drake.systems.weak_calc import NO_SLOTS
 
 Array = NDArray[np.float64]
 REFUSED, ERROR = "refused", "error"
@@ -67,6 +68,8 @@ class ContactPointController(ObjectController[ControllerState]):
 
     Abstract state: one `ControllerState`.
     """
+
+    __slots__ = NO_SLOTS
 
     def __init__(
         self,

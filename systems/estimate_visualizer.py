@@ -19,6 +19,7 @@ from gridpush_drake.pushes.log import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.systems.cell_colors import CellColors, Shown
 from gridpush_drake.systems.estimate_drawing import EMPTY, NOTHING, Canvas, Drawing
 from gridpush_drake.systems.push_command import PUSH_COMMAND_SIZE, PushCommand
+from gridpush_drake.systems.weak_calc import NO_SLOTS
 
 Array = NDArray[np.float64]
 
@@ -59,6 +60,8 @@ class EstimateVisualizer(LeafSystem):
 
     Initialising a Simulator wipes what is below `path` and begins anew.
     """
+
+    __slots__ = NO_SLOTS
 
     def __init__(
         self,

@@ -23,6 +23,7 @@ from gridpush_drake.systems.push_executor import HURRIES
 from gridpush_drake.systems.push_status import PushStatus
 from gridpush_drake.systems.replaced_state import ReplacedStateSystem
 from gridpush_drake.systems.tool_motion import ToolLeg, ToolPose, calc_tool_pose, make_transform
+from gridpush_drake.systems.weak_calc import NO_SLOTS, weakly
 
 Array = NDArray[np.float64]
 TurningReach = Callable[[Array, Array, Array], str | None]
@@ -96,6 +97,8 @@ class GraspExecutor(ReplacedStateSystem[GraspState]):
         status: abstract `GraspStatus`.
     """
 
+    __slots__ = NO_SLOTS
+
     def __init__(
         self,
         reach: TurningReach | None = None,
@@ -120,13 +123,15 @@ class GraspExecutor(ReplacedStateSystem[GraspState]):
         self.DeclareAbstractOutputPort(
             "tip_pose",
             lambda: AbstractValue.Make(RigidTransform()),
-            self._calc_tip_pose,
+            weakly(self._calc_tip_pose),
             {self.time_ticket(), remembered, self._push_pose.ticket()},
         )
-        self.DeclareVectorOutputPort("gripper_position", 1, self._calc_position, {self.time_ticket(), remembered})
-        self.DeclareVectorOutputPort("gripper_force_limit", 1, self._calc_force_limit, {self.nothing_ticket()})
+        self.DeclareVectorOutputPort(
+            "gripper_position", 1, weakly(self._calc_position), {self.time_ticket(), remembered}
+        )
+        self.DeclareVectorOutputPort("gripper_force_limit", 1, weakly(self._calc_force_limit), {self.nothing_ticket()})
         self.DeclareAbstractOutputPort(
-            "status", lambda: AbstractValue.Make(GraspStatus()), self._calc_status, {remembered}
+            "status", lambda: AbstractValue.Make(GraspStatus()), weakly(self._calc_status), {remembered}
         )
 
     def _calc_tip_pose(self, context: Context, output: AbstractValue) -> None:

@@ -24,6 +24,7 @@ from gridpush_drake.identification.result import HistoryEntry, Identification
 from gridpush_drake.pushes.log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
 from gridpush_drake.systems.push_record import RecordOptions, make_observed_push
 from gridpush_drake.systems.push_segmenter import Episode, Sample, SegmenterOptions, SegmenterState, advance
+from gridpush_drake.systems.weak_calc import NO_SLOTS, weakly
 
 Array = NDArray[np.float64]
 
@@ -110,6 +111,8 @@ class GridIdentifier(LeafSystem):
     Before the first push the outputs are the prior's. Abstract state: one `IdentifierState`.
     """
 
+    __slots__ = NO_SLOTS
+
     def __init__(
         self,
         obj: GridObject,
@@ -192,9 +195,7 @@ class GridIdentifier(LeafSystem):
 
     def _declare_outputs(self) -> None:
         def declare(name: str, size: int, calc: Callable[[Estimate], Any]) -> None:
-            self.DeclareVectorOutputPort(
-                name, size, lambda context, output: output.SetFromVector(calc(self._get_estimate(context))), state
-            )
+            self.DeclareVectorOutputPort(name, size, weakly(self._calc_estimated, calc), state)
 
         state, n = {self.abstract_state_ticket(self._state)}, self.obj.n
         declare("mass", n, lambda estimate: estimate.found.params.mass)
@@ -205,18 +206,21 @@ class GridIdentifier(LeafSystem):
         declare("centre_of_mass", 2, lambda estimate: estimate.centre_of_mass)
         declare("centre_of_mass_covariance", 4, lambda estimate: estimate.centre_of_mass_covariance.ravel())
         declare("loss", 1, lambda estimate: [estimate.loss])
-        self.DeclareVectorOutputPort("num_pushes", 1, self._calc_num_pushes, state)
+        self.DeclareVectorOutputPort("num_pushes", 1, weakly(self._calc_num_pushes), state)
         found, log = self._prior.found, IdentifierState().log
         self.DeclareAbstractOutputPort(
-            "identification", lambda: AbstractValue.Make(found), self._calc_identification, state
+            "identification", lambda: AbstractValue.Make(found), weakly(self._calc_identification), state
         )
-        self.DeclareAbstractOutputPort("push_log", lambda: AbstractValue.Make(log), self._calc_push_log, state)
+        self.DeclareAbstractOutputPort("push_log", lambda: AbstractValue.Make(log), weakly(self._calc_push_log), state)
 
     def _get_state(self, context: Context) -> IdentifierState:
         return context.get_abstract_state(int(self._state)).get_value()
 
     def _get_estimate(self, context: Context) -> Estimate:
         return self._get_state(context).estimate or self._prior
+
+    def _calc_estimated(self, context: Context, output: Any, calc: Callable[[Estimate], Any]) -> None:
+        output.SetFromVector(calc(self._get_estimate(context)))
 
     def _calc_num_pushes(self, context: Context, output: Any) -> None:
         output.SetFromVector([len(self._get_state(context).log)])

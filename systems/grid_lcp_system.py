@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydrake.common.value import AbstractValue, Value
+from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import (
     BasicVector,
     Context,
@@ -35,6 +35,7 @@ from gridpush_drake.errors import SimulationError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.pushes.log import DEFAULT_PUSHER_RADIUS
+from gridpush_drake.systems.weak_calc import NO_SLOTS, weakly
 
 Array = NDArray[np.float64]
 
@@ -79,6 +80,8 @@ class GridLcpSystem(LeafSystem):
     Discrete state: (q, nu); the solver's memory (`dynamics.step_memory`); the last contact force; the unsolved steps.
     Numeric parameters: mass (n), kg; friction (n); contact friction (1).
     """
+
+    __slots__ = NO_SLOTS
 
     def __init__(
         self,
@@ -174,26 +177,29 @@ class GridLcpSystem(LeafSystem):
         self._params = self.DeclareCacheEntry(
             description="cell parameters",
             value_producer=ValueProducer(
-                allocate=lambda: Value[object](),
-                calc=lambda context, value: value.set_value(self.GetParameters(context)),
+                allocate=lambda: AbstractValue.Make(params),
+                calc=weakly(self._calc_params),
             ),
             prerequisites_of_calc={self.all_parameters_ticket()},
         )
 
     def _declare_outputs(self) -> None:
         state = {self.discrete_state_ticket(_STATE)}
-        self.DeclareVectorOutputPort("pose", 3, self._calc_pose, state)
-        self.DeclareVectorOutputPort("velocity", 3, self._calc_velocity, state)
-        self.DeclareVectorOutputPort("cell_positions", 2 * self.obj.n, self._calc_cell_positions, state)
+        self.DeclareVectorOutputPort("pose", 3, weakly(self._calc_pose), state)
+        self.DeclareVectorOutputPort("velocity", 3, weakly(self._calc_velocity), state)
+        self.DeclareVectorOutputPort("cell_positions", 2 * self.obj.n, weakly(self._calc_cell_positions), state)
         force = {self.discrete_state_ticket(_CONTACT_FORCE)}
-        self.DeclareVectorOutputPort("contact_force", 2, self._calc_contact_force, force)
+        self.DeclareVectorOutputPort("contact_force", 2, weakly(self._calc_contact_force), force)
         inputs = {self.all_input_ports_ticket(), self.all_parameters_ticket(), self.xd_ticket()}
         none = _make_zero_jacobian(self.obj.n)
         self.DeclareAbstractOutputPort(
-            "step_jacobian", lambda: AbstractValue.Make(none), self._calc_step_jacobian, inputs
+            "step_jacobian", lambda: AbstractValue.Make(none), weakly(self._calc_step_jacobian), inputs
         )
         unsolved = {self.discrete_state_ticket(_UNSOLVED)}
-        self.DeclareVectorOutputPort("unsolved_steps", 1, self._calc_unsolved_steps, unsolved)
+        self.DeclareVectorOutputPort("unsolved_steps", 1, weakly(self._calc_unsolved_steps), unsolved)
+
+    def _calc_params(self, context: Context, value: AbstractValue) -> None:
+        value.set_value(self.GetParameters(context))
 
     def _calc_pose(self, context: Context, output: Any) -> None:
         output.SetFromVector(context.get_discrete_state(_STATE).value()[:3])

@@ -6,12 +6,14 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import BasicVector, Context
 
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.identification.identify import describe_prior
 from gridpush_drake.pushes.log import PushLog
 from gridpush_drake.systems.push_status import PushStatus
 from gridpush_drake.systems.replaced_state import ReplacedStateSystem
+from gridpush_drake.systems.weak_calc import NO_SLOTS, weakly
 
 Array = NDArray[np.float64]
 S = TypeVar("S")
@@ -40,6 +42,8 @@ class ObjectController(ReplacedStateSystem[S]):
     Abstract state: one S, which has a `status`.
     """
 
+    __slots__ = NO_SLOTS
+
     def __init__(self, obj: GridObject, begin: S, period: float) -> None:
         """Declares the ports.
 
@@ -57,7 +61,7 @@ class ObjectController(ReplacedStateSystem[S]):
         self.DeclareAbstractOutputPort(
             "status",
             lambda: AbstractValue.Make(type(status)()),
-            lambda context, output: output.set_value(self._get_state(context).status),  # type: ignore[attr-defined]
+            weakly(self._calc_status),
             {self._remembered},
         )
 
@@ -66,6 +70,12 @@ class ObjectController(ReplacedStateSystem[S]):
         self.DeclareVectorOutputPort(
             name,
             size,
-            lambda context, output: output.SetFromVector(show(self._get_state(context))),
+            weakly(self._calc_command, show),
             {self._remembered},
         )
+
+    def _calc_status(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self._get_state(context).status)  # type: ignore[attr-defined]
+
+    def _calc_command(self, context: Context, output: BasicVector, show: Callable[[S], Array]) -> None:
+        output.SetFromVector(show(self._get_state(context)))

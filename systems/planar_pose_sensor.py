@@ -9,6 +9,8 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
+from gridpush_drake.systems.weak_calc import NO_SLOTS
+
 DEFAULT_PERIOD = 1 / 30
 """Between two pictures, s."""
 
@@ -32,6 +34,8 @@ class PlanarPoseSensor(LeafSystem):
     see the same. The body is lost from sight where its origin lies lower than `lowest` above z = 0, and while the lens
     is covered, which numeric parameter 1 says.
     """
+
+    __slots__ = NO_SLOTS
 
     def __init__(
         self,

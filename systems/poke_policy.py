@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
 from gridpush_drake.errors import PushError
 from gridpush_drake.grid.object import GridObject
@@ -13,6 +13,7 @@ from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.systems.poke_choice import PokeRegion, PokeStyle, Reach, choose_poke
 from gridpush_drake.systems.push_command import PUSH_COMMAND_SIZE, PushCommand
 from gridpush_drake.systems.push_status import PushStatus
+from gridpush_drake.systems.weak_calc import NO_SLOTS, weakly
 
 DEFAULT_PERIOD = 0.05
 """s."""
@@ -49,8 +50,11 @@ class PokePolicy(LeafSystem):
       again and has taken up, or refused, its number.
 
     A refused command is replaced by another one, with the next number. After `num_pushes` executed commands, and
-    `test_pushes` more of their own style, the last one stays. Abstract state: one `PokePolicyState`.
+    `test_pushes` more of their own style, the last one stays. Abstract state: one `PokePolicyState`. Numeric parameter
+    0: the seed.
     """
+
+    __slots__ = NO_SLOTS
 
     def __init__(
         self,
@@ -89,7 +93,8 @@ class PokePolicy(LeafSystem):
                 raise PushError(f"{name} is {value!r}; expected 0 or more")
         if not (np.isfinite(period) and period > 0):
             raise PushError(f"period is {period!r}; expected a positive number (s)")
-        self.obj, self.region, self.seed, self.style = obj, region, seed, style or PokeStyle()
+        self.obj, self.region, self.style = obj, region, style or PokeStyle()
+        self._seed = self.DeclareNumericParameter(BasicVector([float(seed)]))
         self.num_pushes, self.test_pushes = num_pushes, test_pushes
         self._test_style = replace(self.style, distance=(test_distance, test_distance))
         self._params = CellParameters.uniform(obj) if params is None else params
@@ -98,9 +103,17 @@ class PokePolicy(LeafSystem):
         self._status = self.DeclareAbstractInputPort("status", AbstractValue.Make(PushStatus()))
         self._state = self.DeclareAbstractState(AbstractValue.Make(PokePolicyState()))
         self.DeclareVectorOutputPort(
-            "push_command", PUSH_COMMAND_SIZE, self._calc_push_command, {self.abstract_state_ticket(self._state)}
+            "push_command",
+            PUSH_COMMAND_SIZE,
+            weakly(self._calc_push_command),
+            {self.abstract_state_ticket(self._state)},
         )
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update)
+
+    def SetSeed(self, root_context: Context, seed: int) -> None:
+        """Sets the seed of the draws in a Diagram's Context."""
+        context = self.GetMyMutableContextFromRoot(root_context)
+        context.get_mutable_numeric_parameter(int(self._seed)).SetFromVector([float(seed)])
 
     def _get_state(self, context: Context) -> PokePolicyState:
         return context.get_abstract_state(int(self._state)).get_value()
@@ -116,8 +129,9 @@ class PokePolicy(LeafSystem):
         if not (wanted and status.ready and status.number == before.command.number and np.isfinite(pose).all()):
             return EventStatus.DidNothing()
         style = self.style if status.executed < self.num_pushes else self._test_style
+        seed = int(context.get_numeric_parameter(int(self._seed)).value()[0])
         command, attempts = choose_poke(
-            self.obj, self._params, pose, before.command.number + 1, self.seed, style, self.region, self._reach,
+            self.obj, self._params, pose, before.command.number + 1, seed, style, self.region, self._reach,
             before.attempts,
         )  # fmt: skip
         after = PokePolicyState(command) if command else PokePolicyState(before.command, attempts)

@@ -36,6 +36,7 @@ from gridpush_drake.systems.pre_grasp_state import ControllerOptions, Controller
 from gridpush_drake.systems.push_command import PUSH_COMMAND_SIZE, PushCommand
 from gridpush_drake.systems.push_guard import PushGuard
 from gridpush_drake.systems.push_status import PUSHING, PushStatus
+from gridpush_drake.systems.weak_calc import NO_SLOTS
 
 Array = NDArray[np.float64]
 PUSHES = (pre_grasp_status.EXPLORING, pre_grasp_status.SLIDING, pre_grasp_status.STOPPING)
@@ -74,6 +75,8 @@ class PreGraspController(ObjectController[ControllerState]):
 
     Abstract state: one `ControllerState`.
     """
+
+    __slots__ = NO_SLOTS
 
     def __init__(
         self,

@@ -17,6 +17,7 @@ from gridpush_drake.systems.push_motion import Leg, Point
 from gridpush_drake.systems.push_status import PushStatus
 from gridpush_drake.systems.push_way import PushingStyle, break_off, make_legs
 from gridpush_drake.systems.replaced_state import ReplacedStateSystem
+from gridpush_drake.systems.weak_calc import NO_SLOTS, weakly
 
 Array = NDArray[np.float64]
 Reach = Callable[[Array, Array], str | None]
@@ -76,6 +77,8 @@ class PushExecutor(ReplacedStateSystem[ExecutorState]):
         status: abstract `PushStatus`.
     """
 
+    __slots__ = NO_SLOTS
+
     def __init__(
         self,
         home: ArrayLike,
@@ -100,13 +103,13 @@ class PushExecutor(ReplacedStateSystem[ExecutorState]):
         self._tip_port = self.DeclareAbstractOutputPort(
             "tip_pose",
             lambda: AbstractValue.Make(RigidTransform()),
-            self._calc_tip_pose,
+            weakly(self._calc_tip_pose),
             {self.time_ticket(), self._remembered},
         )
         self._status_port = self.DeclareAbstractOutputPort(
             "status",
             lambda: AbstractValue.Make(PushStatus()),
-            self._calc_status,
+            weakly(self._calc_status),
             {self._remembered},
         )
 

@@ -5,6 +5,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from gridpush_drake.systems.grasp_status import GraspStatus
+from gridpush_drake.systems.weak_calc import NO_SLOTS, weakly
 
 PUSHER_STATE_SIZE = 6
 
@@ -26,13 +27,15 @@ class PusherGate(LeafSystem):
     - ``pusher_state`` (output): (6,) the same while the grasp executor is idle, else NaN.
     """
 
+    __slots__ = NO_SLOTS
+
     def __init__(self) -> None:
         """Declares the ports."""
         super().__init__()
         self._pusher = self.DeclareVectorInputPort("pusher_state", PUSHER_STATE_SIZE)
         self._status = self.DeclareAbstractInputPort("grasp_status", AbstractValue.Make(GraspStatus()))
         self.DeclareVectorOutputPort(
-            "pusher_state", PUSHER_STATE_SIZE, self._calc, {self._pusher.ticket(), self._status.ticket()}
+            "pusher_state", PUSHER_STATE_SIZE, weakly(self._calc), {self._pusher.ticket(), self._status.ticket()}
         )
 
     def _calc(self, context: Context, output: BasicVector) -> None:

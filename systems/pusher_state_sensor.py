@@ -7,6 +7,8 @@ from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
+from gridpush_drake.systems.weak_calc import NO_SLOTS, weakly
+
 
 class PusherStateSensor(LeafSystem):
     """Position and velocity of a point of a body, from what a MultibodyPlant says of its bodies.
@@ -25,6 +27,8 @@ class PusherStateSensor(LeafSystem):
     - ``pusher_state``: (6,) p_WP, m, and v_WP, m/s, of the tip's centre P.
     """
 
+    __slots__ = NO_SLOTS
+
     def __init__(self, body: BodyIndex, p_BP: np.ndarray | None = None) -> None:
         """Makes the sensor.
 
@@ -40,7 +44,7 @@ class PusherStateSensor(LeafSystem):
         self.DeclareVectorOutputPort(
             "pusher_state",
             6,
-            self._calc_pusher_state,
+            weakly(self._calc_pusher_state),
             prerequisites_of_calc={self._body_poses.ticket(), self._velocities.ticket()},
         )
 

@@ -5,11 +5,15 @@ from typing import Generic, TypeVar
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
+from gridpush_drake.systems.weak_calc import NO_SLOTS
+
 S = TypeVar("S")
 
 
 class ReplacedStateSystem(LeafSystem, Generic[S]):
     """Base of systems whose only state is one S, an abstract value."""
+
+    __slots__ = NO_SLOTS
 
     def __init__(self, begin: S, period: float) -> None:
         """Declares the state.

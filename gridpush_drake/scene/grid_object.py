@@ -36,7 +36,9 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
+    BodyIndex,
     FixedOffsetFrame,
+    JointIndex,
     ModelInstanceIndex,
     PlanarJoint,
     RigidBody,
@@ -77,8 +79,9 @@ class GridObjectInPlant:
         obj: the object.
         base: "planar" or "free".
         model_instance: its own.
-        body: the rigid body, with frame B.
-        joint: the planar joint; None for a free base.
+        plant: the plant.
+        body_index: of the rigid body, with frame B.
+        joint_index: of the planar joint; None for a free base.
         feet: geometries, in the order of `layout`.
         sides: geometries along and within the outline.
         visuals: illustration geometries.
@@ -91,8 +94,9 @@ class GridObjectInPlant:
     obj: GridObject
     base: Base
     model_instance: ModelInstanceIndex
-    body: RigidBody
-    joint: PlanarJoint | None
+    plant: MultibodyPlant
+    body_index: BodyIndex
+    joint_index: JointIndex | None
     feet: tuple[GeometryId, ...]
     sides: tuple[GeometryId, ...]
     visuals: tuple[GeometryId, ...]
@@ -100,6 +104,16 @@ class GridObjectInPlant:
     height: float
     delta: float
     side_stiffness: float
+
+    @property
+    def body(self) -> RigidBody:
+        """The rigid body. It is not kept: it holds its plant where the garbage collector does not see it."""
+        return self.plant.get_body(self.body_index)
+
+    @property
+    def joint(self) -> PlanarJoint | None:
+        """The planar joint; None for a free base."""
+        return None if self.joint_index is None else self.plant.get_joint(self.joint_index)
 
 
 def AddGridObject(
@@ -132,7 +146,7 @@ def AddGridObject(
         base: how it is held, see above.
         table: collision geometries that the feet stand on; top at z = 0.
         height: of the object, m.
-        name: of model instance and body; the object's by default.
+        name: of model instance and body, no other model's; the object's by default.
         delta: m the feet are pressed in; by default 1e-3 for "planar", 1e-6 for "free".
         feet_per_cell: 1, or 4: at the cells' corners, so that the object is supported out to its rim. Over a table's
             edge it tips up to one cell early, either way.
@@ -144,7 +158,7 @@ def AddGridObject(
         The parts.
 
     Raises:
-        ObjectError: `base` is neither, a size is not positive, or there is no table.
+        ObjectError: `base` is neither, a size is not positive, there is no table, or a model of that name.
         ParameterError: the parameters are of another number of cells, or a friction is 2 or more.
     """
     if base not in DEFAULT_DELTA:
@@ -157,12 +171,15 @@ def AddGridObject(
     if not table:
         raise ObjectError("table is empty; expected the collision geometries that the feet stand on")
     name = obj.name if name is None else name
+    if plant.HasModelInstanceNamed(name):
+        raise ObjectError(f"name is {name!r}, as another model's in the plant; expected one of its own")
     layout = FeetLayout.for_object(obj, feet_per_cell)
     model_instance = plant.AddModelInstance(name)
     body = plant.AddRigidBody(name, model_instance, MakeSpatialInertia(obj, params, height))
     joint = _hold(plant, body, base, delta)
     handle = GridObjectInPlant(
-        obj, base, model_instance, body, joint, _add_feet(plant, body, layout, params, delta),
+        obj, base, model_instance, plant, body.index(), joint and joint.index(),
+        _add_feet(plant, body, layout, params, delta),
         _add_sides(plant, body, obj, params, height, side_stiffness),
         _add_visual(plant, scene_graph, body, obj, height, colour) if visual else (),
         layout, height, delta, side_stiffness,

@@ -2,8 +2,10 @@
 
 from dataclasses import dataclass, field
 from typing import Any
+from weakref import ref
 
 import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, EventStatus
 
 from gridpush_drake.station.arm_posture import TIP_FRAME
@@ -59,7 +61,8 @@ class ConductMonitor:
             period: between two looks, s; 0 looks at every step.
         """
         self.conduct = Conduct()
-        self._station, self._period, self._next = station, period, -np.inf
+        # a Simulator holds its monitor where the garbage collector does not see it
+        self._station, self._period, self._next = ref(station), period, -np.inf
         plant, iiwa = station.plant, station.arm.iiwa
         joints = [plant.get_joint(index) for index in plant.GetJointIndices(iiwa)]
         joints = [joint for joint in joints if joint.num_positions() == 1]
@@ -81,13 +84,14 @@ class ConductMonitor:
 
     def __call__(self, root_context: Context) -> EventStatus:
         """Looks, where it is time to."""
-        if root_context.get_time() >= self._next:
+        station = self._station()
+        if station is not None and root_context.get_time() >= self._next:
             self._next = root_context.get_time() + self._period
-            self._look(self._station.GetMyContextFromRoot(root_context))
+            self._look(station, station.GetMyContextFromRoot(root_context))
         return EventStatus.DidNothing()
 
-    def _look(self, context: Context) -> None:
-        station, seen = self._station, self.conduct
+    def _look(self, station: PushStation, context: Context) -> None:
+        seen = self.conduct
 
         def read(port: str) -> Any:
             return station.GetOutputPort(port).Eval(context)
@@ -107,12 +111,11 @@ class ConductMonitor:
         allowed = {self._tip, *self._table, *(self._fingers if gripping else ())}
         for i in range(contacts.num_point_pair_contacts()):
             contact = contacts.point_pair_contact_info(i)
-            self._judge(contact.bodyA_index(), contact.bodyB_index(), allowed)
+            self._judge(station.plant, contact.bodyA_index(), contact.bodyB_index(), allowed)
 
-    def _judge(self, a: int, b: int, allowed: set[int]) -> None:
+    def _judge(self, plant: MultibodyPlant, a: int, b: int, allowed: set[int]) -> None:
         pair = {a, b}
         if self._object in pair and pair & allowed:
             return
-        plant = self._station.plant
         first, second = sorted(plant.get_body(index).name() for index in pair)
         self.conduct.touched.add((first, second))

@@ -113,7 +113,6 @@ class PushExperiment:
             StationError: not a single push could be carried out.
         """
         seed = self._scenario.seed if seed is None else seed
-        self._policy.seed = seed
         pokes = self._scenario.pokes
         record = ExperimentRecord(self.station.obj, self.station.truth, training=pokes.count)
         watch = _Watch(pokes.count + pokes.test_count)
@@ -121,7 +120,7 @@ class PushExperiment:
         def judge(time: float) -> Judgement:
             return watch.judge(time, self._note(record), self._task.read("object.pose"))
 
-        end = self._task.run(judge, seed, progress, realtime_rate)
+        end = self._task.run(judge, seed, progress, realtime_rate, lambda context: self._policy.SetSeed(context, seed))
         record.note_end(self._task, end)
         if not len(record.log) and record.status == STUCK:
             raise StationError(record.message)

@@ -49,6 +49,8 @@ from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 from gridpush_drake.systems.push_command import PushCommand
 from gridpush_drake.systems.push_executor import PushExecutor, plan_push
 from gridpush_drake.systems.push_way import PushingStyle
+from gridpush_drake.systems.true_parameters import TrueParameters
+from gridpush_drake.systems.weak_calc import NO_SLOTS
 
 HOME = (0.5, 0.0, 0.2)
 """p_WP of the tip at the beginning, m: above the middle of the table, where the arm's posture is comfortable."""
@@ -74,6 +76,7 @@ class StationParts:
         reach: of the arm.
         control: of the arm.
         camera: sees the object, with noise.
+        hidden: remembers the truth.
         grasping: carries out grasps; None where the scene has no gripper.
     """
 
@@ -90,6 +93,7 @@ class StationParts:
     reach: ArmReach
     control: ArmControl
     camera: PlanarPoseSensor
+    hidden: TrueParameters
     grasping: GraspExecutor | None
 
 
@@ -131,7 +135,7 @@ class PushStation(Diagram):
     Attributes:
         scenario: what it was made from.
         obj: the object.
-        truth: what the plant's object really weighs and how it rubs.
+        truth: what the plant's object really weighs and how it rubs in a fresh Context, by the scenario's seed.
         plant: the plant.
         scene_graph: of the plant.
         arm: the robot in the plant.
@@ -142,6 +146,8 @@ class PushStation(Diagram):
         gripper: its model instance; None where the scene has none.
     """
 
+    __slots__ = NO_SLOTS
+
     def __init__(self, builder: DiagramBuilder, parts: StationParts) -> None:
         """Takes over a builder's systems; `MakePushStation` calls it."""
         super().__init__()
@@ -150,7 +156,7 @@ class PushStation(Diagram):
         self.object_in_plant, self.table, self.table_top = parts.object_in_plant, parts.table, parts.table_top
         self.style, self.gripper = parts.style, parts.arm.gripper
         self._grasping, self._reach = parts.grasping, parts.reach
-        self._control, self._camera = parts.control, parts.camera
+        self._control, self._camera, self._hidden = parts.control, parts.camera, parts.hidden
         builder.BuildInto(self)
 
     def FindObstacle(self, command: PushCommand) -> str | None:
@@ -178,9 +184,18 @@ class PushStation(Diagram):
         plant_context = self.plant.GetMyMutableContextFromRoot(root_context)
         SetGridObjectPose(self.plant, plant_context, self.object_in_plant, self.scenario.object_pose)
         if seed is not None:
-            self.truth = MakeTruth(self.obj, self.scenario.truth, seed)
-            SetGridObjectParameters(self.plant, self.scene_graph, root_context, self.object_in_plant, self.truth)
+            truth = MakeTruth(self.obj, self.scenario.truth, seed)
+            SetGridObjectParameters(self.plant, self.scene_graph, root_context, self.object_in_plant, truth)
+            self._hidden.SetParameters(root_context, truth)
             self._camera.SetSeed(root_context, seed)
+
+    def GetTruth(self, root_context: Context) -> CellParameters:
+        """What the plant's object really weighs and how it rubs in a Context, as `SetStart` left it.
+
+        Args:
+            root_context: of the station, or of the Diagram it is part of.
+        """
+        return self._hidden.GetParameters(root_context)
 
     def CoverCamera(self, root_context: Context, covered: bool = True) -> None:
         """Covers the camera, which then sees no object, or uncovers it."""
@@ -193,14 +208,24 @@ def MakePushStation(
     *,
     show_object: bool = True,
     learning: Learning | None = None,
+    name: str = "station",
 ) -> PushStation:
     """Makes the station.
+
+    Building one takes far longer than to begin anew: for many runs build it once, and give every run a fresh Context
+    (`CreateDefaultContext`, then `SetStart`), or `Simulator.reset_context` with one. All that differs between two runs
+    is in the Context; two runs of one station may be interleaved. A station that nobody holds any more is freed by
+    Python's garbage collector (`gc.collect()`) but for 1 MB or less that stays with Drake. Whoever keeps a `RigidBody`,
+    a `Joint`, a `Frame` or the ids of `GetCollisionGeometriesForBody` of its plant as a part of the station, or of what
+    it is connected to, keeps all of it for good: keep their indices instead.
 
     Args:
         scenario: what stands where.
         meshcat: to show it in; None for none.
         show_object: whether the object's plain outline is shown; not where its estimate is drawn in its place.
         learning: what is learned from; the first `scenario.pokes.count` pushes by default.
+        name: of the station in a Diagram, and of what is shown in Meshcat; stations in one Diagram have names of their
+            own.
 
     Returns:
         The station. Call its `SetStart` on each new Context.
@@ -240,6 +265,7 @@ def MakePushStation(
     executor = builder.AddNamedSystem("executor", PushExecutor(HOME, obj.outline, reach, style))
     sensors = AddSensors(builder, plant, scenario, object_in_plant)
     camera, tip = sensors.camera, sensors.tip
+    hidden = builder.AddNamedSystem("truth", TrueParameters(truth))
     identifier = builder.AddNamedSystem("identifier", make_identifier(scenario, obj, learning))
 
     table_top = FindTableOutline(plant, scene_graph.model_inspector())
@@ -254,7 +280,7 @@ def MakePushStation(
     pusher = tip if grasping is None else AddPusherGate(builder, tip, grasping)
     builder.Connect(pusher.GetOutputPort("pusher_state"), identifier.GetInputPort("pusher_state"))
     if meshcat is not None:
-        AddMeshcat(builder, scene_graph, meshcat)
+        AddMeshcat(builder, scene_graph, meshcat, name)
 
     builder.ExportInput(executor.GetInputPort("push_command"), "push_command")
     ExportOutputs(builder, executor, "executor", ("status",))
@@ -273,10 +299,10 @@ def MakePushStation(
         builder,
         StationParts(
             scenario, obj, truth, plant, scene_graph, arm, object_in_plant, table, table_top, style, reach, control,
-            camera, grasping,
+            camera, hidden, grasping,
         ),
     )  # fmt: skip
-    station.set_name("station")
+    station.set_name(name)
     return station
 
 
@@ -288,7 +314,9 @@ def make_style(scenario: PushScenario) -> PushingStyle:
     )
 
 
-def AddMeshcat(builder: DiagramBuilder, scene_graph: SceneGraph, meshcat: Meshcat) -> MeshcatVisualizer:
-    """Shows the illustration geometry, and nothing else."""
-    params = MeshcatVisualizerParams(role=Role.kIllustration, prefix="station")
+def AddMeshcat(
+    builder: DiagramBuilder, scene_graph: SceneGraph, meshcat: Meshcat, prefix: str = "station"
+) -> MeshcatVisualizer:
+    """Shows the illustration geometry, and nothing else, below the path `prefix`."""
+    params = MeshcatVisualizerParams(role=Role.kIllustration, prefix=prefix)
     return MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, params)

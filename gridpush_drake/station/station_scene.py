@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from pydrake.geometry import GeometryId, SceneGraph
+from pydrake.geometry import GeometryId, Role, SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 
 from gridpush_drake.grid.object import GridObject
@@ -27,10 +27,12 @@ def AddStationScene(
 ) -> tuple[Arm, tuple[GeometryId, ...]]:
     """Adds what the directives say; returns the robot and the table's collision geometries."""
     AddScene(MakeParser(plant), scenario)
+    # a plant's own GetCollisionGeometriesForBody gives ids that keep it alive, unseen by the garbage collector
+    inspector = scene_graph.model_inspector()
     table = tuple(
         geometry
         for body in plant.GetBodyIndices(plant.GetModelInstanceByName(TABLE))
-        for geometry in plant.GetCollisionGeometriesForBody(plant.get_body(body))
+        for geometry in inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(body), Role.kProximity)
     )
     SetPartner(plant, scene_graph, [*table, *plant.GetCollisionGeometriesForBody(plant.GetBodyByName(TIP_FRAME))])
     iiwa, finger = map(plant.GetModelInstanceByName, ("iiwa", "finger"))

@@ -43,5 +43,5 @@ class TaskRecord:
 
     def note_end(self, task: TaskRun, end: TaskEnd) -> None:
         """Writes down how the task's last run ended."""
-        self.truth = task.station.truth
+        self.truth = task.station.GetTruth(task.simulator.get_context())
         self.status, self.message, self.conduct, self.duration = end.status, end.message, end.conduct, end.duration

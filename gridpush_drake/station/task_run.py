@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Diagram, System
+from pydrake.systems.framework import Context, Diagram, System
 
 from gridpush_drake.station.conduct import Conduct, ConductMonitor
 from gridpush_drake.station.push_station import PushStation
@@ -86,7 +86,12 @@ class TaskRun:
         self.simulator = Simulator(diagram)
 
     def run(
-        self, judge: Judge, seed: int | None = None, progress: Progress | None = None, realtime_rate: float = 0.0
+        self,
+        judge: Judge,
+        seed: int | None = None,
+        progress: Progress | None = None,
+        realtime_rate: float = 0.0,
+        prepare: Callable[[Context], None] | None = None,
     ) -> TaskEnd:
         """Runs the task from its beginning.
 
@@ -95,6 +100,7 @@ class TaskRun:
             seed: of everything random in the station, instead of the scenario's.
             progress: told after every step.
             realtime_rate: at most so many simulated seconds a second; 0 for as fast as possible.
+            prepare: what else is to be set in the fresh Context of the Diagram.
 
         Returns:
             How it ended. Ctrl-C ends it early, after one more word of the judge's, which counts where he has one.
@@ -103,6 +109,8 @@ class TaskRun:
         simulator.reset_context(self.diagram.CreateDefaultContext())
         context = simulator.get_mutable_context()
         station.SetStart(context, station.scenario.seed if seed is None else seed)
+        if prepare is not None:
+            prepare(context)
         monitor = ConductMonitor(station)
         end = TaskEnd(conduct=monitor.conduct)
         simulator.set_target_realtime_rate(realtime_rate)
