@@ -119,7 +119,7 @@ class ContactPointController(ObjectController[ControllerState]):
 
     def _wait_for_robot(self, now: ControllerState, executor: PushStatus, pose: Array, time: float) -> ControllerState:
         now = replace(now, looks=now.looks.wait(time, pose))
-        if np.isnan(pose).any() and executor.ready:
+        if not np.isfinite(pose).all() and executor.ready:
             # it was not taken up, and when the object is seen again it may lie elsewhere
             return replace(now, command=PushCommand(executor.number)).turn_to(modes.WAITING, "The object is not seen.")
         return now

@@ -1,7 +1,7 @@
 """What a grasp command is on a port: a vector of six numbers."""
 
 from dataclasses import dataclass
-from math import cos, sin
+from math import cos, isfinite, sin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,6 @@ class GraspCommand:
 
     @classmethod
     def from_vector(cls, vector: NDArray[np.float64]) -> "GraspCommand":
-        """Reads what `to_vector` wrote."""
+        """Reads what `to_vector` wrote; a number that is not finite is none, 0."""
         number, *rest = vector.tolist()
-        return cls(round(number), *rest)
+        return cls(round(number) if isfinite(number) else 0, *rest)

@@ -19,7 +19,7 @@ from gridpush_drake.systems.grasp_way import (
     make_homing_legs,
     make_retreat_legs,
 )
-from gridpush_drake.systems.push_executor import HURRIES
+from gridpush_drake.systems.push_executor import HURRIES, NOT_FINITE, UNREADABLE
 from gridpush_drake.systems.push_status import PushStatus
 from gridpush_drake.systems.replaced_state import ReplacedStateSystem
 from gridpush_drake.systems.tool_motion import ToolLeg, ToolPose, calc_tool_pose, make_transform
@@ -52,7 +52,8 @@ class GraspState:
         command: the last one taken up.
         hurry: share of the travelling speeds at which the arm can follow it.
         closed: opening when the gripper had closed on the object, m.
-        status: as on the port.
+        status: as on the port, but for what is not finite at present.
+        fault: what on the ports is not finite, and keeps the executor from going on; empty for nothing.
     """
 
     legs: tuple[ToolLeg, ...] = ()
@@ -61,6 +62,15 @@ class GraspState:
     hurry: float = 1.0
     closed: float = 0.0
     status: GraspStatus = field(default_factory=GraspStatus)
+    fault: str = ""
+
+    @property
+    def shown_status(self) -> GraspStatus:
+        """As on the port."""
+        if not self.fault:
+            return self.status
+        outcome = REFUSED if self.fault == UNREADABLE else self.status.outcome
+        return replace(self.status, outcome=outcome, reason=self.fault)
 
 
 class GraspExecutor(ReplacedStateSystem[GraspState]):
@@ -68,6 +78,7 @@ class GraspExecutor(ReplacedStateSystem[GraspState]):
 
     A command is taken up when the push executor is idle, this one too, and the command's number is not the last one's.
     It is refused, with its reason in the status, where its numbers are not usable and where the arm cannot follow.
+    While what it needs to see is not finite it waits where it is, and the status says why.
     After a grasp that failed the tool goes back to the push executor's pose. The pose is continuous, and so are its
     first two derivatives.
 
@@ -151,12 +162,31 @@ class GraspExecutor(ReplacedStateSystem[GraspState]):
         output.SetAtIndex(0, self.style.force)
 
     def _calc_status(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._get_state(context).status)
+        output.set_value(self._get_state(context).shown_status)
 
     def _go_on(self, context: Context, now: GraspState) -> GraspState:
         """Goes on with a grasp, or takes up or refuses a command."""
-        time = context.get_time()
+        time, fault = context.get_time(), self._find_bad_input(context, now)
+        if fault != now.fault:
+            now = replace(now, fault=fault)
+        if fault:
+            return now
         return self._follow(context, now, time) if now.legs else self._take_up(context, now, time)
+
+    def _find_bad_input(self, context: Context, now: GraspState) -> str:
+        """What is needed at present and not finite; empty for nothing."""
+        busy = bool(now.legs)
+        if not busy:
+            number = self._command.Eval(context)[0] if self._command.HasValue(context) else 0
+            if not np.isfinite(number):
+                return UNREADABLE
+            if number in (0, now.status.number):
+                return ""
+        if not np.isfinite(self._push_pose.Eval(context).translation()).all():
+            return "the push executor's pose is not finite"
+        if busy and now.legs[0].phase in GRASPING and not np.isfinite(self._gripper.Eval(context)).all():
+            return "the gripper's state is not finite"
+        return ""
 
     def _take_up(self, context: Context, now: GraspState, time: float) -> GraspState:
         if not self._command.HasValue(context) or not self._push_status.Eval(context).ready:
@@ -164,8 +194,6 @@ class GraspExecutor(ReplacedStateSystem[GraspState]):
         vector = self._command.Eval(context)
         if vector[0] in (0, now.status.number):
             return now
-        if not np.isfinite(vector[0]):
-            return now  # whose number would it be
         command = GraspCommand.from_vector(vector)
         rest = calc_tool_pose(self._push_pose.Eval(context))
         legs, reason = self.plan(command, rest)
@@ -183,7 +211,7 @@ class GraspExecutor(ReplacedStateSystem[GraspState]):
 
     def _find_fault(self, command: GraspCommand) -> str | None:
         if not np.isfinite(command.to_vector()).all():
-            return "the command has numbers that are not finite"
+            return NOT_FINITE
         if not 0.0 < command.lift <= self.style.largest_lift:
             return f"lift {command.lift:.3g} m; expected more than 0, at most {self.style.largest_lift:.3g}"
         return None
@@ -222,7 +250,8 @@ class GraspExecutor(ReplacedStateSystem[GraspState]):
     def _turn_back(self, context: Context, now: GraspState, time: float) -> GraspState:
         x, y, z, yaw = now.legs[0].end
         rest = calc_tool_pose(self._push_pose.Eval(context))
-        opening = max(self._calc_opening(context), 0.0)
+        opening = self._calc_opening(context)
+        opening = max(opening, 0.0) if np.isfinite(opening) else self.style.opening
         legs = make_retreat_legs((x, y, z, yaw), opening, rest, now.command.approach, self.style, now.hurry)
         return replace(now, legs=legs, leg_start=time, status=replace(now.status, phase=legs[0].phase))
 

@@ -14,7 +14,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from gridpush_drake.dynamics.simulate import Regime
-from gridpush_drake.errors import IdentificationError
+from gridpush_drake.errors import GridPushError, IdentificationError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.identification.centre_of_mass import calc_centre_of_mass
 from gridpush_drake.identification.default import DefaultOptions
@@ -30,6 +30,9 @@ Array = NDArray[np.float64]
 
 DEFAULT_PERIOD = 1 / 30
 """s."""
+
+UNUSABLE = (GridPushError, np.linalg.LinAlgError, ArithmeticError, ValueError)
+"""What a push that was badly seen may lead to when it is written down or learned from."""
 
 SOURCE = "observed pushes"
 """What the log says of where it comes from."""
@@ -60,11 +63,15 @@ class IdentifierState:
         segmenter: where the present push stands.
         log: the pushes so far.
         estimate: from them.
+        left_out: names of pushes that nothing could be learned from.
+        message: why not, of the last push; empty where it was learned from, or not meant to be.
     """
 
     segmenter: SegmenterState = field(default_factory=SegmenterState)
     log: PushLog = field(default_factory=lambda: PushLog((), SOURCE))
     estimate: Estimate | None = None
+    left_out: tuple[str, ...] = ()
+    message: str = ""
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "IdentifierState":
         """Itself: Drake copies the state at every update, and nothing in it is ever changed."""
@@ -92,6 +99,7 @@ class GridIdentifier(LeafSystem):
         - num_pushes
         - identification
         - push_log
+        - message
 
     * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object was not seen.
     * pusher_state: vector of 6, the tip's centre p_WP in m and its velocity v_WP in m/s, in W; a sample with NaN is
@@ -107,6 +115,8 @@ class GridIdentifier(LeafSystem):
     * num_pushes: vector of 1, pushes in the log.
     * identification: abstract `Identification`; while nothing was learned the prior's, whose `push_names` are empty.
     * push_log: abstract `PushLog`, all pushes so far.
+    * message: abstract `str`, why the last push could not be learned from; empty where there is nothing to say. The
+      estimate stays as it was then, and later ones do without that push.
 
     Before the first push the outputs are the prior's. Abstract state: one `IdentifierState`.
     """
@@ -212,6 +222,7 @@ class GridIdentifier(LeafSystem):
             "identification", lambda: AbstractValue.Make(found), weakly(self._calc_identification), state
         )
         self.DeclareAbstractOutputPort("push_log", lambda: AbstractValue.Make(log), weakly(self._calc_push_log), state)
+        self.DeclareAbstractOutputPort("message", lambda: AbstractValue.Make(""), weakly(self._calc_message), state)
 
     def _get_state(self, context: Context) -> IdentifierState:
         return context.get_abstract_state(int(self._state)).get_value()
@@ -231,6 +242,9 @@ class GridIdentifier(LeafSystem):
     def _calc_push_log(self, context: Context, output: Any) -> None:
         output.set_value(self._get_state(context).log)
 
+    def _calc_message(self, context: Context, output: Any) -> None:
+        output.set_value(self._get_state(context).message)
+
     def _update(self, context: Context, state: State) -> None:
         before = self._get_state(context)
         pusher = tuple(self._pusher_state.Eval(context).tolist())
@@ -245,15 +259,24 @@ class GridIdentifier(LeafSystem):
         if episode is None:
             return state
         name = f"push_{len(state.log) + 1}"
-        observed = make_observed_push(episode, self.obj, self._radius, name, self._record)
+        try:
+            observed = make_observed_push(episode, self.obj, self._radius, name, self._record)
+        except UNUSABLE as error:
+            return replace(state, message=f"A push could not be written down: {error}.")
         if observed is None:
             return state
         log = replace(state.log, pushes=(*state.log.pushes, observed))
         chosen = self.select(log)
+        chosen = chosen.subset([i for i, seen in enumerate(chosen) if seen.name not in state.left_out])
         if not len(chosen) or chosen[-1] is not observed:
-            return replace(state, log=log)
+            return replace(state, log=log, message="")
         start = state.estimate.found if state.estimate is not None and self.warm_start else None
-        return replace(state, log=log, estimate=_make_estimate(self.Learn(log, start), chosen))
+        try:
+            estimate = _make_estimate(self.Learn(chosen, start), chosen)
+        except UNUSABLE as error:
+            message = f"Nothing could be learned from {name}: {error}."
+            return replace(state, log=log, left_out=(*state.left_out, name), message=message)
+        return replace(state, log=log, estimate=estimate, message="")
 
 
 def _make_estimate(found: Identification, log: PushLog | None) -> Estimate:

@@ -66,7 +66,7 @@ class GridLcpSystem(LeafSystem):
     * pusher_state: vector of 4, (x, y) of the disc's centre p_WP in m and its velocity v_WP in m/s, in W. Not
       connected, or NaN in it: there is no pusher.
     * applied_wrench: vector of 3, force in W in N acting at B's origin, and moment in N m, constant during a step; zero
-      where not connected. Inertial regime only.
+      where not connected. Inertial regime only. A wrench that is not finite is none.
     * pose: vector of 3, q = (x, y, theta) of B in W, m and rad.
     * velocity: vector of 3, (vx, vy, w) of B's origin in W, m/s and rad/s.
     * cell_positions: vector of 2n, x and y of every cell's centre p_WC in turn, m.
@@ -248,6 +248,7 @@ class GridLcpSystem(LeafSystem):
         wrench = np.zeros((1, 3))
         if self._wrench is not None and self._wrench.HasValue(context):
             wrench[0] = self._wrench.Eval(context)
+            wrench[~np.isfinite(wrench).all(axis=1)] = 0.0
         pusher = self._pusher_state.Eval(context) if self._pusher_state.HasValue(context) else np.full(4, np.nan)
         if not np.isfinite(pusher).all():
             return Load(np.zeros((2, 2)), 0.0, NO_PUSHER, wrench, np.zeros(2))

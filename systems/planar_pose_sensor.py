@@ -28,7 +28,7 @@ class PlanarPoseSensor(LeafSystem):
 
     - ``body_poses``: abstract ``list[RigidTransform]``, as a MultibodyPlant gives it.
     - ``object_pose``: (3,) x and y of the body's origin in W, m, and its yaw, rad, as last seen; continuous: the yaw
-      counts whole turns. NaN where the body is lost from sight.
+      counts whole turns. NaN where the body is lost from sight, or its pose is not finite.
 
     The noise of the k-th picture depends on k and the seed alone, which is numeric parameter 0: a Context and its clone
     see the same. The body is lost from sight where its origin lies lower than `lowest` above z = 0, and while the lens
@@ -94,7 +94,8 @@ class PlanarPoseSensor(LeafSystem):
     def _see(self, context: Context, state: Any, count: int) -> None:
         X_WB: RigidTransform = self._body_poses.Eval(context)[self._body]
         covered = bool(context.get_numeric_parameter(self._covered).value()[0])
-        if covered or X_WB.translation()[2] < self._lowest:
+        hidden = not np.isfinite(X_WB.GetAsMatrix34()).all() or X_WB.translation()[2] < self._lowest
+        if covered or hidden:
             state.set_value(self._seen, np.full(3, np.nan))
             return
         q = CalcPlanarPose(X_WB, float(context.get_discrete_state(self._yaw).value()[0]))

@@ -23,6 +23,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.planning.belief import Belief
 from gridpush_drake.planning.pregrasp import PreGraspDecision, PreGraspPlanner
@@ -167,8 +168,11 @@ class PreGraspController(ObjectController[ControllerState]):
         return now if looks is now.looks else replace(now, looks=looks)
 
     def _decide(self, now: ControllerState, pose: Array, found: Identification, log: PushLog) -> ControllerState:
-        belief = self._believe(found, log)
-        decision = self.planner.decide(pose, belief, now.status.pokes, now.status.slides)
+        try:
+            belief = self._believe(found, log)
+            decision = self.planner.decide(pose, belief, now.status.pokes, now.status.slides)
+        except GridPushError as error:
+            return now.turn_to(pre_grasp_status.FAILED, f"Nothing could be planned: {error}.", goal=None)
         told = {"goal": decision.goal, "margin": decision.margin, "expected_pose": None}
         if decision.action == "fail":
             return now.turn_to(pre_grasp_status.FAILED, _sentence(decision.reason), **told)

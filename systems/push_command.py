@@ -1,7 +1,7 @@
 """What a push command is on a port: a vector of six numbers."""
 
 from dataclasses import dataclass
-from math import atan2, cos, sin
+from math import atan2, cos, isfinite, sin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,9 +47,9 @@ class PushCommand:
 
     @classmethod
     def from_vector(cls, vector: NDArray[np.float64]) -> "PushCommand":
-        """Reads what `to_vector` wrote."""
+        """Reads what `to_vector` wrote; a number that is not finite is none, 0."""
         number, *rest = vector.tolist()
-        return cls(round(number), *rest)
+        return cls(round(number) if isfinite(number) else 0, *rest)
 
     @classmethod
     def from_push(cls, number: int, push: Push) -> "PushCommand":

@@ -38,26 +38,39 @@ class ExecutorState:
         rest: p_WP where the tip stays when there is nothing to do, m.
         legs: the current one and those still to come.
         leg_start: when the current one began, s.
-        status: as on the port.
+        status: as on the port, but for the reason while a command cannot be read.
+        unreadable: whether the command on the port has a number that is not finite.
     """
 
     rest: Point
     legs: tuple[Leg, ...] = ()
     leg_start: float = 0.0
     status: PushStatus = field(default_factory=PushStatus)
+    unreadable: bool = False
+
+    @property
+    def shown_status(self) -> PushStatus:
+        """As on the port."""
+        return replace(self.status, reason=UNREADABLE) if self.unreadable else self.status
 
     def position(self, time: float) -> Array:
         """(3,) p_WP desired at `time`, m."""
         return self.legs[0].position(time - self.leg_start) if self.legs else np.array(self.rest)
 
 
+NOT_FINITE = "the command has numbers that are not finite"
+
+UNREADABLE = "the command's number is not finite"
+
+
 class PushExecutor(ReplacedStateSystem[ExecutorState]):
     """Carries out straight pushes: over the object, down beside it, along, a pause, and up again.
 
     A command is taken up when the executor is idle and the command's number is not the last one's. It is refused, with
-    its reason in the status, where distance or speed are not usable, where the tip would start in the object or touch
-    it, and where the arm cannot follow. A command that is withdrawn, by another with number 0, is broken off: the
-    finger stops as soon as it can, and goes up. The desired position, velocity and acceleration are continuous.
+    its reason in the status, where its numbers are not finite or not usable, where the tip would start in the object or
+    touch it, and where the arm cannot follow. One whose own number is not finite counts as refused once; the status
+    says so until another one is there. A command that is withdrawn, by another with number 0, is broken off: the finger
+    stops as soon as it can, and goes up. The desired position, velocity and acceleration are continuous.
 
     .. pydrake_system::
 
@@ -134,7 +147,7 @@ class PushExecutor(ReplacedStateSystem[ExecutorState]):
         output.set_value(RigidTransform(R_WP_DOWN, state.position(context.get_time())))
 
     def _calc_status(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._get_state(context).status)
+        output.set_value(self._get_state(context).shown_status)
 
     def _go_on(self, context: Context, now: ExecutorState) -> ExecutorState:
         """Goes on to the next leg when one is done; breaks off, takes up or refuses a command."""
@@ -154,10 +167,15 @@ class PushExecutor(ReplacedStateSystem[ExecutorState]):
         return ExecutorState(done.end, tuple(left), time, status)
 
     def _take_up(self, context: Context, now: ExecutorState, time: float) -> ExecutorState:
-        command = PushCommand.from_vector(self._command_port.Eval(context))
+        vector = self._command_port.Eval(context)
+        unreadable = not np.isfinite(vector[0])
+        if unreadable != now.unreadable:
+            status = replace(now.status, refused=now.status.refused + unreadable)
+            now = replace(now, unreadable=unreadable, status=status)
+        command = PushCommand.from_vector(vector)
         if command.number in (0, now.status.number):
             return now
-        if self._outline is not None and np.isnan(self._pose_port.Eval(context)).any():
+        if self._outline is not None and not np.isfinite(self._pose_port.Eval(context)).all():
             return now  # the object is not seen: wait until it is
         legs, reason = self._plan(context, command, now.rest)
         status = replace(now.status, number=command.number, reason=reason)
@@ -177,7 +195,7 @@ class PushExecutor(ReplacedStateSystem[ExecutorState]):
 
     def _find_fault(self, command: PushCommand) -> str | None:
         if not np.isfinite(command.to_vector()).all():
-            return "the command has numbers that are not finite"
+            return NOT_FINITE
         if command.distance <= 0.0:
             return f"distance {command.distance:.3g} m; expected a positive number"
         if not 0.0 < command.speed <= self.style.largest_push_speed:

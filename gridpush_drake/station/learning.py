@@ -21,6 +21,7 @@ ESTIMATE_OUTPUTS = (
     "num_pushes",
     "identification",
     "push_log",
+    "message",
 )
 """Of the identifier, exported as `estimate.mass` and so on."""
 
