@@ -72,6 +72,21 @@ class Camera(LeafSystem):
         output.SetFromVector(context.get_discrete_state(0).value())
 
 
+class Spoiler(LeafSystem):
+    """Passes a vector on, in spells with NaN in some of its numbers, drawn from (seed, count of the spell)."""
+
+    def __init__(self, size: int, share: float, seed: int, spell: float = 0.25) -> None:
+        super().__init__()
+        self._size, self._share, self._seed, self._spell = size, share, seed, spell
+        self.DeclareVectorInputPort("good", size)
+        self.DeclareVectorOutputPort("spoiled", size, self._calc)
+
+    def _calc(self, context: Context, output: Any) -> None:
+        rng = np.random.default_rng((self._seed, int(context.get_time() / self._spell)))
+        bad = (rng.random(self._size) < 0.5) & (rng.random() < self._share)
+        output.SetFromVector(np.where(bad, np.nan, self.GetInputPort("good").Eval(context)))
+
+
 class PokeDiagram(NamedTuple):
     """The Diagram and its parts."""
 
@@ -90,9 +105,10 @@ def make_poke_diagram(
     seed: int = 0,
     noise: tuple[float, float] = (5e-4, np.radians(0.2)),
     style: PokeStyle | None = None,
+    spoiled: float = 0.0,
     **options: Any,
 ) -> PokeDiagram:
-    """Makes it; `options` go to the identifier."""
+    """Makes it; `spoiled` is the share of time with NaN in what is measured; `options` go to the identifier."""
     builder = DiagramBuilder()
     style = style or PokeStyle()
     world = builder.AddSystem(GridLcpSystem(obj, truth, pusher_radius=style.tip_radius))
@@ -112,6 +128,11 @@ def make_poke_diagram(
         (world, "pose", [(camera, "pose")]),
         (camera, "object_pose", [(executor, "object_pose"), (policy, "object_pose"), (identifier, "object_pose")]),
     ):
+        start = source.GetOutputPort(port)
+        if spoiled and port in ("planar_state", "pusher_state", "object_pose"):
+            spoiler = builder.AddSystem(Spoiler(start.size(), spoiled, seed))
+            builder.Connect(start, spoiler.get_input_port())
+            start = spoiler.get_output_port()
         for system, name in sinks:
-            builder.Connect(source.GetOutputPort(port), system.GetInputPort(name))
+            builder.Connect(start, system.GetInputPort(name))
     return PokeDiagram(builder.Build(), world, identifier, policy, executor)

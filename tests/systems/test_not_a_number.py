@@ -45,6 +45,9 @@ UNIFORM = CellParameters.uniform(OBJ)
 STEPS, STEP, SHARE = 60, 0.11, 0.4
 """How often the inputs change, after how many s, and the share of them with NaN."""
 
+LONG = 18.0
+"""s, in which two pokes are made."""
+
 GOOD = {
     "object_pose": POSE,
     "goal_pose": np.array([0.15, 0.1, 1.0]),
@@ -227,3 +230,13 @@ def test_a_push_that_nothing_can_be_learned_from_is_left_out(monkeypatch):
     assert messages == {"", "Nothing could be learned from push_1: Eigenvalues did not converge."}
     assert read("message") == "" and len(read("push_log")) == 2
     assert read("identification").push_names == ("push_2",)
+
+
+def test_a_whole_diagram_goes_on_learning():
+    """Tip, pose and pusher are lost now and then, while it pokes: the tip may even pass through the object."""
+    parts = make_poke_diagram(OBJ, UNIFORM, pokes=2, seed=1, spoiled=0.3)
+    simulator = Simulator(parts.diagram)
+    simulator.AdvanceTo(LONG)
+    context = parts.identifier.GetMyContextFromRoot(simulator.get_context())
+    assert parts.identifier.GetOutputPort("num_pushes").Eval(context)[0] > 0
+    assert np.isfinite(parts.identifier.GetOutputPort("mass").Eval(context)).all()
