@@ -32,15 +32,16 @@ Logs = Annotated[
 ]  # fmt: skip
 Quick = Annotated[bool, typer.Option("--quick", help="Fewer runs: to see that it works.")]
 Objects = Annotated[
-    list[str] | None, typer.Option(metavar="NAME", help="An object; may be repeated.  [default: all of the bench's]")
+    list[str] | None,
+    typer.Option(metavar="NAME", help="An object; may be repeated.", show_default="all of the bench's"),
 ]
 Workers = Annotated[int, typer.Option(min=1, help="Processes.")]
 KeptIn = Annotated[
     Path | None,
     typer.Option(
         "--results", metavar="FILE.jsonl", help="Where each finished job's result is kept. A job that is found there is"
-        " not run again; a file of other settings is refused, and --force begins it anew."
-        "  [default: in gridpush_bench, a file for each choice of settings and each version of the program]",
+        " not run again; a file of other settings is refused, and --force begins it anew.",
+        show_default="in gridpush_bench, a file for each choice of settings and version of the program",
     ),
 ]  # fmt: skip
 Out = Annotated[
@@ -78,7 +79,8 @@ def paper(
     objects: Objects = None,
     sets: Annotated[int, typer.Option(min=1, help="Mass sets of each object.")] = 10,
     methods: Annotated[
-        list[str] | None, typer.Option("--method", metavar="NAME", help="A method; may be repeated.  [default: all]")
+        list[str] | None,
+        typer.Option("--method", metavar="NAME", help="A method; may be repeated.", show_default="all"),
     ] = None,
     budget: Annotated[int, typer.Option(min=1, help="Most simulated pushes of an identification.")] = 1500,
     seed: options.Seed = 0,
