@@ -4,15 +4,19 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    from rich.console import RenderableType
 
     from gridpush_drake.identification.result import HistoryEntry
 
 PIPE_WIDTH = 160
 """Columns that a table may take where standard output is not a terminal."""
+
+LINE_EVERY = 10.0
+"""s, at least, between two lines of progress where standard error is no terminal."""
 
 MM = 1e3
 """Millimetres in a metre."""
@@ -25,7 +29,7 @@ def print_line(text: str = "") -> None:
     Console(soft_wrap=not sys.stdout.isatty()).print(text, markup=False, highlight=False)
 
 
-def print_table(table: "Table") -> None:
+def print_table(table: "RenderableType") -> None:
     """Prints a table on standard output; as wide as it likes where that is not a terminal."""
     from rich.console import Console
 
@@ -122,6 +126,32 @@ def count_progress(what: str, total: int) -> Iterator[Callable[[str, int], None]
 
         def report(doing: str, count: int) -> None:
             progress.update(task, completed=count, description=f"{what}: {doing}")
+
+        yield report
+
+
+@contextmanager
+def work_progress(what: str) -> Iterator[Callable[[str, int, int], None]]:
+    """Shows how much of some work is done: a bar on a terminal's standard error, elsewhere a plain line now and then.
+
+    Args:
+        what: the work.
+
+    Yields:
+        What the work calls, as often as it likes, with what it is at or did last, how many steps are done, and how many
+        there are.
+    """
+    with _bar() as progress:
+        task, begun = progress.add_task(what, total=None), monotonic()
+        said = begun
+
+        def report(doing: str, done: int, total: int) -> None:
+            nonlocal said
+            line = f"{what}: {done} of {total}{f', {doing}' if doing else ''}"
+            progress.update(task, completed=done, total=total, description=line)
+            if progress.disable and monotonic() - said >= LINE_EVERY:
+                said = monotonic()
+                print_notice(f"{line}, {said - begun:.0f} s")
 
         yield report
 

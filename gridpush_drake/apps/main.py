@@ -6,11 +6,15 @@ from typing import Annotated
 import typer
 
 from gridpush_drake.apps import bench, demo, export, identify, import_logs, plan, predict, show, simulate, slide, view
+from gridpush_drake.apps.interrupts import say_interrupted, watch_interrupts
 from gridpush_drake.errors import GridPushError
 
 EXIT_BAD_INPUT = 2
-EXIT_INTERRUPTED = 130
-"""128 + SIGINT, as shells have it."""
+EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
+"""128 + SIGINT, 128 + SIGTERM, as shells have it."""
+
+PATIENT = {"demo", "view"}
+"""Commands that answer an interrupt themselves: they end in order, and write what was done."""
 
 app = typer.Typer(
     name="gridpush",
@@ -52,22 +56,33 @@ def common(
 
 
 def main(args: list[str] | None = None) -> None:
-    """Runs the command line and exits: 0 done, 1 no plan found, 2 bad input (said in one line), 130 interrupted.
+    """Runs the command line and exits: 0 done, 1 no plan found, 2 bad input (said in one line), 130 or 143 interrupted.
 
     Args:
-        args: instead of the process's own.
+        args: instead of the process's own; the process is then taken to go on after the command.
     """
+    patient = not PATIENT.isdisjoint(sys.argv[1:2] if args is None else args[:1])
+    with watch_interrupts(last=args is None, patient=patient) as interrupts:
+        try:
+            code = _run(args)
+            interrupts.finish()
+        except KeyboardInterrupt:
+            code = EXIT_INTERRUPTED
+    if code == EXIT_INTERRUPTED or interrupts.code == EXIT_TERMINATED:
+        code = interrupts.code or code
+        say_interrupted()
+    sys.exit(code)
+
+
+def _run(args: list[str] | None) -> int | None:
+    """Runs the command line; returns the exit code, None for 0."""
     try:
-        code = app(args=args, prog_name="gridpush", standalone_mode=False)
+        code: int | None = app(args=args, prog_name="gridpush", standalone_mode=False)
     except GridPushError as error:
         code = _fail(str(error))
     except typer.TyperException as error:
         code = _fail(error.format_message()) if error.format_message().strip() else error.exit_code
-    except KeyboardInterrupt:
-        code = EXIT_INTERRUPTED
-    if code == EXIT_INTERRUPTED:
-        print("gridpush: interrupted; no file was left half-written", file=sys.stderr)
-    sys.exit(code)
+    return code
 
 
 def _fail(message: str) -> int:

@@ -2,20 +2,24 @@
 
 import csv
 import io
+from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from gridpush_drake.apps import options
-from gridpush_drake.apps.console import print_json, print_line, print_table
+from gridpush_drake.apps.console import MM, print_json, print_line, print_table
 
 if TYPE_CHECKING:
     from gridpush_drake.identification.error_summary import ErrorSummary
-    from gridpush_drake.identification.prediction import Prediction
+    from gridpush_drake.identification.prediction import PoseError, Prediction
 
 COLUMNS = ("push", "x", "y", "theta")
 """Final pose of each push, m and rad, world frame."""
+
+DEGREES = 180 / pi
+"""In a radian."""
 
 
 def predict(
@@ -32,7 +36,7 @@ def predict(
     from gridpush_drake.apps.kernels import compile_kernels
     from gridpush_drake.dynamics.simulation import STATUS_NO_CONTACT
     from gridpush_drake.files import check_writable, write_whole
-    from gridpush_drake.identification.error_summary import summarise_errors
+    from gridpush_drake.identification.error_summary import calc_final_errors, summarise_errors
     from gridpush_drake.identification.identify import choose_regime
     from gridpush_drake.identification.prediction import predict as predict_log
 
@@ -54,7 +58,10 @@ def predict(
         "written": [str(out)],
     }
     if json:
-        print_json({**found, "errors": [vars(error) for error in found["errors"]]})
+        rho, errors = target.obj.radius_of_gyration, calc_final_errors(target.obj, predictions, log)
+        by_push = [_describe_error(made.name, error, rho) for made, error in zip(predictions, errors, strict=True)]
+        summaries = [_describe_summary(error) for error in found["errors"]]
+        print_json({**found, "errors": summaries, "rho_mm": rho * MM, "errors_by_push": by_push})
     else:
         _print_found(found, model)
 
@@ -67,6 +74,26 @@ def _print_found(found: dict[str, Any], name: str) -> None:
     if found["errors"]:
         print_errors(f"Errors of {found['errors'][0].pushes} final poses", found["errors"])
     print_line(f"Wrote {found['written'][0]}.")
+
+
+def _describe_summary(error: "ErrorSummary") -> dict[str, Any]:
+    """A summary for machines; its numbers are in its unit, "mm" or "deg"."""
+    values = {"mean": error.mean, "median": error.median, "p90": error.p90}
+    unit = "deg" if error.unit == "°" else error.unit
+    return {
+        "name": error.name, "unit": unit, "pushes": error.pushes,
+        **{key: value * error.scale for key, value in values.items()},
+    }  # fmt: skip
+
+
+def _describe_error(name: str, error: "PoseError | None", rho: float) -> dict[str, Any]:
+    """A push's error for machines; null where its final pose is not known."""
+    if error is None:
+        return {"push": name, "position_mm": None, "angle_deg": None, "cell_mm": None, "combined_mm": None}
+    return {
+        "push": name, "position_mm": error.position * MM, "angle_deg": error.angle * DEGREES,
+        "cell_mm": error.cell * MM, "combined_mm": error.combined(rho) * MM,
+    }  # fmt: skip
 
 
 def print_errors(title: str, errors: "list[ErrorSummary]") -> None:

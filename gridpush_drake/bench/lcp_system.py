@@ -1,36 +1,37 @@
 """How fast `GridLcpSystem` runs in a Drake Simulator."""
 
-from collections.abc import Callable
 from time import perf_counter
 
 import numpy as np
 
 from gridpush_drake.bench.speed import DT, DURATION, RADIUS, make_bench_push
 from gridpush_drake.bench.table import Table, Value
+from gridpush_drake.bench.workers import Report, count_steps
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.object_file import find_shipped_object
 from gridpush_drake.grid.parameters import CellParameters
 
 OBJECTS = ("claw_hammer", "toolbox")
+REGIMES = ("inertial", "quasi_static")
 
 MS = 1e3
 
 
-def run(repetitions: int = 10, progress: Callable[[str], None] | None = None) -> list[Table]:
+def run(repetitions: int = 10, report: Report | None = None) -> list[Table]:
     """Times the push of the speed benchmark in a Simulator.
 
     Args:
         repetitions: of each push.
-        progress: called with what begins.
+        report: called with what begins, as of jobs.
 
     Returns:
         One table, a row an object and regime.
     """
     rows: list[list[Value]] = []
+    tell = count_steps(report, len(OBJECTS) * len(REGIMES))
     for name in OBJECTS:
-        for regime in ("inertial", "quasi_static"):
-            if progress is not None:
-                progress(f"{name}, {regime}")
+        for regime in REGIMES:
+            tell(f"{name}, {regime}")
             obj = GridObject.from_yaml(find_shipped_object(name))
             times = np.sort(_time_pushes(obj, regime, repetitions))
             median = float(np.median(times))

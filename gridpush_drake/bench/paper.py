@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gridpush_drake.bench.paper_protocol import Case, Protocol, make_case, read_protocol
+from gridpush_drake.bench.paper_protocol import MASS_SETS, Case, Protocol, make_case, make_protocol
 from gridpush_drake.bench.paper_tables import (
     DEFAULT,
     UNIFORM,
@@ -17,7 +17,7 @@ from gridpush_drake.bench.paper_tables import (
     tabulate_training,
 )
 from gridpush_drake.bench.table import Table
-from gridpush_drake.bench.workers import WORKERS, Report, run_jobs
+from gridpush_drake.bench.workers import QUIET, Conduct, run_jobs
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.identify import METHODS, identify
@@ -32,14 +32,14 @@ BUDGET = 1500
 BUDGET_SHARES = (1 / 60, 1 / 30, 1 / 15, 1 / 6, 1 / 3, 1.0)
 """Shares of the budget at which the curve is measured, each by a run of its own."""
 
-MASS_SETS, QUICK_MASS_SETS = 10, 2
+QUICK_MASS_SETS = 2
 
 
 @dataclass(frozen=True)
 class Job:
     """One object with one mass set and its split, learned from by some methods at some budgets."""
 
-    folder: Path
+    data: Path | None
     name: str
     mass_set: int
     training: int
@@ -55,27 +55,25 @@ def run(
     methods: Sequence[str] = METHODS,
     budget: int = BUDGET,
     seed: int = 0,
-    progress: bool | Report = True,
+    conduct: Conduct = QUIET,
     *,
     quick: bool = False,
     figure: Path | str | None = None,
     force: bool = False,
-    workers: int = WORKERS,
 ) -> list[Table]:
     """Measures the methods on the paper's simulated protocol.
 
     Args:
-        data: folder of the masks and `protocol.json`; found beside the repository where None.
+        data: folder of the paper's masks; None for the shipped objects alone.
         mass_sets: how many of an object's ten mass sets; set i goes with split i.
-        objects: their names; all where None.
+        objects: their names; all where None: the shipped ones, and those of the data.
         methods: of `identify`.
         budget: most simulated pushes of a search; the default method decides itself.
         seed: of everything random.
-        progress: whether to show a bar on standard error, or what to call with each piece of work that is done.
+        conduct: how the jobs are run.
         quick: only `QUICK_MASS_SETS` mass sets.
         figure: file for the curve of the error against the number of simulations, by its ending (PNG, PDF, SVG).
         force: whether an existing figure may be replaced.
-        workers: processes.
 
     Returns:
         Test cell error by method and object; by number of training pushes for the default method; and, with
@@ -88,7 +86,8 @@ def run(
     from gridpush_drake.bench.figure_file import check_figure
     from gridpush_drake.bench.paper_figure import write_figure
 
-    protocol = read_protocol(data)
+    folder = None if data is None else Path(data).resolve()
+    protocol = make_protocol(folder, seed)
     names = list(protocol.masses if objects is None else objects)
     sets = min(mass_sets, QUICK_MASS_SETS) if quick else mass_sets
     _check(protocol, names, methods, budget, sets)
@@ -96,8 +95,8 @@ def run(
         check_figure(figure, force)
     shares = BUDGET_SHARES if figure is not None else (1.0,)
     budgets = tuple(sorted({max(TRAINING_PUSHES, round(budget * share)) for share in shares}))
-    jobs = _make_jobs(protocol, names, sets, tuple(methods), budgets, seed)
-    done = run_jobs(run_job, jobs, _describe, title="the paper's protocol", workers=workers, progress=progress)
+    jobs = _make_jobs(protocol, folder, names, sets, tuple(methods), budgets, seed)
+    done = run_jobs(run_job, jobs, _describe, conduct)
     scores = [score for scores in done for score in scores]
     tables = [tabulate_methods(scores, names, (UNIFORM, *methods), TRAINING_PUSHES, budget)]
     if DEFAULT in methods:
@@ -110,7 +109,7 @@ def run(
 
 def run_job(job: Job) -> list[Score]:
     """Identifies one case by each method at each budget, by the default only once, and predicts its test pushes."""
-    protocol, case = _read(job.folder), _make_case(job.folder, job.name, job.mass_set)
+    protocol, case = _make_protocol(job.data, job.seed), _make_case(job.data, job.seed, job.name, job.mass_set)
     split = protocol.splits[job.training][job.mass_set]
     train, test = case.log.subset(split.train), case.log.subset(split.test)
 
@@ -148,14 +147,20 @@ def _check(protocol: Protocol, names: Sequence[str], methods: Sequence[str], bud
 
 
 def _make_jobs(
-    protocol: Protocol, names: Sequence[str], sets: int, methods: tuple[str, ...], budgets: tuple[int, ...], seed: int
+    protocol: Protocol,
+    data: Path | None,
+    names: Sequence[str],
+    sets: int,
+    methods: tuple[str, ...],
+    budgets: tuple[int, ...],
+    seed: int,
 ) -> list[Job]:
     jobs = []
     for mass_set in range(sets):
         for name in names:
-            jobs.append(Job(protocol.folder, name, mass_set, TRAINING_PUSHES, methods, budgets, seed))
+            jobs.append(Job(data, name, mass_set, TRAINING_PUSHES, methods, budgets, seed))
             others = [count for count in protocol.splits if count != TRAINING_PUSHES and DEFAULT in methods]
-            jobs += [Job(protocol.folder, name, mass_set, count, (DEFAULT,), budgets[-1:], seed) for count in others]
+            jobs += [Job(data, name, mass_set, count, (DEFAULT,), budgets[-1:], seed) for count in others]
     return jobs
 
 
@@ -164,10 +169,10 @@ def _describe(job: Job) -> str:
 
 
 @lru_cache(maxsize=1)
-def _read(folder: Path) -> Protocol:
-    return read_protocol(folder)
+def _make_protocol(data: Path | None, seed: int) -> Protocol:
+    return make_protocol(data, seed)
 
 
 @lru_cache(maxsize=1)
-def _make_case(folder: Path, name: str, mass_set: int) -> Case:
-    return make_case(_read(folder), name, mass_set)
+def _make_case(data: Path | None, seed: int, name: str, mass_set: int) -> Case:
+    return make_case(_make_protocol(data, seed), name, mass_set)

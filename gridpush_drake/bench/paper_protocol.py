@@ -1,23 +1,27 @@
-"""The paper's simulated protocol: its objects, hidden masses, pushes and splits (Song & Boularias, RSS 2020, VI.A).
+"""The paper's simulated protocol: hidden masses, pushes and splits (Song & Boularias, RSS 2020, VI.A).
 
-Where the paper pushes with a square finger of 3 cm, a disc of 1.5 cm radius stands in for it here. Pushes are numbered
-from the image's left to its right, the five on its upper side first.
+It is drawn by seed for the objects that ship with the package, and read for the paper's own, which are masks of the
+public data. Where the paper pushes with a square finger of 3 cm, a disc of 1.5 cm radius stands in for it here. Pushes
+are numbered from the object's left to its right, the five on its upper side first.
 """
 
 import json
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.bench.shared_data import find_shared_data
+from gridpush_drake.bench.public_data import find_masks, find_protocol
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import make_path_times, simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.grid.mask_image import read_labels
 from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.object_file import find_shipped_object, list_shipped_objects
 from gridpush_drake.grid.outline import OutlineEdges
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.grid.prior import PhysicalPrior
@@ -25,10 +29,19 @@ from gridpush_drake.pushes.log import ObservedPush, PushLog
 
 Array = NDArray[np.float64]
 
-MASKS = "masks"
-"""Their folder among the public data."""
-
 MAX_CELLS = 127
+METRES_PER_PIXEL = 0.001
+"""Of the masks, m, unless the data say otherwise."""
+
+MASS_SETS = 10
+"""Drawn for each object."""
+
+MASS_RANGE = (0.1, 5.0)
+"""What the mass of a part's cells is drawn from, evenly, kg a cell."""
+
+TRAINING = (1, 2, 3, 4, 5)
+"""Numbers of pushes to learn from; the others of the ten are predicted."""
+
 PUSHES_PER_SIDE = 5
 SPEED = 0.1
 """m/s."""
@@ -59,16 +72,16 @@ class Protocol:
     """The protocol's numbers.
 
     Attributes:
-        folder: where the masks are, `<object>_label.pgm`.
+        masks: the paper's objects' files, by name; the other objects are shipped.
         masses: mass of a cell of each label 1, 2, ..., kg, by object and mass set.
         splits: by number of training pushes; mass set i goes with split i.
         metres_per_pixel: of the masks, m.
     """
 
-    folder: Path
+    masks: dict[str, Path]
     masses: dict[str, tuple[tuple[float, ...], ...]]
     splits: dict[int, tuple[Split, ...]]
-    metres_per_pixel: float
+    metres_per_pixel: float = METRES_PER_PIXEL
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,20 +97,58 @@ class Case:
     log: PushLog
 
 
-def read_protocol(folder: Path | str | None = None) -> Protocol:
-    """Reads `protocol.json`.
+def make_protocol(data: Path | str | None = None, seed: int = 0) -> Protocol:
+    """Draws the protocol for the shipped objects, and reads what the public data have of it.
 
     Args:
-        folder: that holds it and the masks; found beside the repository where None.
+        data: folder of the paper's masks, with or without `protocol.json` beside them; None for the shipped objects.
+        seed: of what is drawn.
 
     Returns:
         The protocol.
 
     Raises:
-        GridPushError: the folder or the file is not there, or the file is not of its form.
+        GridPushError: there is no such folder, no mask in it, or `protocol.json` is not of its form.
     """
-    folder = find_shared_data() / MASKS if folder is None else Path(folder)
-    path = folder / "protocol.json"
+    labels: dict[str, NDArray[Any]] = {
+        name: GridObject.from_yaml(find_shipped_object(name)).labels for name in list_shipped_objects()
+    }
+    masks: dict[str, Path] = {}
+    if data is not None:
+        masks = find_masks(Path(data))
+        labels = {name: read_labels(path) for name, path in masks.items()} | labels
+    drawn = Protocol(masks, {name: draw_masses(name, seen, seed) for name, seen in labels.items()}, draw_splits(seed))
+    path = find_protocol(masks)
+    return drawn if path is None else _read_protocol(path, drawn)
+
+
+def draw_masses(name: str, labels: NDArray[Any], seed: int) -> tuple[tuple[float, ...], ...]:
+    """Draws an object's mass sets.
+
+    Args:
+        name: of the object; it changes what is drawn.
+        labels: of its cells or pixels; 0 is no part.
+        seed: of the draw.
+
+    Returns:
+        `MASS_SETS` times the mass of a cell of each label 1, 2, ..., kg.
+    """
+    rng = np.random.default_rng([seed, crc32(name.encode())])
+    return tuple(map(tuple, rng.uniform(*MASS_RANGE, (MASS_SETS, int(labels.max()))).tolist()))
+
+
+def draw_splits(seed: int, counts: Sequence[int] = TRAINING) -> dict[int, tuple[Split, ...]]:
+    """Draws a split for each mass set and number of pushes to learn from."""
+    rng = np.random.default_rng([seed, len(counts)])
+    orders = {count: [rng.permutation(2 * PUSHES_PER_SIDE).tolist() for _ in range(MASS_SETS)] for count in counts}
+    return {
+        count: tuple(Split(tuple(order[:count]), tuple(sorted(order[count:]))) for order in some)
+        for count, some in orders.items()
+    }
+
+
+def _read_protocol(path: Path, drawn: Protocol) -> Protocol:
+    """The protocol with what `protocol.json` has in place of what was drawn."""
     try:
         content: Any = json.loads(path.read_text())
         masses = {str(name): tuple(map(tuple, sets)) for name, sets in content["masses_by_label"].items()}
@@ -105,9 +156,10 @@ def read_protocol(folder: Path | str | None = None) -> Protocol:
             int(count): tuple(Split(tuple(split["train"]), tuple(split["test"])) for split in splits)
             for count, splits in content["splits"].items()
         }
-        return Protocol(folder, masses, splits, float(content["metres_per_pixel"]["simulated"]))
+        known = {name: masses.get(name, sets) for name, sets in drawn.masses.items()}
+        return Protocol(drawn.masks, known, splits, float(content["metres_per_pixel"]["simulated"]))
     except OSError as error:
-        raise GridPushError(f"{path}: cannot be read: {error.strerror}; expected the paper's masks there") from error
+        raise GridPushError(f"{path}: cannot be read: {error.strerror}; expected the paper's numbers") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise GridPushError(
             f"{path}: expected JSON with masses_by_label, splits and metres_per_pixel.simulated ({error!r})"
@@ -130,12 +182,18 @@ def make_case(protocol: Protocol, name: str, mass_set: int) -> Case:
     """
     if name not in protocol.masses:
         raise GridPushError(f"objects: {name!r} is not in the protocol; expected one of {', '.join(protocol.masses)}")
-    mask = protocol.folder / f"{name}_label.pgm"
     prior = PhysicalPrior(friction=SUPPORT_FRICTION)
-    obj = GridObject.from_mask(mask, metres_per_pixel=protocol.metres_per_pixel, max_cells=MAX_CELLS, prior=prior)
+    mask, scale = protocol.masks.get(name), protocol.metres_per_pixel
+    if mask is None:
+        obj = replace(GridObject.from_yaml(find_shipped_object(name)), prior=prior)
+        left, _, right, _ = obj.outline.bounds
+        columns = round((right - left) / METRES_PER_PIXEL)
+    else:
+        obj = GridObject.from_mask(mask, metres_per_pixel=scale, max_cells=MAX_CELLS, prior=prior)
+        columns = read_labels(mask).shape[1]
     masses = dict(enumerate(protocol.masses[name][mass_set], start=1))
     truth = CellParameters.by_part(obj, masses, SUPPORT_FRICTION)
-    pushes = make_pushes(obj, columns=read_labels(mask).shape[1])
+    pushes = make_pushes(obj, columns)
     seen = [_observe(obj, truth, f"push_{i}", push) for i, push in enumerate(pushes)]
     plain = GridObject(name, obj.p_BC, obj.cell_size, np.ones(obj.n, dtype=np.int64), obj.outline, prior)
     return Case(plain, PushLog(tuple(seen), source=f"{name}, mass set {mass_set}"))

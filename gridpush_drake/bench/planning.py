@@ -13,8 +13,8 @@ from gridpush_drake.bench.planning_protocol import (
     hide_parts,
     list_objects,
     make_hidden,
+    make_planning_protocol,
     read_planning_object,
-    read_planning_protocol,
 )
 from gridpush_drake.bench.planning_tables import (
     LEARNING,
@@ -27,7 +27,7 @@ from gridpush_drake.bench.planning_tables import (
     tabulate_runs,
 )
 from gridpush_drake.bench.table import Table
-from gridpush_drake.bench.workers import WORKERS, Report, run_jobs
+from gridpush_drake.bench.workers import QUIET, Conduct, run_jobs
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.planning.contact_point import ContactOptions, optimise_contact, with_search
@@ -40,6 +40,10 @@ from gridpush_drake.planning.push_world import SimulatedWorld
 
 SETS, QUICK_SETS = 10, 1
 PAIRS, QUICK_PAIRS = 10, 3
+
+Part = Literal["contact", "push"]
+PARTS: tuple[Part, ...] = ("contact", "push")
+"""Contact points, and pushing."""
 
 METHOD_BUDGETS = {"gradient": 44, "finite_difference": 75}
 """Most simulations a decision; of the finite differences, the most that the paper's took."""
@@ -65,7 +69,7 @@ class Job:
 
     Attributes:
         kind: "contact" or "push".
-        folder: of the masks.
+        data: folder of the masks.
         name: of the object.
         number: of the parameter or mass set.
         pairs: how many of the start and goal poses.
@@ -73,8 +77,8 @@ class Job:
         seed: of the noise and the learning.
     """
 
-    kind: Literal["contact", "push"]
-    folder: Path
+    kind: Part
+    data: Path | None
     name: str
     number: int
     pairs: int
@@ -87,25 +91,24 @@ def run(
     sets: int = SETS,
     objects: Sequence[str] | None = None,
     modes: Sequence[str] = (LEARNING, UNIFORM, TRUE, LOOK_AHEAD),
-    parts: Sequence[Literal["contact", "push"]] = ("contact", "push"),
+    parts: Sequence[Part] = PARTS,
     seed: int = 0,
-    progress: bool | Report = True,
+    conduct: Conduct = QUIET,
     *,
     quick: bool = False,
-    workers: int = WORKERS,
 ) -> list[Table]:
     """Measures the choice of contact points, and pushing to goal poses on the round table.
 
     Args:
-        data: folder of the masks and `protocol.json`; found beside the repository where None.
+        data: folder of the paper's masks; None for the shipped objects alone.
         sets: how many parameter sets (contact points) and mass sets (pushing) of each object.
-        objects: names of masks and shipped objects; where None, all for the contact points, eight for the pushing.
+        objects: names of masks and shipped objects; where None, all for the contact points, and for the pushing the
+            masks and `PUSHED_SHIPPED`.
         modes: of the pushing: which model it plans with.
         parts: "contact" and "push", or one of them.
         seed: of everything random.
-        progress: whether to show a bar on standard error, or what to call with each piece of work that is done.
+        conduct: how the jobs are run.
         quick: one set, and three pairs of poses.
-        workers: processes.
 
     Returns:
         Simulations, gap to the exhaustive optimum and time of a decision, by object; success, pushes and time of a run,
@@ -114,7 +117,8 @@ def run(
     Raises:
         GridPushError: the data are not there, or an argument is out of range.
     """
-    protocol = read_planning_protocol(None if data is None else Path(data))
+    folder = None if data is None else Path(data).resolve()
+    protocol = make_planning_protocol(folder, seed)
     known = list_objects(protocol)
     unknown = [name for name in objects or () if name not in known]
     if unknown:
@@ -127,12 +131,12 @@ def run(
         "push": list(objects or list_objects(protocol, PUSHED_SHIPPED)),
     }
     jobs = [
-        Job(part, protocol.folder, name, number, pairs, tuple(modes), seed)
+        Job(part, folder, name, number, pairs, tuple(modes), seed)
         for part in parts
         for number in range(count)
         for name in names[part]
     ]
-    results = run_jobs(run_job, jobs, _describe, title="planning", workers=workers, progress=progress)
+    results = run_jobs(run_job, jobs, _describe, conduct)
     decisions = [entry for result in results for entry in result if isinstance(entry, Decision)]
     runs = [entry for result in results for entry in result if isinstance(entry, Run)]
     tables = [tabulate_decisions(decisions, names["contact"])] if "contact" in parts else []
@@ -146,7 +150,7 @@ def run_job(job: Job) -> list[Decision | Run]:
 
 def _decide(job: Job) -> list[Decision]:
     """Every method's choice of the first push, for each pair of poses."""
-    protocol = read_planning_protocol(job.folder)
+    protocol = make_planning_protocol(job.data, job.seed)
     obj = read_planning_object(protocol, job.name)
     params = CellParameters.random(obj, PARAMETER_SEED + job.number)
     options = ContactOptions(radius=FINGER_RADIUS)
@@ -165,7 +169,7 @@ def _decide(job: Job) -> list[Decision]:
 
 def _push(job: Job) -> list[Run]:
     """Runs in closed loop, for each pair of poses and each model to plan with."""
-    protocol = read_planning_protocol(job.folder)
+    protocol = make_planning_protocol(job.data, job.seed)
     obj = read_planning_object(protocol, job.name)
     hidden, plain = make_hidden(protocol, job.name, job.number), hide_parts(obj)
     runs = []

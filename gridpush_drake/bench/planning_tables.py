@@ -138,7 +138,7 @@ def tabulate_runs(runs: Sequence[Run], names: Sequence[str], modes: Sequence[str
     ]
     if failed:
         notes.append(f"Runs without success ended with: {', '.join(failed)}.")
-    return Table("Pushing to a goal", columns, rows, notes)
+    return Table("Pushing to a goal", columns, rows, notes, keys=2)
 
 
 def _mean_simulations(decisions: Sequence[Decision]) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from shapely import Point
 
 from gridpush_drake.bench.table import Table, Value
-from gridpush_drake.bench.workers import WORKERS, Report, run_jobs
+from gridpush_drake.bench.workers import QUIET, Conduct, run_jobs
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.errors import PushError
@@ -90,8 +90,7 @@ def run(
     bases: Sequence[Literal["planar", "free"]] = BASES,
     *,
     seed: int = 0,
-    workers: int = WORKERS,
-    progress: bool | Report = True,
+    conduct: Conduct = QUIET,
 ) -> list[Table]:
     """Compares the two.
 
@@ -100,8 +99,7 @@ def run(
         pushes: how many of each.
         bases: how the plant holds the object.
         seed: the first push's; the others' follow.
-        workers: processes.
-        progress: whether to show a bar on standard error, or what to call with each piece of work that is done.
+        conduct: how the jobs are run.
 
     Returns:
         One table: a row for each object, base and spin model, and one over all objects.
@@ -109,7 +107,7 @@ def run(
     Raises:
         ObjectError: an object is not shipped.
     """
-    return [make_table(calc_scores(objects, pushes, bases, seed=seed, workers=workers, progress=progress))]
+    return [make_table(calc_scores(objects, pushes, bases, seed=seed, conduct=conduct))]
 
 
 def calc_scores(
@@ -118,18 +116,14 @@ def calc_scores(
     bases: Sequence[Literal["planar", "free"]] = BASES,
     *,
     seed: int = 0,
-    workers: int = WORKERS,
-    progress: bool | Report = True,
+    conduct: Conduct = QUIET,
 ) -> list[PlantScore]:
     """As `run`, push by push."""
     for name in objects:
         find_shipped_object(name)
     seeds = tuple(range(seed, seed + pushes))
     jobs = [PlantJob(name, base, seeds) for base in bases for name in objects]
-    results = run_jobs(
-        run_job, jobs, lambda job: f"{job.name}, {job.base}", title="plant and model", workers=workers,
-        progress=progress,
-    )  # fmt: skip
+    results = run_jobs(run_job, jobs, lambda job: f"{job.name}, {job.base}", conduct)
     return [score for result in results for score in result]
 
 
@@ -208,7 +202,7 @@ def make_table(scores: Sequence[PlantScore]) -> Table:
     columns = (
         "object", "base", "spin", "pushes", "moved, mm", "mean, mm", "max, mm", "mean, °", "max, °", "cells, mm",
     )  # fmt: skip
-    return Table("MultibodyPlant against the grid LCP", columns, rows, notes)
+    return Table("MultibodyPlant against the grid LCP", columns, rows, notes, keys=3)
 
 
 def _sum_up(scores: Sequence[PlantScore]) -> list[Value]:

@@ -10,11 +10,12 @@ Two experiments in the quasi-static LCP world with a table's edge (`bench.pregra
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
 from gridpush_drake.bench.pregrasp_exploration import AIMS, DISTANCES, ExplorationScore, explore
-from gridpush_drake.bench.pregrasp_objects import OBJECTS, load_bench_object, make_table
+from gridpush_drake.bench.pregrasp_objects import MASK_OBJECT, OBJECTS, find_mask, load_bench_object, make_table
 from gridpush_drake.bench.pregrasp_tables import (
     SlideScore,
     tabulate_exploration,
@@ -24,7 +25,7 @@ from gridpush_drake.bench.pregrasp_tables import (
 )
 from gridpush_drake.bench.pregrasp_world import Believe, EdgeWorld, Learner, PaperLearner, run_pregrasp
 from gridpush_drake.bench.table import Table
-from gridpush_drake.bench.workers import WORKERS, Report, run_jobs
+from gridpush_drake.bench.workers import QUIET, Conduct, run_jobs
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
@@ -93,54 +94,58 @@ class Job:
     seed: int
     method: str
     depth: float = DEPTH
+    mask: Path | None = None
 
 
 def run(
-    objects: Sequence[str] = OBJECTS,
+    objects: Sequence[str] | None = None,
     mass_sets: int = MASS_SETS,
     seeds: int = SEEDS,
     methods: Sequence[str] = METHODS,
     seed: int = 0,
-    progress: bool | Report = True,
+    conduct: Conduct = QUIET,
     *,
     depth: float = DEPTH,
     experiment: str = ALL,
     quick: bool = False,
-    workers: int = WORKERS,
+    data: Path | None = None,
 ) -> list[Table]:
     """Measures both experiments.
 
     Args:
-        objects: names of shipped objects; all that have a graspable part by default.
+        objects: names; where None, all shipped objects with a graspable part, and the paper's hammer of the data.
         mass_sets: hidden sets of masses and frictions an object.
         seeds: tables, starts and noises a mass set; the table takes turns with both.
         methods: of METHODS.
         seed: of everything random.
-        progress: whether to show a bar on standard error, or what to call with each piece of work that is done.
+        conduct: how the jobs are run.
         depth: of the gripper's fingers, m; the deeper, the nearer the object comes to tipping.
         experiment: of EXPERIMENTS.
         quick: only `QUICK_MASS_SETS` mass sets and `QUICK_SEEDS` seeds.
-        workers: processes.
+        data: folder of the paper's masks; None for the shipped objects alone.
 
     Returns:
         Slides by method; slides of the first method by object; and pokes by design and at random, by their length and
         by object. Pokes are compared with the first seed only.
 
     Raises:
-        GridPushError: a name is not known, or a count is not positive.
+        GridPushError: the data are not there, a name is not known, or a count is not positive.
     """
-    _check(objects, mass_sets, seeds, methods, experiment)
+    mask = None if data is None else find_mask(data)
+    known = OBJECTS if mask is None else (*OBJECTS, MASK_OBJECT)
+    objects = known if objects is None else objects
+    _check(objects, known, mass_sets, seeds, methods, experiment)
     if quick:
         mass_sets, seeds = min(mass_sets, QUICK_MASS_SETS), min(seeds, QUICK_SEEDS)
     sliding, exploring = experiment != EXPLORING_ONLY, experiment != SLIDING_ONLY
     jobs = [
-        Job(name, mass_set, seed + i, method, depth)
+        Job(name, mass_set, seed + i, method, depth, mask if name == MASK_OBJECT else None)
         for mass_set in range(mass_sets)
         for i in range(seeds)
         for name in objects
         for method in (*(methods if sliding else ()), *(EXPLORING if exploring and i == 0 else ()))
     ]
-    done = run_jobs(run_job, jobs, _describe, title="pre-grasp sliding", workers=workers, progress=progress)
+    done = run_jobs(run_job, jobs, _describe, conduct)
     slides = [score for score in done if isinstance(score, SlideScore)]
     pokes = [score for score in done if isinstance(score, ExplorationScore)]
     tables = []
@@ -154,7 +159,7 @@ def run(
 def run_job(job: Job) -> SlideScore | ExplorationScore:
     """Runs one job."""
     friction_range = WIDE_FRICTION_RANGE if job.method == WIDE else FRICTION_RANGE
-    obj, parts = _load(job.name, job.depth, friction_range)
+    obj, parts = _load(job.name, job.depth, friction_range, job.mask)
     truth = make_truth(obj, job.mass_set)
     if job.method in EXPLORING:
         return explore(obj, truth, job.name, job.mass_set, job.seed, *EXPLORING[job.method])
@@ -193,14 +198,23 @@ def _least_pokes(method: str) -> int:
 
 
 @lru_cache(maxsize=32)
-def _load(name: str, depth: float, friction_range: tuple[float, float]) -> tuple[GridObject, tuple[GraspPart, ...]]:
-    obj = load_bench_object(name, friction_range)
+def _load(
+    name: str, depth: float, friction_range: tuple[float, float], mask: Path | None
+) -> tuple[GridObject, tuple[GraspPart, ...]]:
+    obj = load_bench_object(name, friction_range, mask)
     return obj, tuple(find_grasp_parts(obj, Gripper(depth=depth)))
 
 
-def _check(objects: Sequence[str], mass_sets: int, seeds: int, methods: Sequence[str], experiment: str) -> None:
+def _check(
+    objects: Sequence[str],
+    known_objects: Sequence[str],
+    mass_sets: int,
+    seeds: int,
+    methods: Sequence[str],
+    experiment: str,
+) -> None:
     for what, given, known in (
-        ("objects", objects, OBJECTS),
+        ("objects", objects, known_objects),
         ("methods", methods, METHODS),
         ("experiment", [experiment], EXPERIMENTS),
     ):

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gridpush_drake.bench.shared_data import find_shared_data
+from gridpush_drake.bench.public_data import find_masks
+from gridpush_drake.errors import GridPushError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.object_file import find_shipped_object
 from gridpush_drake.planning.surface import SupportSurface
@@ -21,9 +22,8 @@ OBJECTS = (
     "spring_clamp",
     "toolbox",
     "toothpaste_tube",
-    MASK_OBJECT,
 )
-"""Those of the shipped objects that have a graspable part, and the paper's hammer."""
+"""Those of the shipped objects that have a graspable part."""
 
 METRES_PER_PIXEL = 0.53 / 640
 """Of the paper's masks, for its real objects."""
@@ -32,21 +32,29 @@ RECTANGLE, RADIUS, HEXAGON = (0.9, 0.7), 0.45, 0.5
 """m: sides, radius, circumradius of the tables, which take turns by seed."""
 
 
-def load_bench_object(name: str, friction_range: tuple[float, float]) -> GridObject:
+def find_mask(data: Path) -> Path:
+    """Finds the paper's hammer among the public data. Raises GridPushError where it is not there."""
+    masks = find_masks(data)
+    if MASK_OBJECT not in masks:
+        raise GridPushError(f"{data}: holds no mask of {MASK_OBJECT}; expected {MASK_OBJECT}_label.pgm")
+    return masks[MASK_OBJECT].resolve()
+
+
+def load_bench_object(name: str, friction_range: tuple[float, float], mask: Path | None = None) -> GridObject:
     """Loads an object, its support friction known to be within a range, its parts' masses not at all.
 
     Args:
-        name: of OBJECTS.
+        name: of OBJECTS, or of the mask.
         friction_range: least and greatest coefficient of any cell.
+        mask: file of the paper's object; None for a shipped one.
 
     Returns:
         The object; the prior coefficient is the range's geometric mean.
 
     Raises:
-        GridPushError: the public data are not there, which the paper's hammer is from.
+        ObjectError: no shipped object has this name, or the mask cannot be read.
     """
-    if name == MASK_OBJECT:
-        mask: Path = find_shared_data() / "masks" / f"{name}_label.pgm"
+    if mask is not None:
         obj = GridObject.from_mask(mask, metres_per_pixel=METRES_PER_PIXEL, name=name)
     else:
         obj = GridObject.from_yaml(find_shipped_object(name))

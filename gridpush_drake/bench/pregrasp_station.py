@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gridpush_drake.bench.table import Table, Value
-from gridpush_drake.bench.workers import WORKERS, Report, run_jobs
+from gridpush_drake.bench.workers import QUIET, Conduct, run_jobs
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.grid.object_file import find_shipped_object
 
@@ -75,8 +75,7 @@ def run(
     seeds: Sequence[int] = SEEDS,
     *,
     quick: bool = False,
-    workers: int = WORKERS,
-    progress: bool | Report = True,
+    conduct: Conduct = QUIET,
 ) -> list[Table]:
     """Runs the whole story with every object and seed.
 
@@ -84,8 +83,7 @@ def run(
         objects: shipped objects' names.
         seeds: of the runs with each.
         quick: only the first object and the first seed.
-        workers: processes.
-        progress: whether to show a bar on standard error, or what to call with each piece of work that is done.
+        conduct: how the jobs are run.
 
     Returns:
         One table, a row an object and one of all.
@@ -101,14 +99,7 @@ def run(
     if quick:
         objects, seeds = objects[:1], seeds[:1]
     jobs = [GraspJob(name, seed) for name in objects for seed in seeds]
-    scores = run_jobs(
-        run_job,
-        jobs,
-        lambda job: f"{job.name}, seed {job.seed}",
-        title="the whole story",
-        workers=min(workers, len(jobs)),
-        progress=progress,
-    )
+    scores = run_jobs(run_job, jobs, lambda job: f"{job.name}, seed {job.seed}", conduct)
     return [tabulate(scores, objects)]
 
 

@@ -89,6 +89,7 @@ def tabulate_exploration(scores: Sequence[ExplorationScore]) -> Table:
             "error: mean distance of the final estimate from the true centre.",
             "within 95 %: runs of either kind whose true centre is within the 95 % range that the estimate states.",
         ),
+        keys=2,
     )
 
 
@@ -100,7 +101,7 @@ def tabulate_exploration_by_object(scores: Sequence[ExplorationScore], objects: 
             chosen = [score for score in scores if score.aim == aim and score.name == name]
             if chosen:
                 rows.append((aim, name, *_explore_row(aim, chosen)))
-    return Table("The same by object, pokes of all lengths", ("wanted", "object", *EXPLORE_COLUMNS), rows)
+    return Table("The same by object, pokes of all lengths", ("wanted", "object", *EXPLORE_COLUMNS), rows, keys=2)
 
 
 def _explore_row(aim: str, scores: Sequence[ExplorationScore]) -> tuple[float | int, ...]:

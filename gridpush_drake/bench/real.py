@@ -1,5 +1,8 @@
 """`gridpush bench real`: learning from real robots' pushes, and predicting others of them.
 
+The pushes are public data of other people. Without them, simulated pushes of the shipped objects stand in
+(`bench.simulated_pushes`), and the table says so: nothing in it is real.
+
 CMU (Zhou et al. 2016): 25 of a file's 50 pushes are held out, 1 to 25 of the others train; the metric is
 |dxy| + rho |dtheta|, rho = 0.05 sqrt 2 m. MIT (Yu et al. 2016): a fifth of a file's pushes trains, the rest are held
 out. The standard error of one CMU split's mean is 0.15 mm: smaller differences say nothing.
@@ -13,11 +16,13 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from gridpush_drake.bench.shared_data import find_shared_data
+from gridpush_drake.bench.public_data import find_push_logs
+from gridpush_drake.bench.simulated_pushes import describe_pushes, simulate_log
 from gridpush_drake.bench.table import Table, Value
-from gridpush_drake.bench.workers import WORKERS, Report, run_jobs
+from gridpush_drake.bench.workers import QUIET, Conduct, run_jobs
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.object_file import find_shipped_object, list_shipped_objects
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.identify import identify
 from gridpush_drake.identification.prediction import calc_pose_error, predict
@@ -32,22 +37,36 @@ FEET_SETS = ("hardboard_wide", "hardboard_middle", "plywood_wide", "plywood_midd
 """The CMU files whose mean counts; others are shown beside."""
 
 CMU_TEST, CMU_COUNTS = 25, (1, 2, 3, 5, 8, 12, 18, 25)
+SHOWN_COUNTS = (5, 25)
+"""Numbers of training pushes of the first CMU table and of the simulated pushes."""
+
 MIT_SHARE = 0.2
 SPLITS, QUICK_SPLITS = 10, 2
 CONFIDENCE = 0.95
 MM = 1e3
+POSE_COLUMNS = ("training", "position, mm", "angle, °")
 UNIFORM, POSES, CENTRE = "uniform pressure", "poses only", "poses + centre of mass"
 
 
 @dataclass(frozen=True)
 class Job:
-    """One file and split, learned from with some numbers of training pushes."""
+    """One file and split, learned from with some numbers of training pushes.
+
+    Attributes:
+        path: of the log; of simulated pushes, of the object.
+        kind: "cmu", "mit" or "simulated".
+        split: its number; of simulated pushes, also of their hidden truth.
+        counts: numbers of training pushes.
+        seed: of everything random.
+        name: of the log; its file's where empty.
+    """
 
     path: Path
     kind: str
     split: int
     counts: tuple[int, ...]
     seed: int
+    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -69,75 +88,97 @@ class Score:
 def run(
     data: Path | str | None = None,
     *,
+    objects: Sequence[str] | None = None,
     splits: int = SPLITS,
     counts: Sequence[int] = CMU_COUNTS,
     seed: int = 0,
     quick: bool = False,
     figure: Path | str | None = None,
     force: bool = False,
-    progress: bool | Report = True,
-    workers: int = WORKERS,
+    conduct: Conduct = QUIET,
 ) -> list[Table]:
-    """Measures the default method on the public push data sets.
+    """Measures the default method on the public push data sets, or on simulated pushes that stand in for them.
 
     Args:
-        data: folder that holds `cmu_pushes` and `mit_pushes`; found beside the repository where None.
+        data: folder of the public push logs; None for simulated pushes of the shipped objects.
+        objects: shipped objects to simulate; all where None. Without data only.
         splits: seeded splits of each file.
         counts: numbers of training pushes for the CMU files.
         seed: of the splits and of the identification.
         quick: only `QUICK_SPLITS` splits, with 5 and 25 pushes.
         figure: file for the curve of the error against the number of training pushes.
         force: whether an existing figure may be replaced.
-        progress: whether to show a bar on standard error, or what to call with each piece of work that is done.
-        workers: processes.
+        conduct: how the jobs are run.
 
     Returns:
-        The CMU files at 5 and 25 training pushes; the curve; and the MIT files.
+        The CMU files at 5 and 25 training pushes; the curve; and the MIT files. Without data, the simulated pushes.
 
     Raises:
-        GridPushError: the data are not there.
+        GridPushError: the data are not there, or an argument does not go with them.
+        PushLogError: a log cannot be read.
     """
-    folder = find_shared_data() if data is None else Path(data)
     if figure is not None:
         from gridpush_drake.bench.figure_file import check_figure
 
         check_figure(figure, force)
-    splits, counts = (min(splits, QUICK_SPLITS), (5, 25)) if quick else (splits, tuple(counts))
-    files = [("cmu", path) for path in sorted((folder / "cmu_pushes").glob("*.txt"))]
-    files += [("mit", path) for path in sorted((folder / "mit_pushes").glob("*.mat"))]
-    if not files:
-        raise GridPushError(f"{folder}: no cmu_pushes/*.txt nor mit_pushes/*.mat; expected the public push logs there")
-    jobs = [Job(path, kind, split, counts, seed) for kind, path in files for split in range(splits)]
-    results = run_jobs(
-        run_job, jobs, lambda job: f"{job.path.stem}, split {job.split}", title="real pushes", workers=workers,
-        progress=progress,
-    )  # fmt: skip
+    splits, counts = (min(splits, QUICK_SPLITS), SHOWN_COUNTS) if quick else (splits, tuple(counts))
+    if splits < 1:
+        raise GridPushError(f"splits: {splits}; expected at least 1")
+    if data is None:
+        if figure is not None:
+            raise GridPushError("figure: is of real pushes; expected --data with it")
+        return _run_simulated(list_shipped_objects() if objects is None else objects, splits, seed, conduct)
+    if objects is not None:
+        raise GridPushError("objects: are for simulated pushes; expected none with --data")
+    files = name_logs(find_push_logs(Path(data).resolve(), CMU_TEST + max(counts)))
+    for _, kind, path in files:
+        _read(path, kind)
+    jobs = [Job(path, kind, split, counts, seed, name) for name, kind, path in files for split in range(splits)]
+    results = run_jobs(run_job, jobs, _describe, conduct)
     scores = [score for result in results for score in result]
     tables = []
-    if any(kind == "cmu" for kind, _ in files):
-        cmu = [path.stem for kind, path in files if kind == "cmu"]
+    cmu = [name for name, kind, _ in files if kind == "cmu"]
+    if cmu:
         tables += [_tabulate_cmu(scores, cmu, counts), _tabulate_curve(scores, cmu, counts)]
         if figure is not None:
             from gridpush_drake.bench.real_figure import write_curve
 
             write_curve(figure, scores, [name for name in cmu if name in FEET_SETS] or cmu, counts, force)
-    if any(kind == "mit" for kind, _ in files):
-        tables.append(_tabulate_mit(scores, [path for kind, path in files if kind == "mit"]))
+    mit = {name: path for name, kind, path in files if kind == "mit"}
+    if mit:
+        tables.append(_tabulate_mit(scores, mit))
     return tables
+
+
+def _run_simulated(objects: Sequence[str], splits: int, seed: int, conduct: Conduct) -> list[Table]:
+    """The simulated pushes of shipped objects, which stand in for real ones."""
+    paths = [find_shipped_object(name) for name in objects]
+    jobs = [Job(path, "simulated", split, SHOWN_COUNTS, seed) for path in paths for split in range(splits)]
+    scores = [score for result in run_jobs(run_job, jobs, _describe, conduct) for score in result]
+    return [_tabulate_simulated(scores, objects)]
+
+
+def name_logs(logs: Sequence[tuple[str, Path]]) -> list[tuple[str, str, Path]]:
+    """Names each log by its file, with as many of its folders as tell it from the others."""
+    names = {path: path.stem for _, path in logs}
+    for depth in range(1, max(len(path.parts) for path in names)):
+        twice = [path for path, name in names.items() if list(names.values()).count(name) > 1]
+        names |= {path: "/".join((*path.parts[-1 - depth : -1], path.stem)) for path in twice}
+    return [(names[path], kind, path) for kind, path in logs]
 
 
 def run_job(job: Job) -> list[Score]:
     """Learns from one split of one file with each number of pushes, and predicts its held-out pushes."""
-    log, obj = _read(job.path, job.kind)
+    log, obj = simulate_log(job.path, job.seed, job.split) if job.kind == "simulated" else _read(job.path, job.kind)
     order = np.random.default_rng([job.seed, job.split]).permutation(len(log))
-    if job.kind == "cmu":
-        test, rest = log.subset(order[:CMU_TEST]), order[CMU_TEST:]
-        known = replace(obj, prior=replace(obj.prior, centre_of_mass=(0.0, 0.0)))
-        models, counts = [(POSES, obj), (CENTRE, known)], job.counts
-    else:
+    models, counts = [(POSES, obj)], job.counts
+    if job.kind == "mit":
         count = round(MIT_SHARE * len(log))
-        test, rest = log.subset(order[count:]), order[:count]
-        models, counts = [(POSES, obj)], (count,)
+        test, rest, counts = log.subset(order[count:]), order[:count], (count,)
+    else:
+        test, rest = log.subset(order[:CMU_TEST]), order[CMU_TEST:]
+    if job.kind == "cmu":
+        models.append((CENTRE, replace(obj, prior=replace(obj.prior, centre_of_mass=(0.0, 0.0)))))
     scores = [_score(job, UNIFORM, 0, obj, CellParameters.uniform(obj), test)]
     for count in counts:
         train = log.subset(rest[:count])
@@ -153,7 +194,11 @@ def _score(job: Job, model: str, training: int, obj: GridObject, params: CellPar
         for made, seen in zip(predict(obj, params, test), test, strict=True)
     ]
     position, angle = tuple(error.position for error in errors), tuple(error.angle for error in errors)
-    return Score(job.path.stem, job.split, model, training, position, angle)
+    return Score(job.name or job.path.stem, job.split, model, training, position, angle)
+
+
+def _describe(job: Job) -> str:
+    return f"{job.name or job.path.stem}, split {job.split}"
 
 
 @lru_cache(maxsize=1)
@@ -183,7 +228,7 @@ def format_interval(values: np.ndarray) -> str:
 
 def _tabulate_cmu(scores: Sequence[Score], names: Sequence[str], counts: Sequence[int]) -> Table:
     rows: list[list[Value]] = []
-    shown = [count for count in (25, 5) if count in counts] or list(counts[-1:])
+    shown = [count for count in reversed(SHOWN_COUNTS) if count in counts] or list(counts[-1:])
     variants = [(UNIFORM, 0), *((model, count) for count in shown for model in (CENTRE, POSES))]
     feet = [name for name in names if name in FEET_SETS]
     for model, training in variants:
@@ -202,7 +247,7 @@ def _tabulate_cmu(scores: Sequence[Score], names: Sequence[str], counts: Sequenc
         "Repeating the same push differs by about 1.4 mm.",
     )
     columns = ("model", "training", *names, "mean", "median", "p90")
-    return Table("CMU pushes: held-out error, mm", columns, rows, notes)
+    return Table("CMU pushes: held-out error, mm", columns, rows, notes, keys=2)
 
 
 def _tabulate_curve(scores: Sequence[Score], names: Sequence[str], counts: Sequence[int]) -> Table:
@@ -230,18 +275,36 @@ def _tabulate_curve(scores: Sequence[Score], names: Sequence[str], counts: Seque
     return Table("CMU pushes: error by number of training pushes, mm", columns, rows, notes)
 
 
-def _tabulate_mit(scores: Sequence[Score], paths: Sequence[Path]) -> Table:
+def _tabulate_mit(scores: Sequence[Score], paths: dict[str, Path]) -> Table:
     rows: list[list[Value]] = []
-    for path in paths:
+    for name, path in paths.items():
         position, angle = read_model_errors(path)
-        rows.append([path.stem, "the file's own", None, f"{MM * position:.2f}", f"{np.degrees(angle):.2f}"])
-        for model in (UNIFORM, POSES):
-            chosen = [score for score in scores if score.name == path.stem and score.model == model]
-            mm = np.array([MM * np.mean(score.position) for score in chosen])
-            degrees = np.array([np.degrees(np.mean(score.angle)) for score in chosen])
-            training = chosen[0].training
-            rows.append([path.stem, model, training, format_interval(mm), format_interval(degrees)])
+        rows.append([name, "the file's own", None, f"{MM * position:.2f}", f"{np.degrees(angle):.2f}"])
+        rows += [_make_pose_row(scores, name, model) for model in (UNIFORM, POSES)]
     notes = (
         f"{100 * MIT_SHARE:.0f} % of the pushes train, the others are held out; mean over splits ± 95 % confidence.",
     )
-    return Table("MIT pushes: held-out error", ("file", "model", "training", "position, mm", "angle, °"), rows, notes)
+    return Table("MIT pushes: held-out error", ("file", "model", *POSE_COLUMNS), rows, notes, keys=2)
+
+
+def _tabulate_simulated(scores: Sequence[Score], names: Sequence[str]) -> Table:
+    rows = [
+        _make_pose_row(scores, name, model, training)
+        for name in names
+        for model, training in ((UNIFORM, 0), *((POSES, count) for count in SHOWN_COUNTS))
+    ]
+    notes = (
+        "Nothing here is real: pass real robots' pushes with --data.",
+        describe_pushes(),
+        f"{CMU_TEST} pushes are held out; mean over splits, each with hidden parameters of its own, ± 95 % confidence.",
+    )
+    columns = ("object, simulated", "model", *POSE_COLUMNS)
+    title = "Simulated stand-in for real pushes: held-out error of simulated pushes"
+    return Table(title, columns, rows, notes, keys=2)
+
+
+def _make_pose_row(scores: Sequence[Score], name: str, model: str, training: int | None = None) -> list[Value]:
+    chosen = [s for s in scores if s.name == name and s.model == model and training in (None, s.training)]
+    mm = np.array([MM * np.mean(score.position) for score in chosen])
+    degrees = np.array([np.degrees(np.mean(score.angle)) for score in chosen])
+    return [name, model, chosen[0].training, format_interval(mm), format_interval(degrees)]

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from shapely import LineString
 
-from gridpush_drake.bench.shared_data import find_shared_data
+from gridpush_drake.bench.pregrasp_objects import find_mask
 from gridpush_drake.bench.table import Table, Value
 from gridpush_drake.bench.timing import Timing, measure, one_core
+from gridpush_drake.bench.workers import Report, count_steps
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import Regime, simulate
-from gridpush_drake.errors import GridPushError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.object_file import find_shipped_object
 from gridpush_drake.grid.parameters import CellParameters
@@ -22,7 +22,6 @@ from gridpush_drake.grid.parameters import CellParameters
 PAPER_SIMULATION, PAPER_GRADIENT = 1.3448, 0.0069
 """s a simulated push, and s a gradient (Song and Boularias, RSS 2020)."""
 
-MASK = Path("masks", "hammer_label.pgm")
 METRES_PER_PIXEL = 0.001
 """Of the paper's masks in its simulations."""
 
@@ -42,33 +41,31 @@ LINEAR_FROM = 300
 
 MS = 1e3
 
-Report = Callable[[str], None]
+Tell = Callable[[str], None]
 
 
 def run(
-    data: Path | None = None,
+    obj: GridObject,
     *,
     repetitions: int = 50,
     sizes: Sequence[int] = SIZES,
     with_mujoco: bool = True,
-    progress: Report | None = None,
+    report: Report | None = None,
 ) -> list[Table]:
     """Measures everything, on one core.
 
     Args:
-        data: folder of the public data; found beside the repository where None, and where it is not there the shipped
-            claw hammer stands in for the paper's.
+        obj: to push.
         repetitions: of each simulation.
         sizes: numbers of cells for the cost against n.
         with_mujoco: whether to run MuJoCo beside, where it is installed.
-        progress: called with what begins.
+        report: called with what begins, as of jobs.
 
     Returns:
         The tables: one push, cost against n, start-up.
     """
-    tell = progress or (lambda _: None)
+    tell = count_steps(report, len(_simulations(obj)) + int(with_mujoco) + len(sizes) + 1)
     with one_core() as pinned:
-        obj = _load_hammer(data)
         tables = [_measure_push(obj, repetitions, with_mujoco, pinned, tell), _measure_sizes(sizes, repetitions, tell)]
         tell("start-up")
         tables.append(_measure_start_up())
@@ -83,12 +80,15 @@ def make_bench_push(obj: GridObject) -> Push:
     return Push((x, bottom - RADIUS), (0.0, SPEED), DURATION, RADIUS)  # type: ignore[arg-type]
 
 
-def _load_hammer(data: Path | None) -> GridObject:
-    try:
-        mask = (find_shared_data() if data is None else data) / MASK
-    except GridPushError:
+def load_hammer(data: Path | None) -> GridObject:
+    """Loads the paper's hammer from a folder of masks, or, where that is None, the shipped one in its place.
+
+    Raises:
+        GridPushError: the mask is not there.
+    """
+    if data is None:
         return GridObject.from_yaml(find_shipped_object("claw_hammer"))
-    return GridObject.from_mask(mask, metres_per_pixel=METRES_PER_PIXEL, name="hammer mask")
+    return GridObject.from_mask(find_mask(data), metres_per_pixel=METRES_PER_PIXEL, name="hammer mask")
 
 
 def _simulations(obj: GridObject) -> dict[str, Callable[[], object]]:
@@ -109,7 +109,7 @@ def _simulate(
     return simulate(obj, params, push, dt=DT, regime=regime, gradients=True, record=record).jacobian
 
 
-def _measure_push(obj: GridObject, repetitions: int, with_mujoco: bool, pinned: bool, tell: Report) -> Table:
+def _measure_push(obj: GridObject, repetitions: int, with_mujoco: bool, pinned: bool, tell: Tell) -> Table:
     times: dict[str, Timing] = {}
     for name, work in _simulations(obj).items():
         tell(name)
@@ -144,7 +144,7 @@ def _measure_mujoco(obj: GridObject) -> Timing | str:
     return measure(push, repetitions=3, warm_up=0)
 
 
-def _measure_sizes(sizes: Sequence[int], repetitions: int, tell: Report) -> Table:
+def _measure_sizes(sizes: Sequence[int], repetitions: int, tell: Tell) -> Table:
     rows: list[list[Value]] = []
     medians = []
     for size in sizes:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gridpush_drake.bench.table import Table, Value
-from gridpush_drake.bench.workers import WORKERS, Report, run_jobs
+from gridpush_drake.bench.workers import QUIET, Conduct, run_jobs
 from gridpush_drake.grid.object_file import find_shipped_object
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.error_summary import calc_mean_cell_error
@@ -59,17 +59,14 @@ class StationScore:
 def run(
     objects: Sequence[str] = OBJECTS,
     seeds: Sequence[int] = SEEDS,
-    *,
-    workers: int = WORKERS,
-    progress: bool | Report = True,
+    conduct: Conduct = QUIET,
 ) -> list[Table]:
     """Runs the experiments.
 
     Args:
         objects: shipped objects' names.
         seeds: of the experiments with each.
-        workers: processes.
-        progress: whether to show a bar on standard error, or what to call with each piece of work that is done.
+        conduct: how the jobs are run.
 
     Returns:
         One table, a row an experiment.
@@ -77,23 +74,19 @@ def run(
     Raises:
         ObjectError: an object is not shipped.
     """
-    return [make_table(calc_scores(objects, seeds, workers=workers, progress=progress))]
+    return [make_table(calc_scores(objects, seeds, conduct))]
 
 
 def calc_scores(
     objects: Sequence[str] = OBJECTS,
     seeds: Sequence[int] = SEEDS,
-    *,
-    workers: int = WORKERS,
-    progress: bool | Report = True,
+    conduct: Conduct = QUIET,
 ) -> list[StationScore]:
     """As `run`, experiment by experiment."""
     for name in objects:
         find_shipped_object(name)
     jobs = [StationJob(name, seed) for name in objects for seed in seeds]
-    return run_jobs(
-        run_job, jobs, lambda job: f"{job.name}, seed {job.seed}", title="station", workers=workers, progress=progress
-    )
+    return run_jobs(run_job, jobs, lambda job: f"{job.name}, seed {job.seed}", conduct)
 
 
 def run_job(job: StationJob) -> StationScore:

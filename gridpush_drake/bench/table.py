@@ -1,14 +1,18 @@
 """A table of measured figures, for people and for machines."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import floor, isnan, log10
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    import rich.console
     import rich.table
 
 Value = str | float | int | None
+
+FRAME, PADDING = 1, 3
+"""Characters of a shown table: its left border, and what a column has beside its text."""
 
 
 @dataclass(frozen=True)
@@ -21,6 +25,7 @@ class Table:
         rows: of as many values as there are columns; None or NaN where there is none.
         notes: how it was measured, and what else must be known to read it, a sentence each.
         digits: significant digits that numbers are shown with.
+        keys: how many of the first columns say what a row is of; they are repeated where a table is too wide.
     """
 
     title: str
@@ -28,6 +33,7 @@ class Table:
     rows: Sequence[Sequence[Value]]
     notes: Sequence[str] = ()
     digits: int = 3
+    keys: int = 1
 
     def __post_init__(self) -> None:
         for row in self.rows:
@@ -43,17 +49,36 @@ class Table:
             "notes": list(self.notes),
         }
 
-    def to_rich(self) -> "rich.table.Table":
-        """The table as a terminal shows it: first column left, the others right."""
-        import rich.table
+    def __rich_console__(
+        self, console: "rich.console.Console", options: "rich.console.ConsoleOptions"
+    ) -> "Iterator[rich.console.RenderableType]":
+        """The table as a terminal shows it, in as many parts, one below the other, as its width asks for."""
+        from rich.text import Text
 
-        table = rich.table.Table(title=self.title, title_justify="left", caption_justify="left")
-        for i, column in enumerate(self.columns):
-            table.add_column(column, justify="right" if i else "left")
-        for row in self.rows:
-            table.add_row(*(self.format(value) for value in row))
-        table.caption = "\n".join(self.notes)
-        return table
+        parts = self.split(options.max_width)
+        for i, part in enumerate(parts):
+            yield self._to_rich(part, options.max_width, title=self.title if i == 0 else "")
+        for note in self.notes:
+            yield Text(note, style="table.caption", justify="left")
+
+    def split(self, width: int) -> list[list[int]]:
+        """Parts of the table that fit a width.
+
+        Args:
+            width: of what it is shown on, characters.
+
+        Returns:
+            The columns' numbers of each part, the keys in all of them. A value or a word of a column's name is never
+            broken: where keys and one column are wider than the width, that part is too.
+        """
+        widths = [self._measure(i) + PADDING for i in range(len(self.columns))]
+        keys = list(range(self.keys))
+        parts = [list(keys)]
+        for i in range(self.keys, len(self.columns)):
+            if len(parts[-1]) > self.keys and FRAME + sum(widths[j] for j in (*parts[-1], i)) > width:
+                parts.append(list(keys))
+            parts[-1].append(i)
+        return parts
 
     def to_markdown(self) -> str:
         """The table as Markdown has it."""
@@ -74,3 +99,26 @@ class Table:
             return f"{value:.{self.digits}g}"
         rounded = float(f"{value:.{self.digits}g}")
         return f"{rounded:.{max(self.digits - 1 - floor(log10(abs(rounded))), 0)}f}"
+
+    def _measure(self, column: int) -> int:
+        """Characters that a column needs: its longest value, or the longest word of its name."""
+        from rich.cells import cell_len
+
+        texts = [*self.columns[column].split(), *(self.format(row[column]) for row in self.rows)]
+        return max(map(cell_len, texts))
+
+    def _to_rich(self, part: Sequence[int], width: int, title: str) -> "rich.table.Table":
+        """Some of the columns, keys left and the others right; nothing is read as markup."""
+        import rich.table
+        from rich.text import Text
+
+        table = rich.table.Table(title=Text(title) if title else None, title_justify="left")
+        spare = width - FRAME - sum(self._measure(i) + PADDING for i in part)
+        for i in part:
+            least = self._measure(i)
+            more = max(0, min(spare, len(self.columns[i]) - least))
+            spare -= more
+            table.add_column(Text(self.columns[i]), justify="left" if i < self.keys else "right", width=least + more)
+        for row in self.rows:
+            table.add_row(*(Text(self.format(row[i]), no_wrap=True) for i in part))
+        return table

@@ -1,4 +1,6 @@
+import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -77,3 +79,57 @@ def test_reads_numbers():
     for text in ("", "1", "1,2,3", "1,b", "1,nan", "1;2"):
         with pytest.raises(OptionError, match=r"--start.*x,y"):
             parse_numbers("--start", text, "x,y")
+
+
+LATE = """
+import atexit, os, signal, sys
+
+class Late:
+    def __del__(self, kill=os.kill, pid=os.getpid(), number=int(sys.argv[1])):
+        kill(pid, number)
+
+late = Late()
+atexit.register(os.kill, os.getpid(), int(sys.argv[1]))
+sys.argv[1:] = ["--version"]
+from gridpush_drake.apps.main import main
+main()
+"""
+"""Sends a signal while the interpreter shuts down, and another once its signal handlers are gone."""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_after_the_work_changes_nothing(number):
+    done = subprocess.run(
+        [sys.executable, "-c", LATE, str(int(number))], capture_output=True, text=True, timeout=60, check=False,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("gridpush ")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupt_that_python_ignores_ends_the_process_all_the_same(number, code):
+    """One raised in a finalizer is lost; the process ends a moment later."""
+    script = (
+        "import os, signal, sys, time\n"
+        "from gridpush_drake.apps import main\n"
+        "class Deaf:\n"
+        "    def __del__(self):\n"
+        f"        os.kill(os.getpid(), {int(number)})\n"
+        "        time.sleep(0.1)\n"
+        "def run(args):\n"
+        "    Deaf()\n"
+        "    time.sleep(40)\n"
+        "main._run = run\n"
+        "main.main()\n"
+    )
+    begin = time.monotonic()
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
+    assert done.returncode == code
+    assert done.stderr.endswith("gridpush: interrupted; no file was left half-written\n")
+    assert time.monotonic() - begin < 30

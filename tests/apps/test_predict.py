@@ -4,6 +4,7 @@ import json
 import numpy as np
 import pytest
 
+from gridpush_drake.identification.error_summary import calc_final_errors
 from gridpush_drake.identification.model_file import read_model
 from gridpush_drake.identification.prediction import predict
 from gridpush_drake.pushes.log import PushLog
@@ -38,6 +39,29 @@ def test_prints_one_json_document(gridpush, model, pushes, tmp_path):
     assert document["model"] == "learned"
     assert [error["name"].split(",")[0] for error in document["errors"]] == ["position", "angle", "cell", "combined"]
     assert all(error["pushes"] == 5 for error in document["errors"])
+    assert [error["unit"] for error in document["errors"]] == ["mm", "deg", "mm", "mm"]
+
+
+def test_errors_of_each_push_and_their_summary_say_their_units(gridpush, model, pushes, tmp_path):
+    outcome = gridpush("predict", model, pushes, "--out", tmp_path / "predicted.csv", "--json")
+    document = json.loads(outcome.out)
+    learned, log = read_model(model), PushLog.read_csv(pushes)
+    expected = calc_final_errors(learned.obj, predict(learned.obj, learned.params, log.with_radius(0.004)), log)
+    by_push = document["errors_by_push"]
+    assert [error["push"] for error in by_push] == [seen.name for seen in log]
+    rho = learned.obj.radius_of_gyration
+    assert document["rho_mm"] == pytest.approx(1e3 * rho)
+    for found, error in zip(by_push, expected, strict=True):
+        assert found["position_mm"] == pytest.approx(1e3 * error.position)
+        assert found["angle_deg"] == pytest.approx(np.degrees(error.angle))
+        assert found["cell_mm"] == pytest.approx(1e3 * error.cell)
+        assert found["combined_mm"] == pytest.approx(1e3 * (error.position + rho * error.angle))
+    columns = ("position_mm", "angle_deg", "cell_mm", "combined_mm")
+    for summary, column in zip(document["errors"], columns, strict=True):
+        values = [error[column] for error in by_push]
+        assert summary["mean"] == pytest.approx(np.mean(values))
+        assert summary["median"] == pytest.approx(np.median(values))
+        assert summary["p90"] == pytest.approx(np.quantile(values, 0.9))
 
 
 def test_final_poses_need_not_be_known(gridpush, model, tmp_path):
@@ -52,6 +76,10 @@ def test_final_poses_need_not_be_known(gridpush, model, tmp_path):
     assert "rror" not in outcome.out
     document = json.loads(gridpush("predict", model, path, "--out", tmp_path / "p.csv", "--json").out)
     assert (document["errors"], document["untouched"]) == ([], ["far"])
+    assert [(error["push"], error["cell_mm"]) for error in document["errors_by_push"]] == [
+        ("near", None),
+        ("far", None),
+    ]
 
 
 @pytest.mark.parametrize(

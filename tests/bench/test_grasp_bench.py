@@ -40,11 +40,11 @@ def test_the_table_counts_what_happened():
 
 def test_refuses_what_makes_no_sense():
     with pytest.raises(ObjectError, match="brick"):
-        pregrasp_station.run(["claw_hammer", "brick"], [0], progress=False)
+        pregrasp_station.run(["claw_hammer", "brick"], [0])
     with pytest.raises(GridPushError, match="objects: none"):
-        pregrasp_station.run([], [0], progress=False)
+        pregrasp_station.run([], [0])
     with pytest.raises(GridPushError, match="seeds: none"):
-        pregrasp_station.run(["claw_hammer"], [], progress=False)
+        pregrasp_station.run(["claw_hammer"], [])
 
 
 def test_the_command_refuses_an_unknown_object(capsys):

@@ -11,12 +11,16 @@ from gridpush_drake.bench.paper_protocol import (
     FINGER_RADIUS,
     SPEED,
     make_case,
+    make_protocol,
+    make_pushes,
     place_disc,
-    read_protocol,
 )
 from gridpush_drake.bench.paper_tables import Score
+from gridpush_drake.bench.workers import Conduct
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.errors import GridPushError, OutputError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.object_file import find_shipped_object, list_shipped_objects
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.grid.prior import PhysicalPrior
 from tests.helpers.random_objects import make_random_object
@@ -57,8 +61,9 @@ def test_a_placed_disc_touches_and_nothing_is_nearer(seed):
 
 
 def test_reads_the_protocol():
-    protocol = read_protocol(shared_data("masks"))
-    assert set(protocol.masses) == set(OBJECTS)
+    protocol = make_protocol(shared_data("masks"))
+    assert set(protocol.masks) == set(OBJECTS)
+    assert set(protocol.masses) == {*OBJECTS, *list_shipped_objects()}
     assert all(len(sets) == 10 and min(map(min, sets)) >= 0.1 for sets in protocol.masses.values())
     assert protocol.metres_per_pixel == 0.001
     for count, splits in protocol.splits.items():
@@ -68,9 +73,40 @@ def test_reads_the_protocol():
             assert sorted(split.train + split.test) == list(range(10))
 
 
+def test_draws_the_protocol():
+    protocol, other = make_protocol(seed=3), make_protocol(seed=4)
+    assert protocol == make_protocol(seed=3)
+    assert set(protocol.masses) == set(list_shipped_objects())
+    for name, sets in protocol.masses.items():
+        parts = len(np.unique(GridObject.from_yaml(find_shipped_object(name)).labels))
+        assert np.shape(sets) == (10, parts)
+        assert 0.1 <= np.min(sets) < 1 < 4 < np.max(sets) <= 5.0
+        assert sets != other.masses[name]
+    assert list(protocol.splits) == [1, 2, 3, 4, 5]
+    for count, splits in protocol.splits.items():
+        assert len(splits) == 10
+        for split in splits:
+            assert len(split.train) == count
+            assert sorted(split.train + split.test) == list(range(10))
+
+
+@pytest.mark.parametrize("name", list_shipped_objects())
+def test_ten_pushes_of_shipped_objects_are_as_many_millimetres_apart(name):
+    obj = GridObject.from_yaml(find_shipped_object(name))
+    width = round(1e3 * np.ptp(obj.outline.exterior.xy[0]))
+    pushes = make_pushes(obj, width)
+    for half in (pushes[:5], pushes[5:]):
+        apart = np.diff([push.start[0] for push in half])
+        np.testing.assert_allclose(apart, 1e-3 * (width // 5), rtol=0.01)
+    case = make_case(make_protocol(), name, mass_set=3)
+    assert [seen.push.start.tolist() for seen in case.log] == [push.start.tolist() for push in pushes]
+    motions = [simulate(obj, CellParameters.uniform(obj), push) for push in pushes]
+    assert max(abs(motion.gaps[0]) for motion in motions) < 1e-12
+
+
 @pytest.mark.parametrize("name", OBJECTS)
 def test_ten_pushes_touch_at_their_start(name):
-    case = make_case(read_protocol(shared_data("masks")), name, mass_set=3)
+    case = make_case(make_protocol(shared_data("masks")), name, mass_set=3)
     assert len(case.log) == 10
     starts = np.array([seen.push.start for seen in case.log])
     for side, half in ((1, starts[:5]), (-1, starts[5:])):
@@ -87,26 +123,35 @@ def test_ten_pushes_touch_at_their_start(name):
 
 
 def test_the_identifier_sees_neither_parts_nor_masses(made_folder):
-    case = make_case(read_protocol(made_folder), "ell", mass_set=0)
+    case = make_case(make_protocol(made_folder), "ell", mass_set=0)
     assert (case.obj.labels == 1).all()
     assert case.obj.prior == PhysicalPrior()
 
 
 def test_mass_sets_differ(made_folder):
-    first, second = (make_case(read_protocol(made_folder), "ell", mass_set=i).log for i in (0, 1))
+    first, second = (make_case(make_protocol(made_folder), "ell", mass_set=i).log for i in (0, 1))
     assert np.abs(first[0].final_pose - second[0].final_pose).max() > 1e-3
 
 
 def test_says_where_the_data_should_be(tmp_path):
-    with pytest.raises(GridPushError, match=r"nowhere.*protocol\.json"):
-        read_protocol(tmp_path / "nowhere")
+    with pytest.raises(GridPushError, match=r"nowhere.*is no folder; expected a clone of GitHub changkyu/rss2020"):
+        make_protocol(tmp_path / "nowhere")
+    with pytest.raises(GridPushError, match=r"holds no mask; expected files NAME_label\.pgm"):
+        make_protocol(tmp_path)
+
+
+def test_masks_without_a_protocol_get_drawn_ones(made_folder):
+    (made_folder / "protocol.json").unlink()
+    protocol = make_protocol(made_folder)
+    assert np.shape(protocol.masses["ell"]) == (10, 2)
+    assert protocol.splits == make_protocol().splits
 
 
 @pytest.mark.parametrize("content", ["{", "[]", '{"splits": {}}', '{"masses_by_label": 3}'])
-def test_refuses_another_file(tmp_path, content):
-    (tmp_path / "protocol.json").write_text(content)
+def test_refuses_another_file(made_folder, content):
+    (made_folder / "protocol.json").write_text(content)
     with pytest.raises(GridPushError, match=r"protocol\.json.*masses_by_label"):
-        read_protocol(tmp_path)
+        make_protocol(made_folder)
 
 
 @pytest.mark.parametrize(
@@ -121,33 +166,35 @@ def test_refuses_another_file(tmp_path, content):
 )
 def test_refuses_what_it_cannot_do(made_folder, changes, message):
     with pytest.raises(GridPushError, match=message):
-        paper.run(made_folder, **{"mass_sets": 1, "progress": False} | changes)
+        paper.run(made_folder, **{"mass_sets": 1} | changes)
 
 
 def test_a_small_run(made_folder, tmp_path):
     figure, told = tmp_path / "curve.png", []
     methods = ("paper", "random_search")
-    tables = paper.run(made_folder, 2, methods=methods, budget=20, progress=told.append, figure=figure, workers=1)
+    conduct = Conduct(workers=0, report=lambda *what: told.append(what))
+    tables = paper.run(made_folder, 2, ["ell"], methods, 20, conduct=conduct, figure=figure)
     by_method, by_budget = tables
     assert by_method.columns == ("method", "ell", "all", "simulations")
     assert [row[0] for row in by_method.rows] == ["uniform prior", *methods]
     assert [row[-1] for row in by_method.rows] == [0, 20, 20]
     assert by_budget.columns == ("method", "at most 5", "at most 7", "at most 20")
     assert figure.read_bytes().startswith(b"\x89PNG")
-    assert told == [f"ell, mass set {i}, 5 training pushes" for i in range(2)]
+    assert told == [("", 0, 2), *((f"ell, mass set {i}, 5 training pushes", i + 1, 2) for i in range(2))]
     with pytest.raises(OutputError, match="exists"):
-        paper.run(made_folder, 1, methods=methods, figure=figure, progress=False)
+        paper.run(made_folder, 1, methods=methods, figure=figure)
 
 
 def test_refuses_an_unknown_kind_of_figure(made_folder, tmp_path):
     with pytest.raises(OutputError, match=r"\.png"):
-        paper.run(made_folder, 1, progress=False, figure=tmp_path / "curve.doc")
+        paper.run(made_folder, 1, figure=tmp_path / "curve.doc")
 
 
 @pytest.mark.slow
 def test_workers_do_not_matter(made_folder):
-    options = {"mass_sets": 2, "methods": ("paper", "weighted_sampling"), "budget": 50, "progress": False}
-    assert paper.run(made_folder, workers=1, **options) == paper.run(made_folder, workers=2, **options)
+    options = {"mass_sets": 2, "objects": ["ell"], "methods": ("paper", "weighted_sampling"), "budget": 50}
+    one, two = (paper.run(made_folder, conduct=Conduct(workers=count), **options) for count in (0, 2))
+    assert one == two
 
 
 def make_scores():

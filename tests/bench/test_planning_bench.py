@@ -1,14 +1,18 @@
+import numpy as np
 import pytest
 
 from gridpush_drake.bench.planning import run
 from gridpush_drake.bench.planning_protocol import (
     OVERHANG,
+    SHIPPED,
+    draw_pairs,
     list_objects,
     make_hidden,
+    make_planning_protocol,
     read_planning_object,
-    read_planning_protocol,
 )
 from gridpush_drake.bench.planning_tables import LEARNING, TRUE
+from gridpush_drake.bench.workers import Conduct
 from gridpush_drake.errors import GridPushError
 from tests.helpers.shared_data import shared_data
 
@@ -18,10 +22,12 @@ def masks():
     return shared_data("masks")
 
 
-def test_every_object_may_lie_where_the_protocol_says(masks):
-    protocol = read_planning_protocol(masks)
+@pytest.mark.parametrize("seed", [None, 0, 1, 2])
+def test_every_object_may_lie_where_the_protocol_says(seed):
+    """Of the public data (None) as of those drawn by seed."""
+    protocol = make_planning_protocol(shared_data("masks")) if seed is None else make_planning_protocol(seed=seed)
     assert protocol.pairs.shape == (10, 2, 3)
-    assert len(list_objects(protocol)) == 14
+    assert len(list_objects(protocol)) == len(SHIPPED) + (5 if seed is None else 0)
     for name in list_objects(protocol):
         obj = read_planning_object(protocol, name)
         assert make_hidden(protocol, name, 3).n == obj.n <= 127
@@ -30,7 +36,7 @@ def test_every_object_may_lie_where_the_protocol_says(masks):
 
 
 def test_decisions_are_near_the_exhaustive_search_s(masks):
-    (table,) = run(masks, objects=["snack"], quick=True, parts=("contact",), workers=1, progress=lambda _: None)
+    (table,) = run(masks, objects=["snack"], quick=True, parts=("contact",), conduct=Conduct(workers=0))
     assert [row[0] for row in table.rows] == ["snack", "all"]
     row = dict(zip(table.columns, table.rows[0], strict=True))
     assert row["decisions"] == 3
@@ -42,8 +48,8 @@ def test_decisions_are_near_the_exhaustive_search_s(masks):
 @pytest.mark.slow
 def test_runs_reach_their_goals(masks):
     (table,) = run(
-        masks, objects=["snack"], quick=True, parts=("push",), modes=(LEARNING, TRUE), workers=1,
-        progress=lambda _: None,
+        masks, objects=["snack"], quick=True, parts=("push",), modes=(LEARNING, TRUE),
+        conduct=Conduct(workers=0),
     )  # fmt: skip
     done = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
     assert [(row["model"], row["object"]) for row in done] == [
@@ -53,10 +59,22 @@ def test_runs_reach_their_goals(masks):
     assert done[2]["later, mm"] < done[0]["first prediction, mm"]
 
 
-def test_refuses(masks, tmp_path):
+def test_what_is_drawn_depends_on_the_seed():
+    first, again, other = (draw_pairs(seed) for seed in (0, 0, 1))
+    np.testing.assert_array_equal(first, again)
+    assert np.abs(first - other).max() > 0.1
+
+
+def test_runs_without_data():
+    (table,) = run(objects=["pliers"], quick=True, parts=("contact",), conduct=Conduct(workers=0))
+    assert [row[0] for row in table.rows] == ["pliers", "all"]
+    assert dict(zip(table.columns, table.rows[0], strict=True))["decisions"] == 3
+
+
+def test_refuses(tmp_path):
     with pytest.raises(GridPushError, match="toaster"):
-        run(masks, objects=["toaster"])
+        run(objects=["toaster"])
     with pytest.raises(GridPushError, match="sets"):
-        run(masks, sets=11)
-    with pytest.raises(GridPushError, match=r"protocol\.json"):
+        run(sets=11)
+    with pytest.raises(GridPushError, match=r"_label\.pgm, as of GitHub changkyu/rss2020_changkyu"):
         run(tmp_path)

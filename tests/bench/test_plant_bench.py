@@ -5,6 +5,7 @@ import pytest
 
 from gridpush_drake.bench.plant import OBJECTS, PlantJob, calc_scores, draw_push, make_table, run_job
 from gridpush_drake.bench.plant_push import PlantPusher
+from gridpush_drake.bench.workers import Conduct
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.errors import ObjectError, PushError
@@ -71,7 +72,7 @@ def test_tables_and_names():
 
 @pytest.mark.slow
 def test_plant_and_model_agree():
-    scores = calc_scores(OBJECTS, 3, ("planar",), seed=100, workers=1, progress=False)
+    scores = calc_scores(OBJECTS, 3, ("planar",), seed=100, conduct=Conduct(workers=0))
     for score in scores:
         assert score.tracking_error < 2e-5
         assert score.position < LARGEST_POSITION, score
@@ -80,6 +81,6 @@ def test_plant_and_model_agree():
 
 @pytest.mark.slow
 def test_a_free_base_differs_by_the_loads_that_shift():
-    scores = calc_scores(("claw_hammer", "toolbox"), 3, ("free",), workers=1, progress=False)
+    scores = calc_scores(("claw_hammer", "toolbox"), 3, ("free",), conduct=Conduct(workers=0))
     assert max(score.position for score in scores) < 5e-3
     assert max(score.tilt for score in scores) < 1e-3

@@ -11,10 +11,9 @@ from gridpush_drake.bench.pregrasp_tables import (
     tabulate_slides,
 )
 from gridpush_drake.bench.pregrasp_world import EdgeWorld, Outcome, see
+from gridpush_drake.bench.workers import Conduct
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
-
-SHIPPED = tuple(name for name in OBJECTS if name != "hammer")
 
 
 def test_hidden_parameters_stay_within_what_is_told(monkeypatch):
@@ -65,7 +64,12 @@ def test_the_table_counts_what_happened():
 
 def test_runs_with_the_true_parameters():
     tables = pregrasp.run(
-        ["toolbox"], mass_sets=1, seeds=1, methods=["true"], experiment=pregrasp.SLIDING_ONLY, progress=False, workers=1
+        ["toolbox"],
+        mass_sets=1,
+        seeds=1,
+        methods=["true"],
+        experiment=pregrasp.SLIDING_ONLY,
+        conduct=Conduct(workers=0),
     )
     assert tuple(tables[0].rows[0][:4]) == ("true", 1, 100.0, 0)
 
@@ -87,7 +91,7 @@ def test_refuses_what_makes_no_sense(arguments, says):
 @pytest.mark.slow
 def test_pokes_by_design_are_fewer_and_the_spread_is_honest():
     scores = []
-    for i, name in enumerate(SHIPPED[:2]):
+    for i, name in enumerate(OBJECTS[:2]):
         obj = load_bench_object(name, pregrasp.FRICTION_RANGE)
         scores.append(explore(obj, pregrasp.make_truth(obj, i), name, i, 0, ALONG))
     designed = np.mean([score.active.pokes for score in scores])
@@ -95,7 +99,7 @@ def test_pokes_by_design_are_fewer_and_the_spread_is_honest():
     assert designed < MOST_POKES
     assert max(score.active.errors[-1] for score in scores) < 0.02
     assert tabulate_exploration(scores).rows[0][:3] == (ALONG, 40.0, 2)
-    assert len(tabulate_exploration_by_object(scores, SHIPPED).rows) == 2
+    assert len(tabulate_exploration_by_object(scores, OBJECTS).rows) == 2
 
 
 @pytest.mark.slow
@@ -106,7 +110,6 @@ def test_what_was_learned_drops_nothing():
         seeds=1,
         methods=["learned"],
         experiment=pregrasp.SLIDING_ONLY,
-        progress=False,
     )
     assert tables[0].rows[0][3] == 0
     assert tables[0].rows[0][2] >= 75.0

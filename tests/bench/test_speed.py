@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.bench.mujoco_push import make_mujoco_push
-from gridpush_drake.bench.speed import make_bench_push, run
+from gridpush_drake.bench.speed import load_hammer, make_bench_push, run
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.grid.parameters import CellParameters
@@ -13,7 +13,7 @@ from tests.helpers.made_identifications import make_block
 
 
 def test_measures_everything():
-    push, sizes, start_up = run(repetitions=3, sizes=(4, 400, 900), with_mujoco=False)
+    push, sizes, start_up = run(load_hammer(None), repetitions=3, sizes=(4, 400, 900), with_mujoco=False)
     assert push.rows[0][0] == "inertial"
     assert [row[0] for row in sizes.rows] == [4, 400, 900]
     assert "slope" in sizes.notes[-1]

@@ -1,10 +1,16 @@
 import json
+from itertools import product
 
 import pytest
 from rich.console import Console
 
+from gridpush_drake.bench import paper_tables, planning_tables, plant, pregrasp_station, pregrasp_tables, real, station
+from gridpush_drake.bench.pregrasp_exploration import AIMS, DISTANCES, ExplorationScore, Trace
+from gridpush_drake.bench.pregrasp_world import Outcome
 from gridpush_drake.bench.table import Table
 from gridpush_drake.bench.timing import measure, one_core
+from gridpush_drake.grid.object_file import list_shipped_objects
+from gridpush_drake.identification.identify import METHODS
 
 TABLE = Table("One push", ("what", "ms", "runs"), [["plain", 0.41234, 50], ["beside", 1344.8, None]], ["On one core."])
 
@@ -18,7 +24,7 @@ def test_as_json():
 def test_as_text():
     console = Console(width=80)
     with console.capture() as capture:
-        console.print(TABLE.to_rich())
+        console.print(TABLE)
     for text in ("One push", "0.412", "1340", "50", "-", "On one core."):
         assert text in capture.get()
 
@@ -55,3 +61,121 @@ def test_timing():
     assert timing.low <= timing.median <= timing.high
     with one_core():
         pass
+
+
+NAMES = list_shipped_objects()
+ERROR = 0.1234567
+
+
+def make_paper_tables():
+    methods = (paper_tables.UNIFORM, *METHODS)
+    scores = [
+        paper_tables.Score(name, number, training, method, 1500, 1500, ERROR * (1 + number))
+        for name, number, training, method in product(NAMES, range(2), (1, 5), methods)
+    ]
+    return [
+        paper_tables.tabulate_methods(scores, NAMES, methods, 5, 1500),
+        paper_tables.tabulate_training(scores, NAMES, paper_tables.DEFAULT, 1500),
+        paper_tables.tabulate_budgets(scores, methods, 5),
+    ]
+
+
+def make_planning_tables():
+    modes = (planning_tables.LEARNING, planning_tables.LOOK_AHEAD)
+    decisions = [
+        planning_tables.Decision(name, method, 422, ERROR, 1.2345)
+        for name, method in product(NAMES, ("gradient", "finite_difference", "exhaustive"))
+    ]
+    runs = [
+        planning_tables.Run(name, mode, False, True, 25, "too many pushes", ERROR, ERROR, 1234, 1234.5, 123.4)
+        for name, mode in product(NAMES, modes)
+    ]
+    return [planning_tables.tabulate_decisions(decisions, NAMES), planning_tables.tabulate_runs(runs, NAMES, modes, 25)]
+
+
+def make_real_tables():
+    names, counts = [*real.FEET_SETS, "hardboard_patch"], (5, 25)
+    models = ((real.UNIFORM, 0), *product((real.POSES, real.CENTRE), counts))
+    scores = [
+        real.Score(name, split, model, count, (ERROR, ERROR * split), (1.0, 2.0))
+        for name, split, (model, count) in product([*names, *NAMES], range(2), models)
+    ]
+    return [
+        real._tabulate_cmu(scores, names, counts),
+        real._tabulate_curve(scores, names, counts),
+        real._tabulate_simulated(scores, NAMES),
+    ]
+
+
+def make_pregrasp_tables():
+    methods = ("learned, wide friction", "unbounded")
+    slides = [
+        pregrasp_tables.SlideScore(name, method, Outcome(True, False, 13, 12, ""))
+        for name, method in product(NAMES, methods)
+    ]
+    trace = Trace(21, (ERROR,), (ERROR,), 1.0)
+    pokes = [
+        ExplorationScore(name, aim, distance, trace, trace) for name, aim, distance in product(NAMES, AIMS, DISTANCES)
+    ]
+    grasps = [
+        pregrasp_station.GraspScore(name, 0, "dropped", "It fell.", 3, 2, 0.1, 0.2, 123.4, 234.5) for name in NAMES
+    ]
+    return [
+        pregrasp_tables.tabulate_slides(slides, methods),
+        pregrasp_tables.tabulate_objects(slides, NAMES, methods[0]),
+        pregrasp_tables.tabulate_exploration(pokes),
+        pregrasp_tables.tabulate_exploration_by_object(pokes, NAMES),
+        pregrasp_station.tabulate(grasps, NAMES),
+    ]
+
+
+def make_drake_tables():
+    stations = [
+        station.StationScore(name, 0, "finished", 8, 4, (ERROR,) * 3, (ERROR,) * 2, ERROR, 0.5, 0, 123.4)
+        for name in NAMES
+    ]
+    plants = [
+        plant.PlantScore(name, base, 0, spin, ERROR, ERROR, ERROR, ERROR, ERROR, ERROR)
+        for name, base, spin in product(NAMES, plant.BASES, plant.SPINS)
+    ]
+    return [station.make_table(stations), plant.make_table(plants)]
+
+
+@pytest.mark.parametrize(
+    "make",
+    [make_paper_tables, make_planning_tables, make_real_tables, make_pregrasp_tables, make_drake_tables],
+)
+def test_a_terminal_of_80_columns_shows_all_of_every_table(make):
+    for table in make():
+        check_shown_whole(table)
+
+
+def check_shown_whole(table):
+    """Every value stands whole on a line of its row, at most 80 characters wide, and nothing is left out."""
+    console = Console(width=80, file=None)
+    with console.capture() as capture:
+        console.print(table)
+    lines = capture.get().splitlines()
+    assert max(map(len, lines)) <= 80
+    assert "…" not in capture.get()
+    bodies = [[cell.strip() for cell in line.strip("│").split("│")] for line in lines if line.startswith("│")]
+    parts = table.split(80)
+    assert [i for part in parts for i in part if i >= table.keys] == list(range(table.keys, len(table.columns)))
+    assert bodies == [[table.format(row[i]) for i in part] for part in parts for row in table.rows]
+
+
+def test_a_wide_table_is_shown_in_parts_with_its_keys():
+    columns = ("object", "model", *(f"figure {i}, mm" for i in range(9)))
+    table = Table("Wide", columns, [["hammer", "learned", *[123456.0] * 9]], keys=2)
+    assert [part[:2] for part in table.split(60)] == [[0, 1]] * len(table.split(60))
+    assert len(table.split(60)) > 1
+    assert table.split(200) == [list(range(11))]
+
+
+def test_brackets_are_no_markup():
+    table = Table("[bold]", ("[red]what", "b"), [["[i]", "[b]"]], ["pip install '.[bench]'"])
+    console = Console(width=80)
+    with console.capture() as capture:
+        console.print(table)
+    for text in ("[bold]", "[red]what", "[i]", "[b]", "pip install '.[bench]'"):
+        assert text in capture.get()

@@ -1,0 +1,262 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, replace
+from math import isnan, nan
+from pathlib import Path
+
+import pytest
+
+from gridpush_drake.bench import paper, planning, plant, pregrasp, pregrasp_station, real, station
+from gridpush_drake.bench.paper_tables import Score
+from gridpush_drake.bench.planning_tables import Decision, Run
+from gridpush_drake.bench.pregrasp_exploration import ExplorationScore, Trace
+from gridpush_drake.bench.pregrasp_tables import SlideScore
+from gridpush_drake.bench.pregrasp_world import Outcome
+from gridpush_drake.bench.results import open_results
+from gridpush_drake.bench.workers import Conduct, run_jobs
+from gridpush_drake.errors import GridPushError, OutputError
+
+STARTED_WITHIN, ENDED_WITHIN = 240.0, 6.0
+"""s: kernels may have to be compiled before the workers start; the end takes 2 s on a machine that has nothing else to
+do."""
+
+
+@dataclass(frozen=True)
+class Job:
+    number: int
+    folder: Path
+
+
+@dataclass(frozen=True)
+class Found:
+    double: int
+    share: float
+
+
+def double(job: Job) -> list[Found]:
+    with (job.folder / "runs").open("a") as file:
+        file.write(f"{job.number}\n")
+    if job.number < 0:
+        raise GridPushError(f"{job.number}: expected a positive number")
+    return [Found(2 * job.number, nan if job.number == 1 else 0.1)]
+
+
+def leave(job: Job) -> list[Found]:
+    os._exit(7)
+
+
+def make_jobs(tmp_path, numbers):
+    return [Job(number, tmp_path) for number in numbers]
+
+
+def describe(job):
+    return str(job.number)
+
+
+@pytest.mark.parametrize("workers", [0, 1, 3])
+def test_results_are_in_the_jobs_order_and_reported(tmp_path, workers):
+    told = []
+    conduct = Conduct(workers, lambda *what: told.append(what))
+    found = run_jobs(double, make_jobs(tmp_path, range(5)), describe, conduct)
+    assert [results[0].double for results in found] == [0, 2, 4, 6, 8]
+    assert told[0] == ("", 0, 5)
+    assert [done for _, done, _ in told if done] == sorted(done for _, done, _ in told if done)
+    assert told[-1][1:] == (5, 5)
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_jobs_error_is_the_benchs(tmp_path, workers):
+    with pytest.raises(GridPushError, match="-1: expected a positive number"):
+        run_jobs(double, make_jobs(tmp_path, [1, -1]), describe, Conduct(workers))
+
+
+def test_a_worker_that_ends_is_an_error(tmp_path):
+    with pytest.raises(GridPushError, match="exit code 7"):
+        run_jobs(leave, make_jobs(tmp_path, [1]), describe, Conduct(1))
+
+
+def test_finished_jobs_are_not_run_again(tmp_path):
+    path, jobs, prepared = tmp_path / "kept.jsonl", make_jobs(tmp_path, [-1, 1, 2]), []
+
+    def conduct():
+        return Conduct(0, None, open_results(path, "doubling", {"seed": 0}), lambda: prepared.append(True))
+
+    run_jobs(double, jobs[1:2], describe, conduct())
+    with pytest.raises(GridPushError, match="positive"):
+        run_jobs(double, jobs, describe, conduct())
+    found = run_jobs(double, jobs[1:], describe, conduct())
+    assert [results[0].double for results in found] == [2, 4]
+    assert isnan(found[0][0].share)
+    assert found[1] == [Found(4, 0.1)]
+    assert (tmp_path / "runs").read_text().split() == ["1", "-1", "2"]
+    assert len(prepared) == 3
+    run_jobs(double, jobs[1:], describe, conduct())
+    assert len(prepared) == 3
+
+
+def test_a_line_that_was_cut_off_is_dropped(tmp_path):
+    path, jobs = tmp_path / "kept.jsonl", make_jobs(tmp_path, [3, 4])
+    run_jobs(double, jobs, describe, Conduct(0, None, open_results(path, "doubling", {})))
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-9])
+    results = open_results(path, "doubling", {})
+    assert len(results.lines) == 1
+    assert run_jobs(double, jobs, describe, Conduct(0, None, results)) == [[Found(6, 0.1)], [Found(8, 0.1)]]
+    assert path.read_bytes() == whole
+    assert (tmp_path / "runs").read_text().split() == ["3", "4", "4"]
+
+
+def test_other_settings_are_refused_or_begun_anew(tmp_path, monkeypatch):
+    path, jobs = tmp_path / "kept.jsonl", make_jobs(tmp_path, [3])
+    run_jobs(double, jobs, describe, Conduct(0, None, open_results(path, "doubling", {"seed": 0, "sets": 2})))
+    for bench, settings, says in (
+        ("doubling", {"seed": 1, "sets": 2}, r"seed 0, now 1\); pass --force"),
+        ("halving", {"seed": 0, "sets": 2}, 'bench "doubling", now "halving"'),
+        ("doubling", {"seed": 0}, "sets 2, now null"),
+    ):
+        with pytest.raises(GridPushError, match=says):
+            open_results(path, bench, settings)
+    results = open_results(path, "doubling", {"seed": 1}, force=True)
+    assert results.lines == {}
+    run_jobs(double, jobs, describe, Conduct(0, None, results))
+    assert len(open_results(path, "doubling", {"seed": 1}).lines) == 1
+    monkeypatch.setattr("gridpush_drake.bench.results.hash_sources", lambda: "another")
+    with pytest.raises(GridPushError, match="program"):
+        open_results(path, "doubling", {"seed": 1})
+
+
+@pytest.mark.parametrize("content", ["{}\n", "no JSON\n", "\n", '{"bench": "doubling"}\n[]\n'])
+def test_another_file_is_refused(tmp_path, content):
+    path = tmp_path / "kept.jsonl"
+    path.write_text(content)
+    with pytest.raises(GridPushError, match=r"kept\.jsonl: is no file of results"):
+        open_results(path, "doubling", {})
+    assert path.read_text() == content
+
+
+def test_nothing_is_written_before_the_first_result(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    first, other = (open_results(None, "doubling", {"seed": seed}) for seed in (0, 1))
+    assert first.path != other.path
+    assert list(tmp_path.iterdir()) == []
+    run_jobs(double, make_jobs(tmp_path, [3]), describe, Conduct(0, None, first))
+    assert first.path.exists()
+    with pytest.raises(OutputError, match="does not exist"):
+        open_results(tmp_path / "none" / "kept.jsonl", "doubling", {})
+
+
+TRACE = Trace(3, (0.1, 0.004), (0.2, nan), 1.5)
+
+
+@pytest.mark.parametrize(
+    ("function", "result"),
+    [
+        (paper.run_job, [Score("a", 0, 5, "default", 100, 80, 0.1 + 0.2)]),
+        (planning.run_job, [Decision("a", "gradient", 28, -1e-17, 0.3)]),
+        (planning.run_job, [Run("a", "true", True, False, 3, "reached", nan, 0.1, 99, 1.0, 0.0)]),
+        (real.run_job, [real.Score("a", 0, "poses", 5, (0.1, 0.2), (nan, 0.3))]),
+        (pregrasp.run_job, SlideScore("a", "learned", Outcome(True, False, 3, 2, "held", nan), False)),
+        (pregrasp.run_job, ExplorationScore("a", "both directions", 0.02, TRACE, replace(TRACE, pokes=21))),
+        (pregrasp_station.run_job, pregrasp_station.GraspScore("a", 0, "held", "", 3, 2, 0.1, nan, 30.0, 12.5)),
+        (
+            station.run_job,
+            station.StationScore("a", 0, "finished", 8, 4, (0.1, 0.2, nan), (0.1, 0.2), 0.1, 0.5, 0, 9.0),
+        ),
+        (plant.run_job, [plant.PlantScore("a", "free", 0, "none", 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)]),
+    ],
+)
+def test_every_benchs_results_come_back_as_they_were(tmp_path, function, result):
+    results = open_results(tmp_path / "kept.jsonl", "some", {})
+    results.bind(function).append(Job(1, tmp_path), result)
+    again = open_results(tmp_path / "kept.jsonl", "some", {})
+    found = again.bind(function).find([Job(0, tmp_path), Job(1, tmp_path)])
+    assert list(found) == [1]
+    assert repr(found[1]) == repr(result)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
+@pytest.mark.parametrize(
+    ("number", "group", "code"),
+    [
+        (signal.SIGINT, False, 130),
+        (signal.SIGINT, True, 130),
+        (signal.SIGTERM, False, 143),
+        (signal.SIGTERM, True, 143),
+    ],
+)
+def test_a_signal_ends_everything(tmp_path, number, group, code):
+    process = start_bench(tmp_path)
+    try:
+        deadline = time.monotonic() + STARTED_WITHIN
+        while len(find_group(process.pid)) < 4 and time.monotonic() < deadline:  # two workers, resource tracker
+            assert process.poll() is None
+            time.sleep(0.1)
+        time.sleep(3.0)
+        (os.killpg if group else os.kill)(process.pid, number)
+        _, err = process.communicate(timeout=ENDED_WITHIN)
+        time.sleep(0.5)  # the resource tracker ends by itself
+        assert find_group(process.pid) == []
+    finally:
+        for pid in find_group(process.pid):
+            os.kill(pid, signal.SIGKILL)
+    assert process.returncode == code, err
+    assert "Traceback" not in err
+    assert err.endswith("gridpush: interrupted; no file was left half-written\n")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
+def test_workers_end_with_a_killed_parent(tmp_path):
+    process = start_bench(tmp_path)
+    try:
+        deadline = time.monotonic() + STARTED_WITHIN
+        while len(find_group(process.pid)) < 4 and time.monotonic() < deadline:
+            time.sleep(0.1)
+        time.sleep(3.0)
+        process.kill()
+        process.communicate(timeout=ENDED_WITHIN)
+        deadline = time.monotonic() + ENDED_WITHIN
+        while find_group(process.pid) and time.monotonic() < deadline:
+            time.sleep(0.1)
+        assert find_group(process.pid) == []
+    finally:
+        for pid in find_group(process.pid):
+            os.kill(pid, signal.SIGKILL)
+
+
+def start_bench(folder):
+    """Two endless jobs in two workers."""
+    return subprocess.Popen(
+        [
+            sys.executable, "-m", "gridpush_drake.apps.main", "bench", "paper", "--objects", "pliers", "--sets", "2",
+            "--method", "random_search", "--budget", "100000000", "--results", folder / "kept.jsonl",
+        ],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+
+
+def find_group(group):
+    """Processes of a group, but those that have ended."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, _, of = stat.read_text().rpartition(")")[2].split()[:3]
+        except OSError:
+            continue
+        if int(of) == group and state != "Z":
+            found.append(int(stat.parent.name))
+    return found
+
+
+def test_settings_are_in_the_first_line(tmp_path):
+    path = tmp_path / "kept.jsonl"
+    settings = {"seed": 0, "data": tmp_path, "objects": ["a"]}
+    run_jobs(double, make_jobs(tmp_path, [3]), describe, Conduct(0, None, open_results(path, "doubling", settings)))
+    first, line = map(json.loads, path.read_text().splitlines())
+    assert first["settings"] == {"seed": 0, "data": str(tmp_path), "objects": ["a"]}
+    assert line == {"job": ["Job", {"number": 3, "folder": str(tmp_path)}], "result": [{"double": 6, "share": 0.1}]}
