@@ -87,6 +87,7 @@ def demo(
     if open_browser:
         typer.launch(meshcat.web_url())
     record = chosen.run(scenario, meshcat, realtime_rate)
+    print_notice(f"Writing to {out} ...")
     written = chosen.write(out, scenario, record, meshcat, force)
     verdict = chosen.judge(record)
     if json:

@@ -8,7 +8,7 @@ from pydrake.geometry import Meshcat
 
 from gridpush_drake.apps.console import MM, count_progress, print_line
 from gridpush_drake.apps.demo_files import describe_conduct, write_learned, write_setting
-from gridpush_drake.apps.demo_task import FRAMES_A_SECOND, DemoTask
+from gridpush_drake.apps.demo_task import FRAMES_A_SECOND, DemoTask, describe_time
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.planning.belief import Belief
 from gridpush_drake.report.pre_grasp_figure import GraspDrawn, PushDrawn, draw_pre_grasp
@@ -42,7 +42,8 @@ def run(scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> PreGr
 
         def show(status: PushStatus, logged: int) -> None:
             now = task.task.read("status", task.controller)
-            report(f"{now.mode}, {now.pokes} pokes and {now.slides} slides", int(now.over))
+            did = f"{_count(now.pokes, 'poke')} and {_count(now.slides, 'slide')}"
+            report(f"{now.mode}, {did}", describe_time(task.task.simulator), int(now.over))
 
         meshcat.StartRecording(FRAMES_A_SECOND)
         return task.run(progress=show, realtime_rate=realtime_rate)

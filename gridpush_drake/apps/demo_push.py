@@ -7,7 +7,7 @@ from pydrake.geometry import Meshcat
 
 from gridpush_drake.apps.console import MM, count_progress, print_line
 from gridpush_drake.apps.demo_files import describe_conduct, write_learned, write_setting
-from gridpush_drake.apps.demo_task import FRAMES_A_SECOND, DemoTask
+from gridpush_drake.apps.demo_task import FRAMES_A_SECOND, DemoTask, describe_time
 from gridpush_drake.planning.planned_push import calc_goal_error
 from gridpush_drake.report.push_figure import draw_push_run
 from gridpush_drake.report.story import Story
@@ -30,7 +30,8 @@ def run(scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> PushT
     with count_progress("the robot", scenario.goal.max_pushes) as report:
 
         def show(status: PushStatus, logged: int) -> None:
-            report(f"push {status.executed + (not status.ready)}, {status.phase}", status.executed)
+            doing = f"push {status.executed + (not status.ready)}, {status.phase}"
+            report(doing, describe_time(task.task.simulator), status.executed)
 
         meshcat.StartRecording(FRAMES_A_SECOND)
         return task.run(progress=show, realtime_rate=realtime_rate)
