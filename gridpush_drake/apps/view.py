@@ -154,7 +154,7 @@ def _find_target(log: Path, object_file: str | None, model_file: Path | None, la
 
 
 def _view_pushes(path: Path, target: "Target", names: list[str] | None, look: Look, delivery: Delivery) -> None:
-    from gridpush_drake.apps.inputs import load_log
+    from gridpush_drake.apps.inputs import describe_overhanging, load_log
     from gridpush_drake.apps.view_scene import AddPushes, describe_colors
     from gridpush_drake.identification.error_summary import summarise_errors
 
@@ -165,7 +165,9 @@ def _view_pushes(path: Path, target: "Target", names: list[str] | None, look: Lo
             raise ViewError(f"--push: {path} has no push {name!r}; it has {', '.join(known)}")
     chosen = log.subset([i for i, name in enumerate(known) if not names or name in names])
     predictions = _predict(target, log, chosen) if target.model else None
-    errors = summarise_errors(target.obj, predictions, chosen) if predictions else []
+    overhanging = [seen.name for seen in chosen.overhanging]
+    judged = [prediction for prediction in predictions or [] if prediction.name not in overhanging]
+    errors = summarise_errors(target.obj, judged, chosen.supported) if judged else []
 
     meshcat = _start(delivery)
     AddPushes(meshcat, target, chosen, predictions, look.shows, look.height)
@@ -174,6 +176,8 @@ def _view_pushes(path: Path, target: "Target", names: list[str] | None, look: Lo
         lines += ["Solid: as observed. Orange: as the model predicts it.", describe_colors(look.shows)]
     cell = [error for error in errors if error.name == "cell"]
     lines += [f"Mean cell error of the final poses: {error.mean * error.scale:.1f} {error.unit}" for error in cell]
+    if predictions and overhanging:
+        lines.append(f"Of these errors, {describe_overhanging(overhanging)}")
     found = {"kind": "pushes", "object": target.obj.name, "pushes": [seen.name for seen in chosen]}
     _deliver(meshcat, {**found, "errors": [vars(error) for error in errors]}, lines, delivery)
 

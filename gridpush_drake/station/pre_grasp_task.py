@@ -15,7 +15,7 @@ from gridpush_drake.planning.held_cells import find_held
 from gridpush_drake.planning.pregrasp import ACCEPTED_SHARE, PreGraspOptions, PreGraspPlanner
 from gridpush_drake.planning.pregrasp_goal import GoalOptions
 from gridpush_drake.planning.slide_push import SlideOptions
-from gridpush_drake.pushes.log import ObservedPush
+from gridpush_drake.pushes.log import ObservedPush, PushLog
 from gridpush_drake.scene.meshcat_server import AimCamera
 from gridpush_drake.scene.scenario import PushScenario
 from gridpush_drake.station.finger_region import MakeFingerRegion
@@ -120,6 +120,7 @@ class PreGraspTask:
         end = self.task.run(watch.judge, seed, progress, realtime_rate)
         watch.note(end.duration)
         record.note_end(self.task, end)
+        record.log = self._mark_overhang(record.log)
         return record
 
     def calc_raised(self) -> float:
@@ -133,6 +134,10 @@ class PreGraspTask:
         """Whether the object was wholly on the table, as far as it was seen: the model knows no edge."""
         poses = np.vstack([seen.pose[None], seen.poses_observed])
         return bool(find_held(self.obj, poses, self.surface).all())
+
+    def _mark_overhang(self, log: PushLog) -> PushLog:
+        """The log, saying of each push whether a part of the object hung over the table's edge."""
+        return replace(log, pushes=tuple(replace(seen, overhang=not self._admit(seen)) for seen in log))
 
     def _make_limits(self) -> ArmLimits:
         station = self.station
