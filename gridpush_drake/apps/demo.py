@@ -46,7 +46,7 @@ def demo(
     pushes: Annotated[
         int | None, typer.Option(min=1, help="How many pushes to learn from (--task identify).  [default: 8]")
     ] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Of everything random.  [default: 0]")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of everything random.  [default: the scenario's]")] = None,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for what the demo writes.")] = Path(
         "gridpush_demo"
     ),
