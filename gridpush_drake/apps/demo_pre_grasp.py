@@ -42,7 +42,7 @@ HEADS = ("time", "what", "why")
 TITLES = {
     WAITING: "Looking at the object",
     EXPLORING: "Poke{}, to learn where the mass is",
-    SLIDING: "Slide{}, towards the table's edge",
+    SLIDING: "Slide{}, toward the table's edge",
     STOPPING: "Breaking off the push",
     VERIFYING: "Checking that it can be grasped here",
     GRASPING: "Grasping and lifting",

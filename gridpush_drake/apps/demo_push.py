@@ -27,7 +27,7 @@ HEADS = ("push", "from", "left to go")
 
 TITLES = {
     modes.WAITING: "Looking at the object",
-    modes.PUSHING: "Push{}, towards the goal",
+    modes.PUSHING: "Push{}, toward the goal",
     modes.REACHED: "At the goal",
     modes.FAILED: "Given up",
     modes.LOST: "The object is out of sight",

@@ -140,9 +140,11 @@ $legend
   if (!box) return;
   const [title, detail, clock] = box.children;
   function show() {
-    const time = Math.max(0, ...viewer.animator.actions.map(action => action.time));
+    const actions = viewer.animator.actions;
+    const time = Math.max(0, ...actions.map(action => action.time));
+    const over = actions.length && time >= Math.max(...actions.map(action => action.getClip().duration));
     let now = phases[0];
-    for (const phase of phases) if (phase[0] <= time) now = phase;
+    for (const phase of phases) if (phase[0] <= time || over) now = phase;
     title.textContent = now[1];
     detail.textContent = now[2];
     clock.textContent = time.toFixed(1) + " s";

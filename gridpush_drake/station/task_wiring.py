@@ -27,7 +27,7 @@ SHOWN = ("mass", "friction", "contact_friction", "centre_of_mass", "centre_of_ma
 """Estimates that are drawn."""
 
 
-CAMERA_SHARE = 0.85
+CAMERA_SHARE = 0.78
 """Distance of Meshcat's camera from what it looks at, in diagonals of the table and the robot's base."""
 
 CAMERA_HEIGHT = 0.25

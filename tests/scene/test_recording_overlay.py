@@ -17,7 +17,7 @@ RED, BLUE = "#ff0000", "#0000ff"
 OVERLAY = Overlay(
     ColorScale("mass, g", (RED, BLUE), ((0.0, "1"), (1.0, "2"))),
     (Mark("#00ff00", "a <thing>", "line"),),
-    (Phase(0.0, "Looking"), Phase(1.5, "Push 1", "Because </script> it must.")),
+    (Phase(0.0, "Looking"), Phase(1.5, "Push 1", "Because </script> it must."), Phase(2.05, "Done")),
 )
 
 
@@ -46,6 +46,7 @@ def read_page(page):
     ("moment", "says"),
     [
         (0.5, "<b>Looking</b><span></span><small>0.5 s</small>"),
+        (2.0, "<b>Done</b><span></span><small>2.0 s</small>"),
         (1.8, "<b>Push 1</b><span>Because &lt;/script&gt; it must.</span><small>1.8 s</small>"),
     ],
 )
