@@ -83,7 +83,6 @@ class PreGraspController(ObjectController[ControllerState]):
         self,
         planner: PreGraspPlanner,
         find_grasp: FindGrasp,
-        friction_range: tuple[float, float] | None = None,
         *,
         grasp_height: float = 0.015,
         lift: float = 0.1,
@@ -95,7 +94,6 @@ class PreGraspController(ObjectController[ControllerState]):
         Args:
             planner: decides, for one object on one table.
             find_grasp: finds how to take the object where it lies.
-            friction_range: least and greatest friction of any cell; the object's own bounds where None.
             grasp_height: z of the grasp point in W: half the object's thickness, m.
             lift: how high to lift, m.
             seed: of the draws from what is believed.
@@ -103,8 +101,7 @@ class PreGraspController(ObjectController[ControllerState]):
         """
         self.planner, self.options, self.seed = planner, options or ControllerOptions(), seed
         super().__init__(planner.obj, ControllerState(), self.options.period)
-        self._find_grasp, self._friction_range = find_grasp, friction_range
-        self._height, self._lift = grasp_height, lift
+        self._find_grasp, self._height, self._lift = find_grasp, grasp_height, lift
         self._grasp_status = self.DeclareAbstractInputPort("grasp_status", AbstractValue.Make(GraspStatus()))
         self._declare_command("push_command", PUSH_COMMAND_SIZE, lambda now: now.shown_push.to_vector())
         self._declare_command("grasp_command", GRASP_COMMAND_SIZE, lambda now: now.grasp.to_vector())
@@ -187,7 +184,7 @@ class PreGraspController(ObjectController[ControllerState]):
         if not found.push_names:
             return None
         used = log.subset([i for i, seen in enumerate(log) if seen.name in found.push_names])
-        return Belief.of_identification(found, self._friction_range, seed=self.seed, log=used)
+        return Belief.of_identification(found, seed=self.seed, log=used)
 
     def _command_push(
         self, now: ControllerState, pose: Array, belief: Belief | None, decision: PreGraspDecision, push: Push

@@ -16,10 +16,13 @@ PIPE_WIDTH = 160
 """Columns that a table may take where standard output is not a terminal."""
 
 LINE_EVERY = 10.0
-"""s, at least, between two lines of progress where standard error is no terminal."""
+"""s, at least, between two plain lines about work that takes long."""
 
 MM = 1e3
 """Millimetres in a metre."""
+
+PLAIN_PERIOD = 5.0
+"""s, at least, between two plain lines about the same thing."""
 
 
 def print_line(text: str = "") -> None:
@@ -68,7 +71,7 @@ def _plain(value: Any) -> Any:
 
 @contextmanager
 def search_progress(what: str, budget: int | None) -> Iterator[Callable[["HistoryEntry"], None]]:
-    """Shows how a search goes, on a terminal's standard error only.
+    """Shows how a search goes, on standard error.
 
     Args:
         what: the search, in a word or two.
@@ -77,19 +80,18 @@ def search_progress(what: str, budget: int | None) -> Iterator[Callable[["Histor
     Yields:
         What the search calls with each of its steps.
     """
-    with _bar() as progress:
-        task = progress.add_task(what, total=budget)
+    with _showing(what, budget) as show:
 
         def report(entry: "HistoryEntry") -> None:
-            found = f"{entry.simulations} simulations, cell error {entry.loss * MM:.2f} mm, {entry.stage}"
-            progress.update(task, completed=entry.simulations, description=f"{what}: {found}")
+            found = f"{entry.simulations} simulations, cell error {entry.loss * MM:.2f} mm"
+            show(entry.stage, found, entry.simulations)
 
         yield report
 
 
 @contextmanager
 def step_progress(what: str, total: int | None = None) -> Iterator[Callable[[str], None]]:
-    """Shows which step a longer piece of work is at, on a terminal's standard error only.
+    """Shows which step a longer piece of work is at, on standard error.
 
     Args:
         what: the work.
@@ -98,36 +100,31 @@ def step_progress(what: str, total: int | None = None) -> Iterator[Callable[[str
     Yields:
         What the work calls at the beginning of each step, with its description.
     """
-    with _bar() as progress:
-        task = progress.add_task(what, total=total)
+    with _showing(what, total) as show:
         begun = 0
 
         def report(description: str) -> None:
             nonlocal begun
-            progress.update(task, completed=begun, description=f"{what}: {description}")
+            show(description, count=begun)
             begun += 1
 
         yield report
 
 
 @contextmanager
-def count_progress(what: str, total: int) -> Iterator[Callable[[str, int], None]]:
-    """Shows how far a count has come, and what is being done, on a terminal's standard error only.
+def count_progress(what: str, total: int) -> Iterator[Callable[..., None]]:
+    """Shows how far a count has come, and what is being done, on standard error.
 
     Args:
         what: the work.
         total: to count to.
 
     Yields:
-        What the work calls now and then, with what it is doing and its count.
+        What the work calls now and then, with what it is doing, a detail that changes all the time, such as the
+        simulated time, and its count: `report(doing, detail, count)`.
     """
-    with _bar() as progress:
-        task = progress.add_task(what, total=total)
-
-        def report(doing: str, count: int) -> None:
-            progress.update(task, completed=count, description=f"{what}: {doing}")
-
-        yield report
+    with _showing(what, total) as show:
+        yield show
 
 
 @contextmanager
@@ -141,32 +138,71 @@ def work_progress(what: str) -> Iterator[Callable[[str, int, int], None]]:
         What the work calls, as often as it likes, with what it is at or did last, how many steps are done, and how many
         there are.
     """
-    with _bar() as progress:
-        task, begun = progress.add_task(what, total=None), monotonic()
-        said = begun
+    with _showing(what, None, LINE_EVERY) as show:
+        begun = monotonic()
 
         def report(doing: str, done: int, total: int) -> None:
-            nonlocal said
-            line = f"{what}: {done} of {total}{f', {doing}' if doing else ''}"
-            progress.update(task, completed=done, total=total, description=line)
-            if progress.disable and monotonic() - said >= LINE_EVERY:
-                said = monotonic()
-                print_notice(f"{line}, {said - begun:.0f} s")
+            last = f"{doing}, " if doing else ""
+            show(f"of {total}", f"{done} done, {last}{monotonic() - begun:.0f} s", done, total)
 
         yield report
 
 
-def _bar() -> Any:
+class PlainProgress:
+    """What a bar shows, as plain lines: for standard error where that is no terminal, such as a log file.
+
+    A line is printed when something new is being done, and now and then while it goes on; never twice the same.
+
+    Attributes:
+        period: at least so long between two lines about the same thing, s.
+    """
+
+    def __init__(self, period: float = PLAIN_PERIOD) -> None:
+        """Has said nothing yet."""
+        self.period = period
+        self._doing = self._said = ""
+        self._said_at = float("-inf")
+
+    def tell(self, doing: str, detail: str = "") -> None:
+        """Takes in what is being done, and a detail of it that may change all the time."""
+        text = f"{doing}, {detail}" if detail else doing
+        now = monotonic()
+        if text == self._said or (doing == self._doing and now - self._said_at < self.period):
+            return
+        self._doing, self._said, self._said_at = doing, text, now
+        print(text, file=sys.stderr, flush=True)
+
+
+@contextmanager
+def _showing(what: str, total: int | None, period: float = PLAIN_PERIOD) -> Iterator[Callable[..., None]]:
+    """Shows work on standard error: a bar on a terminal, else plain lines.
+
+    Args:
+        what: the work.
+        total: to count to; None where it is not known beforehand.
+        period: between two plain lines about the same thing, s.
+
+    Yields:
+        What is called with what is being done, a detail of it, the count, and what to count to where that was not known.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True)
-    return Progress(
+    if not console.is_terminal:
+        plain = PlainProgress(period)
+        yield lambda doing, detail="", count=0, of=total: plain.tell(f"{what}: {doing}", detail)
+        return
+    columns = (
         SpinnerColumn(),
         TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=20),
         TimeElapsedColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
     )
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task(what, total=total)
+
+        def show(doing: str, detail: str = "", count: int = 0, of: int | None = total) -> None:
+            bar.update(task, completed=count, total=of, description=f"{what}: {doing}{detail and f', {detail}'}")
+
+        yield show

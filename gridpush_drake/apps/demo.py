@@ -46,7 +46,7 @@ def demo(
     pushes: Annotated[
         int | None, typer.Option(min=1, help="How many pushes to learn from (--task identify).  [default: 8]")
     ] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Of everything random.  [default: 0]")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of everything random.  [default: the scenario's]")] = None,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for what the demo writes.")] = Path(
         "gridpush_demo"
     ),
@@ -87,6 +87,7 @@ def demo(
     if open_browser:
         typer.launch(meshcat.web_url())
     record = chosen.run(scenario, meshcat, realtime_rate)
+    print_notice(f"Writing to {out} ...")
     written = chosen.write(out, scenario, record, meshcat, force)
     verdict = chosen.judge(record)
     if json:

@@ -1,11 +1,13 @@
 """What the demo leaves in its folder: what all tasks write, and what identifying does."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 from pydrake.geometry import Meshcat
 
+from gridpush_drake.apps.recording_legend import describe_scale, list_estimate_marks
 from gridpush_drake.files import write_whole
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.object_file import write_object
@@ -18,11 +20,13 @@ from gridpush_drake.pushes.log import PushLog
 from gridpush_drake.report.html import make_report
 from gridpush_drake.report.story import Story
 from gridpush_drake.scene.meshcat_server import write_recording
+from gridpush_drake.scene.recording_overlay import Mark, Overlay, Phase
 from gridpush_drake.scene.scenario import PushScenario
 from gridpush_drake.scene.scenario_file import write_scenario
 from gridpush_drake.scene.truth import describe_truth
 from gridpush_drake.station.conduct import Conduct
 from gridpush_drake.station.experiment import ExperimentRecord
+from gridpush_drake.systems.cell_colors import CellColors
 
 FILES = (
     "report.html",
@@ -61,7 +65,8 @@ def write_demo(
         OutputError: a file exists and `force` is not set, or it cannot be written.
     """
     report, _, model, _, pushes, kept_back, _, _ = (folder / name for name in FILES)
-    written = write_setting(folder, scenario, record.obj, record.truth, meshcat, force)
+    overlay = make_overlay(record.obj, list_phases(record))
+    written = write_setting(folder, scenario, record.obj, record.truth, meshcat, overlay, force)
     training, held_out = record.training_log, record.held_out_log
     if record.estimates:
         result = record.estimates[-1]
@@ -77,13 +82,36 @@ def write_demo(
     return [folder / name for name in FILES if folder / name in written]
 
 
+def list_phases(record: ExperimentRecord) -> list[Phase]:
+    """What the robot did when, for the recording."""
+    phases = []
+    for time, status in record.phases:
+        number = status.executed + (not status.ready)
+        kind = "Push" if number <= record.training else "Held-out push"
+        title = "Looking at the object" if status.ready else f"{kind} {number}: {status.phase}"
+        detail = "" if number <= record.training else "Predicted only, to test what was learned."
+        phases.append(Phase(time, title, detail))
+    return phases
+
+
+def make_overlay(obj: GridObject, phases: Sequence[Phase], marks: Sequence[Mark] = ()) -> Overlay:
+    """What stands beside the recording of a task; `marks` are its own besides the estimate's."""
+    return Overlay(describe_scale(obj, CellColors()), (*list_estimate_marks(), *marks), tuple(phases))
+
+
 def write_setting(
-    folder: Path, scenario: PushScenario, obj: GridObject, truth: CellParameters, meshcat: Meshcat, force: bool
+    folder: Path,
+    scenario: PushScenario,
+    obj: GridObject,
+    truth: CellParameters,
+    meshcat: Meshcat,
+    overlay: Overlay,
+    force: bool,
 ) -> list[Path]:
     """Writes what every task has: recording.html, object.yaml, truth.yaml, scenario.yaml; see `write_demo`."""
     names = ("recording.html", "object.yaml", "truth.yaml", "scenario.yaml")
     recording, object_file, hidden, setting = written = [folder / name for name in names]
-    write_recording(meshcat, recording, force)
+    write_recording(meshcat, recording, force, overlay)
     write_object(object_file, obj, force=force)
     write_whole(hidden, yaml.safe_dump(describe_truth(obj, truth), sort_keys=False), force)
     write_scenario(setting, scenario, force)

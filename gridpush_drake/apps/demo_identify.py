@@ -4,7 +4,7 @@ from pydrake.geometry import Meshcat
 
 from gridpush_drake.apps.console import count_progress
 from gridpush_drake.apps.demo_files import FILES, write_demo
-from gridpush_drake.apps.demo_task import FRAMES_A_SECOND, DemoTask
+from gridpush_drake.apps.demo_task import FRAMES_A_SECOND, DemoTask, describe_time
 from gridpush_drake.apps.demo_verdict import judge, print_verdict
 from gridpush_drake.scene.scenario import PushScenario
 from gridpush_drake.station.experiment import ExperimentRecord, PushExperiment
@@ -22,7 +22,8 @@ def run(scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> Exper
             kind = "push" if status.executed < training else "held-out push"
             at = min(status.executed + 1, total)
             refused = f" (refused {status.refused}: {status.reason})" if status.reason else ""
-            report(f"{kind} {at} of {total}, {status.phase}{refused}", status.executed)
+            doing = f"{kind} {at} of {total}, {status.phase}{refused}"
+            report(doing, describe_time(experiment.simulator), status.executed)
 
         meshcat.StartRecording(FRAMES_A_SECOND)
         return experiment.run(progress=show, realtime_rate=realtime_rate)

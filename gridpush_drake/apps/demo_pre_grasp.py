@@ -7,18 +7,29 @@ import numpy as np
 from pydrake.geometry import Meshcat
 
 from gridpush_drake.apps.console import MM, count_progress, print_line
-from gridpush_drake.apps.demo_files import describe_conduct, write_learned, write_setting
-from gridpush_drake.apps.demo_task import FRAMES_A_SECOND, DemoTask
+from gridpush_drake.apps.demo_files import describe_conduct, make_overlay, write_learned, write_setting
+from gridpush_drake.apps.demo_task import FRAMES_A_SECOND, DemoTask, describe_time
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.planning.belief import Belief
 from gridpush_drake.report.pre_grasp_figure import GraspDrawn, PushDrawn, draw_pre_grasp
 from gridpush_drake.report.story import Story
 from gridpush_drake.scene.parser import find_models
+from gridpush_drake.scene.recording_overlay import Phase
 from gridpush_drake.scene.scenario import PushScenario
 from gridpush_drake.scene.scenario_file import read_scenario
 from gridpush_drake.station.pre_grasp_record import PreGraspRecord, PreGraspStep
 from gridpush_drake.station.pre_grasp_task import HELD, PreGraspTask
-from gridpush_drake.systems.pre_grasp_status import EXPLORING, WAITING
+from gridpush_drake.systems.pre_grasp_status import (
+    EXPLORING,
+    FAILED,
+    GRASPING,
+    HOLDING,
+    LOST,
+    SLIDING,
+    STOPPING,
+    VERIFYING,
+    WAITING,
+)
 from gridpush_drake.systems.push_status import PushStatus
 
 FILES = ("report.html", "recording.html", "model.yaml", "object.yaml", "pushes.csv", "truth.yaml", "scenario.yaml")
@@ -27,6 +38,19 @@ SCENARIO = "scenarios/grasp.yaml"
 """Among the shipped models."""
 
 HEADS = ("time", "what", "why")
+
+TITLES = {
+    WAITING: "Looking at the object",
+    EXPLORING: "Poke{}, to learn where the mass is",
+    SLIDING: "Slide{}, toward the table's edge",
+    STOPPING: "Breaking off the push",
+    VERIFYING: "Checking that it can be grasped here",
+    GRASPING: "Grasping and lifting",
+    HOLDING: "Lifted and held",
+    LOST: "The object is out of sight",
+    FAILED: "Given up",
+}
+"""Of the controller's modes, beside the recording; {} is the push's number."""
 
 
 def make_scenario() -> PushScenario:
@@ -42,7 +66,8 @@ def run(scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> PreGr
 
         def show(status: PushStatus, logged: int) -> None:
             now = task.task.read("status", task.controller)
-            report(f"{now.mode}, {now.pokes} pokes and {now.slides} slides", int(now.over))
+            did = f"{_count(now.pokes, 'poke')} and {_count(now.slides, 'slide')}"
+            report(f"{now.mode}, {did}", describe_time(task.task.simulator), int(now.over))
 
         meshcat.StartRecording(FRAMES_A_SECOND)
         return task.run(progress=show, realtime_rate=realtime_rate)
@@ -61,7 +86,8 @@ def write(folder: Path, scenario: PushScenario, record: PreGraspRecord, meshcat:
     Returns:
         The files written, in the order of FILES.
     """
-    written = write_setting(folder, scenario, record.obj, record.truth, meshcat, force)
+    overlay = make_overlay(record.obj, [_describe_phase(step) for step in record.steps])
+    written = write_setting(folder, scenario, record.obj, record.truth, meshcat, overlay, force)
     if record.estimates:
         written += write_learned(folder, record.log, record.estimates[-1], record.truth, tell_story(record), force)
     return [folder / name for name in FILES if folder / name in written]
@@ -103,8 +129,7 @@ def tell(verdict: dict[str, Any], written: list[Path]) -> None:
 def tell_story(record: PreGraspRecord) -> Story:
     """The run for the report's head."""
     last = record.last
-    prior = record.obj.prior
-    belief = Belief.of_identification(record.estimates[-1], (prior.friction_min, prior.friction_max))
+    belief = Belief.of_identification(record.estimates[-1])
     poses = [step.pose for step in record.steps if np.isfinite(step.pose).all() and not step.status.over]
     pushes = [
         PushDrawn(step.push.start, step.push.end, step.status.mode == EXPLORING)
@@ -127,6 +152,12 @@ def tell_story(record: PreGraspRecord) -> Story:
         heads=HEADS,
         steps=[_describe(step) for step in record.steps if step.status.mode != WAITING],
     )
+
+
+def _describe_phase(step: PreGraspStep) -> Phase:
+    status = step.status
+    numbers = {EXPLORING: f" {status.pokes}", SLIDING: f" {status.slides}"}
+    return Phase(step.time, TITLES[status.mode].format(numbers.get(status.mode, "")), status.reason)
 
 
 def _describe(step: PreGraspStep) -> tuple[str, str, str]:

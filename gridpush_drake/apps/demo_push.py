@@ -6,14 +6,17 @@ from typing import Any
 from pydrake.geometry import Meshcat
 
 from gridpush_drake.apps.console import MM, count_progress, print_line
-from gridpush_drake.apps.demo_files import describe_conduct, write_learned, write_setting
-from gridpush_drake.apps.demo_task import FRAMES_A_SECOND, DemoTask
+from gridpush_drake.apps.demo_files import describe_conduct, make_overlay, write_learned, write_setting
+from gridpush_drake.apps.demo_task import FRAMES_A_SECOND, DemoTask, describe_time
+from gridpush_drake.apps.recording_legend import to_css
 from gridpush_drake.planning.planned_push import calc_goal_error
 from gridpush_drake.report.push_figure import draw_push_run
 from gridpush_drake.report.story import Story
+from gridpush_drake.scene.recording_overlay import Mark, Phase
 from gridpush_drake.scene.scenario import PushScenario
-from gridpush_drake.station.push_task import PushTask
-from gridpush_drake.station.push_task_record import PushTaskRecord
+from gridpush_drake.station.push_task import GOAL_COLOR, PushTask
+from gridpush_drake.station.push_task_record import PushTaskRecord, PushTaskStep
+from gridpush_drake.systems import contact_point_status as modes
 from gridpush_drake.systems.push_status import PushStatus
 
 FILES = ("report.html", "recording.html", "model.yaml", "object.yaml", "pushes.csv", "truth.yaml", "scenario.yaml")
@@ -21,6 +24,15 @@ FILES = ("report.html", "recording.html", "model.yaml", "object.yaml", "pushes.c
 REACHED = "reached"
 
 HEADS = ("push", "from", "left to go")
+
+TITLES = {
+    modes.WAITING: "Looking at the object",
+    modes.PUSHING: "Push{}, toward the goal",
+    modes.REACHED: "At the goal",
+    modes.FAILED: "Given up",
+    modes.LOST: "The object is out of sight",
+}
+"""Of the controller's modes, beside the recording; {} is the push's number."""
 
 
 def run(scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> PushTaskRecord:
@@ -30,7 +42,8 @@ def run(scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> PushT
     with count_progress("the robot", scenario.goal.max_pushes) as report:
 
         def show(status: PushStatus, logged: int) -> None:
-            report(f"push {status.executed + (not status.ready)}, {status.phase}", status.executed)
+            doing = f"push {status.executed + (not status.ready)}, {status.phase}"
+            report(doing, describe_time(task.task.simulator), status.executed)
 
         meshcat.StartRecording(FRAMES_A_SECOND)
         return task.run(progress=show, realtime_rate=realtime_rate)
@@ -38,10 +51,17 @@ def run(scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> PushT
 
 def write(folder: Path, scenario: PushScenario, record: PushTaskRecord, meshcat: Meshcat, force: bool) -> list[Path]:
     """Writes what a run came to; see `demo_pre_grasp.write`."""
-    written = write_setting(folder, scenario, record.obj, record.truth, meshcat, force)
+    goal = Mark(to_css(GOAL_COLOR), "where the object should lie")
+    overlay = make_overlay(record.obj, [_describe_phase(step) for step in record.steps], [goal])
+    written = write_setting(folder, scenario, record.obj, record.truth, meshcat, overlay, force)
     if record.estimates:
         written += write_learned(folder, record.log, record.estimates[-1], record.truth, tell_story(record), force)
     return [folder / name for name in FILES if folder / name in written]
+
+
+def _describe_phase(step: PushTaskStep) -> Phase:
+    status = step.status
+    return Phase(step.time, TITLES[status.mode].format(f" {status.pushes + 1}"), status.reason)
 
 
 def judge(record: PushTaskRecord) -> dict[str, Any]:

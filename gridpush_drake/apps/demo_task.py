@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
+    from pydrake.systems.analysis import Simulator
 
     from gridpush_drake.scene.scenario import PushScenario
 
@@ -35,6 +36,11 @@ class DemoTask:
 
 FRAMES_A_SECOND = 20.0
 """Of the recording."""
+
+
+def describe_time(simulator: "Simulator") -> str:
+    """How far a simulation is, for whoever waits."""
+    return f"{simulator.get_context().get_time():.0f} s simulated"
 
 
 MODULES = {"identify": "demo_identify", "push": "demo_push", "pregrasp": "demo_pre_grasp"}

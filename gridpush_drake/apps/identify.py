@@ -7,6 +7,7 @@ import typer
 
 from gridpush_drake.apps import options
 from gridpush_drake.apps.console import MM, print_json, print_line, search_progress
+from gridpush_drake.apps.inputs import describe_overhanging
 
 if TYPE_CHECKING:
     from gridpush_drake.identification.result import Identification
@@ -33,6 +34,9 @@ def identify(
     seed: options.Seed = 0,
     regime: options.Regime = "auto",
     budget: Annotated[int | None, typer.Option(min=1, help="Most pushes to simulate.")] = None,
+    latest: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Learn from the latest N pushes only.  [default: all]")
+    ] = None,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,
@@ -48,7 +52,8 @@ def identify(
         if path is not None:
             check_writable(path, force)
     obj = load_object(object_file, largest_piece)
-    log = load_log(pushes, obj)
+    full = load_log(pushes, obj)
+    log = full.supported[-latest:] if latest is not None else full.supported
     compile_kernels()
     with search_progress(f"identifying {obj.name}", budget) as progress:
         result = search(obj, log, method=method, seed=seed, regime=regime, budget=budget, progress=progress)
@@ -57,7 +62,11 @@ def identify(
         from gridpush_drake.report.html import make_report
 
         write_whole(report, make_report(result, log), force)
-    found = {**describe_result(result, log), "written": [str(path) for path in (out, report) if path]}
+    found = {
+        **describe_result(result, log),
+        "overhanging_pushes": [seen.name for seen in full.overhanging],
+        "written": [str(path) for path in (out, report) if path],
+    }
     if json:
         print_json(found)
     else:
@@ -108,6 +117,8 @@ def print_result(result: "Identification", found: dict[str, Any]) -> None:
     print_line(f"contact friction: {result.params.contact_friction:.2f} ± {result.std.contact_friction:.2f}")
     if result.unused_pushes:
         print_line(f"left out, as the pusher never touched the object: {', '.join(result.unused_pushes)}")
+    if found["overhanging_pushes"]:
+        print_line(describe_overhanging(found["overhanging_pushes"]))
     print_line("What these pushes say, and what they cannot:")
     for statement in result.identifiability.statements:
         print_line(f"  - {statement}")

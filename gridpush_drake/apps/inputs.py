@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 from gridpush_drake.errors import OutputError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from gridpush_drake.grid.object import GridObject
     from gridpush_drake.grid.parameters import CellParameters
     from gridpush_drake.identification.result import Identification
@@ -69,6 +71,12 @@ def load_log(path: Path, obj: "GridObject", *, require_final: bool = True) -> "P
     if log.radius_given or obj.prior.pusher_radius is None:
         return log
     return log.with_radius(obj.prior.pusher_radius)
+
+
+def describe_overhanging(names: "Sequence[str]") -> str:
+    """Says which pushes were left out, and why."""
+    count = f"{len(names)} push{'' if len(names) == 1 else 'es'}"
+    return f"left out {count}, as the object hung over the table's edge: {', '.join(names)}"
 
 
 def make_folder(path: Path) -> None:

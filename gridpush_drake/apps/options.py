@@ -20,7 +20,7 @@ PushesFile = Annotated[
     Path,
     typer.Argument(
         metavar="PUSHES.csv",
-        help="A push log: push,t,tip_x,tip_y,object_x,object_y,object_theta[,force_x,force_y].",
+        help="A push log: push,t,tip_x,tip_y,object_x,object_y,object_theta[,force_x,force_y][,overhang].",
         show_default=False,
     ),
 ]

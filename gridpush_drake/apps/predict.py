@@ -10,6 +10,7 @@ import typer
 
 from gridpush_drake.apps import options
 from gridpush_drake.apps.console import MM, print_json, print_line, print_table
+from gridpush_drake.apps.inputs import describe_overhanging
 
 if TYPE_CHECKING:
     from gridpush_drake.identification.error_summary import ErrorSummary
@@ -42,7 +43,8 @@ def predict(
 
     check_writable(out, force)
     target = load_target(model, largest_piece)
-    log = load_log(pushes, target.obj, require_final=False)
+    full = load_log(pushes, target.obj, require_final=False)
+    log = full.supported
     chosen = target.resolve_regime(regime, choose_regime(target.obj, log))
     compile_kernels()
     predictions = predict_log(target.obj, target.params, log, chosen)
@@ -54,6 +56,7 @@ def predict(
         "regime": chosen,
         "pushes": len(predictions),
         "untouched": [prediction.name for prediction in predictions if prediction.status == STATUS_NO_CONTACT],
+        "overhanging": [seen.name for seen in full.overhanging],
         "errors": summarise_errors(target.obj, predictions, log),
         "written": [str(out)],
     }
@@ -71,6 +74,8 @@ def _print_found(found: dict[str, Any], name: str) -> None:
         print_line(f"{name} is an object, not a model: predicted with its prior, mass and friction spread evenly.")
     if found["untouched"]:
         print_line(f"The pusher never touches the object in: {', '.join(found['untouched'])}")
+    if found["overhanging"]:
+        print_line(describe_overhanging(found["overhanging"]))
     if found["errors"]:
         print_errors(f"Errors of {found['errors'][0].pushes} final poses", found["errors"])
     print_line(f"Wrote {found['written'][0]}.")

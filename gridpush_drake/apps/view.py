@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from gridpush_drake.apps.inputs import Target
     from gridpush_drake.identification.prediction import Prediction
     from gridpush_drake.pushes.log import PushLog
+    from gridpush_drake.scene.recording_overlay import Overlay
 
 DEFAULT_HEIGHT = 0.03
 """Of an object, m; flat object files do not say."""
@@ -125,14 +126,15 @@ def _play_recording(path: Path, open_page: bool, json: bool) -> None:
 
 def _view_model(source: str, look: Look, largest_piece: bool, delivery: Delivery) -> None:
     from gridpush_drake.apps.inputs import load_target
-    from gridpush_drake.apps.view_scene import AddModel, describe_colors
+    from gridpush_drake.apps.view_scene import AddModel, describe_colors, make_overlay
 
     target = load_target(source, largest_piece)
     meshcat = _start(delivery)
     AddModel(meshcat, target, look.shows, look.height)
     lines = [f"{target.obj.name}: {target.obj.n} cells", describe_colors(look.shows)]
     kind = "model" if target.model else "object"
-    _deliver(meshcat, {"kind": kind, "object": target.obj.name}, lines, delivery)
+    overlay = make_overlay(target, look.shows)
+    _deliver(meshcat, overlay, {"kind": kind, "object": target.obj.name}, lines, delivery)
 
 
 def _find_target(log: Path, object_file: str | None, model_file: Path | None, largest_piece: bool) -> "Target":
@@ -154,8 +156,8 @@ def _find_target(log: Path, object_file: str | None, model_file: Path | None, la
 
 
 def _view_pushes(path: Path, target: "Target", names: list[str] | None, look: Look, delivery: Delivery) -> None:
-    from gridpush_drake.apps.inputs import load_log
-    from gridpush_drake.apps.view_scene import AddPushes, describe_colors
+    from gridpush_drake.apps.inputs import describe_overhanging, load_log
+    from gridpush_drake.apps.view_scene import AddPushes, describe_colors, make_overlay
     from gridpush_drake.identification.error_summary import summarise_errors
 
     log = load_log(path, target.obj, require_final=False)
@@ -165,7 +167,9 @@ def _view_pushes(path: Path, target: "Target", names: list[str] | None, look: Lo
             raise ViewError(f"--push: {path} has no push {name!r}; it has {', '.join(known)}")
     chosen = log.subset([i for i, name in enumerate(known) if not names or name in names])
     predictions = _predict(target, log, chosen) if target.model else None
-    errors = summarise_errors(target.obj, predictions, chosen) if predictions else []
+    overhanging = [seen.name for seen in chosen.overhanging]
+    judged = [prediction for prediction in predictions or [] if prediction.name not in overhanging]
+    errors = summarise_errors(target.obj, judged, chosen.supported) if judged else []
 
     meshcat = _start(delivery)
     AddPushes(meshcat, target, chosen, predictions, look.shows, look.height)
@@ -174,8 +178,11 @@ def _view_pushes(path: Path, target: "Target", names: list[str] | None, look: Lo
         lines += ["Solid: as observed. Orange: as the model predicts it.", describe_colors(look.shows)]
     cell = [error for error in errors if error.name == "cell"]
     lines += [f"Mean cell error of the final poses: {error.mean * error.scale:.1f} {error.unit}" for error in cell]
+    if predictions and overhanging:
+        lines.append(f"Of these errors, {describe_overhanging(overhanging)}")
     found = {"kind": "pushes", "object": target.obj.name, "pushes": [seen.name for seen in chosen]}
-    _deliver(meshcat, {**found, "errors": [vars(error) for error in errors]}, lines, delivery)
+    overlay = make_overlay(target, look.shows, chosen, predictions)
+    _deliver(meshcat, overlay, {**found, "errors": [vars(error) for error in errors]}, lines, delivery)
 
 
 def _predict(target: "Target", log: "PushLog", chosen: "PushLog") -> "list[Prediction]":
@@ -193,7 +200,9 @@ def _start(delivery: Delivery) -> "Meshcat":
     return StartMeshcatServer(0 if delivery.out is not None else delivery.port)
 
 
-def _deliver(meshcat: "Meshcat", found: dict[str, Any], lines: list[str], delivery: Delivery) -> None:
+def _deliver(
+    meshcat: "Meshcat", overlay: "Overlay", found: dict[str, Any], lines: list[str], delivery: Delivery
+) -> None:
     """Writes the page, or serves it until told to stop."""
     from gridpush_drake.scene.meshcat_server import PublishOnce, write_recording
 
@@ -202,7 +211,7 @@ def _deliver(meshcat: "Meshcat", found: dict[str, Any], lines: list[str], delive
         PublishOnce(meshcat)
         found, last = {**found, "url": url, "written": []}, f"Meshcat shows it at {url} (Enter or Ctrl-C to end)"
     else:
-        write_recording(meshcat, out, delivery.force)
+        write_recording(meshcat, out, delivery.force, overlay)
         found, last = {**found, "written": [str(out)]}, f"Wrote {out}."
     if delivery.json:
         print_json(found)

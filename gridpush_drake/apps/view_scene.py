@@ -6,15 +6,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.geometry import Box, Cylinder, Meshcat, Rgba
 
+from gridpush_drake.apps.console import MM
 from gridpush_drake.apps.inputs import Target
+from gridpush_drake.apps.recording_legend import describe_scale, list_center_marks, to_css
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.identification.prediction import Prediction
 from gridpush_drake.pushes.log import ObservedPush, PushLog
 from gridpush_drake.scene.meshcat_server import AimCamera
+from gridpush_drake.scene.recording_overlay import Mark, Overlay, Phase
 from gridpush_drake.systems.cell_colors import CellColors, Shown
 from gridpush_drake.systems.estimate_drawing import SIGMAS
 from gridpush_drake.systems.meshcat_drawing import (
     LAYER,
+    PLAN_COLOR,
     AddArrow,
     AddCells,
     AddCentre,
@@ -68,6 +72,25 @@ def AddModel(meshcat: Meshcat, target: Target, shows: Shown, height: float) -> N
     """
     _AddObject(meshcat, target, CellColors(shows), height)
     _FrameScene(meshcat, np.array(target.obj.outline.bounds).reshape(2, 2))
+
+
+def make_overlay(
+    target: Target, shows: Shown, log: PushLog | None = None, predictions: Sequence[Prediction] | None = None
+) -> Overlay:
+    """What stands beside the page of a model, or of the pushes that `AddPushes` records."""
+    scale = describe_scale(target.obj, CellColors(shows)) if target.model is not None else None
+    marks = list_center_marks() if target.model is not None else ()
+    if log is not None:
+        marks += (Mark(to_css(PLAN_COLOR), "the finger's push", "line"),)
+    if predictions is not None:
+        marks += (Mark(to_css(PLAN_COLOR), "the object as the model predicts it; solid: as observed"),)
+    phases, begin = [], 0.0
+    for seen in log or ():
+        detail = f"{MM * seen.push.length:.0f} mm in {seen.push.duration:.1f} s"
+        over = "; a part of the object hangs over the table's edge" if seen.overhang else ""
+        phases.append(Phase(begin, seen.name, detail + over))
+        begin += HOLD + seen.push.duration + HOLD
+    return Overlay(scale, marks, tuple(phases))
 
 
 def AddPushes(

@@ -50,7 +50,7 @@ QUICK_MASS_SETS, QUICK_SEEDS = 2, 1
 
 FRICTION_RANGE = (0.3, 0.4)
 """What the frictions of an object's parts are drawn from, and what the method knows of them: as in the station, of
-somebody who has seen what object and table are made of (`scene.scenario.KNOWN_FRICTION_RANGE`)."""
+somebody who has seen what object and table are made of (`models/scenarios/grasp.yaml`)."""
 
 WIDE_FRICTION_RANGE = (0.25, 0.5)
 """The same where hardly anything is known of them."""

@@ -58,7 +58,8 @@ def identify(
 
     Args:
         obj: the object.
-        log: the training pushes, with at least one observed pose each after the first.
+        log: the training pushes, with at least one observed pose each after the first; those during which a part of
+            the object hung over the table's edge are passed over.
         prior: what is known beforehand; `obj.prior` by default.
         method: one of METHODS: "default", the paper's, or a baseline.
         seed: of everything random.
@@ -74,6 +75,7 @@ def identify(
 
     Raises:
         IdentificationError: the method or regime is unknown, the log is empty or lacks observations.
+        PushLogError: the object hung over the table's edge during every push.
     """
     for name, value, known in (("method", method, METHODS), ("regime", regime, REGIMES)):
         if value not in known:
@@ -155,6 +157,7 @@ def _check_log(obj: GridObject, log: PushLog) -> PushLog:
     source = log.source or "push log"
     if not len(log):
         raise IdentificationError(f"{source}: no pushes; expected at least one")
+    log = log.supported
     for push in log:
         if not len(push.t_observed):
             raise IdentificationError(

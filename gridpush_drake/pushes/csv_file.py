@@ -1,8 +1,9 @@
 """The push log as one tidy CSV file: a row a sample, SI units, radians, world frame.
 
 Columns: push (any text, rows of one push together), t, tip_x, tip_y (the disc's centre), object_x, object_y,
-object_theta (on a push's first row, and wherever else it was observed; empty elsewhere) and, where it was
-measured, force_x, force_y on the object. Times are counted from each push's first row.
+object_theta (on a push's first row, and wherever else it was observed; empty elsewhere), where it was measured,
+force_x, force_y on the object and, where it happened, overhang: 1 while a part of the object hung over the table's
+edge, 0 or empty otherwise; one such row marks the push. Times are counted from each push's first row.
 """
 
 import csv
@@ -25,7 +26,11 @@ TIP = ("tip_x", "tip_y")
 POSE = ("object_x", "object_y", "object_theta")
 FORCE = ("force_x", "force_y")
 REQUIRED = ("push", "t", *TIP, *POSE)
-COLUMNS = (*REQUIRED, *FORCE)
+OVERHANG = "overhang"
+COLUMNS = (*REQUIRED, *FORCE, OVERHANG)
+
+FLAGS = {"": False, "0": False, "1": True}
+"""What may stand in a column that says yes or no."""
 
 UNITS = {"t": "s", "object_theta": "rad", "force_x": "N", "force_y": "N"}
 """Unit of each column; m where not listed."""
@@ -41,6 +46,7 @@ class _Row(NamedTuple):
     tip: list[float]
     pose: list[float] | None
     force: list[float] | None
+    overhang: bool
 
 
 def read_push_csv(path: Path, radius: float | None, *, require_final: bool = True) -> PushLog:
@@ -71,11 +77,13 @@ def write_push_csv(log: PushLog, path: Path, force: bool = False) -> None:
         if name in names[:i]:
             raise PushLogError(f"{path}: two pushes of the log are named {name!r}; expected one name a push")
     with_force = any(seen.force is not None for seen in log)
+    with_overhang = any(seen.overhang for seen in log)
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(COLUMNS if with_force else REQUIRED)
+    writer.writerow([*REQUIRED, *(FORCE if with_force else ()), *((OVERHANG,) if with_overhang else ())])
     for seen in log:
-        writer.writerows(_cells(seen, with_force))
+        flag = [str(int(seen.overhang))] if with_overhang else []
+        writer.writerows(cells + flag for cells in _cells(seen, with_force))
     write_whole(path, buffer.getvalue(), force)
 
 
@@ -133,7 +141,7 @@ def _rows(path: Path, text: str) -> Iterator[_Row]:
 
 def _column_indices(path: Path, line: int, header: Sequence[str]) -> dict[str, int]:
     at = {name: i for i, name in enumerate(header)}
-    form = f"expected comma-separated {','.join(REQUIRED)} and, if measured, {','.join(FORCE)}"
+    form = f"expected comma-separated {','.join(REQUIRED)} and, if known, {','.join(FORCE)} and {OVERHANG}"
     if len(at) != len(header):
         twice = next(name for i, name in enumerate(header) if name in header[:i])
         _fail(path, line, twice, f"is there twice; {form}")
@@ -163,7 +171,14 @@ def _parse_row(path: Path, line: int, cells: list[str], at: dict[str, int]) -> _
         for columns in (POSE, FORCE)
     )
     tip = [_number(path, line, column, cells[at[column]]) for column in TIP]
-    return _Row(line, name, _number(path, line, "t", cells[at["t"]]), tip, pose, force)
+    overhang = OVERHANG in at and _flag(path, line, OVERHANG, cells[at[OVERHANG]])
+    return _Row(line, name, _number(path, line, "t", cells[at["t"]]), tip, pose, force, overhang)
+
+
+def _flag(path: Path, line: int, column: str, cell: str) -> bool:
+    if cell.strip() not in FLAGS:
+        _fail(path, line, column, f"is {cell.strip()!r}; expected 0 or 1, or empty")
+    return FLAGS[cell.strip()]
 
 
 def _number(path: Path, line: int, column: str, cell: str) -> float:
@@ -216,6 +231,7 @@ def _observed_push(path: Path, rows: list[_Row], radius: float, require_final: b
         np.array(poses[1:]).reshape(-1, len(POSE)),
         np.array([row.t - first.t for row in felt]) if felt else None,
         np.array([row.force for row in felt]) if felt else None,
+        any(row.overhang for row in rows),
     )
 
 

@@ -34,6 +34,7 @@ class ObservedPush:
         force_t: (F,) times of the force samples, s, strictly increasing, in [0, push.duration]; None where
             the force was not measured.
         force: (F, 2) force on the object in W, N; None where it was not measured.
+        overhang: whether a part of the object hung over the table's edge, which the model does not know of.
 
     Raises:
         PushLogError: a shape, a time or a value is not as said above.
@@ -46,6 +47,7 @@ class ObservedPush:
     poses_observed: NDArray[np.float64]
     force_t: NDArray[np.float64] | None = None
     force: NDArray[np.float64] | None = None
+    overhang: bool = False
 
     def __post_init__(self) -> None:
         if not self.name or self.name != self.name.strip():
@@ -169,6 +171,26 @@ class PushLog:
         """The log of the pushes at `indices` (or of a mask), in their order. Raises IndexError beyond the last."""
         chosen = np.arange(len(self))[list(indices)]
         return replace(self, pushes=tuple(self.pushes[i] for i in chosen))
+
+    @property
+    def supported(self) -> "PushLog":
+        """The pushes during which the whole object was on the table: those that a model can explain.
+
+        Raises:
+            PushLogError: there are pushes, but none of them is such a one.
+        """
+        kept = self.subset([i for i, seen in enumerate(self) if not seen.overhang])
+        if len(self) and not len(kept):
+            raise PushLogError(
+                f"{self.source or 'push log'}: overhang is 1 in every push; expected at least one push with the whole "
+                "object on the table"
+            )
+        return kept
+
+    @property
+    def overhanging(self) -> "PushLog":
+        """The pushes during which a part of the object hung over the table's edge."""
+        return self.subset([i for i, seen in enumerate(self) if seen.overhang])
 
     def with_radius(self, radius: float) -> "PushLog":
         """The same pushes made by a disc of `radius`, m. Raises PushError where it is not positive."""

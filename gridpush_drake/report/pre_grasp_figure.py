@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from math import cos, sin
 
 import numpy as np
-import shapely
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -172,9 +171,9 @@ def _draw_table(ax: Axes, surface: SupportSurface) -> None:
 
 
 def _frame(ax: Axes, points: Array) -> None:
-    box = shapely.MultiPoint(points).buffer(CLOSE_UP).bounds
-    ax.set_xlim(box[0], box[2])
-    ax.set_ylim(box[1], box[3])
+    (left, low), (right, high) = points.min(axis=0) - CLOSE_UP, points.max(axis=0) + CLOSE_UP
+    ax.set_xlim(left, right)
+    ax.set_ylim(low, high)
     ax.set_aspect("equal", adjustable="box")
 
 

@@ -11,6 +11,7 @@ from pydrake.geometry import Meshcat, MeshcatAnimation, MeshcatParams
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.files import check_writable, write_whole
+from gridpush_drake.scene.recording_overlay import Overlay, add_overlay
 
 LEAST_PORT, GREATEST_PORT = 1024, 65535
 """Ports below belong to the system."""
@@ -108,13 +109,14 @@ def PublishOnce(meshcat: Meshcat) -> None:
     meshcat.PublishRecording()
 
 
-def write_recording(meshcat: Meshcat, path: Path | str, force: bool = False) -> None:
+def write_recording(meshcat: Meshcat, path: Path | str, force: bool = False, overlay: Overlay | None = None) -> None:
     """Writes the scene, with what was recorded, as one self-contained HTML file that plays when it is opened.
 
     Args:
         meshcat: the scene; its recording is stopped and published, and LAYERS_TO_LEAVE_OUT are deleted from it.
         path: the HTML file.
         force: whether an existing file may be replaced.
+        overlay: what stands beside the scene; None for nothing.
 
     Raises:
         OutputError: the file exists and `force` is not set, or it cannot be written.
@@ -123,7 +125,8 @@ def write_recording(meshcat: Meshcat, path: Path | str, force: bool = False) -> 
     for layer in LAYERS_TO_LEAVE_OUT:
         meshcat.Delete(layer)
     PublishOnce(meshcat)
-    write_whole(path, meshcat.StaticHtml(), force)
+    page = meshcat.StaticHtml()
+    write_whole(path, page if overlay is None else add_overlay(page, overlay), force)
 
 
 def looks_like_recording(path: Path | str) -> bool:

@@ -14,9 +14,6 @@ from pydrake.multibody.parsing import AddDirectives, ModelDirective
 
 from gridpush_drake.scene.truth import CELL_MASS_RANGE, CONTACT_FRICTION_RANGE, FRICTION_RANGE
 
-KNOWN_FRICTION_RANGE = (0.3, 0.4)
-"""Of any cell against the table, as somebody knows who has seen what the object is made of."""
-
 CURRENT_VERSION = 1
 """Of the schema; a scenario of another one is refused."""
 
@@ -73,6 +70,12 @@ def _range(unit: str) -> dict[str, Expected]:
         return len(value) == 2 and all(map(isfinite, value)) and 0 < value[0] <= value[1]
 
     return {EXPECTED: Expected(f"[least, greatest], positive{unit}", holds)}
+
+
+def _optional_range() -> dict[str, Expected]:
+    """Metadata of a range of positive numbers, or None."""
+    known = _range("")[EXPECTED]
+    return {EXPECTED: Expected(f"{known.text}, or null", lambda value: value is None or known.holds(value))}
 
 
 def _is_interval(value: list[float]) -> bool:
@@ -144,8 +147,6 @@ class PreGraspConfig:
     """How the object is slid to the table's edge and grasped there.
 
     Attributes:
-        friction: [least, greatest] that is known beforehand of any cell's friction against the table; the narrower, the
-            better the pushes show where the mass is.
         margin: least distance of the centre of mass, at its worst, from where the object would tip, m.
         least_pokes: made in any case before it slides.
         most_pokes: made before giving up.
@@ -156,7 +157,6 @@ class PreGraspConfig:
         hold: how long it is held up, s.
     """
 
-    friction: list[float] = field(default_factory=lambda: list(KNOWN_FRICTION_RANGE), metadata=_range(""))
     margin: float = _positive(0.003, "m")
     least_pokes: int = _count(3, 1)
     most_pokes: int = _count(12, 1)
@@ -256,6 +256,9 @@ class PushScenario:
         object: name of a shipped object, or an object file, relative to the scenario's own file.
         object_pose: [x, y, theta] of B in W at the beginning, m and rad.
         object_height: thickness of the object, m.
+        object_friction: [least, greatest] friction of any of its cells against the table, as it is known beforehand,
+            beside what the object's file says: what both allow holds. The narrower, the better the pushes show where
+            the mass is. null where the file says it all.
         base: "free": it can tip and be lifted; "planar": it slides and turns only, each cell's load being exact.
         directives: what stands in the scene besides the object, as Drake's model directives: a model `iiwa` with a
             body `iiwa_link_ee_kuka`, a model `finger` with a body `finger_tip`, and a model `table`.
@@ -276,6 +279,7 @@ class PushScenario:
     )
     object_pose: list[float] = field(default_factory=lambda: [0.6, 0.0, 0.0], metadata=POSE)
     object_height: float = _positive(0.03, "m")
+    object_friction: list[float] | None = field(default=None, metadata=_optional_range())
     base: str = _word("free", ("free", "planar"))
     directives: list[ModelDirective] = field(default_factory=_default_directives)
     finger: FingerConfig = field(default_factory=FingerConfig)

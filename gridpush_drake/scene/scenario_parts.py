@@ -1,6 +1,7 @@
 """What a scenario names, made: the object and the scene's models."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from pydrake.multibody.parsing import ModelDirectives, ModelInstanceInfo, Parser, ProcessModelDirectives
@@ -14,14 +15,31 @@ from gridpush_drake.scene.scenario import PushScenario
 def load_object(scenario: PushScenario) -> GridObject:
     """Reads the scenario's object; a file goes before a shipped object of the same name.
 
+    The bounds of its friction, `prior.friction_min` and `friction_max`, are those that its file and the scenario's
+    `object_friction` both allow; the prior coefficient is the file's, or the nearest bound.
+
     Raises:
-        ScenarioError: there is none, or its file is not what it should be; the message suggests the nearest name.
+        ScenarioError: there is none, its file is not what it should be, where the message suggests the nearest name; or
+            scenario and file allow no common friction.
     """
     path = Path(scenario.object)
     try:
-        return read_object(path if path.suffix or path.is_file() else find_shipped_object(scenario.object))
+        obj = read_object(path if path.suffix or path.is_file() else find_shipped_object(scenario.object))
     except ObjectError as error:
         raise ScenarioError(f"object: {error}") from error
+    return obj if scenario.object_friction is None else _bound_friction(obj, *scenario.object_friction)
+
+
+def _bound_friction(obj: GridObject, least: float, greatest: float) -> GridObject:
+    prior = obj.prior
+    low, high = max(least, prior.friction_min), min(greatest, prior.friction_max)
+    if low > high:
+        raise ScenarioError(
+            f"object_friction is [{least:g}, {greatest:g}]; expected a range that overlaps that of {obj.name}'s file, "
+            f"{prior.friction_min:g} to {prior.friction_max:g}"
+        )
+    friction = min(max(prior.friction, low), high)
+    return replace(obj, prior=replace(prior, friction=friction, friction_min=low, friction_max=high))
 
 
 def AddScene(parser: Parser, scenario: PushScenario) -> list[ModelInstanceInfo]:

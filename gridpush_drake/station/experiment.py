@@ -10,13 +10,12 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.pushes.log import PushLog
-from gridpush_drake.scene.meshcat_server import AimCamera
 from gridpush_drake.scene.scenario import PushScenario
 from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.push_station import MakePushStation, PushStation
 from gridpush_drake.station.task_record import TaskRecord
 from gridpush_drake.station.task_run import GO_ON, INTERRUPTED, Judgement, Progress, Sight, TaskStatus
-from gridpush_drake.station.task_wiring import BuildTask
+from gridpush_drake.station.task_wiring import AimStationCamera, BuildTask
 from gridpush_drake.systems.poke_choice import PokeRegion, PokeStyle
 from gridpush_drake.systems.poke_policy import PokePolicy
 from gridpush_drake.systems.push_status import PushStatus
@@ -35,9 +34,6 @@ REFUSALS = 20
 PATIENCE = 10.0
 """Simulated without a push being under way, after which it is stuck, s."""
 
-CAMERA_DISTANCE, CAMERA_AZIMUTH, CAMERA_ELEVATION = 0.85, 0.7, 0.75
-"""Of Meshcat's camera, m, rad and rad: opposite the robot, a little to its left."""
-
 __all__ = [
     "FINISHED", "INTERRUPTED", "OBJECT_LOST", "STUCK", "ExperimentRecord", "Progress",
     "PushExperiment",
@@ -50,9 +46,11 @@ class ExperimentRecord(TaskRecord):
 
     Attributes:
         training: how many pushes, from the first, are to learn from.
+        phases: (time, s, and status) wherever the executor began something new.
     """
 
     training: int = 0
+    phases: list[tuple[float, PushStatus]] = field(default_factory=list)
 
     @property
     def training_log(self) -> PushLog:
@@ -93,9 +91,8 @@ class PushExperiment:
         self.simulator: Simulator = self._task.simulator
 
     def AimCamera(self, meshcat: Meshcat) -> None:
-        """Points Meshcat's camera at where the object begins."""
-        x, y, _ = self._scenario.object_pose
-        AimCamera(meshcat, (x, y, 0.0), CAMERA_DISTANCE, CAMERA_AZIMUTH, CAMERA_ELEVATION)
+        """Points Meshcat's camera at the arm and the table."""
+        AimStationCamera(meshcat, self.station)
 
     def run(
         self, seed: int | None = None, progress: Progress | None = None, realtime_rate: float = 0.0
@@ -118,7 +115,10 @@ class PushExperiment:
         watch = _Watch(pokes.count + pokes.test_count)
 
         def judge(time: float) -> Judgement:
-            return watch.judge(time, self._note(record), self._task.read("object.pose"))
+            status = self._note(record)
+            if not record.phases or record.phases[-1][1] != status:
+                record.phases.append((time, status))
+            return watch.judge(time, status, self._task.read("object.pose"))
 
         end = self._task.run(judge, seed, progress, realtime_rate, lambda context: self._policy.SetSeed(context, seed))
         record.note_end(self._task, end)

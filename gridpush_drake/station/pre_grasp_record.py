@@ -39,8 +39,6 @@ class PreGraspStep:
 class PreGraspRecord(TaskRecord):
     """What came of a run: "held", "dropped", "failed", "lost", "stuck" or "interrupted"; filled while it runs.
 
-    Its `obj` has what is known of the object's friction.
-
     Attributes:
         surface: the table.
         steps: what the controller did.

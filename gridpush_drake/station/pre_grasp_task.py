@@ -15,8 +15,7 @@ from gridpush_drake.planning.held_cells import find_held
 from gridpush_drake.planning.pregrasp import ACCEPTED_SHARE, PreGraspOptions, PreGraspPlanner
 from gridpush_drake.planning.pregrasp_goal import GoalOptions
 from gridpush_drake.planning.slide_push import SlideOptions
-from gridpush_drake.pushes.log import ObservedPush
-from gridpush_drake.scene.meshcat_server import AimCamera
+from gridpush_drake.pushes.log import ObservedPush, PushLog
 from gridpush_drake.scene.scenario import PushScenario
 from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.grasp_finder import GraspFinder
@@ -25,7 +24,7 @@ from gridpush_drake.station.pre_grasp_record import PreGraspRecord, PreGraspStep
 from gridpush_drake.station.push_station import MakePushStation, PushStation
 from gridpush_drake.station.table_surface import make_surface
 from gridpush_drake.station.task_run import GO_ON, Judgement, Progress, Sight, TaskStatus
-from gridpush_drake.station.task_wiring import BuildTask
+from gridpush_drake.station.task_wiring import AimStationCamera, BuildTask
 from gridpush_drake.systems import pre_grasp_status
 from gridpush_drake.systems.grasp_command import GraspCommand
 from gridpush_drake.systems.pre_grasp_controller import PreGraspController
@@ -47,12 +46,6 @@ LIFTED_SHARE = 0.7
 
 PATIENCE = 60.0
 """Simulated without anything new, after which the task is stuck, s."""
-
-CAMERA_BACK, CAMERA_LEFT, CAMERA_UP = 0.08, 0.12, 0.08
-"""m from where the object begins to what Meshcat's camera looks at."""
-
-CAMERA_DISTANCE, CAMERA_AZIMUTH, CAMERA_ELEVATION = 0.95, 0.25, 0.45
-"""Of Meshcat's camera, m, rad and rad: beyond the rim that things are slid to."""
 
 LOST_AFTER = 10.0
 """Simulated without the object being seen, after which it is not waited for any longer, s."""
@@ -90,19 +83,15 @@ class PreGraspTask:
         if station.gripper is None:
             raise ScenarioError("directives: there is no model gripper; expected a scene that can grasp")
         self.surface = make_surface(station)
-        low, high = scenario.pregrasp.friction
-        prior = replace(station.obj.prior, friction=float(np.sqrt(low * high)), friction_min=low, friction_max=high)
-        self.obj = replace(station.obj, prior=prior)
+        self.obj = station.obj
         self._finder = GraspFinder(station, self.obj, self.surface)
         self.planner = PreGraspPlanner(self.obj, self.surface, make_options(scenario), limits=self._make_limits())
         self.controller = builder.AddNamedSystem("controller", self._make_controller())
         self.task = BuildTask(builder, station, self.controller, "pre_grasp_task", meshcat)
 
     def AimCamera(self, meshcat: Meshcat) -> None:
-        """Points Meshcat's camera at where the object begins and where it may be grasped."""
-        x, y, _ = self._scenario.object_pose
-        target = (x - CAMERA_BACK, y + CAMERA_LEFT, CAMERA_UP)
-        AimCamera(meshcat, target, CAMERA_DISTANCE, CAMERA_AZIMUTH, CAMERA_ELEVATION)
+        """Points Meshcat's camera at the arm and the table."""
+        AimStationCamera(meshcat, self.station)
 
     def run(
         self, seed: int | None = None, progress: Progress | None = None, realtime_rate: float = 0.0
@@ -121,6 +110,7 @@ class PreGraspTask:
         end = self.task.run(watch.judge, seed, progress, realtime_rate)
         watch.note(end.duration)
         record.note_end(self.task, end)
+        record.log = self._mark_overhang(record.log)
         return record
 
     def calc_raised(self) -> float:
@@ -134,6 +124,10 @@ class PreGraspTask:
         """Whether the object was wholly on the table, as far as it was seen: the model knows no edge."""
         poses = np.vstack([seen.pose[None], seen.poses_observed])
         return bool(find_held(self.obj, poses, self.surface).all())
+
+    def _mark_overhang(self, log: PushLog) -> PushLog:
+        """The log, saying of each push whether a part of the object hung over the table's edge."""
+        return replace(log, pushes=tuple(replace(seen, overhang=not self._admit(seen)) for seen in log))
 
     def _make_limits(self) -> ArmLimits:
         station = self.station
@@ -149,7 +143,6 @@ class PreGraspTask:
         return PreGraspController(
             self.planner,
             self._finder.find_grasp,
-            (pregrasp.friction[0], pregrasp.friction[1]),
             grasp_height=self._scenario.object_height / 2,
             lift=pregrasp.lift,
             seed=self._scenario.seed,

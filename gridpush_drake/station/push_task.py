@@ -13,7 +13,6 @@ from gridpush_drake.planning.contact_point import ContactOptions
 from gridpush_drake.planning.planned_push import calc_goal_error
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.push_decision import GoalRules
-from gridpush_drake.scene.meshcat_server import AimCamera
 from gridpush_drake.scene.scenario import PushScenario
 from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.learning import Learning
@@ -21,7 +20,7 @@ from gridpush_drake.station.push_station import MakePushStation, PushStation
 from gridpush_drake.station.push_task_record import PushTaskRecord, PushTaskStep
 from gridpush_drake.station.table_surface import make_surface
 from gridpush_drake.station.task_run import GO_ON, Judgement, Progress, Sight, TaskStatus
-from gridpush_drake.station.task_wiring import BuildTask
+from gridpush_drake.station.task_wiring import AimStationCamera, BuildTask
 from gridpush_drake.systems import contact_point_status as modes
 from gridpush_drake.systems.contact_point_controller import ContactPointController
 from gridpush_drake.systems.contact_point_status import ContactPointStatus
@@ -52,9 +51,6 @@ PATIENCE = 15.0
 
 GOAL_COLOR = Rgba(0.16, 0.55, 0.35)
 """Of the outline at the goal."""
-
-CAMERA_DISTANCE, CAMERA_AZIMUTH, CAMERA_ELEVATION = 0.95, 0.7, 0.75
-"""Of Meshcat's camera, m, rad and rad: opposite the robot, a little to its left."""
 
 
 class PushTask:
@@ -108,9 +104,8 @@ class PushTask:
         return GoalRules(constraints, contact, tolerance=scenario.goal.tolerance, max_pushes=scenario.goal.max_pushes)
 
     def AimCamera(self, meshcat: Meshcat) -> None:
-        """Points Meshcat's camera at the middle between where the object begins and where it should go."""
-        x, y = (np.array(self._scenario.object_pose[:2]) + self._scenario.goal.pose[:2]) / 2
-        AimCamera(meshcat, (float(x), float(y), 0.0), CAMERA_DISTANCE, CAMERA_AZIMUTH, CAMERA_ELEVATION)
+        """Points Meshcat's camera at the arm and the table."""
+        AimStationCamera(meshcat, self.station)
 
     def run(
         self, seed: int | None = None, progress: Progress | None = None, realtime_rate: float = 0.0

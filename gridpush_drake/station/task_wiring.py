@@ -1,8 +1,11 @@
 """A Diagram of a station and the system that commands it, ready to run."""
 
+import numpy as np
+import shapely
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import DiagramBuilder, System
 
+from gridpush_drake.scene.meshcat_server import AimCamera
 from gridpush_drake.station.push_station import PushStation
 from gridpush_drake.station.task_run import TaskRun
 from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
@@ -22,6 +25,24 @@ COMMANDS = ("push_command", "grasp_command")
 
 SHOWN = ("mass", "friction", "contact_friction", "centre_of_mass", "centre_of_mass_covariance")
 """Estimates that are drawn."""
+
+
+CAMERA_SHARE = 0.78
+"""Distance of Meshcat's camera from what it looks at, in diagonals of the table and the robot's base."""
+
+CAMERA_HEIGHT = 0.25
+"""Of what it looks at above the table, m: a third of the arm."""
+
+CAMERA_AZIMUTH, CAMERA_ELEVATION = 0.75, 0.5
+"""Where it stands, rad: opposite the robot, to its left, beyond the edge that things are slid to."""
+
+
+def AimStationCamera(meshcat: Meshcat, station: PushStation) -> None:
+    """Points Meshcat's camera so that the whole arm and the whole table are in sight, whatever the robot does."""
+    x0, y0, x1, y1 = station.table_top.union(shapely.Point(0.0, 0.0)).bounds
+    x, y = (np.array([x0 + x1, y0 + y1]) / 2 + station.scenario.object_pose[:2]) / 2
+    distance = CAMERA_SHARE * float(np.hypot(x1 - x0, y1 - y0))
+    AimCamera(meshcat, (x, y, CAMERA_HEIGHT), distance, CAMERA_AZIMUTH, CAMERA_ELEVATION)
 
 
 def BuildTask(

@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from typing import get_args
 
 import pytest
@@ -11,6 +12,7 @@ import pytest
 from gridpush_drake.apps import identify as command
 from gridpush_drake.identification import identify as search
 from gridpush_drake.identification.model_file import read_model
+from gridpush_drake.pushes.log import PushLog
 
 INTERRUPT_AFTER = 6.0
 """s, in which the interpreter, the imports and the kernels are ready and the search has begun."""
@@ -99,3 +101,31 @@ def test_an_interrupted_process_leaves_nothing(block, pushes, tmp_path):
     assert out == ""
     assert "Traceback" not in err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["block.yaml", "pushes.csv"]
+
+
+def test_pushes_over_the_edge_are_left_out_bit_for_bit(gridpush, block, pushes, tmp_path):
+    """The same model as from the log without them, and so from the latest of several."""
+    log = PushLog.read_csv(pushes)
+    marked = PushLog(tuple(replace(seen, overhang=i in (1, 4)) for i, seen in enumerate(log)))
+    marked.write_csv(tmp_path / "marked.csv")
+    log[[0, 2, 3]].write_csv(tmp_path / "kept.csv")
+    log[[2, 3]].write_csv(tmp_path / "latest.csv")
+
+    def learn(name, *options):
+        outcome = gridpush("identify", block, tmp_path / f"{name}.csv", "--out", tmp_path / f"{name}.yaml", *options)
+        assert outcome.code == 0, outcome.err
+        return outcome.out, (tmp_path / f"{name}.yaml").read_text()
+
+    told, model = learn("marked")
+    assert "left out 2 pushes, as the object hung over the table's edge: push_2, push_5" in told
+    assert model == learn("kept")[1]
+    assert model != learn("latest")[1]
+    assert learn("marked", "--latest", "2", "--force")[1] == learn("latest", "--force")[1]
+
+
+def test_refuses_a_log_of_nothing_but_pushes_over_the_edge(refuses, block, pushes, tmp_path):
+    log = PushLog.read_csv(pushes)
+    PushLog(tuple(replace(seen, overhang=True) for seen in log)).write_csv(tmp_path / "over.csv")
+    for name in ("identify", "predict"):
+        says = [tmp_path / "over.csv", "overhang", "expected"]
+        refuses(name, block, tmp_path / "over.csv", "--out", tmp_path / "out", says=says)

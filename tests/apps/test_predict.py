@@ -1,5 +1,6 @@
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -108,3 +109,12 @@ def test_refuses_an_empty_log(refuses, model, tmp_path):
 def test_refuses_a_broken_model(refuses, model, pushes, tmp_path):
     model.write_text(model.read_text().replace("seed: 0", "seed: zero", 1))
     refuses("predict", model, pushes, "--out", tmp_path / "predicted.csv", says=[model, "seed", "integer"])
+
+
+def test_leaves_out_pushes_over_the_edge(gridpush, model, pushes, tmp_path):
+    log = PushLog.read_csv(pushes)
+    PushLog(tuple(replace(seen, overhang=i == 0) for i, seen in enumerate(log))).write_csv(tmp_path / "marked.csv")
+    outcome = gridpush("predict", model, tmp_path / "marked.csv", "--out", tmp_path / "predicted.csv")
+    assert "left out 1 push, as the object hung over the table's edge: push_1" in outcome.out
+    assert "Errors of 4 final poses" in outcome.out
+    assert "push_1" not in (tmp_path / "predicted.csv").read_text()

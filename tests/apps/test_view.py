@@ -127,7 +127,7 @@ def test_a_model_s_page_shows_its_cells_in_their_colours(gridpush, tmp_path):
     result = make_identification()
     write_model(model, result)
     assert gridpush("view", model, "--out", out).code == 0
-    picture = take_picture(out)
+    picture = take_picture(freeze_recording(out, 0.0, tmp_path / "still.html"))
     colors = CellColors().calc_colors(result.params.mass, result.params.friction)
     seen = [find_pixels(picture, color).sum() for color in colors]
     assert min(seen) > 300

@@ -100,7 +100,9 @@ def take_picture(
 
 
 def freeze_recording(recording: Path, time: float, out: Path) -> Path:
-    """Copies a Meshcat recording so that it stands still at one moment.
+    """Copies a Meshcat recording so that it stands still at one moment, and shows the scene alone.
+
+    What stands beside it, which has the scene's colours, is in the page but not to be seen.
 
     Args:
         recording: the HTML file.
@@ -113,7 +115,8 @@ def freeze_recording(recording: Path, time: float, out: Path) -> Path:
     # The page reads its scene bit by bit after it was loaded, so the animation is there at some later time only.
     still = f"setInterval(() => {{ viewer.animator.pause(); viewer.animator.seek({float(time)!r}); }}, {POLL});"
     head, body, tail = recording.read_text(encoding="utf-8").rpartition("</body>")
-    out.write_text(f"{head}<script>{still}</script>{body}{tail}", encoding="utf-8")
+    alone = "<style>#phase, #legend { display: none; }</style>"
+    out.write_text(f"{head}{alone}<script>{still}</script>{body}{tail}", encoding="utf-8")
     return out
 
 

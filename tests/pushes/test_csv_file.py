@@ -1,4 +1,5 @@
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -71,6 +72,23 @@ def test_force_is_read_where_it_was_measured(write):
     seen = PushLog.read_csv(write(FORCED))[0]
     np.testing.assert_array_equal(seen.force_t, [1, 2])
     np.testing.assert_array_equal(seen.force, [[1.5, -2], [3, 4]])
+
+
+def test_a_push_over_the_edge_is_marked_by_any_of_its_rows(write):
+    column = ["overhang", "0", "", "1", "0", " "]
+    log = PushLog.read_csv(write("\n".join(map(",".join, zip(GOOD.splitlines(), column, strict=True)))))
+    assert [seen.overhang for seen in log] == [True, False]
+    assert [seen.name for seen in log.supported] == ["b"]
+    assert [seen.name for seen in log.overhanging] == ["a"]
+    with pytest.raises(PushLogError, match=r"log\.csv: overhang is 1 in every push; expected"):
+        _ = log[:1].supported
+
+
+def test_without_the_column_nothing_hangs_over(write):
+    log = PushLog.read_csv(write(GOOD))
+    assert not any(seen.overhang for seen in log)
+    log.write_csv(log.source + ".again")
+    assert Path(log.source + ".again").read_text().startswith(HEADER + "\n")
 
 
 def test_radius_given_or_not(write):
@@ -162,6 +180,12 @@ def replaced(old, new):
         (replaced("b,5", ",5"), ["line 5", "column push", "empty"]),
         (replaced("a,1,-0.05,0,,,", "a,1,-0.05,0,,"), ["line 3", "6 fields", "7"]),
         (replaced("a,1,-0.05", "a,1,-0,05"), ["line 3", "8 fields", "7"]),
+        (GOOD.replace("theta\n", "theta,overhang\n").replace("0.1\n", "0.1,yes\n"), ["line 2", "7 fields", "8"]),
+        (
+            GOOD.replace("\n", ",\n").replace("theta,", "theta,overhang").replace("0,0.1,", "0,0.1,yes"),
+            ["line 4", "column overhang", "'yes'", "0 or 1"],
+        ),
+        (replaced("object_theta", "object_theta,overhangs"), ["overhangs", "did you mean 'overhang'"]),
         (replaced("a,1", '"a' + "x" * 140_000 + '",1'), ["line 3", "is not CSV"]),
     ],
 )
@@ -185,6 +209,7 @@ def make_log(pushes, samples, force=True):
             ObservedPush(
                 f"push, {i}", push, rng.uniform(-1, 1, 3), at, rng.uniform(-1, 1, (2, 3)),
                 push.t[1:] if force else None, rng.normal(size=(samples - 1, 2)) if force else None,
+                overhang=i % 2 == 1,
             )
         )  # fmt: skip
     return PushLog(tuple(seen), radius_given=True)
@@ -203,6 +228,7 @@ def test_round_trip_bit_for_bit(tmp_path, force):
         np.testing.assert_array_equal(seen.push.xy, again.push.xy)
         if not force:
             assert again.force is None
+    assert [seen.overhang for seen in back] == [seen.overhang for seen in log] == [False, True, False, True]
     back.write_csv(tmp_path / "again.csv")
     assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "log.csv").read_bytes()
 

@@ -15,12 +15,15 @@ from pydrake.systems.framework import DiagramBuilder
 from gridpush_drake.errors import OutputError, ScenarioError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.object_file import list_shipped_objects, write_object
-from gridpush_drake.scene.parser import MakeParser
+from gridpush_drake.identification.identify import describe_prior
+from gridpush_drake.identification.model_file import read_model, write_model
+from gridpush_drake.scene.parser import MakeParser, find_models
 from gridpush_drake.scene.scenario import PartTruth, PushScenario
 from gridpush_drake.scene.scenario_check import calc_reach, check_scenario
 from gridpush_drake.scene.scenario_file import read_scenario, write_scenario
 from gridpush_drake.scene.scenario_parts import AddScene, load_object
 from gridpush_drake.scene.table import FindTableOutline
+from gridpush_drake.station.station_scene import LoadPushedObject
 from tests.helpers.shapes import rectangle
 
 ROUND = "package://gridpush_drake/scenes/iiwa_push_round.dmd.yaml"
@@ -311,3 +314,38 @@ def test_the_scenarios_finger_is_the_models():
     shape = scene_graph.model_inspector().GetShape(geometry)
     assert isinstance(shape, Sphere)
     assert shape.radius() == PushScenario().finger.tip_radius
+
+
+def test_friction_is_what_object_file_and_scenario_both_allow(tmp_path):
+    def bounds(text):
+        prior = load_object(read(tmp_path, text)).prior
+        return prior.friction_min, prior.friction, prior.friction_max
+
+    slab = tmp_path / "slab.yaml"
+    slab.write_text(
+        "name: slab\noutline: [[0, 0], [0.1, 0], [0.1, 0.05], [0, 0.05]]\nmax_cells: 20\n"
+        "friction: {prior: 0.5, min: 0.25, max: 0.7}\n"
+    )
+    assert bounds("object: slab.yaml") == (0.25, 0.5, 0.7)
+    assert bounds("{object: slab.yaml, object_friction: null}") == (0.25, 0.5, 0.7)
+    assert bounds("{object: slab.yaml, object_friction: [0.1, 0.6]}") == (0.25, 0.5, 0.6)
+    assert bounds("{object: slab.yaml, object_friction: [0.3, 0.4]}") == (0.3, 0.4, 0.4)
+    for text, form in (
+        ("[0.8, 0.9]", "overlaps.*0.25 to 0.7"),
+        ("[0.4, 0.3]", "least, greatest"),
+        ("0.3", "object_fr"),
+    ):
+        with pytest.raises(ScenarioError, match=form):
+            load_object(read(tmp_path, f"{{object: slab.yaml, object_friction: {text}}}"))
+
+
+def test_one_friction_range_from_the_scenario_to_the_model(tmp_path):
+    """What the robot is told is what the object's file, the model, its reading and its report say."""
+    obj = LoadPushedObject(read_scenario(find_models() / "scenarios/grasp.yaml"))
+    write_object(tmp_path / "object.yaml", obj)
+    again = GridObject.from_yaml(tmp_path / "object.yaml")
+    write_model(tmp_path / "model.yaml", describe_prior(again))
+    model = read_model(tmp_path / "model.yaml")
+    for known in (obj, again, model.obj):
+        assert (known.prior.friction_min, known.prior.friction_max) == (0.3, 0.4)
+    assert "friction coefficients anywhere from 0.3 to 0.4" in " ".join(model.identifiability.statements)

@@ -50,13 +50,20 @@ class Stranger:
         self.station.CoverCamera(self.context, covered)
 
 
+def make_scenario_of_seed_0():
+    """The shipped one, with a heavy handle."""
+    scenario = make_scenario()
+    scenario.seed = 0
+    return scenario
+
+
 def list_modes(record):
     return [step.status.mode for step in record.steps]
 
 
 @pytest.mark.slow
 def test_an_object_out_of_sight_for_good_is_lost_and_the_finger_goes_up():
-    task = PreGraspTask(make_scenario())
+    task = PreGraspTask(make_scenario_of_seed_0())
     stranger = Stranger(task)
 
     def meddle(status, logged):
@@ -76,7 +83,7 @@ def test_an_object_out_of_sight_for_good_is_lost_and_the_finger_goes_up():
 
 @pytest.mark.slow
 def test_an_object_moved_out_of_sight_and_nudged_in_a_slide_is_lifted_all_the_same():
-    task = PreGraspTask(make_scenario())
+    task = PreGraspTask(make_scenario_of_seed_0())
     stranger, covered, nudged = Stranger(task), [], []
     elsewhere = (0.58, -0.12, 0.6)
 
@@ -108,7 +115,7 @@ def test_an_object_moved_out_of_sight_and_nudged_in_a_slide_is_lifted_all_the_sa
 
 @pytest.mark.slow
 def test_a_slide_in_which_the_object_is_shoved_over_the_rim_is_broken_off():
-    scenario = make_scenario()
+    scenario = make_scenario_of_seed_0()
     scenario.truth.contact_friction = [0.05, 0.05]  # and the finger slips
     task = PreGraspTask(scenario)
     stranger, shoved = Stranger(task), []
