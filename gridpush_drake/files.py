@@ -18,7 +18,7 @@ MAX_TEXT_SIZE = 64 * MEGABYTE
 TEMPORARY_PREFIX = ".gridpush-"
 """Of a file that is being written; short, so that any name the file system takes can be written."""
 
-MAX_SHOWN, SHOWN_END = 300, 40
+MAX_SHOWN, SHOWN_END = 200, 40
 """Characters of a path that a message shows whole; of each end of a longer one."""
 
 NON_BLOCKING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)

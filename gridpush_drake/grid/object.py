@@ -19,7 +19,7 @@ from gridpush_drake.grid.prior import PhysicalPrior
 DEFAULT_MAX_CELLS = 127
 """The paper's largest grid."""
 
-MAX_CELLS = 10_000
+MAX_CELLS = 4000
 """Of an object; what learning keeps grows with the square of their number."""
 
 MAX_LABEL = 2**31 - 1

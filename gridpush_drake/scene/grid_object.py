@@ -202,8 +202,8 @@ def refuse_unphysical(obj: GridObject, params: CellParameters) -> Iterator[None]
         yield
     except RuntimeError as error:
         raise ParameterError(
-            f"{obj.name}: mass: cells of {params.mass.min():g} to {params.mass.max():g} kg, {obj.cell_size:g} m wide, "
-            "make no inertia that Drake takes for physical; expected masses and sizes of one order"
+            f"{obj.name}: mass or height: cells of {params.mass.min():g} to {params.mass.max():g} kg, "
+            f"{obj.cell_size:g} m wide, make no inertia that Drake takes for physical; expected other sizes"
         ) from error
 
 

@@ -99,3 +99,15 @@ def test_an_interrupted_process_leaves_nothing(block, pushes, tmp_path):
     assert out == ""
     assert "Traceback" not in err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["block.yaml", "pushes.csv"]
+
+
+def test_refuses_what_cannot_be_true(refuses, block, tmp_path):
+    log = tmp_path / "log.csv"
+    header = "push,t,tip_x,tip_y,object_x,object_y,object_theta\n"
+    for rows, says in (
+        ("a,0,-0.02,0.034,0,0,0\na,1,-0.02,0.024,9.9,0,0\n", ["push 'a'", "object_x", "moves 9.9 m", "lost track"]),
+        ("a,0,-20,34,10,0,0\na,1,-20,24,10,-5,0\n", ["push 'a'", "tip_x", "in millimetres?"]),
+        ("a,0,1,1,0,0,0\na,1,1,1.1,0,0,0\n", ["no push touches block", "'a'"]),
+    ):
+        log.write_text(header + rows)
+        refuses("identify", block, log, "--out", tmp_path / "model.yaml", says=[log, *says])
