@@ -25,6 +25,10 @@ class PushLogError(GridPushError):
     """A push log, or a public data set to be imported, cannot be read."""
 
 
+class PushLogWarning(UserWarning):
+    """A push log may be true, but hardly is: units, frames or poses are doubtful."""
+
+
 class SimulationError(GridPushError):
     """A simulation was asked for something it cannot do."""
 

@@ -1,10 +1,99 @@
-"""Files are written whole or not at all, and nothing a user made is overwritten unasked."""
+"""The home of files a user names: read within bounds, written whole or not at all, never overwritten unasked."""
 
 import os
+import stat
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import BinaryIO
 
-from gridpush_drake.errors import OutputError
+from gridpush_drake.errors import GridPushError, OutputError
+
+MEGABYTE = 2**20
+"""Bytes."""
+
+MAX_TEXT_SIZE = 64 * MEGABYTE
+"""Of a text file, bytes: about a million rows of a push log."""
+
+TEMPORARY_PREFIX = ".gridpush-"
+"""Of a file that is being written; short, so that any name the file system takes can be written."""
+
+MAX_SHOWN, SHOWN_END = 200, 40
+"""Characters of a path that a message shows whole; of each end of a longer one."""
+
+NON_BLOCKING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+"""Flags with which a pipe that nobody writes to is opened at once."""
+
+
+def open_file(path: Path | str, what: str, error: type[GridPushError], max_size: int) -> BinaryIO:
+    """Opens a regular file for reading.
+
+    Args:
+        path: the file.
+        what: what it should hold, for messages ("an object file").
+        error: raised where it cannot be read.
+        max_size: most bytes it may have.
+
+    Returns:
+        The open file, which the caller closes.
+
+    Raises:
+        GridPushError: `error`: there is no such file, its name is none, it is a folder, a pipe or a device, it is
+            larger than `max_size`, or the system refuses.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | NON_BLOCKING)
+    except (OSError, ValueError) as cause:
+        raise error(f"{shorten_path(path)}: cannot be read: {_describe(cause)}; expected {what}") from cause
+    found = os.fstat(descriptor)
+    if stat.S_ISREG(found.st_mode) and found.st_size <= max_size:
+        return os.fdopen(descriptor, "rb")
+    os.close(descriptor)
+    problem = "cannot be read: is a pipe or a device, not a file"
+    if stat.S_ISDIR(found.st_mode):
+        problem = "cannot be read: is a folder"
+    elif stat.S_ISREG(found.st_mode):
+        problem = f"has {found.st_size / MEGABYTE:.0f} MB, more than {max_size // MEGABYTE} MB"
+    raise error(f"{path}: {problem}; expected {what}")
+
+
+def read_bytes(path: Path | str, what: str, error: type[GridPushError], max_size: int = MAX_TEXT_SIZE) -> bytes:
+    """Reads a regular file; the arguments and errors are those of `open_file`."""
+    with open_file(path, what, error, max_size) as file:
+        try:
+            data = file.read(max_size + 1)
+        except OSError as cause:
+            raise error(f"{path}: cannot be read: {_describe(cause)}; expected {what}") from cause
+    if len(data) > max_size:
+        raise error(f"{path}: has more than {max_size // MEGABYTE} MB; expected {what}")
+    return data
+
+
+def read_text(path: Path | str, what: str, error: type[GridPushError], max_size: int = MAX_TEXT_SIZE) -> str:
+    """Reads a regular file of UTF-8 text, with or without a byte order mark; otherwise as `read_bytes`."""
+    try:
+        return read_bytes(path, what, error, max_size).decode("utf-8-sig")
+    except UnicodeDecodeError as cause:
+        raise error(f"{path}: is not UTF-8 text; expected {what}") from cause
+
+
+def read_head(path: Path | str, size: int) -> bytes:
+    """The first bytes of a regular file, at most `size`; none where it cannot be read."""
+    try:
+        with open_file(path, "a file", GridPushError, max_size=2**63) as file:
+            return file.read(size)
+    except (GridPushError, OSError):
+        return b""
+
+
+def is_file(path: Path | str) -> bool:
+    """Whether there is such a regular file; False for what no file can be named."""
+    return _holds(Path(path).is_file)
+
+
+def exists(path: Path | str) -> bool:
+    """Whether there is such a file or folder; False for what none can be named."""
+    return _holds(Path(path).exists)
 
 
 def check_writable(path: Path | str, force: bool = False) -> Path:
@@ -18,13 +107,22 @@ def check_writable(path: Path | str, force: bool = False) -> Path:
         `path` as a Path.
 
     Raises:
-        OutputError: the file exists and `force` is not set, or its folder is missing or read-only.
+        OutputError: the file exists and `force` is not set, its name is none, or its folder is missing or read-only.
     """
     path = Path(path)
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except (OSError, ValueError) as error:
+        raise OutputError(f"{shorten_path(path)}: cannot be written: {_describe(error)}") from error
     if path.is_dir():
         raise OutputError(f"{path}: is a folder; expected the name of a file")
-    if path.exists() and not force:
-        raise OutputError(f"{path}: exists already; pass --force to replace it")
+    if path.exists():
+        if not force:
+            raise OutputError(f"{path}: exists already; pass --force to replace it")
+        if not path.is_file():
+            raise OutputError(f"{path}: is a pipe or a device; expected the name of a file")
     folder = path.parent
     if not folder.is_dir():
         raise OutputError(f"{path}: its folder {folder} does not exist")
@@ -51,7 +149,7 @@ def write_whole(path: Path | str, content: str | bytes, force: bool = False) -> 
     data = content.encode() if isinstance(content, str) else content
     temporary = None
     try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=TEMPORARY_PREFIX, delete=False) as file:
             temporary = Path(file.name)
             file.write(data)
         umask = os.umask(0)
@@ -63,3 +161,30 @@ def write_whole(path: Path | str, content: str | bytes, force: bool = False) -> 
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
+
+
+def make_folder(path: Path | str) -> None:
+    """Makes a folder for output, where it is missing. Raises OutputError where it cannot."""
+    try:
+        Path(path).mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise OutputError(f"{shorten_path(path)}: cannot be made a folder: {_describe(error)}") from error
+
+
+def shorten_path(path: Path | str) -> str:
+    """A path for a message: its end where it is longer than any file's, and printable."""
+    text = str(path).replace("\0", "\\0")
+    return text if len(text) <= MAX_SHOWN else f"{text[:SHOWN_END]}...{text[-SHOWN_END:]}"
+
+
+def _holds(question: Callable[[], bool]) -> bool:
+    try:
+        return question()
+    except (OSError, ValueError):
+        return False
+
+
+def _describe(error: OSError | ValueError) -> str:
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
+    return "its name holds a character that no file's name has (NUL)"

@@ -183,7 +183,7 @@ def _showing(what: str, total: int | None, period: float = PLAIN_PERIOD) -> Iter
         period: between two plain lines about the same thing, s.
 
     Yields:
-        What is called with what is being done, a detail of it, the count, and what to count to where that was not known.
+        What is called with what is being done, a detail of it, the count, and what to count to.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn

@@ -67,9 +67,8 @@ def demo(
     Exit code 1 where the robot did not get there.
     """
     from gridpush_drake.apps.demo_task import load_task
-    from gridpush_drake.apps.inputs import make_folder
     from gridpush_drake.apps.kernels import compile_kernels
-    from gridpush_drake.files import check_writable
+    from gridpush_drake.files import check_writable, make_folder
     from gridpush_drake.scene.meshcat_server import StartMeshcatServer
     from gridpush_drake.scene.scenario_check import check_scenario
 

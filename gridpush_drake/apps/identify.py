@@ -44,9 +44,11 @@ def identify(
     """Learn an object's friction and mass from pushes of it."""
     from gridpush_drake.apps.inputs import load_log, load_object
     from gridpush_drake.apps.kernels import compile_kernels
+    from gridpush_drake.errors import PushLogError
     from gridpush_drake.files import check_writable, write_whole
     from gridpush_drake.identification.identify import identify as search
     from gridpush_drake.identification.model_file import write_model
+    from gridpush_drake.pushes.plausibility import explain_no_contact
 
     for path in (out, report):
         if path is not None:
@@ -57,6 +59,8 @@ def identify(
     compile_kernels()
     with search_progress(f"identifying {obj.name}", budget) as progress:
         result = search(obj, log, method=method, seed=seed, regime=regime, budget=budget, progress=progress)
+    if not result.push_names:
+        raise PushLogError(explain_no_contact(obj, log))
     write_model(out, result, force)
     if report is not None:
         from gridpush_drake.report.html import make_report

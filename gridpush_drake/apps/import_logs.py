@@ -74,8 +74,7 @@ def mit(
 def _check_outputs(
     out_dir: Path | None, out_csv: Path | None, out_object: Path | None, force: bool
 ) -> tuple[Path, Path]:
-    from gridpush_drake.apps.inputs import make_folder
-    from gridpush_drake.files import check_writable
+    from gridpush_drake.files import check_writable, make_folder
 
     if (out_dir is None) == (out_csv is None or out_object is None):
         raise OutputError("--out-dir: expected a folder, or both --out-csv and --out-object instead of it")

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gridpush_drake.errors import OutputError
+from gridpush_drake.files import exists
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -48,7 +48,7 @@ def object_path(name: str) -> Path:
     from gridpush_drake.grid.object_file import find_shipped_object
 
     path = Path(name)
-    return path if path.exists() or path.suffix else find_shipped_object(name)
+    return path if exists(path) or path.suffix else find_shipped_object(name)
 
 
 def load_target(name: str, largest_piece: bool = False) -> Target:
@@ -77,11 +77,3 @@ def describe_overhanging(names: "Sequence[str]") -> str:
     """Says which pushes were left out, and why."""
     count = f"{len(names)} push{'' if len(names) == 1 else 'es'}"
     return f"left out {count}, as the object hung over the table's edge: {', '.join(names)}"
-
-
-def make_folder(path: Path) -> None:
-    """Makes a folder for output, where it is missing. Raises OutputError where it cannot."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be made a folder: {error.strerror}") from error

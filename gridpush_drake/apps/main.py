@@ -1,13 +1,16 @@
 """The `gridpush` command."""
 
 import sys
-from typing import Annotated
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated, Any
 
 import typer
 
 from gridpush_drake.apps import bench, demo, export, identify, import_logs, plan, predict, show, simulate, slide, view
 from gridpush_drake.apps.interrupts import say_interrupted, watch_interrupts
-from gridpush_drake.errors import GridPushError
+from gridpush_drake.errors import GridPushError, PushLogWarning
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
@@ -77,12 +80,36 @@ def main(args: list[str] | None = None) -> None:
 def _run(args: list[str] | None) -> int | None:
     """Runs the command line; returns the exit code, None for 0."""
     try:
-        code: int | None = app(args=args, prog_name="gridpush", standalone_mode=False)
+        with _short_warnings():
+            code: int | None = app(args=args, prog_name="gridpush", standalone_mode=False)
     except GridPushError as error:
         code = _fail(str(error))
     except typer.TyperException as error:
         code = _fail(error.format_message()) if error.format_message().strip() else error.exit_code
+    except MemoryError:
+        code = _fail("out of memory; expected a smaller object, log or image")
     return code
+
+
+@contextmanager
+def _short_warnings() -> Iterator[None]:
+    """Prints each warning about a push log as one line on standard error, whatever filters are set."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", PushLogWarning)
+        show, told = warnings.showwarning, set[str]()
+
+        def print_short(
+            message: Warning | str, category: type[Warning], filename: str, lineno: int, file: Any = None,
+            line: str | None = None,
+        ) -> None:  # fmt: skip
+            if not issubclass(category, PushLogWarning):
+                show(message, category, filename, lineno, file, line)
+            elif str(message) not in told:
+                told.add(str(message))
+                print(f"gridpush: warning: {' '.join(str(message).split())}", file=sys.stderr)
+
+        warnings.showwarning = print_short
+        yield
 
 
 def _fail(message: str) -> int:

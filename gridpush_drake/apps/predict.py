@@ -36,10 +36,12 @@ def predict(
     from gridpush_drake.apps.inputs import load_log, load_target
     from gridpush_drake.apps.kernels import compile_kernels
     from gridpush_drake.dynamics.simulation import STATUS_NO_CONTACT
+    from gridpush_drake.errors import PushLogError
     from gridpush_drake.files import check_writable, write_whole
     from gridpush_drake.identification.error_summary import calc_final_errors, summarise_errors
     from gridpush_drake.identification.identify import choose_regime
     from gridpush_drake.identification.prediction import predict as predict_log
+    from gridpush_drake.pushes.plausibility import explain_no_contact
 
     check_writable(out, force)
     target = load_target(model, largest_piece)
@@ -48,6 +50,8 @@ def predict(
     chosen = target.resolve_regime(regime, choose_regime(target.obj, log))
     compile_kernels()
     predictions = predict_log(target.obj, target.params, log, chosen)
+    if all(prediction.status == STATUS_NO_CONTACT for prediction in predictions):
+        raise PushLogError(explain_no_contact(target.obj, log))
     write_whole(out, _make_csv(predictions), force)
 
     found: dict[str, Any] = {

@@ -110,9 +110,10 @@ def _check_options(kind: str, of_pushes: dict[str, Any], out: Path | None) -> No
 
 
 def _play_recording(path: Path, open_page: bool, json: bool) -> None:
+    from gridpush_drake.files import is_file
     from gridpush_drake.scene.meshcat_server import looks_like_recording
 
-    if not path.is_file():
+    if not is_file(path):
         raise ViewError(f"{path}: there is no such file")
     if not looks_like_recording(path):
         raise ViewError(f"{path}: is not a recording; expected a page that Meshcat wrote, such as the demo's")
@@ -140,13 +141,14 @@ def _view_model(source: str, look: Look, largest_piece: bool, delivery: Delivery
 def _find_target(log: Path, object_file: str | None, model_file: Path | None, largest_piece: bool) -> "Target":
     """The model or object of a push log: as told, or by the names the demo uses."""
     from gridpush_drake.apps.inputs import load_target
+    from gridpush_drake.files import exists, is_file
     from gridpush_drake.identification.model_file import looks_like_model
 
     if model_file is not None and not looks_like_model(model_file):
         raise ViewError(f"--model: {model_file} is not a model; expected a file that `gridpush identify` wrote")
     beside = (log.parent / MODEL_BESIDE, log.parent / OBJECT_BESIDE)
-    told = model_file or object_file or next((path for path in beside if path.is_file()), None)
-    if not log.exists():
+    told = model_file or object_file or next((path for path in beside if is_file(path)), None)
+    if not exists(log):
         raise ViewError(f"{log}: there is no such file")
     if told is None:
         raise ViewError(

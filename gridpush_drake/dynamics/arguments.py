@@ -62,13 +62,17 @@ def check_number(name: str, value: float, least: float) -> None:
 
 
 def check_record(record: ArrayLike, steps: int) -> NDArray[np.int64]:
-    """Copies the indices of the poses whose Jacobian is wanted, out of steps + 1.
+    """Copies the indices of the poses whose Jacobian is wanted, out of steps + 1; negative ones count from the end.
 
     Raises:
-        SimulationError: they are not distinct whole numbers from 0 to `steps`.
+        SimulationError: they are not whole numbers from -(steps + 1) to `steps` that name each pose once at most.
     """
     rows = np.array(record)
     whole = rows.ndim == 1 and (len(rows) == 0 or np.issubdtype(rows.dtype, np.integer))
-    if not whole or (rows < 0).any() or (rows > steps).any() or len(np.unique(rows)) != len(rows):
-        raise SimulationError(f"record: expected distinct indices from 0 to {steps}")
-    return rows.astype(np.int64)
+    if not whole or (rows < -(steps + 1)).any() or (rows > steps).any():
+        raise SimulationError(f"record: expected whole numbers from {-(steps + 1)} to {steps}")
+    rows = rows.astype(np.int64)
+    rows[rows < 0] += steps + 1
+    if len(np.unique(rows)) != len(rows):
+        raise SimulationError("record: names a pose twice; expected distinct indices")
+    return rows

@@ -44,7 +44,9 @@ class Push:
         _require_positive("radius", self.radius)
         _require_positive("duration", self.duration)
         t = np.array([0.0, self.duration]) if self.t is None else np.array(self.t, dtype=np.float64)
-        xy = np.array([start, start + velocity * self.duration]) if self.xy is None else np.array(self.xy)
+        with np.errstate(over="ignore"):
+            end = _vector("end, start + velocity * duration,", start + velocity * self.duration)
+        xy = np.array([start, end]) if self.xy is None else np.array(self.xy)
         arrays = {"start": start, "velocity": velocity, "t": t, "xy": xy}
         if self.start_tangent is not None:
             arrays["start_tangent"] = _vector("start_tangent", self.start_tangent)

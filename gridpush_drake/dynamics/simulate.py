@@ -91,7 +91,7 @@ def simulate(
         spin: how the cells resist spinning, see `dynamics.friction`; "lagged" friction is always "separate".
         gravity: m/s².
         times: (T+1,) the steps' times, s from the push's beginning, instead of `dt`.
-        record: indices into the T+1 poses whose Jacobian is wanted; all by default.
+        record: indices into the T+1 poses whose Jacobian is wanted, negative ones from the end; all by default.
         stiction_tolerance: speed below which friction is smoothed, m/s; inertial regime only.
 
     Returns:

@@ -17,6 +17,9 @@ DEFAULT_DT = 0.01
 DEFAULT_TIP_STEP = 0.001
 """m, the furthest the pusher moves in a step where none is given."""
 
+MAX_STEPS = 1_000_000
+"""Of a simulation, each of which is kept: 1 km of the pusher's path by default."""
+
 SLACK = 1e-9
 """Share of a step by which a duration may exceed a whole number of them."""
 
@@ -33,15 +36,15 @@ def make_times(push: Push | ForcePush, dt: float | None, regime: str = "inertial
         (T+1,) s from the push's beginning.
 
     Raises:
-        SimulationError: dt is not positive.
+        SimulationError: dt is not positive, or so short that there are more than MAX_STEPS.
     """
     if dt is not None and not (np.isfinite(dt) and dt > 0):
         raise SimulationError(f"dt is {dt!r}; expected a positive number (s)")
     if dt is not None:
-        steps = max(1, ceil(push.duration / dt - SLACK))
+        steps = _count_steps(push.duration / dt)
         return np.append(np.arange(steps) * dt, push.duration)
     if isinstance(push, ForcePush):
-        return np.linspace(0.0, push.duration, max(1, ceil(push.duration / DEFAULT_DT - SLACK)) + 1)
+        return np.linspace(0.0, push.duration, _count_steps(push.duration / DEFAULT_DT) + 1)
     return make_path_times(push, regime)
 
 
@@ -59,16 +62,31 @@ def make_path_times(
 
     Returns:
         (T+1,) s from the push's beginning; in the inertial regime the samples of its path are among them.
+
+    Raises:
+        SimulationError: they are more than MAX_STEPS.
     """
     distance = np.linalg.norm(np.diff(push.xy, axis=0), axis=1)
     if regime == "quasi_static":
         arc = np.append(0.0, np.cumsum(distance))
-        count = max(1, ceil(arc[-1] / tip_step - SLACK))
+        count = _count_steps(arc[-1] / tip_step)
         cuts = np.interp(arc[-1] * np.arange(1, count) / count, arc, push.t)
         return np.unique(np.concatenate([[0.0], cuts, [push.duration]]))
-    counts = np.maximum(np.ceil(np.maximum(distance / tip_step, np.diff(push.t) / longest) - SLACK), 1).astype(int)
+    shares = np.maximum(np.ceil(np.maximum(distance / tip_step, np.diff(push.t) / longest) - SLACK), 1)
+    _count_steps(float(shares.sum()))
+    counts = shares.astype(int)
     pieces = [push.t[i] + (push.t[i + 1] - push.t[i]) * np.arange(count) / count for i, count in enumerate(counts)]
     return np.append(np.concatenate(pieces), push.t[-1])
+
+
+def _count_steps(steps: float) -> int:
+    """Rounds up to a whole number of steps. Raises SimulationError where they are too many to be kept."""
+    if not steps <= MAX_STEPS:
+        raise SimulationError(
+            f"the push takes {steps:.3g} steps; expected at most {MAX_STEPS}: a shorter path or time (in m and s), or "
+            "longer steps"
+        )
+    return max(1, ceil(steps - SLACK))
 
 
 def check_times(times: ArrayLike) -> Array:

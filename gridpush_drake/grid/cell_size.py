@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.errors import ObjectError
+from gridpush_drake.grid.object import MAX_CELLS
 
 Share = Callable[[NDArray[np.float64], float], NDArray[np.float64]]
 """Given the lower corners (k, 2) of square cells and their size, how much of each is object: (k,), 0 to 1."""
@@ -85,9 +86,12 @@ class Cells:
 
 
 def check_max_cells(name: str, max_cells: int) -> None:
-    """Refuses a `max_cells` that is not a positive whole number, for the object `name`, with an ObjectError."""
-    if isinstance(max_cells, bool) or not isinstance(max_cells, int | np.integer) or max_cells < 1:
-        raise ObjectError(f"{name}: max_cells is {max_cells!r}; expected a whole number, 1 or more")
+    """Refuses a `max_cells` that is not a whole number from 1 to MAX_CELLS, with an ObjectError on object `name`."""
+    whole = isinstance(max_cells, int | np.integer) and not isinstance(max_cells, bool)
+    if not (whole and 1 <= max_cells <= MAX_CELLS):
+        raise ObjectError(
+            f"{name}: max_cells is {max_cells!r}; expected a whole number, 1 or more, at most {MAX_CELLS}"
+        )
 
 
 def choose_cells(region: Region, share: Share, overlap: Share, max_cells: int, least_size: float = 0.0) -> Cells:

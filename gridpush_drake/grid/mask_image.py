@@ -5,15 +5,20 @@ import struct
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL.PngImagePlugin import PngImageFile
 
 from gridpush_drake.errors import ObjectError
+from gridpush_drake.files import MEGABYTE, open_file, read_bytes
 
 MOST_PIXELS = 400_000_000
 """Larger images are refused before they are decoded."""
+
+MAX_SIZE = 1024 * MEGABYTE
+"""Of an image file, bytes: more than the most pixels take at 16 bit."""
 
 STRIP_PIXELS = 4_000_000
 """Pixels looked at in one go."""
@@ -29,13 +34,20 @@ PNG_DEPTH_AT = 24
 PNG_GREY_STRETCH = {2: 85, 4: 17}
 """Pillow stretches grey of so few bits to 0 to 255 by this factor; labels are wanted as stored."""
 
-PGM_HEADER = re.compile(rb"(P[25])(?:\s+|\s*#[^\r\n]*[\r\n])+?(\d+)(?:\s+|\s*#[^\r\n]*[\r\n])+?(\d+)"
-                        rb"(?:\s+|\s*#[^\r\n]*[\r\n])+?(\d+)(?:[ \t]*#[^\r\n]*)?\s")  # fmt: skip
+PGM_GAP = rb"(?:\s|#[^\r\n]*+[\r\n])++"
+"""Blanks and comments between the numbers of a header; possessive, so that it is read once and never again."""
+
+PGM_HEADER = re.compile(rb"(P[25])" + (PGM_GAP + rb"(\d{1,9}+)") * 3 + rb"(?:[ \t]*+#[^\r\n]*+)?\s")
+
+MAX_PLAIN_SIZE = 32 * MEGABYTE
+"""Of a plain PGM, whose numbers are text, bytes."""
 
 PGM_HEADER_ROOM = 4096
 """Bytes within which a PGM header must end."""
 
-WANTED = "expected a PGM or PNG label image: 0 is background, every other value a part"
+FORM = "a PGM or PNG label image: 0 is background, every other value a part"
+
+WANTED = f"expected {FORM}"
 
 Rows = Callable[[int, int], NDArray[np.generic]]
 """Rows from the first number to before the second, (rows, width)."""
@@ -54,15 +66,13 @@ def read_labels(path: Path) -> NDArray[np.uint16]:
         ObjectError: the file cannot be read, is a colour image or another kind of file, is too large, or holds
             background only.
     """
-    try:
-        with path.open("rb") as file:
-            head = file.read(PGM_HEADER_ROOM)
-    except OSError as error:
-        raise ObjectError(f"{path}: cannot be read: {error.strerror}; {WANTED}") from error
-    if head.startswith(PNG_SIGNATURE):
-        return _read_png(path, head)
-    if head[:2] in (b"P2", b"P5"):
-        return _read_pgm(path, head)
+    with open_file(path, FORM, ObjectError, MAX_SIZE) as file:
+        head = file.read(PGM_HEADER_ROOM)
+        file.seek(0)
+        if head.startswith(PNG_SIGNATURE):
+            return _read_png(path, file, head)
+        if head[:2] in (b"P2", b"P5"):
+            return _read_pgm(path, file, head)
     if head[:2] in (b"P3", b"P6"):
         raise ObjectError(f"{path}: is a colour image (PPM); {WANTED}")
     raise ObjectError(f"{path}: is neither PGM nor PNG; {WANTED}")
@@ -86,10 +96,10 @@ def crop(path: Path, rows: Rows, width: int, height: int) -> NDArray[np.uint16]:
     return labels
 
 
-def _read_png(path: Path, head: bytes) -> NDArray[np.uint16]:
+def _read_png(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
     # The plugin is opened itself: Image.open would measure it by Pillow's global limit instead of MOST_PIXELS.
     try:
-        with PngImageFile(path) as image:
+        with PngImageFile(file) as image:
             _check_size(path, *image.size)
             if image.mode not in PNG_MODES:
                 raise ObjectError(f"{path}: is a colour or transparent image ({image.mode}); {WANTED}")
@@ -105,7 +115,7 @@ def _read_png(path: Path, head: bytes) -> NDArray[np.uint16]:
         raise ObjectError(f"{path}: is a damaged PNG ({error}); {WANTED}") from error
 
 
-def _read_pgm(path: Path, head: bytes) -> NDArray[np.uint16]:
+def _read_pgm(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
     header = PGM_HEADER.match(head)
     if header is None:
         raise ObjectError(f"{path}: is a PGM with a damaged header; {WANTED}")
@@ -115,14 +125,18 @@ def _read_pgm(path: Path, head: bytes) -> NDArray[np.uint16]:
         raise ObjectError(f"{path}: is a PGM of greatest value {greatest}; expected 1 to 65535")
     try:
         if header[1] == b"P2":
-            numbers = re.sub(rb"#[^\r\n]*", b"", path.read_bytes()[header.end() :]).split()
+            numbers = re.sub(rb"#[^\r\n]*", b"", _read_plain(path)[header.end() :]).split()
             pixels = np.array(numbers[: width * height], dtype=np.uint16).reshape(height, width)
         else:
             kind = np.dtype(np.uint8 if greatest <= np.iinfo(np.uint8).max else ">u2")
-            pixels = np.memmap(path, dtype=kind, mode="r", offset=header.end(), shape=(height, width))
+            pixels = np.memmap(file, dtype=kind, mode="r", offset=header.end(), shape=(height, width))
     except (OSError, ValueError, OverflowError) as error:
         raise ObjectError(f"{path}: is a damaged PGM, shorter than its {width} x {height} pixels") from error
     return crop(path, lambda first, last: pixels[first:last], width, height)
+
+
+def _read_plain(path: Path) -> bytes:
+    return read_bytes(path, "a raw PGM (P5), which takes less room", ObjectError, MAX_PLAIN_SIZE)
 
 
 def _check_size(path: Path, width: int, height: int) -> None:

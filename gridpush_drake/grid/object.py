@@ -19,6 +19,15 @@ from gridpush_drake.grid.prior import PhysicalPrior
 DEFAULT_MAX_CELLS = 127
 """The paper's largest grid."""
 
+MAX_CELLS = 4000
+"""Of an object; what learning keeps grows with the square of their number."""
+
+MAX_LABEL = 2**31 - 1
+"""Of a part."""
+
+MIN_SIZE, MAX_SIZE = 1e-6, 1e4
+"""Of a cell's side, least, and of any coordinate of an object, greatest, m; beyond them no object is pushed."""
+
 
 @dataclass(frozen=True, eq=False)
 class GridObject:
@@ -45,11 +54,16 @@ class GridObject:
 
     def __post_init__(self) -> None:
         p_BC = np.array(self.p_BC, dtype=np.float64)
-        labels = np.array(self.labels, dtype=np.int64)
+        try:
+            labels = np.array(self.labels, dtype=np.int64)
+        except (OverflowError, TypeError, ValueError) as error:
+            raise ObjectError(f"{self.name}: labels: expected whole numbers, 1 to {MAX_LABEL}") from error
         if p_BC.ndim != 2 or p_BC.shape[1] != 2 or not len(p_BC) or labels.shape != p_BC.shape[:1]:
             raise ObjectError(
                 f"{self.name}: p_BC of shape {p_BC.shape}, labels of shape {labels.shape}; expected (n, 2) and (n,)"
             )
+        if len(p_BC) > MAX_CELLS:
+            raise ObjectError(f"{self.name}: has {len(p_BC)} cells; expected at most {MAX_CELLS}")
         if not np.isfinite(p_BC).all():
             raise ObjectError(f"{self.name}: p_BC must be finite")
         if labels.min() < 1:
@@ -58,10 +72,22 @@ class GridObject:
             raise ObjectError(f"{self.name}: cell_size is {self.cell_size!r}; expected a positive number (m)")
         if not isinstance(self.outline, Polygon) or self.outline.is_empty or not self.outline.is_valid:
             raise ObjectError(f"{self.name}: the outline must be a simple polygon that does not cross itself")
+        self._check_size(p_BC)
         for name, value in (("p_BC", p_BC), ("labels", labels)):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         object.__setattr__(self, "cell_size", float(self.cell_size))
+
+    def _check_size(self, p_BC: NDArray[np.float64]) -> None:
+        if not MIN_SIZE <= self.cell_size <= MAX_SIZE:
+            raise ObjectError(
+                f"{self.name}: cell_size is {self.cell_size:g} m; expected {MIN_SIZE:g} to {MAX_SIZE:g} m"
+            )
+        for what, farthest in (("p_BC", np.abs(p_BC).max()), ("outline", np.abs(self.outline.bounds).max())):
+            if not farthest <= MAX_SIZE:
+                raise ObjectError(
+                    f"{self.name}: {what}: a coordinate is {farthest:g} m; expected at most {MAX_SIZE:g} m"
+                )
 
     @classmethod
     def from_mask(

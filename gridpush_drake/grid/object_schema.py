@@ -5,12 +5,13 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 
-from gridpush_drake.grid.object import DEFAULT_MAX_CELLS
+from gridpush_drake.grid.object import DEFAULT_MAX_CELLS, MAX_CELLS, MAX_LABEL
 from gridpush_drake.grid.prior import PhysicalPrior
 
 Point = Annotated[tuple[float, float], Strict(False)]
 Points = Annotated[list[Point], Field(min_length=3)]
 Positive = Annotated[float, Field(gt=0)]
+Label = Annotated[int, Field(ge=1, le=MAX_LABEL)]
 
 MOST_SHOWN = 60
 """Characters of a refused value that a message repeats."""
@@ -30,7 +31,7 @@ class MaskSchema(_Schema):
 class PartSchema(_Schema):
     """A part of an outline: its label and where it is, body frame, m."""
 
-    label: Annotated[int, Field(ge=1)]
+    label: Label
     outline: Points
 
 
@@ -39,7 +40,7 @@ class CellsSchema(_Schema):
 
     size: Positive
     centres: Annotated[list[Point], Field(min_length=1)]
-    labels: list[Annotated[int, Field(ge=1)]] | None = None
+    labels: list[Label] | None = None
 
 
 class CentreOfMassSchema(_Schema):
@@ -79,7 +80,7 @@ class ObjectSchema(_Schema):
     parts: list[PartSchema] = []
     mask: MaskSchema | None = None
     cells: CellsSchema | None = None
-    max_cells: Annotated[int, Field(ge=1)] = DEFAULT_MAX_CELLS
+    max_cells: Annotated[int, Field(ge=1, le=MAX_CELLS)] = DEFAULT_MAX_CELLS
     total_mass: Positive | None = None
     centre_of_mass: CentreOfMassSchema | None = None
     friction: FrictionSchema = FrictionSchema()
@@ -113,7 +114,7 @@ EXPECTED = {
     "outline": POINTS,
     "holes": f"a list of holes, each {POINTS}",
     "parts": "a list of parts, each with a label and an outline",
-    "parts.label": "a whole number, 1 or more",
+    "parts.label": f"a whole number, 1 or more, at most {MAX_LABEL}",
     "parts.outline": POINTS,
     "mask": "image and metres_per_pixel",
     "mask.image": "the name of a PGM or PNG file beside this one",
@@ -121,8 +122,8 @@ EXPECTED = {
     "cells": "size, centres and, where there are several parts, labels",
     "cells.size": "a positive number, in metres",
     "cells.centres": "a list of points [x, y], in metres",
-    "cells.labels": "a list of whole numbers, 1 or more, one a cell",
-    "max_cells": "a whole number, 1 or more",
+    "cells.labels": f"a list of whole numbers, 1 or more, at most {MAX_LABEL}, one a cell",
+    "max_cells": f"a whole number, 1 or more, at most {MAX_CELLS}",
     "total_mass": "a positive number, in kg",
     "centre_of_mass": "at: [x, y] and std, in metres",
     "centre_of_mass.at": "a point [x, y], in metres",

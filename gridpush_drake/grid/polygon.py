@@ -11,7 +11,7 @@ from shapely.validation import explain_validity
 
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.grid.cell_size import Region, check_max_cells, choose_cells
-from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.object import MAX_SIZE, GridObject
 from gridpush_drake.grid.prior import PhysicalPrior
 
 THINNEST = 1e-12
@@ -80,8 +80,7 @@ def polygon_from(points: ArrayLike | Polygon, what: str, holes: tuple[ArrayLike,
     """
     if isinstance(points, Polygon):
         polygon = points
-        if not np.isfinite(shapely.get_coordinates(polygon)).all():
-            raise ObjectError(f"{what} has a coordinate that is not finite; expected numbers in metres")
+        _check_coordinates(shapely.get_coordinates(polygon), what)
     else:
         rings = [_ring(hole, f"{what}, hole {i}") for i, hole in enumerate(holes)]
         polygon = Polygon(_ring(points, what), rings)
@@ -102,9 +101,16 @@ def _ring(points: ArrayLike, what: str) -> NDArray[np.float64]:
         raise ObjectError(f"{what} is not a list of [x, y] points, in metres") from error
     if ring.ndim != 2 or ring.shape[1] != 2 or len(ring) < 3:
         raise ObjectError(f"{what} has shape {ring.shape}; expected at least three [x, y] points, in metres")
-    if not np.isfinite(ring).all():
-        raise ObjectError(f"{what} has a coordinate that is not finite; expected numbers in metres")
+    _check_coordinates(ring, what)
     return ring
+
+
+def _check_coordinates(points: NDArray[np.float64], what: str) -> None:
+    if not np.isfinite(points).all():
+        raise ObjectError(f"{what} has a coordinate that is not finite; expected numbers in metres")
+    farthest = np.abs(points).max(initial=0.0)
+    if farthest > MAX_SIZE:
+        raise ObjectError(f"{what} has a coordinate of {farthest:g} m; expected at most {MAX_SIZE:g} m")
 
 
 def _part_from(label: int, part: ArrayLike | Polygon | MultiPolygon, name: str) -> Polygon | MultiPolygon:

@@ -1,25 +1,51 @@
-"""YAML read strictly: no key twice, 1e-3 is a number, and errors that name the line."""
+"""YAML read strictly and within bounds: no key twice, 1e-3 is a number, and errors that name the line.
+
+An alias or a merge key of a few bytes can stand for billions of values. So a document is composed first, which costs
+no more than its text, and measured with its aliases written out, before anything is made of it.
+"""
 
 import re
-from collections.abc import Hashable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from gridpush_drake.errors import ObjectError
+from gridpush_drake.errors import GridPushError, ObjectError
+from gridpush_drake.files import MEGABYTE, read_text
+
+MAX_YAML_SIZE = 64 * MEGABYTE
+"""Of a YAML file, bytes."""
+
+MAX_NODES = 500_000
+"""Keys and values in a document, its aliases written out: thrice what a mask's longest outline needs."""
+
+MAX_NUMBER_LENGTH = 400
+"""Characters of a number."""
+
+MAX_PROBLEM = 160
+"""Characters of PyYAML's complaint that a message repeats."""
+
+NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+
+NOT_YAML = (ValueError, LookupError, TypeError, AttributeError, OverflowError)
+"""What PyYAML raises, besides its own errors, on values that are not of the tag they have."""
+
+
+_TOO_MANY = f"the document holds more than {MAX_NODES} keys and values"
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """Safe, refuses a key that occurs twice, and reads 1e-3 as YAML 1.2 does."""
+    """Safe, and reads 1e-3 as YAML 1.2 does; stops at a document of too many keys and values."""
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        seen = set()
-        for key, _ in node.value:
-            if isinstance(key, yaml.ScalarNode) and key.value in seen:
-                raise yaml.constructor.ConstructorError(None, None, f"key '{key.value}' occurs twice", key.start_mark)
-            seen.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
-        return super().construct_mapping(node, deep)
+    nodes = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        self.nodes += 1
+        if self.nodes > MAX_NODES:
+            raise yaml.composer.ComposerError(None, None, _TOO_MANY, self.peek_event().start_mark)
+        return super().compose_node(parent, index)
 
 
 _StrictLoader.add_implicit_resolver(
@@ -38,27 +64,123 @@ def read_mapping(path: Path, what: str) -> dict[str, Any]:
         The mapping.
 
     Raises:
-        ObjectError: the file cannot be read, is not YAML, is empty, or is something else than a mapping.
+        ObjectError: the file cannot be read, is not YAML, is too large, is empty, or is something else than a mapping.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-        data = yaml.load(text, Loader=_StrictLoader)
-    except IsADirectoryError as error:
-        raise ObjectError(f"{path}: is a folder; expected {what}") from error
-    except OSError as error:
-        raise ObjectError(f"{path}: cannot be read: {error.strerror}; expected {what}") from error
-    except UnicodeDecodeError as error:
-        raise ObjectError(f"{path}: is not UTF-8 text; expected {what}") from error
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        where = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        raise ObjectError(f"{path}{where}: is not valid YAML: {error.problem or error.context}") from error
-    except (yaml.YAMLError, ValueError) as error:
-        raise ObjectError(f"{path}: is not valid YAML: {' '.join(str(error).split())}") from error
-    except RecursionError as error:
-        raise ObjectError(f"{path}: is nested too deeply; expected {what}") from error
+    data = parse_yaml(path, read_text(path, what, ObjectError, MAX_YAML_SIZE), what, ObjectError)
     if data is None:
         raise ObjectError(f"{path}: is empty; expected {what}")
     if not isinstance(data, dict):
         raise ObjectError(f"{path}: is a {type(data).__name__} at its top level; expected {what}: `key: value` lines")
     return data
+
+
+def parse_yaml(path: Path, text: str, what: str, error: type[GridPushError]) -> Any:
+    """Makes plain values of a YAML document; no code is ever run, whatever its tags say.
+
+    Args:
+        path: of the file, for messages.
+        text: of the document.
+        what: what it should hold, for messages.
+        error: raised where it does not.
+
+    Returns:
+        Dictionaries, lists, texts, numbers; None where the document is empty.
+
+    Raises:
+        GridPushError: `error`: the text is not YAML, is nested too deeply, has a key twice, or holds too much.
+    """
+    with _explained(path, what, error):
+        loader = _StrictLoader(text)
+        try:
+            root = _compose(loader)
+            return None if root is None else loader.construct_document(root)
+        finally:
+            loader.dispose()
+
+
+def check_yaml(path: Path, text: str, what: str, error: type[GridPushError]) -> None:
+    """Checks a document that somebody else will make values of; the arguments and errors are those of `parse_yaml`."""
+    with _explained(path, what, error):
+        _compose(_StrictLoader(text))
+
+
+@contextmanager
+def _explained(path: Path, what: str, error: type[GridPushError]) -> Iterator[None]:
+    """Turns PyYAML's complaints into `error`, with the place."""
+    try:
+        yield
+    except yaml.MarkedYAMLError as cause:
+        mark = cause.problem_mark or cause.context_mark
+        where = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+        raise error(f"{path}{where}: is not valid YAML: {_shorten(cause.problem or cause.context)}") from cause
+    except (yaml.YAMLError, *NOT_YAML) as cause:
+        raise error(f"{path}: is not valid YAML: {_shorten(cause)}") from cause
+    except RecursionError as cause:
+        raise error(f"{path}: is nested too deeply; expected {what}") from cause
+
+
+def _compose(loader: _StrictLoader) -> yaml.Node | None:
+    root = loader.get_single_node()
+    if root is not None:
+        _check_keys(root)
+        _check_extent(root)
+    return root
+
+
+def _check_keys(root: yaml.Node) -> None:
+    """Refuses a key that occurs twice, which YAML's loader would settle in silence, and numbers without end."""
+    for node in _walk(root):
+        if isinstance(node, yaml.ScalarNode):
+            if node.tag in NUMBER_TAGS and len(node.value) > MAX_NUMBER_LENGTH:
+                problem = f"a number has {len(node.value)} characters; expected at most {MAX_NUMBER_LENGTH}"
+                raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+            continue
+        if not isinstance(node, yaml.MappingNode):
+            continue
+        seen = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.value in seen:
+                raise yaml.constructor.ConstructorError(None, None, f"key '{key.value}' occurs twice", key.start_mark)
+            seen.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
+
+
+def _check_extent(root: yaml.Node) -> None:
+    """Refuses a document of more than MAX_NODES keys and values, its aliases written out, or that holds itself."""
+    extent: dict[int, int] = {}
+    open_nodes: set[int] = set()
+
+    def measure(node: yaml.Node) -> int:
+        if id(node) in extent:
+            return extent[id(node)]
+        if id(node) in open_nodes:
+            raise yaml.composer.ComposerError(None, None, "an alias stands within what it names", node.start_mark)
+        open_nodes.add(id(node))
+        extent[id(node)] = 1 + sum(map(measure, _children(node)))
+        if extent[id(node)] > MAX_NODES:
+            raise yaml.composer.ComposerError(None, None, f"{_TOO_MANY}, its aliases written out", node.start_mark)
+        return extent[id(node)]
+
+    measure(root)
+
+
+def _walk(root: yaml.Node) -> Iterator[yaml.Node]:
+    """Every node once."""
+    seen, left = {id(root)}, [root]
+    while left:
+        node = left.pop()
+        yield node
+        for child in _children(node):
+            if id(child) not in seen:
+                seen.add(id(child))
+                left.append(child)
+
+
+def _children(node: yaml.Node) -> list[yaml.Node]:
+    if isinstance(node, yaml.SequenceNode):
+        return list(node.value)
+    return [child for pair in node.value for child in pair] if isinstance(node, yaml.MappingNode) else []
+
+
+def _shorten(problem: Any) -> str:
+    text = " ".join(str(problem).split())
+    return text if len(text) <= MAX_PROBLEM else text[: MAX_PROBLEM - 3] + "..."

@@ -24,6 +24,7 @@ from gridpush_drake.identification.search_fit import fit_by_search
 from gridpush_drake.identification.search_methods import SEARCH_METHODS
 from gridpush_drake.identification.tracker import Tracker
 from gridpush_drake.pushes.log import PushLog
+from gridpush_drake.pushes.plausibility import check_plausible
 
 Array = NDArray[np.float64]
 Progress = Callable[[HistoryEntry], None]
@@ -75,7 +76,8 @@ def identify(
 
     Raises:
         IdentificationError: the method or regime is unknown, the log is empty or lacks observations.
-        PushLogError: the object hung over the table's edge during every push.
+        PushLogError: the object hung over the table's edge during every push, or the log cannot be true of the object,
+            see `pushes.plausibility`.
     """
     for name, value, known in (("method", method, METHODS), ("regime", regime, REGIMES)):
         if value not in known:
@@ -165,7 +167,8 @@ def _check_log(obj: GridObject, log: PushLog) -> PushLog:
                 "expected at least one"
             )
     if not log.radius_given and obj.prior.pusher_radius is not None:
-        return log.with_radius(obj.prior.pusher_radius)
+        log = log.with_radius(obj.prior.pusher_radius)
+    check_plausible(obj, log, learning=True)
     return log
 
 

@@ -8,7 +8,7 @@ import yaml
 from shapely import Polygon
 
 from gridpush_drake.errors import GridPushError, IdentificationError
-from gridpush_drake.files import write_whole
+from gridpush_drake.files import read_head, write_whole
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.grid.prior import PhysicalPrior
@@ -48,11 +48,7 @@ LINE_WIDTH = 120
 
 def looks_like_model(path: Path | str) -> bool:
     """Whether a file is a model rather than an object; False where it cannot be read."""
-    try:
-        with Path(path).open("rb") as file:
-            lines = file.read(MARK_ROOM).decode(errors="replace").splitlines()
-    except OSError:
-        return False
+    lines = read_head(path, MARK_ROOM).decode(errors="replace").splitlines()
     return any(line.startswith(MARK) for line in lines)
 
 

@@ -9,6 +9,7 @@ from gridpush_drake.dynamics.simulate import make_path_times, simulate
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.pushes.log import ObservedPush, PushLog
+from gridpush_drake.pushes.plausibility import check_plausible
 
 Array = NDArray[np.float64]
 
@@ -62,7 +63,11 @@ def predict(obj: GridObject, params: CellParameters, log: PushLog, regime: str =
 
     Returns:
         One prediction a push.
+
+    Raises:
+        PushLogError: the log cannot be true of the object, see `pushes.plausibility`.
     """
+    check_plausible(obj, log, learning=False)
     return [_predict_push(obj, params, push, regime) for push in log]
 
 

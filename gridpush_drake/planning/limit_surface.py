@@ -28,6 +28,9 @@ Array = NDArray[np.float64]
 TABLE_STEP = 0.003
 """m, of the table of signed distances."""
 
+MAX_TABLE_NODES = 1000
+"""Along a side of the table; what is larger than they span has wider steps."""
+
 TABLE_ROOM = 0.02
 """m, by which the table exceeds the outline grown by the disc."""
 
@@ -61,11 +64,12 @@ def make_distance_table(obj: GridObject, radius: float) -> DistanceTable:
     shapely.prepare(outline)
     low, high = np.array(outline.bounds[:2]), np.array(outline.bounds[2:])
     room = radius + TABLE_ROOM
-    x, y = (np.arange(low[i] - room, high[i] + room + TABLE_STEP, TABLE_STEP) for i in (0, 1))
+    step = max(TABLE_STEP, float((high - low).max() + 2 * room) / MAX_TABLE_NODES)
+    x, y = (np.arange(low[i] - room, high[i] + room + step, step) for i in (0, 1))
     X, Y = np.meshgrid(x, y, indexing="ij")
     distance = shapely.distance(outline.exterior, shapely.points(X, Y))
     return DistanceTable(
-        np.array([x[0], y[0]]), TABLE_STEP, np.where(shapely.contains_xy(outline, X, Y), -distance, distance)
+        np.array([x[0], y[0]]), step, np.where(shapely.contains_xy(outline, X, Y), -distance, distance)
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.errors import PushLogError
+from gridpush_drake.files import read_text
 
 POSE_FORM = "x y z (mm) qw qx qy qz"
 FORCE_FORM = "t (s) fx fy (N)"
@@ -24,6 +25,12 @@ POSE_SIZE, FORCE_SIZE, TOOL_SIZE = 7, 3, 8
 QUATERNION_TOLERANCE = 1e-3
 """Largest difference of a quaternion's norm from 1."""
 
+
+MAX_DIGITS = 9
+"""Of a count."""
+
+MAX_NUMBER = 1e12
+"""Magnitude of a number, beyond which it is none that was logged."""
 
 SHOWN = 60
 """Most characters of a bad line that a message repeats."""
@@ -79,14 +86,7 @@ class _Lines:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        try:
-            text = path.read_text(encoding="utf-8-sig")
-        except FileNotFoundError:
-            raise PushLogError(f"{path}: there is no such file") from None
-        except UnicodeDecodeError:
-            raise PushLogError(f"{path}: is not a text file; expected the CMU pushes' text format") from None
-        except OSError as error:
-            raise PushLogError(f"{path}: cannot be read: {error.strerror}") from error
+        text = read_text(path, "a file of the CMU pushes", PushLogError)
         lines = enumerate(text.splitlines(), start=1)
         self._lines = [(number, words) for number, line in lines if (words := line.split())]
         self._next = 0
@@ -94,20 +94,21 @@ class _Lines:
     def count(self, what: str) -> int:
         """Takes a line with one whole number, at least 1."""
         number, words = self._take(what)
-        if len(words) != 1 or not words[0].isdecimal() or int(words[0]) < 1:
+        counted = len(words) == 1 and words[0].isdecimal() and len(words[0]) <= MAX_DIGITS
+        if not counted or int(words[0]) < 1:
             self._fail(number, words, f"{what}, a whole number of at least 1")
         return int(words[0])
 
     def table(self, rows: int, size: int, what: str) -> NDArray[np.float64]:
         """Takes `rows` lines of `size` finite numbers; a size of at least 7 ends in a unit quaternion."""
-        table = np.empty((rows, size))
+        table = np.empty((min(rows, len(self._lines) - self._next), size))
         for row in range(rows):
             number, words = self._take(what)
             try:
                 values = [float(word) for word in words]
             except ValueError:
                 values = []
-            if len(values) != size or not np.isfinite(values).all():
+            if len(values) != size or not (np.abs(values) <= MAX_NUMBER).all():
                 self._fail(number, words, what)
             table[row] = values
             norm = float(np.linalg.norm(table[row, -4:])) if size >= POSE_SIZE else 1.0

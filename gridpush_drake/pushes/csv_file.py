@@ -19,7 +19,7 @@ import numpy as np
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushLogError
-from gridpush_drake.files import check_writable, write_whole
+from gridpush_drake.files import check_writable, read_text, write_whole
 from gridpush_drake.pushes.log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog, nearest_turn
 
 TIP = ("tip_x", "tip_y")
@@ -32,11 +32,23 @@ COLUMNS = (*REQUIRED, *FORCE, OVERHANG)
 FLAGS = {"": False, "0": False, "1": True}
 """What may stand in a column that says yes or no."""
 
+WHAT = "a push log (CSV)"
+
 UNITS = {"t": "s", "object_theta": "rad", "force_x": "N", "force_y": "N"}
 """Unit of each column; m where not listed."""
 
 SUGGESTION_CUTOFF = 0.5
 """Similarity (0 to 1) from which a known column is suggested for an unknown one."""
+
+
+MAX_SHOWN = 60
+"""Characters of a refused value that a message repeats."""
+
+MAX_NUMBER = 1e12
+"""Magnitude of a number in a log, beyond which it is none that was measured."""
+
+MIN_TIME_STEP = 1e-9
+"""s between two rows of a push."""
 
 
 class _Row(NamedTuple):
@@ -103,20 +115,9 @@ def _cells(seen: ObservedPush, with_force: bool) -> Iterator[list[str]]:
 
 
 def _read_text(path: Path) -> str:
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise PushLogError(f"{path}: there is no such file") from None
-    except IsADirectoryError:
-        raise PushLogError(f"{path}: is a folder; expected a CSV file") from None
-    except OSError as error:
-        raise PushLogError(f"{path}: cannot be read: {error.strerror}") from error
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = "\0"
+    text = read_text(path, WHAT, PushLogError)
     if "\0" in text:
-        raise PushLogError(f"{path}: is not a text file; expected CSV in UTF-8")
+        raise PushLogError(f"{path}: is not UTF-8 text (it holds a NUL); expected {WHAT}")
     return text
 
 
@@ -186,10 +187,10 @@ def _number(path: Path, line: int, column: str, cell: str) -> float:
         value = float(cell)
     except ValueError:
         value = math.nan
-    if not math.isfinite(value) or "_" in cell:
+    if not math.isfinite(value) or abs(value) > MAX_NUMBER or "_" in cell:
         group = next((columns for columns in (POSE, FORCE) if column in columns), None)
         form = f"a finite number ({UNITS.get(column, 'm')})" + (f", or {', '.join(group)} empty" if group else "")
-        _fail(path, line, column, f"is {cell.strip()!r}; expected {form}")
+        _fail(path, line, column, f"is {cell.strip()[:MAX_SHOWN]!r}; expected {form}")
     return value
 
 
@@ -211,7 +212,7 @@ def _observed_push(path: Path, rows: list[_Row], radius: float, require_final: b
     if len(rows) == 1:
         _fail(path, first.line, "push", f"push {first.push!r} has one row; expected at least two")
     for before, row in pairwise(rows):
-        if row.t <= before.t:
+        if row.t - before.t < MIN_TIME_STEP:
             _fail(path, row.line, "t", f"is {row.t!r} after {before.t!r}; expected times (s) that increase")
     seen = [row for row in rows[1:] if row.pose is not None]
     if require_final and not seen:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushLogError
+from gridpush_drake.files import MEGABYTE, open_file
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.prior import PhysicalPrior
 from gridpush_drake.pushes.log import ObservedPush, PushLog, nearest_turn
@@ -28,6 +29,11 @@ MM = 1e-3
 
 MIT_CELLS = 60
 """Most cells of an object's grid."""
+
+WHAT = "a MATLAB v5 file"
+
+MAX_SIZE = 16 * MEGABYTE
+"""Of a file, bytes; the data set's have a tenth of one megabyte."""
 
 RECORD_SIZES = {"init_pose_gt": 3, "final_pose_gt": 3, "init_tip_pt": 2, "final_tip_pt": 2}
 """What is read of a record, and how many numbers each has (m, rad)."""
@@ -114,14 +120,11 @@ def _mit_object(path: Path, shape: str | None, data: dict[str, Any]) -> GridObje
 def _read_mat(path: Path) -> dict[str, Any]:
     from scipy.io import loadmat
 
-    if path.is_dir():
-        raise PushLogError(f"{path}: is a folder; expected a MATLAB v5 file")
-    if not path.is_file():
-        raise PushLogError(f"{path}: there is no such file")
-    try:
-        data: dict[str, Any] = loadmat(path, appendmat=False, squeeze_me=True, struct_as_record=False)
-    except Exception as error:  # a damaged file makes SciPy raise almost anything
-        raise PushLogError(f"{path}: cannot be read as a MATLAB v5 file: {error}") from error
+    with open_file(path, WHAT, PushLogError, MAX_SIZE) as file:
+        try:
+            data: dict[str, Any] = loadmat(file, squeeze_me=True, struct_as_record=False)
+        except Exception as error:  # a damaged file makes SciPy raise almost anything
+            raise PushLogError(f"{path}: cannot be read as {WHAT}: {error}") from error
     return data
 
 

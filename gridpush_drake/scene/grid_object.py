@@ -14,7 +14,8 @@ Frames: the table's top is the plane z = 0 of the world; the object's bottom is 
 object's own. Feet touch nothing but the table, sides everything but the table.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal
 
@@ -45,7 +46,7 @@ from pydrake.multibody.tree import (
     SpatialInertia,
 )
 
-from gridpush_drake.errors import ObjectError
+from gridpush_drake.errors import ObjectError, ParameterError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.scene.contact_material import MakeContactProperties, calc_own_friction
@@ -200,14 +201,27 @@ def MakeSpatialInertia(obj: GridObject, params: CellParameters, height: float = 
         M_BBo_B, about B's origin, at the object's bottom.
 
     Raises:
-        ParameterError: the parameters are of another number of cells.
+        ParameterError: the parameters are of another number of cells, or Drake finds the masses unphysical.
     """
     params.centre_of_mass(obj)  # says so where the numbers of cells differ
     total = SpatialInertia.Zero()
-    for (x, y), mass in zip(obj.p_BC, params.mass, strict=True):
-        cell = SpatialInertia.SolidBoxWithMass(mass, obj.cell_size, obj.cell_size, height)
-        total += cell.Shift([-x, -y, -height / 2])
+    with refuse_unphysical(obj, params):
+        for (x, y), mass in zip(obj.p_BC, params.mass, strict=True):
+            cell = SpatialInertia.SolidBoxWithMass(mass, obj.cell_size, obj.cell_size, height)
+            total += cell.Shift([-x, -y, -height / 2])
     return total
+
+
+@contextmanager
+def refuse_unphysical(obj: GridObject, params: CellParameters) -> Iterator[None]:
+    """Turns Drake's complaint about an inertia into a ParameterError that names the masses."""
+    try:
+        yield
+    except RuntimeError as error:
+        raise ParameterError(
+            f"{obj.name}: mass or height: cells of {params.mass.min():g} to {params.mass.max():g} kg, "
+            f"{obj.cell_size:g} m wide, make no inertia that Drake takes for physical; expected other sizes"
+        ) from error
 
 
 def MakeSideProperties(params: CellParameters, stiffness: float) -> ProximityProperties:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from pydrake.geometry import Meshcat, MeshcatAnimation, MeshcatParams
 
 from gridpush_drake.errors import StationError
-from gridpush_drake.files import check_writable, write_whole
+from gridpush_drake.files import check_writable, read_head, write_whole
 from gridpush_drake.scene.recording_overlay import Overlay, add_overlay
 
 LEAST_PORT, GREATEST_PORT = 1024, 65535
@@ -131,11 +131,7 @@ def write_recording(meshcat: Meshcat, path: Path | str, force: bool = False, ove
 
 def looks_like_recording(path: Path | str) -> bool:
     """Whether a file is a page that Meshcat wrote; False where it cannot be read."""
-    try:
-        with Path(path).open("rb") as file:
-            return MARK in file.read(MARK_ROOM)
-    except OSError:
-        return False
+    return MARK in read_head(path, MARK_ROOM)
 
 
 def _explain(port: int | None, host: str) -> str:

@@ -19,6 +19,17 @@ CURRENT_VERSION = 1
 
 DEFAULT_SCENE = "package://gridpush_drake/scenes/iiwa_push.dmd.yaml"
 
+MIN_SIZE, MAX_SIZE = 1e-6, 1e4
+"""Least and greatest of a positive number whose field says nothing else, in SI units."""
+
+MAX_COUNT = 10_000
+"""Of pushes and the like."""
+
+MAX_SEED = 2**63 - 1
+
+MIN_POKE = 0.01
+"""Least path of a push that explores, m: as far as it must move the object to be made (`poke_choice.PokeStyle`)."""
+
 EXPECTED = "expected"
 """Key of a field's metadata: its `Expected`."""
 
@@ -40,36 +51,46 @@ def _expecting(text: str, holds: Callable[[Any], bool], default: Any) -> Any:
     return field(default=default, metadata={EXPECTED: Expected(text, holds)})
 
 
-def _positive(default: float, unit: str) -> Any:
-    return _expecting(f"a positive number, in {unit}", lambda value: isfinite(value) and value > 0, default)
+def _positive(default: float, unit: str, low: float = MIN_SIZE, high: float = MAX_SIZE) -> Any:
+    return _expecting(
+        f"a positive number, in {unit}, from {low:g} to {high:g}", lambda value: low <= value <= high, default
+    )
 
 
 def _optional(unit: str) -> Any:
     """Positive, or None."""
     return _expecting(
-        f"a positive number{unit}, or null", lambda value: value is None or (isfinite(value) and value > 0), None
+        f"a positive number{unit}, or null", lambda value: value is None or MIN_SIZE <= value <= MAX_SIZE, None
     )
 
 
 def _not_negative(default: float, text: str) -> Any:
-    return _expecting(f"a number, 0 or more, {text}", lambda value: isfinite(value) and value >= 0, default)
+    return _expecting(
+        f"a number, 0 or more, {text}, at most {MAX_SIZE:g}", lambda value: 0 <= value <= MAX_SIZE, default
+    )
 
 
-def _count(default: int, least: int) -> Any:
-    return _expecting(f"a whole number, {least} or more", lambda value: value >= least, default)
+def _count(default: int, least: int, greatest: int = MAX_COUNT) -> Any:
+    return _expecting(
+        f"a whole number, {least} or more, at most {greatest}", lambda value: least <= value <= greatest, default
+    )
 
 
 def _word(default: str, words: Sequence[str]) -> Any:
     return _expecting(f"one of {', '.join(words)}", lambda value: value in words, default)
 
 
-def _range(unit: str) -> dict[str, Expected]:
+def _range(unit: str, low: float = MIN_SIZE, high: float = MAX_SIZE) -> dict[str, Expected]:
     """Metadata of a range of positive numbers."""
 
     def holds(value: list[float]) -> bool:
-        return len(value) == 2 and all(map(isfinite, value)) and 0 < value[0] <= value[1]
+        return len(value) == 2 and low <= value[0] <= value[1] <= high
 
-    return {EXPECTED: Expected(f"[least, greatest], positive{unit}", holds)}
+    return {EXPECTED: Expected(f"[least, greatest], positive{unit}, from {low:g} to {high:g}", holds)}
+
+
+def _are_places(value: list[float]) -> bool:
+    return all(isfinite(number) and abs(number) <= MAX_SIZE for number in value)
 
 
 def _optional_range() -> dict[str, Expected]:
@@ -79,12 +100,16 @@ def _optional_range() -> dict[str, Expected]:
 
 
 def _is_interval(value: list[float]) -> bool:
-    return len(value) == 2 and all(map(isfinite, value)) and value[0] < value[1]
+    return len(value) == 2 and _are_places(value) and value[0] < value[1]
 
 
-INTERVAL = {EXPECTED: Expected("[least, greatest], in m", _is_interval)}
+INTERVAL = {EXPECTED: Expected(f"[least, greatest], in m, at most {MAX_SIZE:g}", _is_interval)}
 
-POSE = {EXPECTED: Expected("[x, y, theta], in m and rad", lambda value: len(value) == 3 and all(map(isfinite, value)))}
+POSE = {
+    EXPECTED: Expected(
+        f"[x, y, theta], in m and rad, at most {MAX_SIZE:g}", lambda value: len(value) == 3 and _are_places(value)
+    )
+}
 
 
 @dataclass
@@ -118,9 +143,9 @@ class PokeConfig:
 
     count: int = _count(8, 1)
     test_count: int = _count(6, 0)
-    distance: list[float] = field(default_factory=lambda: [0.06, 0.10], metadata=_range(", in m"))
-    test_distance: float = _positive(0.10, "m")
-    speed: float = _positive(0.03, "m/s")
+    distance: list[float] = field(default_factory=lambda: [0.06, 0.10], metadata=_range(", in m", low=MIN_POKE))
+    test_distance: float = _positive(0.10, "m", low=MIN_POKE)
+    speed: float = _positive(0.03, "m/s", low=1e-4)
     slant: float = _expecting(
         "an angle from 0 to less than pi / 2, in rad", lambda value: 0 <= value < radians(90), radians(30)
     )
@@ -164,7 +189,7 @@ class PreGraspConfig:
     most_arm: float = _positive(0.1, "m")
     force: float = _positive(80.0, "N")
     lift: float = _positive(0.1, "m")
-    hold: float = _positive(3.0, "s")
+    hold: float = _positive(3.0, "s", high=3600.0)
 
 
 @dataclass
@@ -177,7 +202,7 @@ class CameraConfig:
         angle_noise: standard deviation, rad.
     """
 
-    rate: float = _positive(30.0, "Hz")
+    rate: float = _positive(30.0, "Hz", low=0.1, high=1000.0)
     position_noise: float = _not_negative(0.0005, "in m")
     angle_noise: float = _not_negative(radians(0.2), "in rad")
 
@@ -226,8 +251,8 @@ class SimulationConfig:
         stiction_tolerance: speed below which the plant takes contacts for sticking, m/s.
     """
 
-    time_step: float = _positive(0.002, "s")
-    stiction_tolerance: float = _positive(1e-4, "m/s")
+    time_step: float = _positive(0.002, "s", low=1e-5, high=0.1)
+    stiction_tolerance: float = _positive(1e-4, "m/s", low=1e-9)
 
 
 @dataclass
@@ -290,4 +315,4 @@ class PushScenario:
     workspace: WorkspaceConfig = field(default_factory=WorkspaceConfig)
     goal: GoalConfig = field(default_factory=GoalConfig)
     pregrasp: PreGraspConfig = field(default_factory=PreGraspConfig)
-    seed: int = _count(0, 0)
+    seed: int = _count(0, 0, MAX_SEED)

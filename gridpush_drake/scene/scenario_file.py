@@ -8,7 +8,8 @@ import yaml
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_data, yaml_load_typed
 
 from gridpush_drake.errors import ScenarioError
-from gridpush_drake.files import write_whole
+from gridpush_drake.files import is_file, read_text, write_whole
+from gridpush_drake.grid.yaml_file import MAX_YAML_SIZE, NOT_YAML, check_yaml
 from gridpush_drake.scene.scenario import CURRENT_VERSION, PushScenario
 from gridpush_drake.scene.scenario_schema import check_data, check_values, shorten
 
@@ -32,7 +33,7 @@ def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushSce
             sense is `check_scenario`'s to say.
     """
     path = Path(path)
-    text = _read_text(path)
+    text = read_text(path, WHAT, ScenarioError, MAX_YAML_SIZE)
     data = _parse(path, text)
     where = str(path)
     if child_name is not None:
@@ -47,7 +48,7 @@ def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushSce
     except (RuntimeError, TypeError, ValueError, AssertionError, AttributeError) as error:
         raise ScenarioError(f"{where}: directives: {' '.join(str(error).split())}") from error
     beside = path.parent / scenario.object
-    if beside.suffix or beside.is_file():
+    if beside.suffix or is_file(beside):
         scenario.object = str(beside.resolve())
     return scenario
 
@@ -68,29 +69,12 @@ def write_scenario(path: Path | str, scenario: PushScenario, force: bool = False
     write_whole(path, yaml_dump_typed(scenario, schema=PushScenario), force)
 
 
-def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except IsADirectoryError as error:
-        raise ScenarioError(f"{path}: is a folder; expected {WHAT}") from error
-    except OSError as error:
-        raise ScenarioError(f"{path}: cannot be read: {error.strerror}; expected {WHAT}") from error
-    except UnicodeDecodeError as error:
-        raise ScenarioError(f"{path}: is not UTF-8 text; expected {WHAT}") from error
-
-
 def _parse(path: Path, text: str) -> dict[str, Any]:
+    check_yaml(path, text, WHAT, ScenarioError)
     try:
-        _refuse_twins(path, yaml.compose(text, Loader=yaml.SafeLoader))
         data = yaml_load_data(text, private=True)
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        where = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        raise ScenarioError(f"{path}{where}: is not valid YAML: {error.problem or error.context}") from error
-    except (yaml.YAMLError, ValueError) as error:
+    except (yaml.YAMLError, *NOT_YAML) as error:
         raise ScenarioError(f"{path}: is not valid YAML: {' '.join(str(error).split())}") from error
-    except RecursionError as error:
-        raise ScenarioError(f"{path}: is nested too deeply; expected {WHAT}") from error
     if data is None:
         raise ScenarioError(f"{path}: is empty; expected {WHAT}")
     if not isinstance(data, dict):
@@ -99,21 +83,6 @@ def _parse(path: Path, text: str) -> dict[str, Any]:
         if not isinstance(key, str):
             raise ScenarioError(f"{path}: {key}: unknown key; expected {WHAT}")
     return {key: value for key, value in data.items() if not key.startswith("_")}
-
-
-def _refuse_twins(path: Path, node: yaml.Node | None) -> None:
-    """Raises where a key occurs twice, which YAML's loader would settle in silence."""
-    if isinstance(node, yaml.SequenceNode):
-        for item in node.value:
-            _refuse_twins(path, item)
-    if not isinstance(node, yaml.MappingNode):
-        return
-    seen = set()
-    for key, value in node.value:
-        if isinstance(key, yaml.ScalarNode) and key.value in seen:
-            raise ScenarioError(f"{path}, line {key.start_mark.line + 1}: {key.value}: this key occurs twice")
-        seen.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
-        _refuse_twins(path, value)
 
 
 def _pick_child(path: Path, data: dict[str, Any], name: str) -> Any:

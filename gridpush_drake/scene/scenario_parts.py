@@ -7,6 +7,7 @@ from pathlib import Path
 from pydrake.multibody.parsing import ModelDirectives, ModelInstanceInfo, Parser, ProcessModelDirectives
 
 from gridpush_drake.errors import ObjectError, ScenarioError
+from gridpush_drake.files import is_file
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.object_file import find_shipped_object, read_object
 from gridpush_drake.scene.scenario import PushScenario
@@ -24,7 +25,7 @@ def load_object(scenario: PushScenario) -> GridObject:
     """
     path = Path(scenario.object)
     try:
-        obj = read_object(path if path.suffix or path.is_file() else find_shipped_object(scenario.object))
+        obj = read_object(path if path.suffix or is_file(path) else find_shipped_object(scenario.object))
     except ObjectError as error:
         raise ScenarioError(f"object: {error}") from error
     return obj if scenario.object_friction is None else _bound_friction(obj, *scenario.object_friction)

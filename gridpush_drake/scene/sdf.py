@@ -28,6 +28,7 @@ from gridpush_drake.scene.grid_object import (
     Base,
     MakeSideProperties,
     MakeSpatialInertia,
+    refuse_unphysical,
 )
 from gridpush_drake.scene.side_geometry import make_edge_boxes, make_inner_boxes
 
@@ -79,7 +80,8 @@ def make_sdf(
 
     Raises:
         ObjectError: `base` is neither, a size is out of range, or SDFormat has no such names.
-        ParameterError: the parameters are of another number of cells, or a friction is 2 or more.
+        ParameterError: the parameters are of another number of cells, a friction is 2 or more, or Drake
+            finds the masses unphysical.
     """
     if base not in DEFAULT_DELTA:
         raise ObjectError(f"base is {base!r}; expected 'planar' or 'free'")
@@ -135,7 +137,8 @@ def WriteSdf(
 
 def _add_inertia(link: Element, obj: GridObject, params: CellParameters, height: float) -> None:
     M_BBo_B = MakeSpatialInertia(obj, params, height)
-    I_BBcm_B = M_BBo_B.Shift(M_BBo_B.get_com()).CalcRotationalInertia().CopyToFullMatrix3()
+    with refuse_unphysical(obj, params):
+        I_BBcm_B = M_BBo_B.Shift(M_BBo_B.get_com()).CalcRotationalInertia().CopyToFullMatrix3()
     inertial = ElementTree.SubElement(link, "inertial")
     _add(inertial, "pose", [*M_BBo_B.get_com(), 0, 0, 0])
     _add(inertial, "mass", [M_BBo_B.get_mass()])

@@ -129,3 +129,15 @@ def test_refuses_a_log_of_nothing_but_pushes_over_the_edge(refuses, block, pushe
     for name in ("identify", "predict"):
         says = [tmp_path / "over.csv", "overhang", "expected"]
         refuses(name, block, tmp_path / "over.csv", "--out", tmp_path / "out", says=says)
+
+
+def test_refuses_what_cannot_be_true(refuses, block, tmp_path):
+    log = tmp_path / "log.csv"
+    header = "push,t,tip_x,tip_y,object_x,object_y,object_theta\n"
+    for rows, says in (
+        ("a,0,-0.02,0.034,0,0,0\na,1,-0.02,0.024,9.9,0,0\n", ["push 'a'", "object_x", "moves 9.9 m", "lost track"]),
+        ("a,0,-20,34,10,0,0\na,1,-20,24,10,-5,0\n", ["push 'a'", "tip_x", "in millimetres?"]),
+        ("a,0,1,1,0,0,0\na,1,1,1.1,0,0,0\n", ["no push touches block", "'a'"]),
+    ):
+        log.write_text(header + rows)
+        refuses("identify", block, log, "--out", tmp_path / "model.yaml", says=[log, *says])

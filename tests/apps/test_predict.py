@@ -118,3 +118,20 @@ def test_leaves_out_pushes_over_the_edge(gridpush, model, pushes, tmp_path):
     assert "left out 1 push, as the object hung over the table's edge: push_1" in outcome.out
     assert "Errors of 4 final poses" in outcome.out
     assert "push_1" not in (tmp_path / "predicted.csv").read_text()
+
+
+def test_refuses_a_log_in_which_nothing_touches(refuses, model, tmp_path):
+    path = tmp_path / "far.csv"
+    path.write_text("push,t,tip_x,tip_y,object_x,object_y,object_theta\nfar,0,1,1,0,0,0\nfar,1,1,2,,,\n")
+    refuses("predict", model, path, "--out", tmp_path / "p.csv", says=[path, "no push touches", "'far'", "1.35 m"])
+
+
+def test_warns_in_one_line_of_a_pose_that_jumps(gridpush, model, tmp_path):
+    path = tmp_path / "jump.csv"
+    path.write_text(
+        "push,t,tip_x,tip_y,object_x,object_y,object_theta\na,0,-0.02,0.034,0,0,0\na,1,-0.02,0.024,9.9,0,0\n"
+    )
+    outcome = gridpush("predict", model, path, "--out", tmp_path / "predicted.csv")
+    assert outcome.code == 0
+    assert outcome.err.startswith(f"gridpush: warning: {path}: push 'a', column object_x: the object moves 9.9 m")
+    assert outcome.err.count("\n") == 1

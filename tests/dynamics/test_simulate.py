@@ -55,7 +55,8 @@ def params(obj):
         (PUSH, {"times": [0.0, 0.2, 0.1]}, "times"),
         (PUSH, {"times": [0.0, np.inf]}, "times"),
         (PUSH, {"record": [0, 0]}, "record"),
-        (PUSH, {"record": [-1]}, "record"),
+        (PUSH, {"record": [-1_000]}, "record"),
+        (PUSH, {"record": [0, -51]}, "record.*twice"),
         (PUSH, {"record": [10_000]}, "record"),
         (PUSH, {"record": [0.5]}, "record"),
         (PUSH, {"gravity": -9.81}, "gravity"),
@@ -138,6 +139,17 @@ def test_times_may_outlast_the_push_whose_pusher_then_stands(obj, params):
     np.testing.assert_array_equal(result.times, times)
     np.testing.assert_allclose(result.tip[50:], np.broadcast_to(result.tip[50], (51, 2)))
     np.testing.assert_allclose(result.poses[-1], result.poses[60], atol=1e-9)
+
+
+def test_record_counts_from_the_end_as_numpy_does(obj, params):
+    whole = simulate(obj, params, PUSH, gradients=True)
+    chosen = simulate(obj, params, PUSH, gradients=True, record=[-1, 2, -4])
+    T = len(whole.times) - 1
+    forwards = simulate(obj, params, PUSH, gradients=True, record=[T, 2, T - 3])
+    for name in ("mass", "friction", "contact_friction"):
+        part, same, every = (getattr(s.jacobian, name) for s in (chosen, forwards, whole))
+        np.testing.assert_array_equal(part, same)
+        np.testing.assert_array_equal(part, every[[-1, 2, -4]])
 
 
 def test_record_of_nothing(obj, params):

@@ -205,12 +205,12 @@ def test_a_tool_that_stands_is_refused(write):
 
 
 def test_files_that_cannot_be_read(tmp_path):
-    with pytest.raises(PushLogError, match="no such file"):
+    with pytest.raises(PushLogError, match="No such file"):
         import_cmu(tmp_path / "none.txt")
     with pytest.raises(PushLogError, match="cannot be read"):
         import_cmu(tmp_path)
     (tmp_path / "binary.txt").write_bytes(b"\xff\xfe\x00\x81")
-    with pytest.raises(PushLogError, match="not a text file"):
+    with pytest.raises(PushLogError, match="not UTF-8 text"):
         import_cmu(tmp_path / "binary.txt")
 
 

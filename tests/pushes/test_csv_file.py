@@ -148,8 +148,8 @@ def replaced(old, new):
         ("", ["is empty", HEADER]),
         ("\n\n", ["is empty"]),
         (HEADER + "\n", ["holds no push"]),
-        (b"\x89PNG\r\n\x00\x01", ["not a text file"]),
-        (b"\xff\xfe\xfa", ["not a text file"]),
+        (b"\x89PNG\r\n\x00\x01", ["not UTF-8 text"]),
+        (b"\xff\xfe\xfa", ["not UTF-8 text"]),
         (replaced("tip_x", "tipx"), ["line 1", "column tip_x", "missing", "rename 'tipx' to 'tip_x'"]),
         (replaced(",tip_y", ""), ["line 1", "column tip_y", "missing"]),
         (replaced("object_theta", "theta"), ["column object_theta", "rename 'theta'"]),
@@ -194,7 +194,7 @@ def test_bad_files_are_named_with_line_column_and_form(write, content, messages)
 
 
 def test_missing_file_and_folder(tmp_path):
-    refused(tmp_path / "none.csv", "no such file")
+    refused(tmp_path / "none.csv", "No such file")
     refused(tmp_path, "folder")
 
 

@@ -110,7 +110,7 @@ def test_bad_records_are_refused(tmp_path, record, message):
 
 
 def test_files_that_cannot_be_read(tmp_path):
-    with pytest.raises(PushLogError, match="no such file"):
+    with pytest.raises(PushLogError, match="No such file"):
         import_mit(tmp_path / "none_hex.mat")
     with pytest.raises(PushLogError, match="folder"):
         import_mit(tmp_path)

@@ -1,0 +1,274 @@
+"""Whether a push log can be true of an object: units, frames, and poses that no push can lead to.
+
+Bounds are those of a rigid body that slides on dry friction, taken generously. A pusher that travels s moves the
+centroid by no more than about s and turns the body by no more than s / (2 rho), rho the radius of gyration; a body that
+is let go at speed v slides on for v^2 / (2 mu g).
+"""
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely import LineString, Point
+
+from gridpush_drake.errors import PushLogError, PushLogWarning
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.pushes.log import ObservedPush, PushLog
+
+Array = NDArray[np.float64]
+
+GRAVITY = 9.81
+"""m/s²."""
+
+TRAVEL_FACTOR = 2.0
+"""Times the pusher's path that the centroid, or a point at the radius of gyration as the body turns, may move."""
+
+SPEED_FACTOR = 2.0
+"""Times the pusher's mean speed at which it may let go of the object."""
+
+NOISE_SHARE = 0.25
+"""Of the object's diameter, by which a pose may be off besides."""
+
+MAX_SPEED = 30.0
+"""Of a pusher, mean, m/s."""
+
+MAX_DIAMETER = 10.0
+"""Of an object that is not doubted, m."""
+
+MAX_FIRST_ANGLE = 4 * np.pi
+"""Of an object at a push's beginning, where it is not doubted, rad."""
+
+GAP, GAP_SHARE = 0.005, 0.05
+"""A pusher this far off the outline, m plus this share of the object's diameter, is not where the log says."""
+
+MANY, FEW = 0.5, 0.2
+"""Shares of a log's pushes: so many out of place make it doubtful, so few leave a reading of its units standing."""
+
+MM = 1e-3
+"""Metres in a millimetre."""
+
+IN_DEGREES = "object_theta: in degrees? expected rad"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that cannot be true, or hardly.
+
+    Attributes:
+        message: push, column, what is wrong and the likely cause, in one line.
+        about_first: whether what a prediction begins with is in doubt (the units, the pusher's path, the first pose)
+            rather than what was seen later, which only learning needs.
+        certain: whether it cannot be true; otherwise it may be.
+    """
+
+    message: str
+    about_first: bool
+    certain: bool
+
+
+@dataclass(frozen=True)
+class _Units:
+    """A reading of a log's numbers: what they are multiplied by."""
+
+    tip: float
+    place: float
+    angle: float
+    says: str
+
+
+AS_SAID = _Units(1.0, 1.0, 1.0, "")
+DEGREES = _Units(1.0, 1.0, np.pi / 180, IN_DEGREES)
+TIP_MM = _Units(MM, 1.0, 1.0, "tip_x, tip_y: in millimetres? expected m, as object_x, object_y are")
+PLACE_MM = _Units(1.0, MM, 1.0, "object_x, object_y: in millimetres? expected m, as tip_x, tip_y are")
+ALL_MM = _Units(MM, MM, 1.0, "tip_x, tip_y, object_x, object_y: in millimetres? expected m")
+
+
+def check_plausible(obj: GridObject, log: PushLog, *, learning: bool) -> None:
+    """Refuses a log that cannot be true of an object, and warns of one that hardly can.
+
+    Args:
+        obj: the object.
+        log: the pushes.
+        learning: whether later poses are learned from, so that an impossible one spoils the result; where pushes
+            are only to be predicted, it is warned of.
+
+    Raises:
+        PushLogError: lengths or angles are in other units, a pusher is faster than any, or, where it is to be
+            learned from, a pose that the push cannot have led to. The message names push, column and likely cause.
+
+    Warns:
+        PushLogWarning: what may be true, but hardly is.
+    """
+    for finding in find_implausible(obj, log):
+        message = f"{log.source}: {finding.message}" if log.source else finding.message
+        if finding.certain and (finding.about_first or learning):
+            raise PushLogError(message)
+        warnings.warn(message, PushLogWarning, stacklevel=3)
+
+
+def find_implausible(obj: GridObject, log: PushLog) -> list[Finding]:
+    """Finds what cannot be true of a log, or hardly, at most one finding of a kind.
+
+    Args:
+        obj: the object.
+        log: the pushes.
+
+    Returns:
+        The findings; none where the log is plausible.
+    """
+    kinds = (_find_units, _find_fast_pushers, _find_jumps, _find_turns, _find_large_objects, _find_large_angles)
+    found: list[Finding] = []
+    for kind in kinds:
+        findings = list(kind(obj, log))
+        if not findings:
+            continue
+        first, more = findings[0], len(findings) - 1
+        also = f" (and {more} more push{'es' if more > 1 else ''})" if more else ""
+        found.append(Finding(first.message + also, first.about_first, first.certain))
+        if first.certain:
+            break
+    return found
+
+
+def explain_no_contact(obj: GridObject, log: PushLog) -> str:
+    """Says of a log in which nothing touches which push comes nearest, and what may be wrong."""
+    gaps = [_calc_gap(obj, seen, AS_SAID)[0] for seen in log]
+    nearest = int(np.argmin(gaps))
+    return (
+        f"{log.source or 'push log'}: no push touches {obj.name}; the nearest, {log[nearest].name!r}, passes its "
+        f"outline at {max(gaps[nearest], 0.0):.3g} m; expected tip_x, tip_y and object_x, object_y, object_theta (m, "
+        "rad) in one frame, and of this object"
+    )
+
+
+def _find_units(obj: GridObject, log: PushLog) -> Iterator[Finding]:
+    """Lengths or angles in other units: the pusher is where it cannot be, and in those units it is not."""
+    wrong = _are_misplaced(obj, log, AS_SAID)
+    reading = _choose_reading(obj, log, float(wrong.mean())) if wrong.any() else None
+    if reading is None:
+        return
+    for i in np.flatnonzero(wrong):
+        gap, depth = _calc_gap(obj, log[int(i)], AS_SAID)
+        place = f"{gap:.3g} m off" if gap >= depth else f"{depth:.3g} m inside"
+        yield Finding(
+            f"push {log[int(i)].name!r}, column {reading.says}; as it stands, the pusher is {place} the outline of "
+            f"{obj.name}",
+            about_first=True,
+            certain=True,
+        )
+
+
+def _choose_reading(obj: GridObject, log: PushLog, wrong: float) -> _Units | None:
+    """The units in which the pushers are in place, where a share `wrong` of them is not; None where there are none."""
+    poses = np.array([seen.pose for seen in log])
+    turned = (np.abs(poses[:, 2]) > 2 * np.pi).mean() >= MANY
+    if turned and _are_misplaced(obj, log, DEGREES).mean() <= wrong * FEW:
+        return DEGREES
+    if wrong < MANY:
+        return None
+    away = np.abs(poses[:, :2]).max() > GAP  # where every push begins at 0, the object's places fit any unit
+    readings = (TIP_MM, PLACE_MM, ALL_MM) if away else (ALL_MM,)
+    return next((units for units in readings if _are_misplaced(obj, log, units).mean() <= FEW), None)
+
+
+def _find_fast_pushers(obj: GridObject, log: PushLog) -> Iterator[Finding]:
+    for seen in log:
+        speed = seen.push.length / seen.push.duration
+        if speed > MAX_SPEED:
+            yield Finding(
+                f"push {seen.name!r}, column t: the pusher moves {seen.push.length:.3g} m in {seen.push.duration:.3g} "
+                f"s; expected at most {MAX_SPEED:g} m/s: are times in s, and tip_x, tip_y in m?",
+                about_first=True,
+                certain=True,
+            )
+
+
+def _find_jumps(obj: GridObject, log: PushLog) -> Iterator[Finding]:
+    for seen in log:
+        centroids = np.vstack([obj.cells_at(seen.pose).mean(axis=0), _calc_centroids(obj, seen)])
+        moved = centroids - centroids[0]
+        far = np.linalg.norm(moved, axis=1)
+        k = int(np.argmax(far))
+        allowed = _calc_reach(obj, seen)
+        if far[k] <= allowed:
+            continue
+        column = ("object_x", "object_y")[int(np.argmax(np.abs(moved[k])))]
+        cause = "in millimetres, or a lost track?" if far[k] * MM < allowed else "a lost track?"
+        yield Finding(
+            f"push {seen.name!r}, column {column}: the object moves {far[k]:.3g} m by t = {seen.t_observed[k - 1]:.3g} "
+            f"s, in a push of {seen.push.length:.3g} m; expected less than {allowed:.3g} m: {cause}",
+            about_first=False,
+            certain=True,
+        )
+
+
+def _find_turns(obj: GridObject, log: PushLog) -> Iterator[Finding]:
+    for seen in log:
+        turned = np.abs(seen.poses_observed[:, 2] - seen.pose[2])
+        allowed = _calc_reach(obj, seen) / obj.radius_of_gyration
+        if not len(turned) or turned.max() <= allowed:
+            continue
+        k = int(np.argmax(turned))
+        yield Finding(
+            f"push {seen.name!r}, column object_theta: the object turns {turned[k]:.3g} rad by t = "
+            f"{seen.t_observed[k]:.3g} s, in a push of {seen.push.length:.3g} m; expected less than {allowed:.3g} rad: "
+            "in degrees, or a lost track?",
+            about_first=False,
+            certain=True,
+        )
+
+
+def _find_large_objects(obj: GridObject, log: PushLog) -> Iterator[Finding]:
+    if _calc_diameter(obj) > MAX_DIAMETER:
+        yield Finding(
+            f"{obj.name}: its outline spans {_calc_diameter(obj):.3g} m; in millimetres? expected m",
+            about_first=True,
+            certain=False,
+        )
+
+
+def _find_large_angles(obj: GridObject, log: PushLog) -> Iterator[Finding]:
+    for seen in log:
+        if abs(seen.pose[2]) > MAX_FIRST_ANGLE:
+            yield Finding(
+                f"push {seen.name!r}, column {IN_DEGREES}; the object lies at {seen.pose[2]:.4g}",
+                about_first=True,
+                certain=False,
+            )
+
+
+def _calc_reach(obj: GridObject, seen: ObservedPush) -> float:
+    """Farthest that a push can move the object's centroid, m."""
+    speed = SPEED_FACTOR * seen.push.length / seen.push.duration
+    slide = speed**2 / (2 * obj.prior.friction_min * GRAVITY)
+    return TRAVEL_FACTOR * seen.push.length + slide + NOISE_SHARE * _calc_diameter(obj)
+
+
+def _calc_diameter(obj: GridObject) -> float:
+    left, low, right, high = obj.outline.bounds
+    return float(np.hypot(right - left, high - low))
+
+
+def _calc_centroids(obj: GridObject, seen: ObservedPush) -> Array:
+    """(K, 2) of the object's cells in W at the later observations, m."""
+    return obj.cells_at(seen.poses_observed).mean(axis=1)
+
+
+def _are_misplaced(obj: GridObject, log: PushLog, units: _Units) -> NDArray[np.bool_]:
+    """Which pushes begin inside the object or pass it by."""
+    slack = GAP + GAP_SHARE * _calc_diameter(obj)
+    return np.array([max(_calc_gap(obj, seen, units)) > slack for seen in log], dtype=bool)
+
+
+def _calc_gap(obj: GridObject, seen: ObservedPush, units: _Units) -> tuple[float, float]:
+    """How far the pusher's path stays off the outline, and how deep inside it begins, m, negative where it does not."""
+    theta = seen.pose[2] * units.angle
+    c, s = np.cos(theta), np.sin(theta)
+    path = (seen.push.xy * units.tip - seen.pose[:2] * units.place) @ np.array([[c, -s], [s, c]])
+    start, radius = Point(path[0]), seen.push.radius
+    inside = bool(shapely.contains(obj.outline, start))
+    depth = radius + float(obj.outline.boundary.distance(start)) * (1.0 if inside else -1.0)
+    return float(obj.outline.distance(LineString(path))) - radius, depth

@@ -1,0 +1,143 @@
+"""Logs that cannot be true are refused with push, column and cause; real ones pass without a word."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import PushLogError, PushLogWarning
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.object_file import find_shipped_object, list_shipped_objects, read_object
+from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.identification.identify import identify
+from gridpush_drake.identification.prediction import predict
+from gridpush_drake.pushes.cmu import import_cmu
+from gridpush_drake.pushes.log import ObservedPush, PushLog, nearest_turn
+from gridpush_drake.pushes.mit import import_mit
+from gridpush_drake.pushes.plausibility import check_plausible, explain_no_contact, find_implausible
+from gridpush_drake.scene.truth import hide_truth
+from tests.helpers.made_identifications import make_block
+from tests.helpers.shared_data import shared_data
+from tests.helpers.simulated_pushes import make_pushes
+
+CMU = ("hardboard_middle", "hardboard_patch", "hardboard_wide", "plywood_middle", "plywood_wide")
+MIT = ("abs_hex", "abs_rect1", "plywood_rect3")
+PER_RADIAN = 180 / np.pi
+
+
+def simulated(obj, count=8):
+    return make_pushes(obj, hide_truth(obj, 1), count, seed=1)
+
+
+def misread(log: PushLog, tip: float = 1.0, place: float = 1.0, angle: float = 1.0) -> PushLog:
+    """The log of one who wrote other units, as a reader of CSV takes it: angles continuous."""
+    pushes = []
+    for seen in log:
+        pose, poses = (np.array(q) * [place, place, angle] for q in (seen.pose, seen.poses_observed))
+        before = pose[2]
+        for q in poses:
+            before = q[2] = nearest_turn(float(q[2]), before)
+        push = Push.along(seen.push.t, seen.push.xy * tip, seen.push.radius)
+        pushes.append(ObservedPush(seen.name, push, pose, seen.t_observed, poses))
+    return PushLog(tuple(pushes), "log.csv")
+
+
+def changed(log: PushLog, i: int, pose) -> PushLog:
+    """The log with push `i`'s last pose replaced."""
+    seen = log[i]
+    poses = np.vstack([seen.poses_observed[:-1], pose])
+    pushes = list(log)
+    pushes[i] = replace(seen, poses_observed=poses)
+    return PushLog(tuple(pushes), "log.csv")
+
+
+@pytest.mark.parametrize("name", CMU)
+@pytest.mark.parametrize("calibrate", [True, False])
+def test_cmu_logs_are_plausible(name, calibrate):
+    log, obj = import_cmu(shared_data("cmu_pushes", f"{name}.txt"), calibrate=calibrate)
+    assert find_implausible(obj, log) == []
+
+
+@pytest.mark.parametrize("name", MIT)
+def test_mit_logs_are_plausible(name):
+    log, obj = import_mit(shared_data("mit_pushes", f"{name}.mat"))
+    assert find_implausible(obj, log) == []
+
+
+@pytest.mark.parametrize("name", list_shipped_objects())
+def test_units_are_told_apart(name):
+    obj = read_object(find_shipped_object(name))
+    log = simulated(obj)
+    assert find_implausible(obj, log) == []
+    for units, says in (
+        ({"tip": 1e3, "place": 1e3}, "column tip_x, tip_y, object_x, object_y: in millimetres"),
+        ({"tip": 1e3}, "column tip_x, tip_y: in millimetres"),
+        ({"place": 1e3}, "column object_x, object_y: in millimetres"),
+        ({"angle": PER_RADIAN}, "column object_theta: in degrees"),
+    ):
+        with pytest.raises(PushLogError, match=rf"^log\.csv: push 'push_\d', {says}\?"):
+            check_plausible(obj, misread(log, **units), learning=False)
+
+
+@pytest.mark.parametrize("name", CMU)
+def test_units_of_real_logs_are_told_apart(name):
+    log, obj = import_cmu(shared_data("cmu_pushes", f"{name}.txt"))
+    for units, says in (
+        ({"tip": 1e3, "place": 1e3}, "tip_x, .*in millimetres"),
+        ({"place": 1e3}, "object_[xy]: .*in millimetres"),
+        ({"angle": PER_RADIAN}, "object_theta: .*in degrees"),
+    ):
+        with pytest.raises(PushLogError, match=f"column {says}"):
+            check_plausible(obj, misread(log, **units), learning=True)
+
+
+def test_a_pose_that_no_push_leads_to_is_refused_to_learn_from():
+    obj = make_block()
+    log = simulated(obj, 3)
+    for pose, says in (
+        ([9.9, 0, 0], r"push 'push_2', column object_x: the object moves 9\.\d+ m by t = .* in a push of 0\.0\d+ m"),
+        ([0, -30.0, 0], "push 'push_2', column object_y: the object moves"),
+        (log[1].poses_observed[-1] + [0, 0, 6.0], "push 'push_2', column object_theta: the object turns"),
+    ):
+        jumps = changed(log, 1, pose)
+        with pytest.raises(PushLogError, match=says):
+            identify(obj, jumps)
+        with pytest.warns(PushLogWarning, match=says):
+            found = predict(obj, CellParameters.uniform(obj), jumps)
+        assert len(found) == 3
+
+
+def test_fast_pushers_are_refused():
+    obj = make_block()
+    log = simulated(obj, 2)
+    seen = log[0]
+    push = Push.along(seen.push.t * 1e-6, seen.push.xy, seen.push.radius)
+    fast = PushLog((replace(seen, push=push, t_observed=seen.t_observed * 1e-6), log[1]))
+    with pytest.raises(PushLogError, match=r"push 'push_1', column t: the pusher moves 0\.0\d+ m in .*at most 30 m/s"):
+        predict(obj, CellParameters.uniform(obj), fast)
+
+
+def test_what_may_be_true_is_warned_of():
+    obj = make_block()
+    log = simulated(obj, 2)
+    turned = misread(log)
+    turned = PushLog(tuple(replace(seen, pose=seen.pose + [0, 0, 8 * np.pi]) for seen in turned))
+    turned = PushLog(tuple(replace(s, poses_observed=s.poses_observed + [0, 0, 8 * np.pi]) for s in turned))
+    with pytest.warns(PushLogWarning, match=r"object_theta: in degrees\? expected rad; the object lies at 2\d\."):
+        check_plausible(obj, turned, learning=True)
+    large = GridObject.from_outline(np.array(obj.outline.exterior.coords) * 1e3, name="large")
+    far = PushLog((ObservedPush("a", Push((-60.0, 0.0), (1.0, 0.0), 1.0, 0.005), np.zeros(3), [], np.empty((0, 3))),))
+    with pytest.warns(PushLogWarning, match=r"large: its outline spans 134 m; in millimetres\? expected m"):
+        check_plausible(large, far, learning=False)
+
+
+def test_a_log_that_misses_is_explained():
+    obj = make_block()
+    log = simulated(obj, 2)
+    away = PushLog(tuple(replace(s, push=Push.along(s.push.t, s.push.xy + 0.5, s.push.radius)) for s in log))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_plausible(obj, away, learning=True)
+    assert "no push touches block; the nearest, 'push_" in explain_no_contact(obj, away)
