@@ -259,9 +259,13 @@ def _conduct(bench: str, settings: dict[str, Any], path: Path | None, workers: i
 
     results = open_results(path, bench, settings, force)
     known = f", {len(results.lines)} of them from before" if results.lines else ""
-    print_notice(f"{bench}: results are kept in {results.path}{known}")
+
+    def prepare() -> None:
+        print_notice(f"{bench}: results are kept in {results.path}{known}")
+        compile_kernels()
+
     with work_progress(bench) as report:
-        yield Conduct(workers, report, results, compile_kernels)
+        yield Conduct(workers, report, results, prepare)
 
 
 def _resolve(path: Path | None) -> Path | None:
