@@ -174,6 +174,7 @@ class GridLcpSystem(LeafSystem):
         self.DeclareDiscreteState(2)
         self.DeclareDiscreteState(1)
         # Checking and copying n masses at every step would cost as much as the step.
+        # by its index: a cache entry holds its system where the garbage collector does not see it
         self._params = self.DeclareCacheEntry(
             description="cell parameters",
             value_producer=ValueProducer(
@@ -181,7 +182,7 @@ class GridLcpSystem(LeafSystem):
                 calc=weakly(self._calc_params),
             ),
             prerequisites_of_calc={self.all_parameters_ticket()},
-        )
+        ).cache_index()
 
     def _declare_outputs(self) -> None:
         state = {self.discrete_state_ticket(_STATE)}
@@ -219,7 +220,7 @@ class GridLcpSystem(LeafSystem):
     def _calc_step_jacobian(self, context: Context, output: Any) -> None:
         J = np.empty((1, 3, self.obj.n + OTHER))
         self._run(context, context.get_discrete_state(_MEMORY).CopyToVector(), J)
-        params: CellParameters = self._params.Eval(context)
+        params: CellParameters = self.get_cache_entry(self._params).Eval(context)
         raw = RawJacobian(
             np.array([1]), J, self.obj.p_BC, self.obj.cell_size, params.mass, params.friction, self.gravity,
             self._method.inertial, None,
@@ -240,8 +241,8 @@ class GridLcpSystem(LeafSystem):
         state = context.get_discrete_state(_STATE).CopyToVector()
         row_of_step = np.array([-1, 0 if len(J) else -1])
         return run_kernel(
-            self.obj, self._params.Eval(context), self.gravity, self._method, state[:3], state[3:],
-            np.array([self.dt]), self._calc_load(context), row_of_step, J, memory,
+            self.obj, self.get_cache_entry(self._params).Eval(context), self.gravity, self._method,
+            state[:3], state[3:], np.array([self.dt]), self._calc_load(context), row_of_step, J, memory,
         )  # fmt: skip
 
     def _calc_load(self, context: Context) -> Load:
