@@ -30,7 +30,7 @@ def predict(
     """Predict where pushes take an object, and compare with where they took it."""
     from gridpush_drake.apps.inputs import load_log, load_target
     from gridpush_drake.apps.kernels import compile_kernels
-    from gridpush_drake.dynamics.simulation import STATUS_NO_CONTACT
+    from gridpush_drake.dynamics.motion import MotionStatus
     from gridpush_drake.files import check_writable, write_whole
     from gridpush_drake.identification.error_summary import summarise_errors
     from gridpush_drake.identification.identify import choose_regime
@@ -49,7 +49,7 @@ def predict(
         "model": "learned" if target.model else "prior",
         "regime": chosen,
         "pushes": len(predictions),
-        "untouched": [prediction.name for prediction in predictions if prediction.status == STATUS_NO_CONTACT],
+        "untouched": [prediction.name for prediction in predictions if prediction.status == MotionStatus.NO_CONTACT],
         "errors": summarise_errors(target.obj, predictions, log),
         "written": [str(out)],
     }

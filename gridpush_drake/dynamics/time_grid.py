@@ -5,8 +5,7 @@ from math import ceil
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridpush_drake.dynamics.force_push import ForcePush
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.errors import SimulationError
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ take turns, each with its own step.
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.dynamics.simulation import Simulation
+from gridpush_drake.dynamics.motion import Motion
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.bounds import Bounds
@@ -61,7 +61,7 @@ def search_paper(
     return run_search(loss, lambda: _descend(loss, bounds.clip(start), bounds))
 
 
-def calc_paper_gradient_of_loss(loss: CellLoss, simulations: list[Simulation]) -> dict[str, Array]:
+def calc_paper_gradient_of_loss(loss: CellLoss, simulations: list[Motion]) -> dict[str, Array]:
     """The paper's gradient of the loss, by block (n,): dloss/dm, m/kg, and dloss/dmu, m.
 
     Args:
