@@ -2,6 +2,7 @@
 
 `kernels` has the compiled step and rollout, `reference` the paper's own, slow forms that they are tested against. The
 model is written out in `docs/theory/model.md`. The names below are imported on first use.
+`simulate` itself is in the module of that name, which a package cannot hold beside it; `gridpush_drake.simulate` is it.
 """
 
 from typing import TYPE_CHECKING
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
     from gridpush_drake.dynamics.condensed_step import calc_step
     from gridpush_drake.dynamics.motion import Jacobian, Motion, MotionStatus
     from gridpush_drake.dynamics.push import ForcePush, Push
-    from gridpush_drake.dynamics.simulate import GRAVITY, Regime, simulate, simulate_batch
+    from gridpush_drake.dynamics.simulate import GRAVITY, Regime, simulate_batch
     from gridpush_drake.dynamics.time_grid import DEFAULT_DT, DEFAULT_TIP_STEP, make_path_times
 
 __all__ = [
@@ -27,7 +28,6 @@ __all__ = [
     "Regime",
     "calc_step",
     "make_path_times",
-    "simulate",
     "simulate_batch",
 ]
 
@@ -43,7 +43,6 @@ _HOMES = {
     "Regime": "simulate",
     "calc_step": "condensed_step",
     "make_path_times": "time_grid",
-    "simulate": "simulate",
     "simulate_batch": "simulate",
 }
 

@@ -2,7 +2,7 @@
 
 The loss is the mean over pushes, observed times tau and cells of |x_tau - x*_tau|, predicted and observed places. The
 paper holds x_t and xdot_t constant in each step's derivative; of the chain rule through the steps of the LCP there
-remains the sum of their own terms, each by the closed form of one step (`dynamics.paper_gradient`),
+remains the sum of their own terms, each by the closed form of one step (`dynamics.reference.paper_gradient`),
 
     dloss/dM = sum_tau dloss/dq_tau · sum_{t < tau} dq_{t+1}/dM |_{x_t, xdot_t, F constant},    dloss/dmu likewise.
 

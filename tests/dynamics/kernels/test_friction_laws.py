@@ -4,10 +4,10 @@ import numba
 import numpy as np
 import pytest
 
-from gridpush_drake.dynamics import simulate
 from gridpush_drake.dynamics.kernels import friction
 from gridpush_drake.dynamics.kernels.friction import LAWS
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.grid.parameters import CellParameters
 from tests.helpers.finite_difference import check_jacobian
