@@ -7,8 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gridpush_drake.dynamics.force_push import ForcePush
-    from gridpush_drake.dynamics.push import Push
+    from gridpush_drake.dynamics.push import ForcePush, Push
     from gridpush_drake.dynamics.simulate import simulate, simulate_batch
     from gridpush_drake.errors import GridPushError
     from gridpush_drake.grid.object import GridObject
@@ -36,7 +35,7 @@ __all__ = [
 
 _HOMES = {
     "CellParameters": "grid.parameters",
-    "ForcePush": "dynamics.force_push",
+    "ForcePush": "dynamics.push",
     "GridObject": "grid.object",
     "GridPushError": "errors",
     "Identification": "identification.result",

@@ -23,13 +23,14 @@ from pydrake.systems.framework import (
 )
 
 from gridpush_drake.dynamics.arguments import check_number, check_vector
-from gridpush_drake.dynamics.columns import OTHER
-from gridpush_drake.dynamics.friction import SPIN_MODELS
-from gridpush_drake.dynamics.kernel_call import Load, Method, Steps, run_kernel
-from gridpush_drake.dynamics.simulate import AHEAD, GRAVITY, RELATIVE_STICTION, STICTION_TOLERANCE, Regime
-from gridpush_drake.dynamics.simulation import Jacobian, RawJacobian
-from gridpush_drake.dynamics.step import CONVERGED
-from gridpush_drake.dynamics.step_memory import MEMORY_SIZE, make_memory
+from gridpush_drake.dynamics.kernels.call import make_method, run_kernel
+from gridpush_drake.dynamics.kernels.forward_sensitivity import OTHER
+from gridpush_drake.dynamics.kernels.friction_law import SPIN_MODELS
+from gridpush_drake.dynamics.kernels.inputs import Load, Steps
+from gridpush_drake.dynamics.kernels.step import CONVERGED
+from gridpush_drake.dynamics.kernels.step_memory import MEMORY_SIZE, make_memory
+from gridpush_drake.dynamics.motion import Jacobian, RawJacobian
+from gridpush_drake.dynamics.simulate import GRAVITY, RELATIVE_STICTION, STICTION_TOLERANCE, Regime
 from gridpush_drake.dynamics.time_grid import DEFAULT_DT
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.grid.object import GridObject
@@ -38,6 +39,9 @@ from gridpush_drake.pushes.log import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.systems.weak_calc import NO_SLOTS, weakly
 
 Array = NDArray[np.float64]
+
+LAW = "isotropic"
+"""The friction law: a step that sees nothing but the present has no direction to lag."""
 
 NO_PUSHER = -1.0
 """Radius, m, by which the kernel knows that there is none."""
@@ -71,13 +75,14 @@ class GridLcpSystem(LeafSystem):
     * velocity: vector of 3, (vx, vy, w) of B's origin in W, m/s and rad/s.
     * cell_positions: vector of 2n, x and y of every cell's centre p_WC in turn, m.
     * contact_force: vector of 2, force of the pusher on the object in W during the last step, N.
-    * step_jacobian: abstract `dynamics.simulation.Jacobian` with one row: the derivatives of the pose at the end of the
+    * step_jacobian: abstract `dynamics.motion.Jacobian` with one row: the derivatives of the pose at the end of the
       step that begins now by mass, friction, contact friction, pose, and the pusher's place (`start`), direction and
       way (`length`) during it; the velocity at the beginning is held. Depends on the inputs directly.
     * unsolved_steps: vector of 1, how many steps the solver did not solve to tolerance (as in `simulate`, the motion
       goes on from what it had).
 
-    Discrete state: (q, nu); the solver's memory (`dynamics.step_memory`); the last contact force; the unsolved steps.
+    Discrete state: (q, nu); the solver's memory (`dynamics.kernels.step_memory`); the last contact force; the
+      unsolved steps.
     Numeric parameters: mass (n), kg; friction (n); contact friction (1).
     """
 
@@ -105,7 +110,7 @@ class GridLcpSystem(LeafSystem):
             dt: step, s. At 0.01 s a pusher of 0.1 m/s moves 1 mm a step.
             regime: "inertial" or "quasi_static", see `simulate`.
             pusher_radius: of the disc, m; by default the prior's, or DEFAULT_PUSHER_RADIUS.
-            spin: how the cells resist spinning, see `dynamics.friction`.
+            spin: how the cells resist spinning, see `dynamics.kernels.isotropic_friction`.
             gravity: m/s².
             pose: (3,) at the beginning, m and rad.
             velocity: (3,) at the beginning, m/s and rad/s.
@@ -130,7 +135,7 @@ class GridLcpSystem(LeafSystem):
         params.centre_of_mass(obj)
         self.obj, self.dt, self.regime, self.pusher_radius, self.gravity = obj, float(dt), regime, radius, gravity
         inertial = regime == "inertial"
-        self._method = Method(inertial, False, spin, AHEAD, stiction_tolerance, RELATIVE_STICTION)
+        self._method = make_method(inertial, LAW, spin, stiction_tolerance, RELATIVE_STICTION)
         self._declare_state(params, np.concatenate([check_vector("pose", pose), check_vector("velocity", velocity)]))
         self._pusher_state = self.DeclareVectorInputPort("pusher_state", 4)
         self._wrench = self.DeclareVectorInputPort("applied_wrench", 3) if inertial else None

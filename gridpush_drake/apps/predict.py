@@ -35,7 +35,7 @@ def predict(
     """Predict where pushes take an object, and compare with where they took it."""
     from gridpush_drake.apps.inputs import load_log, load_target
     from gridpush_drake.apps.kernels import compile_kernels
-    from gridpush_drake.dynamics.simulation import STATUS_NO_CONTACT
+    from gridpush_drake.dynamics.motion import MotionStatus
     from gridpush_drake.errors import PushLogError
     from gridpush_drake.files import check_writable, write_whole
     from gridpush_drake.identification.error_summary import calc_final_errors, summarise_errors
@@ -50,7 +50,7 @@ def predict(
     chosen = target.resolve_regime(regime, choose_regime(target.obj, log))
     compile_kernels()
     predictions = predict_log(target.obj, target.params, log, chosen)
-    if all(prediction.status == STATUS_NO_CONTACT for prediction in predictions):
+    if all(prediction.status == MotionStatus.NO_CONTACT for prediction in predictions):
         raise PushLogError(explain_no_contact(target.obj, log))
     write_whole(out, _make_csv(predictions), force)
 
@@ -59,7 +59,7 @@ def predict(
         "model": "learned" if target.model else "prior",
         "regime": chosen,
         "pushes": len(predictions),
-        "untouched": [prediction.name for prediction in predictions if prediction.status == STATUS_NO_CONTACT],
+        "untouched": [prediction.name for prediction in predictions if prediction.status == MotionStatus.NO_CONTACT],
         "overhanging": [seen.name for seen in full.overhanging],
         "errors": summarise_errors(target.obj, predictions, log),
         "written": [str(out)],

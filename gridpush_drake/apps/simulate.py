@@ -11,8 +11,8 @@ from gridpush_drake.apps.console import MM, print_json, print_line
 if TYPE_CHECKING:
     import numpy as np
 
+    from gridpush_drake.dynamics.motion import Motion
     from gridpush_drake.dynamics.push import Push
-    from gridpush_drake.dynamics.simulation import Simulation
     from gridpush_drake.pushes.log import PushLog
 
 PUSH_NAME = "push_1"
@@ -74,7 +74,7 @@ def _make_push(start: str, velocity: str, duration: float, radius: float | None)
     return Push(tip, v, duration, DEFAULT_PUSHER_RADIUS if radius is None else radius)  # type: ignore[arg-type]
 
 
-def _make_log(push: "Push", motion: "Simulation", samples: int) -> "PushLog":
+def _make_log(push: "Push", motion: "Motion", samples: int) -> "PushLog":
     import numpy as np
 
     from gridpush_drake.pushes.log import ObservedPush, PushLog
@@ -85,7 +85,7 @@ def _make_log(push: "Push", motion: "Simulation", samples: int) -> "PushLog":
     return PushLog((seen,))
 
 
-def _print_motion(name: str, regime: str, motion: "Simulation", written: list[str], json: bool) -> None:
+def _print_motion(name: str, regime: str, motion: "Motion", written: list[str], json: bool) -> None:
     first, last = motion.poses[0], motion.final_pose
     if json:
         print_json(

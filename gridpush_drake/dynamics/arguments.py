@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridpush_drake.dynamics.force_push import ForcePush
-from gridpush_drake.dynamics.friction import SPIN_MODELS
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.kernels.friction import LAWS
+from gridpush_drake.dynamics.kernels.friction_law import SPIN_MODELS
+from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.errors import SimulationError
 
 
@@ -17,7 +17,7 @@ def check_regime(regime: str, push: Push | ForcePush, friction: str, spin: str, 
     """
     for name, value, known in (
         ("regime", regime, ("inertial", "quasi_static")),
-        ("friction", friction, ("isotropic", "lagged")),
+        ("friction", friction, tuple(LAWS)),
         ("spin", spin, SPIN_MODELS),
         ("gradients", gradients, (False, True, "paper")),
     ):
@@ -28,12 +28,14 @@ def check_regime(regime: str, push: Push | ForcePush, friction: str, spin: str, 
         raise SimulationError(
             "regime: a force-driven push needs 'inertial'; a quasi-static body has no velocity of its own"
         )
-    if quasi_static and friction == "lagged":
-        raise SimulationError("friction: 'lagged' needs the inertial regime, whose velocity it lags")
     if quasi_static and gradients == "paper":
         raise SimulationError("gradients: 'paper' differentiates momentum; it needs the inertial regime")
-    if friction == "lagged" and gradients is True:
-        raise SimulationError("gradients: the exact ones need friction='isotropic'; 'lagged' has gradients='paper'")
+    law = LAWS[friction]
+    if regime not in law.regimes:
+        raise SimulationError(f"friction: {friction!r} needs the regime {' or '.join(map(repr, law.regimes))}")
+    if gradients not in law.gradients:
+        words = ", ".join(map(repr, law.gradients))
+        raise SimulationError(f"gradients is {gradients!r}; with friction={friction!r} expected one of {words}")
 
 
 def check_vector(name: str, value: ArrayLike) -> NDArray[np.float64]:

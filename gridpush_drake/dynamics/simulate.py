@@ -8,27 +8,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.dynamics.arguments import check_number, check_record, check_regime, check_vector
-from gridpush_drake.dynamics.columns import OTHER
-from gridpush_drake.dynamics.force_push import ForcePush
-from gridpush_drake.dynamics.kernel_call import Load, Method, Steps, run_kernel
-from gridpush_drake.dynamics.paper_rollout import calc_paper_jacobian
-from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulation import (
-    STATUS_NO_CONTACT,
-    STATUS_NOT_CONVERGED,
-    STATUS_OK,
-    STATUS_STARTED_OVERLAPPING,
-    Jacobian,
-    RawJacobian,
-    Simulation,
-)
-from gridpush_drake.dynamics.step import CONVERGED
-from gridpush_drake.dynamics.time_grid import DEFAULT_DT, DEFAULT_TIP_STEP, check_times, make_path_times, make_times
+from gridpush_drake.dynamics.kernels.call import make_method, run_kernel
+from gridpush_drake.dynamics.kernels.forward_sensitivity import OTHER
+from gridpush_drake.dynamics.kernels.inputs import Load, Steps
+from gridpush_drake.dynamics.kernels.step import CONVERGED
+from gridpush_drake.dynamics.motion import Jacobian, Motion, MotionStatus, RawJacobian
+from gridpush_drake.dynamics.push import ForcePush, Push
+from gridpush_drake.dynamics.reference.paper_rollout import calc_paper_jacobian
+from gridpush_drake.dynamics.time_grid import check_times, make_times
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
-
-__all__ = ["DEFAULT_DT", "DEFAULT_TIP_STEP", "GRAVITY", "Regime", "make_path_times", "simulate", "simulate_batch"]
 
 Array = NDArray[np.float64]
 Regime = Literal["inertial", "quasi_static"]
@@ -45,9 +35,6 @@ LEAST_STICTION = 1e-15
 RELATIVE_STICTION = 1e-7
 """Of the speed of pusher and body; friction is never smoothed less, in either regime."""
 
-AHEAD = 0.5
-"""Share of a step after which it looks at the body: the midpoint rule."""
-
 OVERLAP_TOLERANCE = 1e-4
 """m, of pusher and outline at the beginning."""
 
@@ -62,14 +49,14 @@ def simulate(
     *,
     velocity: ArrayLike = (0.0, 0.0, 0.0),
     regime: Regime = "inertial",
-    friction: Literal["isotropic", "lagged"] = "isotropic",
+    friction: str = "isotropic",
     spin: Literal["coupled", "separate", "none"] = "coupled",
     gravity: float = GRAVITY,
     times: ArrayLike | None = None,
     record: ArrayLike | None = None,
     stiction_tolerance: float = STICTION_TOLERANCE,
-) -> Simulation:
-    """Simulates one push of a grid object (`design/physics.md`, sections 3-5).
+) -> Motion:
+    """Simulates one push of a grid object (`docs/theory/model.md`, sections 3-6).
 
     A step is implicit in the velocities. It sees contact and directions as they are expected halfway through it (the
     midpoint rule), except with lagged friction, which as in the paper's LCP takes them where the step begins.
@@ -86,9 +73,9 @@ def simulate(
         velocity: (3,) (vx, vy, w) of B's origin in W at the beginning; inertial regime only.
         regime: "inertial", or "quasi_static": the limit of slow pushes, where only the cells' shares of the friction
             matter, not the masses, nor how fast the pusher goes.
-        friction: "isotropic" (implicit, exact at the transition from stick to slip) or "lagged", the paper's LCP,
-            whose friction directions are those of the step before.
-        spin: how the cells resist spinning, see `dynamics.friction`; "lagged" friction is always "separate".
+        friction: the law of support friction, one of `kernels.LAWS`: "isotropic" (implicit, exact at the transition
+            from stick to slip) or "lagged", the paper's LCP, whose friction directions are those of the step before.
+        spin: how the cells resist spinning, see `kernels.isotropic_friction`; "lagged" friction is always "separate".
         gravity: m/s².
         times: (T+1,) the steps' times, s from the push's beginning, instead of `dt`.
         record: indices into the T+1 poses whose Jacobian is wanted, negative ones from the end; all by default.
@@ -105,7 +92,7 @@ def simulate(
         raise SimulationError(f"parameters of {params.n} cells; expected {obj.n}, as {obj.name} has")
     check_number("gravity", gravity, 0.0)
     check_number("stiction_tolerance", stiction_tolerance, LEAST_STICTION)
-    inertial, lagged = regime == "inertial", friction == "lagged"
+    inertial = regime == "inertial"
     q, nu = check_vector("pose", pose), check_vector("velocity", velocity)
     if not inertial and nu.any():
         raise SimulationError("velocity: the quasi-static regime has none; expected (0, 0, 0)")
@@ -117,10 +104,7 @@ def simulate(
     row_of_step = np.full(steps + 1, -1)
     row_of_step[rows] = np.arange(len(rows))
     J = np.empty((len(rows), 3, obj.n + OTHER)) if gradients is True else np.empty((0, 3, 0))
-    method = Method(
-        inertial, lagged, "separate" if lagged else spin, 0.0 if lagged else AHEAD, float(stiction_tolerance),
-        RELATIVE_STICTION,
-    )  # fmt: skip
+    method = make_method(inertial, friction, spin, stiction_tolerance, RELATIVE_STICTION)
     load = _make_load(push, times)
     result = run_kernel(obj, params, gravity, method, q, nu, dts, load, row_of_step, J)
 
@@ -133,9 +117,9 @@ def simulate(
     elif gradients == "paper":
         jacobian = calc_paper_jacobian(obj, params, result, dts, rows, gravity, method)
     has_pusher = load.radius > 0
-    return Simulation(
+    return Motion(
         times, result.poses, result.velocities, load.tip if has_pusher else np.full_like(load.tip, np.nan),
-        result.contact_forces, result.contact_points, result.modes, result.gaps, _status(has_pusher, result),
+        result.contact_forces, result.contact_points, result.modes, result.gaps, _find_status(has_pusher, result),
         result.statuses[:, 1], jacobian,
     )  # fmt: skip
 
@@ -148,7 +132,7 @@ def simulate_batch(
     *,
     workers: int | None = None,
     **options: Any,
-) -> list[Simulation]:
+) -> list[Motion]:
     """Simulates many pushes, or parameter sets, or pairs of the two, on all cores.
 
     Args:
@@ -160,7 +144,7 @@ def simulate_batch(
         options: passed on to `simulate`.
 
     Returns:
-        The simulations, in order.
+        The motions, in order.
 
     Raises:
         SimulationError: the lists' lengths disagree, or as `simulate`.
@@ -194,11 +178,11 @@ def _make_load(push: Push | ForcePush, times: Array) -> Load:
     return Load(push.tip_at(times), push.length, push.radius, np.zeros((steps, 3)), np.zeros(2))
 
 
-def _status(has_pusher: bool, steps: Steps) -> str:
+def _find_status(has_pusher: bool, steps: Steps) -> MotionStatus:
     if (steps.statuses[:, 0] != CONVERGED).any():
-        return STATUS_NOT_CONVERGED
+        return MotionStatus.NOT_CONVERGED
     if has_pusher and not steps.modes.any():
-        return STATUS_NO_CONTACT
+        return MotionStatus.NO_CONTACT
     if steps.gaps[0] < -OVERLAP_TOLERANCE:
-        return STATUS_STARTED_OVERLAPPING
-    return STATUS_OK
+        return MotionStatus.STARTED_OVERLAPPING
+    return MotionStatus.OK

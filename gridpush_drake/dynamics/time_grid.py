@@ -5,8 +5,7 @@ from math import ceil
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridpush_drake.dynamics.force_push import ForcePush
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.errors import SimulationError
 
 Array = NDArray[np.float64]
@@ -55,8 +54,10 @@ def make_path_times(
 
     Args:
         push: the push.
-        regime: "inertial": every piece of the path is cut evenly. "quasi_static": the path's length is cut evenly,
-            whatever its pieces and however long they last, for time does not matter.
+        regime: "inertial": every piece of the path is cut into the longest steps allowed, so that they do not jump with
+            the piece's length and speed; the last two, half a step to a whole one each, share what is left.
+            "quasi_static": the path's length is cut evenly, whatever its pieces and however long they last, for time
+            does not matter.
         tip_step: furthest the pusher may move in a step, m.
         longest: step, s; inertial regime only.
 
@@ -72,10 +73,9 @@ def make_path_times(
         count = _count_steps(arc[-1] / tip_step)
         cuts = np.interp(arc[-1] * np.arange(1, count) / count, arc, push.t)
         return np.unique(np.concatenate([[0.0], cuts, [push.duration]]))
-    shares = np.maximum(np.ceil(np.maximum(distance / tip_step, np.diff(push.t) / longest) - SLACK), 1)
-    _count_steps(float(shares.sum()))
-    counts = shares.astype(int)
-    pieces = [push.t[i] + (push.t[i + 1] - push.t[i]) * np.arange(count) / count for i, count in enumerate(counts)]
+    wanted = np.maximum(distance / tip_step, np.diff(push.t) / longest)
+    _count_steps(float(np.maximum(wanted, 1.0).sum()))
+    pieces = [push.t[i] + (push.t[i + 1] - push.t[i]) * _cut(parts) for i, parts in enumerate(wanted)]
     return np.append(np.concatenate(pieces), push.t[-1])
 
 
@@ -87,6 +87,17 @@ def _count_steps(steps: float) -> int:
             "longer steps"
         )
     return max(1, ceil(steps - SLACK))
+
+
+def _cut(parts: float) -> Array:
+    """Cuts 1 into steps of 1/parts, of which the last two share what is left; returns where each begins."""
+    count = _count_steps(parts)
+    if parts > count - SLACK:
+        return np.arange(count) / count
+    starts = np.arange(count) / parts
+    if count > 1:
+        starts[-1] = (starts[-2] + 1.0) / 2
+    return starts
 
 
 def check_times(times: ArrayLike) -> Array:

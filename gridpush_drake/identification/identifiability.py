@@ -1,4 +1,4 @@
-"""What pushes can tell, and what they cannot (`design/physics.md`, section 6).
+"""What pushes can tell, and what they cannot (`docs/theory/model.md`, section 7).
 
 Slow pushes observed by their poses see only the relative support friction k_i = mu_i m_i / sum(mu m), and of it only
 the combinations that the pushes excited. Mass and friction by themselves need a weight, a measured force, a fast push,

@@ -2,7 +2,7 @@
 
 The loss is the mean over pushes, observed times tau and cells of |x_tau - x*_tau|, predicted and observed places. The
 paper holds x_t and xdot_t constant in each step's derivative; of the chain rule through the steps of the LCP there
-remains the sum of their own terms, each by the closed form of one step (`dynamics.paper_gradient`),
+remains the sum of their own terms, each by the closed form of one step (`dynamics.reference.paper_gradient`),
 
     dloss/dM = sum_tau dloss/dq_tau · sum_{t < tau} dq_{t+1}/dM |_{x_t, xdot_t, F constant},    dloss/dmu likewise.
 
@@ -19,7 +19,7 @@ take turns, each with its own step.
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.dynamics.simulation import Simulation
+from gridpush_drake.dynamics.motion import Motion
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.bounds import Bounds
@@ -61,7 +61,7 @@ def search_paper(
     return run_search(loss, lambda: _descend(loss, bounds.clip(start), bounds))
 
 
-def calc_paper_gradient_of_loss(loss: CellLoss, simulations: list[Simulation]) -> dict[str, Array]:
+def calc_paper_gradient_of_loss(loss: CellLoss, simulations: list[Motion]) -> dict[str, Array]:
     """The paper's gradient of the loss, by block (n,): dloss/dm, m/kg, and dloss/dmu, m.
 
     Args:

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridpush_drake.dynamics.simulate import make_path_times, simulate
+from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.pushes.log import ObservedPush, PushLog

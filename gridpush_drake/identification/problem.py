@@ -16,8 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.dynamics.simulate import Regime, make_path_times, simulate
-from gridpush_drake.dynamics.simulation import STATUS_NO_CONTACT, Simulation
+from gridpush_drake.dynamics.motion import Motion, MotionStatus
+from gridpush_drake.dynamics.simulate import Regime, simulate
+from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.pushes.log import ObservedPush, PushLog
@@ -105,7 +106,7 @@ class PushProblem:
 
     def touched(self, z: Array) -> NDArray[np.bool_]:
         """Whether the pusher touches the object, by push."""
-        return np.array([sim.status != STATUS_NO_CONTACT for _, sim in self._simulate(z, None, gradients=False)])
+        return np.array([sim.status != MotionStatus.NO_CONTACT for _, sim in self._simulate(z, None, gradients=False)])
 
     def calc_cell_errors(self, residuals: Sequence[Array]) -> Array:
         """Mean distance of the cells' centres, m, by push: the paper's ADD, averaged over a push's observations."""
@@ -119,7 +120,7 @@ class PushProblem:
         dy = residual[:, 1:2] + sine * arm[:, 0] + cosine * arm[:, 1]
         return float(np.hypot(dx, dy).mean())
 
-    def _simulate(self, z: Array, pushes: Sequence[int] | None, gradients: bool) -> list[tuple[_TimedPush, Simulation]]:
+    def _simulate(self, z: Array, pushes: Sequence[int] | None, gradients: bool) -> list[tuple[_TimedPush, Motion]]:
         params = self.params(z)
         chosen = self._pushes if pushes is None else [self._pushes[i] for i in pushes]
         self.simulations += len(chosen)
@@ -135,7 +136,7 @@ class PushProblem:
             for push in chosen
         ]  # fmt: skip
 
-    def _residual(self, push: _TimedPush, simulation: Simulation) -> Array:
+    def _residual(self, push: _TimedPush, simulation: Motion) -> Array:
         predicted, observed = simulation.poses[push.rows], push.observed.poses_observed
         turn = (predicted[:, 2] - observed[:, 2] + np.pi) % (2 * np.pi) - np.pi
         shift = self._centroid_at(predicted) - self._centroid_at(observed)
@@ -146,7 +147,7 @@ class PushProblem:
         x, y = self._centroid
         return poses[:, :2] + np.column_stack([c * x - s * y, s * x + c * y])
 
-    def _to_residual(self, push: _TimedPush, simulation: Simulation, J: Array) -> Array:
+    def _to_residual(self, push: _TimedPush, simulation: Motion, J: Array) -> Array:
         """Turns derivatives of the poses (K, 3, p) into those of the residual (3K, p)."""
         arm = self._centroid_at(simulation.poses[push.rows]) - simulation.poses[push.rows, :2]
         theta = J[:, 2]

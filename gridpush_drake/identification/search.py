@@ -14,8 +14,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.dynamics.simulate import make_path_times, simulate
-from gridpush_drake.dynamics.simulation import Simulation
+from gridpush_drake.dynamics.motion import Motion
+from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
@@ -130,7 +131,7 @@ class CellLoss:
         """Evaluates the loss, m. Raises SearchStopped once the search is over."""
         return self.evaluate(params, stage, regime=self.regime)[0]
 
-    def evaluate(self, params: CellParameters, stage: str, **options: Any) -> tuple[float, list[Simulation]]:
+    def evaluate(self, params: CellParameters, stage: str, **options: Any) -> tuple[float, list[Motion]]:
         """Evaluates the loss, m, and hands out the simulations.
 
         Args:
@@ -158,7 +159,7 @@ class CellLoss:
         self._record(stage)
         return loss, simulations
 
-    def misses(self, simulations: list[Simulation]) -> list[Array]:
+    def misses(self, simulations: list[Motion]) -> list[Array]:
         """Predicted minus observed cell centres (K, n, 2), m, of each push."""
         return [
             self.obj.cells_at(simulation.poses[rows]) - cells

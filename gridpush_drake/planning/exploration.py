@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
+from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import simulate
-from gridpush_drake.dynamics.simulation import STATUS_OK
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.identification.posterior import Posterior
@@ -116,7 +116,7 @@ def make_pokes(
             if (np.linalg.norm(knowledge.made - begins, axis=1) < options.apart * reach.perimeter).any():
                 continue
             motion = simulate(obj, params, push, q, regime="quasi_static")
-            if motion.status == STATUS_OK and checker.count_allowed(motion.tip, motion.poses) == len(motion.tip):
+            if motion.status == MotionStatus.OK and checker.count_allowed(motion.tip, motion.poses) == len(motion.tip):
                 pokes.append(push)
     return pokes
 

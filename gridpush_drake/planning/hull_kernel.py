@@ -8,7 +8,7 @@ from math import sqrt
 
 import numpy as np
 
-from gridpush_drake.dynamics.compiled import kernel
+from gridpush_drake.dynamics.kernels.compiled import kernel
 
 _EMPTY = -np.inf
 

@@ -19,7 +19,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from gridpush_drake.dynamics.friction import SPIN_ARM
+from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import Regime, simulate
-from gridpush_drake.dynamics.simulation import STATUS_NOT_CONVERGED, STATUS_STARTED_OVERLAPPING
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
@@ -111,7 +111,7 @@ class TrialRunner:
             record=record if gradient else None,
         )  # fmt: skip
         self.simulations += 1
-        if motion.status in (STATUS_STARTED_OVERLAPPING, STATUS_NOT_CONVERGED):
+        if motion.status in (MotionStatus.STARTED_OVERLAPPING, MotionStatus.NOT_CONVERGED):
             return failed
         travelled = self.speed * times
         usable = self.checker.count_allowed(motion.tip, motion.poses)

@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from shapely import MultiPoint, Point
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulate import Regime, make_path_times, simulate
+from gridpush_drake.dynamics.simulate import Regime, simulate
+from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters

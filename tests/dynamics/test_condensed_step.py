@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from pydrake.solvers import MathematicalProgram, MobyLcpSolver
 
-from gridpush_drake.dynamics.isotropic_socp import solve_isotropic_socp
-from gridpush_drake.dynamics.maximal_solvers import solve_as_lcp, solve_as_qp
-from gridpush_drake.dynamics.one_step import calc_step
+from gridpush_drake.dynamics.condensed_step import calc_step
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.reference.isotropic_socp import solve_isotropic_socp
+from gridpush_drake.dynamics.reference.maximal_solvers import solve_as_lcp, solve_as_qp
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.grid.parameters import CellParameters

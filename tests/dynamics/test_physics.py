@@ -5,8 +5,7 @@ import pytest
 from shapely import Polygon
 from shapely.affinity import translate
 
-from gridpush_drake.dynamics.force_push import ForcePush
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.grid.object import GridObject
 from gridpush_drake.grid.parameters import CellParameters
@@ -148,7 +147,7 @@ def test_below_the_static_limit_a_body_does_not_creep(share, moves):
 @pytest.mark.parametrize("share, moves", [(0.99, False), (1.01, True)])
 def test_below_the_limit_of_an_eccentric_force_a_body_does_not_creep(share, moves):
     """The limit is found by bisection on one step from rest: the reference cone programme says what moves."""
-    from gridpush_drake.dynamics.isotropic_socp import solve_isotropic_socp
+    from gridpush_drake.dynamics.reference.isotropic_socp import solve_isotropic_socp
 
     rng = np.random.default_rng(5)
     obj = make_random_object(rng, 15, 0.01)

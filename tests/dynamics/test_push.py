@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from shapely import Point
 
-from gridpush_drake.dynamics.force_push import ForcePush
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.errors import PushError
 from tests.helpers.shapes import make_shape
 

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from shapely import Point
 
-from gridpush_drake.dynamics.contact import COLUMNS, CX, CY, NX, NY, find_contacts
-from gridpush_drake.dynamics.friction import SPIN_ARM
-from gridpush_drake.dynamics.kernel_call import Load, Method, run_kernel
-from gridpush_drake.dynamics.modes import SEPARATE, SLIDE_MINUS, SLIDE_PLUS, STICK
+from gridpush_drake.dynamics.kernels.call import Method, run_kernel
+from gridpush_drake.dynamics.kernels.contact import COLUMNS, CX, CY, NX, NY, Edges, find_contacts
+from gridpush_drake.dynamics.kernels.contact_modes import SEPARATE, SLIDE_MINUS, SLIDE_PLUS, STICK
+from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
+from gridpush_drake.dynamics.kernels.inputs import Load
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
@@ -136,18 +137,19 @@ def walk_contacts(obj, params, push, regime, ahead=0.0):
     inertial = regime == "inertial"
     times = make_path_times(push, regime)
     dts, tip, steps = np.diff(times), push.tip_at(times), len(times) - 1
-    method = Method(inertial, False, "coupled", ahead, 1e-9, 1e-7)
+    method = Method(inertial, "isotropic", "coupled", ahead, 1e-9, 1e-7)
     load = Load(tip, push.length, push.radius, np.zeros((steps, 3)), np.zeros(2))
     run = run_kernel(
         obj, params, G, method, np.zeros(3), np.zeros(3), dts, load, np.full(steps + 1, -1), np.empty((0, 3, 0))
     )
     edges = obj.edges
+    kernel_edges = Edges(*edges.start.T.copy(), *edges.end.T.copy(), np.array(edges.previous))
     for t in range(steps):
         c, s = np.cos(run.poses[t, 2]), np.sin(run.poses[t, 2])
         R = np.array([[c, -s], [s, c]])
         centre, v_tip = R.T @ (tip[t] - run.poses[t, :2]), R.T @ (tip[t + 1] - tip[t]) / dts[t]
         found = np.zeros((2, COLUMNS))
-        find_contacts(*edges.start.T.copy(), *edges.end.T.copy(), edges.previous, *centre, push.radius, 0.01, found)
+        find_contacts(kernel_edges, *centre, push.radius, 0.01, found)
         touching = []
         for j in range(2):
             mode = run.modes[t, j]

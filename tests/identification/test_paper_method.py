@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridpush_drake.dynamics.simulation import Jacobian
+from gridpush_drake.dynamics.motion import Jacobian
 from gridpush_drake.identification.bounds import Bounds
 from gridpush_drake.identification.paper import MODEL, calc_paper_gradient_of_loss, search_paper
 from gridpush_drake.identification.result import STATUS_BUDGET_SPENT

@@ -7,8 +7,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from gridpush_drake.dynamics.force_push import ForcePush
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.errors import ParameterError, SimulationError
 from gridpush_drake.grid.object import GridObject

@@ -1,0 +1,117 @@
+"""The call of the compiled rollout: objects in, arrays through, a record of the steps out."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridpush_drake.dynamics.kernels.contact import Edges
+from gridpush_drake.dynamics.kernels.friction import LAWS
+from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
+from gridpush_drake.dynamics.kernels.inputs import Array, Body, Load, Scheme, Steps
+from gridpush_drake.dynamics.kernels.rollout import rollout
+from gridpush_drake.dynamics.kernels.step_memory import make_memory
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+
+AHEAD = 0.5
+"""Share of a step after which it looks at the body: the midpoint rule."""
+
+
+class Method(NamedTuple):
+    """How the steps are taken, in words.
+
+    Attributes:
+        inertial: the regime.
+        friction: the law's name, see `friction.LAWS`.
+        spin: the spin model, see `isotropic_friction`.
+        ahead: share of a step after which it looks at the body.
+        stiction: tolerance of the inertial regime, m/s.
+        relative_stiction: the least tolerance, as a share of the speed.
+    """
+
+    inertial: bool
+    friction: str
+    spin: str
+    ahead: float
+    stiction: float
+    relative_stiction: float
+
+
+def make_method(inertial: bool, friction: str, spin: str, stiction: float, relative_stiction: float) -> Method:
+    """Makes a method; the law decides where its steps look at the body, and replaces a spin model it does not know."""
+    law = LAWS[friction]
+    ahead = AHEAD if law.looks_ahead else 0.0
+    return Method(inertial, friction, law.choose_spin(spin), ahead, float(stiction), float(relative_stiction))
+
+
+def run_kernel(
+    obj: GridObject,
+    params: CellParameters,
+    gravity: float,
+    method: Method,
+    q: Array,
+    nu: Array,
+    dts: Array,
+    load: Load,
+    row_of_step: NDArray[np.int64],
+    J: Array,
+    memory: Array | None = None,
+) -> Steps:
+    """Simulates T steps.
+
+    Args:
+        obj: the object.
+        params: its cells' masses and frictions.
+        gravity: m/s².
+        method: how the steps are taken.
+        q: (3,) pose at the beginning.
+        nu: (3,) velocity of B's origin, m/s, and yaw rate, rad/s, at the beginning.
+        dts: (T,) steps, s.
+        load: what drives the body.
+        row_of_step: (T+1,) row of J that records this step, -1 for none.
+        J: (rows, 3, n + OTHER) filled; without columns where no derivative is wanted.
+        memory: (MEMORY_SIZE,) of the step before, updated in place; a body that was at rest by default.
+
+    Returns:
+        The record.
+    """
+    steps = len(dts)
+    cells, edges = _outline_arrays(obj)
+    body = _make_body(obj, params, gravity, method.inertial, cells)
+    law = LAWS[method.friction].make(body.k, SPIN_ARM * obj.cell_size, method.spin)
+    scheme = Scheme(method.inertial, method.ahead, method.stiction, method.relative_stiction)
+    record = Steps(
+        np.empty((steps + 1, 3)), np.empty((steps, 3)), np.empty((steps + 1, 3)), np.empty((steps, 2, 2)),
+        np.empty((steps, 2, 2)), np.empty((steps, 2), np.int64), np.empty(steps + 1), np.empty((steps, 2), np.int64),
+    )  # fmt: skip
+    rollout(
+        law, body, edges, scheme, load, q, nu, dts, row_of_step, record, J,
+        make_memory() if memory is None else memory,
+    )  # fmt: skip
+    return record
+
+
+def _make_body(obj: GridObject, params: CellParameters, gravity: float, inertial: bool, cells: Array) -> Body:
+    """Collects what the kernels know of the object, as floats: for other numbers Numba would compile them once more."""
+    k = params.friction * params.mass * gravity
+    mass = com_x = com_y = inertia = 0.0
+    if inertial:
+        com_x, com_y = map(float, params.centre_of_mass(obj))
+        mass, inertia = float(params.total_mass), float(params.inertia(obj))
+    size, friction = float(obj.cell_size), float(params.contact_friction)
+    return Body(cells, k, mass, com_x, com_y, inertia, float(obj.radius_of_gyration), size, friction)
+
+
+def _outline_arrays(obj: GridObject) -> tuple[Array, Any]:
+    """Cells and outline as the kernel wants them, made once an object.
+
+    They are writable copies: for arrays that are not, Numba would compile the kernel once more.
+    """
+    cached = obj.__dict__.get("_kernel_arrays")
+    if cached is None:
+        edges = obj.edges
+        ends = np.array(np.column_stack([edges.start, edges.end]).T, order="C")
+        cached = np.array(obj.p_BC.T, order="C"), Edges(ends[0], ends[1], ends[2], ends[3], np.array(edges.previous))
+        obj.__dict__["_kernel_arrays"] = cached
+    return cached

@@ -1,0 +1,199 @@
+"""Contact of the disc pusher with the object's outline: where, with which normal, at which gap.
+
+All in the body frame. The signed distance from the disc's centre t to the outline has a local minimum on an edge, or at
+a convex vertex, for each place the disc can touch; a concave outline has two such places. A contact is a row of
+
+    nx, ny   unit normal N, into the object; the tangent is T = z × N
+    cx, cy   the contact point on the outline, m
+    gap      distance from the disc's rim to the outline, m; negative where they overlap
+    bend     1/|t - vertex| at a vertex (the normal turns as t moves along T), 0 on an edge, 1/m
+    feature  index of the edge, or of the edge that starts at the vertex
+    gx, gy   -d gap/dt, unit vector; N itself unless `look_ahead` took the two at different places
+"""
+
+from math import sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gridpush_drake.dynamics.kernels.compiled import kernel
+
+MAX_CONTACTS = 2
+COLUMNS = 9
+NX, NY, CX, CY, GAP, BEND, FEATURE, GX, GY = range(COLUMNS)
+
+_CONVEX_VERTEX, _REFLEX_VERTEX = -1, -2
+_STRAIGHT = 1e-9  # sine of the turn below which a vertex counts as straight: convex from outside, reflex from inside
+
+
+class Edges(NamedTuple):
+    """The outline's directed edges, the object on their left.
+
+    Attributes:
+        ax, ay: (E,) where each begins, m.
+        bx, by: (E,) where it ends, m.
+        previous: (E,) index of the edge before it.
+    """
+
+    ax: Any
+    ay: Any
+    bx: Any
+    by: Any
+    previous: Any
+
+
+@kernel(allocates=False)
+def find_contacts(edges, tx, ty, radius, reach, contacts):
+    """Finds the at most two contacts whose gap is within `reach`.
+
+    Args:
+        edges: the outline.
+        tx, ty: centre of the disc, m.
+        radius: of the disc, m.
+        reach: contacts with a larger gap are left out, m.
+        contacts: (2, 9) filled with the contacts found, nearest first.
+
+    Returns:
+        The number of contacts.
+    """
+    ax, ay, bx, by, previous = edges.ax, edges.ay, edges.bx, edges.by, edges.previous
+    nearest, nearest2 = _CONVEX_VERTEX, np.inf
+    best = second = np.inf
+    inside_distance2 = np.inf
+    inside_edge = -1
+    count = 0
+    limit = radius + reach
+    limit2 = limit * limit
+    for i in range(ax.shape[0]):
+        ex, ey = bx[i] - ax[i], by[i] - ay[i]
+        rx, ry = tx - ax[i], ty - ay[i]
+        length2 = ex * ex + ey * ey
+        along = rx * ex + ry * ey
+        if along < 0.0:
+            distance2 = rx * rx + ry * ry
+            j = previous[i]
+            qx, qy = ax[i] - ax[j], ay[i] - ay[j]
+            turn = qx * ey - qy * ex
+            convex = turn > _STRAIGHT * length2 or (turn > -_STRAIGHT * length2 and rx * ey > ry * ex)
+            if distance2 < nearest2:
+                nearest2, nearest = distance2, (_CONVEX_VERTEX if convex else _REFLEX_VERTEX)
+            # word for word the test of edge j below: where it ends, the vertex begins
+            if distance2 > limit2 or not convex or (tx - ax[j]) * qx + (ty - ay[j]) * qy < qx * qx + qy * qy:
+                continue
+            distance = sqrt(distance2)
+            if distance == 0.0:
+                continue
+            nx, ny = -rx / distance, -ry / distance
+            cx, cy, bend = ax[i], ay[i], 1.0 / distance
+        elif along < length2:
+            across = rx * ey - ry * ex
+            distance2 = across * across / length2
+            if distance2 < nearest2:
+                nearest2, nearest = distance2, i
+            if across < 0.0:
+                if distance2 < inside_distance2:
+                    inside_distance2, inside_edge = distance2, i
+                continue
+            if distance2 > limit2 or (
+                along < _STRAIGHT * length2 and _is_on_straight(ax, ay, previous, i, ex, ey, tx, ty)
+            ):
+                continue
+            length = sqrt(length2)
+            distance = across / length
+            nx, ny = -ey / length, ex / length
+            cx, cy, bend = ax[i] + along / length2 * ex, ay[i] + along / length2 * ey, 0.0
+        else:
+            continue
+        gap = distance - radius
+        if gap < best:
+            second = best
+            for column in range(COLUMNS):
+                contacts[1, column] = contacts[0, column]
+            best = gap
+            _put(contacts, 0, nx, ny, cx, cy, gap, bend, i)
+        elif gap < second:
+            second = gap
+            _put(contacts, 1, nx, ny, cx, cy, gap, bend, i)
+        else:
+            continue
+        count = min(count + 1, MAX_CONTACTS)
+    if inside_edge >= 0 and nearest in (inside_edge, _REFLEX_VERTEX):
+        count = _contact_from_inside(ax, ay, bx, by, inside_edge, tx, ty, radius, contacts)
+    return count
+
+
+@kernel(allocates=False)
+def _is_on_straight(ax, ay, previous, i, ex, ey, tx, ty):
+    """Whether edge i goes straight on from the one before, on which the disc is by round-off too."""
+    j = previous[i]
+    qx, qy = ax[i] - ax[j], ay[i] - ay[j]
+    straight = abs(qx * ey - qy * ex) <= _STRAIGHT * (ex * ex + ey * ey)
+    return straight and (tx - ax[j]) * qx + (ty - ay[j]) * qy < qx * qx + qy * qy
+
+
+@kernel(allocates=False)
+def look_ahead(edges, tx, ty, dx, dy, radius, reach, contacts, ahead):
+    """Finds the contacts of the disc where it will be, but with the gaps from where it is.
+
+    Of the displacement expected only the part along the outline counts: it decides which way the normal will point and
+    where the contact will be, while the part across is for the contact itself to resolve.
+
+    Args:
+        edges, tx, ty, radius, reach: as in `find_contacts`.
+        dx, dy: displacement of the disc's centre that is expected, seen from the body, m.
+        contacts: (2, 9) the contacts at (tx, ty), at least one.
+        ahead: (2, 9) filled.
+
+    Returns:
+        The number of contacts.
+    """
+    ax, ay, bx, by, previous = edges.ax, edges.ay, edges.bx, edges.by, edges.previous
+    nx, ny = contacts[0, NX], contacts[0, NY]
+    slide = nx * dy - ny * dx
+    count = find_contacts(edges, tx - slide * ny, ty + slide * nx, radius, reach, ahead)
+    for c in range(count):
+        i = int(ahead[c, FEATURE])
+        if ahead[c, BEND] > 0.0:
+            # round a vertex the disc comes from one edge and goes to the other: it must overlap neither
+            ahead[c, GAP] = np.inf
+            _measure_gap(ax, ay, bx, by, previous[i], tx, ty, radius, ahead, c)
+            _measure_gap(ax, ay, bx, by, i, tx, ty, radius, ahead, c)
+        else:
+            ahead[c, GAP] = ahead[c, NX] * (ahead[c, CX] - tx) + ahead[c, NY] * (ahead[c, CY] - ty) - radius
+    return count
+
+
+@kernel(allocates=False)
+def _measure_gap(ax, ay, bx, by, i, tx, ty, radius, contacts, row):
+    """Sets the row's gap, and its direction, to the gap between the disc and edge i where that is the smaller."""
+    ex, ey = bx[i] - ax[i], by[i] - ay[i]
+    rx, ry = ax[i] - tx, ay[i] - ty
+    length2 = ex * ex + ey * ey
+    along = min(max(-(rx * ex + ry * ey) / length2, 0.0), 1.0)
+    rx += along * ex
+    ry += along * ey
+    distance = sqrt(rx * rx + ry * ry)
+    if 0.0 < distance < contacts[row, GAP] + radius:
+        contacts[row, GAP] = distance - radius
+        contacts[row, GX], contacts[row, GY] = rx / distance, ry / distance
+
+
+@kernel(allocates=False)
+def _contact_from_inside(ax, ay, bx, by, i, tx, ty, radius, contacts):
+    """The disc's centre is inside the object: it leaves through the nearest edge."""
+    ex, ey = bx[i] - ax[i], by[i] - ay[i]
+    length = sqrt(ex * ex + ey * ey)
+    along = ((tx - ax[i]) * ex + (ty - ay[i]) * ey) / length
+    distance = ((tx - ax[i]) * ey - (ty - ay[i]) * ex) / length
+    cx, cy = ax[i] + along * ex / length, ay[i] + along * ey / length
+    _put(contacts, 0, -ey / length, ex / length, cx, cy, distance - radius, 0.0, i)
+    return 1
+
+
+@kernel(allocates=False)
+def _put(contacts, row, nx, ny, cx, cy, gap, bend, feature):
+    contacts[row, NX], contacts[row, NY] = nx, ny
+    contacts[row, CX], contacts[row, CY] = cx, cy
+    contacts[row, GAP], contacts[row, BEND] = gap, bend
+    contacts[row, FEATURE] = feature
+    contacts[row, GX], contacts[row, GY] = nx, ny

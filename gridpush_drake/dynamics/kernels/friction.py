@@ -1,0 +1,83 @@
+"""The laws of support friction, and the kernels' calls of them.
+
+A kernel gets a law as a named tuple; its class decides, when the kernel is compiled, which law's functions are called.
+Every law so has a solver of its own, and pays for no other.
+"""
+
+from typing import Any
+
+from numba import types
+from numba.extending import overload
+
+from gridpush_drake.dynamics.kernels.friction_law import FrictionLaw
+from gridpush_drake.dynamics.kernels.isotropic_friction import ISOTROPIC
+from gridpush_drake.dynamics.kernels.lagged_friction import LAGGED
+
+LAWS: dict[str, FrictionLaw] = {law.name: law for law in (ISOTROPIC, LAGGED)}
+"""The laws by name."""
+
+_BORROWED: Any = {"_nrt": False}
+"""Options of the calls: they pass on what the caller holds."""
+
+_LAW_OF_DATA = {law.data: law for law in LAWS.values()}
+
+
+def begin_step(law, cells, com_x, com_y, cell_size, hat, push, known):
+    """Lets the law look at the motion before a step, see `FrictionLaw`; compiled code only."""
+    raise NotImplementedError
+
+
+def calc_dissipation(law, cells, eps, xi):
+    """Calculates Psi, see `FrictionLaw`; compiled code only."""
+    raise NotImplementedError
+
+
+def add_derivatives(law, cells, eps, xi, majorize, g, H):
+    """Adds gradient and Hessian of Psi, see `FrictionLaw`; compiled code only."""
+    raise NotImplementedError
+
+
+def can_majorize(law):
+    """Whether the law has a majorizing quadratic, see `FrictionLaw`; compiled code only."""
+    raise NotImplementedError
+
+
+def fill_load_derivatives(law, cells, eps, xi, f):
+    """Fills in the derivative of the gradient by every k_i, see `FrictionLaw`; compiled code only."""
+    raise NotImplementedError
+
+
+def _find_law(data: types.NamedTuple) -> FrictionLaw:
+    return _LAW_OF_DATA[data.instance_class]
+
+
+@overload(begin_step, jit_options=_BORROWED)
+def _begin_step(law, cells, com_x, com_y, cell_size, hat, push, known):
+    call = _find_law(law).begin_step
+    return lambda law, cells, com_x, com_y, cell_size, hat, push, known: call(
+        law, cells, com_x, com_y, cell_size, hat, push, known
+    )
+
+
+@overload(calc_dissipation, jit_options=_BORROWED)
+def _calc_dissipation(law, cells, eps, xi):
+    call = _find_law(law).calc_dissipation
+    return lambda law, cells, eps, xi: call(law, cells, eps, xi)
+
+
+@overload(add_derivatives, jit_options=_BORROWED)
+def _add_derivatives(law, cells, eps, xi, majorize, g, H):
+    call = _find_law(law).add_derivatives
+    return lambda law, cells, eps, xi, majorize, g, H: call(law, cells, eps, xi, majorize, g, H)
+
+
+@overload(can_majorize, jit_options=_BORROWED)
+def _can_majorize(law):
+    call = _find_law(law).can_majorize
+    return lambda law: call(law)
+
+
+@overload(fill_load_derivatives, jit_options=_BORROWED)
+def _fill_load_derivatives(law, cells, eps, xi, f):
+    call = _find_law(law).fill_load_derivatives
+    return lambda law, cells, eps, xi, f: call(law, cells, eps, xi, f)

@@ -1,0 +1,64 @@
+"""What a law of support friction is: one object, in one file, with all that the solver asks of it.
+
+With xi = (ux, uy, w) the twist of the body in its own frame and k_i = mu_i m_i g the friction that cell i can carry, a
+law is a dissipation Psi(xi; k), convex in xi, smoothed below the stiction tolerance eps, and its derivatives:
+
+    Psi,    g = dPsi/dxi,    H = d²Psi/dxi²,    f_i = dg/dk_i
+
+A new law is a file like `isotropic_friction` that ends with its `FrictionLaw`, and one entry in `friction.LAWS`. The
+kernels are then compiled for it on its first use, and `tests/dynamics/kernels/test_friction_laws.py` tests it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import asinh, sqrt
+from typing import Any
+
+SPIN_ARM = (sqrt(2) + asinh(1)) / 6
+"""c: mean distance of a unit square's points from its center."""
+
+SPIN_MODELS = ("coupled", "separate", "none")
+"""How the cells may resist spinning, see `isotropic_friction`."""
+
+
+@dataclass(frozen=True)
+class FrictionLaw:
+    """A law of support friction.
+
+    The functions are kernels, or `make` apart, NumPy; `law` is what `make` made, `cells` (2, n) the cell centers p_BC
+    in m, `xi` (3,) the twist in m/s and rad/s.
+
+    Attributes:
+        name: the word by which `simulate` knows it.
+        data: the class of `law`, a named tuple of arrays and numbers, no other law's.
+        make: (k, arm, spin) -> law, of k (n,) in N, arm = `SPIN_ARM` times the cell size in m, and a spin model.
+        begin_step: (law, cells, com_x, com_y, cell_size, hat, push, known): looks at the motion before the step, (3,)
+            `hat`, and at that which the applied force alone would give from rest, (3,) `push`, both of the center of
+            mass; `known` says whether either tells where the body goes.
+        calc_dissipation: (law, cells, eps, xi) -> Psi, W.
+        add_derivatives: (law, cells, eps, xi, majorize, g, H): adds g (3,) and H (3, 3). With `majorize` H is that of a
+            quadratic which touches Psi at xi from above: slower, but a step with it always descends.
+        can_majorize: (law) -> whether there is such a quadratic; `majorize` is asked for only then.
+        fill_load_derivatives: (law, cells, eps, xi, f): fills f (3, >= n) with f_i.
+        spin_models: those it knows; any other word stands for the first.
+        regimes: those it knows.
+        gradients: the values of `simulate`'s argument that it knows.
+        looks_ahead: whether a step sees the body halfway through it (the midpoint rule) or where it begins.
+    """
+
+    name: str
+    data: type
+    make: Callable[..., Any]
+    begin_step: Callable[..., Any]
+    calc_dissipation: Callable[..., Any]
+    add_derivatives: Callable[..., Any]
+    can_majorize: Callable[..., Any]
+    fill_load_derivatives: Callable[..., Any]
+    spin_models: tuple[str, ...] = SPIN_MODELS
+    regimes: tuple[str, ...] = ("inertial", "quasi_static")
+    gradients: tuple[bool | str, ...] = (False, True)
+    looks_ahead: bool = True
+
+    def choose_spin(self, spin: str) -> str:
+        """The spin model that the law uses where `spin` is asked for."""
+        return spin if spin in self.spin_models else self.spin_models[0]

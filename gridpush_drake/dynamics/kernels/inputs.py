@@ -1,0 +1,91 @@
+"""What a rollout is given and what it records, as named tuples that compiled code takes."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Body(NamedTuple):
+    """The object; mass, center of mass and inertia are zero in the quasi-static regime, where they do not act.
+
+    Attributes:
+        cells: (2, n) cell centers p_BC, m.
+        k: (n,) friction each cell can carry, N.
+        mass: kg.
+        com_x, com_y: center of mass, m.
+        inertia: about it, kg m².
+        gyration_radius: of the cells' places, m: the scale of lengths.
+        cell_size: m.
+        contact_friction: with the pusher.
+    """
+
+    cells: Array
+    k: Array
+    mass: float
+    com_x: float
+    com_y: float
+    inertia: float
+    gyration_radius: float
+    cell_size: float
+    contact_friction: float
+
+
+class Load(NamedTuple):
+    """What drives the body during T steps.
+
+    Attributes:
+        tip: (T+1, 2) the disc's centre, m.
+        path_length: of the disc's whole path, m.
+        radius: of the disc, m; negative where there is no pusher.
+        wrench: (T, 3) force in W, N, and a couple, N m.
+        point: (2,) where the force acts, body frame, m.
+    """
+
+    tip: Array
+    path_length: float
+    radius: float
+    wrench: Array
+    point: Array
+
+
+class Scheme(NamedTuple):
+    """How the steps are taken.
+
+    Attributes:
+        inertial: the regime.
+        ahead: share of a step after which it looks at the body: 0.5, or 0.
+        stiction: tolerance of the inertial regime, m/s.
+        relative_stiction: the least tolerance, as a share of the speed.
+    """
+
+    inertial: bool
+    ahead: float
+    stiction: float
+    relative_stiction: float
+
+
+class Steps(NamedTuple):
+    """What the kernel records of T steps, W unless said otherwise.
+
+    Attributes:
+        poses: (T+1, 3), m and rad.
+        twists: (T, 3) of B's origin, in the frame of the step (the body's, turned by ahead dt times the last yaw rate).
+        velocities: (T+1, 3) of B's origin, m/s and rad/s.
+        contact_forces: (T, 2, 2), N.
+        contact_points: (T, 2, 2), m.
+        modes: (T, 2) contact modes.
+        gaps: (T+1,), m.
+        statuses: (T, 2) status and iterations.
+    """
+
+    poses: Array
+    twists: Array
+    velocities: Array
+    contact_forces: Array
+    contact_points: Array
+    modes: NDArray[np.int64]
+    gaps: Array
+    statuses: NDArray[np.int64]

@@ -1,0 +1,170 @@
+"""One step: support friction against contact, solved together.
+
+In the body frame, with the twist xi = (ux, uy, w), the contact rows J_n = (N, c × N), J_t = (T, c × T) and the pusher's
+velocity v_p, a step finds xi and the contact forces lam = (lam_n, lam_t) of each contact such that
+
+    H0 xi - drive + grad Psi(xi) - sum_c (J_n^T lam_n + J_t^T lam_t) = 0
+    0 <= lam_n ⟂ J_n xi - N·v_p + gap/dt >= 0
+    |lam_t| <= mu_c lam_n, opposing the slip J_t xi - T·v_p; no slip inside the cone
+
+H0 = M_B/dt and drive = M_B xi_hat/dt + W in the inertial regime, both zero in the quasi-static one. Newton's method on
+grad Psi leaves a complementarity problem with the 3x3 Hessian H; its modes {separate, stick, slide +, slide -} are
+enumerated, the last step's first. Where Newton stalls, the majorizing Hessian takes over, then continuation in the
+stiction tolerance.
+"""
+
+from math import sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gridpush_drake.dynamics.kernels.compiled import kernel
+from gridpush_drake.dynamics.kernels.contact import CX, CY, NX, NY
+from gridpush_drake.dynamics.kernels.contact_modes import calc_compliance, solve_modes
+from gridpush_drake.dynamics.kernels.friction import add_derivatives, can_majorize
+
+CONVERGED, NOT_CONVERGED = 0, 1
+
+_NEWTON_LIMIT = 15
+_ITERATION_LIMIT = 40
+_SLOW = 0.5  # a Newton step that leaves more of the residual than this is followed by a majorizing one
+_FINAL_RESIDUAL = 1e-8  # of the load: one more Newton step squares it
+_LARGEST_RESIDUAL = 1e-6  # of the load, for a step to count as solved
+_SHARPEN = 0.1  # of the tolerance, in a step of the continuation
+_LEAST_SHARPENING = 0.97
+
+
+class StepWork(NamedTuple):
+    """What a step is solved with.
+
+    Attributes:
+        H0, drive: (3, 3), (3,) inertia over dt and what drives the body, N; zero in the quasi-static regime.
+        g, H: (3,), (3, 3) gradient and Hessian, left as last used.
+        rhs, scratch, last, before: workspace (3,).
+        K, X: workspace (7, 7).
+    """
+
+    H0: Any
+    drive: Any
+    g: Any
+    H: Any
+    rhs: Any
+    scratch: Any
+    K: Any
+    X: Any
+    last: Any
+    before: Any
+
+
+@kernel()
+def make_step_work():
+    """Makes it, of zeros."""
+    H0, H, K, X = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((7, 7)), np.zeros((7, 7))
+    return StepWork(H0, np.zeros(3), np.zeros(3), H, np.zeros(3), np.zeros(3), K, X, np.zeros(3), np.zeros(3))
+
+
+@kernel(allocates=False)
+def _residual(g, touch, scales, lam):
+    """Norm of g - sum_c J^T lam, its moment over the arm, over the load and the contact forces."""
+    contacts = touch.contacts
+    r0, r1, r2 = g[0], g[1], g[2]
+    scale = scales.load
+    for c in range(touch.n_contacts):
+        nx, ny, cx, cy = contacts[c, NX], contacts[c, NY], contacts[c, CX], contacts[c, CY]
+        fx = nx * lam[c, 0] - ny * lam[c, 1]
+        fy = ny * lam[c, 0] + nx * lam[c, 1]
+        r0 -= fx
+        r1 -= fy
+        r2 -= cx * fy - cy * fx
+        scale += abs(fx) + abs(fy)
+    r2 /= scales.arm
+    return sqrt(r0 * r0 + r1 * r1 + r2 * r2) / scale
+
+
+@kernel(allocates=False)
+def _newton(law, cells, touch, scales, eps, unknowns, work, limit):
+    """Newton's method at one stiction tolerance; returns (status, iterations)."""
+    H0, drive, g, H, rhs, scratch, K, X = (
+        work.H0, work.drive, work.g, work.H, work.rhs, work.scratch, work.K, work.X,
+    )  # fmt: skip
+    xi = unknowns.xi
+    compliance = calc_compliance(touch, scales)
+    previous = np.inf
+    majorize = False
+    residual = np.inf
+    for iteration in range(limit):
+        for i in range(3):
+            g[i] = H0[i, 0] * xi[0] + H0[i, 1] * xi[1] + H0[i, 2] * xi[2] - drive[i]
+            for j in range(3):
+                H[i, j] = H0[i, j]
+        add_derivatives(law, cells, eps, xi, False, g, H)
+        last = False
+        if iteration > 0:
+            residual = _residual(g, touch, scales, unknowns.lam)
+            rounding = residual < _LARGEST_RESIDUAL and residual > _SLOW * previous
+            last = residual < _FINAL_RESIDUAL or rounding
+            majorize = not (last or majorize) and residual > _SLOW * previous and can_majorize(law)
+            previous = residual
+            if majorize:
+                for i in range(3):
+                    for j in range(3):
+                        H[i, j] = H0[i, j]
+                add_derivatives(law, cells, eps, xi, True, scratch, H)
+        for i in range(3):
+            rhs[i] = H[i, 0] * xi[0] + H[i, 1] * xi[1] + H[i, 2] * xi[2] - g[i]
+        worst = solve_modes(H, rhs, touch, scales, compliance, K, X, unknowns)
+        if not (worst < np.inf):
+            return NOT_CONVERGED, iteration + 1
+        if last:
+            status = CONVERGED if worst < _LARGEST_RESIDUAL else NOT_CONVERGED
+            return status, iteration + 1
+    return NOT_CONVERGED, limit
+
+
+@kernel(allocates=False)
+def solve_step(law, cells, touch, scales, eps, unknowns, work):
+    """Solves one step from the guess in `unknowns`.
+
+    Args:
+        law: the friction law, see `friction`.
+        cells: (2, n) cell centers, m.
+        touch: `Touch`, what the pusher asks for.
+        scales: `Scales`.
+        eps: stiction tolerance, m/s.
+        unknowns: `Unknowns`, guess in, solution out.
+        work: `StepWork`; its H is the Hessian at the solution.
+
+    Returns:
+        (status, iterations).
+    """
+    status, iterations = _newton(law, cells, touch, scales, eps, unknowns, work, _NEWTON_LIMIT)
+    if status == CONVERGED:
+        return status, iterations
+    # Continuation: start where friction is smooth on the scale of the motion, and sharpen, by smaller factors where it
+    # fails. Cells that stick at the end move in proportion to the tolerance, so the secant through the last two
+    # solutions predicts the next.
+    last, before = work.last, work.before
+    last[:] = 0.0
+    before[:] = 0.0
+    last_tolerance, before_tolerance = np.inf, np.inf
+    tolerance, factor = scales.speed, _SHARPEN
+    xi = unknowns.xi
+    xi[:] = 0.0
+    while True:
+        status, used = _newton(law, cells, touch, scales, tolerance, unknowns, work, _ITERATION_LIMIT)
+        iterations += used
+        if status == CONVERGED:
+            if tolerance == eps:
+                return status, iterations
+            for i in range(3):
+                before[i], last[i] = last[i], xi[i]
+            before_tolerance, last_tolerance = last_tolerance, tolerance
+            factor = max(factor * factor, _SHARPEN)
+        elif last_tolerance < np.inf and factor < _LEAST_SHARPENING:
+            factor = sqrt(factor)
+        else:
+            return status, iterations
+        tolerance = max(factor * last_tolerance, eps)
+        ahead = (tolerance - last_tolerance) / (last_tolerance - before_tolerance)
+        for i in range(3):
+            xi[i] = last[i] + ahead * (last[i] - before[i])

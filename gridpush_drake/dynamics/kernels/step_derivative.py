@@ -1,0 +1,156 @@
+"""The exact derivative of one converged step, by the implicit function theorem.
+
+Differentiating the step's equations F(xi, lam; z) = 0 at fixed modes gives K d(xi, lam) = -dF, with K as built in
+`contact_modes.build_contact_system`. The contact enters by the disc's centre twice: t at the beginning of the step
+gives the gap, and t_m, where the disc is expected halfway through it, the contact's place and directions. In the body
+frame, with alpha = T·dt_m,
+
+    dN = -bend alpha T,   dT = bend alpha N,   dc = alpha T on an edge, 0 at a vertex,   dgap = -(gx, gy)·dt
+"""
+
+from math import cos, sin
+from typing import Any, NamedTuple
+
+from gridpush_drake.dynamics.kernels.compiled import kernel
+from gridpush_drake.dynamics.kernels.contact import BEND, CX, CY, GX, GY, NX, NY
+from gridpush_drake.dynamics.kernels.contact_modes import (
+    SEPARATE,
+    SLIDE_PLUS,
+    STICK,
+    build_contact_system,
+    relax_jam,
+    solve_dense,
+)
+
+T_X, T_Y, AHEAD_X, AHEAD_Y, V_X, V_Y, FRICTION = range(7)
+"""What a step depends on through its contacts: t, t_m, the pusher's velocity v_p, and mu_c."""
+
+
+class StepDerivative(NamedTuple):
+    """The derivative of a step by what acts on it.
+
+    Attributes:
+        F: workspace (7, 7).
+        Y: (3, 3) d xi / d(-F_1): response to a generalised force.
+        D: (3, 7) d xi / d(t, t_m, v_p, mu_c).
+        E: (3, 8) d xi / d(t, v_p, (u, w), mu_c) at the beginning of the step.
+    """
+
+    F: Any
+    Y: Any
+    D: Any
+    E: Any
+
+
+@kernel(allocates=False)
+def calc_step_derivative(H, touch, compliance, unknowns, K, X, derivative):
+    """Differentiates a converged step: fills `derivative.Y` and `.D`.
+
+    Args:
+        H, touch, compliance: as the step used them.
+        unknowns: the solution.
+        K, X: workspace (7, 7), each.
+        derivative: `StepDerivative` out.
+
+    Returns:
+        False where the modes leave the step without a derivative.
+    """
+    contacts, count, vpx, vpy, _, dt = touch
+    xi, lam, modes = unknowns
+    F, Y, D = derivative.F, derivative.Y, derivative.D
+    size = build_contact_system(H, touch, modes, compliance, K)
+    F[:size, :] = 0.0
+    row = 3
+    for c in range(count):
+        mode = modes[c]
+        if mode == SEPARATE:
+            continue
+        nx, ny, cx, cy, bend = (
+            contacts[c, NX], contacts[c, NY], contacts[c, CX], contacts[c, CY], contacts[c, BEND],
+        )  # fmt: skip
+        tx, ty = -ny, nx
+        c_cross_n, c_cross_t = cx * ny - cy * nx, cx * ty - cy * tx
+        dn0, dn1, dn2 = -bend * tx, -bend * ty, -bend * c_cross_t
+        if bend == 0.0:
+            dn2 = -1.0
+        dt0, dt1, dt2 = bend * nx, bend * ny, bend * c_cross_n
+        f0 = -(dn0 * lam[c, 0] + dt0 * lam[c, 1])
+        f1 = -(dn1 * lam[c, 0] + dt1 * lam[c, 1])
+        f2 = -(dn2 * lam[c, 0] + dt2 * lam[c, 1])
+        F[0, AHEAD_X] += f0 * tx
+        F[0, AHEAD_Y] += f0 * ty
+        F[1, AHEAD_X] += f1 * tx
+        F[1, AHEAD_Y] += f1 * ty
+        F[2, AHEAD_X] += f2 * tx
+        F[2, AHEAD_Y] += f2 * ty
+        along = dn0 * xi[0] + dn1 * xi[1] + dn2 * xi[2] - dn0 * vpx - dn1 * vpy
+        F[row, T_X], F[row, T_Y] = -contacts[c, GX] / dt, -contacts[c, GY] / dt
+        F[row, AHEAD_X], F[row, AHEAD_Y] = along * tx, along * ty
+        F[row, V_X], F[row, V_Y] = -nx, -ny
+        row += 1
+        if mode == STICK:
+            along = dt0 * xi[0] + dt1 * xi[1] + dt2 * xi[2] - dt0 * vpx - dt1 * vpy
+            F[row, AHEAD_X], F[row, AHEAD_Y] = along * tx, along * ty
+            F[row, V_X], F[row, V_Y] = -tx, -ty
+            row += 1
+        else:
+            slide = lam[c, 0] if mode == SLIDE_PLUS else -lam[c, 0]
+            F[0, FRICTION] -= slide * tx
+            F[1, FRICTION] -= slide * ty
+            F[2, FRICTION] -= slide * c_cross_t
+    if size == 7:
+        relax_jam(contacts, F, 7)
+    X[:size, :size] = 0.0
+    for i in range(size):
+        X[i, i] = 1.0
+    if not solve_dense(K, X, size, size):
+        return False
+    for i in range(3):
+        for j in range(3):
+            Y[i, j] = X[i, j]
+        for j in range(7):
+            total = 0.0
+            for m in range(size):
+                total -= X[i, m] * F[m, j]
+            D[i, j] = total
+    return True
+
+
+@kernel(allocates=False)
+def calc_input_derivative(first, start, derivative):
+    """Differentiates a step by what it is given at its beginning, through the look ahead (`contact.look_ahead`).
+
+    With tdot = v_p - u - w z × t the disc's motion seen from the body that moves with the expected twist (u, w), with
+    N_0 and T_0 the directions of the contact at the beginning, and R(a), a = h w, the turn expected until halfway,
+
+        t_m = t + h T_0 (T_0·tdot),    v_p,m = R(a)^T v_p,
+
+        dt_m = (1 + h bend_0 (N_0 (T_0·tdot) + T_0 (N_0·tdot)) T_0^T) dt + h T_0 T_0^T dtdot
+
+    Args:
+        first: (9,) the first contact at the beginning, a row of `contact`.
+        start: `StepStart`.
+        derivative: its D from `calc_step_derivative`; its E is filled.
+    """
+    D, E = derivative.D, derivative.E
+    n0x, n0y, bend0 = first[NX], first[NY], first[BEND]
+    h, w, tx, ty, rx, ry, vpx, vpy = (
+        start.h, start.yaw_rate, start.tx, start.ty, start.rx, start.ry, start.vpx, start.vpy,
+    )  # fmt: skip
+    t0x, t0y = -n0y, n0x
+    along, across = t0x * rx + t0y * ry, n0x * rx + n0y * ry
+    bx, by = h * bend0 * (n0x * along + t0x * across), h * bend0 * (n0y * along + t0y * across)
+    ca, sa = cos(start.a), sin(start.a)
+    for i in range(3):
+        mx, my, vx, vy = D[i, AHEAD_X], D[i, AHEAD_Y], D[i, V_X], D[i, V_Y]
+        bent = mx * bx + my * by
+        slid = h * (mx * t0x + my * t0y)
+        # d xi / d tdot is slid T_0^T; tdot depends on t by -w z × t
+        E[i, 0] = D[i, T_X] + mx + bent * t0x - slid * w * t0y
+        E[i, 1] = D[i, T_Y] + my + bent * t0y + slid * w * t0x
+        E[i, 2] = slid * t0x + vx * ca - vy * sa
+        E[i, 3] = slid * t0y + vx * sa + vy * ca
+        E[i, 4] = -slid * t0x
+        E[i, 5] = -slid * t0y
+        E[i, 6] = -slid * (t0y * tx - t0x * ty) + h * (vx * vpy - vy * vpx)
+        E[i, 7] = D[i, FRICTION]

@@ -1,0 +1,43 @@
+"""What the solver remembers from step to step, so that a motion can be cut in two without changing it.
+
+A step's guess is the extrapolation of the last two twists, its contact modes are those of the last step. The solution
+does not depend on the guess where it is unique; where two contacts jam it may.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridpush_drake.dynamics.kernels.compiled import kernel
+
+MEMORY_SIZE = 9
+"""Twist of the last step (3), of the one before (3), contact modes (2), steps moved in a row, up to MOVING (1)."""
+
+MOVING = 2
+"""Steps moved in a row from which on the twist is extrapolated."""
+
+_LAST, _MODES, _MOVING_STEPS = 3, 6, 8
+
+
+def make_memory() -> NDArray[np.float64]:
+    """(MEMORY_SIZE,) of a body that was at rest."""
+    return np.zeros(MEMORY_SIZE)
+
+
+@kernel(allocates=False)
+def recall(memory, xi, last_xi, modes):
+    """Fills twists (3,) and modes (2,) from the memory; returns the steps moved in a row."""
+    for i in range(3):
+        xi[i], last_xi[i] = memory[i], memory[_LAST + i]
+    for j in range(2):
+        modes[j] = int(memory[_MODES + j])
+    return int(memory[_MOVING_STEPS])
+
+
+@kernel(allocates=False)
+def remember(memory, xi, last_xi, modes, moving_steps):
+    """Fills the memory (MEMORY_SIZE,)."""
+    for i in range(3):
+        memory[i], memory[_LAST + i] = xi[i], last_xi[i]
+    for j in range(2):
+        memory[_MODES + j] = modes[j]
+    memory[_MOVING_STEPS] = min(moving_steps, MOVING)

@@ -1,0 +1,124 @@
+"""A step's beginning: how the body moves and what acts on it, seen from the body.
+
+The state is the pose (x, y, theta) of B in W and the velocity: of the center of mass, in the body frame, with the yaw
+rate. In the quasi-static regime B's origin stands for the center of mass, and the velocity tells nothing but how the
+body will probably go on. The frame of a step is the body's, turned by the angle a = h w that it is expected to have
+turned after the time h, when the step looks at it.
+"""
+
+from math import cos, sin
+from typing import NamedTuple
+
+from gridpush_drake.dynamics.kernels.compiled import kernel
+
+
+class State(NamedTuple):
+    """Where the body is and how it moves.
+
+    Attributes:
+        x, y, theta: pose of B in W, m and rad.
+        c, s: cosine and sine of theta.
+        com_vx, com_vy: velocity of the center of mass, body frame, m/s.
+        yaw_rate: rad/s.
+        body_x, body_y: velocity of B's origin, body frame, m/s.
+    """
+
+    x: float
+    y: float
+    theta: float
+    c: float
+    s: float
+    com_vx: float
+    com_vy: float
+    yaw_rate: float
+    body_x: float
+    body_y: float
+
+
+class StepStart(NamedTuple):
+    """What a step sees when it begins; body frame unless said otherwise.
+
+    Attributes:
+        dt, h: the step, and the time after which it looks at the body, s.
+        a: the turn expected until then, rad.
+        c, s: cosine and sine of theta.
+        step_c, step_s: of theta + a.
+        yaw_rate: rad/s.
+        hat_x, hat_y: velocity of the center of mass, frame of the step, m/s.
+        tx, ty: the disc's center t, m.
+        vx, vy: its velocity, m/s.
+        vpx, vpy: the same in the frame of the step.
+        rx, ry: the rate of t seen from the moving body, m/s.
+        world_vx, world_vy: the disc's velocity in W, m/s.
+        ray_x, ray_y: how far the disc is from where the push began, W, m.
+        fx, fy, couple: force, frame of the step, N, and couple, N m.
+    """
+
+    dt: float
+    h: float
+    a: float
+    c: float
+    s: float
+    step_c: float
+    step_s: float
+    yaw_rate: float
+    hat_x: float
+    hat_y: float
+    tx: float
+    ty: float
+    vx: float
+    vy: float
+    vpx: float
+    vpy: float
+    rx: float
+    ry: float
+    world_vx: float
+    world_vy: float
+    ray_x: float
+    ray_y: float
+    fx: float
+    fy: float
+    couple: float
+
+
+@kernel(allocates=False)
+def make_state(pose, velocity, com_x, com_y):
+    """Makes the state of q (3,) and nu (3,), the velocity of B's origin in W, m/s, and yaw rate, rad/s."""
+    c, s = cos(pose[2]), sin(pose[2])
+    yaw_rate = velocity[2]
+    body_x, body_y = c * velocity[0] + s * velocity[1], -s * velocity[0] + c * velocity[1]
+    com_vx, com_vy = body_x - yaw_rate * com_y, body_y + yaw_rate * com_x
+    return State(pose[0], pose[1], pose[2], c, s, com_vx, com_vy, yaw_rate, body_x, body_y)
+
+
+@kernel(allocates=False)
+def advance_state(state, forward_x, forward_y, dt, com_vx, com_vy, yaw_rate, com_x, com_y):
+    """Moves the state on by a displacement in W, m, and gives it the velocity after the step."""
+    theta = state.theta + yaw_rate * dt
+    body_x, body_y = com_vx + yaw_rate * com_y, com_vy - yaw_rate * com_x
+    return State(
+        state.x + forward_x, state.y + forward_y, theta, cos(theta), sin(theta), com_vx, com_vy, yaw_rate,
+        body_x, body_y,
+    )  # fmt: skip
+
+
+@kernel(allocates=False)
+def make_step_start(state, load, t, dt, h):
+    """Looks at the body, the pusher and the force when step t begins."""
+    c, s, yaw_rate = state.c, state.s, state.yaw_rate
+    a = h * yaw_rate
+    ca, sa = cos(a), sin(a)
+    step_c, step_s = c * ca - s * sa, s * ca + c * sa
+    tip, wrench = load.tip, load.wrench
+    world_vx, world_vy = (tip[t + 1, 0] - tip[t, 0]) / dt, (tip[t + 1, 1] - tip[t, 1]) / dt
+    vx, vy = c * world_vx + s * world_vy, -s * world_vx + c * world_vy
+    tx = c * (tip[t, 0] - state.x) + s * (tip[t, 1] - state.y)
+    ty = -s * (tip[t, 0] - state.x) + c * (tip[t, 1] - state.y)
+    return StepStart(
+        dt, h, a, c, s, step_c, step_s, yaw_rate,
+        ca * state.com_vx + sa * state.com_vy, -sa * state.com_vx + ca * state.com_vy,
+        tx, ty, vx, vy, ca * vx + sa * vy, -sa * vx + ca * vy,
+        vx - state.body_x + yaw_rate * ty, vy - state.body_y - yaw_rate * tx,
+        world_vx, world_vy, tip[t, 0] - tip[0, 0], tip[t, 1] - tip[0, 1],
+        step_c * wrench[t, 0] + step_s * wrench[t, 1], -step_s * wrench[t, 0] + step_c * wrench[t, 1], wrench[t, 2],
+    )  # fmt: skip

@@ -1,0 +1,156 @@
+"""What a simulated push gives back."""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridpush_drake.dynamics.kernels import forward_sensitivity as columns
+from gridpush_drake.errors import SimulationError
+
+Array = NDArray[np.float64]
+
+
+class MotionStatus(StrEnum):
+    """How a simulated push went."""
+
+    OK = "ok"
+    NO_CONTACT = "no_contact"
+    """The pusher never touched."""
+    NOT_CONVERGED = "not_converged"
+    """A step was not solved."""
+    STARTED_OVERLAPPING = "started_overlapping"
+    """The pusher began more than 0.1 mm inside the object, which then jumped clear."""
+
+
+@dataclass(frozen=True, eq=False)
+class Jacobian:
+    """Derivatives of recorded poses, named blocks; R poses (x, y in m; theta in rad) by n cells.
+
+    Attributes:
+        steps: (R,) the steps the rows belong to.
+        mass: (R, 3, n) by the cells' masses, 1/kg.
+        friction: (R, 3, n) by the cells' friction coefficients.
+        contact_friction: (R, 3) by the pusher's friction coefficient.
+        start: (R, 3, 2) by the place (x, y) in W where the push begins, the path moved with it, 1/m.
+        direction: (R, 3) by turning the path about its start, 1/rad.
+        length: (R, 3) by the length of the path, its duration held, 1/m.
+        pose: (R, 3, 3) by the pose at the beginning.
+        contact_location: (R, 3) by the arc length on the outline where the push begins, 1/m; None unless the push was
+            made by `Push.on_outline`.
+    """
+
+    steps: NDArray[np.int64]
+    mass: Array
+    friction: Array
+    contact_friction: Array
+    start: Array
+    direction: Array
+    length: Array
+    pose: Array
+    contact_location: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """The motion of an object under one push, T steps; world frame unless said otherwise.
+
+    Attributes:
+        times: (T+1,) s from the push's beginning.
+        poses: (T+1, 3) q = (x, y, theta) of the body frame, m and rad.
+        velocities: (T+1, 3) (vx, vy, w) of the body frame's origin, m/s and rad/s.
+        tip: (T+1, 2) centre of the pusher, m; NaN for a force-driven push.
+        contact_forces: (T, 2, 2) force of the pusher on the object at its at most two contacts, N. In the quasi-static
+            regime too: it is what the support's friction asks for. How two contacts that stick share it is statically
+            indeterminate; one admissible way is given.
+        contact_points: (T, 2, 2) where they act, halfway through the step, m; NaN where there is no contact.
+        modes: (T, 2) contact modes: 0 separate, 1 stick, 2 slide with lam_t = +mu_c lam_n, 3 with the opposite sign.
+        gaps: (T+1,) distance from the disc's rim to the outline, m; negative where they overlap, infinite where far.
+        status: how it went; compares equal to its string, "ok" for instance.
+        iterations: (T,) Newton iterations of each step.
+        jacobian: derivatives of the poses, where asked for.
+    """
+
+    times: Array
+    poses: Array
+    velocities: Array
+    tip: Array
+    contact_forces: Array
+    contact_points: Array
+    modes: NDArray[np.int64]
+    gaps: Array
+    status: MotionStatus
+    iterations: NDArray[np.int64]
+    _jacobian: "Jacobian | RawJacobian | None" = field(default=None, repr=False)
+
+    @cached_property
+    def jacobian(self) -> Jacobian:
+        """The derivatives of the recorded poses.
+
+        Raises:
+            SimulationError: the simulation ran without `gradients`.
+        """
+        if self._jacobian is None:
+            raise SimulationError("no derivatives: pass gradients=True or gradients='paper' to simulate")
+        return self._jacobian if isinstance(self._jacobian, Jacobian) else self._jacobian.expand()
+
+    @property
+    def final_pose(self) -> Array:
+        """(3,) the last pose."""
+        return self.poses[-1]
+
+    @property
+    def penetration(self) -> float:
+        """Deepest overlap of pusher and outline, m."""
+        return float(max(0.0, -self.gaps.min()))
+
+
+@dataclass(frozen=True, eq=False)
+class RawJacobian:
+    """The kernel's columns, and what turns them into named blocks by the chain rule.
+
+    k_i = mu_i m_i g, and m_i moves mass, centre of mass c and inertia I about it:
+    dm = dm_i, dc = (p_i - c)/m dm_i, dI = (|p_i - c|² + s²/6) dm_i.
+    """
+
+    steps: NDArray[np.int64]
+    J: Array
+    p_BC: Array
+    cell_size: float
+    mass: Array
+    friction: Array
+    gravity: float
+    inertial: bool
+    start_tangent: Array | None
+
+    def expand(self) -> Jacobian:
+        """Applies the chain rule."""
+        n = len(self.mass)
+        load, other = self.J[..., :n], self.J[..., n:]
+        mass = load * (self.friction * self.gravity)
+        if self.inertial:
+            total = self.mass.sum()
+            arm = self.p_BC - self.mass @ self.p_BC / total
+            moments = np.stack(
+                [
+                    np.ones(n),
+                    arm[:, 0] / total,
+                    arm[:, 1] / total,
+                    (arm**2).sum(axis=1) + self.cell_size**2 / 6,
+                ]
+            )
+            mass += other[..., columns.MASS : columns.INERTIA + 1] @ moments
+        start = other[..., columns.START_X : columns.START_Y + 1]
+        return Jacobian(
+            steps=self.steps,
+            mass=mass,
+            friction=load * (self.mass * self.gravity),
+            contact_friction=other[..., columns.CONTACT_FRICTION],
+            start=start,
+            direction=other[..., columns.DIRECTION],
+            length=other[..., columns.LENGTH],
+            pose=other[..., columns.POSE_X : columns.POSE_THETA + 1],
+            contact_location=None if self.start_tangent is None else start @ self.start_tangent,
+        )

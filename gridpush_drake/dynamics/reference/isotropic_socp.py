@@ -1,0 +1,133 @@
+"""The step with isotropic Coulomb friction as a second-order cone programme: the kernel's slow, independent reference.
+
+Clarabel's solution is good to 1e-7; Newton's method then takes it to round-off, on the subspace in which the norms that
+vanish (what sticks) stay zero.
+"""
+
+import clarabel
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import null_space
+from scipy.sparse import csc_array, diags_array
+
+from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM, SPIN_MODELS
+from gridpush_drake.dynamics.reference.conic import solve_conic
+from gridpush_drake.dynamics.reference.maximal_lcp import STANDARD_GRAVITY, twist_to_cells
+from gridpush_drake.errors import SimulationError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+
+ZERO_NORMS = (1e-9, 1e-7, 1e-5)
+"""Relative sizes of |A_i u| in the cone programme's solution that are taken for zero, tried in turn."""
+
+SUBSPACE_TOLERANCE = 1e-10
+"""Relative singular value below which the subspace of vanishing norms ignores a direction."""
+
+POLISH_DISTANCE = 1e-4
+"""Greatest correction that Newton's method may make to the cone programme's solution."""
+
+MAX_NEWTON_STEPS = 30
+
+NEWTON_TOLERANCE = 1e-13
+"""Relative Newton step that ends the polish."""
+
+
+def solve_isotropic_socp(
+    obj: GridObject,
+    params: CellParameters,
+    q: ArrayLike,
+    nu: ArrayLike,
+    wrench: ArrayLike,
+    dt: float,
+    g: float = STANDARD_GRAVITY,
+    spin: str = "separate",
+) -> NDArray[np.float64]:
+    """Takes one implicit step with isotropic Coulomb friction, as a second-order cone programme.
+
+        min 1/2 |nu' - nu|²_M_B - dt W·nu' + sum_i b_i |v_i(nu')| + sum_i beta_i |w'|             "separate"
+        min 1/2 |nu' - nu|²_M_B - dt W·nu' + sum_i b_i sqrt(|v_i(nu')|² + (c s w')²)               "coupled"
+
+    and the first without its last term, "none". M_B = T^T M T = L L^T; in u = L^T nu' / |L^T nu_free| the first two
+    terms are |u - u_free|² / 2, with u_free of unit length: three unknowns, and one epigraph variable a cone.
+
+    Args:
+        obj: the object.
+        params: mass and friction of its cells.
+        q: (3,) pose X_WB, m and rad.
+        nu: (3,) velocity of B's origin in W, m/s, and yaw rate, rad/s.
+        wrench: (3,) W = force in W, N, and moment about B's origin, N m.
+        dt: time step, s.
+        g: gravity, m/s².
+        spin: "separate", "coupled" or "none".
+
+    Returns:
+        nu' (3,), accurate to 1e-9 of the speed without friction.
+
+    Raises:
+        SimulationError: `spin` is none of the three, or the solver failed.
+    """
+    if spin not in SPIN_MODELS:
+        raise SimulationError(f"spin is {spin!r}; expected one of {', '.join(SPIN_MODELS)}")
+    nu, wrench = np.asarray(nu, dtype=np.float64), np.asarray(wrench, dtype=np.float64)
+    n, s, m = obj.n, obj.cell_size, params.mass
+    T = twist_to_cells(obj, q)
+    M = np.stack([m * s**2 / 6, m, m], axis=1).ravel()
+    L = np.linalg.cholesky(T.T @ (M[:, None] * T))
+    u_free = L.T @ nu + np.linalg.solve(L, dt * wrench)
+    speed = float(np.linalg.norm(u_free))
+    if speed == 0:
+        return np.zeros(3)
+    b = params.friction * m * g * dt / speed
+    rows = (np.linalg.solve(L, T.T).T).reshape(n, 3, 3)
+    scale = np.array([SPIN_ARM * s if spin == "coupled" else 0.0, 1.0, 1.0])
+    cones = list(b[:, None, None] * scale[:, None] * rows)
+    if spin == "separate":
+        cones.append(SPIN_ARM * s * b.sum() * rows[0, :1])
+    u = _minimise_norms(u_free / speed, [cone for cone in cones if np.abs(cone).max() > 0])
+    return np.linalg.solve(L.T, speed * u)
+
+
+def _minimise_norms(u_free: NDArray[np.float64], cones: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Minimises |u - u_free|²/2 + sum_i |A_i u| over u (3,), as  sum t_i  with  (t_i, A_i u) in second-order cones."""
+    k = len(cones)
+    P = diags_array(np.concatenate([np.ones(3), np.zeros(k)]))
+    A = np.zeros((sum(1 + len(A_i) for A_i in cones), 3 + k))
+    row = 0
+    for i, A_i in enumerate(cones):
+        A[row, 3 + i] = -1.0
+        A[row + 1 : row + 1 + len(A_i), :3] = -A_i
+        row += 1 + len(A_i)
+    types = [clarabel.SecondOrderConeT(1 + len(A_i)) for A_i in cones]
+    x, _ = solve_conic(csc_array(P), np.concatenate([-u_free, np.ones(k)]), csc_array(A), types)
+    for zero in ZERO_NORMS:
+        u = _polish(u_free, cones, x[:3], zero)
+        if u is not None and np.abs(u - x[:3]).max() < POLISH_DISTANCE:
+            return u
+    raise SimulationError(f"the cone programme of {k} norms was not solved to the accuracy promised")
+
+
+def _polish(
+    u_free: NDArray[np.float64], cones: list[NDArray[np.float64]], u: NDArray[np.float64], zero: float
+) -> NDArray[np.float64] | None:
+    """Newton's method from u, on the subspace B where the norms that vanish at u do; None where it fails."""
+    vanish = [np.linalg.norm(A_i @ u) <= zero * np.abs(A_i).max() for A_i in cones]
+    held = np.concatenate(
+        [np.zeros((1, 3))] + [A_i / np.abs(A_i).max() for A_i, v in zip(cones, vanish, strict=True) if v]
+    )
+    B = null_space(held, rcond=SUBSPACE_TOLERANCE)
+    moving = [A_i @ B for A_i, v in zip(cones, vanish, strict=True) if not v]
+    y = B.T @ u
+    for _ in range(MAX_NEWTON_STEPS):
+        gradient, hessian = y - B.T @ u_free, np.eye(len(y))
+        for A_i in moving:
+            norm = np.linalg.norm(A_i @ y)
+            if norm == 0:
+                return None
+            e = A_i @ y / norm
+            gradient = gradient + A_i.T @ e
+            hessian = hessian + (A_i.T @ A_i - np.outer(A_i.T @ e, A_i.T @ e)) / norm
+        step = np.linalg.solve(hessian, -gradient)
+        y = y + step
+        if np.abs(step).max(initial=0.0) < NEWTON_TOLERANCE:
+            return B @ y
+    return None

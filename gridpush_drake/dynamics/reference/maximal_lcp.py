@@ -1,0 +1,200 @@
+"""The paper's LCP in maximal coordinates: n cells with three velocities each (Song & Boularias, RSS 2020, Fig. 2).
+
+Given pose, velocities xdot_t, applied force F, masses and frictions, find xdot, lam_e, lam_f, gamma with
+
+    M (xdot - xdot_t) - dt F - J_e^T lam_e - J_f^T lam_f = 0
+    J_e xdot = 0
+    rho = J_f xdot + gamma,      0 <= rho ⟂ lam_f >= 0
+    xi  = bound - lam_f,         0 <= xi  ⟂ gamma >= 0
+
+Frame W throughout. A cell's velocities are ordered [theta_dot, x_dot, y_dot]. This is the reference form: sparse,
+built once a step, and what the condensed step and the closed-form gradient are tested against.
+"""
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import minimum_spanning_tree
+
+from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
+from gridpush_drake.dynamics.kernels.lagged_friction import IMPENDING_AT_REST, SPEED_AT_REST, YAW_RATE_AT_REST
+from gridpush_drake.errors import SimulationError
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+
+STANDARD_GRAVITY = 9.81
+"""m/s²."""
+
+
+@dataclass(frozen=True, eq=False)
+class MaximalLcp:
+    """The data of one step.
+
+    Attributes:
+        M: (3n,) diagonal of the mass matrix, [I_i, m_i, m_i] with I_i = m_i s²/6, kg m² and kg.
+        J_e: (3k, 3n) rigidity of k adjacent pairs: equal yaw rate, equal velocity of the point shared.
+        J_f: (2n, 3n) friction directions, n rows for sliding, then n for spinning.
+        bound: (2n,) greatest friction impulses, b_i = mu_i m_i g dt (N s), then beta_i = c s b_i (N m s).
+        xdot: (3n,) velocities before the step, rad/s and m/s.
+        F: (3n,) applied torque and force on every cell, N m and N.
+        dt: time step, s.
+    """
+
+    M: NDArray[np.float64]
+    J_e: csr_array
+    J_f: csr_array
+    bound: NDArray[np.float64]
+    xdot: NDArray[np.float64]
+    F: NDArray[np.float64]
+    dt: float
+
+    @property
+    def n(self) -> int:
+        """Number of cells."""
+        return len(self.M) // 3
+
+    @property
+    def mass(self) -> NDArray[np.float64]:
+        """(n,) m_i, kg."""
+        return self.M[1::3]
+
+    @property
+    def cell_size(self) -> float:
+        """Side of a cell, s = sqrt(6 I/m), m."""
+        return sqrt(6 * self.M[0] / self.M[1])
+
+
+def make_maximal_lcp(
+    obj: GridObject,
+    params: CellParameters,
+    q: ArrayLike,
+    xdot: ArrayLike,
+    F: ArrayLike,
+    dt: float,
+    g: float = STANDARD_GRAVITY,
+    spanning_tree: bool = True,
+) -> MaximalLcp:
+    """Writes down the LCP of one step.
+
+    Args:
+        obj: the object.
+        params: mass and friction of its cells.
+        q: (3,) pose X_WB, m and rad.
+        xdot: (3n,) velocities of the cells, rad/s and m/s.
+        F: (3n,) torque and force applied to the cells, N m and N.
+        dt: time step, s.
+        g: gravity, m/s².
+        spanning_tree: keep one tree of the adjacent pairs, or all pairs (redundant rows, the same velocities).
+
+    Returns:
+        The LCP.
+
+    Raises:
+        SimulationError: a shape disagrees, a number is not finite, or dt is not positive.
+    """
+    q, xdot, F = (np.array(value, dtype=np.float64) for value in (q, xdot, F))
+    if q.shape != (3,) or xdot.shape != (3 * obj.n,) or F.shape != (3 * obj.n,) or params.n != obj.n:
+        raise SimulationError(
+            f"q {q.shape}, xdot {xdot.shape}, F {F.shape}, parameters of {params.n} cells; expected (3,), "
+            f"({3 * obj.n},), ({3 * obj.n},) and {obj.n}, as {obj.name} has"
+        )
+    if not (np.isfinite(q).all() and np.isfinite(xdot).all() and np.isfinite(F).all() and 0 < dt < np.inf):
+        raise SimulationError(f"dt is {dt!r}; expected a positive number (s), and finite q, xdot and F")
+    s, m = obj.cell_size, params.mass
+    M = np.stack([m * s**2 / 6, m, m], axis=1).ravel()
+    b = params.friction * m * g * dt
+    pairs = _spanning_tree(obj.adjacency, obj.n) if spanning_tree else obj.adjacency
+    return MaximalLcp(
+        M=M,
+        J_e=_rigidity(obj.cells_at(q), pairs),
+        J_f=_friction_directions(twist_to_cells(obj, q), M, xdot, F, dt),
+        bound=np.concatenate([b, SPIN_ARM * s * b]),
+        xdot=xdot,
+        F=F,
+        dt=float(dt),
+    )
+
+
+def twist_to_cells(obj: GridObject, q: ArrayLike) -> NDArray[np.float64]:
+    """T (3n, 3) with xdot = T nu, nu = (vx, vy, w) of B's origin in W: v_i = v + w z × r_i.
+
+    Args:
+        obj: the object.
+        q: (3,) pose X_WB, m and rad.
+
+    Returns:
+        T; r_i is the arm from B's origin to cell i in world axes, m.
+    """
+    q = np.asarray(q, dtype=np.float64)
+    rx, ry = (obj.cells_at(q) - q[:2]).T
+    T = np.zeros((obj.n, 3, 3))
+    T[:, 0, 2] = 1.0
+    T[:, 1, 0], T[:, 1, 2] = 1.0, -ry
+    T[:, 2, 1], T[:, 2, 2] = 1.0, rx
+    return T.reshape(3 * obj.n, 3)
+
+
+def _spanning_tree(pairs: NDArray[np.int64], n: int) -> NDArray[np.int64]:
+    """(n-1, 2) of the (m, 2) pairs, enough to connect all n cells."""
+    i, j = pairs.reshape(-1, 2).T
+    tree = minimum_spanning_tree(csr_array((np.ones(len(i)), (i, j)), shape=(n, n))).tocoo()
+    return np.stack([tree.row, tree.col], axis=1).astype(np.int64)
+
+
+def _rigidity(p_WC: NDArray[np.float64], pairs: NDArray[np.int64]) -> csr_array:
+    """J_e, three rows a pair: w_i = w_j and v_i + w_i z × (P - p_i) = v_j + w_j z × (P - p_j), P the midpoint."""
+    k = len(pairs)
+    i, j = pairs.reshape(-1, 2).T
+    ax, ay = ((p_WC[j] - p_WC[i]) / 2).T
+    one, row = np.ones(k), 3 * np.arange(k)
+    # (row, column, value); P - p_i = a, P - p_j = -a
+    entries = [
+        (row, 3 * i, one), (row, 3 * j, -one),
+        (row + 1, 3 * i + 1, one), (row + 1, 3 * i, -ay), (row + 1, 3 * j + 1, -one), (row + 1, 3 * j, -ay),
+        (row + 2, 3 * i + 2, one), (row + 2, 3 * i, ax), (row + 2, 3 * j + 2, -one), (row + 2, 3 * j, ax),
+    ]  # fmt: skip
+    rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
+    return csr_array(coo_array((values, (rows, columns)), shape=(3 * k, 3 * len(p_WC))))
+
+
+def _friction_directions(
+    T: NDArray[np.float64],
+    M: NDArray[np.float64],
+    xdot: NDArray[np.float64],
+    F: NDArray[np.float64],
+    dt: float,
+) -> csr_array:
+    """J_f: minus each cell's direction of motion, and minus its sense of rotation.
+
+    A cell at rest takes the impending motion's, and that is the rigid body's, T dt M_B^-1 T^T F, and not the
+    cell's own dt F_i/m_i: the cells cannot part, so the cell that is pushed sets all of them in motion, and with
+    its own direction a cell that nobody pushes would carry no friction at all. Where that is zero too (no force,
+    or the cell is the instantaneous centre) nothing is known of the direction and the row is zero: no friction.
+    """
+    n = len(M) // 3
+    M_B = T.T @ (M[:, None] * T)
+    impending = (dt * T @ np.linalg.solve(M_B, T.T @ F)).reshape(n, 3)
+    w, v = _split(xdot.reshape(n, 3), SPEED_AT_REST, YAW_RATE_AT_REST)
+    fastest = np.linalg.norm(impending[:, 1:], axis=1).max()
+    s = sqrt(6 * M[0] / M[1])
+    slow = IMPENDING_AT_REST * max(fastest, s * abs(impending[0, 0]))
+    w_impending, v_impending = _split(impending, slow, slow / s)
+    w = np.where(w == 0, w_impending, w)
+    v = np.where((v == 0).all(axis=1, keepdims=True), v_impending, v)
+    cell = np.arange(n)
+    rows = np.concatenate([cell, cell, n + cell])
+    columns = np.concatenate([3 * cell + 1, 3 * cell + 2, 3 * cell])
+    J_f = csr_array(coo_array((-np.concatenate([v[:, 0], v[:, 1], w]), (rows, columns)), shape=(2 * n, 3 * n)))
+    J_f.eliminate_zeros()
+    return J_f
+
+
+def _split(xdot: NDArray[np.float64], slow: float, slow_yaw: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Sense of rotation (n,) and unit direction (n, 2) of velocities (n, 3); zero where slower than the tolerances."""
+    w, v = xdot[:, 0], xdot[:, 1:]
+    speed = np.linalg.norm(v, axis=1, keepdims=True)
+    moves = speed > slow
+    return np.where(np.abs(w) > slow_yaw, np.sign(w), 0.0), np.where(moves, v / np.where(moves, speed, 1.0), 0.0)

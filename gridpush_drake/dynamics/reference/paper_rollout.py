@@ -1,0 +1,166 @@
+"""The paper's closed-form gradient, along a simulated push: each step by itself.
+
+It is what Song & Boularias descend on (RSS 2020, section V): the pose and velocity before the step, the applied and the
+contact forces and the friction directions are held constant, and only the step's own impulses are differentiated. It
+is NOT the derivative of the motion: what a parameter changed in earlier steps, and how the contact answers, is missing.
+That derivative is `gradients=True`. Here it costs half of the simulation itself.
+
+With nu, nu' the twists before and after the step, of the body as the step sees it (`rollout`),
+
+    dnu'/dm_i  = -M_B^-1 [T_i^T diag(s²/6, 1, 1) T_i (nu' - nu) + mu_i g dt f_i]
+    dnu'/dmu_i = -M_B^-1 m_i g dt f_i,      dq_{t+1} = dt dnu'
+
+and f_i the direction of cell i's motion before the step, or after it where the cell was at rest (impending motion); a
+motion that the step reversed has no friction. A body that the step brings to rest has no derivative, and where separate
+spin friction holds its rotation, M_B^-1 gives way to its projection on translations. `paper_gradient` derives all this.
+"""
+
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridpush_drake.dynamics.kernels.call import Method
+from gridpush_drake.dynamics.kernels.compiled import kernel
+from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
+from gridpush_drake.dynamics.kernels.inputs import Steps
+from gridpush_drake.dynamics.kernels.lagged_friction import SPEED_AT_REST, YAW_RATE_AT_REST
+from gridpush_drake.dynamics.motion import Jacobian
+from gridpush_drake.grid.object import GridObject
+from gridpush_drake.grid.parameters import CellParameters
+
+Array = NDArray[np.float64]
+
+REST = 1e-5
+"""m/s; a step that leaves less has stopped the body: far above the stiction tolerance, far below any push."""
+
+
+def calc_paper_jacobian(
+    obj: GridObject,
+    params: CellParameters,
+    steps: Steps,
+    dts: Array,
+    rows: NDArray[np.int64],
+    gravity: float,
+    method: Method,
+) -> Jacobian:
+    """Differentiates each recorded pose by the step that led to it.
+
+    Args:
+        obj: the object.
+        params: mass and friction of its cells.
+        steps: the kernel's record.
+        dts: (T,) s.
+        rows: (R,) the poses wanted; that of pose 0, which no step led to, is zero.
+        gravity: m/s².
+        method: how the steps were taken; inertial.
+
+    Returns:
+        The blocks `mass` and `friction`; the others are zero.
+    """
+    t = np.maximum(rows - 1, 0)
+    dt, arm = dts[t], SPIN_ARM * obj.cell_size
+    before, turn = _twists_before(obj, params, steps, t, method.ahead * dt)
+    after = steps.twists[t]
+    turns = obj.radius_of_gyration * np.abs(after[:, 2]) > REST
+    moves = turns | (np.hypot(after[:, 0], after[:, 1]) > REST)
+    until = np.where((rows > 0) & moves, dt, 0.0)
+    X_B = np.linalg.inv(_calc_inertia(obj, params))
+    held = X_B - np.outer(X_B[:, 2], X_B[2]) / X_B[2, 2]
+    sticks = ~turns & (method.spin == "separate")
+    response = -until[:, None, None] * _rotations(turn) @ np.where(sticks[:, None, None], held, X_B)
+    mass, friction = np.empty((len(rows), 3, obj.n)), np.empty((len(rows), 3, obj.n))
+    fill_paper_gradient(
+        np.array(obj.p_BC.T, order="C"), np.array(params.mass), np.array(params.friction), obj.cell_size**2 / 6,
+        arm**2 if method.spin == "coupled" else 0.0, arm if method.spin == "separate" else 0.0, before, after,
+        gravity * dt, response, mass, friction,
+    )  # fmt: skip
+    zeros = np.zeros((len(rows), 3))
+    return Jacobian(
+        steps=rows, mass=mass, friction=friction, contact_friction=zeros, start=np.zeros((len(rows), 3, 2)),
+        direction=zeros, length=zeros, pose=np.zeros((len(rows), 3, 3)),
+    )  # fmt: skip
+
+
+@kernel()
+def fill_paper_gradient(
+    cells: Array, mass: Array, friction: Array, inertia: float, kappa2: float, spin_arm: float, before: Array,
+    after: Array, impulse: Array, response: Array, dm: Array, dmu: Array,
+) -> None:  # fmt: skip
+    """Fills in the derivatives of R steps.
+
+    Args:
+        cells: (2, n) cell centres p_BC, m.
+        mass, friction: (n,) m_i, kg, and mu_i.
+        inertia: of a cell about its centre over its mass, m².
+        kappa2, spin_arm: the spin model: kappa² (m²) of the coupled one, c s (m) of the separate one; else zero.
+        before, after: (R, 3) twists, in the frames of the steps.
+        impulse: (R,) g dt, N s/kg.
+        response: (R, 3, 3) from an impulse in that frame to the pose's displacement in W.
+        dm, dmu: (R, 3, n) filled, by m_i and mu_i.
+    """
+    px, py = cells[0], cells[1]
+    n = px.shape[0]
+    row_m, row_mu = np.empty((3, n)), np.empty((3, n))
+    for r in range(before.shape[0]):
+        ux, uy, w = before[r, 0], before[r, 1], before[r, 2]
+        ux1, uy1, w1 = after[r, 0], after[r, 1], after[r, 2]
+        dx, dy, dw = ux1 - ux, uy1 - uy, w1 - w
+        w_own = w if abs(w) > YAW_RATE_AT_REST else w1
+        spins = abs(w_own) > YAW_RATE_AT_REST and w_own * w1 > 0.0
+        spin = spin_arm * np.sign(w_own) if spins else 0.0
+        for i in range(n):
+            x, y = px[i], py[i]
+            vx, vy, wi = ux - w * y, uy + w * x, w
+            vx1, vy1 = ux1 - w1 * y, uy1 + w1 * x
+            size = sqrt(vx * vx + vy * vy + kappa2 * wi * wi)
+            if size <= SPEED_AT_REST:
+                vx, vy, wi = vx1, vy1, w1
+                size = sqrt(vx * vx + vy * vy + kappa2 * wi * wi)
+            slides = size > SPEED_AT_REST and vx * vx1 + vy * vy1 + kappa2 * wi * w1 > 0.0
+            inverse = impulse[r] / size if slides else 0.0
+            fx, fy = vx * inverse, vy * inverse
+            fw = x * fy - y * fx + kappa2 * wi * inverse + spin * impulse[r]
+            momentum_x, momentum_y = dx - dw * y, dy + dw * x
+            row_mu[0, i], row_mu[1, i], row_mu[2, i] = mass[i] * fx, mass[i] * fy, mass[i] * fw
+            row_m[0, i] = momentum_x + friction[i] * fx
+            row_m[1, i] = momentum_y + friction[i] * fy
+            row_m[2, i] = x * momentum_y - y * momentum_x + inertia * dw + friction[i] * fw
+        for j in range(3):
+            a, b, c = response[r, j, 0], response[r, j, 1], response[r, j, 2]
+            for i in range(n):
+                dm[r, j, i] = a * row_m[0, i] + b * row_m[1, i] + c * row_m[2, i]
+                dmu[r, j, i] = a * row_mu[0, i] + b * row_mu[1, i] + c * row_mu[2, i]
+
+
+def _twists_before(
+    obj: GridObject, params: CellParameters, steps: Steps, t: NDArray[np.int64], until: Array
+) -> tuple[Array, Array]:
+    """(R, 3) the twists before the steps t, in their frames, and (R,) the frames' angles in W, rad.
+
+    The frame is the body's, turned about its centre of mass for the time `until` (s) at the yaw rate before the step.
+    """
+    cx, cy = params.centre_of_mass(obj)
+    theta, w = steps.poses[t, 2], steps.velocities[t, 2]
+    turn = theta + until * w
+    c, s = np.cos(theta), np.sin(theta)
+    com_vx, com_vy = steps.velocities[t, 0] - w * (s * cx + c * cy), steps.velocities[t, 1] + w * (c * cx - s * cy)
+    c, s = np.cos(turn), np.sin(turn)
+    return np.stack([c * com_vx + s * com_vy + w * cy, -s * com_vx + c * com_vy - w * cx, w], axis=1), turn
+
+
+def _calc_inertia(obj: GridObject, params: CellParameters) -> Array:
+    """M_B (3, 3) about B's origin, body frame: kg, kg m, kg m²."""
+    m, (cx, cy) = params.total_mass, params.centre_of_mass(obj)
+    about_origin = params.inertia(obj) + m * (cx**2 + cy**2)
+    return np.array([[m, 0.0, -m * cy], [0.0, m, m * cx], [-m * cy, m * cx, about_origin]])
+
+
+def _rotations(angles: Array) -> Array:
+    """(R, 3, 3) from the body's axes to those of W, for twists."""
+    R = np.zeros((len(angles), 3, 3))
+    R[:, 0, 0] = R[:, 1, 1] = np.cos(angles)
+    R[:, 1, 0] = np.sin(angles)
+    R[:, 0, 1] = -R[:, 1, 0]
+    R[:, 2, 2] = 1.0
+    return R
