@@ -10,12 +10,11 @@ if TYPE_CHECKING:
     from gridpush_drake.dynamics.push import ForcePush, Push
     from gridpush_drake.dynamics.simulate import simulate, simulate_batch
     from gridpush_drake.errors import GridPushError
-    from gridpush_drake.grid.object import GridObject
-    from gridpush_drake.grid.parameters import CellParameters
-    from gridpush_drake.grid.prior import PhysicalPrior
     from gridpush_drake.identification.identify import identify
     from gridpush_drake.identification.result import Identification
-    from gridpush_drake.pushes.log import PushLog
+    from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+    from gridpush_drake.objects.parameters import CellParameters
+    from gridpush_drake.pushes.push_log import PushLog
 
     __version__: str
 
@@ -34,14 +33,14 @@ __all__ = [
 ]
 
 _HOMES = {
-    "CellParameters": "grid.parameters",
+    "CellParameters": "objects.parameters",
     "ForcePush": "dynamics.push",
-    "GridObject": "grid.object",
+    "GridObject": "objects.grid_object",
     "GridPushError": "errors",
     "Identification": "identification.result",
-    "PhysicalPrior": "grid.prior",
+    "PhysicalPrior": "objects.grid_object",
     "Push": "dynamics.push",
-    "PushLog": "pushes.log",
+    "PushLog": "pushes.push_log",
     "identify": "identification.identify",
     "simulate": "dynamics.simulate",
     "simulate_batch": "dynamics.simulate",

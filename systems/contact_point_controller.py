@@ -1,4 +1,6 @@
-"""Pushing an object to a goal pose, push by push, as a Drake system.
+"""What a contact-point controller remembers, and the numbers by which it goes about it.
+
+Pushing an object to a goal pose, push by push, as a Drake system.
 
     waiting ---- at rest, and seen ----> pushing ----> waiting      a push, then a new look
        |
@@ -9,31 +11,93 @@ how to push, by what was learned so far. So an object that slipped, or was moved
 lies.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from math import cos, nan, sin
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.framework import Context
 
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.result import Identification
-from gridpush_drake.planning.planned_push import PlannedPush, calc_goal_error
-from gridpush_drake.planning.push_decision import GoalRules, PushDecision, decide_push, forbid
-from gridpush_drake.planning.push_plan import REACHED, REASONS, TOO_MANY_PUSHES
-from gridpush_drake.pushes.log import PushLog
-from gridpush_drake.systems import contact_point_status as modes
-from gridpush_drake.systems.contact_point_state import ControllerOptions, ControllerState
-from gridpush_drake.systems.contact_point_status import ContactPointStatus
+from gridpush_drake.multibody.weak_calc import NO_SLOTS
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
+from gridpush_drake.planning.goal.cost_to_go import CostToGo
+from gridpush_drake.planning.goal.push_plan import REACHED, REASONS, TOO_MANY_PUSHES
+from gridpush_drake.planning.goal.push_to_goal import GoalRules, PushDecision, decide_push, forbid
+from gridpush_drake.pushes.pose_filter import Pose, PoseFilter, PoseFilterOptions
+from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.systems.messages import (
+    PUSH_COMMAND_SIZE,
+    ContactPointMode,
+    ContactPointStatus,
+    PushCommand,
+    PushStatus,
+)
 from gridpush_drake.systems.object_controller import ObjectController
-from gridpush_drake.systems.push_command import PUSH_COMMAND_SIZE, PushCommand
-from gridpush_drake.systems.push_status import PushStatus
-from gridpush_drake.systems.rest_looks import Pose
-from gridpush_drake.systems.weak_calc import NO_SLOTS
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ControllerOptions(PoseFilterOptions):
+    """How the controller goes about it.
+
+    Attributes:
+        max_refusals: pushes in a row that the executor refuses before it is given up.
+        apart: pushes that begin nearer to a refused one than this, m,
+        turned: in a direction less different than this, rad, are like it, and not tried.
+        moved: mean cell distance by which somebody must have moved an object for a new attempt after the end, m.
+    """
+
+    max_refusals: int = 10
+    apart: float = 0.01
+    turned: float = 0.2
+    moved: float = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class ControllerState:
+    """All that the controller remembers; never changed, only replaced.
+
+    Attributes:
+        status: as on the port.
+        goal: that is pushed to; None before the first.
+        command: on the port.
+        issued: the greatest number of a command so far.
+        executed: of the executor when the goal was given, or the last command issued.
+        looks: what was seen since everything came to rest.
+        decided_at: where the object lay at the last decision.
+        way: to the goal.
+        refused: pushes that were refused since the last one that was not, (4,) each, see `push_decision.forbid`.
+        logged: pushes in the log when the last command was issued.
+    """
+
+    status: ContactPointStatus = field(default_factory=ContactPointStatus)
+    goal: Pose | None = None
+    command: PushCommand = field(default_factory=PushCommand)
+    issued: int = 0
+    executed: int = 0
+    looks: PoseFilter = field(default_factory=PoseFilter)
+    decided_at: Array | None = None
+    way: CostToGo | None = None
+    refused: tuple[Array, ...] = ()
+    logged: int = 0
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "ControllerState":
+        """Itself: Drake copies the state at every update, and nothing in it is ever changed."""
+        return self
+
+    def turn_to(self, mode: ContactPointMode, reason: str, cause: str = "", **others: Any) -> "ControllerState":
+        """In another mode, with nothing seen yet, and no push under way."""
+        none = {"expected_pose": None, "expected_error": nan}
+        status = replace(self.status, mode=mode, reason=reason, cause=cause, **{**none, **others})
+        return replace(self, status=status, looks=self.looks.forget())
+
+
 REFUSED, ERROR = "refused", "error"
 """Causes of a failure that planning does not know of."""
 
@@ -99,7 +163,7 @@ class ContactPointController(ObjectController[ControllerState]):
         pose, time = self._object_pose.Eval(context), context.get_time()
         if not executor.ready or now.command.number not in (0, executor.number):
             return self._wait_for_robot(now, executor, pose, time)
-        if now.status.mode == modes.PUSHING:
+        if now.status.mode == ContactPointMode.PUSHING:
             now = self._end_push(now, executor, self._read_log(context))
         now = self._take_goal(now, tuple(self._goal_pose.Eval(context).tolist()), executor)
         if now.goal is None:
@@ -121,7 +185,9 @@ class ContactPointController(ObjectController[ControllerState]):
         now = replace(now, looks=now.looks.wait(time, pose))
         if not np.isfinite(pose).all() and executor.ready:
             # it was not taken up, and when the object is seen again it may lie elsewhere
-            return replace(now, command=PushCommand(executor.number)).turn_to(modes.WAITING, "The object is not seen.")
+            return replace(now, command=PushCommand(executor.number)).turn_to(
+                ContactPointMode.WAITING, "The object is not seen."
+            )
         return now
 
     def _end_push(self, now: ControllerState, executor: PushStatus, log: PushLog) -> ControllerState:
@@ -133,15 +199,17 @@ class ContactPointController(ObjectController[ControllerState]):
                 off = float(calc_goal_error(self.obj, log[-1].final_pose, status.expected_pose))
             now = replace(now, refused=(), executed=executor.executed)
             return now.turn_to(
-                modes.WAITING, "A push was made.", pushes=status.pushes + 1, refused=0, prediction_error=off
+                ContactPointMode.WAITING, "A push was made.", pushes=status.pushes + 1, refused=0, prediction_error=off
             )
         direction = now.command.direction
         refused = (*now.refused, np.array([*now.command.start, cos(direction), sin(direction)]))
         now = replace(now, refused=refused)
-        if len(refused) < self.options.most_refusals:
-            return now.turn_to(modes.WAITING, f"A push was refused: {executor.reason}.", refused=len(refused))
+        if len(refused) < self.options.max_refusals:
+            return now.turn_to(
+                ContactPointMode.WAITING, f"A push was refused: {executor.reason}.", refused=len(refused)
+            )
         reason = f"The last {len(refused)} pushes were refused; the last one because {executor.reason}."
-        return now.turn_to(modes.FAILED, reason, REFUSED, refused=len(refused))
+        return now.turn_to(ContactPointMode.FAILED, reason, REFUSED, refused=len(refused))
 
     def _take_goal(self, now: ControllerState, goal: Pose, executor: PushStatus) -> ControllerState:
         """Begins anew where another goal is given."""
@@ -152,37 +220,37 @@ class ContactPointController(ObjectController[ControllerState]):
         begun = ControllerState(
             goal=wanted, command=now.command, issued=now.issued, executed=executor.executed, looks=now.looks
         )
-        return begun.turn_to(modes.WAITING, reason)
+        return begun.turn_to(ContactPointMode.WAITING, reason)
 
     def _look(self, now: ControllerState, time: float, pose: Array) -> ControllerState:
         """Takes in what is seen of the object at rest."""
-        looks, lost = now.looks.take_in(time, pose, self.options), now.status.mode == modes.LOST
+        looks, lost = now.looks.take_in(time, pose, self.options), now.status.mode == ContactPointMode.LOST
         if not lost and looks.is_overdue(time, self.options):
-            return now.turn_to(modes.LOST, f"The object has not been seen for {self.options.patience:g} s.")
+            return now.turn_to(ContactPointMode.LOST, f"The object has not been seen for {self.options.timeout:g} s.")
         if lost and len(looks):
-            now = now.turn_to(modes.WAITING, "The object is seen again.")
+            now = now.turn_to(ContactPointMode.WAITING, "The object is seen again.")
         return now if looks is now.looks else replace(now, looks=looks)
 
     def _decide(
         self, now: ControllerState, executor: PushStatus, found: Identification | None, log: PushLog
     ) -> ControllerState:
         pose, goal = now.looks.calc_mean(), np.array(now.goal)
-        if now.status.mode in (modes.REACHED, modes.FAILED):
+        if now.status.mode in (ContactPointMode.REACHED, ContactPointMode.FAILED):
             since = np.inf if now.decided_at is None else calc_goal_error(self.obj, pose, now.decided_at)
             if since < self.options.moved or now.status.cause == TOO_MANY_PUSHES:
                 return now
-            now = replace(now, refused=()).turn_to(modes.WAITING, "Somebody moved the object.", refused=0)
+            now = replace(now, refused=()).turn_to(ContactPointMode.WAITING, "Somebody moved the object.", refused=0)
         now = replace(now, decided_at=pose)
         params = self._params if found is None else found.params
         rules = forbid(self.rules, now.refused, self.options.apart, self.options.turned)
         try:
             decision = decide_push(self.obj, pose, goal, now.status.pushes, params, found, rules, now.way)
         except GridPushError as error:
-            return now.turn_to(modes.FAILED, f"No push could be planned: {error}.", ERROR)
+            return now.turn_to(ContactPointMode.FAILED, f"No push could be planned: {error}.", ERROR)
         now = replace(now, way=decision.way)
         if decision.chosen is not None and decision.chosen.push is not None:
             return self._command(now, executor, decision, decision.chosen.push, len(log))
-        mode = modes.REACHED if decision.status == REACHED else modes.FAILED
+        mode = ContactPointMode.REACHED if decision.status == REACHED else ContactPointMode.FAILED
         cause = str(decision.status)
         return now.turn_to(mode, REASONS[cause], cause, error=decision.error)
 
@@ -193,7 +261,7 @@ class ContactPointController(ObjectController[ControllerState]):
         x, y, theta = planned.pose.tolist()
         expected = float(calc_goal_error(self.obj, planned.pose, np.array(now.goal)))
         now = now.turn_to(
-            modes.PUSHING, f"Push {now.status.pushes + 1} is under way.", error=decision.error,
+            ContactPointMode.PUSHING, f"Push {now.status.pushes + 1} is under way.", error=decision.error,
             expected_pose=(x, y, theta), expected_error=expected,
         )  # fmt: skip
         return replace(now, command=command, issued=command.number, executed=executor.executed, logged=logged)

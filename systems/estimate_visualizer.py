@@ -1,6 +1,12 @@
-"""`EstimateVisualizer`: what is believed of an object, drawn over it in Meshcat while it is learned."""
+"""What an `EstimateVisualizer` has drawn, as part of its Context, and how that comes into Meshcat.
 
-from dataclasses import replace
+Each new estimate and each new push is drawn at a path with a number of its own (see `meshcat_drawing`), once: what is
+there already is not sent again.
+
+`EstimateVisualizer`: what is believed of an object, drawn over it in Meshcat while it is learned.
+"""
+
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,27 +19,151 @@ from pydrake.systems.framework import Context, EventStatus, InputPort, LeafSyste
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import Regime, simulate
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.pushes.log import DEFAULT_PUSHER_RADIUS
-from gridpush_drake.systems.cell_colors import CellColors, Shown
-from gridpush_drake.systems.estimate_drawing import EMPTY, NOTHING, Canvas, Drawing
-from gridpush_drake.systems.push_command import PUSH_COMMAND_SIZE, PushCommand
-from gridpush_drake.systems.weak_calc import NO_SLOTS
+from gridpush_drake.multibody.cell_colors import CellColors, Shown
+from gridpush_drake.multibody.meshcat_shapes import (
+    LAYER,
+    AddArrow,
+    AddCells,
+    AddCenter,
+    AddGhost,
+    ApplyTurn,
+    MakePlanarTransform,
+)
+from gridpush_drake.multibody.weak_calc import NO_SLOTS
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
+from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, PushCommand
 
 Array = NDArray[np.float64]
+
+SIGMAS = 2.0
+"""Half axes of the ellipse about the center of mass, in standard deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drawing:
+    """What is to be seen, apart from the object's pose.
+
+    Attributes:
+        estimate: counts the estimates drawn, from 1; 0 stands for none.
+        mass: (n,) of the present one, kg.
+        friction: (n,) likewise.
+        center: (2,) its center of mass, body frame, m; empty where there is none.
+        covariance: (4,) of the center, row by row, m².
+        push: counts the pushes drawn, from 1; 0 stands for none.
+        command: the present one.
+        predicted: (3,) the pose (x, y, theta) in which it is expected to leave the object, m and rad; empty where the
+            push cannot be simulated.
+    """
+
+    estimate: int
+    mass: Array
+    friction: Array
+    center: Array
+    covariance: Array
+    push: int
+    command: PushCommand
+    predicted: Array
+
+    def has_estimate(self, mass: Array, friction: Array, center: Array, covariance: Array) -> bool:
+        """Whether an estimate is the one that is drawn."""
+        pairs = ((self.mass, mass), (self.friction, friction), (self.center, center), (self.covariance, covariance))
+        return all(np.array_equal(drawn, present, equal_nan=True) for drawn, present in pairs)
+
+
+EMPTY = np.empty(0)
+
+NOTHING = Drawing(0, EMPTY, EMPTY, EMPTY, EMPTY, 0, PushCommand(), EMPTY)
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """Where and how an object's estimate is drawn.
+
+    Attributes:
+        obj: the object.
+        meshcat: the scene.
+        path: below which everything is drawn.
+        height: of the object, m.
+        lift: of everything above the table, m.
+        colors: of the cells.
+        period: between two updates of the scene, s.
+    """
+
+    obj: GridObject
+    meshcat: Meshcat
+    path: str
+    height: float
+    lift: float
+    colors: CellColors
+    period: float
+
+    def Send(self, drawing: Drawing, pose: Array, time: float, X_WB: RigidTransform | None = None) -> None:
+        """Brings the scene up to date.
+
+        Args:
+            drawing: what is to be seen.
+            pose: (3,) of the object, x, y, theta, m and rad; with NaN where it is not seen, and stays where it was.
+            time: of the Context, s; what is recorded, is recorded for this time.
+            X_WB: of the object where it is known to be, lifted or tipped, instead of `pose`.
+        """
+        moment = max(time, self.meshcat.get_mutable_recording().start_time())  # an earlier one would end the process
+        self._SendEstimate(drawing, moment)
+        self._SendPush(drawing, moment)
+        if X_WB is not None:
+            raised: Any = np.array([0.0, 0.0, self.lift])
+            self.meshcat.SetTransform(f"{self.path}/object", RigidTransform(raised) @ X_WB, moment)
+        elif np.isfinite(pose).all():
+            self.meshcat.SetTransform(f"{self.path}/object", MakePlanarTransform(pose, self.lift), moment)
+
+    def Wipe(self) -> None:
+        """Deletes all that was drawn."""
+        self.meshcat.Delete(self.path)
+
+    def _SendEstimate(self, drawing: Drawing, time: float) -> None:
+        path = f"{self.path}/object/{drawing.estimate}"
+        if not drawing.estimate or self.meshcat.HasPath(path):
+            return
+        colors = self.colors.calc_colors(drawing.mass, drawing.friction)
+        AddCells(self.meshcat, f"{path}/cells", self.obj, colors, self.height)
+        if len(drawing.center):
+            covariance = drawing.covariance if len(drawing.covariance) else np.zeros(4)
+            top = self.height + LAYER
+            AddCenter(self.meshcat, f"{path}/center", drawing.center, covariance.reshape(2, 2), top, SIGMAS)
+        self._Turn("object", drawing.estimate, time)
+
+    def _SendPush(self, drawing: Drawing, time: float) -> None:
+        path = f"{self.path}/push/{drawing.push}"
+        if not drawing.push or self.meshcat.HasPath(path):
+            return
+        self.meshcat.SetTransform(path, MakePlanarTransform((0.0, 0.0, 0.0), self.lift))
+        command = drawing.command
+        if command.number and command.distance > 0:
+            above = self.height + 4 * LAYER
+            AddArrow(self.meshcat, f"{path}/arrow", command.start, command.end, above)
+        if len(drawing.predicted):
+            AddGhost(self.meshcat, f"{path}/ghost", self.obj, self.height)
+            self.meshcat.SetTransform(f"{path}/ghost", MakePlanarTransform(drawing.predicted))
+        self._Turn("push", drawing.push, time)
+
+    def _Turn(self, group: str, count: int, time: float) -> None:
+        """Shows a group's newest drawing instead of the one before it."""
+        before = f"{self.path}/{group}/{count - 1}" if count > 1 else None
+        ApplyTurn(self.meshcat, f"{self.path}/{group}/{count}", before, time, self.period)
+
 
 PUBLISH_PERIOD = 1 / 30
 """s."""
 
 
 class EstimateVisualizer(LeafSystem):
-    """Colours an object's cells by their estimate, live and in a recording, and shows what the next push will do.
+    """Colors an object's cells by their estimate, live and in a recording, and shows what the next push will do.
 
-    Drawn are the cells in the colours of their mass or friction; the estimated centre of mass, with the ellipse of
+    Drawn are the cells in the colors of their mass or friction; the estimated center of mass, with the ellipse of
     `estimate_drawing.SIGMAS` standard deviations about it; the commanded push as an arrow; and, as a translucent ghost,
     the pose that the estimate at the time of the command predicts for its end. Everything is below `path`: the cells
-    and the centre at `path`/object/<count of estimates>, arrow and ghost at `path`/push/<count of pushes>.
+    and the center at `path`/object/<count of estimates>, arrow and ghost at `path`/push/<count of pushes>.
 
     .. pydrake_system::
 
@@ -43,8 +173,8 @@ class EstimateVisualizer(LeafSystem):
       - mass
       - friction
       - contact_friction
-      - centre_of_mass
-      - centre_of_mass_covariance
+      - center_of_mass
+      - center_of_mass_covariance
       - push_command
       - body_poses
 
@@ -52,13 +182,13 @@ class EstimateVisualizer(LeafSystem):
     - mass: vector (n), the cells' estimated masses, kg.
     - friction: vector (n), the cells' estimated friction coefficients.
     - contact_friction: vector (1), the finger's estimated friction coefficient; need not be connected.
-    - centre_of_mass: vector (2), in B, m; need not be connected.
-    - centre_of_mass_covariance: vector (4), row by row, m²; need not be connected.
+    - center_of_mass: vector (2), in B, m; need not be connected.
+    - center_of_mass_covariance: vector (4), row by row, m²; need not be connected.
     - push_command: vector (6), see `PushCommand`; need not be connected.
     - body_poses: abstract `list[RigidTransform]`, as a MultibodyPlant gives it; need not be connected. Where it is, and
       `body` is given, the object is drawn where that body is, lifted and tipped as it may be.
 
-    Initialising a Simulator wipes what is below `path` and begins anew.
+    Initializing a Simulator wipes what is below `path` and begins anew.
     """
 
     __slots__ = NO_SLOTS
@@ -85,8 +215,8 @@ class EstimateVisualizer(LeafSystem):
             meshcat: where to draw.
             height: of the object, m.
             path: in Meshcat, below which everything is drawn.
-            shows: which of the cells' values gives their colour, see `CellColors`.
-            limits: of the colour scale, see `CellColors`.
+            shows: which of the cells' values gives their color, see `CellColors`.
+            limits: of the color scale, see `CellColors`.
             period: between two updates of the scene, s.
             pusher_radius: of the finger's tip, m; by default the object's file's, or DEFAULT_PUSHER_RADIUS.
             regime: of the prediction, see `simulate`.
@@ -105,8 +235,8 @@ class EstimateVisualizer(LeafSystem):
         self._mass = self.DeclareVectorInputPort("mass", obj.n)
         self._friction = self.DeclareVectorInputPort("friction", obj.n)
         self._contact_friction = self.DeclareVectorInputPort("contact_friction", 1)
-        self._centre = self.DeclareVectorInputPort("centre_of_mass", 2)
-        self._covariance = self.DeclareVectorInputPort("centre_of_mass_covariance", 4)
+        self._center = self.DeclareVectorInputPort("center_of_mass", 2)
+        self._covariance = self.DeclareVectorInputPort("center_of_mass_covariance", 4)
         self._command = self.DeclareVectorInputPort("push_command", PUSH_COMMAND_SIZE)
         self._body = body
         self._body_poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
@@ -135,7 +265,7 @@ class EstimateVisualizer(LeafSystem):
         return self._Publish(context)
 
     def _PublishNow(self, context: Context) -> EventStatus:
-        """Draws the inputs as they are where no Simulator was initialised, and as a periodic event otherwise."""
+        """Draws the inputs as they are where no Simulator was initialized, and as a periodic event otherwise."""
         drawing = self._Load(context)
         if not drawing.estimate:
             self._canvas.Wipe()
@@ -158,11 +288,11 @@ class EstimateVisualizer(LeafSystem):
     def _CalcDrawing(self, context: Context, drawn: Drawing) -> Drawing:
         """What the inputs ask for; `drawn` itself where that is drawn already."""
         mass, friction = self._Eval(self._mass, context), self._Eval(self._friction, context)
-        centre, covariance = self._Eval(self._centre, context), self._Eval(self._covariance, context)
+        center, covariance = self._Eval(self._center, context), self._Eval(self._covariance, context)
         present = drawn
-        if not drawn.estimate or not drawn.has_estimate(mass, friction, centre, covariance):
+        if not drawn.estimate or not drawn.has_estimate(mass, friction, center, covariance):
             present = replace(
-                drawn, estimate=drawn.estimate + 1, mass=mass, friction=friction, centre=centre, covariance=covariance
+                drawn, estimate=drawn.estimate + 1, mass=mass, friction=friction, center=center, covariance=covariance
             )
         vector = self._Eval(self._command, context)
         command = PushCommand.from_vector(vector) if len(vector) else PushCommand()

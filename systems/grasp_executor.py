@@ -1,7 +1,17 @@
-"""`GraspExecutor`: from a grasp command to the tool's desired pose and the gripper's opening."""
+"""The way of the tool in a grasp from beyond the table's edge, and back.
+
+Up from the pushing finger's rest, over to above the standoff while the tool turns, down beyond the edge, in, close, up.
+
+The gripper's grasp frame G is fixed to the tip's frame P. The fingers point along P's x axis, which is W's -x at yaw 0:
+
+    yaw = approach - pi,   p_WP = p_WG - R_WP(yaw) p_PG
+
+`GraspExecutor`: from a grasp command to the tool's desired pose and the gripper's opening.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from math import pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,33 +19,200 @@ from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context
 
-from gridpush_drake.systems import grasp_status
-from gridpush_drake.systems.grasp_command import GRASP_COMMAND_SIZE, GraspCommand
-from gridpush_drake.systems.grasp_status import HELD, MISSED, REFUSED, SLIPPED, GraspOutcome, GraspStatus
-from gridpush_drake.systems.grasp_way import (
-    GraspingStyle,
-    calc_yaws,
-    make_grasp_legs,
-    make_homing_legs,
-    make_retreat_legs,
+from gridpush_drake.multibody.tool_motion import (
+    ToolPose,
+    ToolTrajectorySegment,
+    calc_tool_pose,
+    calc_tool_rotation,
+    make_transform,
 )
-from gridpush_drake.systems.push_executor import HURRIES, NOT_FINITE, UNREADABLE
-from gridpush_drake.systems.push_status import PushStatus
-from gridpush_drake.systems.replaced_state import ReplacedStateSystem
-from gridpush_drake.systems.tool_motion import ToolLeg, ToolPose, calc_tool_pose, make_transform
-from gridpush_drake.systems.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.systems.messages import (
+    GRASP_COMMAND_SIZE,
+    GraspCommand,
+    GraspOutcome,
+    GraspPhase,
+    GraspStatus,
+    PushStatus,
+)
+from gridpush_drake.systems.object_controller import AbstractStateSystem
+from gridpush_drake.systems.push_executor import NOT_FINITE, SPEED_SCALES, UNREADABLE
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GraspTrajectoryOptions:
+    """How grasps are carried out.
+
+    Attributes:
+        p_PG: (3,) from the tip's center to the grasp point, in the tip's frame P, m.
+        travel_height: of the tip's center while it passes over the object, m.
+        standoff: from where the gripper comes down to where it closes, m.
+        travel_speed: m/s.
+        vertical_speed: of coming down and going up beyond the edge, m/s.
+        entering_speed: of going in and out, m/s.
+        lifting_speed: m/s.
+        travel_acceleration: m/s².
+        careful_acceleration: of going in and lifting, m/s².
+        force: of the gripper, N.
+        opening: of the gripper but when it grasps, m.
+        closing_speed: change of the opening asked for until the pads would meet, m/s.
+        squeeze: opening asked for afterwards, m; negative, for the controller's spring to ask for the whole force.
+        squeeze_time: over which, s.
+        settle_time: with the whole force before the opening is looked at, s.
+        opening_time: of letting go, s.
+        hold_time: how long the object is held up before it counts as held, s.
+        min_width: of what is between the pads where something is, m.
+        max_slip: the least that the opening falls by where the object is being lost, m.
+        max_lift: that is not refused, m.
+        period: of the state's update, s.
+    """
+
+    p_PG: tuple[float, float, float] = (0.169383, 0.0, -0.235)
+    travel_height: float = 0.12
+    standoff: float = 0.1
+    travel_speed: float = 0.3
+    vertical_speed: float = 0.15
+    entering_speed: float = 0.05
+    lifting_speed: float = 0.05
+    travel_acceleration: float = 1.0
+    careful_acceleration: float = 0.1
+    force: float = 80.0
+    opening: float = 0.1
+    closing_speed: float = 0.15
+    squeeze: float = -0.4
+    squeeze_time: float = 0.5
+    settle_time: float = 0.3
+    opening_time: float = 0.6
+    hold_time: float = 3.0
+    min_width: float = 0.004
+    max_slip: float = 0.006
+    max_lift: float = 0.2
+    period: float = 0.005
+
+
+def calc_yaws(approach: float) -> tuple[float, float]:
+    """The tool's yaws whose fingers point along `approach` (rad) and that a wrist may have, the smaller first, rad."""
+    near = (approach - pi + pi) % (2 * pi) - pi
+    return near, near - np.copysign(2 * pi, near)
+
+
+def calc_tip(style: GraspTrajectoryOptions, p_WG: Array, yaw: float) -> Array:
+    """p_WP (3,) of the tip's center where the grasp point is p_WG (3,), m."""
+    return np.asarray(p_WG - calc_tool_rotation(yaw).matrix() @ np.array(style.p_PG))
+
+
+def make_grasp_trajectory(
+    command: GraspCommand, rest: ToolPose, style: GraspTrajectoryOptions, yaw: float, speed_scale: float = 1.0
+) -> tuple[ToolTrajectorySegment, ...]:
+    """Makes the way of a grasp: up, over, down, in, close, lift, hold.
+
+    Args:
+        command: the grasp.
+        rest: where the tool is.
+        style: heights, speeds and times.
+        yaw: of the tool in the grasp, rad.
+        speed_scale: share of the speeds at which the tool travels.
+
+    Returns:
+        The legs.
+    """
+    x, y, z, turn = rest
+    high = style.travel_height
+    x1, y1, low = calc_tip(style, command.p_WG, yaw).tolist()
+    x0, y0 = (np.array([x1, y1]) - style.standoff * command.heading).tolist()
+    above, outside, inside = (x0, y0, high, yaw), (x0, y0, low, yaw), (x1, y1, low, yaw)
+    lifted = (x1, y1, low + command.lift, yaw)
+    opened, squeezed = (style.opening, style.opening), (style.squeeze, style.squeeze)
+    fast, careful = style.travel_acceleration, style.careful_acceleration
+    vertical = speed_scale * style.vertical_speed
+    approaching, closing = GraspPhase.APPROACHING, GraspPhase.CLOSING
+    legs = (
+        [ToolTrajectorySegment(approaching, rest, (x, y, high, turn), vertical, fast, opening=opened)]
+        if z != high
+        else []
+    )
+    legs += [
+        ToolTrajectorySegment(
+            approaching, (x, y, high, turn), above, speed_scale * style.travel_speed, fast, opening=opened
+        ),
+        ToolTrajectorySegment(approaching, above, outside, vertical, fast, opening=opened),
+        ToolTrajectorySegment(GraspPhase.ENTERING, outside, inside, style.entering_speed, careful, opening=opened),
+        ToolTrajectorySegment(
+            closing, inside, inside, wait=style.opening / style.closing_speed, opening=(style.opening, 0.0)
+        ),
+        ToolTrajectorySegment(closing, inside, inside, wait=style.squeeze_time, opening=(0.0, style.squeeze)),
+        ToolTrajectorySegment(closing, inside, inside, wait=style.settle_time, opening=squeezed),
+        ToolTrajectorySegment(GraspPhase.LIFTING, inside, lifted, style.lifting_speed, careful, opening=squeezed),
+        ToolTrajectorySegment(GraspPhase.HOLDING, lifted, lifted, wait=style.hold_time, opening=squeezed),
+    ]
+    return tuple(legs)
+
+
+def make_retreat_trajectory(
+    pose: ToolPose,
+    opening: float,
+    rest: ToolPose,
+    approach: float,
+    style: GraspTrajectoryOptions,
+    speed_scale: float = 1.0,
+) -> tuple[ToolTrajectorySegment, ...]:
+    """Makes the way back from a grasp that failed: open, straight out, up, over, and down to the rest.
+
+    Args:
+        pose: where the tool is.
+        opening: of the gripper, m.
+        rest: where the tool is to go.
+        approach: heading in which the fingers point, rad.
+        style: heights, speeds and times.
+        speed_scale: share of the speeds at which the tool travels.
+
+    Returns:
+        The legs.
+    """
+    x1, y1, z, yaw = pose
+    x0, y0 = (np.array([x1, y1]) - style.standoff * np.array([np.cos(approach), np.sin(approach)])).tolist()
+    outside = (x0, y0, z, yaw)
+    opened, phase = (style.opening, style.opening), GraspPhase.RETREATING
+    return (
+        ToolTrajectorySegment(
+            GraspPhase.OPENING, pose, pose, wait=style.opening_time, opening=(opening, style.opening)
+        ),
+        ToolTrajectorySegment(phase, pose, outside, style.entering_speed, style.careful_acceleration, opening=opened),
+        *make_homing_trajectory(outside, rest, style, speed_scale),
+    )
+
+
+def make_homing_trajectory(
+    pose: ToolPose, rest: ToolPose, style: GraspTrajectoryOptions, speed_scale: float = 1.0
+) -> tuple[ToolTrajectorySegment, ...]:
+    """Makes the way from a free place to the rest: up, over, down; as `make_retreat_trajectory`."""
+    x0, y0, z, yaw = pose
+    x, y, _, turn = rest
+    high = max(style.travel_height, z)
+    phase, vertical, opened = GraspPhase.RETREATING, speed_scale * style.vertical_speed, (style.opening, style.opening)
+    acceleration = style.travel_acceleration
+    corners = [(pose, (x0, y0, high, yaw), vertical)]
+    corners.append(((x0, y0, high, yaw), (x, y, high, turn), speed_scale * style.travel_speed))
+    corners.append(((x, y, high, turn), rest, vertical))
+    return tuple(
+        ToolTrajectorySegment(phase, start, end, speed, acceleration, opening=opened)
+        for start, end, speed in corners
+        if start != end
+    )
+
+
 TurningReach = Callable[[Array, Array, Array], str | None]
 """Of the tip's way (k, 3), m in W, speeds (k - 1,) on its pieces, m/s, and yaws (k,), rad: None, or what stops it."""
 
-Objection = Callable[[GraspCommand], str | None]
+Validator = Callable[[GraspCommand], str | None]
 """Of a command: None, or why it must not be carried out."""
 
 GRIPPER_STATE_SIZE = 4
 """Positions of left and right finger, m, and their velocities, m/s."""
 
-GRASPING = (grasp_status.CLOSING, grasp_status.LIFTING, grasp_status.HOLDING)
+GRASPING = (GraspPhase.CLOSING, GraspPhase.LIFTING, GraspPhase.HOLDING)
 """Phases with something in the gripper, or so it should be."""
 
 SAME_PLACE = 1e-6
@@ -50,16 +227,16 @@ class GraspState:
         legs: the current one and those still to come; none while it passes the push executor's pose through.
         leg_start: when the current one began, s.
         command: the last one taken up.
-        hurry: share of the travelling speeds at which the arm can follow it.
+        speed_scale: share of the traveling speeds at which the arm can follow it.
         closed: opening when the gripper had closed on the object, m.
         status: as on the port, but for what is not finite at present.
         fault: what on the ports is not finite, and keeps the executor from going on; empty for nothing.
     """
 
-    legs: tuple[ToolLeg, ...] = ()
+    legs: tuple[ToolTrajectorySegment, ...] = ()
     leg_start: float = 0.0
     command: GraspCommand = field(default_factory=GraspCommand)
-    hurry: float = 1.0
+    speed_scale: float = 1.0
     closed: float = 0.0
     status: GraspStatus = field(default_factory=GraspStatus)
     fault: str = ""
@@ -69,12 +246,12 @@ class GraspState:
         """As on the port."""
         if not self.fault:
             return self.status
-        outcome = REFUSED if self.fault == UNREADABLE else self.status.outcome
+        outcome = GraspOutcome.REFUSED if self.fault == UNREADABLE else self.status.outcome
         return replace(self.status, outcome=outcome, reason=self.fault)
 
 
-class GraspExecutor(ReplacedStateSystem[GraspState]):
-    """Grasps what overhangs the table's rim, from the side, lifts it and holds it; else passes the finger's pose on.
+class GraspExecutor(AbstractStateSystem[GraspState]):
+    """Grasps what overhangs the table's edge, from the side, lifts it and holds it; else passes the finger's pose on.
 
     A command is taken up when the push executor is idle, this one too, and the command's number is not the last one's.
     It is refused, with its reason in the status, where its numbers are not usable and where the arm cannot follow.
@@ -113,19 +290,19 @@ class GraspExecutor(ReplacedStateSystem[GraspState]):
     def __init__(
         self,
         reach: TurningReach | None = None,
-        style: GraspingStyle | None = None,
-        objection: Objection | None = None,
+        style: GraspTrajectoryOptions | None = None,
+        validator: Validator | None = None,
     ):
         """Makes an executor.
 
         Args:
             reach: whether the arm can follow a way; None trusts it.
             style: measures, heights, speeds and times.
-            objection: what else speaks against a command; None for nothing.
+            validator: what else speaks against a command; None for nothing.
         """
-        self.style = style or GraspingStyle()
+        self.style = style or GraspTrajectoryOptions()
         super().__init__(GraspState(), self.style.period)
-        self._reach, self._objection = reach, objection
+        self._reach, self._objection = reach, validator
         self._push_pose = self.DeclareAbstractInputPort("push_tip_pose", AbstractValue.Make(RigidTransform()))
         self._push_status = self.DeclareAbstractInputPort("push_status", AbstractValue.Make(PushStatus()))
         self._command = self.DeclareVectorInputPort("grasp_command", GRASP_COMMAND_SIZE)
@@ -198,11 +375,11 @@ class GraspExecutor(ReplacedStateSystem[GraspState]):
         rest = calc_tool_pose(self._push_pose.Eval(context))
         legs, reason = self.plan(command, rest)
         if reason:
-            return replace(now, status=GraspStatus(number=command.number, outcome=REFUSED, reason=reason))
-        status = GraspStatus(legs[0].phase, command.number)
-        return GraspState(legs, time, command, _find_hurry(legs, self.style), 0.0, status)
+            return replace(now, status=GraspStatus(number=command.number, outcome=GraspOutcome.REFUSED, reason=reason))
+        status = GraspStatus(GraspPhase(legs[0].phase), command.number)
+        return GraspState(legs, time, command, _find_speed_scale(legs, self.style), 0.0, status)
 
-    def plan(self, command: GraspCommand, rest: ToolPose) -> tuple[tuple[ToolLeg, ...], str]:
+    def plan(self, command: GraspCommand, rest: ToolPose) -> tuple[tuple[ToolTrajectorySegment, ...], str]:
         """Plans a grasp from a pose of the tool; returns its legs, or none and why it is refused."""
         reason = self._find_fault(command) or (self._objection and self._objection(command))
         if reason:
@@ -212,8 +389,8 @@ class GraspExecutor(ReplacedStateSystem[GraspState]):
     def _find_fault(self, command: GraspCommand) -> str | None:
         if not np.isfinite(command.to_vector()).all():
             return NOT_FINITE
-        if not 0.0 < command.lift <= self.style.largest_lift:
-            return f"lift {command.lift:.3g} m; expected more than 0, at most {self.style.largest_lift:.3g}"
+        if not 0.0 < command.lift <= self.style.max_lift:
+            return f"lift {command.lift:.3g} m; expected more than 0, at most {self.style.max_lift:.3g}"
         return None
 
     def _follow(self, context: Context, now: GraspState, time: float) -> GraspState:
@@ -221,28 +398,36 @@ class GraspExecutor(ReplacedStateSystem[GraspState]):
         leg, left = now.legs[0], now.legs[1:]
         over = time - now.leg_start >= leg.duration
         if leg.phase in GRASPING and not now.status.outcome:
-            now = self._look(context, now, closed=over and bool(left) and left[0].phase == grasp_status.LIFTING)
-        if leg.phase in GRASPING and now.status.outcome in (MISSED, SLIPPED) and (over or not leg.top_speed):
+            now = self._look(context, now, closed=over and bool(left) and left[0].phase == GraspPhase.LIFTING)
+        if (
+            leg.phase in GRASPING
+            and now.status.outcome in (GraspOutcome.MISSED, GraspOutcome.SLIPPED)
+            and (over or not leg.top_speed)
+        ):
             return self._turn_back(context, now, time)
-        if not over or now.status.outcome == HELD:
+        if not over or now.status.outcome == GraspOutcome.HELD:
             return now
         if left:
-            return replace(now, legs=left, leg_start=time, status=replace(now.status, phase=left[0].phase))
-        if leg.phase == grasp_status.HOLDING:
-            return replace(now, status=replace(now.status, outcome=HELD))
+            return replace(now, legs=left, leg_start=time, status=replace(now.status, phase=GraspPhase(left[0].phase)))
+        if leg.phase == GraspPhase.HOLDING:
+            return replace(now, status=replace(now.status, outcome=GraspOutcome.HELD))
         return self._come_home(context, now, time)
 
     def _look(self, context: Context, now: GraspState, closed: bool) -> GraspState:
         """Notes whether the gripper has closed on something, and whether that is being lost."""
         opening = self._calc_opening(context)
-        if closed and opening < self.style.least_width:
-            return self._fail(now, MISSED, f"the gripper closed to {1e3 * opening:.1f} mm: nothing is in it")
+        if closed and opening < self.style.min_width:
+            return self._fail(
+                now, GraspOutcome.MISSED, f"the gripper closed to {1e3 * opening:.1f} mm: nothing is in it"
+            )
         if closed:
             return replace(now, closed=opening)
-        least = max(now.closed - self.style.most_slip, self.style.least_width)
-        if now.status.phase == grasp_status.CLOSING or opening > least:
+        least = max(now.closed - self.style.max_slip, self.style.min_width)
+        if now.status.phase == GraspPhase.CLOSING or opening > least:
             return now
-        return self._fail(now, SLIPPED, f"the opening fell from {1e3 * now.closed:.1f} to {1e3 * opening:.1f} mm")
+        return self._fail(
+            now, GraspOutcome.SLIPPED, f"the opening fell from {1e3 * now.closed:.1f} to {1e3 * opening:.1f} mm"
+        )
 
     def _fail(self, now: GraspState, outcome: GraspOutcome, reason: str) -> GraspState:
         return replace(now, status=replace(now.status, outcome=outcome, reason=reason))
@@ -252,8 +437,8 @@ class GraspExecutor(ReplacedStateSystem[GraspState]):
         rest = calc_tool_pose(self._push_pose.Eval(context))
         opening = self._calc_opening(context)
         opening = max(opening, 0.0) if np.isfinite(opening) else self.style.opening
-        legs = make_retreat_legs((x, y, z, yaw), opening, rest, now.command.approach, self.style, now.hurry)
-        return replace(now, legs=legs, leg_start=time, status=replace(now.status, phase=legs[0].phase))
+        legs = make_retreat_trajectory((x, y, z, yaw), opening, rest, now.command.approach, self.style, now.speed_scale)
+        return replace(now, legs=legs, leg_start=time, status=replace(now.status, phase=GraspPhase(legs[0].phase)))
 
     def _come_home(self, context: Context, now: GraspState, time: float) -> GraspState:
         """Hands back to the push executor, where the tool is where that one has it."""
@@ -261,8 +446,8 @@ class GraspExecutor(ReplacedStateSystem[GraspState]):
         if not self._push_status.Eval(context).ready:
             return now
         if not np.allclose(rest, at, rtol=0.0, atol=SAME_PLACE):
-            return replace(now, legs=make_homing_legs(at, rest, self.style, now.hurry), leg_start=time)
-        return replace(now, legs=(), leg_start=time, status=replace(now.status, phase=grasp_status.IDLE))
+            return replace(now, legs=make_homing_trajectory(at, rest, self.style, now.speed_scale), leg_start=time)
+        return replace(now, legs=(), leg_start=time, status=replace(now.status, phase=GraspPhase.IDLE))
 
     def _calc_opening(self, context: Context) -> float:
         left, right, *_ = self._gripper.Eval(context)
@@ -270,8 +455,8 @@ class GraspExecutor(ReplacedStateSystem[GraspState]):
 
 
 def plan_grasp(
-    command: GraspCommand, rest: ToolPose, style: GraspingStyle, reach: TurningReach | None
-) -> tuple[tuple[ToolLeg, ...], str]:
+    command: GraspCommand, rest: ToolPose, style: GraspTrajectoryOptions, reach: TurningReach | None
+) -> tuple[tuple[ToolTrajectorySegment, ...], str]:
     """Plans the way of a grasp, as fast as the arm can follow.
 
     Args:
@@ -285,22 +470,22 @@ def plan_grasp(
     """
     reasons: list[str] = []
     for yaw in calc_yaws(command.approach):
-        for hurry in HURRIES:
-            legs = make_grasp_legs(command, rest, style, yaw, hurry)
+        for speed_scale in SPEED_SCALES:
+            legs = make_grasp_trajectory(command, rest, style, yaw, speed_scale)
             found = reach and reach(*_describe(legs))
             if not found:
                 return legs, ""
             reasons.append(found)
-    return (), reasons[len(HURRIES) - 1]  # of the lesser turn, as slow as can be
+    return (), reasons[len(SPEED_SCALES) - 1]  # of the lesser turn, as slow as can be
 
 
-def _describe(legs: tuple[ToolLeg, ...]) -> tuple[Array, Array, Array]:
+def _describe(legs: tuple[ToolTrajectorySegment, ...]) -> tuple[Array, Array, Array]:
     """Way, speeds and yaws of the legs that move."""
     moving = [leg for leg in legs if leg.top_speed > 0.0]
     corners = np.array([moving[0].start] + [leg.end for leg in moving])
     return corners[:, :3], np.array([leg.top_speed for leg in moving]), corners[:, 3]
 
 
-def _find_hurry(legs: tuple[ToolLeg, ...], style: GraspingStyle) -> float:
-    """Share of the travelling speeds at which legs were planned."""
-    return min(leg.speed for leg in legs if leg.phase == grasp_status.APPROACHING) / style.vertical_speed
+def _find_speed_scale(legs: tuple[ToolTrajectorySegment, ...], style: GraspTrajectoryOptions) -> float:
+    """Share of the traveling speeds at which legs were planned."""
+    return min(leg.speed for leg in legs if leg.phase == GraspPhase.APPROACHING) / style.vertical_speed

@@ -15,16 +15,22 @@ from pydrake.systems.framework import Context, LeafSystem, State
 
 from gridpush_drake.dynamics.simulate import Regime
 from gridpush_drake.errors import GridPushError, IdentificationError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.identification.centre_of_mass import calc_centre_of_mass
-from gridpush_drake.identification.default import DefaultOptions
 from gridpush_drake.identification.identify import METHODS, REGIMES, describe_prior, identify
+from gridpush_drake.identification.map_ensemble import MapEnsembleOptions
 from gridpush_drake.identification.problem import PushProblem
-from gridpush_drake.identification.result import HistoryEntry, Identification
-from gridpush_drake.pushes.log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
-from gridpush_drake.systems.push_record import RecordOptions, make_observed_push
-from gridpush_drake.systems.push_segmenter import Episode, Sample, SegmenterOptions, SegmenterState, advance
-from gridpush_drake.systems.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.identification.result import HistoryEntry, Identification, calc_center_of_mass
+from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
+from gridpush_drake.pushes.segmentation import (
+    Episode,
+    RecordOptions,
+    Sample,
+    SegmenterOptions,
+    SegmenterState,
+    advance,
+    make_observed_push,
+)
 
 Array = NDArray[np.float64]
 
@@ -44,14 +50,14 @@ class Estimate:
 
     Attributes:
         found: the identification, or the prior in its form.
-        centre_of_mass: (2,) p_BBcm, m.
-        centre_of_mass_covariance: (2, 2) m².
+        center_of_mass: (2,) p_BBcm, m.
+        center_of_mass_covariance: (2, 2) m².
         loss: mean cell error of the training pushes, m; NaN where there are none.
     """
 
     found: Identification
-    centre_of_mass: Array
-    centre_of_mass_covariance: Array
+    center_of_mass: Array
+    center_of_mass_covariance: Array
     loss: float
 
 
@@ -93,8 +99,8 @@ class GridIdentifier(LeafSystem):
         - mass_std
         - friction_std
         - contact_friction
-        - centre_of_mass
-        - centre_of_mass_covariance
+        - center_of_mass
+        - center_of_mass_covariance
         - loss
         - num_pushes
         - identification
@@ -102,15 +108,15 @@ class GridIdentifier(LeafSystem):
         - message
 
     * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object was not seen.
-    * pusher_state: vector of 6, the tip's centre p_WP in m and its velocity v_WP in m/s, in W; a sample with NaN is
+    * pusher_state: vector of 6, the tip's center p_WP in m and its velocity v_WP in m/s, in W; a sample with NaN is
       passed over.
     * mass: vector of n, estimated mass of each cell, kg.
     * friction: vector of n, estimated friction coefficient of each cell against the support.
     * mass_std: vector of n, standard deviation of `mass`, kg.
     * friction_std: vector of n, standard deviation of `friction`.
     * contact_friction: vector of 1, estimated friction coefficient of the tip against the object.
-    * centre_of_mass: vector of 2, estimated p_BBcm in B, m.
-    * centre_of_mass_covariance: vector of 4, its covariance in B, row-major, m²; see `identification.centre_of_mass`.
+    * center_of_mass: vector of 2, estimated p_BBcm in B, m.
+    * center_of_mass_covariance: vector of 4, its covariance in B, row-major, m²; see `identification.center_of_mass`.
     * loss: vector of 1, mean cell error of the pushes learned from, m; NaN before the first.
     * num_pushes: vector of 1, pushes in the log.
     * identification: abstract `Identification`; while nothing was learned the prior's, whose `push_names` are empty.
@@ -129,7 +135,7 @@ class GridIdentifier(LeafSystem):
         period: float = DEFAULT_PERIOD,
         engaged_below: float = SegmenterOptions.engaged_below,
         method: str = "default",
-        options: DefaultOptions | None = None,
+        options: MapEnsembleOptions | None = None,
         max_learning_pushes: int | None = None,
         regime: Regime | Literal["auto"] = "auto",
         seed: int = 0,
@@ -147,7 +153,7 @@ class GridIdentifier(LeafSystem):
         Args:
             obj: the object.
             period: between samples, s.
-            engaged_below: height of the tip's centre below which it can touch the object, m.
+            engaged_below: height of the tip's center below which it can touch the object, m.
             method: one of `identify.METHODS`.
             options: of the default method.
             max_learning_pushes: later pushes are logged, not learned from; None for no limit.
@@ -213,8 +219,8 @@ class GridIdentifier(LeafSystem):
         declare("mass_std", n, lambda estimate: estimate.found.std.mass)
         declare("friction_std", n, lambda estimate: estimate.found.std.friction)
         declare("contact_friction", 1, lambda estimate: [estimate.found.params.contact_friction])
-        declare("centre_of_mass", 2, lambda estimate: estimate.centre_of_mass)
-        declare("centre_of_mass_covariance", 4, lambda estimate: estimate.centre_of_mass_covariance.ravel())
+        declare("center_of_mass", 2, lambda estimate: estimate.center_of_mass)
+        declare("center_of_mass_covariance", 4, lambda estimate: estimate.center_of_mass_covariance.ravel())
         declare("loss", 1, lambda estimate: [estimate.loss])
         self.DeclareVectorOutputPort("num_pushes", 1, weakly(self._calc_num_pushes), state)
         found, log = self._prior.found, IdentifierState().log
@@ -287,4 +293,4 @@ def _make_estimate(found: Identification, log: PushLog | None) -> Estimate:
         problem = PushProblem(found.obj, used, found.params.friction, found.regime)  # type: ignore[arg-type]
         residuals = problem.residuals(problem.unknowns(found.params))
         loss = float(problem.calc_cell_errors(residuals).mean())
-    return Estimate(found, *calc_centre_of_mass(found), loss)
+    return Estimate(found, *calc_center_of_mass(found), loss)

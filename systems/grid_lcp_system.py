@@ -33,10 +33,10 @@ from gridpush_drake.dynamics.motion import Jacobian, RawJacobian
 from gridpush_drake.dynamics.simulate import GRAVITY, RELATIVE_STICTION, STICTION_TOLERANCE, Regime
 from gridpush_drake.dynamics.time_grid import DEFAULT_DT
 from gridpush_drake.errors import SimulationError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.pushes.log import DEFAULT_PUSHER_RADIUS
-from gridpush_drake.systems.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 
 Array = NDArray[np.float64]
 
@@ -67,13 +67,13 @@ class GridLcpSystem(LeafSystem):
         - step_jacobian
         - unsolved_steps
 
-    * pusher_state: vector of 4, (x, y) of the disc's centre p_WP in m and its velocity v_WP in m/s, in W. Not
+    * pusher_state: vector of 4, (x, y) of the disc's center p_WP in m and its velocity v_WP in m/s, in W. Not
       connected, or NaN in it: there is no pusher.
     * applied_wrench: vector of 3, force in W in N acting at B's origin, and moment in N m, constant during a step; zero
       where not connected. Inertial regime only. A wrench that is not finite is none.
     * pose: vector of 3, q = (x, y, theta) of B in W, m and rad.
     * velocity: vector of 3, (vx, vy, w) of B's origin in W, m/s and rad/s.
-    * cell_positions: vector of 2n, x and y of every cell's centre p_WC in turn, m.
+    * cell_positions: vector of 2n, x and y of every cell's center p_WC in turn, m.
     * contact_force: vector of 2, force of the pusher on the object in W during the last step, N.
     * step_jacobian: abstract `dynamics.motion.Jacobian` with one row: the derivatives of the pose at the end of the
       step that begins now by mass, friction, contact friction, pose, and the pusher's place (`start`), direction and
@@ -132,7 +132,7 @@ class GridLcpSystem(LeafSystem):
         if not (np.isfinite(radius) and radius > 0):
             raise SimulationError(f"pusher_radius is {radius!r}; expected a positive number (m)")
         params = CellParameters.uniform(obj) if params is None else params
-        params.centre_of_mass(obj)
+        params.center_of_mass(obj)
         self.obj, self.dt, self.regime, self.pusher_radius, self.gravity = obj, float(dt), regime, radius, gravity
         inertial = regime == "inertial"
         self._method = make_method(inertial, LAW, spin, stiction_tolerance, RELATIVE_STICTION)
@@ -160,7 +160,7 @@ class GridLcpSystem(LeafSystem):
         Raises:
             ParameterError: they belong to another object.
         """
-        params.centre_of_mass(self.obj)
+        params.center_of_mass(self.obj)
         for index, value in ((_MASS, params.mass), (_FRICTION, params.friction)):
             context.get_mutable_numeric_parameter(index).SetFromVector(value)
         context.get_mutable_numeric_parameter(_CONTACT_FRICTION).SetFromVector([params.contact_friction])

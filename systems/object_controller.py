@@ -1,25 +1,63 @@
-"""`ObjectController`: what systems share that push an object about by what is seen and learned of it."""
+"""`AbstractStateSystem`: a system that remembers one thing, never changed but replaced, now and then.
+
+`ObjectController`: what systems share that push an object about by what is seen and learned of it.
+"""
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import BasicVector, Context
+from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
-from gridpush_drake.grid.object import GridObject
 from gridpush_drake.identification.identify import describe_prior
-from gridpush_drake.pushes.log import PushLog
-from gridpush_drake.systems.push_status import PushStatus
-from gridpush_drake.systems.replaced_state import ReplacedStateSystem
-from gridpush_drake.systems.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.systems.messages import PushStatus
 
-Array = NDArray[np.float64]
 S = TypeVar("S")
 
 
-class ObjectController(ReplacedStateSystem[S]):
+class AbstractStateSystem(LeafSystem, Generic[S]):
+    """Base of systems whose only state is one S, an abstract value."""
+
+    __slots__ = NO_SLOTS
+
+    def __init__(self, begin: S, period: float) -> None:
+        """Declares the state.
+
+        Args:
+            begin: the state at the beginning.
+            period: between two updates, s.
+        """
+        super().__init__()
+        self._state = self.DeclareAbstractState(AbstractValue.Make(begin))
+        self._remembered = self.abstract_state_ticket(self._state)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update)
+
+    def _go_on(self, context: Context, now: S) -> S:
+        """The state after an update; `now` itself where nothing is new."""
+        raise NotImplementedError
+
+    def _get_state(self, context: Context) -> S:
+        state: S = context.get_abstract_state(int(self._state)).get_value()
+        return state
+
+    def _update(self, context: Context, state: State) -> EventStatus:
+        now = self._get_state(context)
+        new = self._go_on(context, now)
+        if new is now:
+            return EventStatus.DidNothing()
+        state.get_mutable_abstract_state(int(self._state)).set_value(new)
+        return EventStatus.Succeeded()
+
+
+Array = NDArray[np.float64]
+
+
+class ObjectController(AbstractStateSystem[S]):
     """Base of controllers: a state that is replaced at every look, and ports that show parts of it.
 
     .. pydrake_system::

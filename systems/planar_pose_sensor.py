@@ -9,7 +9,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
-from gridpush_drake.systems.weak_calc import NO_SLOTS
+from gridpush_drake.multibody.weak_calc import NO_SLOTS
 
 DEFAULT_PERIOD = 1 / 30
 """Between two pictures, s."""

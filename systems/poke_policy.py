@@ -1,19 +1,192 @@
-"""Which push comes next, as a Drake system: random pokes, one whenever the executor is ready for it."""
+"""Choosing the next exploratory push: random places of the outline where the tip fits and the object stays in bounds.
 
+The k-th candidate of a push is drawn from (seed, number of the push, k) alone: neither the pushes before it nor how
+many candidates they took change it.
+
+Which push comes next, as a Drake system: random pokes, one whenever the executor is ready for it.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from math import atan2, cos, isfinite, pi, radians, sin
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+from shapely import Point, Polygon
+from shapely.affinity import affine_transform
 
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.errors import PushError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.systems.poke_choice import PokeRegion, PokeStyle, Reach, choose_poke
-from gridpush_drake.systems.push_command import PUSH_COMMAND_SIZE, PushCommand
-from gridpush_drake.systems.push_status import PushStatus
-from gridpush_drake.systems.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, PushCommand, PushStatus
+
+Array = NDArray[np.float64]
+Reach = Callable[[PushCommand], bool]
+"""Whether the arm can carry out a command."""
+
+ROUNDING = 1e-6
+"""Share of the gap at the start that may be missing: the outline's own point is not exactly on it."""
+
+
+@dataclass(frozen=True)
+class RandomPokeOptions:
+    """How pokes are drawn.
+
+    Attributes:
+        distance: least and greatest, m, counted from where the tip would touch the outline.
+        speed: of the tip, m/s.
+        slant: furthest from the outline's normal, rad.
+        tip_radius: m.
+        clearance: gap between tip and outline at the beginning, m; the way through it comes on top of the distance.
+        min_motion: of the cells, mean, as predicted, m; a push that moves the object less is drawn again.
+        candidates: most draws before a push that takes the object out of its region is taken for want of a better one.
+
+    Raises:
+        PushError: a value is out of range.
+    """
+
+    distance: tuple[float, float] = (0.06, 0.10)
+    speed: float = 0.03
+    slant: float = radians(30)
+    tip_radius: float = 0.008
+    clearance: float = 0.008
+    min_motion: float = 0.01
+    candidates: int = 100
+
+    def __post_init__(self) -> None:
+        if not 0 < self.distance[0] <= self.distance[1] < np.inf:
+            raise PushError(f"distance is {self.distance!r}; expected 0 < least <= greatest (m)")
+        for name in ("speed", "tip_radius"):
+            if not (isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise PushError(f"{name} is {getattr(self, name)!r}; expected a positive number")
+        if not 0 <= self.slant < pi / 2:
+            raise PushError(f"slant is {self.slant!r}; expected an angle from 0 to less than pi / 2 (rad)")
+        for name in ("clearance", "min_motion"):
+            if not (isfinite(getattr(self, name)) and getattr(self, name) >= 0):
+                raise PushError(f"{name} is {getattr(self, name)!r}; expected a number >= 0 (m)")
+        if self.candidates < 1:
+            raise PushError(f"candidates is {self.candidates!r}; expected 1 or more")
+
+
+@dataclass(frozen=True)
+class PokeRegion:
+    """Where pokes may happen, W, m.
+
+    Attributes:
+        workspace: where the tip's center may be.
+        keep_in: that the whole object must stay in.
+        middle: that the object's centroid should stay in, where the finger gets at it from all sides; None asks for no
+            more than `keep_in`.
+    """
+
+    workspace: Polygon
+    keep_in: Polygon
+    middle: Polygon | None = None
+
+    @property
+    def center(self) -> Array:
+        """(2,) where the object's centroid is best, m."""
+        return np.array((self.middle or self.keep_in).centroid.coords[0])
+
+    def suits(self, centroid: Array) -> bool:
+        """Whether the finger can get at an object with this centroid (2,), m, from all sides."""
+        return self.middle is None or bool(self.middle.covers(Point(centroid)))
+
+
+def choose_poke(
+    obj: GridObject,
+    params: CellParameters,
+    pose: ArrayLike,
+    number: int,
+    seed: int,
+    style: RandomPokeOptions,
+    region: PokeRegion,
+    reach: Reach | None = None,
+    first: int = 0,
+) -> tuple[PushCommand | None, int]:
+    """Chooses a push.
+
+    Candidates are drawn one after another. The first one is taken that fits (the tip beside the object and within its
+    workspace, within the arm's reach), moves the object, and is predicted to leave it within its region. Where there is
+    none, the fitting one that ends nearest to the region's center is taken, of those that keep the object in if any do.
+
+    Args:
+        obj: the object.
+        params: by which its motion is predicted.
+        pose: (3,) where it lies, m and rad.
+        number: of the command.
+        seed: of the draws.
+        style: how to push.
+        region: where.
+        reach: whether the arm can carry out a command; None trusts it.
+        first: candidates to pass over.
+
+    Returns:
+        The command, or None where no candidate fits; and how many candidates were looked at, with those passed over.
+    """
+    q = np.array(pose, dtype=np.float64)
+    nearest, least = None, (True, np.inf)
+    for attempt in range(first, first + style.candidates):
+        command = draw_poke(obj, q, number, seed, attempt, style)
+        if not fits(obj, q, command, style, region) or (reach is not None and not reach(command)):
+            continue
+        last = predict_poke(obj, params, q, command, style)
+        cells = obj.cells_at(last)
+        if np.linalg.norm(cells - obj.cells_at(q), axis=1).mean() < style.min_motion:
+            continue
+        leaves = not region.keep_in.covers(place_outline(obj, last))
+        centroid = cells.mean(axis=0)
+        if not leaves and region.suits(centroid):
+            return command, attempt + 1
+        badness = (leaves, float(np.linalg.norm(centroid - region.center)))
+        if badness < least:
+            nearest, least = command, badness
+    return nearest, first + style.candidates
+
+
+def draw_poke(
+    obj: GridObject, pose: Array, number: int, seed: int, attempt: int, style: RandomPokeOptions
+) -> PushCommand:
+    """Draws a candidate: a place on the exterior outline, a slant and a distance, all uniform."""
+    rng = np.random.default_rng((seed, number, attempt))
+    place, slant, distance = rng.uniform(0, obj.edges.perimeter), rng.uniform(-1, 1), rng.uniform(*style.distance)
+    push = Push.on_outline(
+        obj, place, slant * style.slant, distance + style.clearance, radius=style.tip_radius, speed=style.speed,
+        pose=pose, clearance=style.clearance,
+    )  # fmt: skip
+    x, y = push.start.tolist()
+    return PushCommand(number, x, y, atan2(push.velocity[1], push.velocity[0]), push.length, style.speed)
+
+
+def fits(obj: GridObject, pose: Array, command: PushCommand, style: RandomPokeOptions, region: PokeRegion) -> bool:
+    """Whether the tip has room where it starts (a notch may be too narrow) and stays within its workspace."""
+    start, end = Point(command.start), Point(command.end)
+    gap = place_outline(obj, pose).distance(start)
+    if gap < (1 - ROUNDING) * (style.tip_radius + style.clearance):
+        return False
+    return bool(region.workspace.covers(start) and region.workspace.covers(end))
+
+
+def predict_poke(
+    obj: GridObject, params: CellParameters, pose: Array, command: PushCommand, style: RandomPokeOptions
+) -> Array:
+    """Predicts the object's pose (3,) after a push, by the LCP of slow motion."""
+    velocity = (command.end - command.start) / command.distance * command.speed
+    push = Push(command.start, velocity, command.distance / command.speed, style.tip_radius)
+    return simulate(obj, params, push, pose, regime="quasi_static", record=[]).final_pose
+
+
+def place_outline(obj: GridObject, pose: Array) -> Polygon:
+    """The object's outline in W, m, at a pose (3,)."""
+    c, s = cos(pose[2]), sin(pose[2])
+    return affine_transform(obj.outline, [c, -s, s, c, pose[0], pose[1]])
+
 
 DEFAULT_PERIOD = 0.05
 """s."""
@@ -62,7 +235,7 @@ class PokePolicy(LeafSystem):
         region: PokeRegion,
         seed: int = 0,
         num_pushes: int = 8,
-        style: PokeStyle | None = None,
+        style: RandomPokeOptions | None = None,
         *,
         params: CellParameters | None = None,
         reach: Reach | None = None,
@@ -93,7 +266,7 @@ class PokePolicy(LeafSystem):
                 raise PushError(f"{name} is {value!r}; expected 0 or more")
         if not (np.isfinite(period) and period > 0):
             raise PushError(f"period is {period!r}; expected a positive number (s)")
-        self.obj, self.region, self.style = obj, region, style or PokeStyle()
+        self.obj, self.region, self.style = obj, region, style or RandomPokeOptions()
         self._seed = self.DeclareNumericParameter(BasicVector([float(seed)]))
         self.num_pushes, self.test_pushes = num_pushes, test_pushes
         self._test_style = replace(self.style, distance=(test_distance, test_distance))

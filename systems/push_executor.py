@@ -1,4 +1,7 @@
-"""`PushExecutor`: from a push command to the finger's desired pose."""
+"""The way of the finger's tip in a push: over the object, down beside it, along, a pause, and up again.
+
+`PushExecutor`: from a push command to the finger's desired pose.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -7,27 +10,106 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 from pydrake.common.value import AbstractValue
-from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, InputPort, OutputPort
 from shapely.affinity import affine_transform
 
-from gridpush_drake.systems import push_status
-from gridpush_drake.systems.push_command import PUSH_COMMAND_SIZE, PushCommand
-from gridpush_drake.systems.push_motion import Leg, Point
-from gridpush_drake.systems.push_status import PushStatus
-from gridpush_drake.systems.push_way import PushingStyle, break_off, make_legs
-from gridpush_drake.systems.replaced_state import ReplacedStateSystem
-from gridpush_drake.systems.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.multibody.tool_motion import R_WP_DOWN, Point, TrajectorySegment
+from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, PushCommand, PushPhase, PushStatus
+from gridpush_drake.systems.object_controller import AbstractStateSystem
+
+
+@dataclass(frozen=True)
+class PushTrajectoryOptions:
+    """How pushes are carried out.
+
+    Attributes:
+        travel_height: of the tip's center while it passes over the object, m.
+        push_height: of the tip's center while it pushes, m.
+        travel_speed: m/s.
+        vertical_speed: of descending and retracting, m/s.
+        travel_acceleration: of all but the push, m/s².
+        push_acceleration: m/s².
+        max_push_speed: that is not refused, m/s.
+        settle_time: to dwell after the push, s.
+        tip_radius: m.
+        clearance: the least gap between tip and object where a push starts, m.
+        period: of the state's update, s.
+    """
+
+    travel_height: float = 0.12
+    push_height: float = 0.012
+    travel_speed: float = 0.3
+    vertical_speed: float = 0.15
+    travel_acceleration: float = 1.0
+    push_acceleration: float = 0.5
+    max_push_speed: float = 0.2
+    settle_time: float = 0.3
+    tip_radius: float = 0.008
+    clearance: float = 0.0
+    period: float = 0.005
+
+
+def make_push_trajectory(
+    command: PushCommand, rest: ArrayLike, style: PushTrajectoryOptions, speed_scale: float = 1.0
+) -> tuple[TrajectorySegment, ...]:
+    """Makes the way of a push from and back to rest: up if need be, over, down, along, pause, up.
+
+    Args:
+        command: the push.
+        rest: (3,) p_WP where the tip is, m.
+        style: heights, speeds and times.
+        speed_scale: share of the speeds before and after the push.
+
+    Returns:
+        The legs; the last one ends above the push's end.
+    """
+    x, y, z = np.asarray(rest, float).tolist()
+    (x0, y0), (x1, y1) = command.start.tolist(), command.end.tolist()
+    high, low = style.travel_height, style.push_height
+    travel = (speed_scale * style.travel_speed, style.travel_acceleration)
+    vertical = (speed_scale * style.vertical_speed, style.travel_acceleration)
+    legs = [TrajectorySegment(PushPhase.APPROACHING, (x, y, z), (x, y, high), *vertical)] if z < high else []
+    z = max(z, high)
+    legs += [
+        TrajectorySegment(PushPhase.APPROACHING, (x, y, z), (x0, y0, high), *travel),
+        TrajectorySegment(PushPhase.DESCENDING, (x0, y0, high), (x0, y0, low), *vertical),
+        TrajectorySegment(PushPhase.PUSHING, (x0, y0, low), (x1, y1, low), command.speed, style.push_acceleration),
+        TrajectorySegment(PushPhase.SETTLING, (x1, y1, low), (x1, y1, low), wait=style.settle_time),
+        TrajectorySegment(PushPhase.RETRACTING, (x1, y1, low), (x1, y1, high), *vertical),
+    ]
+    return tuple(legs)
+
+
+def break_off(legs: tuple[TrajectorySegment, ...], t: float) -> tuple[TrajectorySegment, ...]:
+    """What is left of a push that is to stop as soon as it can; then, as ever, a pause, and up.
+
+    Args:
+        legs: still to come; the first one is under way.
+        t: since that one began, s.
+
+    Returns:
+        The legs; as they were where the push itself is over.
+    """
+    phases = [leg.phase for leg in legs]
+    if PushPhase.PUSHING not in phases:
+        return legs
+    i = phases.index(PushPhase.PUSHING)
+    push = legs[i].stop_from(t if i == 0 else 0.0)
+    if push.end == legs[i].end:
+        return legs
+    x, y, _ = push.end
+    after = [replace(leg, start=(x, y, leg.start[2]), end=(x, y, leg.end[2])) for leg in legs[i + 1 :]]
+    return (*legs[:i], push, *after)
+
 
 Array = NDArray[np.float64]
 Reach = Callable[[Array, Array], str | None]
 """Of the tip's way (k, 3), m in W, and speeds (k - 1,) on its pieces, m/s: None, or why the arm cannot follow."""
 
-HURRIES = (1.0, 0.5, 0.25)
-"""Shares of the travelling speeds, tried in turn until the arm can follow: stretched, its joints turn fast."""
-
-R_WP_DOWN = RollPitchYaw(0.0, np.pi, 0.0).ToRotationMatrix()
-"""Of a tool that points down. Not (pi, 0, 0), from which the arm's elbow hangs."""
+SPEED_SCALES = (1.0, 0.5, 0.25)
+"""Shares of the traveling speeds, tried in turn until the arm can follow: stretched, its joints turn fast."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +125,7 @@ class ExecutorState:
     """
 
     rest: Point
-    legs: tuple[Leg, ...] = ()
+    legs: tuple[TrajectorySegment, ...] = ()
     leg_start: float = 0.0
     status: PushStatus = field(default_factory=PushStatus)
     unreadable: bool = False
@@ -63,7 +145,7 @@ NOT_FINITE = "the command has numbers that are not finite"
 UNREADABLE = "the command's number is not finite"
 
 
-class PushExecutor(ReplacedStateSystem[ExecutorState]):
+class PushExecutor(AbstractStateSystem[ExecutorState]):
     """Carries out straight pushes: over the object, down beside it, along, a pause, and up again.
 
     A command is taken up when the executor is idle and the command's number is not the last one's. It is refused, with
@@ -86,7 +168,7 @@ class PushExecutor(ReplacedStateSystem[ExecutorState]):
         push_command: vector of 6, see `PushCommand`: number, x, y (m), direction (rad), distance (m), speed (m/s).
         object_pose: vector of 3: measured (x, y, theta) of B in W, m and rad; read when a command is taken up, which
             waits while they are NaN (the object is not seen). Need not be connected where there is no outline.
-        tip_pose: abstract `RigidTransform`, X_WP desired: P at the tip's centre, its z axis pointing down, m.
+        tip_pose: abstract `RigidTransform`, X_WP desired: P at the tip's center, its z axis pointing down, m.
         status: abstract `PushStatus`.
     """
 
@@ -97,7 +179,7 @@ class PushExecutor(ReplacedStateSystem[ExecutorState]):
         home: ArrayLike,
         outline: shapely.Polygon | None = None,
         reach: Reach | None = None,
-        style: PushingStyle | None = None,
+        style: PushTrajectoryOptions | None = None,
     ):
         """Makes an executor.
 
@@ -107,7 +189,7 @@ class PushExecutor(ReplacedStateSystem[ExecutorState]):
             reach: whether the arm can follow a way; None trusts it.
             style: heights, speeds and times.
         """
-        self.style = style or PushingStyle()
+        self.style = style or PushTrajectoryOptions()
         x, y, z = np.asarray(home, float).tolist()
         super().__init__(ExecutorState((x, y, z)), self.style.period)
         self._outline, self._reach = outline, reach
@@ -161,7 +243,7 @@ class PushExecutor(ReplacedStateSystem[ExecutorState]):
         done, *left = now.legs
         if time - now.leg_start < done.duration:
             return now
-        phase = left[0].phase if left else push_status.IDLE
+        phase = PushPhase(left[0].phase) if left else PushPhase.IDLE
         executed = now.status.executed + (not left)
         status = replace(now.status, phase=phase, executed=executed)
         return ExecutorState(done.end, tuple(left), time, status)
@@ -181,9 +263,9 @@ class PushExecutor(ReplacedStateSystem[ExecutorState]):
         status = replace(now.status, number=command.number, reason=reason)
         if reason:
             return replace(now, status=replace(status, refused=status.refused + 1))
-        return ExecutorState(now.rest, legs, time, replace(status, phase=legs[0].phase))
+        return ExecutorState(now.rest, legs, time, replace(status, phase=PushPhase(legs[0].phase)))
 
-    def _plan(self, context: Context, command: PushCommand, rest: Point) -> tuple[tuple[Leg, ...], str]:
+    def _plan(self, context: Context, command: PushCommand, rest: Point) -> tuple[tuple[TrajectorySegment, ...], str]:
         """The legs of a command, and why it is refused or ""."""
         reason = self._find_fault(command)
         if reason is None and self._outline is not None:
@@ -198,8 +280,8 @@ class PushExecutor(ReplacedStateSystem[ExecutorState]):
             return NOT_FINITE
         if command.distance <= 0.0:
             return f"distance {command.distance:.3g} m; expected a positive number"
-        if not 0.0 < command.speed <= self.style.largest_push_speed:
-            return f"speed {command.speed:.3g} m/s; expected more than 0, at most {self.style.largest_push_speed:.3g}"
+        if not 0.0 < command.speed <= self.style.max_push_speed:
+            return f"speed {command.speed:.3g} m/s; expected more than 0, at most {self.style.max_push_speed:.3g}"
         return None
 
     def _find_overlap(self, command: PushCommand, pose: Array) -> str | None:
@@ -218,8 +300,8 @@ class PushExecutor(ReplacedStateSystem[ExecutorState]):
 
 
 def plan_push(
-    command: PushCommand, rest: Point, style: PushingStyle, reach: Reach | None
-) -> tuple[tuple[Leg, ...], str | None]:
+    command: PushCommand, rest: Point, style: PushTrajectoryOptions, reach: Reach | None
+) -> tuple[tuple[TrajectorySegment, ...], str | None]:
     """Plans the way of a push, as fast as the arm can follow.
 
     Args:
@@ -232,8 +314,8 @@ def plan_push(
         The legs, and None; or no legs, and why the arm cannot follow.
     """
     reason = None
-    for hurry in HURRIES:
-        legs = make_legs(command, rest, style, hurry)
+    for speed_scale in SPEED_SCALES:
+        legs = make_push_trajectory(command, rest, style, speed_scale)
         if reach is None:
             return legs, None
         way = np.array([legs[0].start] + [leg.end for leg in legs])

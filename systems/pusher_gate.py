@@ -4,8 +4,8 @@ import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
-from gridpush_drake.systems.grasp_status import GraspStatus
-from gridpush_drake.systems.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.systems.messages import GraspStatus
 
 PUSHER_STATE_SIZE = 6
 

@@ -7,7 +7,7 @@ from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
-from gridpush_drake.systems.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 
 
 class PusherStateSensor(LeafSystem):
@@ -24,7 +24,7 @@ class PusherStateSensor(LeafSystem):
 
     - ``body_poses``: abstract ``list[RigidTransform]``, as a MultibodyPlant gives it.
     - ``body_spatial_velocities``: abstract ``list[SpatialVelocity]``, likewise.
-    - ``pusher_state``: (6,) p_WP, m, and v_WP, m/s, of the tip's centre P.
+    - ``pusher_state``: (6,) p_WP, m, and v_WP, m/s, of the tip's center P.
     """
 
     __slots__ = NO_SLOTS

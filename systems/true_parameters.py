@@ -3,12 +3,12 @@
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, LeafSystem
 
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.systems.weak_calc import NO_SLOTS
+from gridpush_drake.multibody.weak_calc import NO_SLOTS
+from gridpush_drake.objects.parameters import CellParameters
 
 
 class TrueParameters(LeafSystem):
-    """Remembers the hidden truth of a run, for judgement; it has no ports.
+    """Remembers the hidden truth of a run, for judgment; it has no ports.
 
     A plant knows the truth as an inertia and as contact properties, from which the cells' masses cannot be read back.
 

@@ -7,9 +7,9 @@ import numpy as np
 from gridpush_drake.bench.speed import DT, DURATION, RADIUS, make_bench_push
 from gridpush_drake.bench.table import Table, Value
 from gridpush_drake.bench.workers import Report, count_steps
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.object_file import find_shipped_object
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.objects.parameters import CellParameters
 
 OBJECTS = ("claw_hammer", "toolbox")
 REGIMES = ("inertial", "quasi_static")

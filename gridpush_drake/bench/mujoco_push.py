@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 
 TIME_STEP = 0.002
 """MuJoCo's default, s."""

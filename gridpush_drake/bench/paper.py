@@ -1,4 +1,9 @@
-"""`gridpush bench paper`: every method on the paper's simulated protocol, over the same number of simulations."""
+"""`gridpush bench paper`: every method on the paper's simulated protocol, over the same number of simulations.
+
+The scores of `bench.paper` as tables, with bootstrap confidence intervals over mass sets and their splits.
+
+Error against the number of simulations, as in the paper's Fig. 4.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,22 +12,161 @@ from pathlib import Path
 
 import numpy as np
 
-from gridpush_drake.bench.paper_protocol import MASS_SETS, Case, Protocol, make_case, make_protocol
-from gridpush_drake.bench.paper_tables import (
-    DEFAULT,
-    UNIFORM,
-    Score,
-    tabulate_budgets,
-    tabulate_methods,
-    tabulate_training,
+from gridpush_drake.bench.paper_protocol import (
+    DURATION,
+    FINGER_RADIUS,
+    MASS_SETS,
+    OBSERVED_EVERY,
+    SPEED,
+    SUPPORT_FRICTION,
+    Case,
+    Protocol,
+    make_case,
+    make_protocol,
 )
-from gridpush_drake.bench.table import Table
-from gridpush_drake.bench.workers import QUIET, Conduct, run_jobs
+from gridpush_drake.bench.table import Table, Value, save_figure
+from gridpush_drake.bench.workers import QUIET, Execution, run_jobs
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.identify import METHODS, identify
 from gridpush_drake.identification.prediction import calc_pose_error, predict
-from gridpush_drake.pushes.log import PushLog
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import PushLog
+
+UNIFORM = "uniform prior"
+DEFAULT = "default"
+
+CONFIDENCE = 0.95
+RESAMPLES = 9999
+MM = 1e3
+
+PAPER_MM = 15.3
+"""The paper's mean test cell error in simulation."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """How a method did on one object with one mass set and its split.
+
+    Attributes:
+        name: of the object.
+        mass_set: number of the mass set and of the split.
+        training: number of training pushes.
+        method: of identification.
+        budget: simulated pushes it might spend.
+        simulations: those it did.
+        error: mean final cell error of the test pushes, m.
+    """
+
+    name: str
+    mass_set: int
+    training: int
+    method: str
+    budget: int
+    simulations: int
+    error: float
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean and the ends of its confidence interval, NaN where one value does not give any."""
+
+    mean: float
+    low: float
+    high: float
+
+
+def calc_interval(values: Sequence[float], seed: int = 0) -> Interval:
+    """Mean and its 95 % bootstrap interval (percentiles)."""
+    from scipy.stats import bootstrap
+
+    sample = np.asarray(values, dtype=np.float64)
+    if len(sample) < 2:
+        return Interval(float(sample.mean()), np.nan, np.nan)
+    ends = bootstrap(
+        (sample,), np.mean, confidence_level=CONFIDENCE, n_resamples=RESAMPLES, method="percentile",
+        random_state=np.random.default_rng(seed),
+    ).confidence_interval  # fmt: skip
+    return Interval(float(sample.mean()), float(ends.low), float(ends.high))
+
+
+def summarize(scores: Sequence[Score]) -> Interval:
+    """The mean error, m: of each mass set over the objects, then over the mass sets; the interval is over these."""
+    sets = sorted({score.mass_set for score in scores})
+    return calc_interval([float(np.mean([s.error for s in scores if s.mass_set == i])) for i in sets])
+
+
+def select(scores: Sequence[Score], **wanted: object) -> list[Score]:
+    """The scores whose attributes are as given."""
+    return [score for score in scores if all(getattr(score, key) == value for key, value in wanted.items())]
+
+
+def tabulate_methods(
+    scores: Sequence[Score], names: Sequence[str], methods: Sequence[str], training: int, budget: int
+) -> Table:
+    """Errors by method and object."""
+    rows: list[list[Value]] = []
+    for method in methods:
+        chosen = select(scores, method=method, training=training, budget=budget)
+        rows.append([method, *_cells(chosen, names), mean_simulations(chosen)])
+    title = f"Mean test cell error, mm, by method: {training} training pushes, searches of {budget} simulated pushes"
+    return Table(title, ("method", *names, "all", "simulations"), rows, [*_notes(scores), _describe_truth()])
+
+
+def tabulate_training(scores: Sequence[Score], names: Sequence[str], method: str, budget: int) -> Table:
+    """Errors of one method by number of training pushes."""
+    rows: list[list[Value]] = []
+    for training in sorted({score.training for score in scores}):
+        chosen = select(scores, method=method, training=training, budget=budget)
+        before = select(scores, method=UNIFORM, training=training, budget=budget)
+        rows.append([training, *_cells(chosen, names), _format(summarize(before)), mean_simulations(chosen)])
+    columns = ("training pushes", *names, "all", f"all, {UNIFORM}", "simulations")
+    return Table(f"Mean test cell error, mm, of the {method} method by training pushes", columns, rows, _notes(scores))
+
+
+def tabulate_budgets(scores: Sequence[Score], methods: Sequence[str], training: int) -> Table:
+    """Errors over all objects by method and number of simulations."""
+    budgets = sorted({score.budget for score in select(scores, training=training)})
+    rows: list[list[Value]] = []
+    for method in methods:
+        chosen = select(scores, method=method, training=training)
+        rows.append([method, *(_format_some(select(chosen, budget=budget)) for budget in budgets)])
+    title = f"Mean test cell error, mm, by simulated pushes: {training} training pushes, all objects"
+    return Table(title, ("method", *(f"at most {budget}" for budget in budgets)), rows, _notes(scores))
+
+
+def _cells(scores: Sequence[Score], names: Sequence[str]) -> list[Value]:
+    return [*(_format(summarize(select(scores, name=name))) for name in names), _format(summarize(scores))]
+
+
+def mean_simulations(scores: Sequence[Score]) -> int:
+    """Mean number of simulated pushes."""
+    return round(float(np.mean([score.simulations for score in scores])))
+
+
+def _format(interval: Interval) -> str:
+    mean = f"{interval.mean * MM:.2f}"
+    return mean if np.isnan(interval.low) else f"{mean} ({interval.low * MM:.2f} to {interval.high * MM:.2f})"
+
+
+def _format_some(scores: Sequence[Score]) -> str | None:
+    return _format(summarize(scores)) if scores else None
+
+
+def _notes(scores: Sequence[Score]) -> list[str]:
+    sets = len({score.mass_set for score in scores})
+    return [
+        f"Mean over {sets} mass sets, each with its own split; in brackets its {CONFIDENCE:.0%} bootstrap interval.",
+        f"The paper reports {PAPER_MM:g} mm in simulation.",
+    ]
+
+
+def _describe_truth() -> str:
+    return (
+        f"Truth: our inertial simulation, hidden masses by label, friction {SUPPORT_FRICTION:g}, ten pushes at "
+        f"{SPEED:g} m/s for {DURATION:g} s by a disc of {FINGER_RADIUS * 100:g} cm radius in place of the paper's 3 cm "
+        f"square finger, pose seen every {OBSERVED_EVERY:g} s. The identifier sees neither labels nor the total mass."
+    )
+
 
 TRUTH_REGIME = "inertial"
 TRAINING_PUSHES = 5
@@ -55,7 +199,7 @@ def run(
     methods: Sequence[str] = METHODS,
     budget: int = BUDGET,
     seed: int = 0,
-    conduct: Conduct = QUIET,
+    execution: Execution = QUIET,
     *,
     quick: bool = False,
     figure: Path | str | None = None,
@@ -70,7 +214,7 @@ def run(
         methods: of `identify`.
         budget: most simulated pushes of a search; the default method decides itself.
         seed: of everything random.
-        conduct: how the jobs are run.
+        execution: how the jobs are run.
         quick: only `QUICK_MASS_SETS` mass sets.
         figure: file for the curve of the error against the number of simulations, by its ending (PNG, PDF, SVG).
         force: whether an existing figure may be replaced.
@@ -83,8 +227,7 @@ def run(
         GridPushError: the data are not there, or an argument is out of range.
         OutputError: the figure cannot be written.
     """
-    from gridpush_drake.bench.figure_file import check_figure
-    from gridpush_drake.bench.paper_figure import write_figure
+    from gridpush_drake.bench.table import check_figure
 
     folder = None if data is None else Path(data).resolve()
     protocol = make_protocol(folder, seed)
@@ -96,7 +239,7 @@ def run(
     shares = BUDGET_SHARES if figure is not None else (1.0,)
     budgets = tuple(sorted({max(TRAINING_PUSHES, round(budget * share)) for share in shares}))
     jobs = _make_jobs(protocol, folder, names, sets, tuple(methods), budgets, seed)
-    done = run_jobs(run_job, jobs, _describe, conduct)
+    done = run_jobs(run_job, jobs, _describe, execution)
     scores = [score for scores in done for score in scores]
     tables = [tabulate_methods(scores, names, (UNIFORM, *methods), TRAINING_PUSHES, budget)]
     if DEFAULT in methods:
@@ -176,3 +319,64 @@ def _make_protocol(data: Path | None, seed: int) -> Protocol:
 @lru_cache(maxsize=1)
 def _make_case(data: Path | None, seed: int, name: str, mass_set: int) -> Case:
     return make_case(_make_protocol(data, seed), name, mass_set)
+
+
+COLUMNS = 3
+PANEL = (3.6, 2.7)
+"""Width and height of a panel, inches."""
+
+
+def write_figure(
+    path: Path | str, scores: Sequence[Score], names: Sequence[str], methods: Sequence[str], training: int, force: bool
+) -> None:
+    """Draws a panel for each object and one for all, and writes the figure in the format of its ending.
+
+    Args:
+        path: PNG, PDF or SVG.
+        scores: of all methods at several budgets.
+        names: of the objects.
+        methods: to draw.
+        training: number of training pushes.
+        force: whether an existing file may be replaced.
+
+    Raises:
+        OutputError: as `check_figure`.
+    """
+    from matplotlib.figure import Figure
+
+    panels = [*names, "all objects"]
+    height = -(-len(panels) // COLUMNS)
+    figure = Figure(figsize=(PANEL[0] * COLUMNS, PANEL[1] * height + 0.6), layout="constrained")
+    axes = figure.subplots(height, COLUMNS, squeeze=False, sharex=True, sharey=True).ravel()
+    for axis, panel in zip(axes, panels, strict=False):
+        _draw_panel(axis, select(scores, training=training, **({"name": panel} if panel in names else {})), methods)
+        axis.set_title(panel)
+    for axis in axes[len(panels) :]:
+        axis.set_visible(False)
+    figure.supxlabel("simulated pushes")
+    figure.supylabel("mean test cell error, mm")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
+    save_figure(figure, path, force)
+
+
+def _draw_panel(axis, scores: Sequence[Score], methods: Sequence[str]) -> None:  # type: ignore[no-untyped-def]
+    """A line for each method over the pushes it simulated, with a band: its interval; a point where it ran once."""
+    for i, method in enumerate(methods):
+        chosen = select(scores, method=method)
+        budgets = sorted({score.budget for score in chosen})
+        spent = (
+            budgets if method == UNIFORM else [mean_simulations(select(chosen, budget=budget)) for budget in budgets]
+        )
+        intervals = [summarize(select(chosen, budget=budget)) for budget in budgets]
+        mean, low, high = (MM * np.array([getattr(each, key) for each in intervals]) for key in ("mean", "low", "high"))
+        style = {"color": "0.4", "linestyle": "--"} if method == UNIFORM else {"color": f"C{i - 1}", "marker": "o"}
+        axis.plot(spent, mean, label=method.replace("_", " "), markersize=3 if len(spent) > 1 else 6, **style)
+        if len(spent) > 1:
+            axis.fill_between(spent, low, high, color=style["color"], alpha=0.15, linewidth=0)
+        elif np.isfinite(low).all():
+            axis.vlines(spent, low, high, color=style["color"])
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    for ticks in (axis.xaxis, axis.yaxis):
+        ticks.set_major_formatter("{x:g}")
+    axis.grid(alpha=0.3)

@@ -20,18 +20,17 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.grid.mask_image import read_labels
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.object_file import find_shipped_object, list_shipped_objects
-from gridpush_drake.grid.outline import OutlineEdges
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.grid.prior import PhysicalPrior
-from gridpush_drake.pushes.log import ObservedPush, PushLog
+from gridpush_drake.geometry.outline import OutlineEdges
+from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+from gridpush_drake.objects.mask import read_labels
+from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 Array = NDArray[np.float64]
 
 MAX_CELLS = 127
-METRES_PER_PIXEL = 0.001
+METERS_PER_PIXEL = 0.001
 """Of the masks, m, unless the data say otherwise."""
 
 MASS_SETS = 10
@@ -76,13 +75,13 @@ class Protocol:
         masks: the paper's objects' files, by name; the other objects are shipped.
         masses: mass of a cell of each label 1, 2, ..., kg, by object and mass set.
         splits: by number of training pushes; mass set i goes with split i.
-        metres_per_pixel: of the masks, m.
+        meters_per_pixel: of the masks, m.
     """
 
     masks: dict[str, Path]
     masses: dict[str, tuple[tuple[float, ...], ...]]
     splits: dict[int, tuple[Split, ...]]
-    metres_per_pixel: float = METRES_PER_PIXEL
+    meters_per_pixel: float = METERS_PER_PIXEL
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,12 +157,12 @@ def _read_protocol(path: Path, drawn: Protocol) -> Protocol:
             for count, splits in content["splits"].items()
         }
         known = {name: masses.get(name, sets) for name, sets in drawn.masses.items()}
-        return Protocol(drawn.masks, known, splits, float(content["metres_per_pixel"]["simulated"]))
+        return Protocol(drawn.masks, known, splits, float(content["meters_per_pixel"]["simulated"]))
     except OSError as error:
         raise GridPushError(f"{path}: cannot be read: {error.strerror}; expected the paper's numbers") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise GridPushError(
-            f"{path}: expected JSON with masses_by_label, splits and metres_per_pixel.simulated ({error!r})"
+            f"{path}: expected JSON with masses_by_label, splits and meters_per_pixel.simulated ({error!r})"
         ) from error
 
 
@@ -184,13 +183,13 @@ def make_case(protocol: Protocol, name: str, mass_set: int) -> Case:
     if name not in protocol.masses:
         raise GridPushError(f"objects: {name!r} is not in the protocol; expected one of {', '.join(protocol.masses)}")
     prior = PhysicalPrior(friction=SUPPORT_FRICTION)
-    mask, scale = protocol.masks.get(name), protocol.metres_per_pixel
+    mask, scale = protocol.masks.get(name), protocol.meters_per_pixel
     if mask is None:
         obj = replace(GridObject.from_yaml(find_shipped_object(name)), prior=prior)
         left, _, right, _ = obj.outline.bounds
-        columns = round((right - left) / METRES_PER_PIXEL)
+        columns = round((right - left) / METERS_PER_PIXEL)
     else:
-        obj = GridObject.from_mask(mask, metres_per_pixel=scale, max_cells=MAX_CELLS, prior=prior)
+        obj = GridObject.from_mask(mask, meters_per_pixel=scale, max_cells=MAX_CELLS, prior=prior)
         columns = read_labels(mask).shape[1]
     masses = dict(enumerate(protocol.masses[name][mass_set], start=1))
     truth = CellParameters.by_part(obj, masses, SUPPORT_FRICTION)
@@ -221,16 +220,16 @@ def make_pushes(obj: GridObject, columns: int) -> list[Push]:
 def place_disc(edges: OutlineEdges, x: float, side: int, radius: float) -> float:
     """Where a disc that comes along y first touches the outline.
 
-    The centre then lies on the outline grown by the radius: on a circle about a vertex or on a shifted edge.
+    The center then lies on the outline grown by the radius: on a circle about a vertex or on a shifted edge.
 
     Args:
         edges: of the outline, body frame, m.
-        x: of the disc's centre, m, within the outline's extent.
+        x: of the disc's center, m, within the outline's extent.
         side: +1 to come from above (+y), -1 from below.
         radius: of the disc, m.
 
     Returns:
-        y of the disc's centre, m.
+        y of the disc's center, m.
     """
     flip = np.array([1.0, side])
     start, end = edges.start * flip, edges.end * flip

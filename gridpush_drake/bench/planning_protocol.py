@@ -16,13 +16,12 @@ from numpy.typing import NDArray
 from gridpush_drake.bench.paper_protocol import MASS_SETS, MAX_CELLS, SUPPORT_FRICTION, draw_masses
 from gridpush_drake.bench.public_data import find_masks, find_protocol
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.grid.mask_image import read_labels
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.object_file import find_shipped_object
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.grid.prior import PhysicalPrior
+from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+from gridpush_drake.objects.mask import read_labels
+from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.push_constraints import PushConstraints
-from gridpush_drake.planning.surface import SupportSurface
+from gridpush_drake.planning.support_surface import SupportSurface
 
 Array = NDArray[np.float64]
 
@@ -35,17 +34,17 @@ SHIPPED = (
 PUSHED_SHIPPED = ("combination_wrench", "pliers", "toothpaste_tube")
 """Those of them that are pushed to goals, beside the masks: of other shapes than the masks have."""
 
-METRES_PER_PIXEL = 0.53 / 640
+METERS_PER_PIXEL = 0.53 / 640
 """Of the masks, m, unless the data say otherwise."""
 
 PAIRS = 10
 """Of start and goal poses."""
 
-TABLE_CENTRE, TABLE_RADIUS = (0.63, 0.0), 0.5
+TABLE_CENTER, TABLE_RADIUS = (0.63, 0.0), 0.5
 """Of the round table, m."""
 
 PLACE_RADIUS = 0.28
-"""Within which poses are drawn about the table's centre, evenly, m: the widest object then hangs over by 45 mm."""
+"""Within which poses are drawn about the table's center, evenly, m: the widest object then hangs over by 45 mm."""
 
 FINGER_RADIUS = 0.008
 """m."""
@@ -54,7 +53,7 @@ OVERHANG = 0.045
 """m by which cells may hang over the table's edge; the protocol's own poses make the widest object do so by 36 mm."""
 
 FINGER_OVERHANG = 0.1
-"""m by which the finger's centre may be beyond the edge: it ends above the table, and pushes back what hangs over."""
+"""m by which the finger's center may be beyond the edge: it ends above the table, and pushes back what hangs over."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +66,7 @@ class PlanningProtocol:
         masses: mass of a cell of each label 1, 2, ..., kg, by mask and mass set.
         pairs: (10, 2, 3) start and goal poses, m and rad.
         surface: the round table.
-        metres_per_pixel: of the masks, m.
+        meters_per_pixel: of the masks, m.
     """
 
     seed: int
@@ -75,7 +74,7 @@ class PlanningProtocol:
     masses: dict[str, tuple[tuple[float, ...], ...]]
     pairs: Array
     surface: SupportSurface
-    metres_per_pixel: float = METRES_PER_PIXEL
+    meters_per_pixel: float = METERS_PER_PIXEL
 
     @property
     def constraints(self) -> PushConstraints:
@@ -104,7 +103,7 @@ def make_planning_protocol(data: Path | None = None, seed: int = 0) -> PlanningP
     """
     masks = {} if data is None else find_masks(Path(data))
     masses = {name: draw_masses(name, read_labels(path), seed) for name, path in masks.items()}
-    surface = SupportSurface.round(TABLE_CENTRE, TABLE_RADIUS)
+    surface = SupportSurface.round(TABLE_CENTER, TABLE_RADIUS)
     drawn = PlanningProtocol(seed, masks, masses, draw_pairs(seed), surface)
     path = find_protocol(masks)
     return drawn if path is None else _read_protocol(path, drawn)
@@ -115,7 +114,7 @@ def draw_pairs(seed: int) -> Array:
     rng = np.random.default_rng([seed, PAIRS])
     distance = PLACE_RADIUS * np.sqrt(rng.uniform(size=(PAIRS, 2)))
     bearing, heading = rng.uniform(-np.pi, np.pi, (2, PAIRS, 2))
-    x, y = TABLE_CENTRE
+    x, y = TABLE_CENTER
     return np.stack([x + distance * np.cos(bearing), y + distance * np.sin(bearing), heading], axis=-1)
 
 
@@ -126,16 +125,16 @@ def _read_protocol(path: Path, drawn: PlanningProtocol) -> PlanningProtocol:
         planning = content["planning"]
         pairs = np.stack([np.array(planning[end], dtype=np.float64) for end in ("start", "goal")], axis=1)
         table = planning["table"]
-        surface = SupportSurface.round(table["centre"], float(table["radius"]))
+        surface = SupportSurface.round(table["center"], float(table["radius"]))
         masses = {str(name): tuple(map(tuple, sets)) for name, sets in content["masses_by_label"].items()}
         known = {name: masses.get(name, sets) for name, sets in drawn.masses.items()}
-        scale = float(content["metres_per_pixel"]["real_and_planning"])
+        scale = float(content["meters_per_pixel"]["real_and_planning"])
         return PlanningProtocol(drawn.seed, drawn.masks, known, pairs, surface, scale)
     except OSError as error:
         raise GridPushError(f"{path}: cannot be read: {error.strerror}; expected the paper's numbers") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise GridPushError(
-            f"{path}: expected JSON with masses_by_label, planning and metres_per_pixel ({error!r})"
+            f"{path}: expected JSON with masses_by_label, planning and meters_per_pixel ({error!r})"
         ) from error
 
 
@@ -149,7 +148,7 @@ def read_planning_object(protocol: PlanningProtocol, name: str) -> GridObject:
     """An object by its name, with its parts. Raises ObjectError where there is none."""
     if name in protocol.masks:
         return GridObject.from_mask(
-            protocol.masks[name], metres_per_pixel=protocol.metres_per_pixel, max_cells=MAX_CELLS,
+            protocol.masks[name], meters_per_pixel=protocol.meters_per_pixel, max_cells=MAX_CELLS,
             prior=PhysicalPrior(friction=SUPPORT_FRICTION),
         )  # fmt: skip
     return GridObject.from_yaml(find_shipped_object(name))

@@ -1,10 +1,14 @@
-"""`gridpush bench pregrasp`: slides to the table's rim with hidden masses, and what pokes are worth.
+"""`gridpush bench pregrasp`: slides to the table's edge with hidden masses, and what pokes are worth.
 
 Two experiments in the quasi-static LCP world with a table's edge (`bench.pregrasp_world`):
 
-    sliding     every object with hidden masses and frictions is explored, slid to the rim and grasped there, by the
+    sliding     every object with hidden masses and frictions is explored, slid to the edge and grasped there, by the
                 method, by the paper's two ablations, and with the true parameters
-    exploring   pokes chosen by design, or at random, until the centre of mass's standard deviation is small
+    exploring   pokes chosen by design, or at random, until the center of mass's standard deviation is small
+
+The objects and tables of the pre-grasp benchmark.
+
+The tables of the pre-grasp benchmark.
 """
 
 from collections.abc import Sequence
@@ -14,24 +18,210 @@ from pathlib import Path
 
 import numpy as np
 
-from gridpush_drake.bench.pregrasp_exploration import AIMS, DISTANCES, ExplorationScore, explore
-from gridpush_drake.bench.pregrasp_objects import MASK_OBJECT, OBJECTS, find_mask, load_bench_object, make_table
-from gridpush_drake.bench.pregrasp_tables import (
-    SlideScore,
-    tabulate_exploration,
-    tabulate_exploration_by_object,
-    tabulate_objects,
-    tabulate_slides,
+from gridpush_drake.bench.pregrasp_exploration import (
+    AIMS,
+    ALONG,
+    BOTH,
+    DISTANCES,
+    WANTED_STD,
+    ExplorationScore,
+    Trace,
+    explore,
 )
-from gridpush_drake.bench.pregrasp_world import Believe, EdgeWorld, Learner, PaperLearner, run_pregrasp
+from gridpush_drake.bench.pregrasp_world import Believe, EdgeWorld, Learner, Outcome, PaperLearner, run_pregrasp
+from gridpush_drake.bench.public_data import find_masks
 from gridpush_drake.bench.table import Table
-from gridpush_drake.bench.workers import QUIET, Conduct, run_jobs
+from gridpush_drake.bench.workers import QUIET, Execution, run_jobs
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.planning.belief import Belief
-from gridpush_drake.planning.grasp_parts import GraspPart, Gripper, find_grasp_parts
-from gridpush_drake.planning.pregrasp import PreGraspOptions, PreGraspPlanner
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, Gripper, find_grasp_parts
+from gridpush_drake.planning.pregrasp.planner import PreGraspOptions, PreGraspPlanner
+from gridpush_drake.planning.pregrasp.uncertainty import Belief
+from gridpush_drake.planning.support_surface import SupportSurface
+
+MASK_OBJECT = "hammer"
+"""The paper's own hammer, a mask among the public data."""
+
+OBJECTS = (
+    "claw_hammer",
+    "combination_wrench",
+    "pliers",
+    "spray_bottle",
+    "spring_clamp",
+    "toolbox",
+    "toothpaste_tube",
+)
+"""Those of the shipped objects that have a graspable part."""
+
+METERS_PER_PIXEL = 0.53 / 640
+"""Of the paper's masks, for its real objects."""
+
+RECTANGLE, RADIUS, HEXAGON = (0.9, 0.7), 0.45, 0.5
+"""m: sides, radius, circumradius of the tables, which take turns by seed."""
+
+
+def find_mask(data: Path) -> Path:
+    """Finds the paper's hammer among the public data. Raises GridPushError where it is not there."""
+    masks = find_masks(data)
+    if MASK_OBJECT not in masks:
+        raise GridPushError(f"{data}: holds no mask of {MASK_OBJECT}; expected {MASK_OBJECT}_label.pgm")
+    return masks[MASK_OBJECT].resolve()
+
+
+def load_bench_object(name: str, friction_range: tuple[float, float], mask: Path | None = None) -> GridObject:
+    """Loads an object, its support friction known to be within a range, its parts' masses not at all.
+
+    Args:
+        name: of OBJECTS, or of the mask.
+        friction_range: least and greatest coefficient of any cell.
+        mask: file of the paper's object; None for a shipped one.
+
+    Returns:
+        The object; the prior coefficient is the range's geometric mean.
+
+    Raises:
+        ObjectError: no shipped object has this name, or the mask cannot be read.
+    """
+    if mask is not None:
+        obj = GridObject.from_mask(mask, meters_per_pixel=METERS_PER_PIXEL, name=name)
+    else:
+        obj = GridObject.from_yaml(find_shipped_object(name))
+    low, high = friction_range
+    prior = replace(
+        obj.prior, total_mass=None, friction=float(np.sqrt(low * high)), friction_min=low, friction_max=high
+    )
+    return replace(obj, prior=prior)
+
+
+def make_table(seed: int) -> SupportSurface:
+    """A rectangular, a round or a hexagonal table about the world's origin, in turn."""
+    kind = seed % 3
+    if kind == 0:
+        return SupportSurface.rectangle((0.0, 0.0), RECTANGLE)
+    if kind == 1:
+        return SupportSurface.round((0.0, 0.0), RADIUS)
+    angle = np.pi / 3 * np.arange(6)
+    return SupportSurface.from_polygon(HEXAGON * np.column_stack([np.cos(angle), np.sin(angle)]))
+
+
+PERCENT = 100.0
+MM = 1e3
+"""Millimeters in a meter."""
+
+LIKELY = {BOTH: 5.991 / 2, ALONG: 3.841}
+"""What 95 % of chi squares stay below, per direction: of two degrees of freedom, and of one."""
+
+EXPLORE_COLUMNS = ("runs", "by design", "at random", "ratio", "error, mm", "at random, mm", "within 95 %, %")
+
+
+@dataclass(frozen=True)
+class SlideScore:
+    """How one run ended.
+
+    Attributes:
+        name: of the object.
+        method: of what is believed.
+        outcome: the end.
+        near: whether the part to be grasped is as near to the true center of mass as asked.
+    """
+
+    name: str
+    method: str
+    outcome: Outcome
+    near: bool = True
+
+
+def tabulate_slides(scores: Sequence[SlideScore], methods: Sequence[str]) -> Table:
+    """Successes, drops and refusals by method."""
+    rows = []
+    for method in methods:
+        outcomes = [score.outcome for score in scores if score.method == method]
+        grasped, dropped = sum(o.grasped for o in outcomes), sum(o.dropped for o in outcomes)
+        refused = len(outcomes) - grasped - dropped
+        rows.append((method, len(outcomes), PERCENT * grasped / len(outcomes), dropped, refused, *_counts(outcomes)))
+    return Table(
+        "Pre-grasp sliding, hidden masses and frictions",
+        ("method", "runs", "graspable, %", "dropped", "given up", "pokes", "slides"),
+        rows,
+        (
+            "graspable: a part hangs over the edge far enough, and the object is at rest.",
+            "dropped: it fell off the table on the way. given up: no safe way was found, and it is still on the table.",
+            "learned: stability for all masses that agree with the pushes; true: hidden parameters known; "
+            "uniform: uniform mass, nothing learned; unbounded: the paper's identification, friction without a bound.",
+            "pokes, slides: mean number of pushes.",
+        ),
+    )
+
+
+def tabulate_objects(scores: Sequence[SlideScore], objects: Sequence[str], method: str) -> Table:
+    """One method's runs by object."""
+    rows = []
+    for name in objects:
+        outcomes = [score.outcome for score in scores if score.method == method and score.name == name]
+        if outcomes:
+            grasped, dropped = sum(o.grasped for o in outcomes), sum(o.dropped for o in outcomes)
+            refused = len(outcomes) - grasped - dropped
+            rows.append((name, len(outcomes), PERCENT * grasped / len(outcomes), dropped, refused, *_counts(outcomes)))
+    columns = ("object", "runs", "graspable, %", "dropped", "given up", "pokes", "slides")
+    return Table(f"Pre-grasp sliding by object, {method}", columns, rows)
+
+
+def tabulate_exploration(scores: Sequence[ExplorationScore]) -> Table:
+    """Pokes needed, by design and at random, by their length; and whether the stated spread is right."""
+    rows = []
+    for aim in AIMS:
+        for distance in sorted({score.distance for score in scores}):
+            chosen = [score for score in scores if score.aim == aim and score.distance == distance]
+            if chosen:
+                rows.append((aim, MM * distance, *_explore_row(aim, chosen)))
+    return Table(
+        f"Pokes until the center of mass is known to {WANTED_STD * MM:.0f} mm",
+        ("wanted", "poke, mm", *EXPLORE_COLUMNS),
+        rows,
+        (
+            "by design, at random: mean number of pokes; the poke said to tell most, or any of the same pool.",
+            "wanted: of the center of mass; in both directions the least known one counts.",
+            "error: mean distance of the final estimate from the true center.",
+            "within 95 %: runs of either kind whose true center is within the 95 % range that the estimate states.",
+        ),
+        keys=2,
+    )
+
+
+def tabulate_exploration_by_object(scores: Sequence[ExplorationScore], objects: Sequence[str]) -> Table:
+    """The same by object, over all lengths."""
+    rows = []
+    for aim in AIMS:
+        for name in objects:
+            chosen = [score for score in scores if score.aim == aim and score.name == name]
+            if chosen:
+                rows.append((aim, name, *_explore_row(aim, chosen)))
+    return Table("The same by object, pokes of all lengths", ("wanted", "object", *EXPLORE_COLUMNS), rows, keys=2)
+
+
+def _explore_row(aim: str, scores: Sequence[ExplorationScore]) -> tuple[float | int, ...]:
+    active, random = [score.active for score in scores], [score.random for score in scores]
+    designed, drawn = _mean_pokes(active), _mean_pokes(random)
+    within = np.mean([trace.chi_square <= LIKELY[aim] for trace in (*active, *random)])
+    return (
+        len(scores), designed, drawn, designed / drawn, _mean_error(active), _mean_error(random),
+        PERCENT * float(within),
+    )  # fmt: skip
+
+
+def _mean_pokes(traces: Sequence[Trace]) -> float:
+    return float(np.mean([trace.pokes for trace in traces]))
+
+
+def _mean_error(traces: Sequence[Trace]) -> float:
+    return MM * float(np.mean([trace.errors[-1] for trace in traces]))
+
+
+def _counts(outcomes: Sequence[Outcome]) -> tuple[float, float]:
+    return float(np.mean([o.pokes for o in outcomes])), float(np.mean([o.slides for o in outcomes]))
+
 
 LEARNED, WIDE, TRUE = "learned", "learned, wide friction", "true"
 UNIFORM, UNBOUNDED = "uniform", "unbounded"
@@ -40,7 +230,7 @@ METHODS = (LEARNED, WIDE, TRUE, UNIFORM, UNBOUNDED)
 identification without a bound on the friction."""
 
 EXPLORING = {f"exploring, {aim}, {1e3 * distance:.0f} mm": (aim, distance) for distance in DISTANCES for aim in AIMS}
-"""What is wanted of the centre of mass, and the pokes' length (m), of each comparison of pokes."""
+"""What is wanted of the center of mass, and the pokes' length (m), of each comparison of pokes."""
 
 SLIDING_ONLY, EXPLORING_ONLY, ALL = "sliding", "exploring", "all"
 EXPERIMENTS = (ALL, SLIDING_ONLY, EXPLORING_ONLY)
@@ -67,16 +257,16 @@ MASS_RANGE = (0.1, 5.0)
 DEPTH = 0.03
 """m of a part that must hang over: the fingers' depth."""
 
-MOST_ARM = 0.06
-"""m that the grasp may be from where the centre of mass is believed: held farther off, the object turns in the gripper.
+MAX_ARM = 0.06
+"""m that the grasp may be from where the center of mass is believed: held farther off, the object turns in the gripper.
 Anywhere at the end of a handle, no mass distribution tips the object, and all methods do as well. So near, the object
 must come close to tipping; the true masses still leave a grasp in every case."""
 
-MOST_ARMS = {"toolbox": 0.15}
-"""The same for objects that offer nothing to hold so near to their middle: this one can be taken by its rim only."""
+MAX_ARMS = {"toolbox": 0.15}
+"""The same for objects that offer nothing to hold so near to their middle: this one can be taken by its edge only."""
 
 ARM_SLACK = 0.02
-"""m that a grasp may be farther from the true centre of mass than `MOST_ARM` and still count as near."""
+"""m that a grasp may be farther from the true center of mass than `MAX_ARM` and still count as near."""
 
 OFFSET = 0.05
 """m, at most, of the object from the table's middle at the beginning."""
@@ -103,7 +293,7 @@ def run(
     seeds: int = SEEDS,
     methods: Sequence[str] = METHODS,
     seed: int = 0,
-    conduct: Conduct = QUIET,
+    execution: Execution = QUIET,
     *,
     depth: float = DEPTH,
     experiment: str = ALL,
@@ -118,7 +308,7 @@ def run(
         seeds: tables, starts and noises a mass set; the table takes turns with both.
         methods: of METHODS.
         seed: of everything random.
-        conduct: how the jobs are run.
+        execution: how the jobs are run.
         depth: of the gripper's fingers, m; the deeper, the nearer the object comes to tipping.
         experiment: of EXPERIMENTS.
         quick: only `QUICK_MASS_SETS` mass sets and `QUICK_SEEDS` seeds.
@@ -145,7 +335,7 @@ def run(
         for name in objects
         for method in (*(methods if sliding else ()), *(EXPLORING if exploring and i == 0 else ()))
     ]
-    done = run_jobs(run_job, jobs, _describe, conduct)
+    done = run_jobs(run_job, jobs, _describe, execution)
     slides = [score for score in done if isinstance(score, SlideScore)]
     pokes = [score for score in done if isinstance(score, ExplorationScore)]
     tables = []
@@ -167,8 +357,8 @@ def run_job(job: Job) -> SlideScore | ExplorationScore:
     surface = make_table(job.seed + job.mass_set)
     start = np.append(rng.uniform(-OFFSET, OFFSET, 2), rng.uniform(-np.pi, np.pi))
     world = EdgeWorld(obj, truth, surface, start, rng)
-    arm = MOST_ARMS.get(job.name, MOST_ARM)
-    options = PreGraspOptions(least_pokes=_least_pokes(job.method), most_arm=arm)
+    arm = MAX_ARMS.get(job.name, MAX_ARM)
+    options = PreGraspOptions(min_pokes=_min_pokes(job.method), max_arm=arm)
     planner = PreGraspPlanner(obj, surface, options, parts)
 
     outcome = run_pregrasp(world, planner, _make_learner(obj, truth, job.method))
@@ -192,8 +382,8 @@ def make_truth(obj: GridObject, mass_set: int) -> CellParameters:
     return replace(truth, contact_friction=float(rng.uniform(*CONTACT_FRICTION_RANGE)))
 
 
-def _least_pokes(method: str) -> int:
-    known = PreGraspOptions().least_pokes
+def _min_pokes(method: str) -> int:
+    known = PreGraspOptions().min_pokes
     return {LEARNED: known, WIDE: known, UNBOUNDED: PAPER_PUSHES}.get(method, 0)
 
 

@@ -1,6 +1,6 @@
-"""How many pokes it takes to find the centre of mass, chosen by design and at random.
+"""How many pokes it takes to find the center of mass, chosen by design and at random.
 
-Either the centre is wanted in both directions, or, as for a goal at the table's edge, across one line: here along the
+Either the center is wanted in both directions, or, as for a goal at the table's edge, across one line: here along the
 object's longest direction. Both ways choose from the same pokes, all of one length. A long poke tells more, whichever
 it is, and two or three of them are needed in any case: so the shorter the pokes, the more there is to gain by design.
 """
@@ -12,26 +12,26 @@ from numpy.typing import NDArray
 
 from gridpush_drake.bench.pregrasp_world import see
 from gridpush_drake.dynamics.simulate import simulate
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.identify import identify
-from gridpush_drake.planning.exploration import PokeOptions, choose_poke, make_centre_functional, make_pokes
-from gridpush_drake.planning.knowledge import Knowledge
-from gridpush_drake.pushes.log import ObservedPush, PushLog
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.pregrasp.exploration import PokeOptions, choose_poke, make_center_functional, make_pokes
+from gridpush_drake.planning.pregrasp.uncertainty import LinearizedPosterior
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 Array = NDArray[np.float64]
 
 WANTED_STD = 0.005
-"""m, of the centre of mass, in the direction wanted or, of both, in the one least known."""
+"""m, of the center of mass, in the direction wanted or, of both, in the one least known."""
 
 BOTH, ALONG = "both directions", "along the object"
 AIMS = (BOTH, ALONG)
-"""What of the centre of mass is wanted."""
+"""What of the center of mass is wanted."""
 
 DISTANCES = (0.02, 0.04, 0.08)
 """Of the pokes, m."""
 
-MOST_POKES = 20
+MAX_POKES = 20
 """Made before giving up; then counted as one more."""
 
 
@@ -40,7 +40,7 @@ class Trace:
     """One run.
 
     Attributes:
-        pokes: made until the standard deviation was small; `MOST_POKES` + 1 where it never was.
+        pokes: made until the standard deviation was small; `MAX_POKES` + 1 where it never was.
         stds: of what is wanted after each poke, m.
         errors: of what is wanted after each poke, m.
         chi_square: squared error of the final estimate in units of its covariance, for each direction wanted; 1 on
@@ -77,8 +77,8 @@ def explore(
 
     Args:
         obj: the object.
-        truth: its hidden parameters. All its cells are made to rub alike: only then is the centre of friction the
-            centre of mass.
+        truth: its hidden parameters. All its cells are made to rub alike: only then is the center of friction the
+            center of mass.
         name: of the object.
         mass_set: number of the hidden set.
         seed: of noise and random pokes.
@@ -106,16 +106,16 @@ def _run(
     active: bool,
     rng: np.random.Generator,
 ) -> Trace:
-    """One run; `wanted` (1 or 2, 2) are the directions in which the centre is."""
-    centre, found = wanted @ truth.centre_of_mass(obj), None
-    knowledge, pose, log = Knowledge.of_prior(obj), np.zeros(3), list[ObservedPush]()
+    """One run; `wanted` (1 or 2, 2) are the directions in which the center is."""
+    center, found = wanted @ truth.center_of_mass(obj), None
+    knowledge, pose, log = LinearizedPosterior.of_prior(obj), np.zeros(3), list[ObservedPush]()
     stds: list[float] = []
     errors: list[float] = []
     chi_square = np.nan
-    while len(log) < MOST_POKES and not (stds and stds[-1] < WANTED_STD):
+    while len(log) < MAX_POKES and not (stds and stds[-1] < WANTED_STD):
         pokes = make_pokes(knowledge, pose, options)
         if active:
-            F = wanted @ make_centre_functional(obj, knowledge.posterior)
+            F = wanted @ make_center_functional(obj, knowledge.posterior)
             push = choose_poke(knowledge, pose, pokes, F).push
         else:
             push = pokes[int(rng.integers(len(pokes)))]
@@ -124,11 +124,11 @@ def _run(
         pose = after
         seen = PushLog(tuple(log))
         found = identify(obj, seen, regime="quasi_static", start=found)
-        knowledge = Knowledge.of_identification(found, seen if active else None)
-        covariance = wanted @ found.identifiability.centre_of_friction_covariance @ wanted.T
-        error = wanted @ found.identifiability.centre_of_friction - centre
+        knowledge = LinearizedPosterior.of_identification(found, seen if active else None)
+        covariance = wanted @ found.identifiability.center_of_friction_covariance @ wanted.T
+        error = wanted @ found.identifiability.center_of_friction - center
         stds.append(float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])))
         errors.append(float(np.linalg.norm(error)))
         chi_square = float(error @ np.linalg.solve(covariance, error)) / len(wanted)
-    count = len(log) if stds[-1] < WANTED_STD else MOST_POKES + 1
+    count = len(log) if stds[-1] < WANTED_STD else MAX_POKES + 1
     return Trace(count, tuple(stds), tuple(errors), chi_square)

@@ -11,17 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.identify import identify
 from gridpush_drake.identification.result import Identification
-from gridpush_drake.planning.belief import Belief
-from gridpush_drake.planning.edge_push import is_held, simulate_near_edge
-from gridpush_drake.planning.held_cells import find_held
-from gridpush_drake.planning.pregrasp import PreGraspPlanner
-from gridpush_drake.planning.pregrasp_goal import calc_overhangs
-from gridpush_drake.planning.surface import SupportSurface
-from gridpush_drake.pushes.log import ObservedPush, PushLog
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.pregrasp.edge_push import is_supported, simulate_near_edge
+from gridpush_drake.planning.pregrasp.goals import calc_overhangs
+from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
+from gridpush_drake.planning.pregrasp.uncertainty import Belief
+from gridpush_drake.planning.support_surface import SupportSurface, find_supported
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 Array = NDArray[np.float64]
 
@@ -31,7 +30,7 @@ POSITION_NOISE = 0.0005
 ANGLE_NOISE = 0.003
 """rad."""
 
-MOST_LEARNED_FROM = 14
+MAX_LEARNED_FROM = 14
 """Pushes: the latest ones; the cost of learning grows with them, and what they tell hardly does."""
 
 
@@ -68,7 +67,7 @@ class EdgeWorld:
         """Makes a push; returns whether the object was on the table with all its cells throughout."""
         motion = simulate_near_edge(self.obj, self.truth, push, self.pose, self.surface)
         self.pose, self.dropped = motion.final_pose, self.dropped or motion.fell
-        return bool(find_held(self.obj, motion.poses, self.surface).all())
+        return bool(find_supported(self.obj, motion.poses, self.surface).all())
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ class Outcome:
         pokes: made.
         slides: made.
         reason: the last decision's.
-        arm: m from the true centre of mass to the middle of the part to be grasped; NaN where there is none.
+        arm: m from the true center of mass to the middle of the part to be grasped; NaN where there is none.
     """
 
     grasped: bool
@@ -112,7 +111,7 @@ def run_pregrasp(world: EdgeWorld, planner: PreGraspPlanner, believe: Believe) -
     belief, learned_from = believe(PushLog(())), 0
     while True:
         if len(log) != learned_from:
-            belief, learned_from = believe(PushLog(tuple(log[-MOST_LEARNED_FROM:]))), len(log)
+            belief, learned_from = believe(PushLog(tuple(log[-MAX_LEARNED_FROM:]))), len(log)
         # looked at anew: since the last push somebody may have moved it, which says nothing of its masses
         pose = world.observe()
         decision = planner.decide(pose, belief, counts["poke"], counts["slide"])
@@ -129,7 +128,7 @@ def run_pregrasp(world: EdgeWorld, planner: PreGraspPlanner, believe: Believe) -
     grasped = decision.action == "grasp" and _hangs_over(world, planner)
     arm = np.nan
     if decision.action == "grasp" and decision.goal is not None:
-        arm = float(np.linalg.norm(decision.goal.part.p_BG - world.truth.centre_of_mass(world.obj)))
+        arm = float(np.linalg.norm(decision.goal.part.p_BG - world.truth.center_of_mass(world.obj)))
     return Outcome(grasped, False, counts["poke"], counts["slide"], decision.reason, arm)
 
 
@@ -160,13 +159,13 @@ class PaperLearner:
     Attributes:
         obj: the object.
         friction_range: that frictions are sought in.
-        least_pokes: the first pushes, chosen, as the default method's are, by what that one learned.
+        min_pokes: the first pushes, chosen, as the default method's are, by what that one learned.
         first: what learns from those.
     """
 
     obj: GridObject
     friction_range: tuple[float, float]
-    least_pokes: int
+    min_pokes: int
     first: Learner = field(init=False)
 
     def __post_init__(self) -> None:
@@ -174,7 +173,7 @@ class PaperLearner:
 
     def __call__(self, log: PushLog) -> Belief | None:
         """What is believed after pushes; None before the first."""
-        if len(log) < self.least_pokes or not len(log):
+        if len(log) < self.min_pokes or not len(log):
             return self.first(log)
         low, high = self.friction_range
         wide = replace(self.obj, prior=replace(self.obj.prior, friction_min=low, friction_max=high))
@@ -184,4 +183,4 @@ class PaperLearner:
 
 def _hangs_over(world: EdgeWorld, planner: PreGraspPlanner) -> bool:
     overhangs = calc_overhangs(planner.parts, world.pose, world.surface)
-    return bool(overhangs.max() >= 0) and is_held(world.obj, world.truth, world.pose, world.surface)
+    return bool(overhangs.max() >= 0) and is_supported(world.obj, world.truth, world.pose, world.surface)

@@ -10,7 +10,7 @@
 from pathlib import Path
 
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.pushes.cmu_format import POSE_SIZE
+from gridpush_drake.pushes.importers.cmu import POSE_SIZE
 
 PAPER_SOURCE = "GitHub changkyu/rss2020_changkyu"
 CMU_SOURCE = "GitHub robinzhoucmu/MLab_EXP"

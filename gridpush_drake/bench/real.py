@@ -6,6 +6,8 @@ The pushes are public data of other people. Without them, simulated pushes of th
 CMU (Zhou et al. 2016): 25 of a file's 50 pushes are held out, 1 to 25 of the others train; the metric is
 |dxy| + rho |dtheta|, rho = 0.05 sqrt 2 m. MIT (Yu et al. 2016): a fifth of a file's pushes trains, the rest are held
 out. The standard error of one CMU split's mean is 0.15 mm: smaller differences say nothing.
+
+The error on the CMU pushes against the number of training pushes.
 """
 
 from collections.abc import Sequence
@@ -16,19 +18,20 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
+from gridpush_drake.bench.paper import PANEL
 from gridpush_drake.bench.public_data import find_push_logs
 from gridpush_drake.bench.simulated_pushes import describe_pushes, simulate_log
-from gridpush_drake.bench.table import Table, Value
-from gridpush_drake.bench.workers import QUIET, Conduct, run_jobs
+from gridpush_drake.bench.table import Table, Value, save_figure
+from gridpush_drake.bench.workers import QUIET, Execution, run_jobs
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.object_file import find_shipped_object, list_shipped_objects
-from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.identify import identify
 from gridpush_drake.identification.prediction import calc_pose_error, predict
-from gridpush_drake.pushes.cmu import import_cmu
-from gridpush_drake.pushes.log import PushLog
-from gridpush_drake.pushes.mit import import_mit, read_model_errors
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.importers.cmu import import_cmu
+from gridpush_drake.pushes.importers.mit import import_mit, read_model_errors
+from gridpush_drake.pushes.push_log import PushLog
 
 CMU_RHO = 0.05 * 2**0.5
 """m, of the metric."""
@@ -45,7 +48,7 @@ SPLITS, QUICK_SPLITS = 10, 2
 CONFIDENCE = 0.95
 MM = 1e3
 POSE_COLUMNS = ("training", "position, mm", "angle, °")
-UNIFORM, POSES, CENTRE = "uniform pressure", "poses only", "poses + centre of mass"
+UNIFORM, POSES, CENTER = "uniform pressure", "poses only", "poses + center of mass"
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,7 @@ def run(
     quick: bool = False,
     figure: Path | str | None = None,
     force: bool = False,
-    conduct: Conduct = QUIET,
+    execution: Execution = QUIET,
 ) -> list[Table]:
     """Measures the default method on the public push data sets, or on simulated pushes that stand in for them.
 
@@ -108,7 +111,7 @@ def run(
         quick: only `QUICK_SPLITS` splits, with 5 and 25 pushes.
         figure: file for the curve of the error against the number of training pushes.
         force: whether an existing figure may be replaced.
-        conduct: how the jobs are run.
+        execution: how the jobs are run.
 
     Returns:
         The CMU files at 5 and 25 training pushes; the curve; and the MIT files. Without data, the simulated pushes.
@@ -118,7 +121,7 @@ def run(
         PushLogError: a log cannot be read.
     """
     if figure is not None:
-        from gridpush_drake.bench.figure_file import check_figure
+        from gridpush_drake.bench.table import check_figure
 
         check_figure(figure, force)
     splits, counts = (min(splits, QUICK_SPLITS), SHOWN_COUNTS) if quick else (splits, tuple(counts))
@@ -127,22 +130,20 @@ def run(
     if data is None:
         if figure is not None:
             raise GridPushError("figure: is of real pushes; expected --data with it")
-        return _run_simulated(list_shipped_objects() if objects is None else objects, splits, seed, conduct)
+        return _run_simulated(list_shipped_objects() if objects is None else objects, splits, seed, execution)
     if objects is not None:
         raise GridPushError("objects: are for simulated pushes; expected none with --data")
     files = name_logs(find_push_logs(Path(data).resolve(), CMU_TEST + max(counts)))
     for _, kind, path in files:
         _read(path, kind)
     jobs = [Job(path, kind, split, counts, seed, name) for name, kind, path in files for split in range(splits)]
-    results = run_jobs(run_job, jobs, _describe, conduct)
+    results = run_jobs(run_job, jobs, _describe, execution)
     scores = [score for result in results for score in result]
     tables = []
     cmu = [name for name, kind, _ in files if kind == "cmu"]
     if cmu:
         tables += [_tabulate_cmu(scores, cmu, counts), _tabulate_curve(scores, cmu, counts)]
         if figure is not None:
-            from gridpush_drake.bench.real_figure import write_curve
-
             write_curve(figure, scores, [name for name in cmu if name in FEET_SETS] or cmu, counts, force)
     mit = {name: path for name, kind, path in files if kind == "mit"}
     if mit:
@@ -150,11 +151,11 @@ def run(
     return tables
 
 
-def _run_simulated(objects: Sequence[str], splits: int, seed: int, conduct: Conduct) -> list[Table]:
+def _run_simulated(objects: Sequence[str], splits: int, seed: int, execution: Execution) -> list[Table]:
     """The simulated pushes of shipped objects, which stand in for real ones."""
     paths = [find_shipped_object(name) for name in objects]
     jobs = [Job(path, "simulated", split, SHOWN_COUNTS, seed) for path in paths for split in range(splits)]
-    scores = [score for result in run_jobs(run_job, jobs, _describe, conduct) for score in result]
+    scores = [score for result in run_jobs(run_job, jobs, _describe, execution) for score in result]
     return [_tabulate_simulated(scores, objects)]
 
 
@@ -178,7 +179,7 @@ def run_job(job: Job) -> list[Score]:
     else:
         test, rest = log.subset(order[:CMU_TEST]), order[CMU_TEST:]
     if job.kind == "cmu":
-        models.append((CENTRE, replace(obj, prior=replace(obj.prior, centre_of_mass=(0.0, 0.0)))))
+        models.append((CENTER, replace(obj, prior=replace(obj.prior, center_of_mass=(0.0, 0.0)))))
     scores = [_score(job, UNIFORM, 0, obj, CellParameters.uniform(obj), test)]
     for count in counts:
         train = log.subset(rest[:count])
@@ -229,7 +230,7 @@ def format_interval(values: np.ndarray) -> str:
 def _tabulate_cmu(scores: Sequence[Score], names: Sequence[str], counts: Sequence[int]) -> Table:
     rows: list[list[Value]] = []
     shown = [count for count in reversed(SHOWN_COUNTS) if count in counts] or list(counts[-1:])
-    variants = [(UNIFORM, 0), *((model, count) for count in shown for model in (CENTRE, POSES))]
+    variants = [(UNIFORM, 0), *((model, count) for count in shown for model in (CENTER, POSES))]
     feet = [name for name in names if name in FEET_SETS]
     for model, training in variants:
         errors = np.concatenate([s.combined() for s in _choose(scores, feet or names, model, training)])
@@ -255,7 +256,7 @@ def _tabulate_curve(scores: Sequence[Score], names: Sequence[str], counts: Seque
     feet = [name for name in names if name in FEET_SETS] or list(names)
     for count in counts:
         row: list[Value] = [count]
-        for model in (CENTRE, POSES):
+        for model in (CENTER, POSES):
             worse = [
                 float(
                     (
@@ -271,7 +272,7 @@ def _tabulate_curve(scores: Sequence[Score], names: Sequence[str], counts: Seque
             ]
         rows.append(row)
     notes = ("Worst: on the set where learning helps least, its mean error less that of uniform pressure, mm.",)
-    columns = ("training", CENTRE, "worst", "on", POSES, "worst", "on")
+    columns = ("training", CENTER, "worst", "on", POSES, "worst", "on")
     return Table("CMU pushes: error by number of training pushes, mm", columns, rows, notes)
 
 
@@ -308,3 +309,44 @@ def _make_pose_row(scores: Sequence[Score], name: str, model: str, training: int
     mm = np.array([MM * np.mean(score.position) for score in chosen])
     degrees = np.array([np.degrees(np.mean(score.angle)) for score in chosen])
     return [name, model, chosen[0].training, format_interval(mm), format_interval(degrees)]
+
+
+COLUMNS = 2
+
+
+def write_curve(
+    path: Path | str, scores: Sequence[Score], names: Sequence[str], counts: Sequence[int], force: bool
+) -> None:
+    """Draws a panel a file and writes the figure.
+
+    Args:
+        path: PNG, PDF or SVG.
+        scores: of the files' splits.
+        names: of the files.
+        counts: numbers of training pushes.
+        force: whether an existing file may be replaced.
+
+    Raises:
+        OutputError: the file exists or cannot be written.
+    """
+    from matplotlib.figure import Figure
+
+    height = -(-len(names) // COLUMNS)
+    figure = Figure(figsize=(PANEL[0] * COLUMNS, PANEL[1] * height + 0.6), layout="constrained")
+    axes = figure.subplots(height, COLUMNS, squeeze=False, sharex=True, sharey=True).ravel()
+    for axis, name in zip(axes, names, strict=False):
+        for model, color in ((POSES, "tab:blue"), (CENTER, "tab:orange")):
+            means = [calc_split_means(scores, [name], model, count) for count in counts]
+            middle = np.array([values.mean() for values in means])
+            spread = np.array([values.std(ddof=1) if len(values) > 1 else 0.0 for values in means])
+            axis.plot(counts, middle, "o-", color=color, label=model, markersize=4)
+            axis.fill_between(counts, middle - spread, middle + spread, color=color, alpha=0.15, linewidth=0)
+        axis.axhline(calc_split_means(scores, [name], UNIFORM, 0).mean(), color="0.4", linestyle="--", label=UNIFORM)
+        axis.set_title(name)
+    axes[0].set_ylim(bottom=0)  # shared by all panels
+    for axis in axes[len(names) :]:
+        axis.set_visible(False)
+    figure.supxlabel("training pushes")
+    figure.supylabel("held-out error, mm (band: one standard deviation of the splits)")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
+    save_figure(figure, path, force)

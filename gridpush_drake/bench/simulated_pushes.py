@@ -12,9 +12,9 @@ import numpy as np
 
 from gridpush_drake.bench.plant import DISTANCE, SPEED, draw_push
 from gridpush_drake.dynamics.simulate import simulate
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.pushes.log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
 
 PUSHES = 50
 """A log, as many as the CMU's."""

@@ -1,28 +1,83 @@
-"""How fast a push is simulated and differentiated, beside MuJoCo and the paper."""
+"""How fast a push is simulated and differentiated, beside MuJoCo and the paper.
 
+Wall-clock timing on one core.
+"""
+
+import os
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from time import perf_counter
 
 import numpy as np
 from shapely import LineString
+from threadpoolctl import threadpool_limits
 
-from gridpush_drake.bench.pregrasp_objects import find_mask
+from gridpush_drake.bench.pregrasp import find_mask
 from gridpush_drake.bench.table import Table, Value
-from gridpush_drake.bench.timing import Timing, measure, one_core
 from gridpush_drake.bench.workers import Report, count_steps
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import Regime, simulate
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.object_file import find_shipped_object
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.objects.parameters import CellParameters
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How long something takes, s: the median and the quartiles over the repetitions."""
+
+    median: float
+    low: float
+    high: float
+    repetitions: int
+
+
+def measure(work: Callable[[], object], repetitions: int, warm_up: int = 1) -> Timing:
+    """Times `work`.
+
+    Args:
+        work: what is timed.
+        repetitions: how often.
+        warm_up: runs before, not counted.
+
+    Returns:
+        Median and quartiles.
+    """
+    for _ in range(warm_up):
+        work()
+    seconds = []
+    for _ in range(repetitions):
+        begin = perf_counter()
+        work()
+        seconds.append(perf_counter() - begin)
+    low, median, high = np.quantile(seconds, [0.25, 0.5, 0.75])
+    return Timing(float(median), float(low), float(high), repetitions)
+
+
+@contextmanager
+def one_core() -> Iterator[bool]:
+    """Keeps this process to one core and one thread; yields whether the system can keep it to a core."""
+    with threadpool_limits(1):
+        if not hasattr(os, "sched_setaffinity"):
+            yield False
+            return
+        before = os.sched_getaffinity(0)
+        os.sched_setaffinity(0, {max(before)})
+        try:
+            yield True
+        finally:
+            os.sched_setaffinity(0, before)
+
 
 PAPER_SIMULATION, PAPER_GRADIENT = 1.3448, 0.0069
 """s a simulated push, and s a gradient (Song and Boularias, RSS 2020)."""
 
-METRES_PER_PIXEL = 0.001
+METERS_PER_PIXEL = 0.001
 """Of the paper's masks in its simulations."""
 
 DURATION, SPEED, RADIUS, DT = 2.0, 0.1, 0.015, 0.01
@@ -88,7 +143,7 @@ def load_hammer(data: Path | None) -> GridObject:
     """
     if data is None:
         return GridObject.from_yaml(find_shipped_object("claw_hammer"))
-    return GridObject.from_mask(find_mask(data), metres_per_pixel=METRES_PER_PIXEL, name="hammer mask")
+    return GridObject.from_mask(find_mask(data), meters_per_pixel=METERS_PER_PIXEL, name="hammer mask")
 
 
 def _simulations(obj: GridObject) -> dict[str, Callable[[], object]]:
@@ -174,7 +229,7 @@ def _measure_start_up(repetitions: int = 7) -> Table:
     commands = {
         "python -c pass": ["-c", "pass"],
         "import gridpush_drake": ["-c", "import gridpush_drake"],
-        "gridpush --help": ["-m", "gridpush_drake.apps.main", "--help"],
+        "gridpush --help": ["-m", "gridpush_drake.cli.main", "--help"],
     }
     rows: list[list[Value]] = []
     for name, arguments in commands.items():

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gridpush_drake.bench.table import Table, Value
-from gridpush_drake.bench.workers import QUIET, Conduct, run_jobs
-from gridpush_drake.grid.object_file import find_shipped_object
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.identification.error_summary import calc_mean_cell_error
+from gridpush_drake.bench.workers import QUIET, Execution, run_jobs
+from gridpush_drake.identification.prediction import calc_mean_cell_error
+from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.objects.parameters import CellParameters
 
 OBJECTS = ("claw_hammer", "combination_wrench", "spray_bottle")
 SEEDS = (0, 1, 2)
@@ -36,7 +36,7 @@ class StationScore:
         pushes: learned from.
         held_out: pushes to judge by.
         error: mean cell error of the held-out pushes, with the uniform model, as learned, and with the true parameters.
-        centre_of_mass_error: with the uniform model, and as learned.
+        center_of_mass_error: with the uniform model, and as learned.
         tracking_error: of the finger.
         share: of joint position, velocity and torque limits, the greatest.
         touched: pairs of bodies that should not have touched.
@@ -49,7 +49,7 @@ class StationScore:
     pushes: int
     held_out: int
     error: tuple[float, float, float]
-    centre_of_mass_error: tuple[float, float]
+    center_of_mass_error: tuple[float, float]
     tracking_error: float
     share: float
     touched: int
@@ -59,14 +59,14 @@ class StationScore:
 def run(
     objects: Sequence[str] = OBJECTS,
     seeds: Sequence[int] = SEEDS,
-    conduct: Conduct = QUIET,
+    execution: Execution = QUIET,
 ) -> list[Table]:
     """Runs the experiments.
 
     Args:
         objects: shipped objects' names.
         seeds: of the experiments with each.
-        conduct: how the jobs are run.
+        execution: how the jobs are run.
 
     Returns:
         One table, a row an experiment.
@@ -74,37 +74,37 @@ def run(
     Raises:
         ObjectError: an object is not shipped.
     """
-    return [make_table(calc_scores(objects, seeds, conduct))]
+    return [make_table(calc_scores(objects, seeds, execution))]
 
 
 def calc_scores(
     objects: Sequence[str] = OBJECTS,
     seeds: Sequence[int] = SEEDS,
-    conduct: Conduct = QUIET,
+    execution: Execution = QUIET,
 ) -> list[StationScore]:
     """As `run`, experiment by experiment."""
     for name in objects:
         find_shipped_object(name)
     jobs = [StationJob(name, seed) for name in objects for seed in seeds]
-    return run_jobs(run_job, jobs, lambda job: f"{job.name}, seed {job.seed}", conduct)
+    return run_jobs(run_job, jobs, lambda job: f"{job.name}, seed {job.seed}", execution)
 
 
 def run_job(job: StationJob) -> StationScore:
     """Runs one experiment with the default scenario."""
-    from gridpush_drake.scene.scenario import PushScenario
-    from gridpush_drake.station.experiment import PushExperiment
+    from gridpush_drake.station.identify_task import IdentifyTask
+    from gridpush_drake.station.scenario import PushScenario
 
-    record = PushExperiment(replace(PushScenario(), object=job.name, seed=job.seed)).run()
-    obj, truth, conduct, held_out = record.obj, record.truth, record.conduct, record.held_out_log
+    record = IdentifyTask(replace(PushScenario(), object=job.name, seed=job.seed)).run()
+    obj, truth, limits, held_out = record.obj, record.truth, record.limit_report, record.held_out_log
     uniform = CellParameters.uniform(obj)
     learned = record.estimates[-1].params if record.estimates else uniform
     regime = record.estimates[-1].regime if record.estimates else "quasi_static"
     before, after, floor = (calc_mean_cell_error(obj, params, held_out, regime) for params in (uniform, learned, truth))
-    gaps = [float(np.linalg.norm(p.centre_of_mass(obj) - truth.centre_of_mass(obj))) for p in (uniform, learned)]
+    gaps = [float(np.linalg.norm(p.center_of_mass(obj) - truth.center_of_mass(obj))) for p in (uniform, learned)]
     return StationScore(
         job.name, job.seed, record.status, len(record.training_log), len(held_out), (before, after, floor),
-        (gaps[0], gaps[1]), conduct.tracking_error,
-        max(conduct.position_share, conduct.velocity_share, conduct.torque_share), len(conduct.touched),
+        (gaps[0], gaps[1]), limits.tracking_error,
+        max(limits.position_share, limits.velocity_share, limits.torque_share), len(limits.touched),
         record.duration,
     )  # fmt: skip
 
@@ -129,7 +129,7 @@ def make_table(scores: Sequence[StationScore]) -> Table:
 
 def _figures(score: StationScore) -> list[float]:
     before, after, floor = score.error
-    uniform, learned = score.centre_of_mass_error
+    uniform, learned = score.center_of_mass_error
     return [
         score.pushes, score.held_out, before * MM, after * MM, floor * MM, after / before, uniform * MM, learned * MM,
         score.tracking_error * MM,

@@ -1,13 +1,22 @@
-"""A table of measured figures, for people and for machines."""
+"""A table of measured figures, for people and for machines.
+
+Figures as files.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from math import floor, isnan, log10
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from gridpush_drake.errors import OutputError
+from gridpush_drake.files import check_writable, write_whole
 
 if TYPE_CHECKING:
     import rich.console
     import rich.table
+    from matplotlib.figure import Figure
 
 Value = str | float | int | None
 
@@ -122,3 +131,22 @@ class Table:
         for row in self.rows:
             table.add_row(*(Text(self.format(row[i]), no_wrap=True) for i in part))
         return table
+
+
+DPI = 150
+
+ENDINGS = (".png", ".pdf", ".svg")
+
+
+def check_figure(path: Path | str, force: bool) -> None:
+    """Checks, before long work begins, that a figure may be written. Raises OutputError where it may not."""
+    if Path(path).suffix.lower() not in ENDINGS:
+        raise OutputError(f"{path}: is of an unknown kind; expected a name that ends in {', '.join(ENDINGS)}")
+    check_writable(path, force)
+
+
+def save_figure(figure: "Figure", path: Path | str, force: bool) -> None:
+    """Writes a figure in the format of the path's ending. Raises OutputError as `check_figure` does."""
+    buffer = BytesIO()
+    figure.savefig(buffer, format=Path(path).suffix.lstrip("."), dpi=DPI)
+    write_whole(path, buffer.getvalue(), force)

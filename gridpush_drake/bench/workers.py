@@ -32,7 +32,7 @@ END_WITHIN = 1.0
 
 
 @dataclass(frozen=True)
-class Conduct:
+class Execution:
     """How jobs are run; it changes no result.
 
     Attributes:
@@ -48,7 +48,7 @@ class Conduct:
     prepare: Callable[[], None] | None = None
 
 
-QUIET = Conduct()
+QUIET = Execution()
 """Nothing is said and nothing kept."""
 
 
@@ -56,7 +56,7 @@ def run_jobs(
     function: Callable[[Job], Result],
     jobs: Sequence[Job],
     describe: Callable[[Job], str],
-    conduct: Conduct = QUIET,
+    execution: Execution = QUIET,
 ) -> list[Result]:
     """Runs a function on every job whose result is not known yet.
 
@@ -64,7 +64,7 @@ def run_jobs(
         function: of a job; importable, as is the job, a dataclass; its result's type is annotated.
         jobs: what to do.
         describe: a job in a few words.
-        conduct: how.
+        execution: how.
 
     Returns:
         The results in the jobs' order, which does not depend on the workers.
@@ -72,15 +72,15 @@ def run_jobs(
     Raises:
         GridPushError: a worker ended without an answer, or the results cannot be kept.
     """
-    kept = conduct.results.bind(function) if conduct.results is not None else None
+    kept = execution.results.bind(function) if execution.results is not None else None
     done = {} if kept is None else kept.find(jobs)
-    report = conduct.report or (lambda *_: None)
+    report = execution.report or (lambda *_: None)
     said = "" if not done else f"{len(done)} known from before"
     left = [(i, job) for i, job in enumerate(jobs) if i not in done]
-    if left and conduct.prepare is not None:
-        conduct.prepare()
+    if left and execution.prepare is not None:
+        execution.prepare()
     report(said, len(done), len(jobs))
-    for found in _run(function, left, conduct.workers):
+    for found in _run(function, left, execution.workers):
         if found is not None:
             i, result = found
             done[i], said = result, describe(jobs[i])

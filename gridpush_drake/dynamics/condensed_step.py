@@ -12,8 +12,8 @@ from gridpush_drake.dynamics.kernels.inputs import Load
 from gridpush_drake.dynamics.kernels.step import CONVERGED
 from gridpush_drake.dynamics.reference.maximal_lcp import STANDARD_GRAVITY
 from gridpush_drake.errors import SimulationError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 
 STICTION_TOLERANCE = 1e-10
 """m/s, and share of the speed: what sticks moves less than a few of these."""

@@ -61,13 +61,13 @@ class Motion:
         times: (T+1,) s from the push's beginning.
         poses: (T+1, 3) q = (x, y, theta) of the body frame, m and rad.
         velocities: (T+1, 3) (vx, vy, w) of the body frame's origin, m/s and rad/s.
-        tip: (T+1, 2) centre of the pusher, m; NaN for a force-driven push.
+        tip: (T+1, 2) center of the pusher, m; NaN for a force-driven push.
         contact_forces: (T, 2, 2) force of the pusher on the object at its at most two contacts, N. In the quasi-static
             regime too: it is what the support's friction asks for. How two contacts that stick share it is statically
             indeterminate; one admissible way is given.
         contact_points: (T, 2, 2) where they act, halfway through the step, m; NaN where there is no contact.
         modes: (T, 2) contact modes: 0 separate, 1 stick, 2 slide with lam_t = +mu_c lam_n, 3 with the opposite sign.
-        gaps: (T+1,) distance from the disc's rim to the outline, m; negative where they overlap, infinite where far.
+        gaps: (T+1,) distance from the disc's edge to the outline, m; negative where they overlap, infinite where far.
         status: how it went; compares equal to its string, "ok" for instance.
         iterations: (T,) Newton iterations of each step.
         jacobian: derivatives of the poses, where asked for.
@@ -111,7 +111,7 @@ class Motion:
 class RawJacobian:
     """The kernel's columns, and what turns them into named blocks by the chain rule.
 
-    k_i = mu_i m_i g, and m_i moves mass, centre of mass c and inertia I about it:
+    k_i = mu_i m_i g, and m_i moves mass, center of mass c and inertia I about it:
     dm = dm_i, dc = (p_i - c)/m dm_i, dI = (|p_i - c|² + s²/6) dm_i.
     """
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.errors import PushError
-from gridpush_drake.grid.object import GridObject
+from gridpush_drake.objects.grid_object import GridObject
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,7 +18,7 @@ class Push:
     `Push.on_outline` starts at a place on an object's outline.
 
     Attributes:
-        start: (2,) p_WP of the disc's centre at the beginning, m, world frame.
+        start: (2,) p_WP of the disc's center at the beginning, m, world frame.
         velocity: (2,) v_WP, m/s, world frame; for a sampled path, its mean.
         duration: s, positive.
         radius: m, positive.
@@ -145,7 +145,7 @@ class Push:
         return float(np.linalg.norm(np.diff(self.xy, axis=0), axis=1).sum())
 
     def tip_at(self, times: ArrayLike) -> NDArray[np.float64]:
-        """Interpolates p_WP of the disc's centre, (K, 2) m, at times (K,), s from the beginning; held past the ends."""
+        """Interpolates p_WP of the disc's center, (K, 2) m, at times (K,), s from the beginning; held past the ends."""
         times = np.asarray(times, dtype=np.float64)
         return np.column_stack([np.interp(times, self.t, self.xy[:, axis]) for axis in (0, 1)])
 

@@ -17,8 +17,8 @@ from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.dynamics.reference.paper_rollout import calc_paper_jacobian
 from gridpush_drake.dynamics.time_grid import check_times, make_times
 from gridpush_drake.errors import SimulationError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 
 Array = NDArray[np.float64]
 Regime = Literal["inertial", "quasi_static"]
@@ -29,7 +29,7 @@ GRAVITY = 9.81
 STICTION_TOLERANCE = 1e-9
 """m/s, of the inertial regime; a body at rest creeps slower than a few of these."""
 
-LEAST_STICTION = 1e-15
+MIN_STICTION = 1e-15
 """m/s; below it round-off rules."""
 
 RELATIVE_STICTION = 1e-7
@@ -91,7 +91,7 @@ def simulate(
     if params.n != obj.n:
         raise SimulationError(f"parameters of {params.n} cells; expected {obj.n}, as {obj.name} has")
     check_number("gravity", gravity, 0.0)
-    check_number("stiction_tolerance", stiction_tolerance, LEAST_STICTION)
+    check_number("stiction_tolerance", stiction_tolerance, MIN_STICTION)
     inertial = regime == "inertial"
     q, nu = check_vector("pose", pose), check_vector("velocity", velocity)
     if not inertial and nu.any():

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 
 Array = NDArray[np.float64]
 
@@ -30,28 +30,28 @@ class Identifiability:
     Attributes:
         relative_friction: (n,) k, summing to one.
         relative_friction_std: (n,) its standard deviation.
-        centre_of_friction: (2,) sum k_i p_BC_i, m, body frame.
-        centre_of_friction_covariance: (2, 2) m².
+        center_of_friction: (2,) sum k_i p_BC_i, m, body frame.
+        center_of_friction_covariance: (2, 2) m².
         learned_directions: how many independent combinations of the cells' log-friction the pushes determined.
         null_space: (n - learned_directions, n) orthonormal basis of those they did not; its first row is the common
             scale, which no slow push shows.
         learned_share: (n,) share of each cell's prior variance that the pushes took away, 0 to 1.
         mass_min: (n,) kg, the least mass each cell may have, given the friction bounds and the total mass.
         mass_max: (n,) kg, the greatest.
-        centre_of_mass_box: (2, 2) rows min and max of the centres of mass that agree with k and the bounds, m.
+        center_of_mass_box: (2, 2) rows min and max of the centers of mass that agree with k and the bounds, m.
         statements: the same in sentences, for a report.
     """
 
     relative_friction: Array
     relative_friction_std: Array
-    centre_of_friction: Array
-    centre_of_friction_covariance: Array
+    center_of_friction: Array
+    center_of_friction_covariance: Array
     learned_directions: int
     null_space: Array
     learned_share: Array
     mass_min: Array
     mass_max: Array
-    centre_of_mass_box: Array
+    center_of_mass_box: Array
     statements: tuple[str, ...]
 
 
@@ -68,26 +68,26 @@ def calc_identifiability(obj: GridObject, params: CellParameters, posterior: Pos
     """
     share = posterior.calc_share()
     share_covariance = posterior.calc_share_covariance()
-    centre = share @ obj.p_BC
+    center = share @ obj.p_BC
     prior, after = posterior.prior_covariance[:-1, :-1], posterior.covariance[:-1, :-1]
     null_space = _calc_null_space(prior, after)
     learned_share = np.clip(1 - np.diag(after) / np.diag(prior), 0.0, 1.0)
     mass_min, mass_max = _calc_mass_bounds(share, params.total_mass, obj)
-    box = calc_centre_of_mass_box(share, obj)
+    box = calc_center_of_mass_box(share, obj)
     learned = obj.n - len(null_space)
     covariance = obj.p_BC.T @ share_covariance @ obj.p_BC
     statements = _describe(obj, learned, learned_share, np.sqrt(np.maximum(np.diag(covariance), 0.0)), box)
     return Identifiability(
-        share, np.sqrt(np.maximum(np.diag(share_covariance), 0.0)), centre, covariance, learned, null_space,
+        share, np.sqrt(np.maximum(np.diag(share_covariance), 0.0)), center, covariance, learned, null_space,
         learned_share, mass_min, mass_max, box, statements,
     )  # fmt: skip
 
 
-def calc_centre_of_mass_box(share: Array, obj: GridObject) -> Array:
-    """Bounds of the centre of mass over all m_i in [k_i/mu_max, k_i/mu_min], up to a common scale.
+def calc_center_of_mass_box(share: Array, obj: GridObject) -> Array:
+    """Bounds of the center of mass over all m_i in [k_i/mu_max, k_i/mu_min], up to a common scale.
 
     The extreme along an axis takes the light choice on one side of some line and the heavy one on the other; the line
-    runs through the centre itself (a linear-fractional programme), so that trying every cell's coordinate finds it.
+    runs through the center itself (a linear-fractional program), so that trying every cell's coordinate finds it.
 
     Args:
         share: (n,) k, summing to one.
@@ -130,7 +130,7 @@ def _calc_null_space(prior: Array, after: Array) -> Array:
     return (basis[:, keep] * np.where(basis[:1, keep] < 0, -1.0, 1.0)).T
 
 
-def _describe(obj: GridObject, learned: int, learned_share: Array, centre_std: Array, box: Array) -> tuple[str, ...]:
+def _describe(obj: GridObject, learned: int, learned_share: Array, center_std: Array, box: Array) -> tuple[str, ...]:
     total = "that they add up to the known total mass" if obj.prior.total_mass else "a total mass that was not measured"
     known_cells = int((learned_share >= KNOWN_SHARE).sum())
     width, height = np.diff(box, axis=0)[0] * 1e3
@@ -143,8 +143,8 @@ def _describe(obj: GridObject, learned: int, learned_share: Array, centre_std: A
         f"coefficient, and {total}.",
         f"The pushes determined {learned} of {obj.n} independent combinations of the cells' log-friction, and "
         f"{known_cells} of {obj.n} cells by themselves; the rest is the smoothness prior's.",
-        f"The centre of friction is known to {1e3 * centre_std[0]:.1f} mm in x and {1e3 * centre_std[1]:.1f} mm in y "
+        f"The center of friction is known to {1e3 * center_std[0]:.1f} mm in x and {1e3 * center_std[1]:.1f} mm in y "
         "(one standard deviation).",
-        f"With friction coefficients anywhere from {low:g} to {high:g}, the centre of mass may lie anywhere in a box "
-        f"of {width:.0f} mm by {height:.0f} mm; with equal coefficients it is at the centre of friction.",
+        f"With friction coefficients anywhere from {low:g} to {high:g}, the center of mass may lie anywhere in a box "
+        f"of {width:.0f} mm by {height:.0f} mm; with equal coefficients it is at the center of friction.",
     )

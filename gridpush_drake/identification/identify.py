@@ -1,4 +1,7 @@
-"""`identify`: from a push log to a model."""
+"""`identify`: from a push log to a model.
+
+A search's result in the form of a fit: its parameters, with Laplace's spread about them.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,23 +13,81 @@ from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.simulate import GRAVITY, Regime
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import DEFAULT_TOTAL_MASS, CellParameters
-from gridpush_drake.grid.prior import PhysicalPrior
-from gridpush_drake.identification.bounds import Bounds
-from gridpush_drake.identification.default import DefaultFit, DefaultOptions, fit_default, fit_nothing
+from gridpush_drake.identification.baselines.methods import DEFAULT_BUDGET_PER_PUSH, SEARCH_METHODS
+from gridpush_drake.identification.baselines.search import Bounds, SearchMethod
 from gridpush_drake.identification.identifiability import calc_identifiability
-from gridpush_drake.identification.map_fit import CentreOfMass
+from gridpush_drake.identification.map_ensemble import (
+    MapEnsembleFit,
+    MapEnsembleOptions,
+    Tracker,
+    calc_prior_factor,
+    fit_map_ensemble,
+    fit_prior,
+)
+from gridpush_drake.identification.map_fit import CenterOfMass, calc_laplace, calc_smooth_covariance
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.problem import PushProblem
-from gridpush_drake.identification.result import FitStart, HistoryEntry, Identification
-from gridpush_drake.identification.search_fit import fit_by_search
-from gridpush_drake.identification.search_methods import SEARCH_METHODS
-from gridpush_drake.identification.tracker import Tracker
-from gridpush_drake.pushes.log import PushLog
+from gridpush_drake.identification.result import (
+    STATUS_BUDGET_SPENT,
+    STATUS_LEARNED,
+    FitStart,
+    HistoryEntry,
+    Identification,
+)
+from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
 from gridpush_drake.pushes.plausibility import check_plausible
+from gridpush_drake.pushes.push_log import PushLog
 
 Array = NDArray[np.float64]
+
+
+def fit_by_search(
+    problem: PushProblem,
+    log: PushLog,
+    search: SearchMethod,
+    start: CellParameters,
+    bounds: Bounds,
+    log_contact_friction_std: float,
+    options: MapEnsembleOptions,
+    budget: int | None,
+    seed: int,
+    tracker: Tracker,
+) -> tuple[MapEnsembleFit, Array]:
+    """Runs a search.
+
+    Args:
+        problem: the training pushes, for the spread.
+        log: the same.
+        search: which.
+        start: where to begin.
+        bounds: of the parameters.
+        log_contact_friction_std: prior standard deviation of log mu_c, which no search moves.
+        options: whose widest prior and noise give the spread.
+        budget: most pushes to simulate, or None.
+        seed: of the search.
+        tracker: of its history.
+
+    Returns:
+        The fit, and the cells' friction coefficients (n,).
+    """
+    found = search(
+        problem.obj, log, start, bounds, budget=budget or DEFAULT_BUDGET_PER_PUSH * len(log), seed=seed,
+        regime=problem.regime, progress=tracker.add,
+    )  # fmt: skip
+    final = PushProblem(problem.obj, log, found.params.friction, problem.regime)
+    z = final.unknowns(found.params)
+    C = calc_smooth_covariance(problem.obj, options.range_cells)
+    A = calc_prior_factor(C, options.amplitudes[-1], log_contact_friction_std)
+    covariance, scale = calc_laplace(final, z, A, options.noise)
+    status = STATUS_BUDGET_SPENT if found.status == STATUS_BUDGET_SPENT else STATUS_LEARNED
+    message = f"The search ended after {found.simulations} simulations: {found.status.replace('_', ' ')}."
+    return (
+        MapEnsembleFit(z, covariance, A @ A.T, options.noise.pose * scale, status, message),
+        found.params.friction,
+    )
+
+
 Progress = Callable[[HistoryEntry], None]
 
 METHODS = ("default", *SEARCH_METHODS)
@@ -37,7 +98,7 @@ REGIMES = ("auto", "quasi_static", "inertial")
 FAST_PUSH = 0.01
 """v²/(mu g rho) above which a log's pushes count as fast, and are simulated with inertia."""
 
-SMALLEST_CONTACT_FRICTION = 0.05
+MIN_CONTACT_FRICTION = 0.05
 """Below which a prior contact friction is taken for this one, whose logarithm is the unknown."""
 
 
@@ -51,7 +112,7 @@ def identify(
     *,
     regime: Regime | Literal["auto"] = "auto",
     budget: int | None = None,
-    options: DefaultOptions | None = None,
+    options: MapEnsembleOptions | None = None,
     progress: Progress | None = None,
     start: Identification | None = None,
 ) -> Identification:
@@ -94,15 +155,15 @@ def identify(
     log = log.subset(np.flatnonzero(touched))
     problem = PushProblem(obj, log, friction, used_regime)
     tracker = Tracker(problem, progress)
-    options = options or DefaultOptions()
+    options = options or MapEnsembleOptions()
     log_contact_friction_std = obj.prior.contact_friction_std / uniform.contact_friction
     if not len(log):
-        fit = fit_nothing(obj, z0, log_contact_friction_std, options)
+        fit = fit_prior(obj, z0, log_contact_friction_std, options)
     elif method == "default":
-        at = obj.prior.centre_of_mass
-        centre = None if at is None else CentreOfMass(at, obj.prior.centre_of_mass_std)
+        at = obj.prior.center_of_mass
+        center = None if at is None else CenterOfMass(at, obj.prior.center_of_mass_std)
         starts = _choose_starts(obj, start, options)
-        fit = fit_default(problem, z0, log_contact_friction_std, centre, options, seed, tracker.report, starts)
+        fit = fit_map_ensemble(problem, z0, log_contact_friction_std, center, options, seed, tracker.report, starts)
     else:
         search = SEARCH_METHODS[method]
         fit, friction = fit_by_search(
@@ -112,7 +173,7 @@ def identify(
     return _make_result(obj, log, fit, friction, method, tracker, used_regime, seed, unused)
 
 
-def describe_prior(obj: GridObject, options: DefaultOptions | None = None, seed: int = 0) -> Identification:
+def describe_prior(obj: GridObject, options: MapEnsembleOptions | None = None, seed: int = 0) -> Identification:
     """What is held of an object before any push, in the form of an identification.
 
     Args:
@@ -127,7 +188,7 @@ def describe_prior(obj: GridObject, options: DefaultOptions | None = None, seed:
     regime: Regime = "quasi_static"
     problem = PushProblem(obj, PushLog(()), uniform.friction, regime)
     log_contact_friction_std = obj.prior.contact_friction_std / uniform.contact_friction
-    fit = fit_nothing(obj, problem.unknowns(uniform), log_contact_friction_std, options or DefaultOptions())
+    fit = fit_prior(obj, problem.unknowns(uniform), log_contact_friction_std, options or MapEnsembleOptions())
     return _make_result(obj, PushLog(()), fit, uniform.friction, "default", Tracker(problem, None), regime, seed, ())
 
 
@@ -140,10 +201,10 @@ def choose_regime(obj: GridObject, log: PushLog) -> Regime:
 
 def _make_uniform(obj: GridObject) -> CellParameters:
     """The prior's parameters; the logarithm of the contact friction is an unknown, so that it must not be nil."""
-    return CellParameters.uniform(obj, contact_friction=max(obj.prior.contact_friction, SMALLEST_CONTACT_FRICTION))
+    return CellParameters.uniform(obj, contact_friction=max(obj.prior.contact_friction, MIN_CONTACT_FRICTION))
 
 
-def _choose_starts(obj: GridObject, start: Identification | None, options: DefaultOptions) -> tuple[FitStart, ...]:
+def _choose_starts(obj: GridObject, start: Identification | None, options: MapEnsembleOptions) -> tuple[FitStart, ...]:
     """One start an amplitude, or none."""
     if start is None:
         return ()
@@ -173,7 +234,7 @@ def _check_log(obj: GridObject, log: PushLog) -> PushLog:
 
 
 def _make_result(
-    obj: GridObject, log: PushLog, fit: DefaultFit, friction: Array, method: str, tracker: Tracker, regime: str,
+    obj: GridObject, log: PushLog, fit: MapEnsembleFit, friction: Array, method: str, tracker: Tracker, regime: str,
     seed: int, unused: tuple[str, ...],
 ) -> Identification:  # fmt: skip
     """Turns z and its covariance into masses, frictions and their standard deviations."""

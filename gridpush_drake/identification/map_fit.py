@@ -1,16 +1,33 @@
 """The most probable parameters under one smoothness prior, by trust-region Gauss-Newton, and that prior's evidence.
 
-With z = z_0 + A u, A A^T the prior covariance of z, the unknown is u, a priori N(0, I). Minimised is
+With z = z_0 + A u, A A^T the prior covariance of z, the unknown is u, a priori N(0, I). Minimized is
 
     1/2 |u|² + sum over pushes of Huber(W_p r_p(z)) + 1/2 |(c(k) - c_0)/sigma_c|²
 
-r_p the residuals of push p, W_p their whitening (`noise`), c the centre of friction and c_0 the centre of mass where
+r_p the residuals of push p, W_p their whitening (`noise`), c the center of friction and c_0 the center of mass where
 one is given (equal to c where all cells rub alike). Whitening, Huber's weights and the noise scale s are renewed
 between runs of the trust-region solver. The evidence is Laplace's,
 
     log p(data) ~ -loss - 1/2 log det H_u - 1/2 sum_p log det Sigma_p - log p(c_0)
 
 where c_0 is prior knowledge, not data: its own evidence is taken off again.
+
+What the model leaves unexplained, push by push.
+
+A push that is sensitive to where exactly it began says less than one that is not. The covariance of a push's residuals
+
+    Sigma = s² (sigma² K/K_eff I + sigma_tip² J_start J_start^T + sigma_mu² J_mu J_mu^T)
+
+has three sources: the poses' measurement, the pusher's place, and the contact friction's wandering from push to push.
+The last two come from the exact Jacobian. The scale s is learned from the data. K observations along one push share
+their errors; together they count as K_eff = sqrt(K).
+
+The smoothness prior: a Gaussian Markov random field on the logarithm of the cells' friction.
+
+    log k ~ N(log k_prior, a² C),      C^-1 proportional to (L + kappa² I)²,      kappa² = 8 / range²
+
+with L the graph Laplacian of neighboring cells: the Matérn field of smoothness one on a grid (Lindgren, Rue and
+Lindström 2011, section 2). C has unit mean variance; `a`, the amplitude, is the strength that identification chooses.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,12 +37,65 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.identification.noise import NoiseModel, calc_effective_count
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import FitStart
+from gridpush_drake.objects.grid_object import GridObject
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Standard deviations at scale one, and how firmly the scale is believed.
+
+    Attributes:
+        pose: of a residual (a coordinate of the centroid, or the turn at the radius of gyration), m.
+        tip: of the pusher's place per axis, m.
+        log_contact_friction: of log mu_c from push to push.
+        prior_weight: how many residuals the belief in scale one is worth.
+        outlier: a push whose whitened residual is this many standard deviations counts less from there on (Huber).
+    """
+
+    pose: float = 0.0008
+    tip: float = 0.0015
+    log_contact_friction: float = 0.3
+    prior_weight: float = 20.0
+    outlier: float = 1.0
+
+    def calc_factor(self, input_jacobian: Array, scale: float) -> Array:
+        """Lower Cholesky factor (3K, 3K) of Sigma.
+
+        Args:
+            input_jacobian: (3K, 3) residuals by start x, start y (both per m) and log mu_c, m.
+            scale: s.
+        """
+        rows = len(input_jacobian)
+        count = rows / 3
+        inputs = input_jacobian * np.array([self.tip, self.tip, self.log_contact_friction])
+        sigma = self.pose**2 * np.sqrt(count) * np.eye(rows) + inputs @ inputs.T
+        return scale * np.linalg.cholesky(sigma)
+
+    def calc_weight(self, whitened: Array) -> float:
+        """Huber's weight of a push, 1 or less, from its whitened residuals (3K,)."""
+        size = _calc_size(whitened)
+        return 1.0 if size <= self.outlier else self.outlier / size
+
+    def calc_loss(self, whitened: Array) -> float:
+        """Huber's loss of a push from its whitened residuals (3K,): -log likelihood but for its normalization."""
+        size = _calc_size(whitened)
+        squared = size**2 if size <= self.outlier else self.outlier * (2 * size - self.outlier)
+        return 0.5 * calc_effective_count(len(whitened)) * squared
+
+
+def calc_effective_count(rows: int) -> float:
+    """How many independent residuals a push's 3K count for: 3 K_eff."""
+    return 3.0 * float(np.sqrt(rows / 3))
+
+
+def _calc_size(whitened: Array) -> float:
+    """Root mean square of the whitened residuals, one where the noise is as large as supposed."""
+    return float(np.sqrt(whitened @ whitened / calc_effective_count(len(whitened))))
+
 
 RENEWALS = 4
 """Times whitening, weights and noise scale are renewed."""
@@ -41,8 +111,8 @@ TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True)
-class CentreOfMass:
-    """Where the centre of mass is held to be.
+class CenterOfMass:
+    """Where the center of mass is held to be.
 
     Attributes:
         at: (2,) body frame, m.
@@ -52,14 +122,14 @@ class CentreOfMass:
     at: tuple[float, float]
     std: float
 
-    def linearise(self, obj: GridObject, z: Array) -> tuple[Array, Array]:
-        """Whitened residual (2,) of the centre of friction at z (n+1,), and its Jacobian (2, n+1)."""
+    def linearize(self, obj: GridObject, z: Array) -> tuple[Array, Array]:
+        """Whitened residual (2,) of the center of friction at z (n+1,), and its Jacobian (2, n+1)."""
         k = np.exp(z[:-1] - z[:-1].max())
         share = k / k.sum()
-        centre = share @ obj.p_BC
+        center = share @ obj.p_BC
         J = np.zeros((2, len(z)))
-        J[:, :-1] = (share[:, None] * (obj.p_BC - centre)).T
-        return (centre - np.asarray(self.at)) / self.std, J / self.std
+        J[:, :-1] = (share[:, None] * (obj.p_BC - center)).T
+        return (center - np.asarray(self.at)) / self.std, J / self.std
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +156,7 @@ def fit_map(
     z0: Array,
     A: Array,
     noise: NoiseModel,
-    centre_of_mass: CentreOfMass | None = None,
+    center_of_mass: CenterOfMass | None = None,
     *,
     pushes: Sequence[int] | None = None,
     start: Array | None = None,
@@ -101,7 +171,7 @@ def fit_map(
         z0: (n+1,) prior mean.
         A: (n+1, n+1) factor of the prior covariance, A A^T.
         noise: the noise model.
-        centre_of_mass: prior knowledge of the centre of mass, or None.
+        center_of_mass: prior knowledge of the center of mass, or None.
         pushes: those to use; all by default.
         start: (n+1,) where to begin; z0 by default.
         scale: of the noise, to begin with.
@@ -118,25 +188,25 @@ def fit_map(
     if rival is not None:
         other = np.asarray(np.linalg.solve(A, rival.z - z0), dtype=np.float64)
         stages = [
-            _Stage(problem, z0, A, noise, centre_of_mass, chosen, v, s) for v, s in ((u, scale), (other, rival.scale))
+            _Stage(problem, z0, A, noise, center_of_mass, chosen, v, s) for v, s in ((u, scale), (other, rival.scale))
         ]
         best = min(stages, key=_Stage.objective)
         u, scale = best.start, best.scale
         if best is stages[1]:
             renewals = WARM_RENEWALS
     for _ in range(renewals):
-        stage = _Stage(problem, z0, A, noise, centre_of_mass, chosen, u, scale)
+        stage = _Stage(problem, z0, A, noise, center_of_mass, chosen, u, scale)
         u = stage.solve(u)
         scale, gamma = stage.renew_scale(u)
         if on_renewal is not None:
             on_renewal(z0 + A @ u)
-    stage = _Stage(problem, z0, A, noise, centre_of_mass, chosen, u, scale)
+    stage = _Stage(problem, z0, A, noise, center_of_mass, chosen, u, scale)
     H = stage.hessian(u)
     covariance = A @ np.linalg.solve(H, A.T)
-    evidence = -stage.loss(u) - 0.5 * np.linalg.slogdet(H)[1] - stage.log_normaliser
+    evidence = -stage.loss(u) - 0.5 * np.linalg.slogdet(H)[1] - stage.log_normalizer
     evidence -= 0.5 * noise.prior_weight * (2 * np.log(scale) + scale**-2)
-    if centre_of_mass is not None:
-        evidence -= _calc_centre_evidence(problem.obj, z0, A, centre_of_mass)
+    if center_of_mass is not None:
+        evidence -= _calc_center_evidence(problem.obj, z0, A, center_of_mass)
     return MapFit(z0 + A @ u, 0.5 * (covariance + covariance.T), scale, float(evidence), gamma)
 
 
@@ -167,18 +237,18 @@ class _Stage:
         z0: Array,
         A: Array,
         noise: NoiseModel,
-        centre_of_mass: CentreOfMass | None,
+        center_of_mass: CenterOfMass | None,
         pushes: Sequence[int],
         u: Array,
         scale: float,
     ) -> None:
         self.problem, self.z0, self.A, self.noise = problem, z0, A, noise
-        self.centre_of_mass, self.pushes, self.scale = centre_of_mass, pushes, scale
+        self.center_of_mass, self.pushes, self.scale = center_of_mass, pushes, scale
         self._at: Array | None = None
-        linear = problem.linearise(z0 + A @ u, pushes)
+        linear = problem.linearize(z0 + A @ u, pushes)
         factors = [noise.calc_factor(inputs, scale) for inputs in linear.by_inputs]
         self.start = u
-        self.log_normaliser = float(
+        self.log_normalizer = float(
             sum(calc_effective_count(len(L)) / len(L) * np.log(np.diag(L)).sum() for L in factors)
         )
         self.whitening = [np.linalg.inv(L) for L in factors]
@@ -186,9 +256,9 @@ class _Stage:
         self._store(u, linear.residuals, linear.by_z)
 
     def objective(self) -> float:
-        """Negative log posterior at the start, the normalisation of the noise included."""
+        """Negative log posterior at the start, the normalization of the noise included."""
         belief = self.noise.prior_weight * (np.log(self.scale) + 0.5 * self.scale**-2)
-        return self.loss(self.start) + self.log_normaliser + belief
+        return self.loss(self.start) + self.log_normalizer + belief
 
     def solve(self, u: Array) -> Array:
         """Runs the trust-region solver from u."""
@@ -203,13 +273,13 @@ class _Stage:
         return J.T @ J
 
     def loss(self, u: Array) -> float:
-        """Negative log posterior at u but for normalisation; Huber's, not the weighted quadratic."""
+        """Negative log posterior at u but for normalization; Huber's, not the weighted quadratic."""
         self._evaluate(u)
         assert self._residuals is not None
         whitened = [W @ r for W, r in zip(self.whitening, self._residuals, strict=True)]
         total = 0.5 * float(u @ u) + sum(self.noise.calc_loss(w) for w in whitened)
-        if self.centre_of_mass is not None:
-            r, _ = self.centre_of_mass.linearise(self.problem.obj, self.z0 + self.A @ u)
+        if self.center_of_mass is not None:
+            r, _ = self.center_of_mass.linearize(self.problem.obj, self.z0 + self.A @ u)
             total += 0.5 * float(r @ r)
         return total
 
@@ -220,15 +290,15 @@ class _Stage:
             w * float((W @ r) @ (W @ r)) for w, W, r in zip(self.weights, self.whitening, self._residuals, strict=True)
         )
         count = sum(calc_effective_count(len(r)) for r in self._residuals)
-        gamma = len(u) - float(np.trace(np.linalg.inv(H))) - (2 if self.centre_of_mass is not None else 0)
-        gamma = float(np.clip(gamma, 0.0, LARGEST_INFORMED_SHARE * count))
+        gamma = len(u) - float(np.trace(np.linalg.inv(H))) - (2 if self.center_of_mass is not None else 0)
+        gamma = float(np.clip(gamma, 0.0, MAX_INFORMED_SHARE * count))
         weight = self.noise.prior_weight
         return float(np.sqrt((squares * self.scale**2 + weight) / (count - gamma + weight))), gamma
 
     def _evaluate(self, u: Array) -> tuple[Array, Array]:
         """Stacked residuals and their Jacobian by u; simulates once a point."""
         if self._at is None or not np.array_equal(u, self._at):
-            linear = self.problem.linearise(self.z0 + self.A @ u, self.pushes)
+            linear = self.problem.linearize(self.z0 + self.A @ u, self.pushes)
             self._store(u, linear.residuals, linear.by_z)
         return self._stacked
 
@@ -239,19 +309,43 @@ class _Stage:
             root = np.sqrt(weight)
             rows.append(root * (W @ r))
             jacobians.append(root * (W @ (J @ self.A)))
-        if self.centre_of_mass is not None:
-            r, J = self.centre_of_mass.linearise(self.problem.obj, self.z0 + self.A @ u)
+        if self.center_of_mass is not None:
+            r, J = self.center_of_mass.linearize(self.problem.obj, self.z0 + self.A @ u)
             rows.append(r)
             jacobians.append(J @ self.A)
         self._stacked = np.concatenate(rows), np.concatenate(jacobians)
 
 
-LARGEST_INFORMED_SHARE = 0.8
+MAX_INFORMED_SHARE = 0.8
 """Of the residuals, that parameters may use up; the rest speaks of the noise."""
 
 
-def _calc_centre_evidence(obj: GridObject, z0: Array, A: Array, centre_of_mass: CentreOfMass) -> float:
+def _calc_center_evidence(obj: GridObject, z0: Array, A: Array, center_of_mass: CenterOfMass) -> float:
     """Log p(c_0) under the smoothness prior alone, to first order about z0: knowledge, not data."""
-    r, J = centre_of_mass.linearise(obj, z0)
+    r, J = center_of_mass.linearize(obj, z0)
     spread = np.eye(2) + (J @ A) @ (J @ A).T
     return float(-0.5 * r @ np.linalg.solve(spread, r) - 0.5 * np.linalg.slogdet(spread)[1])
+
+
+RANGE_CELLS = 4.0
+"""Distance, in cells, at which two cells' log-frictions are nearly independent."""
+
+
+def calc_smooth_covariance(obj: GridObject, range_cells: float = RANGE_CELLS) -> NDArray[np.float64]:
+    """Makes C (n, n), unit mean variance, of the field over the object's cells.
+
+    Args:
+        obj: the object.
+        range_cells: correlation range, cells.
+
+    Returns:
+        The covariance.
+    """
+    i, j = obj.adjacency.T
+    L = np.zeros((obj.n, obj.n))
+    np.add.at(L, (i, i), 1.0)
+    np.add.at(L, (j, j), 1.0)
+    L[i, j] = L[j, i] = -1.0
+    root = np.linalg.inv(L + 8.0 / range_cells**2 * np.eye(obj.n))
+    C = root @ root
+    return C / np.diag(C).mean()

@@ -1,32 +1,211 @@
-"""A learned model as one self-contained YAML file: the object, its cells' values and how well they are known."""
+"""A learned model as one self-contained YAML file: the object, its cells' values and how well they are known.
 
+The schema of a model file.
+
+Symmetric matrices as text, exact to the last bit: base64 of little-endian float64.
+"""
+
+import base64
+import binascii
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
 from shapely import Polygon
 
 from gridpush_drake.errors import GridPushError, IdentificationError
 from gridpush_drake.files import read_head, write_whole
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.grid.prior import PhysicalPrior
-from gridpush_drake.grid.yaml_file import read_mapping
 from gridpush_drake.identification.identifiability import calc_identifiability
-from gridpush_drake.identification.model_schema import (
-    FORMAT_VERSION,
-    CellsSchema,
-    IdentifiabilitySchema,
-    ModelSchema,
-    ObjectSchema,
-    PosteriorSchema,
-    PriorSchema,
-    check_model,
-)
-from gridpush_drake.identification.packing import pack_symmetric, unpack_symmetric
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.result import HistoryEntry, Identification
+from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.yaml_file import read_mapping
+
+FORMAT_VERSION: Literal[1] = 1
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Point = Annotated[list[Number], Field(min_length=2, max_length=2)]
+Ring = Annotated[list[Point], Field(min_length=3)]
+Matrix2 = Annotated[list[Point], Field(min_length=2, max_length=2)]
+
+
+class _Schema(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class PriorSchema(_Schema):
+    """What was known beforehand; see `PhysicalPrior`."""
+
+    total_mass: Positive | None = None
+    center_of_mass: Point | None = None
+    center_of_mass_std: Positive
+    friction: Positive
+    friction_min: Positive
+    friction_max: Positive
+    contact_friction: NotNegative
+    contact_friction_std: Positive
+    pusher_radius: Positive | None = None
+
+
+class ObjectSchema(_Schema):
+    """The object, its cells apart; see `GridObject`."""
+
+    name: str
+    cell_size: Positive
+    outline: Ring
+    holes: list[Ring]
+    prior: PriorSchema
+
+
+class CellsSchema(_Schema):
+    """One entry a cell."""
+
+    p_BC: Annotated[list[Point], Field(min_length=1)]
+    labels: list[int]
+    mass: list[Positive]
+    mass_std: list[Positive]
+    mass_min: list[NotNegative]
+    mass_max: list[Annotated[float, Field(ge=0)]]
+    friction: list[NotNegative]
+    friction_std: list[NotNegative]
+    relative_friction: list[NotNegative]
+    relative_friction_std: list[NotNegative]
+    learned_share: list[Number]
+
+    @model_validator(mode="after")
+    def _check_lengths(self) -> "CellsSchema":
+        for name, values in self:
+            if len(values) != len(self.p_BC):
+                raise ValueError(f"{name} has {len(values)} entries; expected one a cell, {len(self.p_BC)}")
+        return self
+
+
+class IdentifiabilitySchema(_Schema):
+    """What the data determine; see `Identifiability`."""
+
+    statements: list[str]
+    center_of_friction: Point
+    center_of_friction_covariance: Matrix2
+    center_of_mass_box: Matrix2
+    learned_directions: Annotated[int, Field(ge=0)]
+
+
+class PosteriorSchema(_Schema):
+    """See `Posterior`. A covariance is base64 of its lower triangle, row by row, float64."""
+
+    mean: list[Number]
+    covariance: str
+    prior_covariance: str
+
+
+class ModelSchema(_Schema):
+    """The whole file; see `Identification`."""
+
+    gridpush_model: Literal[1]
+    method: str
+    regime: Literal["quasi_static", "inertial"]
+    status: str
+    message: str
+    seed: int
+    simulations: Annotated[int, Field(ge=0)]
+    noise_std: Annotated[float, Field(ge=0)]
+    training_pushes: list[str]
+    unused_pushes: list[str]
+    object: ObjectSchema
+    contact_friction: NotNegative
+    contact_friction_std: NotNegative
+    cells: CellsSchema
+    identifiability: IdentifiabilitySchema
+    history: list[Annotated[tuple[int, Number, str], Strict(False)]]
+    posterior: PosteriorSchema
+
+    @model_validator(mode="after")
+    def _check_posterior(self) -> "ModelSchema":
+        expected = len(self.cells.p_BC) + 1
+        if len(self.posterior.mean) != expected:
+            raise ValueError(f"posterior.mean has {len(self.posterior.mean)} entries; expected {expected}, cells + 1")
+        return self
+
+
+def check_model(path: Path, content: dict[str, Any]) -> ModelSchema:
+    """Checks what was read from a model file.
+
+    Args:
+        path: of the file, for messages.
+        content: the YAML mapping.
+
+    Returns:
+        The content, checked.
+
+    Raises:
+        IdentificationError: a key is missing, unknown or of the wrong form; the message names the first.
+    """
+    try:
+        return ModelSchema.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(str(part) for part in first["loc"]) or "model"
+        message = str(first["msg"]).removeprefix("Value error, ")
+        raise IdentificationError(f"{path}: {field}: {message[:1].lower()}{message[1:]}") from None
+
+
+Array = NDArray[np.float64]
+
+
+def pack_symmetric(matrix: Array) -> str:
+    """Packs the lower triangle of a symmetric matrix, row by row, in lines of 76 characters.
+
+    Args:
+        matrix: of which the symmetric part is taken, where rounding has left another.
+
+    Returns:
+        The text.
+    """
+    triangle = ((matrix + matrix.T) / 2)[np.tril_indices(len(matrix))]
+    return base64.encodebytes(triangle.astype("<f8").tobytes()).decode()
+
+
+def unpack_symmetric(name: str, text: str, size: int) -> Array:
+    """Unpacks a symmetric matrix.
+
+    Args:
+        name: what it is, at the head of an error's message.
+        text: by `pack_symmetric`.
+        size: rows, and columns.
+
+    Returns:
+        (size, size).
+
+    Raises:
+        IdentificationError: the text is not base64 of a triangle of that size, of finite numbers.
+    """
+    values = _decode(name, text)
+    if len(values) != size * (size + 1) // 2:
+        raise IdentificationError(
+            f"{name}: holds {len(values)} numbers; expected the lower triangle of a {size} x {size} matrix"
+        )
+    matrix = np.empty((size, size))
+    rows, columns = np.tril_indices(size)
+    matrix[rows, columns] = matrix[columns, rows] = values
+    return matrix
+
+
+def _decode(name: str, text: str) -> Array:
+    try:
+        data = base64.b64decode("".join(text.split()), validate=True)
+        values = np.frombuffer(data, dtype="<f8").astype(np.float64)
+    except (binascii.Error, ValueError) as error:
+        raise IdentificationError(f"{name}: expected base64 of little-endian float64 numbers") from error
+    if not np.isfinite(values).all():
+        raise IdentificationError(f"{name}: holds a number that is not finite")
+    return values
+
 
 WHAT = "a gridpush model"
 
@@ -120,9 +299,9 @@ def _describe(result: Identification) -> ModelSchema:
         ),
         identifiability=IdentifiabilitySchema(
             statements=list(known.statements),
-            centre_of_friction=known.centre_of_friction.tolist(),
-            centre_of_friction_covariance=known.centre_of_friction_covariance.tolist(),
-            centre_of_mass_box=known.centre_of_mass_box.tolist(),
+            center_of_friction=known.center_of_friction.tolist(),
+            center_of_friction_covariance=known.center_of_friction_covariance.tolist(),
+            center_of_mass_box=known.center_of_mass_box.tolist(),
             learned_directions=int(known.learned_directions),
         ),
         history=[(entry.simulations, float(entry.loss), entry.stage) for entry in result.history],
@@ -137,7 +316,7 @@ def _describe(result: Identification) -> ModelSchema:
 def _describe_object(obj: GridObject) -> ObjectSchema:
     rings = [[list(point[:2]) for point in ring.coords[:-1]] for ring in (obj.outline.exterior, *obj.outline.interiors)]
     prior: dict[str, Any] = {**vars(obj.prior)}
-    prior["centre_of_mass"] = obj.prior.centre_of_mass and list(obj.prior.centre_of_mass)
+    prior["center_of_mass"] = obj.prior.center_of_mass and list(obj.prior.center_of_mass)
     return ObjectSchema(
         name=obj.name, cell_size=obj.cell_size, outline=rings[0], holes=rings[1:], prior=PriorSchema(**prior)
     )
@@ -146,8 +325,8 @@ def _describe_object(obj: GridObject) -> ObjectSchema:
 def _restore(schema: ModelSchema) -> Identification:
     cells, n = schema.cells, len(schema.cells.p_BC)
     prior = schema.object.prior.model_dump()
-    if prior["centre_of_mass"] is not None:
-        prior["centre_of_mass"] = tuple(prior["centre_of_mass"])
+    if prior["center_of_mass"] is not None:
+        prior["center_of_mass"] = tuple(prior["center_of_mass"])
     outline = Polygon(schema.object.outline, schema.object.holes)
     obj = GridObject(
         schema.object.name, np.array(cells.p_BC), schema.object.cell_size, np.array(cells.labels), outline,

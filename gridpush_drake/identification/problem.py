@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from gridpush_drake.dynamics.motion import Motion, MotionStatus
 from gridpush_drake.dynamics.simulate import Regime, simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.pushes.log import ObservedPush, PushLog
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 Array = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ class _TimedPush:
 
 
 @dataclass(frozen=True, eq=False)
-class Linearisation:
+class Linearization:
     """Residuals and their derivatives, one entry a push.
 
     Attributes:
@@ -91,10 +91,10 @@ class PushProblem:
         """The residuals (3 K,) of each push (of those chosen), m."""
         return [self._residual(push, simulation) for push, simulation in self._simulate(z, pushes, gradients=False)]
 
-    def linearise(self, z: Array, pushes: Sequence[int] | None = None) -> Linearisation:
+    def linearize(self, z: Array, pushes: Sequence[int] | None = None) -> Linearization:
         """The residuals of each push (of those chosen) and their exact derivatives at z."""
         params = self.params(z)
-        linear = Linearisation([], [], [])
+        linear = Linearization([], [], [])
         for push, simulation in self._simulate(z, pushes, gradients=True):
             J = simulation.jacobian
             by_mu_c = (J.contact_friction * params.contact_friction)[..., None]
@@ -109,7 +109,7 @@ class PushProblem:
         return np.array([sim.status != MotionStatus.NO_CONTACT for _, sim in self._simulate(z, None, gradients=False)])
 
     def calc_cell_errors(self, residuals: Sequence[Array]) -> Array:
-        """Mean distance of the cells' centres, m, by push: the paper's ADD, averaged over a push's observations."""
+        """Mean distance of the cells' centers, m, by push: the paper's ADD, averaged over a push's observations."""
         return np.array([self._cell_error(residual.reshape(-1, 3)) for residual in residuals])
 
     def _cell_error(self, residual: Array) -> float:

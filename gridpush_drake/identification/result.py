@@ -1,14 +1,23 @@
-"""What an identification gives back."""
+"""What an identification gives back.
+
+The center of mass of an identified object, and its spread.
+
+With z = (log k, log mu_c) and the cells' frictions mu_i held, m_i is proportional to k_i/mu_i = exp(z_i)/mu_i, and
+
+    c = sum_i a_i p_i,    a_i = m_i / sum m,    dc/dz_i = a_i (p_i - c),    Cov c = (dc/dz) Cov z (dc/dz)^T
+
+to first order. What the frictions themselves may be is left out: see `Identifiability.center_of_mass_box`.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.identifiability import Identifiability
 from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 
 STATUS_LEARNED = "learned"
 STATUS_MIXTURE = "mixture"
@@ -57,7 +66,7 @@ class Identification:
         identifiability: what these data say and what they cannot say.
         method: that found it.
         regime: of the simulations, "quasi_static" or "inertial".
-        status: "learned"; "mixture" or "prior_kept" where cross-validation over the training pushes favoured leaning on
+        status: "learned"; "mixture" or "prior_kept" where cross-validation over the training pushes favored leaning on
             the prior; "budget_spent"; "no_usable_pushes" where no push touched the object.
         message: the status in a sentence.
         history: the best loss so far along the search, simulations increasing.
@@ -108,3 +117,21 @@ class Identification:
     def relative_friction(self) -> NDArray[np.float64]:
         """(n,) k_i = mu_i m_i / sum(mu m), the estimate."""
         return self.params.relative_friction()
+
+
+Array = NDArray[np.float64]
+
+
+def calc_center_of_mass(found: Identification) -> tuple[Array, Array]:
+    """Calculates where the center of mass is held to be.
+
+    Args:
+        found: the identification.
+
+    Returns:
+        p_BBcm (2,), m, body frame, and its covariance (2, 2), m².
+    """
+    center = found.params.center_of_mass(found.obj)
+    share = found.params.mass / found.params.total_mass
+    J = (share[:, None] * (found.obj.p_BC - center)).T
+    return center, J @ found.posterior.covariance[:-1, :-1] @ J.T

@@ -15,8 +15,8 @@ from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.planning.surface import SupportSurface
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.support_surface import SupportSurface
 
 Array = NDArray[np.float64]
 PoseRule = Callable[[Array], NDArray[np.bool_]]
@@ -41,10 +41,10 @@ class PushConstraints:
         obstacles: polygons in W that neither object nor finger may touch.
         edge_margin: least distance of every cell from the table's edge, inwards, m; negative lets cells hang over.
         obstacle_margin: least distance of object and finger from an obstacle, m.
-        finger_inset: least distance of the finger's centre from the table's edge, inwards, m; negative lets it hang
+        finger_inset: least distance of the finger's center from the table's edge, inwards, m; negative lets it hang
             beyond, as a finger that ends above the table may.
         pose_rule: says of further poses of the object whether they are allowed; None allows all.
-        finger_region: where the finger's centre may be, W; None for anywhere.
+        finger_region: where the finger's center may be, W; None for anywhere.
         push_rule: asked last, of a push that is about to be chosen: whether a robot can carry it out; None allows all.
 
     Raises:
@@ -146,7 +146,7 @@ class PushChecker:
         return np.asarray(shapely.polygons(place_points(self._vertices, poses)))
 
     def allows_finger(self, p_WP: Array) -> NDArray[np.bool_]:
-        """Whether the disc's centre may be at p_WP (..., 2)."""
+        """Whether the disc's center may be at p_WP (..., 2)."""
         allowed = np.ones(p_WP.shape[:-1], dtype=bool)
         if self._finger_table is not None:
             allowed &= shapely.contains_xy(self._finger_table, p_WP[..., 0], p_WP[..., 1])
@@ -202,7 +202,7 @@ class PushChecker:
         """How far a push may go.
 
         Args:
-            tip: (T+1, 2) p_WP of the disc's centre, m.
+            tip: (T+1, 2) p_WP of the disc's center, m.
             poses: (T+1, 3) of the object.
 
         Returns:

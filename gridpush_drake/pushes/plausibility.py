@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from shapely import LineString, Point
 
 from gridpush_drake.errors import PushLogError, PushLogWarning
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.pushes.log import ObservedPush, PushLog
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ MANY, FEW = 0.5, 0.2
 """Shares of a log's pushes: so many out of place make it doubtful, so few leave a reading of its units standing."""
 
 MM = 1e-3
-"""Metres in a millimetre."""
+"""Meters in a millimeter."""
 
 IN_DEGREES = "object_theta: in degrees? expected rad"
 
@@ -81,9 +81,9 @@ class _Units:
 
 AS_SAID = _Units(1.0, 1.0, 1.0, "")
 DEGREES = _Units(1.0, 1.0, np.pi / 180, IN_DEGREES)
-TIP_MM = _Units(MM, 1.0, 1.0, "tip_x, tip_y: in millimetres? expected m, as object_x, object_y are")
-PLACE_MM = _Units(1.0, MM, 1.0, "object_x, object_y: in millimetres? expected m, as tip_x, tip_y are")
-ALL_MM = _Units(MM, MM, 1.0, "tip_x, tip_y, object_x, object_y: in millimetres? expected m")
+TIP_MM = _Units(MM, 1.0, 1.0, "tip_x, tip_y: in millimeters? expected m, as object_x, object_y are")
+PLACE_MM = _Units(1.0, MM, 1.0, "object_x, object_y: in millimeters? expected m, as tip_x, tip_y are")
+ALL_MM = _Units(MM, MM, 1.0, "tip_x, tip_y, object_x, object_y: in millimeters? expected m")
 
 
 def check_plausible(obj: GridObject, log: PushLog, *, learning: bool) -> None:
@@ -196,7 +196,7 @@ def _find_jumps(obj: GridObject, log: PushLog) -> Iterator[Finding]:
         if far[k] <= allowed:
             continue
         column = ("object_x", "object_y")[int(np.argmax(np.abs(moved[k])))]
-        cause = "in millimetres, or a lost track?" if far[k] * MM < allowed else "a lost track?"
+        cause = "in millimeters, or a lost track?" if far[k] * MM < allowed else "a lost track?"
         yield Finding(
             f"push {seen.name!r}, column {column}: the object moves {far[k]:.3g} m by t = {seen.t_observed[k - 1]:.3g} "
             f"s, in a push of {seen.push.length:.3g} m; expected less than {allowed:.3g} m: {cause}",
@@ -224,7 +224,7 @@ def _find_turns(obj: GridObject, log: PushLog) -> Iterator[Finding]:
 def _find_large_objects(obj: GridObject, log: PushLog) -> Iterator[Finding]:
     if _calc_diameter(obj) > MAX_DIAMETER:
         yield Finding(
-            f"{obj.name}: its outline spans {_calc_diameter(obj):.3g} m; in millimetres? expected m",
+            f"{obj.name}: its outline spans {_calc_diameter(obj):.3g} m; in millimeters? expected m",
             about_first=True,
             certain=False,
         )

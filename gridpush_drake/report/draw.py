@@ -1,4 +1,4 @@
-"""Drawings of a grid object: its cells coloured by value or part, and its outline.
+"""Drawings of a grid object: its cells colored by value or part, and its outline.
 
 Only matplotlib's objects are used (`make_figure` gives a Figure on an Agg canvas), never pyplot, so that nothing
 global changes and drawing works in any thread and without a display.
@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.polygon import orient
 
 from gridpush_drake.errors import ObjectError
-from gridpush_drake.grid.object import GridObject
+from gridpush_drake.objects.grid_object import GridObject
 
 INK = "#2b2f36"
 """Outlines and text."""
@@ -33,7 +33,7 @@ PART_COLORS = ("#7fa7c9", "#e3b778", "#8fbf9f", "#c99bb8", "#b3a6d9", "#a9a9a3")
 """Parts in order of their labels, over again after the last."""
 
 CELL_MAP = "viridis"
-"""Colour map of values where none is asked for."""
+"""Color map of values where none is asked for."""
 
 CELL_LINE, OUTLINE_LINE = 0.4, 1.4
 """Line widths, points."""
@@ -45,10 +45,10 @@ MARGIN = 0.04
 """Room about the object, in its larger side."""
 
 BAR_SHARE, BAR_GAP = 0.04, 0.03
-"""Width of a colour bar and its distance, in widths of the axes."""
+"""Width of a color bar and its distance, in widths of the axes."""
 
-MOST_TICKS = 5
-"""On one axis or colour bar."""
+MAX_TICKS = 5
+"""On one axis or color bar."""
 
 
 def make_figure(width: float = 6.0, height: float = 4.5, dpi: float = 150.0) -> tuple[Figure, Axes]:
@@ -85,15 +85,15 @@ def draw_cells(
     pose: ArrayLike = (0.0, 0.0, 0.0),
     alpha: float = 1.0,
 ) -> PolyCollection:
-    """Draws the cells, coloured by value, and the outline over them.
+    """Draws the cells, colored by value, and the outline over them.
 
     Args:
         ax: where to draw, world frame, m; its aspect is made equal.
         obj: the object.
         values: (n,) one number per cell; None draws them all pale.
-        cmap: name of a colour map.
-        label: adds a colour bar with this title ("friction", "mass, g"); None adds none.
-        limits: least and greatest value of the colour map; the values' own where None.
+        cmap: name of a color map.
+        label: adds a color bar with this title ("friction", "mass, g"); None adds none.
+        limits: least and greatest value of the color map; the values' own where None.
         pose: (x, y, theta) X_WB, m and rad.
         alpha: opacity, 0 to 1.
 
@@ -122,7 +122,7 @@ def draw_cells(
 
 
 def draw_parts(ax: Axes, obj: GridObject, *, pose: ArrayLike = (0.0, 0.0, 0.0)) -> PolyCollection:
-    """Draws the cells in the colours of their parts, with a legend that counts them.
+    """Draws the cells in the colors of their parts, with a legend that counts them.
 
     Args:
         ax: where to draw, world frame, m; its aspect is made equal.
@@ -182,11 +182,11 @@ def draw_outline(
 
 
 def add_color_bar(ax: Axes, mappable: ScalarMappable, label: str) -> Colorbar:
-    """Adds a slim colour bar beside `ax`, titled `label`."""
+    """Adds a slim color bar beside `ax`, titled `label`."""
     bar = ax.get_figure(root=True).colorbar(mappable, ax=ax, fraction=BAR_SHARE, pad=BAR_GAP)  # type: ignore[union-attr]
     bar.set_label(label, fontsize=FONT, color=INK)
     bar.ax.tick_params(labelsize=FONT - 1, colors=INK)
-    bar.ax.yaxis.set_major_locator(MaxNLocator(MOST_TICKS))
+    bar.ax.yaxis.set_major_locator(MaxNLocator(MAX_TICKS))
     bar.outline.set_visible(False)
     return bar
 
@@ -211,6 +211,6 @@ def _frame(ax: Axes) -> None:
     for spine in ("top", "right"):
         ax.spines[spine].set_visible(False)
     for axis, name in ((ax.xaxis, "x, m"), (ax.yaxis, "y, m")):
-        axis.set_major_locator(MaxNLocator(MOST_TICKS))
+        axis.set_major_locator(MaxNLocator(MAX_TICKS))
         axis.label.set(text=name, fontsize=FONT, color=INK)
     ax.tick_params(labelsize=FONT - 1, colors=INK)

@@ -1,4 +1,7 @@
-"""Figures of the object, the pushes and the search."""
+"""Figures of the object, the pushes and the search.
+
+Pictures as PNG files: of an object, of a model, of a motion.
+"""
 
 from collections.abc import Sequence
 
@@ -9,16 +12,17 @@ from matplotlib.patches import Circle
 from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.grid.object import GridObject
 from gridpush_drake.identification.result import HistoryEntry, Identification
-from gridpush_drake.pushes.log import PushLog
-from gridpush_drake.report.draw import FONT, draw_cells, draw_outline, draw_parts
-from gridpush_drake.report.layout import (
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.report.draw import FONT, draw_cells, draw_outline, draw_parts, to_png
+from gridpush_drake.report.maps import (
     BEFORE,
     FAINT,
     HALF_WIDTH,
     LEARNED,
     add_scale_bar,
+    draw_learned_maps,
     frame_object,
     hide_axes,
     make_grid,
@@ -36,7 +40,7 @@ GHOSTS = 5
 
 def draw_object_parts(obj: GridObject, width: float = HALF_WIDTH) -> Figure:
     """Draws the object with its parts."""
-    figure, axes = make_panels(obj, 1, 1, width=width, most_height=width)
+    figure, axes = make_panels(obj, 1, 1, width=width, max_height=width)
     draw_parts(axes[0, 0], obj)
     _put_legend_above(axes[0, 0])
     hide_axes(axes[0, 0])
@@ -48,7 +52,7 @@ def draw_object_parts(obj: GridObject, width: float = HALF_WIDTH) -> Figure:
 def draw_pushes(result: Identification, log: PushLog, held_out: PushLog | None = None) -> Figure:
     """Draws the pushes in the object's frame as it lay when each began: arrows along the pusher's path."""
     obj = result.obj
-    figure, axes = make_panels(obj, 1, 1, width=HALF_WIDTH, most_height=HALF_WIDTH)
+    figure, axes = make_panels(obj, 1, 1, width=HALF_WIDTH, max_height=HALF_WIDTH)
     ax = axes[0, 0]
     draw_cells(ax, obj)
     for pushes, color, label in ((log, LEARNED, "learned from"), (held_out or (), BEFORE, "held out")):
@@ -134,8 +138,8 @@ def _put_legend_above(ax: Axes) -> None:
 
 def _draw_tip(ax: Axes, push: Push) -> None:
     ax.plot(*push.xy.T, color=LEARNED, linewidth=1)
-    for centre, filled in ((push.xy[0], False), (push.xy[-1], True)):
-        ax.add_patch(Circle(tuple(centre), push.radius, facecolor=LEARNED if filled else "none", edgecolor=LEARNED))
+    for center, filled in ((push.xy[0], False), (push.xy[-1], True)):
+        ax.add_patch(Circle(tuple(center), push.radius, facecolor=LEARNED if filled else "none", edgecolor=LEARNED))
 
 
 def _draw_arrow(ax: Axes, path: NDArray[np.float64], color: str, label: str | None) -> None:
@@ -154,3 +158,18 @@ def _to_body(pose: ArrayLike, p_WP: NDArray[np.float64]) -> NDArray[np.float64]:
     x, y, theta = np.asarray(pose, dtype=np.float64)
     c, s = np.cos(theta), np.sin(theta)
     return (p_WP - (x, y)) @ np.array([[c, -s], [s, c]])
+
+
+def draw_object(obj: GridObject) -> bytes:
+    """The object with its parts, as PNG."""
+    return to_png(draw_object_parts(obj))
+
+
+def draw_model(result: Identification) -> bytes:
+    """Relative friction and mass of a learned model beside their standard deviations, as PNG."""
+    return to_png(draw_learned_maps(result))
+
+
+def draw_motion(obj: GridObject, push: Push, poses: NDArray[np.float64]) -> bytes:
+    """An object's motion (T+1, 3) under a push, as PNG."""
+    return to_png(draw_path(obj, push, poses))

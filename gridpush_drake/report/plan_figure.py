@@ -9,19 +9,19 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
 from shapely import Polygon as Shape
 
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.planning.planned_push import PlannedPush
-from gridpush_drake.planning.push_plan import PushPlan
-from gridpush_drake.planning.surface import SupportSurface
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.contact.trial import PlannedPush
+from gridpush_drake.planning.goal.push_plan import PushPlan
+from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.report.draw import FONT, INK, draw_cells, draw_outline
-from gridpush_drake.report.layout import BEFORE, FAINT, LEARNED, make_grid
+from gridpush_drake.report.maps import BEFORE, FAINT, LEARNED, make_grid
 
 TABLE = "#f3efe6"
 """The table's top."""
 
 OBSTACLE = "#c7bdb0"
 
-WIDTH, MOST_HEIGHT = 6.5, 7.5
+WIDTH, MAX_HEIGHT = 6.5, 7.5
 """Of the figure, inches."""
 
 LEGEND_ROOM = 0.7
@@ -46,7 +46,7 @@ def draw_plan(
         The figure.
     """
     low, high = _calc_frame(obj, plan, surface, obstacles)
-    height = min(WIDTH * (high[1] - low[1]) / (high[0] - low[0]), MOST_HEIGHT) + LEGEND_ROOM
+    height = min(WIDTH * (high[1] - low[1]) / (high[0] - low[0]), MAX_HEIGHT) + LEGEND_ROOM
     figure, axes = make_grid(1, 1, WIDTH, height)
     ax = axes[0, 0]
     if surface is not None:

@@ -9,19 +9,19 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.pushes.log import ObservedPush
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.push_log import ObservedPush
 from gridpush_drake.report.draw import FONT, INK, draw_outline
-from gridpush_drake.report.layout import BEFORE, FAINT, LEARNED, PAGE_WIDTH, hide_axes, make_grid, tidy
+from gridpush_drake.report.maps import BEFORE, FAINT, LEARNED, PAGE_WIDTH, hide_axes, make_grid, tidy
 
 Array = NDArray[np.float64]
 
 MM = 1e3
 
-MOST_OVERLAYS = 8
+MAX_OVERLAYS = 8
 """Pushes drawn one by one."""
 
-MOST_DUMBBELLS = 32
+MAX_DUMBBELLS = 32
 """Pushes compared line by line; above this, as a scatter of points."""
 
 OVERLAY_COLUMNS = 4
@@ -52,8 +52,8 @@ class Outcome:
 
 
 def draw_overlays(obj: GridObject, outcomes: Sequence[Outcome]) -> Figure:
-    """Draws up to MOST_OVERLAYS pushes: where the object was, where it went, and where it was predicted to go."""
-    chosen = outcomes[:MOST_OVERLAYS]
+    """Draws up to MAX_OVERLAYS pushes: where the object was, where it went, and where it was predicted to go."""
+    chosen = outcomes[:MAX_OVERLAYS]
     columns = min(OVERLAY_COLUMNS, max(len(chosen), 1))
     rows = max(1, -(-len(chosen) // columns))
     figure, axes = make_grid(rows, columns, PAGE_WIDTH, PAGE_WIDTH / columns + 0.2)
@@ -89,7 +89,7 @@ def _draw_overlay(ax: Axes, obj: GridObject, outcome: Outcome) -> None:
 
 def draw_errors(outcomes: Sequence[Outcome]) -> Figure:
     """Draws every push's cell error with uniform friction and as learned."""
-    return _draw_dumbbells(outcomes) if len(outcomes) <= MOST_DUMBBELLS else _draw_scatter(outcomes)
+    return _draw_dumbbells(outcomes) if len(outcomes) <= MAX_DUMBBELLS else _draw_scatter(outcomes)
 
 
 def _draw_dumbbells(outcomes: Sequence[Outcome]) -> Figure:

@@ -11,11 +11,11 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.planning.planned_push import calc_goal_error
-from gridpush_drake.planning.surface import SupportSurface
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.contact.trial import calc_goal_error
+from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.report.draw import FONT, INK, draw_cells, draw_outline
-from gridpush_drake.report.layout import BEFORE, FAINT, LEARNED, PAGE_WIDTH, make_grid, tidy
+from gridpush_drake.report.maps import BEFORE, FAINT, LEARNED, PAGE_WIDTH, make_grid, tidy
 from gridpush_drake.report.plan_figure import TABLE
 
 Array = NDArray[np.float64]

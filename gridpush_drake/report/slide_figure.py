@@ -8,11 +8,10 @@ from matplotlib.patches import Circle, Polygon
 from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.planning.pregrasp import PreGraspPlanner
-from gridpush_drake.planning.pregrasp_plan import PreGraspPlan
-from gridpush_drake.planning.stability import MassSet, calc_support_polygon
+from gridpush_drake.planning.pregrasp.planner import PreGraspPlan, PreGraspPlanner
+from gridpush_drake.planning.pregrasp.stability import PlausibleMassSet, calc_support_polygon
 from gridpush_drake.report.draw import FONT, INK, draw_cells, draw_outline
-from gridpush_drake.report.layout import BEFORE, FAINT, LEARNED, PAGE_WIDTH, make_grid
+from gridpush_drake.report.maps import BEFORE, FAINT, LEARNED, PAGE_WIDTH, make_grid
 
 TABLE = "#f3efe6"
 """The table's top."""
@@ -30,10 +29,10 @@ CLOSE_UP = 0.06
 """Room about the object in the close-up, m."""
 
 MM = 1e3
-"""Millimetres in a metre."""
+"""Millimeters in a meter."""
 
 
-def draw_slide(planner: PreGraspPlanner, masses: MassSet, plan: PreGraspPlan) -> Figure:
+def draw_slide(planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGraspPlan) -> Figure:
     """Draws a plan: on the left the way, on the right the goal with what holds the object and what hangs over.
 
     Args:
@@ -66,7 +65,7 @@ def _draw_way(ax: Axes, planner: PreGraspPlanner, plan: PreGraspPlan) -> None:
     ax.set_title(f"{plan.status}: {count} push{'' if count == 1 else 'es'}", fontsize=FONT, color=INK)
 
 
-def _draw_goal(ax: Axes, planner: PreGraspPlanner, masses: MassSet, plan: PreGraspPlan) -> None:
+def _draw_goal(ax: Axes, planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGraspPlan) -> None:
     goal = plan.goal
     if goal is None:
         ax.set_axis_off()
@@ -77,7 +76,7 @@ def _draw_goal(ax: Axes, planner: PreGraspPlanner, masses: MassSet, plan: PreGra
     hull = calc_support_polygon(planner.obj, goal.pose, planner.surface, planner.options.goal.inset)
     for p_BP, color, label in (
         (hull, HOLDS, "what holds it"),
-        (masses.centre_of_mass_polygon, BEFORE, "where the centre of mass may be"),
+        (masses.center_of_mass_polygon, BEFORE, "where the center of mass may be"),
         (goal.part.footprint, GRASP, "gripper"),
     ):
         if len(p_BP):

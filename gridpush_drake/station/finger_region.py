@@ -5,19 +5,19 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from gridpush_drake.scene.scenario_check import CalcTipReach
 from gridpush_drake.station.push_station import PushStation
+from gridpush_drake.station.scenario_file import CalcTipReach
 
 RING_SEGMENTS = 32
 """A quarter turn, of the polygon for a ring."""
 
 
 def MakeFingerRegion(station: PushStation, inset: float = 0.0) -> BaseGeometry:
-    """Makes the region in which the tip's centre may be while it pushes.
+    """Makes the region in which the tip's center may be while it pushes.
 
     Args:
         station: the station.
-        inset: least distance from the region's rim, m.
+        inset: least distance from the region's edge, m.
 
     Returns:
         The region, W, m: the ring that the arm reaches, and in it the workspace; it may be empty.

@@ -1,21 +1,69 @@
-"""What the station has where its scene has a gripper: what grasps, what moves the gripper, and their ports."""
+"""What the station has where its scene has a gripper: what grasps, what moves the gripper, and their ports.
 
+Whether a grasp from the side keeps clear of the table: the gripper reaches in below the table's top.
+
+Ports of a Diagram's parts, exported under a common prefix.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import shapely
 from pydrake.manipulation import SchunkWsgPositionController
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import DiagramBuilder, OutputPort, System
 from shapely.geometry.base import BaseGeometry
 
-from gridpush_drake.scene.scenario import PushScenario
-from gridpush_drake.station.arm_posture import TIP_FRAME
-from gridpush_drake.station.arm_reach import ArmReach
-from gridpush_drake.station.exports import ExportOutputs
-from gridpush_drake.station.grasp_clearance import GraspClearance
+from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
+from gridpush_drake.station.arm_kinematics import TIP_FRAME, ArmReach
 from gridpush_drake.station.iiwa import GRASP_FRAME, Arm
-from gridpush_drake.systems.grasp_executor import GraspExecutor
-from gridpush_drake.systems.grasp_way import GraspingStyle
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.systems.grasp_executor import GraspExecutor, GraspTrajectoryOptions
+from gridpush_drake.systems.messages import GraspCommand
 from gridpush_drake.systems.push_executor import PushExecutor
 from gridpush_drake.systems.pusher_gate import PusherGate
+
+
+@dataclass(frozen=True, eq=False)
+class GraspClearance:
+    """What a `GraspExecutor` takes as `validator`.
+
+    Attributes:
+        table_top: the table's, a polygon in W, m.
+        style: of the executor.
+        gripper: its measures.
+        clearance: least between table and gripper, m; a little less than what grasps are planned with.
+    """
+
+    table_top: BaseGeometry
+    style: GraspTrajectoryOptions
+    gripper: SideGripper = field(default_factory=SideGripper)
+    clearance: float = 0.001
+
+    def __call__(self, command: GraspCommand) -> str | None:
+        """None where the gripper is clear of the table all the way in, else a sentence."""
+        gripper = self.gripper
+        lanes = [(gripper.body_front, -gripper.jaw_reach, gripper.jaw_width)]
+        lanes.append((gripper.body_back, gripper.body_front, gripper.body_width))
+        u = command.heading
+        v = np.array([-u[1], u[0]])
+        for back, front, width in lanes:
+            far, near = command.p_WG[:2] - (back + self.style.standoff) * u, command.p_WG[:2] - front * u
+            lane = shapely.Polygon(
+                [far - width / 2 * v, near - width / 2 * v, near + width / 2 * v, far + width / 2 * v]
+            )
+            if lane.distance(self.table_top) < self.clearance:
+                return f"the gripper would hit the table on its way to ({command.x:.3f}, {command.y:.3f}) m"
+        return None
+
+
+def ExportOutputs(builder: DiagramBuilder, system: System, prefix: str, ports: Sequence[str]) -> None:
+    """Exports output ports of a system, each as `prefix.port`."""
+    for port in ports:
+        builder.ExportOutput(system.GetOutputPort(port), f"{prefix}.{port}")
+
 
 GRIPPER = "gripper"
 """Name of the gripper's model instance; a scene need not have one."""
@@ -26,12 +74,12 @@ def FindGripper(plant: MultibodyPlant) -> ModelInstanceIndex | None:
     return plant.GetModelInstanceByName(GRIPPER) if plant.HasModelInstanceNamed(GRIPPER) else None
 
 
-def make_grasping_style(scenario: PushScenario, control_plant: MultibodyPlant) -> GraspingStyle:
+def make_grasp_trajectory_options(scenario: PushScenario, control_plant: MultibodyPlant) -> GraspTrajectoryOptions:
     """How the scenario's gripper grasps, carried by the arm of a plant that `MakeControlPlant` made."""
     grasp, tip = (control_plant.GetFrameByName(name) for name in (GRASP_FRAME, TIP_FRAME))
     x, y, z = grasp.CalcPose(control_plant.CreateDefaultContext(), tip).translation().tolist()
     pregrasp = scenario.pregrasp
-    return GraspingStyle(
+    return GraspTrajectoryOptions(
         p_PG=(x, y, z), travel_height=scenario.finger.travel_height, force=pregrasp.force, hold_time=pregrasp.hold
     )
 
@@ -43,7 +91,7 @@ def AddGrasping(
     executor: PushExecutor,
     reach: ArmReach,
     table_top: BaseGeometry,
-    style: GraspingStyle,
+    style: GraspTrajectoryOptions,
 ) -> GraspExecutor:
     """Adds what moves the gripper, and the tool while it grasps.
 

@@ -1,21 +1,26 @@
-"""An iiwa with a finger, and what moves it: differential inverse kinematics before Drake's iiwa driver."""
+"""An iiwa with a finger, and what moves it: differential inverse kinematics before Drake's iiwa driver.
+
+The friction of the finger's tip, replaced after the model was parsed.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydrake.geometry import ProximityProperties, RoleAssign, SceneGraph
 from pydrake.manipulation import IiwaDriver, SimIiwaDriver
 from pydrake.multibody.inverse_kinematics import (
     DifferentialInverseKinematicsIntegrator,
     DifferentialInverseKinematicsParameters,
 )
-from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame, ModelInstanceIndex
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, System
 from pydrake.systems.primitives import SharedPointerSystem
 
-from gridpush_drake.scene.parser import MakeParser
-from gridpush_drake.station.arm_posture import TIP_FRAME
+from gridpush_drake.errors import StationError
+from gridpush_drake.multibody.parser import MakeParser
+from gridpush_drake.station.arm_kinematics import TIP_FRAME
 
 Array = NDArray[np.float64]
 
@@ -46,7 +51,7 @@ TIP_RADIUS = 0.008
 CONTROL_PERIOD = 0.005
 """Of the inverse kinematics, s: the robot's own rate."""
 
-CENTRING_GAIN = 10.0
+CENTERING_GAIN = 10.0
 """Of the pull to the nominal posture in the null space, 1/s."""
 
 STIFFNESS = 4000.0
@@ -191,13 +196,40 @@ def SetArmStart(diagram: Diagram, root_context: Context, plant: MultibodyPlant, 
 
 
 def _make_parameters(control_plant: MultibodyPlant, q_nominal: Array) -> DifferentialInverseKinematicsParameters:
-    """Limits and centring of the inverse kinematics."""
+    """Limits and centering of the inverse kinematics."""
     n = control_plant.num_positions()
     parameters = DifferentialInverseKinematicsParameters(n, n)
     parameters.set_nominal_joint_position(q_nominal)
-    parameters.set_joint_centering_gain(CENTRING_GAIN * np.eye(n))
+    parameters.set_joint_centering_gain(CENTERING_GAIN * np.eye(n))
     lower, upper = control_plant.GetPositionLowerLimits(), control_plant.GetPositionUpperLimits()
     parameters.set_joint_position_limits((lower + LIMIT_MARGIN, upper - LIMIT_MARGIN))
     slowest, fastest = control_plant.GetVelocityLowerLimits(), control_plant.GetVelocityUpperLimits()
     parameters.set_joint_velocity_limits((slowest, fastest))
     return parameters
+
+
+TIP_BODY = "finger_tip"
+"""Name of the body that is the sphere; whatever else touches the object or the table is at fault."""
+
+
+def SetTipFriction(plant: MultibodyPlant, scene_graph: SceneGraph, finger: ModelInstanceIndex, friction: float) -> None:
+    """Gives the finger's tip a Coulomb friction. Call it before a Context is made.
+
+    Drake combines two frictions a and b as 2 a b / (a + b): where both are mu, the contact has mu.
+
+    Args:
+        plant: has the finger.
+        scene_graph: the plant's.
+        finger: the finger's model instance.
+        friction: coefficient, static and dynamic.
+
+    Raises:
+        StationError: the coefficient is negative.
+    """
+    if not friction >= 0.0:
+        raise StationError(f"friction of the tip is {friction!r}; expected a number of 0 or more")
+    inspector, source = scene_graph.model_inspector(), plant.get_source_id()
+    for geometry in plant.GetCollisionGeometriesForBody(plant.GetBodyByName(TIP_BODY, finger)):
+        properties = ProximityProperties(inspector.GetProximityProperties(geometry))
+        properties.UpdateProperty("material", "coulomb_friction", CoulombFriction(friction, friction))
+        scene_graph.AssignRole(source, geometry, properties, RoleAssign.kReplace)

@@ -2,55 +2,171 @@
 
 The station knows the object's outline. What its cells weigh and how they rub, the truth, goes to the plant alone;
 everything else in the station sees the object through its camera.
+
+What the station senses: where the object lies, by a camera, and where the finger's tip is, by the joints.
+
+What the station learns from the pushes it sees: its identifier, by a scenario.
+
+What stands in the station's plant besides the object, and the object that is pushed, by a scenario.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import cast
 
-from pydrake.geometry import (
-    GeometryId,
-    Meshcat,
-    MeshcatVisualizer,
-    MeshcatVisualizerParams,
-    Role,
-    SceneGraph,
-)
+from pydrake.geometry import GeometryId, Meshcat, MeshcatVisualizer, MeshcatVisualizerParams, Role, SceneGraph
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import StationError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.scene.grid_object import AddGridObject, Base, GridObjectInPlant
-from gridpush_drake.scene.grid_object_state import SetGridObjectParameters, SetGridObjectPose
-from gridpush_drake.scene.scenario import PushScenario
-from gridpush_drake.scene.scenario_check import check_scenario
-from gridpush_drake.scene.skin import AddSkin, find_drake_models
-from gridpush_drake.scene.table import FindTableOutline
-from gridpush_drake.scene.truth import MakeTruth
-from gridpush_drake.station.arm_posture import CalcStartPosture
-from gridpush_drake.station.arm_reach import ArmReach
-from gridpush_drake.station.exports import ExportOutputs
-from gridpush_drake.station.grasping import AddGrasping, AddPusherGate, ExportGrasping, make_grasping_style
-from gridpush_drake.station.iiwa import (
-    AddIiwaControl,
-    Arm,
-    ArmControl,
-    MakeControlPlant,
-    SetArmStart,
+from gridpush_drake.multibody.contact_material import TABLE, FindTableOutline, SetPartner
+from gridpush_drake.multibody.grid_object import AddGridObject, Base, GridObjectInPlant
+from gridpush_drake.multibody.ground_truth import SetGridObjectParameters, SetGridObjectPose
+from gridpush_drake.multibody.parser import MakeParser
+from gridpush_drake.multibody.visual_meshes import AddSkin, find_drake_models
+from gridpush_drake.multibody.weak_calc import NO_SLOTS
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import ObservedPush
+from gridpush_drake.pushes.segmentation import RecordOptions
+from gridpush_drake.station.arm_kinematics import TIP_FRAME, ArmReach, CalcStartPosture
+from gridpush_drake.station.grasping import (
+    AddGrasping,
+    AddPusherGate,
+    ExportGrasping,
+    ExportOutputs,
+    FindGripper,
+    make_grasp_trajectory_options,
 )
-from gridpush_drake.station.learning import ESTIMATE_OUTPUTS, Learning, make_identifier
-from gridpush_drake.station.sensing import AddSensors
-from gridpush_drake.station.station_scene import AddStationScene, LoadPushedObject
-from gridpush_drake.systems.grasp_command import GraspCommand
+from gridpush_drake.station.iiwa import AddIiwaControl, Arm, ArmControl, MakeControlPlant, SetArmStart
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_file import AddScene, MakeTruth, check_scenario, load_object
 from gridpush_drake.systems.grasp_executor import GraspExecutor
+from gridpush_drake.systems.grid_identifier import GridIdentifier
+from gridpush_drake.systems.messages import GraspCommand, PushCommand
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
-from gridpush_drake.systems.push_command import PushCommand
-from gridpush_drake.systems.push_executor import PushExecutor, plan_push
-from gridpush_drake.systems.push_way import PushingStyle
+from gridpush_drake.systems.push_executor import PushExecutor, PushTrajectoryOptions, plan_push
+from gridpush_drake.systems.pusher_state_sensor import PusherStateSensor
 from gridpush_drake.systems.true_parameters import TrueParameters
-from gridpush_drake.systems.weak_calc import NO_SLOTS
+
+LOST_BELOW = -0.01
+"""z of the object's bottom in W below which the camera has lost it, m: it has left the table."""
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """What `AddSensors` put into a builder.
+
+    Attributes:
+        camera: sees the object, with noise.
+        eye: sees it as it is, for display and judgment.
+        tip: knows where the tip is and how it moves.
+    """
+
+    camera: PlanarPoseSensor
+    eye: PlanarPoseSensor
+    tip: PusherStateSensor
+
+
+def AddSensors(
+    builder: DiagramBuilder, plant: MultibodyPlant, scenario: PushScenario, object_in_plant: GridObjectInPlant
+) -> Sensors:
+    """Adds the sensors, and connects them to the plant."""
+    camera, body = scenario.camera, object_in_plant.body.index()
+    sensors = Sensors(
+        builder.AddNamedSystem(
+            "camera",
+            PlanarPoseSensor(
+                body,
+                period=1 / camera.rate,
+                position_noise=camera.position_noise,
+                angle_noise=camera.angle_noise,
+                lowest=LOST_BELOW,
+                seed=scenario.seed,
+            ),
+        ),
+        builder.AddNamedSystem("eye", PlanarPoseSensor(body, period=1 / camera.rate, lowest=LOST_BELOW)),
+        builder.AddNamedSystem("tip_sensor", PusherStateSensor(plant.GetBodyByName(TIP_FRAME).index())),
+    )
+    tip = sensors.tip
+    for sensor in (sensors.camera, sensors.eye, tip):
+        builder.Connect(plant.get_body_poses_output_port(), sensor.GetInputPort("body_poses"))
+    builder.Connect(plant.get_body_spatial_velocities_output_port(), tip.GetInputPort("body_spatial_velocities"))
+    return sensors
+
+
+ESTIMATE_OUTPUTS = (
+    "mass",
+    "friction",
+    "mass_std",
+    "friction_std",
+    "contact_friction",
+    "center_of_mass",
+    "center_of_mass_covariance",
+    "loss",
+    "num_pushes",
+    "identification",
+    "push_log",
+    "message",
+)
+"""Of the identifier, exported as `estimate.mass` and so on."""
+
+
+@dataclass(frozen=True)
+class Learning:
+    """What the station's identifier learns from.
+
+    Attributes:
+        max_pushes: the first so many; None for no limit.
+        memory: of those, the latest so many; None for no limit.
+        admit: whether a push may be learned from; None admits all.
+    """
+
+    max_pushes: int | None = None
+    memory: int | None = None
+    admit: Callable[[ObservedPush], bool] | None = None
+
+
+def make_identifier(scenario: PushScenario, obj: GridObject, learning: Learning | None) -> GridIdentifier:
+    """The station's identifier; it learns from the first `scenario.pokes.count` pushes by default."""
+    learning = learning or Learning(scenario.pokes.count)
+    return GridIdentifier(
+        obj,
+        period=1 / scenario.camera.rate,
+        engaged_below=scenario.object_height,
+        pusher_radius=scenario.finger.tip_radius,
+        max_learning_pushes=learning.max_pushes,
+        memory=learning.memory,
+        admit=learning.admit,
+        seed=scenario.seed,
+        warm_start=False,  # it gains little, and so `gridpush identify` finds the same from the log, bit for bit
+        record=RecordOptions(pose_delay=1 / scenario.camera.rate),  # it sees the picture before the one being taken
+    )
+
+
+def LoadPushedObject(scenario: PushScenario) -> GridObject:
+    """Reads the scenario's object, with its finger as the pusher. Raises ScenarioError where there is none."""
+    obj = load_object(scenario)
+    return replace(obj, prior=replace(obj.prior, pusher_radius=scenario.finger.tip_radius))
+
+
+def AddStationScene(
+    plant: MultibodyPlant, scene_graph: SceneGraph, scenario: PushScenario
+) -> tuple[Arm, tuple[GeometryId, ...]]:
+    """Adds what the directives say; returns the robot and the table's collision geometries."""
+    AddScene(MakeParser(plant), scenario)
+    # a plant's own GetCollisionGeometriesForBody gives ids that keep it alive, unseen by the garbage collector
+    inspector = scene_graph.model_inspector()
+    table = tuple(
+        geometry
+        for body in plant.GetBodyIndices(plant.GetModelInstanceByName(TABLE))
+        for geometry in inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(body), Role.kProximity)
+    )
+    SetPartner(plant, scene_graph, [*table, *plant.GetCollisionGeometriesForBody(plant.GetBodyByName(TIP_FRAME))])
+    iiwa, finger = map(plant.GetModelInstanceByName, ("iiwa", "finger"))
+    return Arm(iiwa, finger, FindGripper(plant)), table
+
 
 HOME = (0.5, 0.0, 0.2)
 """p_WP of the tip at the beginning, m: above the middle of the table, where the arm's posture is comfortable."""
@@ -89,7 +205,7 @@ class StationParts:
     object_in_plant: GridObjectInPlant
     table: tuple[GeometryId, ...]
     table_top: BaseGeometry
-    style: PushingStyle
+    style: PushTrajectoryOptions
     reach: ArmReach
     control: ArmControl
     camera: PlanarPoseSensor
@@ -125,8 +241,8 @@ class PushStation(Diagram):
 
     - ``push_command``: (6,) see `systems.push_command`.
     - ``executor.status``: abstract `PushStatus`; ``executor.tip_pose``: abstract `RigidTransform`, X_WP desired.
-    - ``pusher.state``: (6,) p_WP, m, and v_WP, m/s, of the tip's centre, from the joints.
-    - ``object.pose``: (3,) as the camera sees it, m and rad; ``object.pose_true``: as it is, for display and judgement.
+    - ``pusher.state``: (6,) p_WP, m, and v_WP, m/s, of the tip's center, from the joints.
+    - ``object.pose``: (3,) as the camera sees it, m and rad; ``object.pose_true``: as it is, for display and judgment.
     - ``estimate.*``: see `GridIdentifier`; ``iiwa.*``: see Drake's `SimIiwaDriver`; the three after: the plant's own.
     - Where the scene has a gripper: ``grasp_command``: (6,) see `systems.grasp_command`, need not be connected;
       ``grasp.status``: abstract `GraspStatus`; ``gripper.state``: (4,) the fingers' positions, left and right, m, and
@@ -272,7 +388,7 @@ def MakePushStation(
     table_top = FindTableOutline(plant, scene_graph.model_inspector())
     grasping = None
     if arm.gripper is not None:
-        grasping_style = make_grasping_style(scenario, control_plant)
+        grasping_style = make_grasp_trajectory_options(scenario, control_plant)
         grasping = AddGrasping(builder, plant, arm, executor, reach, table_top, grasping_style)
     desired = executor if grasping is None else grasping
     builder.Connect(desired.GetOutputPort("tip_pose"), control.tip_pose)
@@ -307,10 +423,10 @@ def MakePushStation(
     return station
 
 
-def make_style(scenario: PushScenario) -> PushingStyle:
+def make_style(scenario: PushScenario) -> PushTrajectoryOptions:
     """How the scenario's finger pushes."""
     finger = scenario.finger
-    return PushingStyle(
+    return PushTrajectoryOptions(
         travel_height=finger.travel_height, push_height=finger.push_height, tip_radius=finger.tip_radius
     )
 

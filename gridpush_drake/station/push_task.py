@@ -1,4 +1,7 @@
-"""Pushing an unknown object to a goal pose: the station learns it from the very pushes that bring it there."""
+"""What came of pushing an object to a goal in the station.
+
+Pushing an unknown object to a goal pose: the station learns it from the very pushes that bring it there.
+"""
 
 from dataclasses import dataclass, field
 
@@ -8,26 +11,95 @@ from pydrake.geometry import Meshcat, Rgba
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.planning.contact_point import ContactOptions
-from gridpush_drake.planning.planned_push import calc_goal_error
+from gridpush_drake.multibody.meshcat_shapes import AddGhost, MakePlanarTransform
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.contact.optimization import ContactOptions
+from gridpush_drake.planning.contact.trial import calc_goal_error
+from gridpush_drake.planning.goal.push_to_goal import GoalRules
 from gridpush_drake.planning.push_constraints import PushConstraints
-from gridpush_drake.planning.push_decision import GoalRules
-from gridpush_drake.scene.scenario import PushScenario
+from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.station.finger_region import MakeFingerRegion
-from gridpush_drake.station.learning import Learning
-from gridpush_drake.station.push_station import MakePushStation, PushStation
-from gridpush_drake.station.push_task_record import PushTaskRecord, PushTaskStep
-from gridpush_drake.station.table_surface import make_surface
-from gridpush_drake.station.task_run import GO_ON, Judgement, Progress, Sight, TaskStatus
-from gridpush_drake.station.task_wiring import AimStationCamera, BuildTask
-from gridpush_drake.systems import contact_point_status as modes
+from gridpush_drake.station.push_station import Learning, MakePushStation, PushStation
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.task import (
+    GO_ON,
+    AimStationCamera,
+    BuildTask,
+    Judgment,
+    Progress,
+    Sight,
+    TaskRecord,
+    TaskStatus,
+    make_surface,
+)
 from gridpush_drake.systems.contact_point_controller import ContactPointController
-from gridpush_drake.systems.contact_point_status import ContactPointStatus
-from gridpush_drake.systems.meshcat_drawing import AddGhost, MakePlanarTransform
-from gridpush_drake.systems.push_command import PushCommand
+from gridpush_drake.systems.messages import ContactPointMode, ContactPointStatus, PushCommand
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PushTaskStep:
+    """A change of what the controller says.
+
+    Attributes:
+        time: s.
+        status: of the controller.
+        pose: (3,) where the object was seen, X_WB, m and rad; NaN where it was not.
+        push: the command, where a push began.
+    """
+
+    time: float
+    status: ContactPointStatus
+    pose: Array
+    push: PushCommand | None = None
+
+
+@dataclass
+class PushTaskRecord(TaskRecord):
+    """What came of a run: "reached", "failed", "lost", "stuck" or "interrupted"; filled while it runs.
+
+    Attributes:
+        surface: the table.
+        goal: (3,) where it should lie, X_WB, m and rad.
+        tolerance: mean cell error at which the goal counts as reached, m.
+        steps: what the controller said, in order.
+        pose: (3,) where the object truly lay at the end, X_WB, m and rad; NaN where it had fallen.
+        error: mean cell error to the goal there, m.
+    """
+
+    surface: SupportSurface
+    goal: Array
+    tolerance: float
+    steps: list[PushTaskStep] = field(default_factory=list)
+    pose: Array = field(default_factory=lambda: np.full(3, np.nan))
+    error: float = float("nan")
+
+    @property
+    def last(self) -> ContactPointStatus:
+        """The controller's last status."""
+        return self.steps[-1].status if self.steps else ContactPointStatus()
+
+    @property
+    def statuses(self) -> list[ContactPointStatus]:
+        """All that the controller said, in order."""
+        return [step.status for step in self.steps]
+
+    @property
+    def pushes(self) -> int:
+        """How many were made."""
+        return self.last.pushes
+
+    @property
+    def rest_poses(self) -> list[Array]:
+        """(3,) where the object was seen at rest, before the first push in the log and after each."""
+        return [*(seen.pose for seen in self.log[:1]), *(seen.final_pose for seen in self.log)]
+
+    @property
+    def expected_errors(self) -> list[float]:
+        """Mean cell error to the goal that was expected after each push that began, m."""
+        return [step.status.expected_error for step in self.steps if step.push is not None]
+
 
 REACHED, FAILED, LOST, STUCK = TaskStatus.REACHED, TaskStatus.FAILED, TaskStatus.LOST, TaskStatus.STUCK
 
@@ -37,16 +109,16 @@ MEMORY = 8
 EDGE_MARGIN = 0.03
 """Between the object and the table's edge, m."""
 
-LONGEST_PUSH = 0.25
+MAX_PUSH = 0.25
 """m."""
 
-SHORTEST_PUSH = 0.003
+MIN_PUSH = 0.003
 """Of what is left of a push when the finger has come to the object, m."""
 
 LOST_AFTER = 5.0
 """Simulated without the object being seen, after which it is not waited for any longer, s."""
 
-PATIENCE = 15.0
+TIMEOUT = 15.0
 """Simulated without anything new, after which the task is stuck, s."""
 
 GOAL_COLOR = Rgba(0.16, 0.55, 0.35)
@@ -77,7 +149,7 @@ class PushTask:
         self._scenario = scenario
         builder = DiagramBuilder()
         self.station: PushStation = builder.AddSystem(
-            MakePushStation(scenario, meshcat, show_object=False, learning=Learning(most_pushes=None, memory=MEMORY))
+            MakePushStation(scenario, meshcat, show_object=False, learning=Learning(max_pushes=None, memory=MEMORY))
         )
         station = self.station
         self.surface = make_surface(station)
@@ -99,7 +171,7 @@ class PushTask:
             push_rule=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,
         )
         contact = ContactOptions(
-            scenario.finger.tip_radius, clearance, scenario.pokes.speed, (clearance + SHORTEST_PUSH, LONGEST_PUSH)
+            scenario.finger.tip_radius, clearance, scenario.pokes.speed, (clearance + MIN_PUSH, MAX_PUSH)
         )
         return GoalRules(constraints, contact, tolerance=scenario.goal.tolerance, max_pushes=scenario.goal.max_pushes)
 
@@ -135,19 +207,22 @@ class _Watch:
     last_new: float = 0.0
     sight: Sight = field(default_factory=lambda: Sight(LOST_AFTER))
 
-    def judge(self, time: float) -> Judgement:
+    def judge(self, time: float) -> Judgment:
         """Status and message."""
         self._note(time)
         status = self.record.last
         if np.isnan(self.record.pose).any():
-            return LOST, f"The object left the table during push {status.pushes + (status.mode == modes.PUSHING)}."
+            return (
+                LOST,
+                f"The object left the table during push {status.pushes + (status.mode == ContactPointMode.PUSHING)}.",
+            )
         lost = self.sight.is_lost(time, self.run.task.read("object.pose"))
         if lost and self.run.task.read("executor.status").ready:
             return LOST, f"The object has not been seen for {LOST_AFTER:g} s."
-        if status.mode in (modes.REACHED, modes.FAILED):
+        if status.mode in (ContactPointMode.REACHED, ContactPointMode.FAILED):
             return TaskStatus(status.mode), status.reason
-        if time - self.last_new > PATIENCE:
-            return STUCK, f"Nothing happened for {PATIENCE:g} s: {status.reason}"
+        if time - self.last_new > TIMEOUT:
+            return STUCK, f"Nothing happened for {TIMEOUT:g} s: {status.reason}"
         return GO_ON
 
     def _note(self, time: float) -> None:
@@ -162,7 +237,9 @@ class _Watch:
             return
         self.last_new = time
         push = PushCommand.from_vector(read("push_command", self.run.controller))
-        step = PushTaskStep(time, status, np.array(read("object.pose")), push if status.mode == modes.PUSHING else None)
+        step = PushTaskStep(
+            time, status, np.array(read("object.pose")), push if status.mode == ContactPointMode.PUSHING else None
+        )
         record.steps.append(step)
 
 

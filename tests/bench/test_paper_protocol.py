@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 from shapely import Point
 
-from gridpush_drake.bench import paper, paper_tables
+from gridpush_drake.bench import paper
+from gridpush_drake.bench import paper as paper_tables
+from gridpush_drake.bench.paper import Score
 from gridpush_drake.bench.paper_protocol import (
     DURATION,
     FINGER_RADIUS,
@@ -15,14 +17,12 @@ from gridpush_drake.bench.paper_protocol import (
     make_pushes,
     place_disc,
 )
-from gridpush_drake.bench.paper_tables import Score
-from gridpush_drake.bench.workers import Conduct
+from gridpush_drake.bench.workers import Execution
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.errors import GridPushError, OutputError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.object_file import find_shipped_object, list_shipped_objects
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.grid.prior import PhysicalPrior
+from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
+from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_objects import make_random_object
 from tests.helpers.shared_data import shared_data
 
@@ -42,7 +42,7 @@ def made_folder(tmp_path):
     content = {
         "masses_by_label": {"ell": [[1.0, 3.0], [4.0, 0.5]]},
         "splits": splits,
-        "metres_per_pixel": {"simulated": 0.002},
+        "meters_per_pixel": {"simulated": 0.002},
     }
     (tmp_path / "protocol.json").write_text(json.dumps(content))
     return tmp_path
@@ -65,7 +65,7 @@ def test_reads_the_protocol():
     assert set(protocol.masks) == set(OBJECTS)
     assert set(protocol.masses) == {*OBJECTS, *list_shipped_objects()}
     assert all(len(sets) == 10 and min(map(min, sets)) >= 0.1 for sets in protocol.masses.values())
-    assert protocol.metres_per_pixel == 0.001
+    assert protocol.meters_per_pixel == 0.001
     for count, splits in protocol.splits.items():
         assert len(splits) == 10
         for split in splits:
@@ -91,7 +91,7 @@ def test_draws_the_protocol():
 
 
 @pytest.mark.parametrize("name", list_shipped_objects())
-def test_ten_pushes_of_shipped_objects_are_as_many_millimetres_apart(name):
+def test_ten_pushes_of_shipped_objects_are_as_many_millimeters_apart(name):
     obj = GridObject.from_yaml(find_shipped_object(name))
     width = round(1e3 * np.ptp(obj.outline.exterior.xy[0]))
     pushes = make_pushes(obj, width)
@@ -172,8 +172,8 @@ def test_refuses_what_it_cannot_do(made_folder, changes, message):
 def test_a_small_run(made_folder, tmp_path):
     figure, told = tmp_path / "curve.png", []
     methods = ("paper", "random_search")
-    conduct = Conduct(workers=0, report=lambda *what: told.append(what))
-    tables = paper.run(made_folder, 2, ["ell"], methods, 20, conduct=conduct, figure=figure)
+    execution = Execution(workers=0, report=lambda *what: told.append(what))
+    tables = paper.run(made_folder, 2, ["ell"], methods, 20, execution=execution, figure=figure)
     by_method, by_budget = tables
     assert by_method.columns == ("method", "ell", "all", "simulations")
     assert [row[0] for row in by_method.rows] == ["uniform prior", *methods]
@@ -193,7 +193,7 @@ def test_refuses_an_unknown_kind_of_figure(made_folder, tmp_path):
 @pytest.mark.slow
 def test_workers_do_not_matter(made_folder):
     options = {"mass_sets": 2, "objects": ["ell"], "methods": ("paper", "weighted_sampling"), "budget": 50}
-    one, two = (paper.run(made_folder, conduct=Conduct(workers=count), **options) for count in (0, 2))
+    one, two = (paper.run(made_folder, execution=Execution(workers=count), **options) for count in (0, 2))
     assert one == two
 
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.planning import run
+from gridpush_drake.bench.planning import LEARNING, TRUE, run
 from gridpush_drake.bench.planning_protocol import (
     OVERHANG,
     SHIPPED,
@@ -11,8 +11,7 @@ from gridpush_drake.bench.planning_protocol import (
     make_planning_protocol,
     read_planning_object,
 )
-from gridpush_drake.bench.planning_tables import LEARNING, TRUE
-from gridpush_drake.bench.workers import Conduct
+from gridpush_drake.bench.workers import Execution
 from gridpush_drake.errors import GridPushError
 from tests.helpers.shared_data import shared_data
 
@@ -36,7 +35,7 @@ def test_every_object_may_lie_where_the_protocol_says(seed):
 
 
 def test_decisions_are_near_the_exhaustive_search_s(masks):
-    (table,) = run(masks, objects=["snack"], quick=True, parts=("contact",), conduct=Conduct(workers=0))
+    (table,) = run(masks, objects=["snack"], quick=True, parts=("contact",), execution=Execution(workers=0))
     assert [row[0] for row in table.rows] == ["snack", "all"]
     row = dict(zip(table.columns, table.rows[0], strict=True))
     assert row["decisions"] == 3
@@ -49,7 +48,7 @@ def test_decisions_are_near_the_exhaustive_search_s(masks):
 def test_runs_reach_their_goals(masks):
     (table,) = run(
         masks, objects=["snack"], quick=True, parts=("push",), modes=(LEARNING, TRUE),
-        conduct=Conduct(workers=0),
+        execution=Execution(workers=0),
     )  # fmt: skip
     done = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
     assert [(row["model"], row["object"]) for row in done] == [
@@ -66,7 +65,7 @@ def test_what_is_drawn_depends_on_the_seed():
 
 
 def test_runs_without_data():
-    (table,) = run(objects=["pliers"], quick=True, parts=("contact",), conduct=Conduct(workers=0))
+    (table,) = run(objects=["pliers"], quick=True, parts=("contact",), execution=Execution(workers=0))
     assert [row[0] for row in table.rows] == ["pliers", "all"]
     assert dict(zip(table.columns, table.rows[0], strict=True))["decisions"] == 3
 

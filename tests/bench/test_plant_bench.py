@@ -3,16 +3,15 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.plant import OBJECTS, PlantJob, calc_scores, draw_push, make_table, run_job
-from gridpush_drake.bench.plant_push import PlantPusher
-from gridpush_drake.bench.workers import Conduct
+from gridpush_drake.bench.plant import OBJECTS, PlantJob, PlantPusher, calc_scores, draw_push, make_table, run_job
+from gridpush_drake.bench.workers import Execution
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.errors import ObjectError, PushError
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import make_shape
 
-LARGEST_POSITION, LARGEST_ANGLE = 1e-3, np.radians(0.5)
+MAX_POSITION, MAX_ANGLE = 1e-3, np.radians(0.5)
 """m and rad, between the last poses after a push of 10 cm."""
 
 
@@ -67,20 +66,20 @@ def test_tables_and_names():
     scores = run_job(PlantJob("toolbox", "planar", (4,)))
     table = make_table(scores)
     assert [row[:4] for row in table.rows] == [["toolbox", "planar", "none", 1], ["toolbox", "planar", "coupled", 1]]
-    assert scores[0].position < LARGEST_POSITION
+    assert scores[0].position < MAX_POSITION
 
 
 @pytest.mark.slow
 def test_plant_and_model_agree():
-    scores = calc_scores(OBJECTS, 3, ("planar",), seed=100, conduct=Conduct(workers=0))
+    scores = calc_scores(OBJECTS, 3, ("planar",), seed=100, execution=Execution(workers=0))
     for score in scores:
         assert score.tracking_error < 2e-5
-        assert score.position < LARGEST_POSITION, score
-        assert score.angle < LARGEST_ANGLE, score
+        assert score.position < MAX_POSITION, score
+        assert score.angle < MAX_ANGLE, score
 
 
 @pytest.mark.slow
 def test_a_free_base_differs_by_the_loads_that_shift():
-    scores = calc_scores(("claw_hammer", "toolbox"), 3, ("free",), conduct=Conduct(workers=0))
+    scores = calc_scores(("claw_hammer", "toolbox"), 3, ("free",), execution=Execution(workers=0))
     assert max(score.position for score in scores) < 5e-3
     assert max(score.tilt for score in scores) < 1e-3

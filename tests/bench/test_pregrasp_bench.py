@@ -2,16 +2,18 @@ import numpy as np
 import pytest
 
 from gridpush_drake.bench import pregrasp
-from gridpush_drake.bench.pregrasp_exploration import ALONG, MOST_POKES, explore
-from gridpush_drake.bench.pregrasp_objects import OBJECTS, load_bench_object, make_table
-from gridpush_drake.bench.pregrasp_tables import (
+from gridpush_drake.bench.pregrasp import (
+    OBJECTS,
     SlideScore,
+    load_bench_object,
+    make_table,
     tabulate_exploration,
     tabulate_exploration_by_object,
     tabulate_slides,
 )
+from gridpush_drake.bench.pregrasp_exploration import ALONG, MAX_POKES, explore
 from gridpush_drake.bench.pregrasp_world import EdgeWorld, Outcome, see
-from gridpush_drake.bench.workers import Conduct
+from gridpush_drake.bench.workers import Execution
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
 
@@ -69,7 +71,7 @@ def test_runs_with_the_true_parameters():
         seeds=1,
         methods=["true"],
         experiment=pregrasp.SLIDING_ONLY,
-        conduct=Conduct(workers=0),
+        execution=Execution(workers=0),
     )
     assert tuple(tables[0].rows[0][:4]) == ("true", 1, 100.0, 0)
 
@@ -96,7 +98,7 @@ def test_pokes_by_design_are_fewer_and_the_spread_is_honest():
         scores.append(explore(obj, pregrasp.make_truth(obj, i), name, i, 0, ALONG))
     designed = np.mean([score.active.pokes for score in scores])
     assert designed < np.mean([score.random.pokes for score in scores])
-    assert designed < MOST_POKES
+    assert designed < MAX_POKES
     assert max(score.active.errors[-1] for score in scores) < 0.02
     assert tabulate_exploration(scores).rows[0][:3] == (ALONG, 40.0, 2)
     assert len(tabulate_exploration_by_object(scores, OBJECTS).rows) == 2

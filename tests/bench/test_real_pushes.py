@@ -5,7 +5,7 @@ import pytest
 
 from gridpush_drake.bench.public_data import find_push_logs
 from gridpush_drake.bench.real import (
-    CENTRE,
+    CENTER,
     FEET_SETS,
     POSES,
     UNIFORM,
@@ -16,14 +16,14 @@ from gridpush_drake.bench.real import (
     run_job,
 )
 from gridpush_drake.bench.simulated_pushes import simulate_log
-from gridpush_drake.bench.workers import Conduct
+from gridpush_drake.bench.workers import Execution
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.grid.object_file import find_shipped_object
+from gridpush_drake.objects.object_file import find_shipped_object
 from tests.helpers.shared_data import shared_data
 
 # The bounds, mm, for the mean over the four feet sets.
-MOST = {(CENTRE, 25): 2.4, (CENTRE, 5): 2.6, (POSES, 5): 3.1}
-MOST_ABOVE_UNIFORM = 0.15
+MOST = {(CENTER, 25): 2.4, (CENTER, 5): 2.6, (POSES, 5): 3.1}
+MAX_ABOVE_UNIFORM = 0.15
 
 LONG_SPLITS = 3  # in which 25 pushes are learned from too
 
@@ -32,9 +32,9 @@ def test_one_split_of_real_pushes_is_learned_and_scored() -> None:
     path = shared_data("cmu_pushes", "hardboard_wide.txt")
     scores = run_job(Job(path, "cmu", 0, (5,), 0))
     by_model = {score.model: score.combined() for score in scores}
-    assert set(by_model) == {UNIFORM, POSES, CENTRE}
+    assert set(by_model) == {UNIFORM, POSES, CENTER}
     assert all(len(errors) == 25 for errors in by_model.values())
-    assert by_model[CENTRE].mean() < 0.75 * by_model[UNIFORM].mean()
+    assert by_model[CENTER].mean() < 0.75 * by_model[UNIFORM].mean()
 
 
 def test_held_out_pushes_do_not_depend_on_the_training_count() -> None:
@@ -74,7 +74,7 @@ def test_names_of_logs_differ() -> None:
 
 
 def test_simulated_pushes_stand_in_and_say_so() -> None:
-    (table,) = run(objects=["pliers"], splits=1, conduct=Conduct(workers=0))
+    (table,) = run(objects=["pliers"], splits=1, execution=Execution(workers=0))
     assert "Simulated stand-in" in table.title
     assert table.columns[0] == "object, simulated"
     assert any("Nothing here is real" in note for note in table.notes)
@@ -105,14 +105,14 @@ def test_real_pushes_are_predicted_as_well_as_promised() -> None:
         alike = [score for score in scores if score.split < splits]
         for name in FEET_SETS:
             uniform = calc_split_means(alike, [name], UNIFORM, 0).mean()
-            for model in (POSES, CENTRE):
-                assert calc_split_means(alike, [name], model, count).mean() - uniform <= MOST_ABOVE_UNIFORM
+            for model in (POSES, CENTER):
+                assert calc_split_means(alike, [name], model, count).mean() - uniform <= MAX_ABOVE_UNIFORM
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["abs_rect1", "plywood_rect3"])
 def test_a_fifth_of_the_mit_pushes_beats_the_files_own_model(name: str) -> None:
-    from gridpush_drake.pushes.mit import read_model_errors
+    from gridpush_drake.pushes.importers.mit import read_model_errors
 
     path = shared_data("mit_pushes", f"{name}.mat")
     position, angle = read_model_errors(path)

@@ -7,10 +7,10 @@ from rich.console import Console
 from gridpush_drake.bench import paper_tables, planning_tables, plant, pregrasp_station, pregrasp_tables, real, station
 from gridpush_drake.bench.pregrasp_exploration import AIMS, DISTANCES, ExplorationScore, Trace
 from gridpush_drake.bench.pregrasp_world import Outcome
+from gridpush_drake.bench.speed import measure, one_core
 from gridpush_drake.bench.table import Table
-from gridpush_drake.bench.timing import measure, one_core
-from gridpush_drake.grid.object_file import list_shipped_objects
 from gridpush_drake.identification.identify import METHODS
+from gridpush_drake.objects.object_file import list_shipped_objects
 
 TABLE = Table("One push", ("what", "ms", "runs"), [["plain", 0.41234, 50], ["beside", 1344.8, None]], ["On one core."])
 
@@ -95,7 +95,7 @@ def make_planning_tables():
 
 def make_real_tables():
     names, counts = [*real.FEET_SETS, "hardboard_patch"], (5, 25)
-    models = ((real.UNIFORM, 0), *product((real.POSES, real.CENTRE), counts))
+    models = ((real.UNIFORM, 0), *product((real.POSES, real.CENTER), counts))
     scores = [
         real.Score(name, split, model, count, (ERROR, ERROR * split), (1.0, 2.0))
         for name, split, (model, count) in product([*names, *NAMES], range(2), models)

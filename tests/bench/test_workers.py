@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 
 from gridpush_drake.bench import paper, planning, plant, pregrasp, pregrasp_station, real, station
-from gridpush_drake.bench.paper_tables import Score
-from gridpush_drake.bench.planning_tables import Decision, Run
+from gridpush_drake.bench.paper import Score
+from gridpush_drake.bench.planning import Decision, Run
+from gridpush_drake.bench.pregrasp import SlideScore
 from gridpush_drake.bench.pregrasp_exploration import ExplorationScore, Trace
-from gridpush_drake.bench.pregrasp_tables import SlideScore
 from gridpush_drake.bench.pregrasp_world import Outcome
 from gridpush_drake.bench.results import open_results
-from gridpush_drake.bench.workers import Conduct, run_jobs
+from gridpush_drake.bench.workers import Execution, run_jobs
 from gridpush_drake.errors import GridPushError, OutputError
 
 STARTED_WITHIN, ENDED_WITHIN = 240.0, 6.0
@@ -60,8 +60,8 @@ def describe(job):
 @pytest.mark.parametrize("workers", [0, 1, 3])
 def test_results_are_in_the_jobs_order_and_reported(tmp_path, workers):
     told = []
-    conduct = Conduct(workers, lambda *what: told.append(what))
-    found = run_jobs(double, make_jobs(tmp_path, range(5)), describe, conduct)
+    execution = Execution(workers, lambda *what: told.append(what))
+    found = run_jobs(double, make_jobs(tmp_path, range(5)), describe, execution)
     assert [results[0].double for results in found] == [0, 2, 4, 6, 8]
     assert told[0] == ("", 0, 5)
     assert [done for _, done, _ in told if done] == sorted(done for _, done, _ in told if done)
@@ -71,48 +71,48 @@ def test_results_are_in_the_jobs_order_and_reported(tmp_path, workers):
 @pytest.mark.parametrize("workers", [0, 2])
 def test_a_jobs_error_is_the_benchs(tmp_path, workers):
     with pytest.raises(GridPushError, match="-1: expected a positive number"):
-        run_jobs(double, make_jobs(tmp_path, [1, -1]), describe, Conduct(workers))
+        run_jobs(double, make_jobs(tmp_path, [1, -1]), describe, Execution(workers))
 
 
 def test_a_worker_that_ends_is_an_error(tmp_path):
     with pytest.raises(GridPushError, match="exit code 7"):
-        run_jobs(leave, make_jobs(tmp_path, [1]), describe, Conduct(1))
+        run_jobs(leave, make_jobs(tmp_path, [1]), describe, Execution(1))
 
 
 def test_finished_jobs_are_not_run_again(tmp_path):
     path, jobs, prepared = tmp_path / "kept.jsonl", make_jobs(tmp_path, [-1, 1, 2]), []
 
-    def conduct():
-        return Conduct(0, None, open_results(path, "doubling", {"seed": 0}), lambda: prepared.append(True))
+    def execution():
+        return Execution(0, None, open_results(path, "doubling", {"seed": 0}), lambda: prepared.append(True))
 
-    run_jobs(double, jobs[1:2], describe, conduct())
+    run_jobs(double, jobs[1:2], describe, execution())
     with pytest.raises(GridPushError, match="positive"):
-        run_jobs(double, jobs, describe, conduct())
-    found = run_jobs(double, jobs[1:], describe, conduct())
+        run_jobs(double, jobs, describe, execution())
+    found = run_jobs(double, jobs[1:], describe, execution())
     assert [results[0].double for results in found] == [2, 4]
     assert isnan(found[0][0].share)
     assert found[1] == [Found(4, 0.1)]
     assert (tmp_path / "runs").read_text().split() == ["1", "-1", "2"]
     assert len(prepared) == 3
-    run_jobs(double, jobs[1:], describe, conduct())
+    run_jobs(double, jobs[1:], describe, execution())
     assert len(prepared) == 3
 
 
 def test_a_line_that_was_cut_off_is_dropped(tmp_path):
     path, jobs = tmp_path / "kept.jsonl", make_jobs(tmp_path, [3, 4])
-    run_jobs(double, jobs, describe, Conduct(0, None, open_results(path, "doubling", {})))
+    run_jobs(double, jobs, describe, Execution(0, None, open_results(path, "doubling", {})))
     whole = path.read_bytes()
     path.write_bytes(whole[:-9])
     results = open_results(path, "doubling", {})
     assert len(results.lines) == 1
-    assert run_jobs(double, jobs, describe, Conduct(0, None, results)) == [[Found(6, 0.1)], [Found(8, 0.1)]]
+    assert run_jobs(double, jobs, describe, Execution(0, None, results)) == [[Found(6, 0.1)], [Found(8, 0.1)]]
     assert path.read_bytes() == whole
     assert (tmp_path / "runs").read_text().split() == ["3", "4", "4"]
 
 
 def test_other_settings_are_refused_or_begun_anew(tmp_path, monkeypatch):
     path, jobs = tmp_path / "kept.jsonl", make_jobs(tmp_path, [3])
-    run_jobs(double, jobs, describe, Conduct(0, None, open_results(path, "doubling", {"seed": 0, "sets": 2})))
+    run_jobs(double, jobs, describe, Execution(0, None, open_results(path, "doubling", {"seed": 0, "sets": 2})))
     for bench, settings, says in (
         ("doubling", {"seed": 1, "sets": 2}, r"seed 0, now 1\); pass --force"),
         ("halving", {"seed": 0, "sets": 2}, 'bench "doubling", now "halving"'),
@@ -122,7 +122,7 @@ def test_other_settings_are_refused_or_begun_anew(tmp_path, monkeypatch):
             open_results(path, bench, settings)
     results = open_results(path, "doubling", {"seed": 1}, force=True)
     assert results.lines == {}
-    run_jobs(double, jobs, describe, Conduct(0, None, results))
+    run_jobs(double, jobs, describe, Execution(0, None, results))
     assert len(open_results(path, "doubling", {"seed": 1}).lines) == 1
     monkeypatch.setattr("gridpush_drake.bench.results.hash_sources", lambda: "another")
     with pytest.raises(GridPushError, match="program"):
@@ -143,7 +143,7 @@ def test_nothing_is_written_before_the_first_result(tmp_path, monkeypatch):
     first, other = (open_results(None, "doubling", {"seed": seed}) for seed in (0, 1))
     assert first.path != other.path
     assert list(tmp_path.iterdir()) == []
-    run_jobs(double, make_jobs(tmp_path, [3]), describe, Conduct(0, None, first))
+    run_jobs(double, make_jobs(tmp_path, [3]), describe, Execution(0, None, first))
     assert first.path.exists()
     with pytest.raises(OutputError, match="does not exist"):
         open_results(tmp_path / "none" / "kept.jsonl", "doubling", {})
@@ -233,7 +233,7 @@ def start_bench(folder):
     """Two endless jobs in two workers."""
     return subprocess.Popen(
         [
-            sys.executable, "-m", "gridpush_drake.apps.main", "bench", "paper", "--objects", "pliers", "--sets", "2",
+            sys.executable, "-m", "gridpush_drake.cli.main", "bench", "paper", "--objects", "pliers", "--sets", "2",
             "--method", "random_search", "--budget", "100000000", "--results", folder / "kept.jsonl",
         ],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
@@ -256,7 +256,7 @@ def find_group(group):
 def test_settings_are_in_the_first_line(tmp_path):
     path = tmp_path / "kept.jsonl"
     settings = {"seed": 0, "data": tmp_path, "objects": ["a"]}
-    run_jobs(double, make_jobs(tmp_path, [3]), describe, Conduct(0, None, open_results(path, "doubling", settings)))
+    run_jobs(double, make_jobs(tmp_path, [3]), describe, Execution(0, None, open_results(path, "doubling", settings)))
     first, line = map(json.loads, path.read_text().splitlines())
     assert first["settings"] == {"seed": 0, "data": str(tmp_path), "objects": ["a"]}
     assert line == {"job": ["Job", {"number": 3, "folder": str(tmp_path)}], "result": [{"double": 6, "share": 0.1}]}

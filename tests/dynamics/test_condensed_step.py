@@ -1,4 +1,4 @@
-"""The condensed step against its references (issue 2, physics 1): the paper's LCP, its QP, and the cone programme."""
+"""The condensed step against its references (issue 2, physics 1): the paper's LCP, its QP, and the cone program."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from gridpush_drake.dynamics.reference.isotropic_socp import solve_isotropic_soc
 from gridpush_drake.dynamics.reference.maximal_solvers import solve_as_lcp, solve_as_qp
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.errors import SimulationError
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_pushes import DT, make_random_step
 from tests.helpers.shapes import make_shape
 
@@ -85,7 +85,7 @@ def test_moby_s_lcp_agrees_with_the_qp_and_the_condensed_step(case):
 
 @pytest.mark.parametrize("spin", ["coupled", "separate", "none"])
 @pytest.mark.parametrize("case", CASES)
-def test_isotropic_step_is_the_cone_programme_s(case, spin):
+def test_isotropic_step_is_the_cone_program_s(case, spin):
     worst = 0.0
     for step in make_steps(case):
         nu = solve_isotropic_socp(step.obj, step.params, step.q, step.nu, step.T.T @ step.F, DT, spin=spin)
@@ -104,7 +104,7 @@ def test_the_cases_cover_what_they_say():
     assert 0 < counts["rest, near the limit"] + counts["stops"] < 40
 
 
-def test_a_pure_moment_turns_a_body_about_its_centre_of_mass_where_it_is_the_centre_of_friction():
+def test_a_pure_moment_turns_a_body_about_its_center_of_mass_where_it_is_the_center_of_friction():
     obj = make_shape("square", 25)
     params = CellParameters.uniform(obj, total_mass=1.0, friction=0.3)
     nu = calc_step(obj, params, (0.1, 0.2, 0.3), np.zeros(3), (0.0, 0.0, 2.0), DT)

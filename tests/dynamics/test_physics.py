@@ -7,8 +7,8 @@ from shapely.affinity import translate
 
 from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.dynamics.simulate import simulate
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_objects import make_random_object, make_random_pose
 from tests.helpers.random_pushes import make_random_contents, make_random_push
 from tests.helpers.shapes import SHAPES, make_shape, rectangle, regular_polygon
@@ -114,7 +114,7 @@ def calc_energy(obj, params, result):
 @pytest.mark.parametrize("spin", ["coupled", "separate", "none"])
 @pytest.mark.parametrize("friction", ["isotropic", "lagged"])
 def test_energy_never_rises_without_a_push(friction, spin):
-    """The implicit step minimises a convex function of which dissipation is a part.
+    """The implicit step minimizes a convex function of which dissipation is a part.
 
     With lagged directions a body at rest trembles at some 1e-7 m/s: the ramp's tail magnifies the stiction tolerance.
     """
@@ -146,7 +146,7 @@ def test_below_the_static_limit_a_body_does_not_creep(share, moves):
 
 @pytest.mark.parametrize("share, moves", [(0.99, False), (1.01, True)])
 def test_below_the_limit_of_an_eccentric_force_a_body_does_not_creep(share, moves):
-    """The limit is found by bisection on one step from rest: the reference cone programme says what moves."""
+    """The limit is found by bisection on one step from rest: the reference cone program says what moves."""
     from gridpush_drake.dynamics.reference.isotropic_socp import solve_isotropic_socp
 
     rng = np.random.default_rng(5)

@@ -12,8 +12,8 @@ from gridpush_drake.dynamics.kernels.inputs import Load
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_pushes import make_random_contents, make_random_push
 from tests.helpers.shapes import SHAPES, make_shape, rectangle
 
@@ -41,7 +41,7 @@ def test_uniform_rod_pushed_at_its_end_turns_about_l_over_root_2(cells):
 
 
 @pytest.mark.parametrize("regime", REGIMES)
-def test_push_through_the_centre_of_friction_does_not_turn(regime):
+def test_push_through_the_center_of_friction_does_not_turn(regime):
     """In translation all cells' friction is parallel, with its resultant through sum k p / sum k (Mason 1986).
 
     Quasi-static: any mass and friction. Inertial: mass and friction symmetric about the line of the push.
@@ -52,9 +52,9 @@ def test_push_through_the_centre_of_friction_does_not_turn(regime):
         params = make_random_contents(rng, obj) if regime == "quasi_static" else CellParameters.uniform(obj, 1.0, 0.4)
         if regime == "inertial" and shape not in ("square", "bar"):
             continue
-        centre = params.relative_friction() @ obj.p_BC
+        center = params.relative_friction() @ obj.p_BC
         left = obj.outline.bounds[0]
-        push = Push((left - 0.006, centre[1]), (0.05, 0.0), 2.0, 0.005)
+        push = Push((left - 0.006, center[1]), (0.05, 0.0), 2.0, 0.005)
         result = simulate(obj, params, push, regime=regime)
         print(f"{shape}, {regime}: turns by {np.abs(result.poses[:, 2]).max():.1e} rad")
         assert result.final_pose[0] == pytest.approx(0.1 - 0.001, abs=1e-7)
@@ -147,9 +147,9 @@ def walk_contacts(obj, params, push, regime, ahead=0.0):
     for t in range(steps):
         c, s = np.cos(run.poses[t, 2]), np.sin(run.poses[t, 2])
         R = np.array([[c, -s], [s, c]])
-        centre, v_tip = R.T @ (tip[t] - run.poses[t, :2]), R.T @ (tip[t + 1] - tip[t]) / dts[t]
+        center, v_tip = R.T @ (tip[t] - run.poses[t, :2]), R.T @ (tip[t + 1] - tip[t]) / dts[t]
         found = np.zeros((2, COLUMNS))
-        find_contacts(kernel_edges, *centre, push.radius, 0.01, found)
+        find_contacts(kernel_edges, *center, push.radius, 0.01, found)
         touching = []
         for j in range(2):
             mode = run.modes[t, j]
@@ -229,7 +229,7 @@ def test_a_push_that_never_touches_is_flagged(regime):
 @pytest.mark.parametrize("regime", REGIMES)
 @pytest.mark.parametrize("depth", [0.002, 0.008])
 def test_starting_overlapped_is_flagged_and_clears_at_once(regime, depth):
-    """8 mm is more than the radius: the disc's centre begins inside the object."""
+    """8 mm is more than the radius: the disc's center begins inside the object."""
     obj = make_shape("square", 25)
     params = CellParameters.uniform(obj, 1.0, 0.3)
     push = Push((-0.05 - 0.005 + depth, 0.01), (0.02, 0.0), 1.0, 0.005)

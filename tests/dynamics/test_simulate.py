@@ -13,8 +13,8 @@ from gridpush_drake.dynamics.reference.paper_rollout import fill_paper_gradient
 from gridpush_drake.dynamics.simulate import simulate, simulate_batch
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.errors import SimulationError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_pushes import make_random_contents, make_random_push
 from tests.helpers.shapes import make_shape
 

@@ -5,7 +5,7 @@ import pytest
 
 from gridpush_drake.dynamics import DEFAULT_DT, DEFAULT_TIP_STEP, Push, make_path_times
 from gridpush_drake.dynamics.simulate import simulate
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import make_shape
 
 SPEEDS = np.concatenate([np.geomspace(0.003, 0.6, 200), 0.05 * (1 + np.linspace(-1e-3, 1e-3, 21))])

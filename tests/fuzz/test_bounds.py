@@ -9,24 +9,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from gridpush_drake.dynamics.force_push import ForcePush
+
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.dynamics.time_grid import MAX_STEPS
 from gridpush_drake.errors import GridPushError, ObjectError, OutputError, ParameterError, PushError, SimulationError
 from gridpush_drake.files import check_writable, make_folder, read_bytes, write_whole
-from gridpush_drake.grid.mask_image import read_labels
-from gridpush_drake.grid.object import MAX_CELLS, GridObject
-from gridpush_drake.grid.object_file import read_object
-from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.model_file import looks_like_model, read_model
-from gridpush_drake.planning.limit_surface import MAX_TABLE_NODES, make_distance_table
-from gridpush_drake.pushes.cmu import import_cmu
-from gridpush_drake.pushes.log import PushLog
-from gridpush_drake.pushes.mit import import_mit
-from gridpush_drake.scene.scenario_file import read_scenario
-from gridpush_drake.scene.sdf import make_sdf
+from gridpush_drake.multibody.sdformat import make_sdf
+from gridpush_drake.objects.grid_object import MAX_CELLS, GridObject
+from gridpush_drake.objects.mask import read_labels
+from gridpush_drake.objects.object_file import read_object
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.limit_surface import MAX_TABLE_NODES, make_distance_table
+from gridpush_drake.pushes.importers.cmu import import_cmu
+from gridpush_drake.pushes.importers.mit import import_mit
+from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.station.scenario_file import read_scenario
 from tests.helpers.made_identifications import make_block
 
 READERS = [read_object, read_model, read_scenario, read_labels, import_cmu, import_mit, PushLog.read_csv]
@@ -125,7 +125,7 @@ def test_numbers_that_are_too_many(tmp_path):
     path = tmp_path / "object.yaml"
     for line, message in (
         ("max_cells: 10000000", "max_cells is 10000000; expected a whole number, 1 or more, at most 4000"),
-        (f"cells: {{size: 0.1, centres: [[0, 0]], labels: [{10**30}]}}", r"labels\[0\] is 10+; expected"),
+        (f"cells: {{size: 0.1, centers: [[0, 0]], labels: [{10**30}]}}", r"labels\[0\] is 10+; expected"),
         (f"parts: [{{label: {10**30}, outline: [[0, 0], [1, 0], [0, 1]]}}]", r"parts\[0\]\.label is 10+; expected"),
     ):
         path.write_text(f"{OUTLINE}{line}\n")

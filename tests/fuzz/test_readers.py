@@ -10,14 +10,14 @@ from PIL import Image
 
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.errors import GridPushError, PushLogWarning
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.object_file import read_object
-from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.model_file import read_model, write_model
 from gridpush_drake.identification.prediction import predict
-from gridpush_drake.pushes.cmu import import_cmu
-from gridpush_drake.pushes.log import PushLog
-from gridpush_drake.scene.scenario_file import read_scenario
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import read_object
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.importers.cmu import import_cmu
+from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.station.scenario_file import read_scenario
 from tests.fuzz.mutations import broken
 from tests.helpers.made_identifications import make_block, make_identification
 
@@ -32,7 +32,7 @@ parts:
   - {label: 2, outline: [[0.02, -0.03], [0.06, -0.03], [0.06, 0.03], [0.02, 0.03]]}
 max_cells: 30
 total_mass: 1.2
-centre_of_mass: {at: [0.0, 0.001], std: 3e-3}
+center_of_mass: {at: [0.0, 0.001], std: 3e-3}
 friction: {prior: 0.3, min: 0.1, max: 0.9}
 contact_friction: {prior: 0.45, std: 0.1}
 pusher: {radius: 0.004}
@@ -40,7 +40,7 @@ pusher: {radius: 0.004}
 
 CELLS = b"""\
 outline: [[0.0, 0.0], [0.02, 0.0], [0.02, 0.01], [0.0, 0.01]]
-cells: {size: 0.01, centres: [[0.005, 0.005], [0.015, 0.005]], labels: [1, 2]}
+cells: {size: 0.01, centers: [[0.005, 0.005], [0.015, 0.005]], labels: [1, 2]}
 """
 
 SCENARIO = b"""\
@@ -168,7 +168,7 @@ def test_push_logs(place, block, text):
 @few(150)
 @given(text=broken(PLAIN_PGM) | broken(RAW_PGM) | broken(make_png()))
 def test_masks(place, text):
-    survives(place / "mask.pgm", text, lambda path: GridObject.from_mask(path, metres_per_pixel=0.01, max_cells=20))
+    survives(place / "mask.pgm", text, lambda path: GridObject.from_mask(path, meters_per_pixel=0.01, max_cells=20))
 
 
 @few(100)

@@ -10,11 +10,10 @@ from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from gridpush_drake.station.arm_posture import TIP_FRAME, CalcStartPosture
-from gridpush_drake.station.arm_reach import ArmReach
+from gridpush_drake.station.arm_kinematics import TIP_FRAME, ArmReach, CalcStartPosture
 from gridpush_drake.station.iiwa import AddIiwa, AddIiwaControl, MakeControlPlant, SetArmStart
-from gridpush_drake.systems.push_command import PushCommand
-from gridpush_drake.systems.push_executor import PushExecutor, PushingStyle
+from gridpush_drake.systems.messages import PushCommand
+from gridpush_drake.systems.push_executor import PushExecutor, PushTrajectoryOptions
 
 HOME = (0.6, 0.0, 0.2)
 LONGEST = 60.0
@@ -45,7 +44,12 @@ class ArmBench:
     """Arm, finger, table, driver, inverse kinematics and executor in one Diagram."""
 
     def __init__(
-        self, time_step: float = 0.001, style: PushingStyle | None = None, dress=None, reach: bool = True, **options
+        self,
+        time_step: float = 0.001,
+        style: PushTrajectoryOptions | None = None,
+        dress=None,
+        reach: bool = True,
+        **options,
     ):
         self.control_plant = MakeControlPlant()
         q_start = CalcStartPosture(self.control_plant, HOME)

@@ -1,4 +1,4 @@
-"""Pictures of pages as a real browser draws them, without a display; and what colours are in them."""
+"""Pictures of pages as a real browser draws them, without a display; and what colors are in them."""
 
 import shutil
 import subprocess
@@ -48,10 +48,10 @@ FILM_EXPOSURE, FILM_WHITE = 0.6, 0.99
 HUE_TOLERANCE = 0.1
 """Within which two hues count as one, rad."""
 
-LEAST_SATURATION = 0.6
-"""Share of a colour's saturation that gloss must leave it."""
+MIN_SATURATION = 0.6
+"""Share of a color's saturation that gloss must leave it."""
 
-LEAST_LIGHT = 0.02
+MIN_LIGHT = 0.02
 """Sum of linear red, green and blue below which a pixel has no hue to speak of; white has 3."""
 
 
@@ -102,7 +102,7 @@ def take_picture(
 def freeze_recording(recording: Path, time: float, out: Path) -> Path:
     """Copies a Meshcat recording so that it stands still at one moment, and shows the scene alone.
 
-    What stands beside it, which has the scene's colours, is in the page but not to be seen.
+    What stands beside it, which has the scene's colors, is in the page but not to be seen.
 
     Args:
         recording: the HTML file.
@@ -121,25 +121,25 @@ def freeze_recording(recording: Path, time: float, out: Path) -> Path:
 
 
 def find_pixels(picture: NDArray[np.uint8], color: ArrayLike) -> NDArray[np.bool_]:
-    """Finds a surface's colour c in a picture of a Meshcat page, however it is lit.
+    """Finds a surface's color c in a picture of a Meshcat page, however it is lit.
 
     White light l makes a surface send out l c + g (1, 1, 1), with g its gloss. So what stays is the hue, the direction
-    of the part across white, in linear light; and that the colour is about as saturated as it was.
+    of the part across white, in linear light; and that the color is about as saturated as it was.
 
     Args:
         picture: (height, width, 3) sRGB.
         color: (3,) c, sRGB, 0 to 1.
 
     Returns:
-        (height, width) where the picture has the hue to within HUE_TOLERANCE, at least LEAST_SATURATION of the
-        saturation, and more than LEAST_LIGHT.
+        (height, width) where the picture has the hue to within HUE_TOLERANCE, at least MIN_SATURATION of the
+        saturation, and more than MIN_LIGHT.
     """
     light, wanted = undo_tone_mapping(to_linear(picture / 255.0)), to_linear(np.asarray(color, dtype=np.float64))
     hue, saturation = _split(light)
     wanted_hue, wanted_saturation = _split(wanted)
     near = hue @ wanted_hue > np.cos(HUE_TOLERANCE)
     found: NDArray[np.bool_] = (
-        near & (saturation > LEAST_SATURATION * wanted_saturation) & (light.sum(axis=-1) > LEAST_LIGHT)
+        near & (saturation > MIN_SATURATION * wanted_saturation) & (light.sum(axis=-1) > MIN_LIGHT)
     )
     return found
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from gridpush_drake.apps.main import main
+from gridpush_drake.cli.main import main
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ def check_jacobian(
     """Compares `jacobian` with central differences of `function` at x.
 
     An entry may be off by atol + rtol * (the largest entry of its column): the derivatives by one parameter are
-    measured by their largest, since differences cannot resolve an entry that is much smaller than its neighbours.
+    measured by their largest, since differences cannot resolve an entry that is much smaller than its neighbors.
 
     Args:
         function: from an array of x's shape to an array (or number).

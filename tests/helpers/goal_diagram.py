@@ -9,19 +9,18 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource
 
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.planning.push_decision import GoalRules
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.goal.push_to_goal import GoalRules
+from gridpush_drake.pushes.segmentation import RecordOptions
 from gridpush_drake.systems.contact_point_controller import ContactPointController
-from gridpush_drake.systems.contact_point_status import ContactPointStatus
 from gridpush_drake.systems.grid_identifier import DEFAULT_PERIOD, GridIdentifier
 from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
-from gridpush_drake.systems.push_executor import PushExecutor
-from gridpush_drake.systems.push_record import RecordOptions
-from gridpush_drake.systems.push_way import PushingStyle
+from gridpush_drake.systems.messages import ContactPointStatus
+from gridpush_drake.systems.push_executor import PushExecutor, PushTrajectoryOptions
 from tests.helpers.poke_diagram import OBJECT_HEIGHT, Camera, IdealFinger
 
-STYLE = PushingStyle(travel_speed=0.6, vertical_speed=0.4)
+STYLE = PushTrajectoryOptions(travel_speed=0.6, vertical_speed=0.4)
 
 
 class Cover(LeafSystem):

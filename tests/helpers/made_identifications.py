@@ -2,12 +2,11 @@
 
 import numpy as np
 
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.grid.prior import PhysicalPrior
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.result import STATUS_LEARNED, HistoryEntry, Identification
+from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+from gridpush_drake.objects.parameters import CellParameters
 
 OUTLINE = [[-0.06, -0.03], [0.06, -0.03], [0.06, 0.03], [-0.06, 0.03]]
 HEAD = [[0.02, -0.03], [0.06, -0.03], [0.06, 0.03], [0.02, 0.03]]

@@ -7,9 +7,9 @@ import numpy as np
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.pushes.log import ObservedPush, PushLog
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 OUTLINE = [[-0.06, -0.03], [0.06, -0.03], [0.06, 0.03], [-0.06, 0.03]]
 HEAVY_END = [[0.02, -0.03], [0.06, -0.03], [0.06, 0.03], [0.02, 0.03]]

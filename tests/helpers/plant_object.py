@@ -11,11 +11,11 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.scene.contact_material import MakePartnerProperties
-from gridpush_drake.scene.grid_object import AddGridObject, GridObjectInPlant
-from gridpush_drake.scene.grid_object_state import CalcPlanarPose
+from gridpush_drake.multibody.contact_material import MakePartnerProperties
+from gridpush_drake.multibody.grid_object import AddGridObject, GridObjectInPlant
+from gridpush_drake.multibody.ground_truth import CalcPlanarPose
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 
 TIME_STEP = {"planar": 1e-3, "free": 2e-3}
 

@@ -10,14 +10,13 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 from shapely import box
 
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.segmentation import RecordOptions
 from gridpush_drake.systems.grid_identifier import DEFAULT_PERIOD, GridIdentifier
 from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
-from gridpush_drake.systems.poke_choice import PokeRegion, PokeStyle
-from gridpush_drake.systems.poke_policy import PokePolicy
+from gridpush_drake.systems.poke_policy import PokePolicy, PokeRegion, RandomPokeOptions
 from gridpush_drake.systems.push_executor import PushExecutor
-from gridpush_drake.systems.push_record import RecordOptions
 
 OBJECT_HEIGHT = 0.04
 FINGER_PERIOD = 0.005
@@ -104,13 +103,13 @@ def make_poke_diagram(
     pokes: int,
     seed: int = 0,
     noise: tuple[float, float] = (5e-4, np.radians(0.2)),
-    style: PokeStyle | None = None,
+    style: RandomPokeOptions | None = None,
     spoiled: float = 0.0,
     **options: Any,
 ) -> PokeDiagram:
     """Makes it; `spoiled` is the share of time with NaN in what is measured; `options` go to the identifier."""
     builder = DiagramBuilder()
-    style = style or PokeStyle()
+    style = style or RandomPokeOptions()
     world = builder.AddSystem(GridLcpSystem(obj, truth, pusher_radius=style.tip_radius))
     finger, camera = builder.AddSystem(IdealFinger()), builder.AddSystem(Camera(*noise))
     options = {"record": RecordOptions(pose_delay=DEFAULT_PERIOD), **options}

@@ -4,10 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely import box, unary_union
 
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 
-NEIGHBOURS = ((1, 0), (-1, 0), (0, 1), (0, -1))
+NEIGHBORS = ((1, 0), (-1, 0), (0, 1), (0, -1))
 
 
 def make_random_object(rng: np.random.Generator, n: int = 12, cell_size: float = 0.02) -> GridObject:
@@ -15,7 +15,7 @@ def make_random_object(rng: np.random.Generator, n: int = 12, cell_size: float =
     cells = [(0, 0)]
     while len(cells) < n:
         i, j = cells[rng.integers(len(cells))]
-        di, dj = NEIGHBOURS[rng.integers(len(NEIGHBOURS))]
+        di, dj = NEIGHBORS[rng.integers(len(NEIGHBORS))]
         if (i + di, j + dj) not in cells:
             cells.append((i + di, j + dj))
     p_BC = cell_size * (np.array(cells) + rng.uniform(-1, 1, 2))

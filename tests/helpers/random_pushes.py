@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.reference.maximal_lcp import MaximalLcp, make_maximal_lcp, twist_to_cells
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_objects import (
     make_random_object,
     make_random_parameters,

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely import Polygon
 
-from gridpush_drake.grid.object import GridObject
+from gridpush_drake.objects.grid_object import GridObject
 
 
 def regular_polygon(radius: float, corners: int = 120, phase: float = 0.0) -> NDArray[np.float64]:

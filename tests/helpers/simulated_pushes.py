@@ -9,9 +9,9 @@ from shapely import Point
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.errors import PushError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.pushes.log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
 
 TRIES = 100
 """Pushes drawn, for each that is wanted, before giving up."""
@@ -26,7 +26,7 @@ class PushStyle:
         longest: path, m.
         speed: of the pusher, m/s.
         slant: furthest from the outline's normal, rad.
-        least_motion: of the cells, mean, m; pushes that move the object less are drawn again.
+        min_motion: of the cells, mean, m; pushes that move the object less are drawn again.
         samples: poses seen a push, after the first.
         position_noise: standard deviation per axis of a pose seen, m.
         angle_noise: standard deviation, rad.
@@ -36,7 +36,7 @@ class PushStyle:
     longest: float = 0.08
     speed: float = 0.03
     slant: float = radians(30)
-    least_motion: float = 0.01
+    min_motion: float = 0.01
     samples: int = 10
     position_noise: float = 0.0005
     angle_noise: float = radians(0.2)
@@ -71,7 +71,7 @@ def make_pushes(
         if len(seen) == count:
             return PushLog(tuple(seen), "simulated pushes")
     raise PushError(
-        f"{obj.name}: {len(seen)} of {TRIES * count} random pushes move it by {style.least_motion * 1e3:g} mm; "
+        f"{obj.name}: {len(seen)} of {TRIES * count} random pushes move it by {style.min_motion * 1e3:g} mm; "
         f"expected {count}: is it of a size that a disc can push by {style.shortest * 1e3:g} mm?"
     )
 
@@ -92,7 +92,7 @@ def _try_push(
     push = Push(pose[:2] + _rotate(pose[2], p_BP), style.speed * direction, length / style.speed, radius)
     motion = simulate(obj, truth, push, pose)
     moved = np.linalg.norm(obj.cells_at(motion.final_pose) - obj.cells_at(pose), axis=1).mean()
-    if moved < style.least_motion:
+    if moved < style.min_motion:
         return None
     rows = np.rint(np.linspace(0, len(motion.times) - 1, style.samples + 1)).astype(int)[1:]
     return ObservedPush(name, push, pose, motion.times[rows], motion.poses[rows] + noise)

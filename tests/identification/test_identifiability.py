@@ -2,11 +2,10 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.grid.prior import PhysicalPrior
-from gridpush_drake.identification.identifiability import calc_centre_of_mass_box, calc_identifiability
+from gridpush_drake.identification.identifiability import calc_center_of_mass_box, calc_identifiability
 from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+from gridpush_drake.objects.parameters import CellParameters
 
 RECTANGLE = [[-0.06, -0.03], [0.06, -0.03], [0.06, 0.03], [-0.06, 0.03]]
 
@@ -16,7 +15,7 @@ def make_object() -> GridObject:
     return GridObject.from_outline(RECTANGLE, max_cells=18, prior=prior)
 
 
-def calc_box_by_linear_programme(share: np.ndarray, obj: GridObject) -> np.ndarray:
+def calc_box_by_linear_program(share: np.ndarray, obj: GridObject) -> np.ndarray:
     # Charnes and Cooper: y = m/sum(m), t = 1/sum(m); the extreme of y·p s.t. sum y = 1, k t/mu_max <= y <= k t/mu_min.
     n, box = obj.n, np.empty((2, 2))
     upper = np.hstack([np.eye(n), -(share / obj.prior.friction_min)[:, None]])
@@ -30,12 +29,12 @@ def calc_box_by_linear_programme(share: np.ndarray, obj: GridObject) -> np.ndarr
     return box
 
 
-def test_centre_of_mass_box_agrees_with_linear_programmes() -> None:
+def test_center_of_mass_box_agrees_with_linear_programs() -> None:
     obj = make_object()
     for seed in range(5):
         share = np.random.default_rng(seed).dirichlet(np.ones(obj.n))
         np.testing.assert_allclose(
-            calc_centre_of_mass_box(share, obj), calc_box_by_linear_programme(share, obj), atol=1e-9
+            calc_center_of_mass_box(share, obj), calc_box_by_linear_program(share, obj), atol=1e-9
         )
 
 
@@ -70,13 +69,13 @@ def test_mass_bounds_hold_for_every_agreeing_mass_distribution() -> None:
         mass = share / rng.uniform(0.2, 0.8, obj.n)
         mass *= 2.0 / mass.sum()
         assert (mass >= report.mass_min - 1e-12).all() and (mass <= report.mass_max + 1e-12).all()
-        centre = mass @ obj.p_BC / 2.0
-        assert (centre >= report.centre_of_mass_box[0] - 1e-12).all()
-        assert (centre <= report.centre_of_mass_box[1] + 1e-12).all()
+        center = mass @ obj.p_BC / 2.0
+        assert (center >= report.center_of_mass_box[0] - 1e-12).all()
+        assert (center <= report.center_of_mass_box[1] + 1e-12).all()
 
 
 def test_statements_say_what_cannot_be_known() -> None:
     obj = make_object()
     report = calc_identifiability(obj, CellParameters.uniform(obj), make_posterior(obj, 3))
     assert sum("Not identifiable from these data" in text for text in report.statements) == 2
-    assert report.centre_of_friction == pytest.approx([0.0, 0.0], abs=1e-9)
+    assert report.center_of_friction == pytest.approx([0.0, 0.0], abs=1e-9)

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.grid.prior import PhysicalPrior
 from gridpush_drake.identification.identify import METHODS, choose_regime, identify
 from gridpush_drake.identification.prediction import calc_pose_error, predict
-from gridpush_drake.pushes.log import ObservedPush, PushLog
+from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from tests.identification.simulated_pokes import make_pokes
 
 RECTANGLE = [[-0.06, -0.03], [0.06, -0.03], [0.06, 0.03], [-0.06, 0.03]]
@@ -48,11 +47,11 @@ def test_learns_an_uneven_block_from_noisy_pokes() -> None:
     found = identify(obj, log)
     assert found.status == "learned"
     assert calc_error(obj, found.params, held_out) < calc_error(obj, CellParameters.uniform(obj), held_out) / 4
-    centre = found.identifiability.centre_of_friction
-    true_centre = truth.relative_friction() @ obj.p_BC
-    spread = np.sqrt(np.diag(found.identifiability.centre_of_friction_covariance))
-    assert np.linalg.norm(centre - true_centre) < 0.005
-    assert (np.abs(centre - true_centre) < 5 * spread + 0.001).all()
+    center = found.identifiability.center_of_friction
+    true_center = truth.relative_friction() @ obj.p_BC
+    spread = np.sqrt(np.diag(found.identifiability.center_of_friction_covariance))
+    assert np.linalg.norm(center - true_center) < 0.005
+    assert (np.abs(center - true_center) < 5 * spread + 0.001).all()
     assert found.history and all(b.loss <= a.loss for a, b in zip(found.history, found.history[1:], strict=False))
     assert all(b.simulations >= a.simulations for a, b in zip(found.history, found.history[1:], strict=False))
 
@@ -90,9 +89,9 @@ def test_result_carries_spread_and_samples() -> None:
     samples = found.samples(300, seed=1)
     assert len(samples) == 300
     shares = np.array([sample.relative_friction() for sample in samples])
-    centres = shares @ obj.p_BC
-    spread = np.sqrt(np.diag(found.identifiability.centre_of_friction_covariance))
-    np.testing.assert_allclose(centres.std(axis=0), spread, rtol=0.5)
+    centers = shares @ obj.p_BC
+    spread = np.sqrt(np.diag(found.identifiability.center_of_friction_covariance))
+    np.testing.assert_allclose(centers.std(axis=0), spread, rtol=0.5)
     assert all(np.allclose(sample.friction, found.params.friction) for sample in samples)
     assert found.params.total_mass == pytest.approx(1.0)
 
@@ -139,8 +138,8 @@ def test_elongated_object_with_a_very_light_part_does_not_stall() -> None:
     obj = GridObject.from_outline(HANDLE, max_cells=60)
     truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.1, 2.0, 0.02), np.full(obj.n, 0.4), 0.4)
     found = identify(obj, make_pokes(obj, truth, 5, 0))
-    centre = truth.relative_friction() @ obj.p_BC
-    assert np.linalg.norm(found.identifiability.centre_of_friction - centre) < 0.01
+    center = truth.relative_friction() @ obj.p_BC
+    assert np.linalg.norm(found.identifiability.center_of_friction - center) < 0.01
 
 
 def test_regime_follows_the_speed() -> None:

@@ -1,13 +1,17 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.identification.default import calc_prior_factor
-from gridpush_drake.identification.map_fit import CentreOfMass, fit_map
-from gridpush_drake.identification.noise import NoiseModel, calc_effective_count
+from gridpush_drake.identification.map_ensemble import calc_prior_factor
+from gridpush_drake.identification.map_fit import (
+    CenterOfMass,
+    NoiseModel,
+    calc_effective_count,
+    calc_smooth_covariance,
+    fit_map,
+)
 from gridpush_drake.identification.problem import PushProblem
-from gridpush_drake.identification.smoothness import calc_smooth_covariance
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.finite_difference import check_jacobian
 from tests.identification.simulated_pokes import make_pokes
 
@@ -23,14 +27,14 @@ def make_problem(count: int = 6) -> tuple[PushProblem, CellParameters, np.ndarra
     return problem, truth, z0, calc_prior_factor(calc_smooth_covariance(obj), 1.5, 0.3)
 
 
-def test_centre_of_mass_residual_has_the_jacobian_it_says() -> None:
+def test_center_of_mass_residual_has_the_jacobian_it_says() -> None:
     problem, _, z0, _ = make_problem(1)
-    known = CentreOfMass((0.01, -0.002), 0.002)
+    known = CenterOfMass((0.01, -0.002), 0.002)
     z = z0 + np.random.default_rng(0).normal(size=len(z0)) * 0.3
-    check_jacobian(lambda v: known.linearise(problem.obj, v)[0], z, known.linearise(problem.obj, z)[1], rtol=1e-6)
+    check_jacobian(lambda v: known.linearize(problem.obj, v)[0], z, known.linearize(problem.obj, z)[1], rtol=1e-6)
 
 
-def test_noise_free_pokes_give_the_centre_of_friction_back() -> None:
+def test_noise_free_pokes_give_the_center_of_friction_back() -> None:
     problem, truth, z0, A = make_problem()
     fit = fit_map(problem, z0, A, NoiseModel())
     found = problem.params(fit.z)
@@ -58,12 +62,12 @@ def test_covariance_shrinks_from_the_prior_and_more_data_shrink_it_further() -> 
     assert 0 < many.informed < len(z0)
 
 
-def test_known_centre_of_mass_pulls_the_centre_of_friction() -> None:
+def test_known_center_of_mass_pulls_the_center_of_friction() -> None:
     problem, _, z0, A = make_problem(1)
     at = (-0.02, 0.0)
-    fit = fit_map(problem, z0, A, NoiseModel(), CentreOfMass(at, 0.0005))
-    centre = problem.params(fit.z).relative_friction() @ problem.obj.p_BC
-    assert np.linalg.norm(centre - at) < 0.005
+    fit = fit_map(problem, z0, A, NoiseModel(), CenterOfMass(at, 0.0005))
+    center = problem.params(fit.z).relative_friction() @ problem.obj.p_BC
+    assert np.linalg.norm(center - at) < 0.005
 
 
 def test_an_outlier_counts_for_less() -> None:

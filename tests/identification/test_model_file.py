@@ -5,8 +5,8 @@ import pytest
 import shapely
 
 from gridpush_drake.errors import IdentificationError, ObjectError, OutputError
-from gridpush_drake.grid.object import GridObject
 from gridpush_drake.identification.model_file import looks_like_model, read_model, write_model
+from gridpush_drake.objects.grid_object import GridObject
 from tests.helpers.made_identifications import OUTLINE, make_identification
 
 HOLE = [[-0.03, -0.01], [-0.01, -0.01], [-0.01, 0.01], [-0.03, 0.01]]
@@ -62,7 +62,7 @@ def test_keeps_an_existing_file(model):
         ("gridpush_model: 1", "gridpush_model: 2", ["gridpush_model", "1"]),
         ("method: default", "methods: default", ["method", "required"]),
         ("seed: 0", "seed: zero", ["seed", "integer"]),
-        ("seed: 0", "seed: 0\ncolour: red", ["colour", "not permitted"]),
+        ("seed: 0", "seed: 0\ncolor: red", ["color", "not permitted"]),
         ("  mass: [0", "  mass: [-0", ["cells.mass.0", "greater than 0"]),
         ("  mass: [0", "  mass: [1.0, 0", ["mass", "expected one a cell, 18"]),
         ("  mean: [", "  mean: [1.0, ", ["posterior.mean", "19"]),

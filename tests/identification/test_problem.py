@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.prediction import calc_pose_error, predict
 from gridpush_drake.identification.problem import PushProblem
-from gridpush_drake.pushes.log import PushLog
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.finite_difference import check_jacobian
 from tests.identification.simulated_pokes import make_pokes
 
@@ -21,7 +21,7 @@ def make_problem(regime: str) -> PushProblem:
 def test_residuals_have_the_jacobian_they_say(regime: str) -> None:
     problem = make_problem(regime)
     z = np.append(np.random.default_rng(0).normal(np.log(0.02), 0.3, problem.obj.n), np.log(0.4))
-    linear = problem.linearise(z)
+    linear = problem.linearize(z)
     for i in range(len(problem)):
         check_jacobian(lambda v, i=i: problem.residuals(v, [i])[0], z, linear.by_z[i], rtol=2e-5, atol=1e-9)
 
@@ -51,7 +51,7 @@ def test_counts_simulations() -> None:
     problem = make_problem("quasi_static")
     z = problem.unknowns(CellParameters.uniform(problem.obj))
     problem.residuals(z)
-    problem.linearise(z, [0, 2])
+    problem.linearize(z, [0, 2])
     assert problem.simulations == 5
 
 

@@ -8,13 +8,16 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.scene.contact_material import PARTNER_FRICTION, PARTNER_STIFFNESS
-from gridpush_drake.scene.parser import MakeParser, find_models
-from gridpush_drake.scene.scenario import PushScenario
-from gridpush_drake.scene.scenario_check import check_scenario
-from gridpush_drake.scene.scenario_file import read_scenario, write_scenario
-from gridpush_drake.scene.table import FindTableOutline, FindTableTops
+from gridpush_drake.multibody.contact_material import (
+    PARTNER_FRICTION,
+    PARTNER_STIFFNESS,
+    FindTableOutline,
+    FindTableTops,
+)
+from gridpush_drake.multibody.parser import MakeParser, find_models
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_file import check_scenario, read_scenario, write_scenario
 
 FILES = sorted(path.relative_to(find_models()).as_posix() for path in find_models().rglob("*") if path.is_file())
 SCENES = [file for file in FILES if file.startswith("scenes/")]
@@ -65,7 +68,7 @@ def test_model_is_parsed_without_a_warning_and_needs_no_other_file(file):
 
 @pytest.mark.parametrize("file", MODELS)
 def test_inertia_is_that_of_a_body_within_the_shapes(file):
-    """Radii of gyration are no larger than the shapes reach from the centre of mass."""
+    """Radii of gyration are no larger than the shapes reach from the center of mass."""
     plant, scene_graph, _ = parse(file)
     inspector = scene_graph.model_inspector()
     context = plant.CreateDefaultContext()

@@ -7,8 +7,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake.errors import StationError
-from gridpush_drake.station.finger import SetTipFriction
-from gridpush_drake.station.iiwa import TIP_RADIUS, AddIiwa
+from gridpush_drake.station.iiwa import TIP_RADIUS, AddIiwa, SetTipFriction
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
-from gridpush_drake.scene.parser import MakeParser, find_models
+from gridpush_drake.multibody.parser import MakeParser, find_models
 
 CLOSING_DOWN = RigidTransform(RollPitchYaw(-np.pi / 2, np.pi / 2, 0.0), [0.0, 0.0, 0.0])
 """X_WB of the gripper's body: fingers forward, closing vertically, as the bracket holds it."""

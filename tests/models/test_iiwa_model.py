@@ -8,7 +8,7 @@ from pydrake.geometry import Box, Capsule, Cylinder, Role, Sphere
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from gridpush_drake.scene.parser import MakeParser
+from gridpush_drake.multibody.parser import MakeParser
 
 URL = "package://gridpush_drake/iiwa/iiwa14_primitives.urdf"
 
@@ -25,7 +25,7 @@ JOINTS = [
 ROTORS = [1.321e-4] * 5 + [4.54e-5] * 2
 FLANGE = 0.045
 
-# mass (kg), centre (m), moments about it (kg m²)
+# mass (kg), center (m), moments about it (kg m²)
 LINKS = [
     (5.0, (-0.1, 0, 0.07), (0.05, 0.06, 0.03)),
     (5.76, (0, -0.03, 0.12), (0.033, 0.0333, 0.0123)),
@@ -95,13 +95,13 @@ def test_names_are_those_of_drake_models(iiwa):
 
 
 def test_masses_and_inertias(iiwa):
-    for i, (mass, centre, moments) in enumerate(LINKS):
+    for i, (mass, center, moments) in enumerate(LINKS):
         M = iiwa.plant.GetBodyByName(f"iiwa_link_{i}").default_spatial_inertia()
         assert M.get_mass() == mass
-        np.testing.assert_allclose(M.get_com(), centre)
-        about_centre = M.Shift(M.get_com()).CalcRotationalInertia()
-        np.testing.assert_allclose(about_centre.get_moments(), moments, atol=1e-14)
-        np.testing.assert_allclose(about_centre.get_products(), 0.0, atol=1e-14)
+        np.testing.assert_allclose(M.get_com(), center)
+        about_center = M.Shift(M.get_com()).CalcRotationalInertia()
+        np.testing.assert_allclose(about_center.get_moments(), moments, atol=1e-14)
+        np.testing.assert_allclose(about_center.get_products(), 0.0, atol=1e-14)
 
 
 def test_limits_damping_and_gears(iiwa):
@@ -131,8 +131,8 @@ def test_mass_matrix_is_that_of_the_table(iiwa):
         links = calc_links(q)
         axes, origins = [X[:3, 2] for X in links[1:]], [X[:3, 3] for X in links[1:]]
         M = np.diag([rotor * joint[5] ** 2 for rotor, joint in zip(ROTORS, JOINTS, strict=True)])
-        for i, (mass, centre, moments) in enumerate(LINKS[1:], 1):
-            R, p = links[i][:3, :3], links[i][:3] @ [*centre, 1.0]
+        for i, (mass, center, moments) in enumerate(LINKS[1:], 1):
+            R, p = links[i][:3, :3], links[i][:3] @ [*center, 1.0]
             Jv, Jw = np.zeros((3, 7)), np.zeros((3, 7))
             for k in range(i):
                 Jv[:, k], Jw[:, k] = np.cross(axes[k], p - origins[k]), axes[k]
@@ -181,7 +181,7 @@ def test_collision_shapes_contain_the_visible_ones(iiwa):
     assert count > 1000
 
 
-def test_every_visible_shape_has_a_colour(iiwa):
+def test_every_visible_shape_has_a_color(iiwa):
     inspector = iiwa.scene_graph.model_inspector()
     for i in range(8):
         for visual in iiwa.plant.GetVisualGeometriesForBody(iiwa.plant.GetBodyByName(f"iiwa_link_{i}")):

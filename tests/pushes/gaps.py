@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from shapely import Point
 
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.pushes.log import PushLog
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.push_log import PushLog
 
 
 def gap(obj: GridObject, pose: ArrayLike, tip: ArrayLike, radius: float) -> float:

@@ -6,7 +6,7 @@ import pytest
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import OutputError, PushError, PushLogError
-from gridpush_drake.pushes.log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
 
 HEADER = "push,t,tip_x,tip_y,object_x,object_y,object_theta"
 GOOD = f"""{HEADER}

@@ -5,7 +5,7 @@ import pytest
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushError, PushLogError
-from gridpush_drake.pushes.log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog, nearest_turn
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog, nearest_turn
 
 
 def straight() -> Push:

@@ -8,16 +8,16 @@ import pytest
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushLogError, PushLogWarning
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.object_file import find_shipped_object, list_shipped_objects, read_object
-from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.identify import identify
 from gridpush_drake.identification.prediction import predict
-from gridpush_drake.pushes.cmu import import_cmu
-from gridpush_drake.pushes.log import ObservedPush, PushLog, nearest_turn
-from gridpush_drake.pushes.mit import import_mit
+from gridpush_drake.multibody.ground_truth import sample_ground_truth
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects, read_object
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.importers.cmu import import_cmu
+from gridpush_drake.pushes.importers.mit import import_mit
 from gridpush_drake.pushes.plausibility import check_plausible, explain_no_contact, find_implausible
-from gridpush_drake.scene.truth import hide_truth
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog, nearest_turn
 from tests.helpers.made_identifications import make_block
 from tests.helpers.shared_data import shared_data
 from tests.helpers.simulated_pushes import make_pushes
@@ -28,7 +28,7 @@ PER_RADIAN = 180 / np.pi
 
 
 def simulated(obj, count=8):
-    return make_pushes(obj, hide_truth(obj, 1), count, seed=1)
+    return make_pushes(obj, sample_ground_truth(obj, 1), count, seed=1)
 
 
 def misread(log: PushLog, tip: float = 1.0, place: float = 1.0, angle: float = 1.0) -> PushLog:
@@ -72,9 +72,9 @@ def test_units_are_told_apart(name):
     log = simulated(obj)
     assert find_implausible(obj, log) == []
     for units, says in (
-        ({"tip": 1e3, "place": 1e3}, "column tip_x, tip_y, object_x, object_y: in millimetres"),
-        ({"tip": 1e3}, "column tip_x, tip_y: in millimetres"),
-        ({"place": 1e3}, "column object_x, object_y: in millimetres"),
+        ({"tip": 1e3, "place": 1e3}, "column tip_x, tip_y, object_x, object_y: in millimeters"),
+        ({"tip": 1e3}, "column tip_x, tip_y: in millimeters"),
+        ({"place": 1e3}, "column object_x, object_y: in millimeters"),
         ({"angle": PER_RADIAN}, "column object_theta: in degrees"),
     ):
         with pytest.raises(PushLogError, match=rf"^log\.csv: push 'push_\d', {says}\?"):
@@ -85,8 +85,8 @@ def test_units_are_told_apart(name):
 def test_units_of_real_logs_are_told_apart(name):
     log, obj = import_cmu(shared_data("cmu_pushes", f"{name}.txt"))
     for units, says in (
-        ({"tip": 1e3, "place": 1e3}, "tip_x, .*in millimetres"),
-        ({"place": 1e3}, "object_[xy]: .*in millimetres"),
+        ({"tip": 1e3, "place": 1e3}, "tip_x, .*in millimeters"),
+        ({"place": 1e3}, "object_[xy]: .*in millimeters"),
         ({"angle": PER_RADIAN}, "object_theta: .*in degrees"),
     ):
         with pytest.raises(PushLogError, match=f"column {says}"):
@@ -129,7 +129,7 @@ def test_what_may_be_true_is_warned_of():
         check_plausible(obj, turned, learning=True)
     large = GridObject.from_outline(np.array(obj.outline.exterior.coords) * 1e3, name="large")
     far = PushLog((ObservedPush("a", Push((-60.0, 0.0), (1.0, 0.0), 1.0, 0.005), np.zeros(3), [], np.empty((0, 3))),))
-    with pytest.warns(PushLogWarning, match=r"large: its outline spans 134 m; in millimetres\? expected m"):
+    with pytest.warns(PushLogWarning, match=r"large: its outline spans 134 m; in millimeters\? expected m"):
         check_plausible(large, far, learning=False)
 
 

@@ -6,7 +6,7 @@ import pytest
 from shapely import Polygon
 
 from gridpush_drake.errors import ObjectError
-from gridpush_drake.grid.object import GridObject
+from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.report.draw import draw_cells, draw_outline, draw_parts, make_figure, to_png
 
 RIGHT_HALF = [[0.1, 0], [0.2, 0], [0.2, 0.1], [0.1, 0.1]]
@@ -37,7 +37,7 @@ def test_pose_places_cells_and_outline():
     assert (low < obj.cells_at(pose).min(axis=0)).all() and (high > obj.cells_at(pose).max(axis=0)).all()
 
 
-def test_values_are_coloured_and_labelled():
+def test_values_are_colored_and_labeled():
     obj = bar()
     figure, ax = make_figure()
     cells = draw_cells(ax, obj, np.arange(obj.n), label="friction")

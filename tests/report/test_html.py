@@ -7,9 +7,9 @@ from xml.etree import ElementTree
 import pytest
 
 from gridpush_drake.identification.result import STATUS_NO_DATA, STATUS_PRIOR_KEPT
-from gridpush_drake.pushes.log import PushLog
-from gridpush_drake.report.html import make_report
-from gridpush_drake.scene.truth import hide_truth
+from gridpush_drake.multibody.ground_truth import sample_ground_truth
+from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.report.page import make_report
 from tests.helpers.made_identifications import make_block, make_identification
 from tests.helpers.simulated_pushes import make_pushes
 
@@ -35,7 +35,7 @@ class Checker(HTMLParser):
 @pytest.fixture(scope="module")
 def experiment():
     obj = make_block()
-    truth = hide_truth(obj, 1)
+    truth = sample_ground_truth(obj, 1)
     log = make_pushes(obj, truth, 6, 1)
     return make_identification(obj), log[:4], log[4:], truth
 

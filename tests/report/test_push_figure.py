@@ -3,7 +3,7 @@ import pytest
 from matplotlib.patches import Circle
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.planning.planned_push import calc_goal_error
+from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.report.draw import to_png
 from gridpush_drake.report.push_figure import draw_push_run
 from tests.helpers.shapes import make_shape

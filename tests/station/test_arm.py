@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import StationError
-from gridpush_drake.station.arm_posture import ArmPosture, CalcStartPosture
+from gridpush_drake.station.arm_kinematics import ArmPosture, CalcStartPosture
 from gridpush_drake.station.iiwa import MakeControlPlant
-from gridpush_drake.systems.push_command import PushCommand
+from gridpush_drake.systems.messages import PushCommand
 from tests.helpers.arm_bench import HOME, ArmBench, add_box
 
-ACCURACY = 1e-3  # m, of the tip's centre at every time of a push
+ACCURACY = 1e-3  # m, of the tip's center at every time of a push
 CROSS_TRACK = 1e-4  # m
 SETTLED = 2e-5  # m, without a load
 APPROACH_ACCURACY = 2e-3  # m, between pushes
@@ -161,7 +161,7 @@ def test_reach_says_what_is_wrong(bench):
 
 @pytest.mark.parametrize(("x", "y", "direction"), [(0.75, 0.0, 0.0), (0.45, 0.0, np.pi)], ids=["stretched", "folded"])
 def test_arm_fails_where_reach_says_so(bench, x, y, direction):
-    """Led there all the same, it leaves the line by more than a millimetre."""
+    """Led there all the same, it leaves the line by more than a millimeter."""
     bench.start()
     command = PushCommand(1, x, y, direction, 0.15, 0.1)
     bench.push(command)

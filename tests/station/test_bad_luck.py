@@ -5,17 +5,15 @@ from math import cos, sin
 import numpy as np
 import pytest
 
-from gridpush_drake.apps.demo_pre_grasp import make_scenario
-from gridpush_drake.bench.pregrasp_station import GraspJob, make_score
-from gridpush_drake.scene.grid_object_state import CalcPlanarPose, SetGridObjectPose
-from gridpush_drake.station import pre_grasp_task
-from gridpush_drake.station.pre_grasp_task import HELD, LOST, PreGraspTask
-from gridpush_drake.systems import pre_grasp_status
-from gridpush_drake.systems.pre_grasp_state import ControllerOptions
-from gridpush_drake.systems.push_command import PushCommand
-from gridpush_drake.systems.push_status import PUSHING
+from gridpush_drake.bench.grasp import GraspJob, make_score
+from gridpush_drake.cli.demo_pre_grasp import make_scenario
+from gridpush_drake.multibody.ground_truth import CalcPlanarPose, SetGridObjectPose
+from gridpush_drake.station import pregrasp_task as pre_grasp_task
+from gridpush_drake.station.pregrasp_task import HELD, LOST, PreGraspTask
+from gridpush_drake.systems.messages import PreGraspMode, PushCommand, PushPhase
+from gridpush_drake.systems.pregrasp_controller import ControllerOptions
 
-PATIENCE = ControllerOptions().patience
+TIMEOUT = ControllerOptions().timeout
 """s."""
 
 
@@ -67,14 +65,14 @@ def test_an_object_out_of_sight_for_good_is_lost_and_the_finger_goes_up():
     stranger = Stranger(task)
 
     def meddle(status, logged):
-        if status.phase == PUSHING:
+        if status.phase == PushPhase.PUSHING:
             stranger.cover(True)
 
     record = task.run(progress=meddle)
     assert record.status == LOST
     assert record.message == f"The object has not been seen for {pre_grasp_task.LOST_AFTER:g} s."
-    assert record.last.mode == pre_grasp_status.LOST
-    assert f"not been seen for {PATIENCE:g} s" in record.last.reason
+    assert record.last.mode == PreGraspMode.LOST
+    assert f"not been seen for {TIMEOUT:g} s" in record.last.reason
     assert record.last.pokes == 1
     assert task.task.read("executor.status").ready
     assert task.task.read("pusher.state")[2] == pytest.approx(task.station.style.travel_height, abs=2e-3)
@@ -93,16 +91,16 @@ def test_an_object_moved_out_of_sight_and_nudged_in_a_slide_is_lifted_all_the_sa
             stranger.cover(True)
             stranger.put(elsewhere)
             covered.append(time)
-        if covered and time > covered[0] + 2 * PATIENCE:
+        if covered and time > covered[0] + 2 * TIMEOUT:
             stranger.cover(False)
-        if status.phase == PUSHING and stranger.mode == pre_grasp_status.SLIDING and not nudged:
+        if status.phase == PushPhase.PUSHING and stranger.mode == PreGraspMode.SLIDING and not nudged:
             nudged.append(stranger.pose)
             stranger.put(nudged[0] + 0.025 * stranger.push_direction() + (0.0, 0.0, 0.1))
 
     record = task.run(progress=meddle)
     modes = list_modes(record)
     assert covered and nudged
-    lost = modes.index(pre_grasp_status.LOST)
+    lost = modes.index(PreGraspMode.LOST)
     assert "not been seen" in record.steps[lost].status.reason
     assert record.steps[lost + 1].status.reason == "The object is seen again."
     np.testing.assert_allclose(record.steps[lost + 1].pose, elsewhere, atol=0.02)
@@ -110,19 +108,19 @@ def test_an_object_moved_out_of_sight_and_nudged_in_a_slide_is_lifted_all_the_sa
     score = make_score(GraspJob("claw_hammer", 0), record, 1.0)
     assert (score.status, score.pokes, score.slides) == (HELD, record.last.pokes, record.last.slides)
     assert score.raised > 0.07
-    assert score.centre_of_mass_error < 0.03
+    assert score.center_of_mass_error < 0.03
 
 
 @pytest.mark.slow
-def test_a_slide_in_which_the_object_is_shoved_over_the_rim_is_broken_off():
+def test_a_slide_in_which_the_object_is_shoved_over_the_edge_is_broken_off():
     scenario = make_scenario_of_seed_0()
     scenario.truth.contact_friction = [0.05, 0.05]  # and the finger slips
     task = PreGraspTask(scenario)
     stranger, shoved = Stranger(task), []
-    outwards = np.array([0.0, 1.0, 0.0])  # the rim is at y = 0.15 m
+    outwards = np.array([0.0, 1.0, 0.0])  # the edge is at y = 0.15 m
 
     def meddle(status, logged):
-        if shoved or status.phase != PUSHING or stranger.mode != pre_grasp_status.SLIDING:
+        if shoved or status.phase != PushPhase.PUSHING or stranger.mode != PreGraspMode.SLIDING:
             return
         context = task.controller.GetMyContextFromRoot(stranger.context)
         guard = task.controller._get_state(context).guard
@@ -133,8 +131,8 @@ def test_a_slide_in_which_the_object_is_shoved_over_the_rim_is_broken_off():
     record = task.run(progress=meddle)
     modes = list_modes(record)
     assert shoved
-    stop = record.steps[modes.index(pre_grasp_status.STOPPING)]
+    stop = record.steps[modes.index(PreGraspMode.STOPPING)]
     assert "might fall" in stop.status.reason
     assert stop.push is None
-    assert record.steps[modes.index(pre_grasp_status.STOPPING) + 1].status.reason == "A push was broken off."
+    assert record.steps[modes.index(PreGraspMode.STOPPING) + 1].status.reason == "A push was broken off."
     assert record.status == HELD, record.message

@@ -1,21 +1,19 @@
-"""Grasps in full physics: what overhangs the rim is taken from the side, lifted and held; the masses are hidden."""
+"""Grasps in full physics: what overhangs the edge is taken from the side, lifted and held; the masses are hidden."""
 
 import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.errors import StationError
-from gridpush_drake.planning.side_grasp import find_side_grasps
-from gridpush_drake.planning.surface import SupportSurface
-from gridpush_drake.planning.varied_grasps import choose_varied
-from gridpush_drake.scene.grid_object_state import SetGridObjectPose
-from gridpush_drake.scene.parser import find_models
-from gridpush_drake.scene.scenario import PushScenario
-from gridpush_drake.scene.scenario_file import read_scenario
-from gridpush_drake.station.conduct import ConductMonitor
+from gridpush_drake.multibody.ground_truth import SetGridObjectPose
+from gridpush_drake.multibody.parser import find_models
+from gridpush_drake.planning.pregrasp.side_grasp import choose_varied, find_side_grasps
+from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.push_station import MakePushStation, make_style
-from gridpush_drake.systems.grasp_command import GraspCommand
-from gridpush_drake.systems.push_command import PushCommand
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.systems.messages import GraspCommand, PushCommand
 
 TRIED = 20  # of the best grasps, that the arm is asked about
 LIFT = 0.1
@@ -49,7 +47,7 @@ class Run:
         SetGridObjectPose(station.plant, plant_context, station.object_in_plant, pose)
         self.pose = pose
         station.GetInputPort("push_command").FixValue(self.context, PushCommand().to_vector())
-        self.monitor = ConductMonitor(station, 0.005)
+        self.monitor = LimitMonitor(station, 0.005)
         self.simulator.set_monitor(self.monitor)
         self.simulator.Initialize()
 
@@ -63,10 +61,10 @@ class Run:
         return X_WB.translation()[2], np.arccos(min(X_WB.rotation().matrix()[2, 2], 1.0))
 
     def find_best(self):
-        """The command for the best grasp by the true centre of mass that the arm can carry out."""
+        """The command for the best grasp by the true center of mass that the arm can carry out."""
         station = self.station
-        centre = station.truth.centre_of_mass(station.obj)
-        found = find_side_grasps(station.obj, self.pose, SupportSurface(station.table_top), aim=centre)
+        center = station.truth.center_of_mass(station.obj)
+        found = find_side_grasps(station.obj, self.pose, SupportSurface(station.table_top), aim=center)
         for grasp in choose_varied(found, TRIED):
             command = GraspCommand(1, *grasp.p_WG, 0.015, grasp.approach, LIFT)
             if station.FindGraspObstacle(command) is None:
@@ -89,7 +87,7 @@ def check_held(run, status):
     height, tilt = run.height
     assert height == pytest.approx(LIFT, abs=0.005)
     assert tilt < np.radians(1.0)
-    assert run.monitor.conduct.blameless, run.monitor.conduct
+    assert run.monitor.limit_report.ok, run.monitor.limit_report
     assert len(run.read("estimate.push_log")) == 0  # a grasp is no push
 
 
@@ -128,7 +126,7 @@ def test_a_grasp_at_nothing_goes_back_and_the_station_can_push_again(hammer):
     run.simulator.AdvanceTo(run.context.get_time() + 8.0)
     assert run.read("executor.status").executed == 1
     assert len(run.read("estimate.push_log")) == 1
-    assert run.monitor.conduct.blameless, run.monitor.conduct
+    assert run.monitor.limit_report.ok, run.monitor.limit_report
 
 
 @pytest.mark.parametrize(
@@ -147,7 +145,7 @@ def test_what_is_out_of_reach_or_in_the_table_is_refused(hammer, command, reason
     assert reason in status.reason
 
 
-def test_much_of_the_rim_is_within_reach_for_grasps_and_all_of_it_for_pushes(hammer):
+def test_much_of_the_edge_is_within_reach_for_grasps_and_all_of_it_for_pushes(hammer):
     places = np.arange(0.2, 0.8, 0.025)
     reached = [
         hammer.FindGraspObstacle(GraspCommand(1, x, 0.18, 0.015, -np.pi / 2, LIFT)) is None for x in places.tolist()

@@ -3,12 +3,11 @@ import pytest
 from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.errors import ScenarioError
-from gridpush_drake.scene.scenario import PushScenario
-from gridpush_drake.scene.truth import MakeTruth
-from gridpush_drake.station.conduct import ConductMonitor
-from gridpush_drake.station.learning import ESTIMATE_OUTPUTS
-from gridpush_drake.station.push_station import IIWA_OUTPUTS, MakePushStation
-from gridpush_drake.systems.push_command import PushCommand
+from gridpush_drake.station.limit_monitor import LimitMonitor
+from gridpush_drake.station.push_station import ESTIMATE_OUTPUTS, IIWA_OUTPUTS, MakePushStation
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_file import MakeTruth
+from gridpush_drake.systems.messages import PushCommand
 
 
 def advance_until_idle(simulator, station, command, limit=15.0):
@@ -45,12 +44,12 @@ def test_has_the_ports_it_names(station):
 
 def test_a_push_moves_the_object_and_is_learned_from(station, simulator):
     context = simulator.get_mutable_context()
-    monitor = ConductMonitor(station, period=0.005)
+    monitor = LimitMonitor(station, period=0.005)
     simulator.set_monitor(monitor)
     simulator.Initialize()
     prior = station.GetOutputPort("estimate.mass").Eval(context).copy()
     np.testing.assert_allclose(prior, prior.mean())
-    # across the hammer's handle, off its centre
+    # across the hammer's handle, off its center
     status = advance_until_idle(simulator, station, PushCommand(1, 0.53, -0.04, np.pi / 2, 0.08, 0.05))
     assert (status.executed, status.refused) == (1, 0)
     log = station.GetOutputPort("estimate.push_log").Eval(context)
@@ -61,8 +60,8 @@ def test_a_push_moves_the_object_and_is_learned_from(station, simulator):
     true_pose = station.GetOutputPort("object.pose_true").Eval(context)
     assert np.linalg.norm(seen.final_pose[:2] - true_pose[:2]) < 5e-4
     assert np.ptp(station.GetOutputPort("estimate.mass").Eval(context)) > 0
-    assert monitor.conduct.blameless, monitor.conduct
-    assert monitor.conduct.tracking_error < 1e-3
+    assert monitor.limit_report.ok, monitor.limit_report
+    assert monitor.limit_report.tracking_error < 1e-3
 
 
 def test_refuses_what_the_arm_cannot_reach(station, simulator):
@@ -75,7 +74,7 @@ def test_refuses_what_the_arm_cannot_reach(station, simulator):
 
 def test_the_truth_goes_to_the_plant_alone(station):
     """Two truths: everything but the plant's own outputs is the same before the first push."""
-    ports = [f"estimate.{name}" for name in ("mass", "friction", "mass_std", "contact_friction", "centre_of_mass")]
+    ports = [f"estimate.{name}" for name in ("mass", "friction", "mass_std", "contact_friction", "center_of_mass")]
     seen = []
     for seed in (0, 1):
         context = station.CreateDefaultContext()
@@ -83,7 +82,7 @@ def test_the_truth_goes_to_the_plant_alone(station):
         body = station.object_in_plant.body
         inertia = body.CalcSpatialInertiaInBodyFrame(station.plant.GetMyContextFromRoot(context))
         truth = MakeTruth(station.obj, station.scenario.truth, seed)
-        np.testing.assert_allclose(inertia.get_com()[:2], truth.centre_of_mass(station.obj), atol=1e-12)
+        np.testing.assert_allclose(inertia.get_com()[:2], truth.center_of_mass(station.obj), atol=1e-12)
         seen.append([station.GetOutputPort(port).Eval(context).copy() for port in ports])
     for first, second in zip(*seen, strict=True):
         np.testing.assert_array_equal(first, second)

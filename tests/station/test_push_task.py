@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RotationMatrix
 
-from gridpush_drake.planning.planned_push import calc_goal_error
-from gridpush_drake.scene.scenario import PushScenario
+from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.station.push_task import FAILED, LOST, REACHED, PushTask
-from gridpush_drake.station.task_run import INTERRUPTED
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.task import INTERRUPTED
 
 
 def make_scenario(**fields) -> PushScenario:
@@ -32,7 +32,7 @@ def test_reaches_the_goal(name):
     assert record.status == REACHED, record.message
     assert record.error < 0.02
     assert record.error == pytest.approx(calc_goal_error(record.obj, record.pose, record.goal))
-    assert record.conduct.blameless, record.conduct
+    assert record.limit_report.ok, record.limit_report
     assert 2 <= record.pushes == len(record.log) <= 8
     assert len(record.estimates) >= record.pushes - 1
     assert len([step for step in record.steps if step.push is not None]) == record.pushes

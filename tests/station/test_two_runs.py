@@ -11,13 +11,13 @@ import pytest
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from gridpush_drake.scene.grid_object_state import SetGridObjectPose, SetGridObjectVelocity
-from gridpush_drake.scene.scenario import PushScenario
-from gridpush_drake.scene.truth import MakeTruth
-from gridpush_drake.station.conduct import ConductMonitor
-from gridpush_drake.station.experiment import PushExperiment
+from gridpush_drake.multibody.ground_truth import SetGridObjectPose, SetGridObjectVelocity
+from gridpush_drake.station.identify_task import IdentifyTask
+from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.push_station import MakePushStation
-from gridpush_drake.systems.push_command import PushCommand
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_file import MakeTruth
+from gridpush_drake.systems.messages import PushCommand
 
 RUNS = ((1, (0.55, 0.05, 0.3), 0.6), (2, (0.6, -0.05, -0.5), 0.4))
 """Seed, where the object begins, and how fast it slides along x then, m/s: friction and masses tell at once."""
@@ -31,7 +31,7 @@ GROWTH = 2.0
 BUILDS = """
 import gc
 from pathlib import Path
-from gridpush_drake.scene.scenario import PushScenario
+from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.push_station import MakePushStation
 
 def read_memory():
@@ -131,10 +131,10 @@ def test_two_stations_stand_in_one_diagram(alone):
 
 
 def test_a_station_that_is_dropped_is_freed():
-    experiment = PushExperiment(make_scenario())
+    experiment = IdentifyTask(make_scenario())
     simulator, station = experiment.simulator, experiment.station
     station.SetStart(simulator.get_mutable_context())
-    simulator.set_monitor(ConductMonitor(station))
+    simulator.set_monitor(LimitMonitor(station))
     simulator.AdvanceTo(0.02)
     parts = [ref(part) for part in (experiment, simulator, station, station.plant, station.scene_graph)]
     del experiment, simulator, station

@@ -9,17 +9,15 @@ from pydrake.systems.analysis import Simulator
 from shapely import box
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.grid.parameters import CellParameters
 from gridpush_drake.identification.identify import describe_prior
-from gridpush_drake.planning.contact_point import ContactOptions
-from gridpush_drake.planning.planned_push import calc_goal_error
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.optimization import ContactOptions
+from gridpush_drake.planning.contact.trial import calc_goal_error
+from gridpush_drake.planning.goal.push_to_goal import GoalRules
 from gridpush_drake.planning.push_constraints import PushConstraints
-from gridpush_drake.planning.push_decision import GoalRules
-from gridpush_drake.planning.surface import SupportSurface
+from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.systems.contact_point_controller import ContactPointController, ControllerOptions
-from gridpush_drake.systems.contact_point_status import FAILED, LOST, PUSHING, REACHED, WAITING
-from gridpush_drake.systems.push_command import PushCommand
-from gridpush_drake.systems.push_status import PushStatus
+from gridpush_drake.systems.messages import ContactPointMode, PushCommand, PushStatus
 from tests.helpers.goal_diagram import make_run
 from tests.helpers.made_identifications import make_block
 
@@ -33,7 +31,7 @@ GOAL = (0.15, 0.1, 1.0)
 
 
 def over(status):
-    return status.mode in (REACHED, FAILED)
+    return status.mode in (ContactPointMode.REACHED, ContactPointMode.FAILED)
 
 
 def rules_with(**changes):
@@ -49,12 +47,12 @@ def test_reaches_the_goal_learning_nothing_and_says_so():
     run = make_run(OBJ, TRUTH, GOAL, RULES)
     seen = []
     status = run.go_on_until(lambda status: seen.append(status) or over(status))
-    assert (status.mode, status.cause) == (REACHED, "reached")
+    assert (status.mode, status.cause) == (ContactPointMode.REACHED, "reached")
     assert calc_goal_error(OBJ, run.pose, GOAL) < RULES.tolerance + 1e-3
     assert status.error == pytest.approx(calc_goal_error(OBJ, run.pose, GOAL), abs=1e-3)
     executor = run.read(run.executor, "status")
     assert status.pushes == executor.executed == run.read(run.controller, "push_command")[0]
-    under_way = [one for one in seen if one.mode == PUSHING]
+    under_way = [one for one in seen if one.mode == ContactPointMode.PUSHING]
     assert all(one.expected_pose is not None and one.expected_error < one.error for one in under_way)
     assert status.expected_pose is None and status.prediction_error < 0.1
     # nothing more is done once it is there
@@ -65,7 +63,7 @@ def test_reaches_the_goal_learning_nothing_and_says_so():
 def test_learns_on_the_way():
     run = make_run(OBJ, TRUTH, GOAL, RULES, learning=2)
     status = run.go_on_until(over)
-    assert status.mode == REACHED
+    assert status.mode == ContactPointMode.REACHED
 
 
 def test_a_clone_goes_on_alike():
@@ -84,14 +82,14 @@ def test_another_goal_begins_anew():
     run.go_on_until(over)
     there, made = np.array([0.05, -0.1, 0.3]), run.read(run.executor, "status").executed
     set_goal(run, there)
-    run.go_on_until(lambda status: status.mode == PUSHING, 3.0)
+    run.go_on_until(lambda status: status.mode == ContactPointMode.PUSHING, 3.0)
     assert run.status.pushes == 0
     status = run.go_on_until(over)
-    assert status.mode == REACHED and status.pushes == run.read(run.executor, "status").executed - made
+    assert status.mode == ContactPointMode.REACHED and status.pushes == run.read(run.executor, "status").executed - made
     assert calc_goal_error(OBJ, run.pose, there) < RULES.tolerance + 1e-3
     set_goal(run, np.full(3, np.nan))
     run.simulator.AdvanceTo(run.simulator.get_context().get_time() + 0.2)
-    assert (run.status.mode, run.status.reason) == (WAITING, "No goal is given.")
+    assert (run.status.mode, run.status.reason) == (ContactPointMode.WAITING, "No goal is given.")
 
 
 @pytest.mark.parametrize(
@@ -108,7 +106,7 @@ def test_another_goal_begins_anew():
 def test_says_why_a_goal_cannot_be_reached(goal, changes, cause):
     run = make_run(OBJ, TRUTH, goal, rules_with(**changes))
     status = run.go_on_until(over, 5.0)
-    assert (status.mode, status.cause, status.pushes) == (FAILED, cause, 0)
+    assert (status.mode, status.cause, status.pushes) == (ContactPointMode.FAILED, cause, 0)
     assert status.reason.endswith(".")
     np.testing.assert_array_equal(run.pose, np.zeros(3))
 
@@ -120,7 +118,7 @@ def test_goes_round_an_obstacle():
     run = make_run(OBJ, TRUTH, goal, rules_with(obstacles=(wall,)))
     clear = []
     status = run.go_on_until(lambda status: clear.append(run.pose) or over(status), 200.0)
-    assert status.mode == REACHED, status
+    assert status.mode == ContactPointMode.REACHED, status
     checker = PushConstraints(obstacles=(wall,)).start_at(OBJ, np.zeros(3), 0.008)
     assert not any(checker.overlaps_obstacle(pose) for pose in clear)
 
@@ -133,7 +131,7 @@ def test_the_arms_word_is_heeded():
     status = run.go_on_until(
         lambda status: commands.append(run.read(run.controller, "push_command")) or over(status), 60.0
     )
-    assert status.mode == REACHED
+    assert status.mode == ContactPointMode.REACHED
     made = [PushCommand.from_vector(command) for command in commands if command[0] > 0]
     assert made and all(np.cos(command.direction) > 0 for command in made)
 
@@ -145,7 +143,7 @@ def test_a_refused_push_is_not_tried_again():
         begin, end = way[-4], way[-3]
         return "the arm sulks" if end[0] - begin[0] > 0.02 else None
 
-    run = make_run(OBJ, TRUTH, (0.15, 0.1, 1.0), RULES, reach=reach, options=ControllerOptions(most_refusals=6))
+    run = make_run(OBJ, TRUTH, (0.15, 0.1, 1.0), RULES, reach=reach, options=ControllerOptions(max_refusals=6))
     refused = []
 
     def note(status):
@@ -164,10 +162,10 @@ def test_a_refused_push_is_not_tried_again():
 
 def test_gives_up_when_everything_is_refused():
     run = make_run(
-        OBJ, TRUTH, GOAL, RULES, reach=lambda way, speeds: "the arm sulks", options=ControllerOptions(most_refusals=3)
+        OBJ, TRUTH, GOAL, RULES, reach=lambda way, speeds: "the arm sulks", options=ControllerOptions(max_refusals=3)
     )
     status = run.go_on_until(over, 10.0)
-    assert (status.mode, status.cause, status.refused, status.pushes) == (FAILED, "refused", 3, 0)
+    assert (status.mode, status.cause, status.refused, status.pushes) == (ContactPointMode.FAILED, "refused", 3, 0)
     assert "the arm sulks" in status.reason
     # somebody brings the object elsewhere: another attempt
     run.world.SetPose(run.context(run.world), (0.1, 0.1, 0.5))
@@ -178,7 +176,7 @@ def test_an_object_that_slips_away_from_the_finger_is_pursued():
     slippery = CellParameters(TRUTH.mass, TRUTH.friction, 0.02)
     run = make_run(OBJ, slippery, GOAL, RULES)
     status = run.go_on_until(over, 200.0)
-    assert status.mode == REACHED or status.cause in ("too_many_pushes", "stuck")
+    assert status.mode == ContactPointMode.REACHED or status.cause in ("too_many_pushes", "stuck")
     assert TABLE.contains(OBJ.cells_at(run.pose)).all()
 
 
@@ -187,12 +185,12 @@ def test_an_object_moved_between_pushes_is_pushed_from_where_it_lies():
     run.go_on_until(lambda status: status.pushes == 1)
     run.world.SetPose(run.context(run.world), (-0.2, -0.2, -1.0))
     status = run.go_on_until(over)
-    assert status.mode == REACHED and status.pushes >= 2
+    assert status.mode == ContactPointMode.REACHED and status.pushes >= 2
     assert calc_goal_error(OBJ, run.pose, GOAL) < RULES.tolerance + 1e-3
     # and once more after the end
     run.world.SetPose(run.context(run.world), (0.1, -0.2, 0.0))
-    assert run.go_on_until(lambda status: status.mode == PUSHING, 3.0).pushes == status.pushes
-    assert run.go_on_until(over).mode == REACHED
+    assert run.go_on_until(lambda status: status.mode == ContactPointMode.PUSHING, 3.0).pushes == status.pushes
+    assert run.go_on_until(over).mode == ContactPointMode.REACHED
 
 
 def test_an_object_out_of_sight_is_waited_for():
@@ -200,12 +198,12 @@ def test_an_object_out_of_sight_is_waited_for():
     run.go_on_until(lambda status: status.pushes == 1)
     now = run.simulator.get_context().get_time()
     run.context(run.cover).get_mutable_numeric_parameter(0).SetFromVector([now, now + 2.0])
-    lost = run.go_on_until(lambda status: status.mode == LOST, 2.0)
-    assert lost.mode == LOST and "not been seen for 1 s" in lost.reason
+    lost = run.go_on_until(lambda status: status.mode == ContactPointMode.LOST, 2.0)
+    assert lost.mode == ContactPointMode.LOST and "not been seen for 1 s" in lost.reason
     before = run.read(run.executor, "status")
     run.simulator.AdvanceTo(now + 1.9)
     assert run.read(run.executor, "status") == before
-    assert run.go_on_until(over).mode == REACHED
+    assert run.go_on_until(over).mode == ContactPointMode.REACHED
 
 
 def test_a_command_that_was_not_taken_up_is_withdrawn():
@@ -232,7 +230,7 @@ def test_a_command_that_was_not_taken_up_is_withdrawn():
 def test_stops_after_the_allowed_pushes():
     run = make_run(OBJ, TRUTH, (0.2, 0.2, 3.0), replace(RULES, max_pushes=1, tolerance=0.002))
     status = run.go_on_until(over)
-    assert (status.mode, status.cause, status.pushes) == (FAILED, "too_many_pushes", 1)
+    assert (status.mode, status.cause, status.pushes) == (ContactPointMode.FAILED, "too_many_pushes", 1)
 
 
 def test_bad_numbers_are_refused():
@@ -242,5 +240,5 @@ def test_bad_numbers_are_refused():
         GoalRules(max_pushes=-1)
     with pytest.raises(PlanningError, match="looks"):
         ControllerOptions(looks=0)
-    with pytest.raises(PlanningError, match="patience"):
-        ControllerOptions(patience=-1.0)
+    with pytest.raises(PlanningError, match="timeout"):
+        ControllerOptions(timeout=-1.0)

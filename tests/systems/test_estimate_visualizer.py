@@ -12,12 +12,12 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import simulate
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.scene.meshcat_server import AimCamera, StartMeshcatServer, write_recording
-from gridpush_drake.systems.cell_colors import CellColors
+from gridpush_drake.multibody.cell_colors import CellColors
+from gridpush_drake.multibody.meshcat_server import AimCamera, StartMeshcatServer, write_recording
+from gridpush_drake.multibody.meshcat_shapes import CENTER_COLOR, PLAN_COLOR
+from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
-from gridpush_drake.systems.meshcat_drawing import CENTRE_COLOR, PLAN_COLOR
-from gridpush_drake.systems.push_command import PushCommand
+from gridpush_drake.systems.messages import PushCommand
 from tests.helpers.chromium import find_pixels, freeze_recording, require_chromium, take_picture
 from tests.helpers.made_identifications import make_block
 
@@ -31,7 +31,7 @@ LAST = np.array([0.5, 0.08, 0.3])
 COVARIANCE = np.diag([0.01, 0.006]) ** 2
 COMMAND = PushCommand(1, 0.52, -0.04, np.pi / 2, 0.08, 0.05)
 
-LEAST_SEEN = 400
+MIN_SEEN = 400
 """Pixels that something as large as a third of the object takes at least."""
 
 
@@ -69,9 +69,9 @@ def make_diagram(obj, meshcat: Meshcat, estimates, optional: bool = True, **opti
         "object_pose", [0.0, LEARNED_AT, MOVED_AT, END], [FIRST, FIRST, LAST, LAST], PiecewisePolynomial.FirstOrderHold
     )
     if optional:
-        centres = [params.centre_of_mass(obj) for params in (before, after, after)]
-        feed("centre_of_mass", changes, centres)
-        feed("centre_of_mass_covariance", changes, [COVARIANCE.ravel(), COVARIANCE.ravel() / 9, COVARIANCE.ravel() / 9])
+        centers = [params.center_of_mass(obj) for params in (before, after, after)]
+        feed("center_of_mass", changes, centers)
+        feed("center_of_mass_covariance", changes, [COVARIANCE.ravel(), COVARIANCE.ravel() / 9, COVARIANCE.ravel() / 9])
         feed("contact_friction", changes, [[0.5], [0.4], [0.4]])
         feed("push_command", changes, [PushCommand().to_vector(), COMMAND.to_vector(), COMMAND.to_vector()])
     return builder.Build(), visualizer
@@ -89,7 +89,7 @@ def test_draws_each_estimate_and_each_push_once(obj, meshcat, estimates):
     assert not meshcat.HasPath("estimate/object/2")
     assert not meshcat.HasPath("estimate/push")
     simulator.AdvanceTo(END - 0.1)
-    assert meshcat.HasPath("estimate/object/2/centre/ellipse")
+    assert meshcat.HasPath("estimate/object/2/center/ellipse")
     assert meshcat.HasPath("estimate/push/1/arrow")
     assert not meshcat.HasPath("estimate/object/3")
     assert not meshcat.HasPath("estimate/push/2")
@@ -126,7 +126,7 @@ def test_keeps_what_it_drew_in_its_context(obj, meshcat, estimates):
     assert drawings[0].estimate == drawings[1].estimate == 2
 
 
-def test_begins_anew_when_it_is_initialised(obj, meshcat, estimates):
+def test_begins_anew_when_it_is_initialized(obj, meshcat, estimates):
     diagram, _ = make_diagram(obj, meshcat, estimates, path="again")
     simulator = Simulator(diagram)
     simulator.AdvanceTo(END - 0.1)
@@ -138,12 +138,12 @@ def test_begins_anew_when_it_is_initialised(obj, meshcat, estimates):
     assert not meshcat.HasPath("again/push")
 
 
-def test_needs_neither_a_centre_nor_a_command(obj, meshcat, estimates):
+def test_needs_neither_a_center_nor_a_command(obj, meshcat, estimates):
     diagram, _ = make_diagram(obj, meshcat, estimates, optional=False, path="bare")
     context = diagram.CreateDefaultContext()
     diagram.ForcedPublish(context)
     assert meshcat.HasPath("bare/object/1/cells")
-    assert not meshcat.HasPath("bare/object/1/centre")
+    assert not meshcat.HasPath("bare/object/1/center")
 
 
 def test_an_object_in_the_air_is_drawn_where_its_body_is(obj, meshcat, estimates):
@@ -159,7 +159,7 @@ def test_an_object_in_the_air_is_drawn_where_its_body_is(obj, meshcat, estimates
         return np.nonzero(find_colors(obj, estimates, take_picture(meshcat.web_url()))[0])[0]
 
     low, high = find_rows(0.0), find_rows(0.06)
-    assert min(low.size, high.size) > LEAST_SEEN
+    assert min(low.size, high.size) > MIN_SEEN
     assert high.mean() < low.mean() - 30  # up in the picture
 
 
@@ -177,7 +177,7 @@ def test_a_push_that_cannot_be_simulated_has_no_ghost(obj, meshcat, estimates, s
 
 
 def find_colors(obj, estimates, picture):
-    """Pixels in the colours of the even cells, and of the learned light and heavy ones."""
+    """Pixels in the colors of the even cells, and of the learned light and heavy ones."""
     colors = CellColors()
     even = colors.calc_colors(estimates[0].mass, estimates[0].friction)[0]
     learned = colors.calc_colors(estimates[1].mass, estimates[1].friction)
@@ -187,18 +187,18 @@ def find_colors(obj, estimates, picture):
 
 def check_before(obj, estimates, picture):
     even, light, heavy = (found.sum() for found in find_colors(obj, estimates, picture))
-    assert even > LEAST_SEEN
-    assert max(light, heavy) < LEAST_SEEN / 10
+    assert even > MIN_SEEN
+    assert max(light, heavy) < MIN_SEEN / 10
 
 
 def check_after(obj, estimates, picture):
     even, light, heavy = find_colors(obj, estimates, picture)
-    assert min(light.sum(), heavy.sum()) > LEAST_SEEN
-    assert even.sum() < LEAST_SEEN / 10
+    assert min(light.sum(), heavy.sum()) > MIN_SEEN
+    assert even.sum() < MIN_SEEN / 10
     assert np.nonzero(heavy)[1].mean() > np.nonzero(light)[1].mean() + 20  # the heavy end is the right one
 
 
-def test_the_live_page_shows_the_cells_in_the_colours_of_their_estimate(obj, meshcat, estimates):
+def test_the_live_page_shows_the_cells_in_the_colors_of_their_estimate(obj, meshcat, estimates):
     require_chromium()
     diagram, _ = make_diagram(obj, meshcat, estimates)
     simulator = Simulator(diagram)
@@ -215,7 +215,7 @@ def test_the_live_page_changes_when_the_estimate_does(obj, meshcat, estimates):
     picture = take_picture(meshcat.web_url())
     check_before(obj, estimates, picture)
     assert not find_pixels(picture, color_of(PLAN_COLOR)).any()
-    assert find_pixels(picture, color_of(CENTRE_COLOR)).sum() > 50
+    assert find_pixels(picture, color_of(CENTER_COLOR)).sum() > 50
     simulator.AdvanceTo(END - 0.1)
     picture = take_picture(meshcat.web_url())
     check_after(obj, estimates, picture)
@@ -228,8 +228,8 @@ def color_of(rgba):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("recorded_from", ["before", "after"])
-def test_the_recording_changes_its_colours_as_the_estimate_improves(obj, meshcat, estimates, tmp_path, recorded_from):
-    """Whether the recording is begun before the Simulator is initialised or after."""
+def test_the_recording_changes_its_colors_as_the_estimate_improves(obj, meshcat, estimates, tmp_path, recorded_from):
+    """Whether the recording is begun before the Simulator is initialized or after."""
     require_chromium()
     empty = len(meshcat.StaticHtml())
     diagram, _ = make_diagram(obj, meshcat, estimates)

@@ -6,16 +6,13 @@ from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 
-from gridpush_drake.systems.grasp_command import GraspCommand
-from gridpush_drake.systems.grasp_executor import GraspExecutor
-from gridpush_drake.systems.grasp_status import GraspPhase, GraspStatus
-from gridpush_drake.systems.grasp_way import GraspingStyle, calc_tip, calc_yaws
-from gridpush_drake.systems.push_status import PUSHING, PushStatus
-from gridpush_drake.systems.tool_motion import TURNING_RADIUS, ToolLeg, calc_tool_pose, make_transform
+from gridpush_drake.multibody.tool_motion import TURNING_RADIUS, ToolTrajectorySegment, calc_tool_pose, make_transform
+from gridpush_drake.systems.grasp_executor import GraspExecutor, GraspTrajectoryOptions, calc_tip, calc_yaws
+from gridpush_drake.systems.messages import GraspCommand, GraspPhase, GraspStatus, PushPhase, PushStatus
 
 REST = (0.5, -0.1, 0.12, 0.0)
 COMMAND = GraspCommand(1, 0.5, 0.18, 0.015, -np.pi / 2, 0.1)
-STYLE = GraspingStyle(hold_time=0.5)
+STYLE = GraspTrajectoryOptions(hold_time=0.5)
 STEP = 0.01
 THICK = 0.03  # m, of what is between the pads
 
@@ -122,7 +119,7 @@ def test_pose_speed_and_acceleration_are_continuous():
 def test_waits_for_the_push_to_end_and_for_a_new_number():
     bench = Bench()
     bench.fix("grasp_command", COMMAND.to_vector())
-    bench.fix("push_status", AbstractValue.Make(PushStatus(PUSHING, 3)))
+    bench.fix("push_status", AbstractValue.Make(PushStatus(PushPhase.PUSHING, 3)))
     bench.simulator.AdvanceTo(0.2)
     assert bench.status == GraspStatus()
     bench.fix("push_status", AbstractValue.Make(PushStatus()))
@@ -157,7 +154,7 @@ def test_refuses_what_the_arm_cannot_follow_and_what_is_objected_to():
     assert Bench(reach=reach).run(COMMAND).reason == "too far"
     assert {len(way) - len(speeds) for way, speeds, _ in asked} == {1}
     assert {round(float(yaws[-1]), 6) for *_, yaws in asked} == {round(yaw, 6) for yaw in calc_yaws(COMMAND.approach)}
-    assert Bench(objection=lambda command: "in the way").run(COMMAND).reason == "in the way"
+    assert Bench(validator=lambda command: "in the way").run(COMMAND).reason == "in the way"
 
 
 def test_slows_down_where_the_arm_cannot_follow_fast():
@@ -204,10 +201,10 @@ def test_yaws_point_the_fingers_along_the_approach(approach):
 
 
 def test_a_leg_turns_and_moves_with_one_share():
-    leg = ToolLeg(GraspPhase.APPROACHING, (0.0, 0.0, 0.1, 0.0), (0.3, 0.0, 0.1, 1.0), 0.2, 1.0)
+    leg = ToolTrajectorySegment(GraspPhase.APPROACHING, (0.0, 0.0, 0.1, 0.0), (0.3, 0.0, 0.1, 1.0), 0.2, 1.0)
     middle = leg.calc_pose(leg.duration / 2)
     np.testing.assert_allclose(middle, [0.15, 0.0, 0.1, 0.5], atol=1e-12)
     assert leg.profile.length == pytest.approx(np.hypot(0.3, TURNING_RADIUS))
-    turn = ToolLeg(GraspPhase.APPROACHING, (0.0, 0.0, 0.1, 0.0), (0.0, 0.0, 0.1, 1.0), 0.2, 1.0)
+    turn = ToolTrajectorySegment(GraspPhase.APPROACHING, (0.0, 0.0, 0.1, 0.0), (0.0, 0.0, 0.1, 1.0), 0.2, 1.0)
     assert turn.duration > TURNING_RADIUS / 0.2
     assert isinstance(make_transform(turn.calc_pose(1.0)), RigidTransform)

@@ -5,19 +5,19 @@ import pytest
 from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.identification.error_summary import calc_mean_cell_error
 from gridpush_drake.identification.identify import describe_prior, identify
+from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.identification.problem import PushProblem
-from gridpush_drake.pushes.log import PushLog
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.systems.grid_identifier import GridIdentifier
-from gridpush_drake.systems.poke_choice import PokeStyle
+from gridpush_drake.systems.poke_policy import RandomPokeOptions
 from tests.helpers.poke_diagram import PokeDiagram, make_poke_diagram
 from tests.helpers.shapes import make_shape
 from tests.identification.simulated_pokes import make_pokes
 
-FAST = PokeStyle(distance=(0.05, 0.08), speed=0.06)
+FAST = RandomPokeOptions(distance=(0.05, 0.08), speed=0.06)
 
 
 def make_hammer(cells: int = 30) -> tuple[GridObject, CellParameters]:
@@ -60,8 +60,8 @@ def test_learns_what_it_has_never_seen(cold):
     found = CellParameters(cold.eval("mass"), cold.eval("friction"), float(cold.eval("contact_friction")[0]))
     errors = [calc_mean_cell_error(obj, p, held_out, "quasi_static") for p in (CellParameters.uniform(obj), found)]
     assert errors[1] < errors[0] / 3 and errors[1] < 0.003, errors
-    miss = cold.eval("centre_of_mass") - truth.centre_of_mass(obj)
-    covariance = cold.eval("centre_of_mass_covariance").reshape(2, 2)
+    miss = cold.eval("center_of_mass") - truth.center_of_mass(obj)
+    covariance = cold.eval("center_of_mass_covariance").reshape(2, 2)
     assert np.linalg.norm(miss) < 0.006
     assert miss @ np.linalg.solve(covariance, miss) < 13.8, "beyond the 99.9 % ellipse"
     assert 0 < cold.eval("loss")[0] < 0.002
@@ -129,7 +129,7 @@ def test_clone_learns_the_same():
     run.simulator.AdvanceTo(end)
     context = run.parts.identifier.GetMyContextFromRoot(clone.get_context())
     assert run.eval("num_pushes")[0] == 2
-    for name in ("mass", "mass_std", "centre_of_mass", "loss", "num_pushes"):
+    for name in ("mass", "mass_std", "center_of_mass", "loss", "num_pushes"):
         np.testing.assert_array_equal(run.parts.identifier.GetOutputPort(name).Eval(context), run.eval(name))
 
 
@@ -156,10 +156,10 @@ def test_prior_before_the_first_push():
     np.testing.assert_allclose(look("mass"), uniform.mass, rtol=1e-12)
     np.testing.assert_array_equal(look("friction"), uniform.friction)
     np.testing.assert_array_equal(look("mass_std"), prior.std.mass)
-    np.testing.assert_allclose(look("centre_of_mass"), obj.p_BC.mean(axis=0), atol=1e-12)
+    np.testing.assert_allclose(look("center_of_mass"), obj.p_BC.mean(axis=0), atol=1e-12)
     assert look("num_pushes")[0] == 0 and np.isnan(look("loss")[0])
     assert look("identification").push_names == () and len(look("push_log")) == 0
-    assert np.linalg.eigvalsh(look("centre_of_mass_covariance").reshape(2, 2)).min() > 0
+    assert np.linalg.eigvalsh(look("center_of_mass_covariance").reshape(2, 2)).min() > 0
 
 
 @pytest.mark.parametrize(

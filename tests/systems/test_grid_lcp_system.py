@@ -10,9 +10,9 @@ from pydrake.trajectories import PiecewisePolynomial
 from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.errors import ParameterError, SimulationError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.object_file import find_shipped_object, read_object
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object, read_object
+from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.shapes import make_shape
@@ -98,7 +98,7 @@ def test_wrench_moves_it_as_a_force_moves_the_core():
     np.testing.assert_allclose(world.log("pose"), core.poses, rtol=0, atol=EXACT)
 
 
-def test_moment_turns_it_about_its_centre_of_mass():
+def test_moment_turns_it_about_its_center_of_mass():
     obj = make_shape("square", 25)
     params = CellParameters.uniform(obj, 1.0, 0.0)
     world = World(GridLcpSystem(obj, params, DT), wrench=[0.0, 0.0, 0.002])

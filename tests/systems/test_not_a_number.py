@@ -10,27 +10,25 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import PortDataType
 
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.planning.contact_point import ContactOptions
-from gridpush_drake.planning.pregrasp import PreGraspPlanner
+from gridpush_drake.multibody.tool_motion import make_transform
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.optimization import ContactOptions
+from gridpush_drake.planning.goal.push_to_goal import GoalRules
+from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.push_constraints import PushConstraints
-from gridpush_drake.planning.push_decision import GoalRules
-from gridpush_drake.planning.surface import SupportSurface
+from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.systems.contact_point_controller import ContactPointController
 from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
-from gridpush_drake.systems.grasp_command import GraspCommand
 from gridpush_drake.systems.grasp_executor import GraspExecutor
-from gridpush_drake.systems.grasp_status import IDLE, REFUSED
 from gridpush_drake.systems.grid_identifier import GridIdentifier
 from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
+from gridpush_drake.systems.messages import GraspCommand, GraspOutcome, GraspPhase, PushCommand
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 from gridpush_drake.systems.poke_policy import PokePolicy
-from gridpush_drake.systems.pre_grasp_controller import PreGraspController
-from gridpush_drake.systems.push_command import PushCommand
+from gridpush_drake.systems.pregrasp_controller import PreGraspController
 from gridpush_drake.systems.push_executor import PushExecutor
 from gridpush_drake.systems.pusher_gate import PusherGate
 from gridpush_drake.systems.pusher_state_sensor import PusherStateSensor
-from gridpush_drake.systems.tool_motion import make_transform
 from tests.helpers.made_identifications import make_block
 from tests.helpers.poke_diagram import REGION, make_poke_diagram
 
@@ -56,8 +54,8 @@ GOOD = {
     "mass": UNIFORM.mass,
     "friction": UNIFORM.friction,
     "contact_friction": np.array([0.4]),
-    "centre_of_mass": np.zeros(2),
-    "centre_of_mass_covariance": 1e-4 * np.eye(2).ravel(),
+    "center_of_mass": np.zeros(2),
+    "center_of_mass_covariance": 1e-4 * np.eye(2).ravel(),
     "gripper_state": OPEN_GRIPPER,
     "push_tip_pose": make_transform((0.5, 0.0, 0.2, 0.0)),
     "body_poses": [RigidTransform(), RigidTransform([0.1, 0.0, 0.0])],
@@ -193,9 +191,9 @@ def test_a_grasp_with_nan_is_refused_and_an_unknown_gripper_is_waited_for():
         return system.GetOutputPort("status").Eval(context)
 
     status = tell([np.nan, *GRASP], OPEN_GRIPPER, 0.1)
-    assert (status.number, status.outcome, status.phase) == (0, REFUSED, IDLE)
+    assert (status.number, status.outcome, status.phase) == (0, GraspOutcome.REFUSED, GraspPhase.IDLE)
     status = tell([1, *GRASP[:2], np.nan, *GRASP[3:]], OPEN_GRIPPER, 0.1)
-    assert (status.number, status.outcome) == (1, REFUSED)
+    assert (status.number, status.outcome) == (1, GraspOutcome.REFUSED)
     assert "not finite" in status.reason
     status = tell(GraspCommand(2, *GRASP).to_vector(), np.full(4, np.nan), 30.0)
     assert (status.phase, status.reason) == ("closing", "the gripper's state is not finite")

@@ -10,17 +10,23 @@ from shapely import Point, Polygon, box
 from shapely.affinity import affine_transform
 
 from gridpush_drake.errors import PushError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.object_file import find_shipped_object, read_object
-from gridpush_drake.grid.parameters import CellParameters
-from gridpush_drake.systems.poke_choice import PokeRegion, PokeStyle, choose_poke, draw_poke, fits, predict_poke
-from gridpush_drake.systems.poke_policy import PokePolicy
-from gridpush_drake.systems.push_command import PushCommand
-from gridpush_drake.systems.push_status import APPROACHING, PUSHING, PushStatus
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object, read_object
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.systems.messages import PushCommand, PushPhase, PushStatus
+from gridpush_drake.systems.poke_policy import (
+    PokePolicy,
+    PokeRegion,
+    RandomPokeOptions,
+    choose_poke,
+    draw_poke,
+    fits,
+    predict_poke,
+)
 from tests.helpers.poke_diagram import REGION, make_poke_diagram
 from tests.helpers.shapes import make_shape
 
-STYLE = PokeStyle()
+STYLE = RandomPokeOptions()
 POSE = np.array([0.1, -0.05, 0.7])
 
 
@@ -46,7 +52,7 @@ def test_chosen_pushes_fit_and_stay_in_bounds(name):
         last = predict_poke(obj, CellParameters.uniform(obj), POSE, command, STYLE)
         assert REGION.keep_in.contains(place(obj, last))
         moved = np.linalg.norm(obj.cells_at(last) - obj.cells_at(POSE), axis=1).mean()
-        assert moved >= STYLE.least_motion
+        assert moved >= STYLE.min_motion
 
 
 def test_draw_depends_on_seed_number_and_attempt_alone():
@@ -75,7 +81,7 @@ def test_notch_narrower_than_the_tip_is_left_alone():
     """A U with a slot of 2 cm between arms: a tip of 8 mm radius with 8 mm clearance does not fit, one of 2 mm does."""
     slot = box(-0.01, -0.01, 0.01, 0.06)
     obj = GridObject.from_outline(box(-0.05, -0.05, 0.05, 0.05).difference(slot), max_cells=40)
-    thin = PokeStyle(tip_radius=0.002, clearance=0.002)
+    thin = RandomPokeOptions(tip_radius=0.002, clearance=0.002)
     starts = {
         style: [
             command.start
@@ -138,7 +144,7 @@ def test_commands_when_the_executor_is_ready_and_only_then():
     bench = Bench(seed=4, num_pushes=2)
     first = bench.say(PushStatus())
     assert first == choose(bench.obj, 1, 4)[0]
-    for phase in (APPROACHING, PUSHING):
+    for phase in (PushPhase.APPROACHING, PushPhase.PUSHING):
         assert bench.say(PushStatus(phase, 1)) == first
     moved = POSE + [0.03, 0.0, 0.2]
     second = bench.say(PushStatus(number=1, executed=1), moved)
@@ -162,7 +168,7 @@ def test_waits_until_the_object_is_seen():
 
 
 def test_looks_on_where_no_candidate_fits():
-    bench = Bench(style=PokeStyle(candidates=5))
+    bench = Bench(style=RandomPokeOptions(candidates=5))
     first = bench.say(PushStatus())
     far = (3.0, 0.0, 0.0)
     assert bench.say(PushStatus(number=1, executed=1), far) == first
@@ -181,7 +187,7 @@ def test_executor_takes_the_pushes_and_a_clone_goes_on_alike():
     obj = make_shape("claw_hammer", 12)
     truth = CellParameters.uniform(obj, 1.0, 0.4, 0.3)
     parts = make_poke_diagram(
-        obj, truth, pokes=3, seed=2, max_learning_pushes=0, style=PokeStyle(distance=(0.05, 0.08), speed=0.06)
+        obj, truth, pokes=3, seed=2, max_learning_pushes=0, style=RandomPokeOptions(distance=(0.05, 0.08), speed=0.06)
     )
     simulator = Simulator(parts.diagram)
     simulator.AdvanceTo(6.0)
@@ -205,13 +211,13 @@ def test_executor_takes_the_pushes_and_a_clone_goes_on_alike():
         ({"slant": 1.6}, "slant"),
         ({"tip_radius": -1.0}, "tip_radius"),
         ({"clearance": -0.001}, "clearance"),
-        ({"least_motion": np.nan}, "least_motion"),
+        ({"min_motion": np.nan}, "min_motion"),
         ({"candidates": 0}, "candidates"),
     ],
 )
 def test_bad_styles_are_refused(options, message):
     with pytest.raises(PushError, match=message):
-        PokeStyle(**options)
+        RandomPokeOptions(**options)
 
 
 def test_bad_arguments_are_refused():

@@ -5,14 +5,13 @@ import pytest
 import shapely
 from pydrake.systems.analysis import Simulator
 
-from gridpush_drake.systems.push_command import PushCommand
-from gridpush_drake.systems.push_executor import PushExecutor, PushingStyle
-from gridpush_drake.systems.push_status import PushStatus
+from gridpush_drake.systems.messages import PushCommand, PushStatus
+from gridpush_drake.systems.push_executor import PushExecutor, PushTrajectoryOptions
 
 HOME = (0.6, 0.1, 0.2)
 OUTLINE = shapely.box(-0.05, -0.02, 0.05, 0.02)
 PUSH = PushCommand(1, 0.45, -0.05, 0.4, 0.1, 0.05)
-STYLE = PushingStyle()
+STYLE = PushTrajectoryOptions()
 
 
 class Run:

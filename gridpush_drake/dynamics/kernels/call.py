@@ -11,8 +11,8 @@ from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
 from gridpush_drake.dynamics.kernels.inputs import Array, Body, Load, Scheme, Steps
 from gridpush_drake.dynamics.kernels.rollout import rollout
 from gridpush_drake.dynamics.kernels.step_memory import make_memory
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 
 AHEAD = 0.5
 """Share of a step after which it looks at the body: the midpoint rule."""
@@ -97,7 +97,7 @@ def _make_body(obj: GridObject, params: CellParameters, gravity: float, inertial
     k = params.friction * params.mass * gravity
     mass = com_x = com_y = inertia = 0.0
     if inertial:
-        com_x, com_y = map(float, params.centre_of_mass(obj))
+        com_x, com_y = map(float, params.center_of_mass(obj))
         mass, inertia = float(params.total_mass), float(params.inertia(obj))
     size, friction = float(obj.cell_size), float(params.contact_friction)
     return Body(cells, k, mass, com_x, com_y, inertia, float(obj.radius_of_gyration), size, friction)

@@ -23,7 +23,7 @@ import numba
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
 FAST_SUMS = frozenset({"reassoc", "contract", "nsz", "arcp"})
-"""What lets a sum over cells be vectorised; infinities and NaN keep their meaning."""
+"""What lets a sum over cells be vectorized; infinities and NaN keep their meaning."""
 
 DIGEST_LENGTH = 16
 """Hexadecimal digits of the sources' hash in the folder's name."""

@@ -1,11 +1,11 @@
 """Contact of the disc pusher with the object's outline: where, with which normal, at which gap.
 
-All in the body frame. The signed distance from the disc's centre t to the outline has a local minimum on an edge, or at
+All in the body frame. The signed distance from the disc's center t to the outline has a local minimum on an edge, or at
 a convex vertex, for each place the disc can touch; a concave outline has two such places. A contact is a row of
 
     nx, ny   unit normal N, into the object; the tangent is T = z × N
     cx, cy   the contact point on the outline, m
-    gap      distance from the disc's rim to the outline, m; negative where they overlap
+    gap      distance from the disc's edge to the outline, m; negative where they overlap
     bend     1/|t - vertex| at a vertex (the normal turns as t moves along T), 0 on an edge, 1/m
     feature  index of the edge, or of the edge that starts at the vertex
     gx, gy   -d gap/dt, unit vector; N itself unless `look_ahead` took the two at different places
@@ -48,7 +48,7 @@ def find_contacts(edges, tx, ty, radius, reach, contacts):
 
     Args:
         edges: the outline.
-        tx, ty: centre of the disc, m.
+        tx, ty: center of the disc, m.
         radius: of the disc, m.
         reach: contacts with a larger gap are left out, m.
         contacts: (2, 9) filled with the contacts found, nearest first.
@@ -140,7 +140,7 @@ def look_ahead(edges, tx, ty, dx, dy, radius, reach, contacts, ahead):
 
     Args:
         edges, tx, ty, radius, reach: as in `find_contacts`.
-        dx, dy: displacement of the disc's centre that is expected, seen from the body, m.
+        dx, dy: displacement of the disc's center that is expected, seen from the body, m.
         contacts: (2, 9) the contacts at (tx, ty), at least one.
         ahead: (2, 9) filled.
 
@@ -180,7 +180,7 @@ def _measure_gap(ax, ay, bx, by, i, tx, ty, radius, contacts, row):
 
 @kernel(allocates=False)
 def _contact_from_inside(ax, ay, bx, by, i, tx, ty, radius, contacts):
-    """The disc's centre is inside the object: it leaves through the nearest edge."""
+    """The disc's center is inside the object: it leaves through the nearest edge."""
     ex, ey = bx[i] - ax[i], by[i] - ay[i]
     length = sqrt(ex * ex + ey * ey)
     along = ((tx - ax[i]) * ex + (ty - ay[i]) * ey) / length

@@ -1,4 +1,4 @@
-"""The contact problem of one linearised step: which of its at most two contacts separate, stick or slide.
+"""The contact problem of one linearized step: which of its at most two contacts separate, stick or slide.
 
 With the 3x3 Hessian H, the rows J_n, J_t of the contacts and E = J_n^T (+ J_t^T, or + mu J_t^T where it slides), the
 modes that are right solve
@@ -176,7 +176,7 @@ def relax_jam(contacts, X, columns):
 
 @kernel(allocates=False)
 def _try_modes(H, rhs, touch, scales, compliance, K, X, unknowns):
-    """Solves the linearised step for one choice of modes into xi and lam; returns its worst violation."""
+    """Solves the linearized step for one choice of modes into xi and lam; returns its worst violation."""
     contacts, count, vpx, vpy, mu, dt = touch
     load, speed = scales.load, scales.speed
     xi, lam, modes = unknowns
@@ -230,7 +230,7 @@ def _try_modes(H, rhs, touch, scales, compliance, K, X, unknowns):
 
 @kernel(allocates=False)
 def solve_modes(H, rhs, touch, scales, compliance, K, X, unknowns):
-    """Enumerates the contact modes of a linearised step, those in `unknowns` first.
+    """Enumerates the contact modes of a linearized step, those in `unknowns` first.
 
     Args:
         H, rhs: (3, 3), (3,) Hessian, and what H xi is without contacts.

@@ -1,7 +1,7 @@
 """The derivative of a whole push: columns of variations, carried forward from step to step.
 
-All is seen from the body: s = (R^T dx, dtheta) the variation of the pose, v that of the velocity of the centre of mass
-(quasi-static: of B's origin, which is then only what the next step expects) with the yaw rate. The disc's centre and
+All is seen from the body: s = (R^T dx, dtheta) the variation of the pose, v that of the velocity of the center of mass
+(quasi-static: of B's origin, which is then only what the next step expects) with the yaw rate. The disc's center and
 velocity vary by
 
     dt = -s_xy - s_theta z × t + R^T dtip,     dv_p = -s_theta z × v_p + R^T dv_tip
@@ -52,7 +52,7 @@ class Columns(NamedTuple):
 
 @kernel(allocates=False)
 def start_columns(Q, n, state):
-    """Fills in the variations at the beginning: the pose's own, and what pose and centre of mass do to the velocity.
+    """Fills in the variations at the beginning: the pose's own, and what pose and center of mass do to the velocity.
 
     Args:
         Q: (9, n + OTHER) zeros; rows 0-2 are s, 3-5 v.

@@ -37,7 +37,7 @@ class Load(NamedTuple):
     """What drives the body during T steps.
 
     Attributes:
-        tip: (T+1, 2) the disc's centre, m.
+        tip: (T+1, 2) the disc's center, m.
         path_length: of the disc's whole path, m.
         radius: of the disc, m; negative where there is no pusher.
         wrench: (T, 3) force in W, N, and a couple, N m.

@@ -1,7 +1,7 @@
 """The pose update of one step, x' = x + R d, theta' = theta + w dt, and its derivative.
 
-Quasi-static: d = V(w dt) u dt, the body turns about its instantaneous centre (exact for a constant twist).
-Inertial: d = dt R(a) v_com + c - R(w dt) c, the centre of mass moves straight (exact for free flight).
+Quasi-static: d = V(w dt) u dt, the body turns about its instantaneous center (exact for a constant twist).
+Inertial: d = dt R(a) v_com + c - R(w dt) c, the center of mass moves straight (exact for free flight).
 
 The twist (u, w) is that of the body turned by the angle a, which in the inertial regime is how far it is expected to
 have turned halfway through the step, so that v_com = R(a)^T R^T v_com,W.
@@ -36,7 +36,7 @@ def calc_displacement_maps(xi, dt, inertial, a, cx, cy, maps):
         dt: s.
         inertial: the regime.
         a: angle of the frame of the twist, rad.
-        cx, cy: centre of mass, body frame, m; zero in the quasi-static regime.
+        cx, cy: center of mass, body frame, m; zero in the quasi-static regime.
         maps: `PoseMaps` out.
 
     Returns:

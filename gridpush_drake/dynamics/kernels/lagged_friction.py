@@ -65,9 +65,9 @@ def fill_lagged_directions(px, py, cx, cy, velocity, push, cell_size, dx, dy):
     """Fills in the unit directions of the cells' current velocities or, at rest, of the motion the force would start.
 
     Args:
-        px, py: (n,) cell centres, m.
-        cx, cy: centre of mass, m.
-        velocity: (3,) of the centre of mass, m/s, and yaw rate, rad/s, body frame.
+        px, py: (n,) cell centers, m.
+        cx, cy: center of mass, m.
+        velocity: (3,) of the center of mass, m/s, and yaw rate, rad/s, body frame.
         push: (3,) the same that the applied force alone would give from rest.
         cell_size: m.
         dx, dy: (n,) out; zero where neither exists.

@@ -29,9 +29,9 @@ _NEWTON_LIMIT = 15
 _ITERATION_LIMIT = 40
 _SLOW = 0.5  # a Newton step that leaves more of the residual than this is followed by a majorizing one
 _FINAL_RESIDUAL = 1e-8  # of the load: one more Newton step squares it
-_LARGEST_RESIDUAL = 1e-6  # of the load, for a step to count as solved
+_MAX_RESIDUAL = 1e-6  # of the load, for a step to count as solved
 _SHARPEN = 0.1  # of the tolerance, in a step of the continuation
-_LEAST_SHARPENING = 0.97
+_MIN_SHARPENING = 0.97
 
 
 class StepWork(NamedTuple):
@@ -101,7 +101,7 @@ def _newton(law, cells, touch, scales, eps, unknowns, work, limit):
         last = False
         if iteration > 0:
             residual = _residual(g, touch, scales, unknowns.lam)
-            rounding = residual < _LARGEST_RESIDUAL and residual > _SLOW * previous
+            rounding = residual < _MAX_RESIDUAL and residual > _SLOW * previous
             last = residual < _FINAL_RESIDUAL or rounding
             majorize = not (last or majorize) and residual > _SLOW * previous and can_majorize(law)
             previous = residual
@@ -116,7 +116,7 @@ def _newton(law, cells, touch, scales, eps, unknowns, work, limit):
         if not (worst < np.inf):
             return NOT_CONVERGED, iteration + 1
         if last:
-            status = CONVERGED if worst < _LARGEST_RESIDUAL else NOT_CONVERGED
+            status = CONVERGED if worst < _MAX_RESIDUAL else NOT_CONVERGED
             return status, iteration + 1
     return NOT_CONVERGED, limit
 
@@ -160,7 +160,7 @@ def solve_step(law, cells, touch, scales, eps, unknowns, work):
                 before[i], last[i] = last[i], xi[i]
             before_tolerance, last_tolerance = last_tolerance, tolerance
             factor = max(factor * factor, _SHARPEN)
-        elif last_tolerance < np.inf and factor < _LEAST_SHARPENING:
+        elif last_tolerance < np.inf and factor < _MIN_SHARPENING:
             factor = sqrt(factor)
         else:
             return status, iterations

@@ -1,7 +1,7 @@
 """The exact derivative of one converged step, by the implicit function theorem.
 
 Differentiating the step's equations F(xi, lam; z) = 0 at fixed modes gives K d(xi, lam) = -dF, with K as built in
-`contact_modes.build_contact_system`. The contact enters by the disc's centre twice: t at the beginning of the step
+`contact_modes.build_contact_system`. The contact enters by the disc's center twice: t at the beginning of the step
 gives the gap, and t_m, where the disc is expected halfway through it, the contact's place and directions. In the body
 frame, with alpha = T·dt_m,
 
@@ -31,7 +31,7 @@ class StepDerivative(NamedTuple):
 
     Attributes:
         F: workspace (7, 7).
-        Y: (3, 3) d xi / d(-F_1): response to a generalised force.
+        Y: (3, 3) d xi / d(-F_1): response to a generalized force.
         D: (3, 7) d xi / d(t, t_m, v_p, mu_c).
         E: (3, 8) d xi / d(t, v_p, (u, w), mu_c) at the beginning of the step.
     """

@@ -1,4 +1,4 @@
-"""Clarabel, an interior point solver of cone programmes, with the settings of the reference forms."""
+"""Clarabel, an interior point solver of cone programs, with the settings of the reference forms."""
 
 import clarabel
 import numpy as np

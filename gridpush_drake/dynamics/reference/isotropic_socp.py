@@ -1,4 +1,4 @@
-"""The step with isotropic Coulomb friction as a second-order cone programme: the kernel's slow, independent reference.
+"""The step with isotropic Coulomb friction as a second-order cone program: the kernel's slow, independent reference.
 
 Clarabel's solution is good to 1e-7; Newton's method then takes it to round-off, on the subspace in which the norms that
 vanish (what sticks) stay zero.
@@ -14,17 +14,17 @@ from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM, SPIN_MODELS
 from gridpush_drake.dynamics.reference.conic import solve_conic
 from gridpush_drake.dynamics.reference.maximal_lcp import STANDARD_GRAVITY, twist_to_cells
 from gridpush_drake.errors import SimulationError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 
 ZERO_NORMS = (1e-9, 1e-7, 1e-5)
-"""Relative sizes of |A_i u| in the cone programme's solution that are taken for zero, tried in turn."""
+"""Relative sizes of |A_i u| in the cone program's solution that are taken for zero, tried in turn."""
 
 SUBSPACE_TOLERANCE = 1e-10
 """Relative singular value below which the subspace of vanishing norms ignores a direction."""
 
 POLISH_DISTANCE = 1e-4
-"""Greatest correction that Newton's method may make to the cone programme's solution."""
+"""Greatest correction that Newton's method may make to the cone program's solution."""
 
 MAX_NEWTON_STEPS = 30
 
@@ -42,7 +42,7 @@ def solve_isotropic_socp(
     g: float = STANDARD_GRAVITY,
     spin: str = "separate",
 ) -> NDArray[np.float64]:
-    """Takes one implicit step with isotropic Coulomb friction, as a second-order cone programme.
+    """Takes one implicit step with isotropic Coulomb friction, as a second-order cone program.
 
         min 1/2 |nu' - nu|²_M_B - dt W·nu' + sum_i b_i |v_i(nu')| + sum_i beta_i |w'|             "separate"
         min 1/2 |nu' - nu|²_M_B - dt W·nu' + sum_i b_i sqrt(|v_i(nu')|² + (c s w')²)               "coupled"
@@ -83,12 +83,12 @@ def solve_isotropic_socp(
     cones = list(b[:, None, None] * scale[:, None] * rows)
     if spin == "separate":
         cones.append(SPIN_ARM * s * b.sum() * rows[0, :1])
-    u = _minimise_norms(u_free / speed, [cone for cone in cones if np.abs(cone).max() > 0])
+    u = _minimize_norms(u_free / speed, [cone for cone in cones if np.abs(cone).max() > 0])
     return np.linalg.solve(L.T, speed * u)
 
 
-def _minimise_norms(u_free: NDArray[np.float64], cones: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Minimises |u - u_free|²/2 + sum_i |A_i u| over u (3,), as  sum t_i  with  (t_i, A_i u) in second-order cones."""
+def _minimize_norms(u_free: NDArray[np.float64], cones: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Minimizes |u - u_free|²/2 + sum_i |A_i u| over u (3,), as  sum t_i  with  (t_i, A_i u) in second-order cones."""
     k = len(cones)
     P = diags_array(np.concatenate([np.ones(3), np.zeros(k)]))
     A = np.zeros((sum(1 + len(A_i) for A_i in cones), 3 + k))
@@ -103,7 +103,7 @@ def _minimise_norms(u_free: NDArray[np.float64], cones: list[NDArray[np.float64]
         u = _polish(u_free, cones, x[:3], zero)
         if u is not None and np.abs(u - x[:3]).max() < POLISH_DISTANCE:
             return u
-    raise SimulationError(f"the cone programme of {k} norms was not solved to the accuracy promised")
+    raise SimulationError(f"the cone program of {k} norms was not solved to the accuracy promised")
 
 
 def _polish(

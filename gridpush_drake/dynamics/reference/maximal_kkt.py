@@ -33,7 +33,7 @@ NEAR_ROUND_OFF = 1e3
 
 
 @dataclass(frozen=True, eq=False)
-class NormalisedLcp:
+class NormalizedLcp:
     """The LCP without units (see the module's docstring).
 
     Attributes:
@@ -90,7 +90,7 @@ class KktResiduals:
         return max(getattr(self, field.name) for field in fields(self))
 
 
-def normalise(lcp: MaximalLcp) -> NormalisedLcp:
+def normalize(lcp: MaximalLcp) -> NormalizedLcp:
     """Takes the units out of the LCP.
 
     Args:
@@ -108,7 +108,7 @@ def normalise(lcp: MaximalLcp) -> NormalisedLcp:
     h, lam_0 = project(C, (lcp.M * lcp.xdot + lcp.dt * lcp.F) / root_mass)
     e = np.abs(h).max() or 1.0
     G = csr_array(diags_array(lcp.bound[rows] / e) @ lcp.J_f[rows] @ per_root_mass)
-    return NormalisedLcp(root_mass, e, rows, h / e, lam_0 / e, C, norm, G)
+    return NormalizedLcp(root_mass, e, rows, h / e, lam_0 / e, C, norm, G)
 
 
 def project(
@@ -117,7 +117,7 @@ def project(
     """Solves y + C^T lam = r, C y = 0: y is r projected onto the null space of C.
 
     The proximal method of multipliers, [[1, C^T], [C, -delta]] [dy; dlam] = residual, repeated down to round-off:
-    one sparse factorisation that does not mind redundant rows. Where those leave lam open the result stays
+    one sparse factorization that does not mind redundant rows. Where those leave lam open the result stays
     next to the lam that it started from.
 
     Args:

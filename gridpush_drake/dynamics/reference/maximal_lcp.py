@@ -22,8 +22,8 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
 from gridpush_drake.dynamics.kernels.lagged_friction import IMPENDING_AT_REST, SPEED_AT_REST, YAW_RATE_AT_REST
 from gridpush_drake.errors import SimulationError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 
 STANDARD_GRAVITY = 9.81
 """m/s²."""
@@ -172,7 +172,7 @@ def _friction_directions(
     A cell at rest takes the impending motion's, and that is the rigid body's, T dt M_B^-1 T^T F, and not the
     cell's own dt F_i/m_i: the cells cannot part, so the cell that is pushed sets all of them in motion, and with
     its own direction a cell that nobody pushes would carry no friction at all. Where that is zero too (no force,
-    or the cell is the instantaneous centre) nothing is known of the direction and the row is zero: no friction.
+    or the cell is the instantaneous center) nothing is known of the direction and the row is zero: no friction.
     """
     n = len(M) // 3
     M_B = T.T @ (M[:, None] * T)

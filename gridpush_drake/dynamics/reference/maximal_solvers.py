@@ -19,9 +19,9 @@ from gridpush_drake.dynamics.reference.conic import solve_conic
 from gridpush_drake.dynamics.reference.isotropic_socp import solve_isotropic_socp
 from gridpush_drake.dynamics.reference.maximal_kkt import (
     KktResiduals,
-    NormalisedLcp,
+    NormalizedLcp,
     calc_residuals,
-    normalise,
+    normalize,
     project,
 )
 from gridpush_drake.dynamics.reference.maximal_lcp import MaximalLcp
@@ -74,7 +74,7 @@ def solve_as_lcp(lcp: MaximalLcp, lcp_solver: LcpSolver) -> LcpSolution:
     Returns:
         The solution; as good as `lcp_solver` is, see its residuals.
     """
-    unit = normalise(lcp)
+    unit = normalize(lcp)
     k = len(unit.rows)
     G = unit.G.toarray()
     P_GT, _ = project(unit.C, G.T)
@@ -103,7 +103,7 @@ def solve_as_qp(lcp: MaximalLcp) -> LcpSolution:
     Raises:
         SimulationError: the interior point method failed, or no active set has the right signs.
     """
-    unit = normalise(lcp)
+    unit = normalize(lcp)
     y, lam, s, slack = _interior_point(unit)
     fastest = np.abs(unit.G @ unit.h).max(initial=0.0) or 1.0
     state = np.where(s < (unit.G @ y + slack) / fastest, REVERSE, np.where(1 - s < slack / fastest, SLIDE, STICK))
@@ -128,7 +128,7 @@ def solve_as_qp(lcp: MaximalLcp) -> LcpSolution:
 
 def _restore(
     lcp: MaximalLcp,
-    unit: NormalisedLcp,
+    unit: NormalizedLcp,
     y: NDArray[np.float64],
     lam: NDArray[np.float64],
     s: NDArray[np.float64],
@@ -144,7 +144,7 @@ def _restore(
 
 
 def _interior_point(
-    unit: NormalisedLcp,
+    unit: NormalizedLcp,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Solves for y, lam, s, t:  min 1/2 |y|² - h·y + sum t  s.t.  C y = 0 (lam), t >= 0 (1 - s), t + G y >= 0 (s)."""
     k, N = unit.G.shape
@@ -161,7 +161,7 @@ def _interior_point(
 
 
 def _solve_active_set(
-    unit: NormalisedLcp, state: NDArray[np.int64], lam: NDArray[np.float64], s: NDArray[np.float64]
+    unit: NormalizedLcp, state: NDArray[np.int64], lam: NDArray[np.float64], s: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Solves for y, lam and s with s = 1 where rows slide, 0 where they are reversed, G y = 0 where they stick."""
     sticks = state == STICK

@@ -30,8 +30,8 @@ from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
 from gridpush_drake.dynamics.kernels.lagged_friction import SPEED_AT_REST, YAW_RATE_AT_REST
 from gridpush_drake.dynamics.reference.maximal_lcp import STANDARD_GRAVITY, MaximalLcp, twist_to_cells
 from gridpush_drake.dynamics.reference.maximal_solvers import LcpSolution
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 
 AT_BOUND = 1e-9
 """Share of the bound within which a friction impulse counts as zero or as at its bound."""

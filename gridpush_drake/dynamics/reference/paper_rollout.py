@@ -26,8 +26,8 @@ from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
 from gridpush_drake.dynamics.kernels.inputs import Steps
 from gridpush_drake.dynamics.kernels.lagged_friction import SPEED_AT_REST, YAW_RATE_AT_REST
 from gridpush_drake.dynamics.motion import Jacobian
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 
 Array = NDArray[np.float64]
 
@@ -90,9 +90,9 @@ def fill_paper_gradient(
     """Fills in the derivatives of R steps.
 
     Args:
-        cells: (2, n) cell centres p_BC, m.
+        cells: (2, n) cell centers p_BC, m.
         mass, friction: (n,) m_i, kg, and mu_i.
-        inertia: of a cell about its centre over its mass, m².
+        inertia: of a cell about its center over its mass, m².
         kappa2, spin_arm: the spin model: kappa² (m²) of the coupled one, c s (m) of the separate one; else zero.
         before, after: (R, 3) twists, in the frames of the steps.
         impulse: (R,) g dt, N s/kg.
@@ -138,9 +138,9 @@ def _twists_before(
 ) -> tuple[Array, Array]:
     """(R, 3) the twists before the steps t, in their frames, and (R,) the frames' angles in W, rad.
 
-    The frame is the body's, turned about its centre of mass for the time `until` (s) at the yaw rate before the step.
+    The frame is the body's, turned about its center of mass for the time `until` (s) at the yaw rate before the step.
     """
-    cx, cy = params.centre_of_mass(obj)
+    cx, cy = params.center_of_mass(obj)
     theta, w = steps.poses[t, 2], steps.velocities[t, 2]
     turn = theta + until * w
     c, s = np.cos(theta), np.sin(theta)
@@ -151,7 +151,7 @@ def _twists_before(
 
 def _calc_inertia(obj: GridObject, params: CellParameters) -> Array:
     """M_B (3, 3) about B's origin, body frame: kg, kg m, kg m²."""
-    m, (cx, cy) = params.total_mass, params.centre_of_mass(obj)
+    m, (cx, cy) = params.total_mass, params.center_of_mass(obj)
     about_origin = params.inertia(obj) + m * (cx**2 + cy**2)
     return np.array([[m, 0.0, -m * cy], [0.0, m, m * cx], [-m * cy, m * cx, about_origin]])
 

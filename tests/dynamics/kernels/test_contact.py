@@ -19,7 +19,7 @@ from gridpush_drake.dynamics.kernels.contact import (
     find_contacts,
     look_ahead,
 )
-from gridpush_drake.grid.outline import OutlineEdges
+from gridpush_drake.geometry.outline import OutlineEdges
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.random_objects import make_random_object
 from tests.helpers.shapes import SHAPES, rectangle, regular_polygon
@@ -30,9 +30,9 @@ def kernel_edges(outline):
     return Edges(*edges.start.T.copy(), *edges.end.T.copy(), np.array(edges.previous))
 
 
-def find(outline, centre, radius=0.005, reach=0.01):
+def find(outline, center, radius=0.005, reach=0.01):
     contacts = np.zeros((2, COLUMNS))
-    count = find_contacts(kernel_edges(outline), float(centre[0]), float(centre[1]), radius, reach, contacts)
+    count = find_contacts(kernel_edges(outline), float(center[0]), float(center[1]), radius, reach, contacts)
     return contacts[:count]
 
 
@@ -53,11 +53,11 @@ def test_nearest_contact_is_shapely_s(seed):
     outline, rng, checked = make_random_outline(seed), np.random.default_rng(seed + 100), 0
     boundary = outline.boundary
     low, high = np.array(outline.bounds).reshape(2, 2) + [[-0.02], [0.02]]
-    for centre in rng.uniform(low, high, (300, 2)):
-        point, radius, reach = Point(centre), rng.uniform(0.001, 0.02), 0.01
+    for center in rng.uniform(low, high, (300, 2)):
+        point, radius, reach = Point(center), rng.uniform(0.001, 0.02), 0.01
         distance = boundary.distance(point)
         inside = outline.contains(point)
-        contacts = find(outline, centre, radius, reach)
+        contacts = find(outline, center, radius, reach)
         if inside:
             assert len(contacts) == 1
             assert contacts[0, GAP] == pytest.approx(-distance - radius, abs=1e-12) or nearest_is_reflex(outline, point)
@@ -74,8 +74,8 @@ def test_nearest_contact_is_shapely_s(seed):
             assert np.linalg.norm(normal) == pytest.approx(1.0)
             np.testing.assert_array_equal(row[[GX, GY]], normal)
             assert boundary.distance(Point(p)) < 1e-12
-            signed = (p - centre) @ normal
-            np.testing.assert_allclose(p, centre + signed * normal, atol=1e-12)
+            signed = (p - center) @ normal
+            np.testing.assert_allclose(p, center + signed * normal, atol=1e-12)
             assert row[GAP] == pytest.approx(signed - radius, abs=1e-12)
             assert row[BEND] == pytest.approx(1 / signed if is_vertex(outline, p) else 0.0, rel=1e-6)
         checked += 1
@@ -172,8 +172,8 @@ def test_derivatives_of_a_contact():
     rng, kinds = np.random.default_rng(0), set()
     for s in rng.uniform(0, outline.exterior.length, 60):
         point, _, outward = OutlineEdges.from_polygon(outline).at(s)
-        centre = point + 0.006 * outward + rng.normal(size=2) * 0.003
-        contacts = find(outline, centre)
+        center = point + 0.006 * outward + rng.normal(size=2) * 0.003
+        contacts = find(outline, center)
         if not len(contacts):
             continue
         row = contacts[0]
@@ -181,7 +181,7 @@ def test_derivatives_of_a_contact():
         kinds.add(bool(bend))
         expected = np.vstack([-bend * np.outer(T, T), (bend == 0) * np.outer(T, T), -N])
         check_jacobian(
-            lambda x: find(outline, x)[0][[NX, NY, CX, CY, GAP]], centre, expected, step=1e-6, rtol=1e-6, atol=1e-7
+            lambda x: find(outline, x)[0][[NX, NY, CX, CY, GAP]], center, expected, step=1e-6, rtol=1e-6, atol=1e-7
         )
     assert kinds == {True, False}
 
@@ -190,7 +190,7 @@ def test_line_distance_matches_for_every_edge_alone():
     outline = make_random_outline(3)
     for start, end in zip(*(lambda e: (e.start, e.end))(OutlineEdges.from_polygon(outline)), strict=True):
         middle, direction = (start + end) / 2, (end - start) / np.linalg.norm(end - start)
-        centre = middle + 1e-4 * np.array([direction[1], -direction[0]])
-        assert find(outline, centre, 0.001)[0, GAP] == pytest.approx(
-            LineString([start, end]).distance(Point(centre)) - 0.001, abs=1e-12
+        center = middle + 1e-4 * np.array([direction[1], -direction[0]])
+        assert find(outline, center, 0.001)[0, GAP] == pytest.approx(
+            LineString([start, end]).distance(Point(center)) - 0.001, abs=1e-12
         )

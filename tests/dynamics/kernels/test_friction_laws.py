@@ -9,7 +9,7 @@ from gridpush_drake.dynamics.kernels.friction import LAWS
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.errors import SimulationError
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.random_objects import make_random_object
 from tests.helpers.shapes import make_shape

@@ -7,7 +7,7 @@ from gridpush_drake.dynamics.kernels.call import Method, run_kernel
 from gridpush_drake.dynamics.kernels.inputs import Load, Steps
 from gridpush_drake.dynamics.kernels.step_memory import MEMORY_SIZE, make_memory
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import make_shape
 
 DT = 0.01

@@ -71,7 +71,7 @@ def test_gliding_without_turning_takes_the_sense_of_the_impending_rotation():
 def test_directions_are_zero_where_nothing_defines_them():
     step = make_random_step(5, speed=0.0, force=0.0)
     assert step.make_lcp().J_f.nnz == 0
-    # a pure moment about the common centre of mass of one cell: it turns on the spot
+    # a pure moment about the common center of mass of one cell: it turns on the spot
     obj = make_random_object(np.random.default_rng(0), 1)
     params = make_random_step(5, n=1).params
     lcp = make_maximal_lcp(obj, params, np.zeros(3), np.zeros(3), np.array([1.0, 0, 0]), DT)

@@ -9,8 +9,8 @@ from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
 from gridpush_drake.dynamics.reference.maximal_lcp import make_maximal_lcp
 from gridpush_drake.dynamics.reference.maximal_solvers import solve_as_lcp, solve_as_qp, solve_isotropic_socp
 from gridpush_drake.errors import SimulationError
-from gridpush_drake.grid.object import GridObject
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_pushes import DT, make_random_step
 
 CASES = {
@@ -119,7 +119,7 @@ def test_velocities_decay_by_mu_g_dt():
 
 
 def calc_step_energy(step, nu, spin):
-    """The convex function that the isotropic step minimises, written out cell by cell."""
+    """The convex function that the isotropic step minimizes, written out cell by cell."""
     obj, params = step.obj, step.params
     s, m, arm = obj.cell_size, params.mass, SPIN_ARM * obj.cell_size
     r = obj.cells_at(step.q) - step.q[:2]
@@ -139,7 +139,7 @@ def calc_step_energy(step, nu, spin):
 
 @pytest.mark.parametrize("spin", ["separate", "coupled", "none"])
 @pytest.mark.parametrize("case", CASES)
-def test_no_neighbour_of_the_isotropic_step_has_less_energy(case, spin):
+def test_no_neighbor_of_the_isotropic_step_has_less_energy(case, spin):
     rng = np.random.default_rng(0)
     for seed in range(6):
         step = make_random_step(seed, **CASES[case])
@@ -173,7 +173,7 @@ def test_the_isotropic_step_balances_momentum(spin):
 
 
 def test_where_the_directions_keep_the_isotropic_step_is_the_lagged_one():
-    """In pure translation no direction changes, so the paper's linearisation is exact."""
+    """In pure translation no direction changes, so the paper's linearization is exact."""
     step = make_random_step(9)
     obj = step.obj
     params = CellParameters(step.params.mass, np.full(obj.n, 0.3))

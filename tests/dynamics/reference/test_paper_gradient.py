@@ -8,7 +8,7 @@ from gridpush_drake.dynamics.reference.paper_gradient import (
     calc_paper_step_jacobian,
     calc_x11,
 )
-from gridpush_drake.grid.parameters import CellParameters
+from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.finite_difference import calc_finite_difference, check_jacobian
 from tests.helpers.random_pushes import DT, make_random_step
 

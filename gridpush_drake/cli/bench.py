@@ -1,0 +1,304 @@
+"""`gridpush bench`: the measurements, as tables."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from gridpush_drake.cli import options
+from gridpush_drake.cli.console import print_json, print_notice, print_table, to_json, work_progress
+
+if TYPE_CHECKING:
+    from gridpush_drake.bench.table import Table
+    from gridpush_drake.bench.workers import Execution
+
+app = typer.Typer(no_args_is_help=True, help="Measure speed and accuracy, on the objects that ship with the package.")
+
+Masks = Annotated[
+    Path | None,
+    typer.Option(
+        "--data", metavar="DIR", help="The paper's objects too: a clone of GitHub changkyu/rss2020_changkyu, or another"
+        " folder of masks, NAME_label.pgm.",
+    ),
+]  # fmt: skip
+Logs = Annotated[
+    Path | None,
+    typer.Option(
+        "--data", metavar="DIR", help="Real pushes: a clone of GitHub robinzhoucmu/MLab_EXP or"
+        " robinzhoucmu/PlanarManipulationToolBox, or a folder of such logs. Without, simulated pushes stand in.",
+    ),
+]  # fmt: skip
+Quick = Annotated[bool, typer.Option("--quick", help="Fewer runs: to see that it works.")]
+Objects = Annotated[
+    list[str] | None,
+    typer.Option(metavar="NAME", help="An object; may be repeated.", show_default="all of the bench's"),
+]
+Workers = Annotated[int, typer.Option(min=1, help="Processes.")]
+KeptIn = Annotated[
+    Path | None,
+    typer.Option(
+        "--results", metavar="FILE.jsonl", help="Where each finished job's result is kept. A job that is found there is"
+        " not run again; a file of other settings is refused, and --force begins it anew.",
+        show_default="in gridpush_bench, a file for each choice of settings and version of the program",
+    ),
+]  # fmt: skip
+Out = Annotated[
+    Path | None, typer.Option("--out", "-o", metavar="FILE", help="Also write the tables: .md, or .json for JSON.")
+]
+WORKERS = 2
+"""Processes by default."""
+
+
+@app.command("speed")
+def speed(
+    data: Masks = None,
+    repetitions: Annotated[int, typer.Option(min=3, help="Runs of each simulation.")] = 50,
+    mujoco: Annotated[bool, typer.Option(help="Run MuJoCo beside, where it is installed.")] = True,
+    out: Out = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Time a simulated push, its gradient, MuJoCo beside, the cost against the number of cells, and start-up."""
+    from gridpush_drake.bench.speed import load_hammer, run
+    from gridpush_drake.cli.options import compile_kernels
+
+    _check((out,), force)
+    obj = load_hammer(data)
+    compile_kernels()
+    with work_progress("timing") as report:
+        tables = run(obj, repetitions=repetitions, with_mujoco=mujoco, report=report)
+    _show(tables, out, force, json)
+
+
+@app.command("paper")
+def paper(
+    data: Masks = None,
+    quick: Quick = False,
+    objects: Objects = None,
+    sets: Annotated[int, typer.Option(min=1, help="Mass sets of each object.")] = 10,
+    methods: Annotated[
+        list[str] | None,
+        typer.Option("--method", metavar="NAME", help="A method; may be repeated.", show_default="all"),
+    ] = None,
+    budget: Annotated[int, typer.Option(min=1, help="Most simulated pushes of an identification.")] = 1500,
+    seed: options.Seed = 0,
+    figure: Annotated[
+        Path | None, typer.Option(metavar="FIGURE.png", help="Also draw the error against the number of simulations.")
+    ] = None,
+    workers: Workers = WORKERS,
+    results: KeptIn = None,
+    out: Out = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Repeat the paper's simulated identification, every method beside the others."""
+    from gridpush_drake.bench.paper import run
+    from gridpush_drake.identification.identify import METHODS
+
+    _check((out, figure), force)
+    settings = {
+        "data": _resolve(data), "quick": quick, "objects": objects, "sets": sets, "methods": methods, "budget": budget,
+        "seed": seed, "figure": figure is not None,
+    }  # fmt: skip
+    with _conduct("paper", settings, results, workers, force) as execution:
+        tables = run(
+            data, sets, objects, methods or METHODS, budget, seed, execution, quick=quick, figure=figure, force=force
+        )
+    _show(tables, out, force, json)
+
+
+@app.command("real")
+def real(
+    data: Logs = None,
+    quick: Quick = False,
+    objects: Objects = None,
+    splits: Annotated[int, typer.Option(min=1, help="Divisions of a log into pushes to learn from and others.")] = 10,
+    seed: options.Seed = 0,
+    figure: Annotated[
+        Path | None, typer.Option(metavar="FIGURE.png", help="Also draw the error against the number of pushes.")
+    ] = None,
+    workers: Workers = WORKERS,
+    results: KeptIn = None,
+    out: Out = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Learn from real robots' pushes (--data), or simulated ones in their place, and predict others of them."""
+    from gridpush_drake.bench.real import run
+
+    _check((out, figure), force)
+    settings = {"data": _resolve(data), "quick": quick, "objects": objects, "splits": splits, "seed": seed}
+    with _conduct("real", settings, results, workers, force) as execution:
+        tables = run(
+            data,
+            objects=objects,
+            splits=splits,
+            seed=seed,
+            quick=quick,
+            figure=figure,
+            force=force,
+            execution=execution,
+        )
+    _show(tables, out, force, json)
+
+
+@app.command("planning")
+def planning(
+    data: Masks = None,
+    quick: Quick = False,
+    objects: Objects = None,
+    sets: Annotated[int, typer.Option(min=1, help="Parameter and mass sets of each object.")] = 10,
+    part: Annotated[Literal["all", "contact", "push"], typer.Option(help="Which to measure.")] = "all",
+    seed: options.Seed = 0,
+    workers: Workers = WORKERS,
+    results: KeptIn = None,
+    out: Out = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Choose contact points, and push objects to goal poses on the paper's round table."""
+    from gridpush_drake.bench.planning import PARTS, run
+
+    _check((out,), force)
+    settings = {
+        "data": _resolve(data), "quick": quick, "objects": objects, "sets": sets, "part": part, "seed": seed
+    }  # fmt: skip
+    parts = PARTS if part == "all" else (part,)
+    with _conduct("planning", settings, results, workers, force) as execution:
+        tables = run(data, sets, objects, parts=parts, seed=seed, execution=execution, quick=quick)
+    _show(tables, out, force, json)
+
+
+@app.command("pregrasp")
+def pregrasp(
+    data: Masks = None,
+    quick: Quick = False,
+    objects: Objects = None,
+    mass_sets: Annotated[int | None, typer.Option(min=1, help="Hidden sets of masses and frictions an object.")] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, help="Tables, starts and noises a set.")] = None,
+    depth: Annotated[float, typer.Option(help="Of the gripper's fingers: what must hang over, m.")] = 0.03,
+    experiment: Annotated[
+        Literal["all", "sliding", "exploring"], typer.Option(help="Which of the two to measure.")
+    ] = "all",
+    seed: options.Seed = 0,
+    workers: Workers = WORKERS,
+    results: KeptIn = None,
+    out: Out = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Slide objects of hidden masses to the table's edge, and compare pokes by design with random ones."""
+    from gridpush_drake.bench.pregrasp import MASS_SETS, SEEDS, run
+
+    _check((out,), force)
+    settings = {
+        "data": _resolve(data), "quick": quick, "objects": objects, "mass_sets": mass_sets, "seeds": seeds,
+        "depth": depth, "experiment": experiment, "seed": seed,
+    }  # fmt: skip
+    with _conduct("pregrasp", settings, results, workers, force) as execution:
+        tables = run(
+            objects, mass_sets or MASS_SETS, seeds or SEEDS, seed=seed, execution=execution, depth=depth,
+            experiment=experiment, quick=quick, data=data,
+        )  # fmt: skip
+    _show(tables, out, force, json)
+
+
+@app.command("grasp")
+def grasp(
+    quick: Quick = False,
+    objects: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="A shipped object; may be repeated. By default three.")
+    ] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, help="Hidden truths and noises an object.")] = None,
+    seed: options.Seed = 0,
+    workers: Workers = WORKERS,
+    results: KeptIn = None,
+    out: Out = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Let the whole station poke objects, slide them to the table's edge, grasp and lift them."""
+    from gridpush_drake.bench.grasp import OBJECTS, SEEDS, run
+
+    _check((out,), force)
+    chosen = range(seed, seed + (seeds or len(SEEDS)))
+    settings = {"quick": quick, "objects": objects, "seeds": seeds, "seed": seed}
+    with _conduct("grasp", settings, results, workers, force) as execution:
+        tables = run(objects or OBJECTS, chosen, quick=quick, execution=execution)
+    _show(tables, out, force, json)
+
+
+@app.command("drake")
+def drake(
+    quick: Quick = False,
+    seed: options.Seed = 0,
+    workers: Workers = WORKERS,
+    results: KeptIn = None,
+    out: Out = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Set Drake's plant beside the grid LCP, time the LCP system, and let the whole station learn."""
+    from gridpush_drake.bench import lcp_system, plant, station
+    from gridpush_drake.cli.options import compile_kernels
+
+    _check((out,), force)
+    with _conduct("drake", {"quick": quick, "seed": seed}, results, workers, force) as execution:
+        compile_kernels()
+        tables = lcp_system.run(report=execution.report)
+        if quick:
+            tables += plant.run(plant.OBJECTS[:1], 2, seed=seed, execution=execution)
+            tables += station.run(station.OBJECTS[:1], (seed,), execution)
+        else:
+            tables += plant.run(seed=seed, execution=execution)
+            tables += station.run(seeds=[seed + s for s in station.SEEDS], execution=execution)
+    _show(tables, out, force, json)
+
+
+@contextmanager
+def _conduct(
+    bench: str, settings: dict[str, Any], path: Path | None, workers: int, force: bool
+) -> "Iterator[Execution]":
+    """How a bench's jobs are run: their results are kept, and what is done is shown."""
+    from gridpush_drake.bench.results import open_results
+    from gridpush_drake.bench.workers import Execution
+    from gridpush_drake.cli.options import compile_kernels
+
+    results = open_results(path, bench, settings, force)
+    known = f", {len(results.lines)} of them from before" if results.lines else ""
+
+    def prepare() -> None:
+        print_notice(f"{bench}: results are kept in {results.path}{known}")
+        compile_kernels()
+
+    with work_progress(bench) as report:
+        yield Execution(workers, report, results, prepare)
+
+
+def _resolve(path: Path | None) -> Path | None:
+    return None if path is None else path.resolve()
+
+
+def _check(paths: "Sequence[Path | None]", force: bool) -> None:
+    from gridpush_drake.files import check_writable
+
+    for path in paths:
+        if path is not None:
+            check_writable(path, force)
+
+
+def _show(tables: "Sequence[Table]", out: Path | None, force: bool, json: bool) -> None:
+    """Prints the tables, and writes them where asked."""
+    from gridpush_drake.files import write_whole
+
+    document = {"tables": [table.to_dict() for table in tables]}
+    if out is not None:
+        markdown = "\n".join(table.to_markdown() for table in tables)
+        write_whole(out, to_json(document) if out.suffix == ".json" else markdown, force)
+    if json:
+        print_json(document)
+        return
+    for table in tables:
+        print_table(table)

@@ -1,0 +1,118 @@
+"""`gridpush demo`: a robot and an object it knows nothing about: poked, learned, slid to the edge, grasped, lifted."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gridpush_drake.cli import options
+from gridpush_drake.cli.console import print_json, print_notice
+
+if TYPE_CHECKING:
+    from gridpush_drake.cli.demo_task import DemoTask
+    from gridpush_drake.station.scenario import PushScenario
+
+EXIT_NOT_DONE = 1
+"""Where everything went as it should but the robot did not get there."""
+
+EXIT_INTERRUPTED = 130
+
+
+class TaskName(StrEnum):
+    """What the robot is to do."""
+
+    identify = "identify"
+    push = "push"
+    pregrasp = "pregrasp"
+
+
+def demo(
+    task: Annotated[
+        TaskName,
+        typer.Option(
+            help="identify: poke an object and learn it; push: push it to a goal, learning on the way; pregrasp: poke "
+            "it, learn it, slide it to the table's edge and lift it there."
+        ),
+    ] = TaskName.pregrasp,
+    object_file: Annotated[
+        str | None,
+        typer.Option("--object", metavar="NAME|FILE", help="A shipped object's name, or an object file."),
+    ] = None,
+    scenario_file: Annotated[
+        Path | None,
+        typer.Option("--scenario", metavar="FILE", help="What stands where, as YAML; see models/scenarios."),
+    ] = None,
+    pushes: Annotated[
+        int | None, typer.Option(min=1, help="How many pushes to learn from (--task identify).  [default: 8]")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of everything random.  [default: the scenario's]")] = None,
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for what the demo writes.")] = Path(
+        "gridpush_demo"
+    ),
+    open_browser: Annotated[
+        bool, typer.Option("--open", help="Watch it in the browser, and open the report at the end.")
+    ] = False,
+    realtime_rate: Annotated[
+        float, typer.Option(min=0, metavar="R", help="Simulated seconds a second, at most; 0: as fast as it goes.")
+    ] = 0.0,
+    port: Annotated[
+        int | None, typer.Option(metavar="N", help="For Meshcat to listen on.  [default: the first free one from 7000]")
+    ] = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Let a simulated iiwa deal with an object whose weights are hidden from it; write a report and a recording.
+
+    Exit code 1 where the robot did not get there.
+    """
+    from gridpush_drake.cli.demo_task import load_task
+    from gridpush_drake.cli.options import compile_kernels
+    from gridpush_drake.files import check_writable, make_folder
+    from gridpush_drake.multibody.meshcat_server import StartMeshcatServer
+    from gridpush_drake.station.scenario_file import check_scenario
+
+    if pushes is not None and task is not TaskName.identify:
+        raise options.OptionError(f"--pushes: is for --task identify; {task} decides itself how many to make")
+    chosen = load_task(task)
+    scenario = _make_scenario(chosen, scenario_file, object_file, pushes, seed)
+    check_scenario(scenario)
+    make_folder(out)
+    for name in chosen.files:
+        check_writable(out / name, force)
+    meshcat = StartMeshcatServer(port)
+    compile_kernels()
+    print_notice(f"Watch it at {meshcat.web_url()}")
+    if open_browser:
+        typer.launch(meshcat.web_url())
+    record = chosen.run(scenario, meshcat, realtime_rate)
+    print_notice(f"Writing to {out} ...")
+    written = chosen.write(out, scenario, record, meshcat, force)
+    verdict = chosen.judge(record)
+    if json:
+        print_json({**verdict, "written": [str(path) for path in written]})
+    else:
+        chosen.tell(verdict, written)
+    report = out / chosen.files[0]
+    if open_browser and report in written:
+        typer.launch(str(report.resolve()))
+    if verdict["status"] == "interrupted":
+        raise typer.Exit(EXIT_INTERRUPTED)
+    if not verdict.get("done", True):
+        raise typer.Exit(EXIT_NOT_DONE)
+
+
+def _make_scenario(
+    task: "DemoTask", scenario_file: Path | None, object_file: str | None, pushes: int | None, seed: int | None
+) -> "PushScenario":
+    """The scenario of a file, or the task's own one, with what the command line says instead."""
+    from gridpush_drake.station.scenario_file import read_scenario
+
+    scenario = read_scenario(scenario_file) if scenario_file else task.make_scenario()
+    if object_file is not None:
+        scenario.object = object_file
+    if pushes is not None:
+        scenario.pokes.count = pushes
+    if seed is not None:
+        scenario.seed = seed
+    return scenario

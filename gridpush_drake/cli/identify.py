@@ -1,0 +1,128 @@
+"""`gridpush identify`: learn a model from observed pushes."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from gridpush_drake.cli import options
+from gridpush_drake.cli.console import MM, print_json, print_line, search_progress
+from gridpush_drake.cli.options import describe_overhanging
+
+if TYPE_CHECKING:
+    from gridpush_drake.identification.result import Identification
+    from gridpush_drake.pushes.push_log import PushLog
+
+Method = Literal[
+    "default", "paper", "random_search", "weighted_sampling", "finite_difference", "cma_es", "nelder_mead"
+]  # fmt: skip
+
+
+def identify(
+    object_file: Annotated[
+        str,
+        typer.Argument(
+            metavar="OBJECT.yaml", help="The object's file, or a shipped object's name.", show_default=False
+        ),
+    ],
+    pushes: options.PushesFile,
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="MODEL.yaml", help="The model to write.")],
+    report: Annotated[
+        Path | None, typer.Option(metavar="REPORT.html", help="Also write a report, one self-contained page.")
+    ] = None,
+    method: Annotated[Method, typer.Option(help="How to search; all but the first are for comparison.")] = "default",
+    seed: options.Seed = 0,
+    regime: options.Regime = "auto",
+    budget: Annotated[int | None, typer.Option(min=1, help="Most pushes to simulate.")] = None,
+    latest: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Learn from the latest N pushes only.  [default: all]")
+    ] = None,
+    largest_piece: options.LargestPiece = False,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Learn an object's friction and mass from pushes of it."""
+    from gridpush_drake.cli.options import compile_kernels, load_log, load_object
+    from gridpush_drake.errors import PushLogError
+    from gridpush_drake.files import check_writable, write_whole
+    from gridpush_drake.identification.identify import identify as search
+    from gridpush_drake.identification.model_file import write_model
+    from gridpush_drake.pushes.plausibility import explain_no_contact
+
+    for path in (out, report):
+        if path is not None:
+            check_writable(path, force)
+    obj = load_object(object_file, largest_piece)
+    full = load_log(pushes, obj)
+    log = full.supported[-latest:] if latest is not None else full.supported
+    compile_kernels()
+    with search_progress(f"identifying {obj.name}", budget) as progress:
+        result = search(obj, log, method=method, seed=seed, regime=regime, budget=budget, progress=progress)
+    if not result.push_names:
+        raise PushLogError(explain_no_contact(obj, log))
+    write_model(out, result, force)
+    if report is not None:
+        from gridpush_drake.report.page import make_report
+
+        write_whole(report, make_report(result, log), force)
+    found = {
+        **describe_result(result, log),
+        "overhanging_pushes": [seen.name for seen in full.overhanging],
+        "written": [str(path) for path in (out, report) if path],
+    }
+    if json:
+        print_json(found)
+    else:
+        print_result(result, found)
+
+
+def describe_result(result: "Identification", log: "PushLog") -> dict[str, Any]:
+    """What an identification found, for machines; lengths in m."""
+    from gridpush_drake.identification.prediction import calc_training_errors
+
+    before, after = calc_training_errors(result, log)
+    return {
+        "object": result.obj.name,
+        "cells": result.obj.n,
+        "method": result.method,
+        "regime": result.regime,
+        "status": result.status,
+        "message": result.message,
+        "seed": result.seed,
+        "simulations": result.simulations,
+        "training_pushes": result.push_names,
+        "unused_pushes": result.unused_pushes,
+        "mean_cell_error_before": before,
+        "mean_cell_error": after,
+        "contact_friction": result.params.contact_friction,
+        "contact_friction_std": result.std.contact_friction,
+        "center_of_friction": result.identifiability.center_of_friction,
+        "statements": result.identifiability.statements,
+    }
+
+
+def print_result(result: "Identification", found: dict[str, Any]) -> None:
+    """Prints what an identification found."""
+    center, spread = result.identifiability.center_of_friction, result.identifiability.center_of_friction_covariance
+    print_line(
+        f"{result.obj.name}: {result.obj.n} cells, {len(result.push_names)} pushes, {result.simulations} simulations"
+    )
+    print_line(result.message)
+    print_line(
+        f"cell error of these pushes: {found['mean_cell_error'] * MM:.2f} mm; "
+        f"{found['mean_cell_error_before'] * MM:.2f} mm with uniform friction"
+    )
+    x, y = (
+        f"{value * MM:.1f} ± {max(variance, 0.0) ** 0.5 * MM:.1f}"
+        for value, variance in zip(center, spread.diagonal(), strict=True)
+    )
+    print_line(f"center of friction: x {x} mm, y {y} mm, in the body frame")
+    print_line(f"contact friction: {result.params.contact_friction:.2f} ± {result.std.contact_friction:.2f}")
+    if result.unused_pushes:
+        print_line(f"left out, as the pusher never touched the object: {', '.join(result.unused_pushes)}")
+    if found["overhanging_pushes"]:
+        print_line(describe_overhanging(found["overhanging_pushes"]))
+    print_line("What these pushes say, and what they cannot:")
+    for statement in result.identifiability.statements:
+        print_line(f"  - {statement}")
+    print_line(f"\nWrote {' and '.join(found['written'])}.")

@@ -1,0 +1,227 @@
+"""Options that several commands share.
+
+The `--table` option: a rectangular, a round or a polygonal table.
+
+What the commands read: objects, models and push logs.
+
+The compiled kernels, made ready before work that is timed or shown.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Timer
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from gridpush_drake.cli.console import print_notice
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.files import exists
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from gridpush_drake.identification.result import Identification
+    from gridpush_drake.objects.grid_object import GridObject
+    from gridpush_drake.objects.parameters import CellParameters
+    from gridpush_drake.planning.support_surface import SupportSurface
+    from gridpush_drake.pushes.push_log import PushLog
+
+ObjectOrModel = Annotated[
+    str,
+    typer.Argument(
+        metavar="OBJECT_OR_MODEL",
+        help="An object file, a model that `gridpush identify` wrote, or the name of a shipped object.",
+        show_default=False,
+    ),
+]
+
+PushesFile = Annotated[
+    Path,
+    typer.Argument(
+        metavar="PUSHES.csv",
+        help="A push log: push,t,tip_x,tip_y,object_x,object_y,object_theta[,force_x,force_y][,overhang].",
+        show_default=False,
+    ),
+]
+
+Force = Annotated[bool, typer.Option("--force", help="Replace output files that exist.")]
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output, and nothing else.")]
+
+LargestPiece = Annotated[bool, typer.Option("--largest-piece", help="Of a mask in several pieces, keep the largest.")]
+
+Regime = Annotated[
+    Literal["auto", "quasi_static", "inertial"],
+    typer.Option(help="Slow pushes are quasi_static, fast ones inertial."),
+]
+
+Seed = Annotated[int, typer.Option(min=0, help="Of everything random.")]
+
+
+class OptionError(GridPushError):
+    """An option's value is not of its form."""
+
+
+def parse_numbers(option: str, text: str, names: str) -> tuple[float, ...]:
+    """Reads numbers separated by commas.
+
+    Args:
+        option: its name, for the message.
+        text: what was given.
+        names: the form, such as "x,y".
+
+    Returns:
+        As many finite numbers as `names` has.
+
+    Raises:
+        OptionError: the text is something else.
+    """
+    from math import isfinite
+
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != len(names.split(",")) or not all(map(isfinite, numbers)):
+        raise OptionError(
+            f"{option}: is {text!r}; expected {names}, such as {','.join(['0.1'] * len(names.split(',')))}"
+        )
+    return numbers
+
+
+FORMS = "rectangle:WxH@x,y, round:R@x,y or polygon:x,y;x,y;x,y (m)"
+
+Table = Annotated[str, typer.Option("--table", metavar="SHAPE", help=f"The table's top: {FORMS}.", show_default=False)]
+
+
+def parse_table(text: str) -> "SupportSurface":
+    """Reads a table.
+
+    Args:
+        text: `rectangle:0.8x0.6@0,0` (sides along x and y, then the center), `round:0.5@0.6,0` (radius, then the
+            center) or `polygon:0,0;1,0;0,1` (corners), m; a center left out is the world's origin.
+
+    Returns:
+        The table.
+
+    Raises:
+        OptionError: the text is of no such form.
+        PlanningError: a side or radius is not positive, or the polygon crosses itself.
+    """
+    from gridpush_drake.planning.support_surface import SupportSurface
+
+    kind, _, rest = text.partition(":")
+    size, _, center = rest.partition("@")
+    at = _read(text, center, ",", 2) if center else [0.0, 0.0]
+    if kind == "rectangle":
+        return SupportSurface.rectangle(at, _read(text, size, "x", 2))
+    if kind == "round":
+        return SupportSurface.round(at, _read(text, size, "x", 1)[0])
+    if kind == "polygon" and not center:
+        return SupportSurface.from_polygon([_read(text, corner, ",", 2) for corner in rest.split(";")])
+    raise OptionError(f"--table: is {text!r}; expected {FORMS}")
+
+
+def _read(whole: str, text: str, separator: str, count: int) -> list[float]:
+    try:
+        numbers = [float(part) for part in text.split(separator)]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count:
+        raise OptionError(f"--table: is {whole!r}; expected {FORMS}")
+    return numbers
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """What a command works on.
+
+    Attributes:
+        obj: the object.
+        params: what it is taken to weigh and rub: the model's, or uniform ones by the object's prior.
+        model: the model, where it is one.
+    """
+
+    obj: "GridObject"
+    params: "CellParameters"
+    model: "Identification | None" = None
+
+    def resolve_regime(self, regime: str, default: str) -> str:
+        """`regime`, or, where it is "auto", the model's, or else `default`."""
+        if regime != "auto":
+            return regime
+        return self.model.regime if self.model else default
+
+
+def load_object(name: str, largest_piece: bool = False) -> "GridObject":
+    """Reads an object by its file or by the name it is shipped under. Raises ObjectError where there is neither."""
+    from gridpush_drake.objects.grid_object import GridObject
+
+    return GridObject.from_yaml(object_path(name), largest_piece=largest_piece)
+
+
+def object_path(name: str) -> Path:
+    """The file of an object; a file goes before a shipped object of the same name."""
+    from gridpush_drake.objects.object_file import find_shipped_object
+
+    path = Path(name)
+    return path if exists(path) or path.suffix else find_shipped_object(name)
+
+
+def load_target(name: str, largest_piece: bool = False) -> Target:
+    """Reads an object or a model. Raises ObjectError or IdentificationError where it is neither."""
+    from gridpush_drake.identification.model_file import looks_like_model, read_model
+    from gridpush_drake.objects.parameters import CellParameters
+
+    if looks_like_model(name):
+        model = read_model(name)
+        return Target(model.obj, model.params, model)
+    obj = load_object(name, largest_piece)
+    return Target(obj, CellParameters.uniform(obj))
+
+
+def load_log(path: Path, obj: "GridObject", *, require_final: bool = True) -> "PushLog":
+    """Reads a push log, made with the pusher that the object's file names."""
+    from gridpush_drake.pushes.push_log import PushLog
+
+    log = PushLog.read_csv(path, require_final=require_final)
+    if log.radius_given or obj.prior.pusher_radius is None:
+        return log
+    return log.with_radius(obj.prior.pusher_radius)
+
+
+def describe_overhanging(names: "Sequence[str]") -> str:
+    """Says which pushes were left out, and why."""
+    count = f"{len(names)} push{'' if len(names) == 1 else 'es'}"
+    return f"left out {count}, as the object hung over the table's edge: {', '.join(names)}"
+
+
+NOTICE = "compiling kernels (once a machine) ..."
+
+NOTICE_AFTER = 1.5
+"""s of waiting, after which the notice is printed; loading kernels that are compiled already takes less."""
+
+SIDE, RADIUS, SPEED, DURATION = 0.02, 0.005, 0.1, 0.02
+"""A small square and a short push of it: m, m, m/s, s."""
+
+
+def compile_kernels() -> None:
+    """Runs one tiny simulation of each kind, and says so on standard error where that takes long."""
+    timer = Timer(NOTICE_AFTER, print_notice, [NOTICE])
+    timer.daemon = True
+    timer.start()
+    try:
+        from gridpush_drake.dynamics.push import Push
+        from gridpush_drake.dynamics.simulate import Regime, simulate
+        from gridpush_drake.objects.grid_object import GridObject
+        from gridpush_drake.objects.parameters import CellParameters
+
+        obj = GridObject.from_outline([[0, 0], [SIDE, 0], [SIDE, SIDE], [0, SIDE]], max_cells=1)
+        params = CellParameters.uniform(obj)
+        push = Push((-RADIUS, SIDE / 3), (SPEED, 0.0), DURATION, RADIUS)  # type: ignore[arg-type]
+        regimes: tuple[Regime, ...] = ("inertial", "quasi_static")
+        for regime in regimes:
+            simulate(obj, params, push, gradients=True, regime=regime)
+    finally:
+        timer.cancel()

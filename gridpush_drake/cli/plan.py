@@ -1,0 +1,121 @@
+"""`gridpush plan`: pushes that bring an object to a goal pose."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gridpush_drake.cli import options
+from gridpush_drake.cli.console import MM, print_json, print_line
+from gridpush_drake.cli.options import FORMS, parse_table
+
+if TYPE_CHECKING:
+    from gridpush_drake.planning.goal.push_plan import PushPlan
+    from gridpush_drake.planning.support_surface import SupportSurface
+
+EXIT_NO_PLAN = 1
+"""Where the arguments are in order but the goal cannot be reached."""
+
+
+def plan(
+    model: options.ObjectOrModel,
+    goal: Annotated[str, typer.Option(metavar="X,Y,THETA", help="Where the object should lie, m and rad.")],
+    start: Annotated[str, typer.Option(metavar="X,Y,THETA", help="Where it lies, m and rad.")] = "0,0,0",
+    table: Annotated[
+        str | None, typer.Option(metavar="SHAPE", help=f"The table's top: {FORMS}; without end where not given.")
+    ] = None,
+    obstacle: Annotated[
+        list[str] | None, typer.Option(metavar="SHAPE", help="What is in the way, in the same form; may be repeated.")
+    ] = None,
+    overhang: Annotated[float, typer.Option(help="How far cells may hang over the table's edge, m.")] = 0.0,
+    radius: Annotated[
+        float | None, typer.Option(help="Of the pusher, m; by default what the object's file says, or 0.008.")
+    ] = None,
+    speed: Annotated[float, typer.Option(help="Of the pusher, m/s.")] = 0.03,
+    tolerance: Annotated[float, typer.Option(help="Mean error of the cells that counts as there, m.")] = 0.005,
+    max_pushes: Annotated[int, typer.Option(min=0, help="Most pushes.")] = 25,
+    horizon: Annotated[int, typer.Option(min=1, max=2, help="Pushes to look ahead.")] = 2,
+    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="PLAN.yaml", help="Write the plan.")] = None,
+    picture: Annotated[Path | None, typer.Option(metavar="PICTURE.png", help="Draw the plan.")] = None,
+    largest_piece: options.LargestPiece = False,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Plan pushes that bring an object, or a learned model, to a goal pose."""
+    from gridpush_drake.cli.options import compile_kernels, load_target
+    from gridpush_drake.files import check_writable, write_whole
+    from gridpush_drake.planning.contact.optimization import DEFAULT_RADIUS, ContactOptions
+    from gridpush_drake.planning.goal.next_push import HorizonOptions
+    from gridpush_drake.planning.goal.push_plan import describe_plan, plan_pushes, write_plan
+    from gridpush_drake.planning.push_constraints import PushConstraints
+
+    for path in (out, picture):
+        if path is not None:
+            check_writable(path, force)
+    aim, pose = (
+        options.parse_numbers(name, text, "x,y,theta") for name, text in (("--goal", goal), ("--start", start))
+    )
+    surface = None if table is None else read_shape("--table", table)
+    obstacles = [read_shape("--obstacle", text).polygon for text in obstacle or ()]
+    target = load_target(model, largest_piece)
+    finger = target.obj.prior.pusher_radius or DEFAULT_RADIUS if radius is None else radius
+    chosen = ContactOptions(radius=finger, speed=speed)
+    rules = PushConstraints(surface, tuple(obstacles), edge_margin=-overhang)
+    compile_kernels()
+    found = plan_pushes(
+        target.obj, target.params, pose, aim, constraints=rules, options=chosen,
+        horizons=HorizonOptions(horizon=horizon), tolerance=tolerance, max_pushes=max_pushes,
+    )  # fmt: skip
+    _refuse_bad_ends(found)
+    if out is not None:
+        write_plan(out, found, target.obj.name, finger, force)
+    if picture is not None:
+        from gridpush_drake.report.draw import to_png
+        from gridpush_drake.report.plan_figure import draw_plan
+
+        write_whole(picture, to_png(draw_plan(target.obj, found, surface, obstacles)), force)
+    written = [str(path) for path in (out, picture) if path is not None]
+    if json:
+        print_json({**describe_plan(found, target.obj.name, finger), "written": written})
+    else:
+        _print_plan(target.obj.name, found, written)
+    if not found.reached:
+        raise typer.Exit(EXIT_NO_PLAN)
+
+
+def read_shape(option: str, text: str) -> "SupportSurface":
+    """Reads a table, or an obstacle, by its shape. Raises OptionError or PlanningError, naming the option."""
+    from gridpush_drake.errors import PlanningError
+
+    try:
+        return parse_table(text)
+    except (options.OptionError, PlanningError) as error:
+        raise type(error)(f"{option}: {str(error).removeprefix('--table: ').removeprefix('table: ')}") from error
+
+
+def _refuse_bad_ends(found: "PushPlan") -> None:
+    """Raises OptionError where the object cannot lie at the start or the goal."""
+    from gridpush_drake.planning.goal.push_plan import GOAL_BLOCKED, GOAL_OFF_TABLE, START_BLOCKED, START_OFF_TABLE
+
+    if found.status in (GOAL_OFF_TABLE, GOAL_BLOCKED):
+        raise options.OptionError(f"--goal: {found.status}: {found.reason}")
+    if found.status in (START_OFF_TABLE, START_BLOCKED):
+        raise options.OptionError(f"--start: {found.status}: {found.reason}")
+
+
+def _print_plan(name: str, found: "PushPlan", written: list[str]) -> None:
+    from math import degrees
+
+    print_line(f"{name}: {found.status}: {found.reason}")
+    for number, (planned, error) in enumerate(zip(found.pushes, found.errors, strict=True), start=1):
+        (x0, y0), (x1, y1) = planned.push.xy[0] * MM, planned.push.xy[-1] * MM
+        x, y, theta = planned.pose
+        print_line(
+            f"push {number}  from {x0:.1f}, {y0:.1f} to {x1:.1f}, {y1:.1f} mm in {planned.push.duration:.1f} s: object "
+            f"at x {x * MM:.1f} mm, y {y * MM:.1f} mm, theta {degrees(theta):.1f}°, {error * MM:.1f} mm from the goal"
+        )
+    if not found.pushes:
+        print_line(f"No push; {found.error * MM:.1f} mm from the goal.")
+    print_line(f"{found.simulations} simulated pushes, {found.seconds:.1f} s.")
+    if written:
+        print_line(f"Wrote {' and '.join(written)}.")

@@ -1,0 +1,122 @@
+"""`gridpush predict`: where pushes take an object."""
+
+import csv
+import io
+from math import pi
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gridpush_drake.cli import options
+from gridpush_drake.cli.console import MM, print_json, print_line, print_table
+from gridpush_drake.cli.options import describe_overhanging
+
+if TYPE_CHECKING:
+    from gridpush_drake.identification.prediction import ErrorSummary, PoseError, Prediction
+
+COLUMNS = ("push", "x", "y", "theta")
+"""Final pose of each push, m and rad, world frame."""
+
+DEGREES = 180 / pi
+"""In a radian."""
+
+
+def predict(
+    model: options.ObjectOrModel,
+    pushes: options.PushesFile,
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="PREDICTED.csv", help="Final poses: push,x,y,theta.")],
+    regime: options.Regime = "auto",
+    largest_piece: options.LargestPiece = False,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Predict where pushes take an object, and compare with where they took it."""
+    from gridpush_drake.cli.options import compile_kernels, load_log, load_target
+    from gridpush_drake.dynamics.motion import MotionStatus
+    from gridpush_drake.errors import PushLogError
+    from gridpush_drake.files import check_writable, write_whole
+    from gridpush_drake.identification.identify import choose_regime
+    from gridpush_drake.identification.prediction import calc_final_errors, summarize_errors
+    from gridpush_drake.identification.prediction import predict as predict_log
+    from gridpush_drake.pushes.plausibility import explain_no_contact
+
+    check_writable(out, force)
+    target = load_target(model, largest_piece)
+    full = load_log(pushes, target.obj, require_final=False)
+    log = full.supported
+    chosen = target.resolve_regime(regime, choose_regime(target.obj, log))
+    compile_kernels()
+    predictions = predict_log(target.obj, target.params, log, chosen)
+    if all(prediction.status == MotionStatus.NO_CONTACT for prediction in predictions):
+        raise PushLogError(explain_no_contact(target.obj, log))
+    write_whole(out, _make_csv(predictions), force)
+
+    found: dict[str, Any] = {
+        "object": target.obj.name,
+        "model": "learned" if target.model else "prior",
+        "regime": chosen,
+        "pushes": len(predictions),
+        "untouched": [prediction.name for prediction in predictions if prediction.status == MotionStatus.NO_CONTACT],
+        "overhanging": [seen.name for seen in full.overhanging],
+        "errors": summarize_errors(target.obj, predictions, log),
+        "written": [str(out)],
+    }
+    if json:
+        rho, errors = target.obj.radius_of_gyration, calc_final_errors(target.obj, predictions, log)
+        by_push = [_describe_error(made.name, error, rho) for made, error in zip(predictions, errors, strict=True)]
+        summaries = [_describe_summary(error) for error in found["errors"]]
+        print_json({**found, "errors": summaries, "rho_mm": rho * MM, "errors_by_push": by_push})
+    else:
+        _print_found(found, model)
+
+
+def _print_found(found: dict[str, Any], name: str) -> None:
+    if found["model"] == "prior":
+        print_line(f"{name} is an object, not a model: predicted with its prior, mass and friction spread evenly.")
+    if found["untouched"]:
+        print_line(f"The pusher never touches the object in: {', '.join(found['untouched'])}")
+    if found["overhanging"]:
+        print_line(describe_overhanging(found["overhanging"]))
+    if found["errors"]:
+        print_errors(f"Errors of {found['errors'][0].pushes} final poses", found["errors"])
+    print_line(f"Wrote {found['written'][0]}.")
+
+
+def _describe_summary(error: "ErrorSummary") -> dict[str, Any]:
+    """A summary for machines; its numbers are in its unit, "mm" or "deg"."""
+    values = {"mean": error.mean, "median": error.median, "p90": error.p90}
+    unit = "deg" if error.unit == "°" else error.unit
+    return {
+        "name": error.name, "unit": unit, "pushes": error.pushes,
+        **{key: value * error.scale for key, value in values.items()},
+    }  # fmt: skip
+
+
+def _describe_error(name: str, error: "PoseError | None", rho: float) -> dict[str, Any]:
+    """A push's error for machines; null where its final pose is not known."""
+    if error is None:
+        return {"push": name, "position_mm": None, "angle_deg": None, "cell_mm": None, "combined_mm": None}
+    return {
+        "push": name, "position_mm": error.position * MM, "angle_deg": error.angle * DEGREES,
+        "cell_mm": error.cell * MM, "combined_mm": error.combined(rho) * MM,
+    }  # fmt: skip
+
+
+def print_errors(title: str, errors: "list[ErrorSummary]") -> None:
+    """Prints a table of errors."""
+    from rich.table import Table
+
+    table = Table("error", "mean", "median", "90 %", title=title, title_justify="left")
+    for error in errors:
+        values = (error.mean, error.median, error.p90)
+        table.add_row(error.name, *(f"{value * error.scale:.2f} {error.unit}" for value in values))
+    print_table(table)
+
+
+def _make_csv(predictions: "list[Prediction]") -> str:
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows([prediction.name, *map(repr, prediction.poses[-1].tolist())] for prediction in predictions)
+    return buffer.getvalue()

@@ -1,0 +1,112 @@
+"""`gridpush simulate`: push an object in simulation."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gridpush_drake.cli import options
+from gridpush_drake.cli.console import MM, print_json, print_line
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from gridpush_drake.dynamics.motion import Motion
+    from gridpush_drake.dynamics.push import Push
+    from gridpush_drake.pushes.push_log import PushLog
+
+PUSH_NAME = "push_1"
+
+
+def simulate(
+    target: options.ObjectOrModel,
+    start: Annotated[str, typer.Option(metavar="X,Y", help="Center of the pusher at the beginning, m.")],
+    velocity: Annotated[str, typer.Option(metavar="VX,VY", help="Of the pusher, m/s.")],
+    duration: Annotated[float, typer.Option(help="s.")],
+    radius: Annotated[
+        float | None, typer.Option(help="Of the pusher, m; by default what the object's file says, or 0.005.")
+    ] = None,
+    pose: Annotated[
+        str, typer.Option(metavar="X,Y,THETA", help="Of the object at the beginning, m and rad.")
+    ] = "0,0,0",
+    regime: options.Regime = "auto",
+    mass_seed: Annotated[
+        int | None, typer.Option(min=0, help="Give each part a random mass, drawn with this seed.")
+    ] = None,
+    samples: Annotated[int, typer.Option(min=1, help="Poses to write to the log, after the first.")] = 10,
+    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="LOG.csv", help="Write a push log.")] = None,
+    picture: Annotated[Path | None, typer.Option(metavar="PICTURE.png", help="Draw the motion.")] = None,
+    largest_piece: options.LargestPiece = False,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Simulate one push of an object or of a learned model."""
+    from gridpush_drake.cli.options import compile_kernels, load_target
+    from gridpush_drake.dynamics.simulate import simulate as simulate_push
+    from gridpush_drake.files import check_writable, write_whole
+    from gridpush_drake.objects.parameters import CellParameters
+
+    for path in (out, picture):
+        if path is not None:
+            check_writable(path, force)
+    loaded = load_target(target, largest_piece)
+    push = _make_push(start, velocity, duration, loaded.obj.prior.pusher_radius if radius is None else radius)
+    pose_W = options.parse_numbers("--pose", pose, "x,y,theta")
+    params = loaded.params if mass_seed is None else CellParameters.random(loaded.obj, mass_seed)
+    chosen = loaded.resolve_regime(regime, "inertial")
+    compile_kernels()
+    motion = simulate_push(loaded.obj, params, push, pose_W, regime=chosen)  # type: ignore[arg-type]
+    if out is not None:
+        _make_log(push, motion, samples).write_csv(out, force)
+    if picture is not None:
+        from gridpush_drake.report.figures import draw_motion
+
+        write_whole(picture, draw_motion(loaded.obj, push, motion.poses), force)
+    _print_motion(loaded.obj.name, chosen, motion, [str(path) for path in (out, picture) if path], json)
+
+
+def _make_push(start: str, velocity: str, duration: float, radius: float | None) -> "Push":
+    from gridpush_drake.dynamics.push import Push
+    from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
+
+    tip, v = options.parse_numbers("--start", start, "x,y"), options.parse_numbers("--velocity", velocity, "vx,vy")
+    return Push(tip, v, duration, DEFAULT_PUSHER_RADIUS if radius is None else radius)  # type: ignore[arg-type]
+
+
+def _make_log(push: "Push", motion: "Motion", samples: int) -> "PushLog":
+    import numpy as np
+
+    from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+
+    steps = len(motion.times) - 1
+    rows = np.unique(np.rint(np.linspace(0, steps, min(samples, steps) + 1)).astype(int))[1:]
+    seen = ObservedPush(PUSH_NAME, push, motion.poses[0], motion.times[rows], motion.poses[rows])
+    return PushLog((seen,))
+
+
+def _print_motion(name: str, regime: str, motion: "Motion", written: list[str], json: bool) -> None:
+    first, last = motion.poses[0], motion.final_pose
+    if json:
+        print_json(
+            {
+                "object": name,
+                "regime": regime,
+                "status": motion.status,
+                "initial_pose": first,
+                "final_pose": last,
+                "penetration": motion.penetration,
+                "written": written,
+            }
+        )
+        return
+    print_line(f"{name}, {regime}: {motion.status}")
+    print_line(f"from  {_describe_pose(first)}")
+    print_line(f"to    {_describe_pose(last)}")
+    if written:
+        print_line(f"Wrote {' and '.join(written)}.")
+
+
+def _describe_pose(pose: "np.ndarray") -> str:
+    from math import degrees
+
+    return f"x {pose[0] * MM:.2f} mm, y {pose[1] * MM:.2f} mm, theta {degrees(pose[2]):.2f}°"

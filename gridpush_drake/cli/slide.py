@@ -1,0 +1,170 @@
+"""`gridpush slide`: where to slide an object so that it can be grasped at the table's edge, and by which pushes."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gridpush_drake.cli import options
+from gridpush_drake.cli.console import MM, print_json, print_line, to_json
+from gridpush_drake.cli.options import Table, parse_table
+
+if TYPE_CHECKING:
+    from gridpush_drake.planning.pregrasp.planner import PreGraspPlan, PreGraspPlanner
+
+EXIT_NO_PLAN = 1
+"""Where the arguments are in order but there is no safe way yet."""
+
+
+def slide(
+    model: options.ObjectOrModel,
+    table: Table,
+    start: Annotated[
+        str | None, typer.Option(metavar="x,y,theta", help="Where the object is, m and rad; the table's middle.")
+    ] = None,
+    opening: Annotated[float, typer.Option(help="How far the gripper opens, m.")] = 0.11,
+    depth: Annotated[float, typer.Option(help="Of the gripper's fingers: what must hang over, m.")] = 0.03,
+    margin: Annotated[float, typer.Option(help="Stability margin asked for, m.")] = 0.003,
+    radius: Annotated[
+        float | None, typer.Option(help="Of the pusher, m; by default what the object's file says, or 0.008.")
+    ] = None,
+    friction: Annotated[
+        str | None,
+        typer.Option(metavar="min,max", help="What the support's friction lies between; the object's own bounds."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="PLAN", help="Write the plan: .yaml, or .json for JSON.")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="PICTURE.png", help="Draw the plan, what hangs over and what holds it.")
+    ] = None,
+    largest_piece: options.LargestPiece = False,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Plan a slide to the table's edge, where a part hangs over for the gripper and the object stays put."""
+    from gridpush_drake.cli.options import compile_kernels, load_target
+    from gridpush_drake.files import check_writable, write_whole
+    from gridpush_drake.planning.contact.optimization import DEFAULT_RADIUS
+    from gridpush_drake.planning.pregrasp.exploration import PokeOptions
+    from gridpush_drake.planning.pregrasp.goals import GoalOptions
+    from gridpush_drake.planning.pregrasp.grasp_parts import Gripper
+    from gridpush_drake.planning.pregrasp.planner import (
+        ACCEPTED_SHARE,
+        STATUS_READY,
+        PreGraspOptions,
+        PreGraspPlanner,
+        plan_pregrasp,
+    )
+    from gridpush_drake.planning.pregrasp.slides import SlideOptions
+    from gridpush_drake.planning.pregrasp.uncertainty import Belief
+
+    for path in (out, picture):
+        if path is not None:
+            check_writable(path, force)
+    surface = parse_table(table)
+    target = load_target(model, largest_piece)
+    middle = surface.polygon.representative_point()
+    pose = (middle.x, middle.y, 0.0) if start is None else options.parse_numbers("--start", start, "x,y,theta")
+    bounds = None if friction is None else _parse_friction(friction)
+    finger = target.obj.prior.pusher_radius or DEFAULT_RADIUS if radius is None else radius
+    chosen = PreGraspOptions(
+        gripper=Gripper(opening=opening, depth=depth),
+        goal=GoalOptions(margin=margin),
+        slide=SlideOptions(margin=ACCEPTED_SHARE * margin, contact=replace(SlideOptions().contact, radius=finger)),
+        poke=PokeOptions(radius=finger),
+    )
+    planner = PreGraspPlanner(target.obj, surface, chosen)
+    if not surface.contains(target.obj.cells_at(pose)).any():
+        raise options.OptionError(f"--start: is {start}; expected a place on the table")
+    compile_kernels()
+    if target.model is None:
+        belief = Belief.of_prior(target.obj, bounds)
+    else:
+        belief = Belief.of_identification(target.model, bounds)
+    plan = plan_pregrasp(planner, belief, pose)
+    found = _describe(planner, plan, "learned" if target.model else "prior")
+    found["written"] = [str(path) for path in (out, picture) if path is not None]
+    if out is not None:
+        write_whole(out, _to_text(found, out), force)
+    if picture is not None:
+        from gridpush_drake.report.draw import to_png
+        from gridpush_drake.report.slide_figure import draw_slide
+
+        write_whole(picture, to_png(draw_slide(planner, belief.masses, plan)), force)
+    if json:
+        print_json(found)
+    else:
+        _print_plan(found)
+    if plan.status != STATUS_READY:
+        raise typer.Exit(EXIT_NO_PLAN)
+
+
+def _parse_friction(text: str) -> tuple[float, float]:
+    low, high = options.parse_numbers("--friction", text, "min,max")
+    return low, high
+
+
+def _describe(planner: "PreGraspPlanner", plan: "PreGraspPlan", model: str) -> dict[str, Any]:
+    goal = plan.goal
+    found: dict[str, Any] = {
+        "object": planner.obj.name,
+        "model": model,
+        "graspable_parts": len(planner.parts),
+        "status": plan.status,
+        "message": plan.message,
+        "goal": None,
+        "pushes": [],
+        "poke": None if plan.poke is None else _describe_push(plan.poke),
+    }
+    if goal is not None:
+        found["goal"] = {
+            "pose": goal.pose,
+            "overhang": goal.overhang,
+            "stability_margin": goal.margin,
+            "grasp": {"at": goal.p_WG, "closing": goal.closing_W, "width": goal.part.width},
+        }
+    for push, after in zip(plan.pushes, plan.poses[1:], strict=True):
+        found["pushes"].append({**_describe_push(push), "object_after": after})
+    return found
+
+
+def _describe_push(push: Any) -> dict[str, Any]:
+    return {"from": push.xy[0], "to": push.xy[-1], "duration": push.duration, "radius": push.radius}
+
+
+def _to_text(found: dict[str, Any], out: Path) -> str:
+    document = to_json({key: value for key, value in found.items() if key != "written"})
+    if out.suffix == ".json":
+        return document
+    import json
+
+    import yaml
+
+    return str(yaml.safe_dump(json.loads(document), sort_keys=False, allow_unicode=True))
+
+
+def _print_plan(found: dict[str, Any]) -> None:
+    print_line(f"{found['object']}: {found['status']}: {found['message']}")
+    if found["model"] == "prior":
+        print_line(f"{found['object']} is an object, not a model: nothing is known of its masses yet.")
+    goal = found["goal"]
+    if goal is not None:
+        x, y, theta = goal["pose"]
+        print_line(
+            f"goal  x {x * MM:.1f} mm, y {y * MM:.1f} mm, theta {theta:.3f} rad; stability margin "
+            f"{goal['stability_margin'] * MM:.1f} mm at the worst"
+        )
+        grasp = goal["grasp"]
+        print_line(
+            f"grasp at {grasp['at'][0] * MM:.1f} mm, {grasp['at'][1] * MM:.1f} mm, {grasp['width'] * MM:.1f} mm wide"
+        )
+    for i, push in enumerate(found["pushes"], start=1):
+        (x0, y0), (x1, y1) = push["from"], push["to"]
+        print_line(
+            f"push {i}  from {x0 * MM:.1f} mm, {y0 * MM:.1f} mm to {x1 * MM:.1f} mm, {y1 * MM:.1f} mm "
+            f"in {push['duration']:.1f} s"
+        )
+    if found["written"]:
+        print_line(f"Wrote {' and '.join(found['written'])}.")

@@ -1,0 +1,1 @@
+"""Planar geometry: rigid motions, convex polygons, outlines, and contours of rasters."""

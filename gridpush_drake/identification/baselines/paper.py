@@ -1,0 +1,117 @@
+"""The paper's Algorithm 1 (Song & Boularias, RSS 2020): coordinate descent in M and mu by the closed-form gradient.
+
+The loss is the mean over pushes, observed times tau and cells of |x_tau - x*_tau|, predicted and observed places. The
+paper holds x_t and xdot_t constant in each step's derivative; of the chain rule through the steps of the LCP there
+remains the sum of their own terms, each by the closed form of one step (`dynamics.reference.paper_gradient`),
+
+    dloss/dM = sum_tau dloss/dq_tau · sum_{t < tau} dq_{t+1}/dM |_{x_t, xdot_t, F constant},    dloss/dmu likewise.
+
+The loss descended is that of the paper's own model, whatever the regime asked for: inertial, with the friction
+directions of the step before.
+
+Steps. The closed form leaves out how a step changes those after it and how the pusher's force answers: it is a good
+direction, of no meaningful length. A step is therefore normalized: the cell whose logarithm it would move most moves by
+a given amount, all others in proportion, then all are clipped to the bounds. A step that does not lower the loss is
+taken back, which costs its simulations, and the next is shorter; one that does is followed by a longer one. M and mu
+take turns, each with its own step.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridpush_drake.dynamics.motion import Motion
+from gridpush_drake.identification.baselines.search import (
+    STATUS_STALLED,
+    Bounds,
+    CellLoss,
+    Progress,
+    SearchResult,
+    run_search,
+)
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import PushLog
+
+Array = NDArray[np.float64]
+
+BLOCKS = ("mass", "friction")
+
+FIRST_STEP = 0.5
+"""Largest change of a cell's log mass or log friction in the first step."""
+
+LENGTHEN, SHORTEN = 1.5, 0.5
+"""Of the step, after a success and after a failure."""
+
+MIN_STEP = 1e-3
+"""The search has stalled when both steps are below."""
+
+MODEL = {"regime": "inertial", "friction": "lagged", "gradients": "paper"}
+"""The paper's model, as arguments of `simulate`."""
+
+MIN_MISS = 1e-12
+"""m, below which a cell's distance has no direction."""
+
+
+def search_paper(
+    obj: GridObject, log: PushLog, start: CellParameters, bounds: Bounds, *, budget: int, seed: int = 0,
+    regime: str = "inertial", progress: Progress | None = None,
+) -> SearchResult:  # fmt: skip
+    """Runs Algorithm 1; see `search.SearchMethod`. Nothing in it is random, and its model is always inertial."""
+    loss = CellLoss(obj, log, start, budget=budget, regime="inertial", progress=progress)
+    return run_search(loss, lambda: _descend(loss, bounds.clip(start), bounds))
+
+
+def calc_paper_gradient_of_loss(loss: CellLoss, simulations: list[Motion]) -> dict[str, Array]:
+    """The paper's gradient of the loss, by block (n,): dloss/dm, m/kg, and dloss/dmu, m.
+
+    Args:
+        loss: the loss.
+        simulations: of its pushes, with `gradients="paper"` at every step.
+
+    Returns:
+        The gradient by masses and by frictions.
+    """
+    gradient = {block: np.zeros(loss.obj.n) for block in BLOCKS}
+    for simulation, miss, rows in zip(simulations, loss.misses(simulations), loss.rows, strict=True):
+        by_pose = np.zeros((len(simulation.poses), 3))
+        by_pose[rows] = _differentiate_by_pose(loss.obj, simulation.poses[rows], miss) / len(simulations)
+        after = by_pose[::-1].cumsum(axis=0)[::-1]  # a step moves all poses after it
+        for block in BLOCKS:
+            gradient[block] += np.einsum("tj,tjn->n", after, getattr(simulation.jacobian, block))
+    return gradient
+
+
+def _descend(loss: CellLoss, params: CellParameters, bounds: Bounds) -> str:
+    """Block coordinate descent with backtracking, until it stalls or the loss ends it."""
+    lowest, simulations = loss.evaluate(params, "start", **MODEL)
+    gradient = calc_paper_gradient_of_loss(loss, simulations)
+    steps = {block: FIRST_STEP for block in BLOCKS if np.ptp(getattr(bounds, block)) > 0}
+    while max(steps.values(), default=0.0) > MIN_STEP:
+        for block in steps:
+            trial = bounds.clip(_step(params, block, gradient[block], steps[block]))
+            value, simulations = loss.evaluate(trial, f"descent in {block}", **MODEL)
+            if value < lowest:
+                params, lowest = trial, value
+                gradient = calc_paper_gradient_of_loss(loss, simulations)
+                steps[block] *= LENGTHEN
+            else:
+                steps[block] *= SHORTEN
+    return STATUS_STALLED
+
+
+def _step(params: CellParameters, block: str, gradient: Array, step: float) -> CellParameters:
+    """One block moved against its gradient by `step` in the logarithm of the cell that it moves most."""
+    values: Array = getattr(params, block)
+    by_log = gradient * values
+    moved = values * np.exp(-step * by_log / max(np.abs(by_log).max(), np.finfo(float).tiny))
+    mass, friction = (moved, params.friction) if block == "mass" else (params.mass, moved)
+    return CellParameters(mass, friction, params.contact_friction)
+
+
+def _differentiate_by_pose(obj: GridObject, poses: Array, miss: Array) -> Array:
+    """Derivative (K, 3) of the mean distance by the predicted poses (K, 3), given the cells' misses (K, n, 2)."""
+    distance = np.linalg.norm(miss, axis=-1, keepdims=True)
+    pull = miss / np.maximum(distance, MIN_MISS) / (miss.shape[0] * miss.shape[1])
+    arm = obj.cells_at(poses) - poses[:, None, :2]
+    torque = arm[..., 0] * pull[..., 1] - arm[..., 1] * pull[..., 0]
+    return np.column_stack([pull.sum(axis=1), torque.sum(axis=1)])

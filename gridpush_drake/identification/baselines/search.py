@@ -1,0 +1,280 @@
+"""What every search shares: bounds, the loss that it lowers, the budget that it may spend, and its result.
+
+A search is written as a body that works on a `Search`: a loss over points u of the unit cube, one coordinate for each
+free mass and friction, logarithmic between its bounds. `search_method` gives the body the interface of all searches:
+
+    search_x(obj, log, start, bounds, *, budget, seed, regime, progress) -> SearchResult
+
+What the parameters that a search tries lie between.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import wraps
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridpush_drake.dynamics.motion import Motion
+from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.time_grid import make_path_times
+from gridpush_drake.errors import IdentificationError
+from gridpush_drake.identification.result import STATUS_BUDGET_SPENT, HistoryEntry
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+
+MASS_SPREAD = 50.0
+"""Ratio of the greatest to the least cell mass where nothing else is known: the paper's 5.0 kg to 0.1 kg."""
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What every cell's parameters lie between; equal numbers hold a parameter where it is.
+
+    Attributes:
+        mass: least and greatest mass of a cell, kg.
+        friction: least and greatest friction coefficient of a cell against the support.
+
+    Raises:
+        IdentificationError: a range is not positive and increasing.
+    """
+
+    mass: tuple[float, float]
+    friction: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        for name in ("mass", "friction"):
+            low, high = getattr(self, name)
+            if not 0 < low <= high < np.inf:
+                raise IdentificationError(f"bounds.{name} is {(low, high)!r}; expected 0 < least <= greatest")
+
+    @classmethod
+    def around(cls, obj: GridObject, start: CellParameters) -> "Bounds":
+        """The object's friction bounds, and masses up to sqrt(MASS_SPREAD) times the start's mean up and down."""
+        mean, factor = start.total_mass / start.n, MASS_SPREAD**0.5
+        return cls((mean / factor, mean * factor), (obj.prior.friction_min, obj.prior.friction_max))
+
+    def clip(self, params: CellParameters) -> CellParameters:
+        """The nearest parameters within the bounds."""
+        mass, friction = np.clip(params.mass, *self.mass), np.clip(params.friction, *self.friction)
+        return CellParameters(mass, friction, params.contact_friction)
+
+
+Array = NDArray[np.float64]
+Progress = Callable[[HistoryEntry], None]
+
+STATUS_CONVERGED = "converged"
+STATUS_STALLED = "stalled"
+
+LOSS_THRESHOLD = 1e-4
+"""m; a search is done when the mean cell error of its training pushes is below it."""
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """What a search found.
+
+    Attributes:
+        params: the parameters of the lowest loss.
+        history: the lowest loss so far, after each evaluation.
+        simulations: pushes simulated.
+        status: "converged" (loss below the threshold), "stalled" (no step helps any more) or "budget_spent".
+    """
+
+    params: CellParameters
+    history: tuple[HistoryEntry, ...]
+    simulations: int
+    status: str
+
+
+class SearchMethod(Protocol):
+    """The interface of all searches."""
+
+    def __call__(
+        self, obj: GridObject, log: PushLog, start: CellParameters, bounds: Bounds, *, budget: int, seed: int = 0,
+        regime: str = "inertial", progress: Progress | None = None,
+    ) -> SearchResult:  # fmt: skip
+        """Searches.
+
+        Args:
+            obj: the object.
+            log: the training pushes, each with at least one later observation.
+            start: where to begin; its contact friction is kept.
+            bounds: what the cells' parameters lie between.
+            budget: most pushes to simulate.
+            seed: of everything random; the same seed gives the same result.
+            regime: "inertial" or "quasi_static".
+            progress: called after each evaluation.
+
+        Returns:
+            The result; its loss is never above the start's.
+
+        Raises:
+            IdentificationError: the budget does not reach for one simulation of each push, or a push has no
+                observation to compare with.
+        """
+        ...
+
+
+class SearchStopped(Exception):  # noqa: N818 - a signal from the loss to the search's caller, not an error
+    """The search is over: converged, or the budget is spent."""
+
+    def __init__(self, status: str) -> None:
+        super().__init__(status)
+        self.status = status
+
+
+class CellLoss:
+    """Mean over pushes of the mean distance between predicted and observed cells over the observed times (ADD), m.
+
+    Counts the pushes it simulates, keeps the best parameters and the history, and ends the search by `SearchStopped`.
+
+    Attributes:
+        simulations: pushes simulated so far.
+        best: the parameters of the lowest loss.
+        best_loss: m.
+        history: the lowest loss so far, after each evaluation.
+    """
+
+    def __init__(
+        self, obj: GridObject, log: PushLog, start: CellParameters, *, budget: int, regime: str = "inertial",
+        progress: Progress | None = None, threshold: float = LOSS_THRESHOLD,
+    ) -> None:  # fmt: skip
+        """Prepares the log; nothing is simulated yet. The arguments are those of `SearchMethod`."""
+        if not len(log) or budget < len(log):
+            raise IdentificationError(
+                f"budget is {budget} simulations for {len(log)} pushes; expected enough to simulate each push once"
+            )
+        self.obj, self.budget, self.regime = obj, budget, regime
+        self.simulations, self.best, self.best_loss = 0, start, np.inf
+        self.history: list[HistoryEntry] = []
+        self._progress, self._threshold = progress, threshold
+        self._pushes = list(log)
+        self._times = [np.union1d(make_path_times(seen.push, regime), seen.t_observed) for seen in log]
+        self._rows = [np.searchsorted(times, seen.t_observed) for times, seen in zip(self._times, log, strict=True)]
+        self._cells = [_observed_cells(obj, seen) for seen in log]
+
+    def __len__(self) -> int:
+        """Number of pushes: what an evaluation costs."""
+        return len(self._pushes)
+
+    @property
+    def spent(self) -> float:
+        """Share of the budget that is spent, 0 to 1."""
+        return self.simulations / self.budget
+
+    def __call__(self, params: CellParameters, stage: str) -> float:
+        """Evaluates the loss, m. Raises SearchStopped once the search is over."""
+        return self.evaluate(params, stage, regime=self.regime)[0]
+
+    def evaluate(self, params: CellParameters, stage: str, **options: Any) -> tuple[float, list[Motion]]:
+        """Evaluates the loss, m, and hands out the simulations.
+
+        Args:
+            params: where.
+            stage: what the search is doing, for the history.
+            options: passed on to `simulate`.
+
+        Returns:
+            The loss, and the pushes' simulations.
+
+        Raises:
+            SearchStopped: another evaluation would exceed the budget, or this one is below the threshold.
+        """
+        if self.simulations + len(self) > self.budget:
+            raise SearchStopped(STATUS_BUDGET_SPENT)
+        simulations = [
+            simulate(self.obj, params, seen.push, seen.pose, times=times, **options)
+            for seen, times in zip(self._pushes, self._times, strict=True)
+        ]
+        self.simulations += len(self)
+        loss = float(np.mean([np.linalg.norm(miss, axis=-1).mean() for miss in self.misses(simulations)]))
+        loss = loss if np.isfinite(loss) else np.inf
+        if loss < self.best_loss:
+            self.best, self.best_loss = params, loss
+        self._record(stage)
+        return loss, simulations
+
+    def misses(self, simulations: list[Motion]) -> list[Array]:
+        """Predicted minus observed cell centers (K, n, 2), m, of each push."""
+        return [
+            self.obj.cells_at(simulation.poses[rows]) - cells
+            for simulation, rows, cells in zip(simulations, self._rows, self._cells, strict=True)
+        ]
+
+    @property
+    def rows(self) -> list[NDArray[np.int64]]:
+        """(K,) the observed poses among the simulated ones, for each push."""
+        return self._rows
+
+    def _record(self, stage: str) -> None:
+        self.history.append(HistoryEntry(self.simulations, self.best_loss, stage))
+        if self._progress:
+            self._progress(self.history[-1])
+        if self.best_loss < self._threshold:
+            raise SearchStopped(STATUS_CONVERGED)
+
+
+class Search:
+    """The loss on the unit cube, and a seeded generator: what the body of a search works with.
+
+    Attributes:
+        loss: on parameters.
+        start: (d,) the start's coordinates.
+        rng: seeded.
+    """
+
+    def __init__(self, loss: CellLoss, start: CellParameters, bounds: Bounds, seed: int) -> None:
+        """Sets the cube up; parameters whose bounds are equal have no coordinate."""
+        self.loss, self.rng = loss, np.random.default_rng(seed)
+        self._fixed = bounds.clip(start)
+        n = start.n
+        ranges = np.log([bounds.mass] * n + [bounds.friction] * n)
+        self._low, self._width = ranges[:, 0], np.diff(ranges, axis=1)[:, 0]
+        self._free = self._width > 0
+        values = np.log(np.concatenate([self._fixed.mass, self._fixed.friction]))
+        self.start: Array = ((values - self._low)[self._free] / self._width[self._free]).clip(0, 1)
+
+    def __call__(self, u: Array, stage: str) -> float:
+        """The loss, m, at u (d,); coordinates outside the cube are moved to its nearest face."""
+        return self.loss(self.params(u), stage)
+
+    def params(self, u: Array) -> CellParameters:
+        """The parameters at u (d,)."""
+        n = self._fixed.n
+        values = np.concatenate([self._fixed.mass, self._fixed.friction])
+        low, width = self._low[self._free], self._width[self._free]
+        values[self._free] = np.exp(low + width * np.clip(u, 0, 1))
+        return CellParameters(values[:n], values[n:], self._fixed.contact_friction)
+
+
+def search_method(body: Callable[[Search], str]) -> SearchMethod:
+    """Gives a search's body, which returns its status or runs until `SearchStopped`, the interface of all searches."""
+
+    @wraps(body)
+    def search(
+        obj: GridObject, log: PushLog, start: CellParameters, bounds: Bounds, *, budget: int, seed: int = 0,
+        regime: str = "inertial", progress: Progress | None = None,
+    ) -> SearchResult:  # fmt: skip
+        loss = CellLoss(obj, log, start, budget=budget, regime=regime, progress=progress)
+        return run_search(loss, lambda: body(Search(loss, start, bounds, seed)))
+
+    del search.__wrapped__
+    return search
+
+
+def run_search(loss: CellLoss, body: Callable[[], str]) -> SearchResult:
+    """Runs a search's body to its end and collects what the loss saw."""
+    try:
+        status = body()
+    except SearchStopped as stop:
+        status = stop.status
+    return SearchResult(loss.best, tuple(loss.history), loss.simulations, status)
+
+
+def _observed_cells(obj: GridObject, seen: ObservedPush) -> Array:
+    if not len(seen.poses_observed):
+        raise IdentificationError(f"push {seen.name!r}: has no observation after its first; expected at least one")
+    return obj.cells_at(seen.poses_observed)

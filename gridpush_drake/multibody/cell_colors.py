@@ -1,0 +1,80 @@
+"""Cells' values as colors, on a scale that stays the same while an estimate improves.
+
+Shares are shown as ratios to the even share: a cell's mass as m_i n / sum(m), its relative friction as
+mu_i m_i n / sum(mu m). Colors follow the logarithm, u = log(value / least) / log(greatest / least) cut to 0..1, so
+that a quarter of the even share and four times as much lie equally far from the middle.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from matplotlib import colormaps
+from numpy.typing import ArrayLike, NDArray
+
+from gridpush_drake.errors import StationError
+from gridpush_drake.report.draw import CELL_MAP
+
+Shown = Literal["mass", "friction", "relative_friction"]
+
+SHOWN = ("mass", "friction", "relative_friction")
+
+MIN_SHARE, GREATEST_SHARE = 0.25, 4.0
+"""Ends of the color scale of shares, in even shares."""
+
+MIN_FRICTION, GREATEST_FRICTION = 0.1, 1.0
+"""Ends of the color scale of friction coefficients."""
+
+
+@dataclass(frozen=True)
+class CellColors:
+    """Which of the cells' values are shown, and in what colors.
+
+    Attributes:
+        shows: "mass" or "relative_friction", in even shares, or "friction", as the coefficient.
+        limits: least and greatest value of the color map, beyond which colors stay the same; by default
+            MIN_SHARE and GREATEST_SHARE, or for "friction" MIN_FRICTION and GREATEST_FRICTION.
+        colormap: as matplotlib names it.
+
+    Raises:
+        StationError: a name is unknown, or the limits are not 0 < least < greatest.
+    """
+
+    shows: Shown = "mass"
+    limits: tuple[float, float] | None = None
+    colormap: str = CELL_MAP
+
+    def __post_init__(self) -> None:
+        if self.shows not in SHOWN:
+            raise StationError(f"shows is {self.shows!r}; expected one of {', '.join(SHOWN)}")
+        if self.colormap not in colormaps:
+            raise StationError(f"colormap is {self.colormap!r}; expected one of matplotlib's, such as {CELL_MAP}")
+        least, greatest = self.resolve_limits()
+        if not 0 < least < greatest < np.inf:
+            raise StationError(f"limits are {self.limits!r}; expected 0 < least < greatest")
+
+    def resolve_limits(self) -> tuple[float, float]:
+        """Least and greatest value of the color map."""
+        if self.limits is not None:
+            return self.limits
+        return (MIN_FRICTION, GREATEST_FRICTION) if self.shows == "friction" else (MIN_SHARE, GREATEST_SHARE)
+
+    def calc_values(self, mass: ArrayLike, friction: ArrayLike) -> NDArray[np.float64]:
+        """What is shown of cells with masses (n,), kg, and friction coefficients (n,): (n,) numbers."""
+        friction = np.asarray(friction, dtype=np.float64)
+        if self.shows == "friction":
+            return friction
+        weight = np.asarray(mass, dtype=np.float64)
+        weight = weight * friction if self.shows == "relative_friction" else weight
+        total = weight.sum()
+        return weight * len(weight) / total if total > 0 else np.ones(len(weight))
+
+    def calc_colors(self, mass: ArrayLike, friction: ArrayLike) -> NDArray[np.float64]:
+        """(n, 3) sRGB, 0 to 1, of cells with masses (n,), kg, and friction coefficients (n,)."""
+        return self.calc_colors_of(self.calc_values(mass, friction))
+
+    def calc_colors_of(self, values: ArrayLike) -> NDArray[np.float64]:
+        """(..., 3) sRGB, 0 to 1, of values (...)."""
+        least, greatest = self.resolve_limits()
+        cut = np.clip(np.asarray(values, dtype=np.float64), least, greatest)
+        return np.asarray(colormaps[self.colormap](np.log(cut / least) / np.log(greatest / least)))[..., :3]

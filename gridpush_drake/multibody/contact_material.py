@@ -1,0 +1,155 @@
+"""Contact properties, with Drake's combination laws undone.
+
+Two surfaces a and b touch with friction 2 mu_a mu_b/(mu_a + mu_b) and stiffness k_a k_b/(k_a + k_b). Against a *stiff
+partner* of friction mu_b = 1 and stiffness k_b >> k_a, the contact has friction mu and stiffness k_a where
+
+    mu_a = mu mu_b / (2 mu_b - mu) = mu / (2 - mu)
+
+So whatever touches a grid object (the table under its feet, the pusher's tip at its side) is made a stiff partner, and
+the object alone carries the parameters of the contact.
+
+Where on the table's top things may lie, read from the table's model, which alone says how large it is.
+"""
+
+from collections.abc import Iterable
+from math import isclose
+
+import numpy as np
+import shapely
+from pydrake.geometry import Box, Cylinder, GeometryId, ProximityProperties, RoleAssign, SceneGraph, SceneGraphInspector
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
+from shapely.geometry.base import BaseGeometry
+
+from gridpush_drake.errors import ParameterError, ScenarioError
+
+PARTNER_FRICTION = 1.0
+"""Coefficient of a stiff partner."""
+
+PARTNER_STIFFNESS = 1e12
+"""N/m, of a stiff partner: next to it every foot's stiffness is its contact's to 1e-6."""
+
+
+def calc_own_friction(friction: float, name: str = "friction") -> float:
+    """Finds the coefficient that gives a contact with a stiff partner the wanted friction.
+
+    Args:
+        friction: wanted coefficient of the contact, 0 <= mu < 2.
+        name: of the value, for the message.
+
+    Returns:
+        mu / (2 - mu).
+
+    Raises:
+        ParameterError: no coefficient gives that much.
+    """
+    limit = 2 * PARTNER_FRICTION
+    if not 0 <= friction < limit:
+        raise ParameterError(f"{name} is {friction:g}; expected at least 0 and less than {limit:g} in a Drake plant")
+    return friction * PARTNER_FRICTION / (limit - friction)
+
+
+def MakeContactProperties(friction: float, stiffness: float, dissipation: float = 0.0) -> ProximityProperties:
+    """Makes the properties of a surface.
+
+    Args:
+        friction: its own coefficient, static and dynamic.
+        stiffness: of its point contacts, N/m.
+        dissipation: Hunt-Crossley, s/m.
+
+    Returns:
+        New properties.
+    """
+    properties = ProximityProperties()
+    properties.AddProperty("material", "coulomb_friction", CoulombFriction(friction, friction))
+    properties.AddProperty("material", "point_contact_stiffness", float(stiffness))
+    properties.AddProperty("material", "hunt_crossley_dissipation", float(dissipation))
+    return properties
+
+
+def MakePartnerProperties() -> ProximityProperties:
+    """Makes the properties of a stiff partner."""
+    return MakeContactProperties(PARTNER_FRICTION, PARTNER_STIFFNESS)
+
+
+def SetPartner(plant: MultibodyPlant, scene_graph: SceneGraph, geometries: Iterable[GeometryId]) -> None:
+    """Makes stiff partners of collision geometries that are there already: the table's, the pusher's tip.
+
+    Args:
+        plant: whose geometries they are; before a Context is made.
+        scene_graph: where they are registered.
+        geometries: collision geometries of the plant.
+    """
+    source = plant.get_source_id()
+    for geometry in geometries:
+        # keep what else is known of the surface, such as its hydroelastic properties
+        properties = ProximityProperties(scene_graph.model_inspector().GetProximityProperties(geometry))
+        wanted = MakePartnerProperties()
+        for name in wanted.GetPropertiesInGroup("material"):
+            properties.UpdateProperty("material", name, wanted.GetProperty("material", name))
+        scene_graph.AssignRole(source, geometry, properties, RoleAssign.kReplace)
+
+
+TABLE = "table"
+"""Name of the table's model instance."""
+
+TOP_TOLERANCE = 1e-6
+"""m, about the plane z = 0; and of the table's normal, as a sine."""
+
+QUADRANT_SEGMENTS = 256
+"""Of the polygon within a round table's edge, a quarter turn; it lies within 2 um of a edge of 0.5 m."""
+
+SEAM = 1e-9
+"""m: outlines are rounded to it, so that pieces of a table that meet leave no gap."""
+
+
+def FindTableTops(
+    plant: MultibodyPlant, inspector: SceneGraphInspector, instance: str = TABLE
+) -> dict[GeometryId, BaseGeometry]:
+    """Finds the collision geometries whose top is the table's.
+
+    Args:
+        plant: finalised, the table fixed to its world.
+        inspector: of the scene graph that the plant is registered with.
+        instance: name of the table's model instance.
+
+    Returns:
+        The outline in W, m, of each box and upright cylinder of the table that ends at z = 0.
+
+    Raises:
+        ScenarioError: there is no such model, or none of its geometries ends there.
+    """
+    if not plant.HasModelInstanceNamed(instance):
+        raise ScenarioError(f"directives: there is no model {instance}; expected one whose top lies at z = 0")
+    context = plant.CreateDefaultContext()
+    tops: dict[GeometryId, BaseGeometry] = {}
+    for index in plant.GetBodyIndices(plant.GetModelInstanceByName(instance)):
+        body = plant.get_body(index)
+        X_WB = plant.EvalBodyPoseInWorld(context, body)
+        for geometry in plant.GetCollisionGeometriesForBody(body):
+            X_WG = X_WB @ inspector.GetPoseInFrame(geometry)
+            outline = _outline_of(inspector.GetShape(geometry), X_WG)
+            if outline is not None:
+                tops[geometry] = outline
+    if not tops:
+        raise ScenarioError(f"directives: {instance} has no level box or cylinder that ends at z = 0; expected one")
+    return tops
+
+
+def FindTableOutline(plant: MultibodyPlant, inspector: SceneGraphInspector, instance: str = TABLE) -> BaseGeometry:
+    """Finds where on the table's top things may lie: the union of `FindTableTops`, a polygon in W, m."""
+    return shapely.union_all(list(FindTableTops(plant, inspector, instance).values()), grid_size=SEAM)
+
+
+def _outline_of(shape: Box | Cylinder | object, X_WG: RigidTransform) -> BaseGeometry | None:
+    """In W; None where the shape does not end level at z = 0."""
+    R, p = X_WG.rotation().matrix(), X_WG.translation()
+    if np.hypot(R[0, 2], R[1, 2]) > TOP_TOLERANCE or not isinstance(shape, Box | Cylinder):
+        return None
+    half = (shape.height() if isinstance(shape, Box) else shape.length()) / 2
+    if not isclose(p[2] + half, 0.0, abs_tol=TOP_TOLERANCE):
+        return None
+    if isinstance(shape, Cylinder):
+        return shapely.Point(p[:2]).buffer(shape.radius(), quad_segs=QUADRANT_SEGMENTS)
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (shape.width() / 2, shape.depth() / 2)
+    return shapely.Polygon(corners @ R[:2, :2].T + p[:2])

@@ -1,0 +1,484 @@
+"""A grid object as a body of a MultibodyPlant.
+
+One rigid body with the cells' inertia stands on sphere feet, a cell on one (or four), and is pushed at boxes along its
+outline. Two ways to hold it:
+
+* "planar": a PlanarJoint whose parent frame lies `delta` below the table's top. Each foot is pressed in by delta, so
+  cell i bears m_i g by construction, as the planar model assumes. For dt = 1 ms.
+* "free": six degrees of freedom: it can tip over the table's edge and be lifted; the cells' loads shift as it is pushed
+  above the table. For dt = 2 ms.
+
+The plant's contact approximation is best left at Drake's default, "lagged": "sap" and "similar" glide.
+
+Frames: the table's top is the plane z = 0 of the world; the object's bottom is z = 0 of B, whose x and y are the grid
+object's own. Feet touch nothing but the table, sides everything but the table.
+
+The feet that an object stands on: small spheres, pressed into the table by the cells' weights.
+
+A foot that carries the share m_i g of the weight, pressed in by delta, has stiffness
+
+    k_i = m_i g / delta
+
+so that, pressed in by delta, it bears just that share, whatever the other feet do.
+
+An object's outline as boxes that a finger can push.
+
+Contact of a sphere and a box is solved in closed form in Drake, that of sphere and convex mesh by iteration. So each
+edge of the outline is the outer face of one box, as deep as the object lets it be. A sphere's nearest point on these
+boxes is the nearest point of the outline, corners and holes included; a corner shared by two boxes gives the same
+contact twice.
+
+The inside is filled with boxes too, a little clear of the outline, so that whatever else comes down on the object or
+grips it is not let through.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common import MemoryFile
+from pydrake.geometry import (
+    Box,
+    CollisionFilterDeclaration,
+    CollisionFilterScope,
+    GeometryId,
+    GeometrySet,
+    InMemoryMesh,
+    Mesh,
+    ProximityProperties,
+    Role,
+    SceneGraph,
+    Sphere,
+)
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import (
+    BodyIndex,
+    FixedOffsetFrame,
+    JointIndex,
+    ModelInstanceIndex,
+    PlanarJoint,
+    RigidBody,
+    SpatialInertia,
+)
+from shapely import Polygon, box, constrained_delaunay_triangles, prepare
+from shapely.geometry.polygon import orient
+
+from gridpush_drake.errors import ObjectError, ParameterError
+from gridpush_drake.multibody.contact_material import MakeContactProperties, calc_own_friction
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+
+FOOT_RADIUS = 0.002
+"""m; more than the feet are ever pressed in."""
+
+FeetPerCell = Literal[1, 4]
+
+
+@dataclass(frozen=True, eq=False)
+class FeetLayout:
+    """Where the feet are.
+
+    Attributes:
+        p_BF: (f, 2) where they touch the table, body frame, m.
+        cell: (f,) the cell that each belongs to.
+        feet_per_cell: 1: at the cells' centers; 4: at their corners.
+    """
+
+    p_BF: NDArray[np.float64]
+    cell: NDArray[np.int64]
+    feet_per_cell: FeetPerCell
+
+    @classmethod
+    def for_object(cls, obj: GridObject, feet_per_cell: FeetPerCell = 1) -> "FeetLayout":
+        """Lays out the feet of an object.
+
+        Args:
+            obj: the object.
+            feet_per_cell: 1, or 4 to support it out to its edge.
+
+        Returns:
+            The layout, cell by cell.
+
+        Raises:
+            ParameterError: `feet_per_cell` is neither.
+        """
+        if feet_per_cell == 1:
+            return cls(obj.p_BC, np.arange(obj.n), 1)
+        if feet_per_cell != 4:
+            raise ParameterError(f"feet_per_cell is {feet_per_cell!r}; expected 1 or 4")
+        corners = obj.cell_size / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        return cls((obj.p_BC[:, None] + corners).reshape(-1, 2), np.repeat(np.arange(obj.n), 4), 4)
+
+    def make_properties(self, params: CellParameters, delta: float, gravity: float) -> list[ProximityProperties]:
+        """Makes the feet's contact properties.
+
+        Args:
+            params: what the cells weigh and how they rub.
+            delta: how far the feet are pressed in, m.
+            gravity: m/s².
+
+        Returns:
+            Properties of the f feet.
+
+        Raises:
+            ParameterError: a friction is 2 or more, which Drake's combination cannot give.
+        """
+        stiffness = params.mass * gravity / (delta * self.feet_per_cell)
+        friction = [calc_own_friction(float(mu), f"friction of cell {i}") for i, mu in enumerate(params.friction)]
+        return [MakeContactProperties(friction[i], float(stiffness[i])) for i in self.cell]
+
+
+Array = NDArray[np.float64]
+
+MAX_DEPTH = 0.01
+"""m, of the boxes behind the edges."""
+
+HALVINGS = 12
+"""How often a box behind an edge is made half as deep for want of room."""
+
+PROTRUSION = 1e-6
+"""m by which boxes may stand out of the outline, next to a sharp corner."""
+
+STRIPS = 24
+"""Rows of boxes that fill the inside."""
+
+CLEARANCE = 5e-4
+"""m from the outline to the boxes that fill the inside; deeper than a finger ever presses in."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarBox:
+    """A rectangle in the body frame.
+
+    Attributes:
+        center: (2,) m.
+        angle: of its length from the x axis, rad.
+        size: (length, width), m.
+    """
+
+    center: Array
+    angle: float
+    size: tuple[float, float]
+
+
+def make_edge_boxes(obj: GridObject) -> list[PlanarBox]:
+    """Makes a box behind every edge of the outline, exterior first, its outer face being the edge."""
+    room = obj.outline.buffer(PROTRUSION)
+    prepare(room)
+    boxes = []
+    for start, end in zip(obj.edges.start, obj.edges.end, strict=True):
+        length = float(np.linalg.norm(end - start))
+        along = (end - start) / length
+        inward = np.array([-along[1], along[0]])
+        depth = MAX_DEPTH
+        for _ in range(HALVINGS):
+            if room.covers(Polygon([start, end, end + depth * inward, start + depth * inward])):
+                break
+            depth /= 2
+        center = (start + end) / 2 + depth / 2 * inward
+        boxes.append(PlanarBox(center, float(np.arctan2(along[1], along[0])), (length, depth)))
+    return boxes
+
+
+def make_inner_boxes(obj: GridObject) -> list[PlanarBox]:
+    """Fills the outline, clear of it, with boxes that lie in STRIPS rows along the x axis."""
+    room = obj.outline.buffer(-CLEARANCE)
+    if room.is_empty:
+        return []
+    left, bottom, right, top = room.bounds
+    boxes = []
+    for low, high in pairwise(np.linspace(bottom, top, STRIPS + 1)):
+        outside = box(left, low, right, high).difference(room)
+        # the row is free where nothing outside is seen along y
+        seen = sorted((part.bounds[0], part.bounds[2]) for part in getattr(outside, "geoms", [outside]) if part.area)
+        reached = left
+        for start, end in [*seen, (right, right)]:
+            if start - reached > CLEARANCE:
+                boxes.append(PlanarBox(np.array([reached + start, low + high]) / 2, 0.0, (start - reached, high - low)))
+            reached = max(reached, end)
+    return boxes
+
+
+def make_outline_mesh(outline: Polygon, height: float) -> str:
+    """Makes a prism of the outline as a mesh.
+
+    Args:
+        outline: body frame, m.
+        height: from its bottom at z = 0 to its top, m.
+
+    Returns:
+        Wavefront OBJ text, faces outwards.
+    """
+    vertices: list[str] = []
+    faces: list[str] = []
+
+    def add(points: list[tuple[float, float, float]]) -> None:
+        first = len(vertices) + 1
+        vertices.extend(f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in points)
+        faces.append("f " + " ".join(str(first + i) for i in range(len(points))))
+
+    for triangle in constrained_delaunay_triangles(outline).geoms:
+        corners = list(orient(triangle).exterior.coords)[:3]
+        add([(x, y, height) for x, y in corners])
+        add([(x, y, 0.0) for x, y in reversed(corners)])
+    whole = orient(outline)
+    for ring in (whole.exterior, *whole.interiors):
+        points = [tuple(point[:2]) for point in ring.coords]
+        for (ax, ay), (bx, by) in pairwise(points):
+            quad = [(ax, ay, 0.0), (bx, by, 0.0), (bx, by, height), (ax, ay, height)]
+            add(quad[:3])
+            add([quad[0], *quad[2:]])
+    return "\n".join(["# prism of an outline, m", *vertices, *faces, ""])
+
+
+Base = Literal["planar", "free"]
+
+DEFAULT_HEIGHT = 0.03
+"""m."""
+
+DEFAULT_DELTA = {"planar": 1e-3, "free": 1e-6}
+"""m the feet are pressed in; a free body on softer feet tips falsely."""
+
+SIDE_STIFFNESS = 3e5
+"""N/m, of the outline: a push of 3 N presses the finger in by 0.01 mm. Friction of Drake's lagged contact follows the
+normal force of the step before: on a stiffer outline that force jumps from step to step, and the finger slips."""
+
+SIDE_DISSIPATION = 100.0
+"""s/m, of the outline's contacts (Hunt-Crossley): it keeps the finger from bouncing."""
+
+DEFAULT_COLOR = (0.55, 0.62, 0.7, 1.0)
+"""Red, green, blue and opacity."""
+
+
+@dataclass(frozen=True, eq=False)
+class GridObjectInPlant:
+    """A grid object's parts in a plant.
+
+    Attributes:
+        obj: the object.
+        base: "planar" or "free".
+        model_instance: its own.
+        plant: the plant.
+        body_index: of the rigid body, with frame B.
+        joint_index: of the planar joint; None for a free base.
+        feet: geometries, in the order of `layout`.
+        sides: geometries along and within the outline.
+        visuals: illustration geometries.
+        layout: where the feet are.
+        height: m.
+        delta: m the feet are pressed in at rest.
+        side_stiffness: N/m.
+    """
+
+    obj: GridObject
+    base: Base
+    model_instance: ModelInstanceIndex
+    plant: MultibodyPlant
+    body_index: BodyIndex
+    joint_index: JointIndex | None
+    feet: tuple[GeometryId, ...]
+    sides: tuple[GeometryId, ...]
+    visuals: tuple[GeometryId, ...]
+    layout: FeetLayout
+    height: float
+    delta: float
+    side_stiffness: float
+
+    @property
+    def body(self) -> RigidBody:
+        """The rigid body. It is not kept: it holds its plant where the garbage collector does not see it."""
+        return self.plant.get_body(self.body_index)
+
+    @property
+    def joint(self) -> PlanarJoint | None:
+        """The planar joint; None for a free base."""
+        return None if self.joint_index is None else self.plant.get_joint(self.joint_index)
+
+
+def AddGridObject(
+    plant: MultibodyPlant,
+    scene_graph: SceneGraph,
+    obj: GridObject,
+    params: CellParameters,
+    base: Base = "planar",
+    *,
+    table: Iterable[GeometryId],
+    height: float = DEFAULT_HEIGHT,
+    name: str | None = None,
+    delta: float | None = None,
+    feet_per_cell: FeetPerCell = 1,
+    side_stiffness: float = SIDE_STIFFNESS,
+    visual: bool = True,
+    color: Sequence[float] = DEFAULT_COLOR,
+) -> GridObjectInPlant:
+    """Adds a grid object to a plant, before Finalize.
+
+    The table and the pusher's tip are to be stiff partners (`scene.contact_material.SetPartner`). Feet and sides are
+    filtered against whatever else is in the plant by now; where more is added afterwards, call
+    `ApplyGridObjectFilters` again.
+
+    Args:
+        plant: discrete; its gravity field is the one that the feet are made for.
+        scene_graph: of the plant.
+        obj: the object.
+        params: the true masses and frictions.
+        base: how it is held, see above.
+        table: collision geometries that the feet stand on; top at z = 0.
+        height: of the object, m.
+        name: of model instance and body, no other model's; the object's by default.
+        delta: m the feet are pressed in; by default 1e-3 for "planar", 1e-6 for "free".
+        feet_per_cell: 1, or 4: at the cells' corners, so that the object is supported out to its edge. Over a table's
+            edge it tips up to one cell early, either way.
+        side_stiffness: of the outline's contacts, N/m.
+        visual: whether it has illustration geometry.
+        color: red, green, blue and opacity of that.
+
+    Returns:
+        The parts.
+
+    Raises:
+        ObjectError: `base` is neither, a size is not positive, there is no table, or a model of that name.
+        ParameterError: the parameters are of another number of cells, or a friction is 2 or more.
+    """
+    if base not in DEFAULT_DELTA:
+        raise ObjectError(f"base is {base!r}; expected 'planar' or 'free'")
+    delta = DEFAULT_DELTA[base] if delta is None else delta
+    for what, value in (("height", height), ("delta", delta), ("side_stiffness", side_stiffness)):
+        if not 0 < value < np.inf:
+            raise ObjectError(f"{what} is {value!r}; expected a positive number")
+    table = list(table)
+    if not table:
+        raise ObjectError("table is empty; expected the collision geometries that the feet stand on")
+    name = obj.name if name is None else name
+    if plant.HasModelInstanceNamed(name):
+        raise ObjectError(f"name is {name!r}, as another model's in the plant; expected one of its own")
+    layout = FeetLayout.for_object(obj, feet_per_cell)
+    model_instance = plant.AddModelInstance(name)
+    body = plant.AddRigidBody(name, model_instance, MakeSpatialInertia(obj, params, height))
+    joint = _hold(plant, body, base, delta)
+    handle = GridObjectInPlant(
+        obj, base, model_instance, plant, body.index(), joint and joint.index(),
+        _add_feet(plant, body, layout, params, delta),
+        _add_sides(plant, body, obj, params, height, side_stiffness),
+        _add_visual(plant, scene_graph, body, obj, height, color) if visual else (),
+        layout, height, delta, side_stiffness,
+    )  # fmt: skip
+    ApplyGridObjectFilters(plant, scene_graph, handle, table)
+    return handle
+
+
+def MakeSpatialInertia(obj: GridObject, params: CellParameters, height: float = DEFAULT_HEIGHT) -> SpatialInertia:
+    """Sums up the cells' inertia, each a homogeneous square prism.
+
+    Args:
+        obj: the object.
+        params: its cells' masses.
+        height: of the prisms, m.
+
+    Returns:
+        M_BBo_B, about B's origin, at the object's bottom.
+
+    Raises:
+        ParameterError: the parameters are of another number of cells, or Drake finds the masses unphysical.
+    """
+    params.center_of_mass(obj)  # says so where the numbers of cells differ
+    total = SpatialInertia.Zero()
+    with refuse_unphysical(obj, params):
+        for (x, y), mass in zip(obj.p_BC, params.mass, strict=True):
+            cell = SpatialInertia.SolidBoxWithMass(mass, obj.cell_size, obj.cell_size, height)
+            total += cell.Shift([-x, -y, -height / 2])
+    return total
+
+
+@contextmanager
+def refuse_unphysical(obj: GridObject, params: CellParameters) -> Iterator[None]:
+    """Turns Drake's complaint about an inertia into a ParameterError that names the masses."""
+    try:
+        yield
+    except RuntimeError as error:
+        raise ParameterError(
+            f"{obj.name}: mass or height: cells of {params.mass.min():g} to {params.mass.max():g} kg, "
+            f"{obj.cell_size:g} m wide, make no inertia that Drake takes for physical; expected other sizes"
+        ) from error
+
+
+def MakeSideProperties(params: CellParameters, stiffness: float) -> ProximityProperties:
+    """Makes the contact properties of an object's sides; as `contact_material.MakeContactProperties`."""
+    friction = calc_own_friction(params.contact_friction, "contact_friction")
+    return MakeContactProperties(friction, stiffness, SIDE_DISSIPATION)
+
+
+def calc_gravity(plant: MultibodyPlant) -> float:
+    """The magnitude of a plant's gravity, m/s²; it points down."""
+    return float(np.linalg.norm(plant.gravity_field().gravity_vector()))
+
+
+def ApplyGridObjectFilters(
+    plant: MultibodyPlant, scene_graph: SceneGraph, handle: GridObjectInPlant, table: Iterable[GeometryId]
+) -> None:
+    """Lets the feet touch the table alone, and the sides everything but the table, of what is in the plant by now.
+
+    Args:
+        plant: the plant.
+        scene_graph: of the plant.
+        handle: the object.
+        table: collision geometries that the feet stand on.
+    """
+    table = list(table)
+    inspector = scene_graph.model_inspector()
+    others = set(inspector.GetGeometryIds(GeometrySet(inspector.GetAllGeometryIds()), Role.kProximity)) - set(table)
+    feet, sides = GeometrySet(list(handle.feet)), GeometrySet(list(handle.sides))
+    declaration = CollisionFilterDeclaration(CollisionFilterScope.kAll)
+    declaration.ExcludeBetween(feet, GeometrySet(list(others)))
+    declaration.ExcludeBetween(sides, GeometrySet(table))
+    scene_graph.collision_filter_manager().Apply(declaration)
+
+
+def _hold(plant: MultibodyPlant, body: RigidBody, base: Base, delta: float) -> PlanarJoint | None:
+    X_WB = RigidTransform([0.0, 0.0, -delta])
+    if base == "free":
+        plant.SetDefaultFloatingBaseBodyPose(body, X_WB)
+        return None
+    frame = plant.AddFrame(FixedOffsetFrame(f"{body.name()}_table", plant.world_frame(), X_WB, body.model_instance()))
+    return plant.AddJoint(PlanarJoint(f"{body.name()}_planar", frame, body.body_frame(), np.zeros(3)))
+
+
+def _add_feet(
+    plant: MultibodyPlant, body: RigidBody, layout: FeetLayout, params: CellParameters, delta: float
+) -> tuple[GeometryId, ...]:
+    properties = layout.make_properties(params, delta, calc_gravity(plant))
+    shape = Sphere(FOOT_RADIUS)
+    return tuple(
+        plant.RegisterCollisionGeometry(body, RigidTransform([x, y, FOOT_RADIUS]), shape, f"foot_{i}", properties[i])
+        for i, (x, y) in enumerate(layout.p_BF)
+    )
+
+
+def _add_sides(
+    plant: MultibodyPlant, body: RigidBody, obj: GridObject, params: CellParameters, height: float, stiffness: float
+) -> tuple[GeometryId, ...]:
+    properties = MakeSideProperties(params, stiffness)
+
+    def add(name: str, flat: PlanarBox) -> GeometryId:
+        X_BG = RigidTransform(RollPitchYaw(0, 0, flat.angle), [*flat.center, height / 2])
+        return plant.RegisterCollisionGeometry(body, X_BG, Box(*flat.size, height), name, properties)
+
+    edges = [add(f"edge_{i}", flat) for i, flat in enumerate(make_edge_boxes(obj))]
+    return (*edges, *(add(f"inside_{i}", flat) for i, flat in enumerate(make_inner_boxes(obj))))
+
+
+def _add_visual(
+    plant: MultibodyPlant, scene_graph: SceneGraph, body: RigidBody, obj: GridObject, height: float,
+    color: Sequence[float],
+) -> tuple[GeometryId, ...]:  # fmt: skip
+    file = MemoryFile(make_outline_mesh(obj.outline, height), ".obj", f"{obj.name}.obj")
+    geometry = plant.RegisterVisualGeometry(
+        body, RigidTransform(), Mesh(InMemoryMesh(mesh_file=file)), "outline", np.asarray(color, dtype=float)
+    )
+    scene_graph.RemoveRole(plant.get_source_id(), geometry, Role.kPerception)
+    return (geometry,)

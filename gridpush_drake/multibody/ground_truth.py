@@ -1,0 +1,167 @@
+"""What an object weighs and how it rubs, drawn at random and hidden from whoever is to find out.
+
+The pose and the hidden truth of a grid object, in a Context: one Diagram serves for many runs.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.geometry import RoleAssign, SceneGraph
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.math import SpatialVelocity
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import Context
+
+from gridpush_drake.errors import ObjectError
+from gridpush_drake.multibody.grid_object import GridObjectInPlant, MakeSideProperties, MakeSpatialInertia, calc_gravity
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
+
+Range = tuple[float, float]
+
+CELL_MASS_RANGE = (0.1, 1.0)
+"""Least and greatest mass of a cell before all are scaled to the object's total mass; one draw a part."""
+
+FRICTION_RANGE = (0.2, 0.6)
+CONTACT_FRICTION_RANGE = (0.35, 0.65)
+
+
+def sample_ground_truth(
+    obj: GridObject,
+    seed: int,
+    *,
+    cell_mass_range: Range = CELL_MASS_RANGE,
+    friction_range: Range = FRICTION_RANGE,
+    contact_friction_range: Range = CONTACT_FRICTION_RANGE,
+    friction_by_part: bool = False,
+) -> CellParameters:
+    """Draws what the parts weigh and how they rub; the total mass is the object's, or DEFAULT_TOTAL_MASS.
+
+    Args:
+        obj: the object.
+        seed: of the draw.
+        cell_mass_range: of a cell's mass before all are scaled to the total, kg; log-uniform, one draw a part.
+        friction_range: of the coefficient against the support.
+        contact_friction_range: of the coefficient against the pusher.
+        friction_by_part: whether every part has a friction of its own. Slow pushes cannot tell mass and friction apart,
+            and the center of mass can only be learned where they do not vary both.
+
+    Returns:
+        The truth.
+    """
+    drawn = CellParameters.random(obj, seed, cell_mass_range, friction_range if friction_by_part else None)
+    total = obj.prior.total_mass or DEFAULT_TOTAL_MASS
+    rng = np.random.default_rng((seed, 1))
+    contact_friction = float(rng.uniform(*contact_friction_range))
+    friction = drawn.friction if friction_by_part else np.full(obj.n, rng.uniform(*friction_range))
+    return CellParameters(drawn.mass * (total / drawn.total_mass), friction, contact_friction)
+
+
+def describe_truth(obj: GridObject, truth: CellParameters) -> dict[str, Any]:
+    """The truth by part, for a file that people read."""
+    parts = []
+    for label in np.unique(obj.labels).tolist():
+        first = int(np.argmax(obj.labels == label))
+        parts.append(
+            {
+                "part": label,
+                "cells": int((obj.labels == label).sum()),
+                "cell_mass": float(truth.mass[first]),
+                "friction": float(truth.friction[first]),
+                "relative_friction": float(truth.relative_friction()[obj.labels == label].sum()),
+            }
+        )
+    return {
+        "object": obj.name,
+        "total_mass": truth.total_mass,
+        "center_of_mass": truth.center_of_mass(obj).tolist(),
+        "center_of_friction": (truth.relative_friction() @ obj.p_BC).tolist(),
+        "contact_friction": truth.contact_friction,
+        "parts": parts,
+    }
+
+
+def SetGridObjectPose(
+    plant: MultibodyPlant, plant_context: Context, handle: GridObjectInPlant, pose: ArrayLike
+) -> None:
+    """Puts an object down on the table, at rest.
+
+    Args:
+        plant: the plant.
+        plant_context: its Context.
+        handle: the object.
+        pose: (3,) q = (x, y, theta) of B in W, m and rad.
+
+    Raises:
+        ObjectError: the pose is not three finite numbers.
+    """
+    q = np.array(pose, dtype=np.float64)
+    if q.shape != (3,) or not np.isfinite(q).all():
+        raise ObjectError(f"pose is {pose!r}; expected three finite numbers: x, y (m), theta (rad)")
+    if handle.joint is not None:
+        handle.joint.set_pose(plant_context, q[:2], q[2])
+    else:
+        X_WB = RigidTransform(RollPitchYaw(0, 0, q[2]), [q[0], q[1], -handle.delta])
+        plant.SetFloatingBaseBodyPoseInWorldFrame(plant_context, handle.body, X_WB)
+    SetGridObjectVelocity(plant, plant_context, handle, (0.0, 0.0, 0.0))
+
+
+def SetGridObjectVelocity(
+    plant: MultibodyPlant, plant_context: Context, handle: GridObjectInPlant, velocity: ArrayLike
+) -> None:
+    """Sets an object's planar velocity.
+
+    Args:
+        plant: the plant.
+        plant_context: its Context.
+        handle: the object.
+        velocity: (3,) (vx, vy, w) of B's origin in W, m/s and rad/s.
+    """
+    vx, vy, w = np.asarray(velocity, dtype=np.float64)
+    if handle.joint is not None:
+        handle.joint.set_translational_velocity(plant_context, [vx, vy])
+        handle.joint.set_angular_velocity(plant_context, w)
+    else:
+        plant.SetFreeBodySpatialVelocity(plant_context, handle.body, SpatialVelocity([0, 0, w], [vx, vy, 0]))
+
+
+def CalcPlanarPose(plant: MultibodyPlant, plant_context: Context, handle: GridObjectInPlant) -> NDArray[np.float64]:
+    """Calculates q = (x, y, theta) (3,) of B in W, m and rad; theta in (-pi, pi] for a free base."""
+    if handle.joint is not None:
+        return np.array([*handle.joint.get_translation(plant_context), handle.joint.get_rotation(plant_context)])
+    X_WB = plant.EvalBodyPoseInWorld(plant_context, handle.body)
+    R = X_WB.rotation().matrix()
+    return np.array([*X_WB.translation()[:2], np.arctan2(R[1, 0], R[0, 0])])
+
+
+def SetGridObjectParameters(
+    plant: MultibodyPlant,
+    scene_graph: SceneGraph,
+    context: Context,
+    handle: GridObjectInPlant,
+    params: CellParameters,
+) -> None:
+    """Changes the truth: inertia, what each foot bears and how it rubs, the friction of the sides.
+
+    Args:
+        plant: the plant.
+        scene_graph: of the plant.
+        context: of the Diagram that holds both; `Simulator.reset_context` and `Diagram.CreateDefaultContext` bring back
+            the parameters that the object was added with.
+        handle: the object.
+        params: the new masses and frictions.
+
+    Raises:
+        ParameterError: the parameters are of another number of cells, or a friction is 2 or more.
+    """
+    inertia = MakeSpatialInertia(handle.obj, params, handle.height)
+    feet = handle.layout.make_properties(params, handle.delta, calc_gravity(plant))
+    side = MakeSideProperties(params, handle.side_stiffness)
+    handle.body.SetSpatialInertiaInBodyFrame(plant.GetMyMutableContextFromRoot(context), inertia)
+    scene_context = scene_graph.GetMyMutableContextFromRoot(context)
+    source = plant.get_source_id()
+    for geometry, properties in zip(handle.feet, feet, strict=True):
+        scene_graph.AssignRole(scene_context, source, geometry, properties, RoleAssign.kReplace)
+    for geometry in handle.sides:
+        scene_graph.AssignRole(scene_context, source, geometry, side, RoleAssign.kReplace)

@@ -1,0 +1,143 @@
+"""Meshcat: started with clear errors, and its recordings written."""
+
+import logging
+from math import cos, sin
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.geometry import Meshcat, MeshcatAnimation, MeshcatParams
+
+from gridpush_drake.errors import StationError
+from gridpush_drake.files import check_writable, read_head, write_whole
+from gridpush_drake.multibody.recording_overlay import Overlay, add_overlay
+
+MIN_PORT, GREATEST_PORT = 1024, 65535
+"""Ports below belong to the system."""
+
+LAYERS_TO_LEAVE_OUT = ("/drake/proximity", "/drake/contact_forces", "/drake/inertia")
+"""What a recording is not for: collision geometry, contact forces, inertia ellipsoids."""
+
+CAMERA_AZIMUTH, CAMERA_ELEVATION = -1.75, 0.85
+"""Where the camera stands as seen from its target, rad: before the table, a little to the left."""
+
+MARK = b"<title>Drake MeshCat</title>"
+"""What stands in every page of Meshcat."""
+
+MARK_ROOM = 4096
+"""Bytes within which it stands."""
+
+BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.97, 0.975, 0.98), (0.80, 0.82, 0.85)
+"""Colors of the background, sRGB."""
+
+LIGHTS = {"AmbientLight": 1.2, "PointLightNegativeX": 14.0, "PointLightPositiveX": 14.0}
+"""Intensities that show a horizontal face near the origin in its own color; Meshcat's own make it a third brighter."""
+
+
+def StartMeshcatServer(port: int | None = None, host: str = "localhost", *, show_stats: bool = False) -> Meshcat:
+    """Starts Meshcat, with a light background and neither grid nor axes.
+
+    Args:
+        port: to listen on; the first free one from 7000 on where None, any free one where 0.
+        host: to listen on: "localhost" for this machine alone, "*" for every network it is in.
+        show_stats: shows how fast the simulation runs.
+
+    Returns:
+        The server; `web_url()` is its page.
+
+    Raises:
+        StationError: the port is out of range or in use, or the host is not this machine's.
+    """
+    if port is not None and port != 0 and not MIN_PORT <= port <= GREATEST_PORT:
+        raise StationError(f"port is {port}; expected one from {MIN_PORT} to {GREATEST_PORT}, or 0 for any free one")
+    params = MeshcatParams(host=host, port=port, show_stats_plot=show_stats)
+    log = logging.getLogger("drake")
+    level = log.level
+    log.setLevel(logging.WARNING)  # whoever starts it says where its page is
+    try:
+        meshcat = Meshcat(params)
+    except RuntimeError as error:
+        raise StationError(_explain(port, host)) from error
+    finally:
+        log.setLevel(level)
+    ApplyLook(meshcat)
+    return meshcat
+
+
+def ApplyLook(meshcat: Meshcat) -> None:
+    """Gives a scene a light background and even light, and takes its grid and axes away."""
+    for light, intensity in LIGHTS.items():
+        meshcat.SetProperty(f"/Lights/{light}/<object>", "intensity", intensity)
+    meshcat.SetProperty("/Background", "top_color", list(BACKGROUND_TOP))
+    meshcat.SetProperty("/Background", "bottom_color", list(BACKGROUND_BOTTOM))
+    for path in ("/Grid", "/Axes"):
+        meshcat.SetProperty(path, "visible", False)
+
+
+def AimCamera(
+    meshcat: Meshcat,
+    target: ArrayLike,
+    distance: float,
+    azimuth: float = CAMERA_AZIMUTH,
+    elevation: float = CAMERA_ELEVATION,
+) -> None:
+    """Points the camera at a place.
+
+    Args:
+        meshcat: the scene.
+        target: (3,) where to look, world frame, m.
+        distance: of the camera from there, m.
+        azimuth: of the camera as seen from there, rad from the x axis.
+        elevation: of the camera as seen from there, rad from the table.
+    """
+    direction = [cos(elevation) * cos(azimuth), cos(elevation) * sin(azimuth), sin(elevation)]
+    p_WT: Any = np.asarray(target, dtype=np.float64)
+    p_WC: Any = p_WT + distance * np.array(direction)
+    meshcat.SetCameraPose(p_WC, p_WT)
+
+
+def PublishOnce(meshcat: Meshcat) -> None:
+    """Publishes what was recorded, to be played once and to stay on its last frame.
+
+    In a loop each thing that moves would begin anew when its own last change is over, and they would not keep time.
+    """
+    meshcat.StopRecording()
+    recording = meshcat.get_mutable_recording()
+    recording.set_loop_mode(MeshcatAnimation.LoopMode.kLoopOnce)
+    recording.set_clamp_when_finished(True)
+    meshcat.PublishRecording()
+
+
+def write_recording(meshcat: Meshcat, path: Path | str, force: bool = False, overlay: Overlay | None = None) -> None:
+    """Writes the scene, with what was recorded, as one self-contained HTML file that plays when it is opened.
+
+    Args:
+        meshcat: the scene; its recording is stopped and published, and LAYERS_TO_LEAVE_OUT are deleted from it.
+        path: the HTML file.
+        force: whether an existing file may be replaced.
+        overlay: what stands beside the scene; None for nothing.
+
+    Raises:
+        OutputError: the file exists and `force` is not set, or it cannot be written.
+    """
+    check_writable(path, force)
+    for layer in LAYERS_TO_LEAVE_OUT:
+        meshcat.Delete(layer)
+    PublishOnce(meshcat)
+    page = meshcat.StaticHtml()
+    write_whole(path, page if overlay is None else add_overlay(page, overlay), force)
+
+
+def looks_like_recording(path: Path | str) -> bool:
+    """Whether a file is a page that Meshcat wrote; False where it cannot be read."""
+    return MARK in read_head(path, MARK_ROOM)
+
+
+def _explain(port: int | None, host: str) -> str:
+    if port:
+        return (
+            f"port {port} cannot be listened on at {host!r}: it is in use already, or {host!r} is not this machine's "
+            "address; end the program that uses it, or pass another port (0 takes any free one)"
+        )
+    return f"Meshcat cannot listen at {host!r}: expected this machine's name or address, such as 'localhost' or '*'"

@@ -1,0 +1,328 @@
+"""What is drawn of an object and its estimate in Meshcat, and how it changes in a live scene and in a recording alike.
+
+An animation in Meshcat moves things and changes properties, but cannot change a mesh. So each new version of what is
+drawn gets a path of its own, and versions take turns by the property "visible", which is recorded.
+
+Meshcat's shader takes a mesh's vertex colors for linear light, though a material's for sRGB; what is given here is
+always sRGB.
+
+Triangle meshes of what is drawn flat on a table: cells, an outline's prism, discs, rings and arrows.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.geometry import Meshcat, Rgba
+from pydrake.math import RigidTransform, RotationMatrix
+from shapely import MultiPolygon, Polygon, constrained_delaunay_triangles
+from shapely.geometry.polygon import orient
+
+from gridpush_drake.objects.grid_object import GridObject
+
+Array = NDArray[np.float64]
+
+CELL_SHARE = 0.94
+"""Side of a drawn cell, in cells; the rest is the gap that lets cells be told apart."""
+
+CIRCLE_SIDES = 48
+"""Straight pieces of a drawn circle."""
+
+CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+"""Of a square, counterclockwise."""
+
+
+@dataclass(frozen=True, eq=False)
+class TriangleMesh:
+    """Triangles in space.
+
+    Attributes:
+        vertices: (k, 3) m.
+        faces: (m, 3) indices into the vertices.
+    """
+
+    vertices: Array
+    faces: NDArray[np.int32]
+
+    def __add__(self, other: "TriangleMesh") -> "TriangleMesh":
+        """Both together."""
+        faces = np.concatenate([self.faces, other.faces + len(self.vertices)]).astype(np.int32)
+        return TriangleMesh(np.concatenate([self.vertices, other.vertices]), faces)
+
+
+def make_cell_prisms(obj: GridObject, height: float, share: float = CELL_SHARE) -> TriangleMesh:
+    """Makes a prism a cell, standing on the plane z = 0 of the body frame, open below.
+
+    Args:
+        obj: the object.
+        height: of the prisms, m.
+        share: side of a prism, in cells.
+
+    Returns:
+        The mesh; its 8 n vertices come by corner, then by cell (the first n are all cells' first upper corners).
+    """
+    n, half = obj.n, share * obj.cell_size / 2
+    rings = [np.column_stack([obj.p_BC + half * np.array(corner), np.zeros(n)]) for corner in CORNERS]
+    upper = [ring + np.array([0.0, 0.0, height]) for ring in rings]
+    quads = [(0, 1, 2, 3)] + [(i + 4, (i + 1) % 4 + 4, (i + 1) % 4, i) for i in range(4)]
+    cell = np.arange(n)
+    faces = [
+        np.column_stack([cell + n * corner for corner in triangle]) for quad in quads for triangle in _halves(quad)
+    ]
+    return TriangleMesh(np.concatenate(upper + rings), np.concatenate(faces).astype(np.int32))
+
+
+def make_outline_prism(obj: GridObject, height: float) -> TriangleMesh:
+    """Makes the walls and the lid of an object's outline; body frame, from z = 0 to `height`, m."""
+    mesh = _make_plate(obj.outline, height)
+    outline = orient(obj.outline)
+    for ring in (outline.exterior, *outline.interiors):
+        mesh += _make_wall(np.array(ring.coords)[:, :2], height)
+    return mesh
+
+
+def make_outline_edge(obj: GridObject, height: float, width: float) -> TriangleMesh:
+    """Makes a flat band about an object's outline, half inside and half outside; body frame, at z = `height`, m.
+
+    Args:
+        obj: the object.
+        height: m.
+        width: of the band, m.
+
+    Returns:
+        The mesh.
+    """
+    band = obj.outline.buffer(width / 2).difference(obj.outline.buffer(-width / 2))
+    return _make_plate(band, height)
+
+
+def make_disc(covariance: ArrayLike, center: ArrayLike, height: float) -> TriangleMesh:
+    """Makes a flat ellipse, the points p with (p - c)' S^-1 (p - c) <= 1.
+
+    Args:
+        covariance: (2, 2) S, m².
+        center: (2,) c, m.
+        height: z, m.
+
+    Returns:
+        The mesh.
+    """
+    rim = _calc_ellipse(covariance, center)
+    vertices = np.column_stack([np.vstack([rim, np.asarray(center)]), np.full(len(rim) + 1, height)])
+    i = np.arange(len(rim))
+    faces = np.column_stack([i, (i + 1) % len(rim), np.full(len(rim), len(rim))])
+    return TriangleMesh(vertices, faces.astype(np.int32))
+
+
+def make_ring(covariance: ArrayLike, center: ArrayLike, height: float, width: float) -> TriangleMesh:
+    """Makes the rim of the ellipse of `make_disc`, as a flat band that reaches `width`, m, outwards."""
+    inner = _calc_ellipse(covariance, center)
+    outer = _calc_ellipse(_widen(np.asarray(covariance, dtype=np.float64), width), center)
+    n, i = len(inner), np.arange(len(inner))
+    j = (i + 1) % n
+    faces = np.concatenate([np.column_stack([i, i + n, j + n]), np.column_stack([i, j + n, j])])
+    rim = np.vstack([inner, outer])
+    return TriangleMesh(np.column_stack([rim, np.full(len(rim), height)]), faces.astype(np.int32))
+
+
+def make_arrow(start: ArrayLike, end: ArrayLike, height: float, width: float) -> TriangleMesh:
+    """Makes a flat arrow.
+
+    Args:
+        start: (2,) of its tail, m.
+        end: (2,) of its point, m.
+        height: z, m.
+        width: of its shaft, m; the head is three times as wide and long, at most the whole arrow.
+
+    Returns:
+        The mesh.
+    """
+    tail, point = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    length = float(np.linalg.norm(point - tail))
+    along = (point - tail) / length
+    across = np.array([-along[1], along[0]])
+    neck, half = length - min(3 * width, length), width / 2
+    outline = [(0, -half), (neck, -half), (neck, half), (0, half), (neck, -3 * half), (length, 0), (neck, 3 * half)]
+    flat = np.array([tail + s * along + t * across for s, t in outline])
+    vertices = np.column_stack([flat, np.full(len(flat), height)])
+    return TriangleMesh(vertices, np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6]], dtype=np.int32))
+
+
+def _make_plate(area: Polygon | MultiPolygon, height: float) -> TriangleMesh:
+    triangles = constrained_delaunay_triangles(area).geoms
+    corners = np.concatenate([np.array(triangle.exterior.coords)[:3, :2] for triangle in triangles])
+    faces = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
+    return TriangleMesh(np.column_stack([corners, np.full(len(corners), height)]), faces)
+
+
+def _make_wall(ring: Array, height: float) -> TriangleMesh:
+    """Between a closed ring (k, 2), first and last the same, at z = 0 and at z = height."""
+    n = len(ring) - 1
+    low = np.column_stack([ring[:-1], np.zeros(n)])
+    i = np.arange(n)
+    j = (i + 1) % n
+    faces = np.concatenate([np.column_stack([i, j, j + n]), np.column_stack([i, j + n, i + n])])
+    return TriangleMesh(np.vstack([low, low + np.array([0.0, 0.0, height])]), faces.astype(np.int32))
+
+
+def _halves(quad: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    a, b, c, d = quad
+    return (a, b, c), (a, c, d)
+
+
+def _calc_ellipse(covariance: ArrayLike, center: ArrayLike) -> Array:
+    values, vectors = np.linalg.eigh(np.asarray(covariance, dtype=np.float64))
+    angle = 2 * np.pi * np.arange(CIRCLE_SIDES) / CIRCLE_SIDES
+    circle = np.column_stack([np.cos(angle), np.sin(angle)]) * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(center, dtype=np.float64) + circle @ vectors.T
+
+
+def _widen(covariance: Array, width: float) -> Array:
+    """The ellipse whose half axes are longer by `width`."""
+    values, vectors = np.linalg.eigh(covariance)
+    axes = np.sqrt(np.maximum(values, 0.0)) + width
+    return (vectors * axes**2) @ vectors.T
+
+
+VISIBLE = "visible"
+
+CENTER_COLOR = Rgba(0.93, 0.07, 0.42)
+"""Of the center of mass and its ellipse; no color of viridis comes near."""
+
+ELLIPSE_OPACITY = 0.3
+
+PLAN_COLOR = Rgba(0.93, 0.38, 0.05)
+"""Of what is to come: a push, and the pose it is predicted to end in."""
+
+GHOST_OPACITY = 0.3
+
+CENTER_RADIUS = 0.0025
+"""Of the dot at the center of mass, m."""
+
+RIM_WIDTH = 0.0012
+"""Of the ellipse's rim, m."""
+
+ARROW_WIDTH = 0.005
+"""Of a push's shaft, m."""
+
+LAYER = 0.001
+"""Between what is drawn one over the other, m."""
+
+EDGE_WIDTH = 0.0015
+"""Of a ghost's upper edge, m."""
+
+GHOST_SHARE = 0.97
+"""Height of a ghost, in heights of its object, whose own top then covers it where the two meet."""
+
+
+def AddCells(
+    meshcat: Meshcat, path: str, obj: GridObject, colors: ArrayLike, height: float, share: float | None = None
+) -> None:
+    """Draws an object's cells as one mesh, standing on z = 0 of its body frame.
+
+    Args:
+        meshcat: where to draw.
+        path: what is there already is replaced.
+        obj: the object.
+        colors: (n, 3) sRGB, 0 to 1.
+        height: of the cells, m.
+        share: side of a drawn cell, in cells; `triangle_meshes.CELL_SHARE` by default.
+    """
+    mesh = make_cell_prisms(obj, height) if share is None else make_cell_prisms(obj, height, share)
+    light = srgb_to_linear(np.asarray(colors, dtype=np.float64))
+    vertices, faces = _to_columns(mesh)
+    corners = len(mesh.vertices) // obj.n
+    columns: Any = np.tile(light, (corners, 1)).T
+    meshcat.SetTriangleColorMesh(path, vertices, faces, columns)
+
+
+def AddCenter(
+    meshcat: Meshcat, path: str, center: ArrayLike, covariance: ArrayLike, height: float, sigmas: float
+) -> None:
+    """Draws an estimated point with its uncertainty, flat, at z = `height` and a little above.
+
+    Args:
+        meshcat: where to draw.
+        path: a dot is drawn at `path`/dot, the ellipse and its rim at `path`/ellipse and `path`/rim.
+        center: (2,) body frame, m.
+        covariance: (2, 2) m²; nothing but the dot is drawn where it is not finite.
+        height: m.
+        sigmas: half axes of the ellipse, in standard deviations.
+    """
+    dot = make_disc(CENTER_RADIUS**2 * np.eye(2), center, height + 2 * LAYER)
+    _AddMesh(meshcat, f"{path}/dot", dot, CENTER_COLOR)
+    spread = sigmas**2 * np.asarray(covariance, dtype=np.float64)
+    if np.isfinite(spread).all() and spread.any():
+        fill = make_disc(spread, center, height)
+        _AddMesh(meshcat, f"{path}/ellipse", fill, _fade(CENTER_COLOR, ELLIPSE_OPACITY))
+        _AddMesh(meshcat, f"{path}/rim", make_ring(spread, center, height + LAYER, RIM_WIDTH), CENTER_COLOR)
+
+
+def AddGhost(meshcat: Meshcat, path: str, obj: GridObject, height: float, color: Rgba = PLAN_COLOR) -> None:
+    """Draws a translucent prism of an object's outline, body frame, with its upper edge as an opaque band.
+
+    Args:
+        meshcat: where to draw.
+        path: the prism is drawn at `path`/body, the edge at `path`/edge.
+        obj: the object.
+        height: of the object, m; the body ends a little below it and the edge lies a little above.
+        color: of both.
+    """
+    _AddMesh(meshcat, f"{path}/body", make_outline_prism(obj, GHOST_SHARE * height), _fade(color, GHOST_OPACITY))
+    edge = make_outline_edge(obj, height + LAYER / 2, EDGE_WIDTH)
+    _AddMesh(meshcat, f"{path}/edge", edge, color)
+
+
+def AddArrow(meshcat: Meshcat, path: str, start: ArrayLike, end: ArrayLike, height: float) -> None:
+    """Draws a push from `start` (2,) to `end` (2,), world frame, m, as a flat arrow at z = `height`, m."""
+    _AddMesh(meshcat, path, make_arrow(start, end, height, ARROW_WIDTH), PLAN_COLOR)
+
+
+def ApplyTurn(meshcat: Meshcat, shown: str | None, hidden: str | None, time: float, period: float) -> None:
+    """Shows one path instead of another, from `time` on, live and in the recording where one is made.
+
+    Args:
+        meshcat: the scene.
+        shown: the path to be seen from now on; in the recording it is hidden before.
+        hidden: the path to be seen no more; in the recording it stays as it is until a `period` before, at least.
+        time: in the recording, s.
+        period: what passed since the scene was drawn last, s.
+    """
+    recording = meshcat.get_mutable_recording()
+    begin = recording.start_time()
+    frame = 1 / recording.frames_per_second()
+    if time < begin:
+        begin = time
+    if shown is not None:
+        meshcat.SetProperty(shown, VISIBLE, False, begin)
+    if hidden is not None:
+        meshcat.SetProperty(hidden, VISIBLE, True, max(begin, time - max(period, frame)))
+        meshcat.SetProperty(hidden, VISIBLE, False, time)
+    if shown is not None:
+        meshcat.SetProperty(shown, VISIBLE, True, time)
+
+
+def MakePlanarTransform(pose: ArrayLike, height: float = 0.0) -> RigidTransform:
+    """X_WB of a pose (3,) (x, y, theta), m and rad, at z = `height`, m."""
+    x, y, theta = np.asarray(pose, dtype=np.float64)
+    p_WB: Any = np.array([x, y, height])
+    return RigidTransform(RotationMatrix.MakeZRotation(theta), p_WB)
+
+
+def srgb_to_linear(srgb: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Colors (..., 3), 0 to 1, as linear light (IEC 61966-2-1)."""
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
+def _AddMesh(meshcat: Meshcat, path: str, mesh: TriangleMesh, color: Rgba) -> None:
+    vertices, faces = _to_columns(mesh)
+    meshcat.SetTriangleMesh(path, vertices, faces, color)
+
+
+def _to_columns(mesh: TriangleMesh) -> tuple[Any, Any]:
+    return mesh.vertices.T, mesh.faces.T
+
+
+def _fade(color: Rgba, opacity: float) -> Rgba:
+    return Rgba(color.r(), color.g(), color.b(), opacity)

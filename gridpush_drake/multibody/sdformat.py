@@ -1,0 +1,210 @@
+"""A grid object as an SDFormat model, in one file, for Drake's parser.
+
+It has what `AddGridObject` gives a plant: the cells' inertia, a foot a cell, boxes along and within the outline; the
+cells are what is seen. SDFormat filters collisions by link and model only, so nothing is filtered: instead the sides
+end `SIDE_LIFT` above the table and the feet are lower than a finger reaches.
+
+The file supposes that table and pusher are stiff partners: of friction 1, and of point contact stiffness 1e12 N/m
+(`scene.contact_material`). Then cell i has friction mu_i, and bears m_i g where the base is "planar".
+"""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.geometry import ProximityProperties
+
+from gridpush_drake.errors import ObjectError
+from gridpush_drake.files import write_whole
+from gridpush_drake.multibody.grid_object import (
+    DEFAULT_COLOR,
+    DEFAULT_DELTA,
+    DEFAULT_HEIGHT,
+    FOOT_RADIUS,
+    SIDE_STIFFNESS,
+    Base,
+    FeetLayout,
+    FeetPerCell,
+    MakeSideProperties,
+    MakeSpatialInertia,
+    make_edge_boxes,
+    make_inner_boxes,
+    refuse_unphysical,
+)
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+
+DRAKE = "http://drake.mit.edu"
+"""XML namespace of Drake's elements."""
+
+VERSION = "1.9"
+"""Of SDFormat."""
+
+GRAVITY = 9.81
+"""m/s², that the feet are made for; Drake's own."""
+
+SIDE_LIFT = 0.003
+"""m from the object's bottom to that of its sides; more than the feet are pressed in."""
+
+NOTICE = (
+    " A grid object: a foot under every cell, boxes along the outline for a finger to push. Table and finger are to "
+    "have friction 1 and drake:point_contact_stiffness 1e12. The object's bottom is z = 0 of its frame. Units: m, kg. "
+)
+
+Element = ElementTree.Element
+
+
+def make_sdf(
+    obj: GridObject,
+    params: CellParameters,
+    base: Base = "free",
+    *,
+    height: float = DEFAULT_HEIGHT,
+    delta: float | None = None,
+    feet_per_cell: FeetPerCell = 1,
+    side_stiffness: float = SIDE_STIFFNESS,
+    gravity: float = GRAVITY,
+) -> str:
+    """Makes the model's text.
+
+    Args:
+        obj: the object.
+        params: what its cells weigh and how they rub.
+        base: "free", or "planar": held by a planar joint to a frame `delta` below the world's z = 0.
+        height: of the object, m; more than SIDE_LIFT.
+        delta: m the feet are pressed in; by default as `AddGridObject`.
+        feet_per_cell: 1 or 4.
+        side_stiffness: of the outline's contacts, N/m.
+        gravity: m/s², that the feet are made for.
+
+    Returns:
+        SDFormat; the model and its link have the object's name.
+
+    Raises:
+        ObjectError: `base` is neither, a size is out of range, or SDFormat has no such names.
+        ParameterError: the parameters are of another number of cells, a friction is 2 or more, or Drake
+            finds the masses unphysical.
+    """
+    if base not in DEFAULT_DELTA:
+        raise ObjectError(f"base is {base!r}; expected 'planar' or 'free'")
+    if not obj.name or "::" in obj.name or obj.name == "world" or (obj.name[:2] == obj.name[-2:] == "__"):
+        raise ObjectError(f"name is {obj.name!r}; expected one that SDFormat has not reserved, without '::'")
+    delta = DEFAULT_DELTA[base] if delta is None else delta
+    if not SIDE_LIFT < height < np.inf:
+        raise ObjectError(f"height is {height!r}; expected more than {SIDE_LIFT} m")
+    if not 0 < delta < SIDE_LIFT:
+        raise ObjectError(f"delta is {delta!r}; expected more than 0 and less than {SIDE_LIFT} m")
+    ElementTree.register_namespace("drake", DRAKE)
+    sdf = Element("sdf", version=VERSION)
+    sdf.append(ElementTree.Comment(NOTICE))
+    model = ElementTree.SubElement(sdf, "model", name=obj.name)
+    link = ElementTree.SubElement(model, "link", name=obj.name)
+    _add_inertia(link, obj, params, height)
+    _add_feet(link, obj, params, FeetLayout.for_object(obj, feet_per_cell), delta, gravity)
+    _add_sides(link, obj, params, height, side_stiffness)
+    _add_cells(link, obj, height)
+    if base == "planar":
+        _add_joint(model, obj.name, delta)
+    ElementTree.indent(sdf)
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(sdf, encoding="unicode") + "\n"
+
+
+def WriteSdf(
+    obj: GridObject,
+    params: CellParameters,
+    path: Path | str,
+    force: bool = False,
+    *,
+    base: Base = "free",
+    height: float = DEFAULT_HEIGHT,
+    feet_per_cell: FeetPerCell = 1,
+) -> None:
+    """Writes the model to a file.
+
+    Args:
+        obj: the object.
+        params: what its cells weigh and how they rub.
+        path: the file.
+        force: whether an existing file may be replaced.
+        base: as `make_sdf`.
+        height: as `make_sdf`, m.
+        feet_per_cell: as `make_sdf`.
+
+    Raises:
+        OutputError: the file cannot be written.
+        ObjectError, ParameterError: as `make_sdf`.
+    """
+    write_whole(path, make_sdf(obj, params, base, height=height, feet_per_cell=feet_per_cell), force)
+
+
+def _add_inertia(link: Element, obj: GridObject, params: CellParameters, height: float) -> None:
+    M_BBo_B = MakeSpatialInertia(obj, params, height)
+    with refuse_unphysical(obj, params):
+        I_BBcm_B = M_BBo_B.Shift(M_BBo_B.get_com()).CalcRotationalInertia().CopyToFullMatrix3()
+    inertial = ElementTree.SubElement(link, "inertial")
+    _add(inertial, "pose", [*M_BBo_B.get_com(), 0, 0, 0])
+    _add(inertial, "mass", [M_BBo_B.get_mass()])
+    inertia = ElementTree.SubElement(inertial, "inertia")
+    for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
+        _add(inertia, f"i{'xyz'[i]}{'xyz'[j]}", [I_BBcm_B[i, j]])
+
+
+def _add_feet(
+    link: Element, obj: GridObject, params: CellParameters, layout: FeetLayout, delta: float, gravity: float
+) -> None:
+    properties = layout.make_properties(params, delta, gravity)
+    for i, (x, y) in enumerate(layout.p_BF):
+        geometry = _add_collision(link, f"foot_{i}", [x, y, FOOT_RADIUS, 0, 0, 0], properties[i])
+        _add(ElementTree.SubElement(geometry, "sphere"), "radius", [FOOT_RADIUS])
+
+
+def _add_sides(link: Element, obj: GridObject, params: CellParameters, height: float, stiffness: float) -> None:
+    properties = MakeSideProperties(params, stiffness)
+    for kind, boxes in (("edge", make_edge_boxes(obj)), ("inside", make_inner_boxes(obj))):
+        for i, flat in enumerate(boxes):
+            pose = [*flat.center, (height + SIDE_LIFT) / 2, 0, 0, flat.angle]
+            geometry = _add_collision(link, f"{kind}_{i}", pose, properties)
+            _add(ElementTree.SubElement(geometry, "box"), "size", [*flat.size, height - SIDE_LIFT])
+
+
+def _add_cells(link: Element, obj: GridObject, height: float) -> None:
+    for i, (x, y) in enumerate(obj.p_BC):
+        visual = ElementTree.SubElement(link, "visual", name=f"cell_{i}")
+        _add(visual, "pose", [x, y, height / 2, 0, 0, 0])
+        geometry = ElementTree.SubElement(visual, "geometry")
+        _add(ElementTree.SubElement(geometry, "box"), "size", [obj.cell_size, obj.cell_size, height])
+        _add(ElementTree.SubElement(visual, "material"), "diffuse", DEFAULT_COLOR)
+
+
+def _add_joint(model: Element, link: str, delta: float) -> None:
+    """Holds the object to a link, fixed to the world `delta` below its plane z = 0: joints of Drake's know no world."""
+    support = f"{link}_support"
+    held = ElementTree.SubElement(model, "link", name=support)
+    _add(held, "pose", [0, 0, -delta, 0, 0, 0])
+    fixed = ElementTree.SubElement(model, "joint", name=f"{support}_fixed", type="fixed")
+    ElementTree.SubElement(fixed, "parent").text = "world"
+    ElementTree.SubElement(fixed, "child").text = support
+    joint = ElementTree.SubElement(model, f"{{{DRAKE}}}joint", name=f"{link}_planar", type="planar")
+    ElementTree.SubElement(joint, f"{{{DRAKE}}}parent").text = support
+    ElementTree.SubElement(joint, f"{{{DRAKE}}}child").text = link
+    _add(joint, f"{{{DRAKE}}}damping", [0, 0, 0])
+
+
+def _add_collision(link: Element, name: str, pose: ArrayLike, properties: ProximityProperties) -> Element:
+    """Adds a collision and returns its empty geometry."""
+    collision = ElementTree.SubElement(link, "collision", name=name)
+    _add(collision, "pose", pose)
+    geometry = ElementTree.SubElement(collision, "geometry")
+    contact = ElementTree.SubElement(collision, f"{{{DRAKE}}}proximity_properties")
+    friction = properties.GetProperty("material", "coulomb_friction")
+    _add(contact, f"{{{DRAKE}}}mu_static", [friction.static_friction()])
+    _add(contact, f"{{{DRAKE}}}mu_dynamic", [friction.dynamic_friction()])
+    for name in ("point_contact_stiffness", "hunt_crossley_dissipation"):
+        _add(contact, f"{{{DRAKE}}}{name}", [properties.GetProperty("material", name)])
+    return geometry
+
+
+def _add(parent: Element, tag: str, values: ArrayLike) -> None:
+    """Adds numbers, so written that they are read back exactly."""
+    ElementTree.SubElement(parent, tag).text = " ".join(repr(float(value)) for value in np.asarray(values))

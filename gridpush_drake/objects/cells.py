@@ -1,0 +1,321 @@
+"""How large the cells are and where their lattice lies: as many as allowed, and true to the shape.
+
+An outline filled with square cells.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike, NDArray
+from shapely import MultiPolygon, Polygon
+from shapely.geometry.polygon import orient
+from shapely.validation import explain_validity
+
+from gridpush_drake.errors import ObjectError
+from gridpush_drake.objects.grid_object import MAX_CELLS, MAX_SIZE, GridObject, PhysicalPrior
+
+Share = Callable[[NDArray[np.float64], float], NDArray[np.float64]]
+"""Given the lower corners (k, 2) of square cells and their size, how much of each is object: (k,), 0 to 1."""
+
+MIN_SHARE = 0.5 - 1e-9
+"""A cell belongs to the object when at least half of it does."""
+
+SIZES_FROM, SIZES_TO = 0.9, 1.6
+"""Range of sizes tried, in sides of the square cell whose `max_cells` copies have the shape's area."""
+
+MAX_SIZES, MIN_SIZES = 80, 24
+"""How many sizes are tried in that range; as many again that divide a side of the bounding box."""
+
+POINT_BUDGET = 3_000_000
+"""Cells that may be tested in a range of sizes before fewer sizes are tried."""
+
+MAX_PHASED = 20_000
+"""In a lattice of more cells than this its phase hardly matters, and only one is tried."""
+
+MAX_LATTICE_PER_CELL = 20
+"""A lattice this many times `max_cells` (and above MAX_PHASED) means a shape far thinner than its bounding box."""
+
+EXACT = 1e-6
+"""Below this error the cells tile the shape."""
+
+EXACT_LOSS, EXACT_DISCOUNT = 0.11, 0.25
+"""Cells that tile the shape are preferred while they leave no more than this part of `max_cells` unused: it then
+counts with this weight."""
+
+ERROR_WEIGHT = 2.0
+"""A relative error weighs as much as this many times that part of `max_cells` left unused."""
+
+AREA_WEIGHT = 0.5
+"""Weight of the area's error (logarithmic): the cells' area matters less to sliding than where they are."""
+
+ROUNDING = 1e-9
+"""Relative slack within which a size divides a side."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """What a lattice is to be true to.
+
+    Attributes:
+        low: (2,) lower corner of the bounding box.
+        extent: (2,) its sides.
+        area: of the shape.
+        centroid: (2,) of the shape.
+        covariance: (2, 2) second central moments of its area over its area.
+    """
+
+    low: NDArray[np.float64]
+    extent: NDArray[np.float64]
+    area: float
+    centroid: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Square cells.
+
+    Attributes:
+        corners: (n, 2) their lower corners.
+        size: their side.
+    """
+
+    corners: NDArray[np.float64]
+    size: float
+
+    @property
+    def centers(self) -> NDArray[np.float64]:
+        """(n, 2)."""
+        return self.corners + self.size / 2
+
+
+def check_max_cells(name: str, max_cells: int) -> None:
+    """Refuses a `max_cells` that is not a whole number from 1 to MAX_CELLS, with an ObjectError on object `name`."""
+    whole = isinstance(max_cells, int | np.integer) and not isinstance(max_cells, bool)
+    if not (whole and 1 <= max_cells <= MAX_CELLS):
+        raise ObjectError(
+            f"{name}: max_cells is {max_cells!r}; expected a whole number, 1 or more, at most {MAX_CELLS}"
+        )
+
+
+def choose_cells(region: Region, share: Share, overlap: Share, max_cells: int, min_size: float = 0.0) -> Cells:
+    """Fills a shape with at most `max_cells` cells, weighing their number against their likeness to the shape.
+
+    Sizes from just below the ideal one upwards are tried, with lattices centered on the bounding box or aligned
+    with a side of it. The cost is the part of `max_cells` not used plus the relative errors of the centroid, of
+    the second moments and of the area. The choice is deterministic.
+
+    Args:
+        region: the shape.
+        share: decides which cells belong (at least half).
+        overlap: exact share of each cell's area, for shapes so thin that no cell is half full.
+        max_cells: the most cells, >= 1.
+        min_size: no smaller cells than this, in the region's unit.
+
+    Returns:
+        The cells, at least one.
+    """
+    low = max(min_size, SIZES_FROM * float(np.sqrt(region.area / max_cells)))
+    high = low * (SIZES_TO / SIZES_FROM)
+    while low <= region.extent.max():
+        points = float(np.prod(region.extent / low + 1))
+        if points > max(MAX_PHASED, MAX_LATTICE_PER_CELL * max_cells):
+            break
+        best = _find_best(region, share, max_cells, low, high, points)
+        if best is not None:
+            return best
+        low, high = high, high * (SIZES_TO / SIZES_FROM)
+    return _take_touched(region, overlap, max_cells, min_size)
+
+
+def _find_best(region: Region, share: Share, max_cells: int, low: float, high: float, points: float) -> Cells | None:
+    best, min_cost = None, np.inf
+    for size in _candidate_sizes(region, low, high, points):
+        for corners in _lattices(region, float(size), phased=points < MAX_PHASED):
+            cells = Cells(corners[share(corners, float(size)) >= MIN_SHARE], float(size))
+            if not 0 < len(cells.corners) <= max_cells:
+                continue
+            cost = _calc_cost(region, cells, max_cells)
+            if cost < min_cost:
+                best, min_cost = cells, cost
+    return best
+
+
+def _candidate_sizes(region: Region, low: float, high: float, points: float) -> NDArray[np.float64]:
+    count = int(np.clip(POINT_BUDGET / points, MIN_SIZES, MAX_SIZES))
+    sizes = [np.geomspace(low, high, count)]
+    for side in region.extent:
+        divisions = np.arange(max(1, np.ceil(side / high)), np.floor(side / low * (1 + ROUNDING)) + 1)
+        sizes.append(side / divisions[:: 1 + len(divisions) // count])
+    return np.unique(np.concatenate(sizes))
+
+
+def _calc_cost(region: Region, cells: Cells, max_cells: int) -> float:
+    arm = cells.centers - region.centroid
+    offset = arm.mean(axis=0)
+    covariance = arm.T @ arm / len(arm) - np.outer(offset, offset) + cells.size**2 / 12 * np.eye(2)
+    spread = float(np.trace(region.covariance))
+    error = np.linalg.norm(offset) / np.sqrt(spread) + np.abs(covariance - region.covariance).sum() / spread
+    error += AREA_WEIGHT * abs(np.log(len(arm) * cells.size**2 / region.area))
+    unused = 1 - len(arm) / max_cells
+    return float(ERROR_WEIGHT * error + unused * (EXACT_DISCOUNT if error < EXACT and unused <= EXACT_LOSS else 1))
+
+
+def _lattices(region: Region, size: float, phased: bool) -> Iterator[NDArray[np.float64]]:
+    """Lower corners (k, 2) of the cells of each lattice that covers the bounding box, but for half cells."""
+    axes = []
+    for low, extent in zip(region.low, region.extent, strict=True):
+        up = max(1, int(np.ceil(extent / size * (1 - ROUNDING))))
+        down = max(1, int(np.floor(extent / size * (1 + ROUNDING))))
+        starts = [(low + (extent - up * size) / 2, up)]
+        if phased and up != down:
+            starts += [(low + (extent - down * size) / 2, down), (low, up), (low + extent - up * size, up)]
+        axes.append([start + size * np.arange(k) for start, k in starts])
+    for x, y in product(*axes):
+        yield np.column_stack([axis.ravel() for axis in np.meshgrid(x, y)])
+
+
+def _take_touched(region: Region, overlap: Share, max_cells: int, min_size: float) -> Cells:
+    """The finest cells, halved from the bounding box, of which the shape touches at most `max_cells`."""
+    size = max(min_size, float(region.extent.max()))
+    cells = Cells((region.low + (region.extent - size) / 2)[None], size)
+    quarters = np.array(list(product((0.0, 0.5), repeat=2)))
+    while cells.size / 2 >= min_size:
+        corners = (cells.corners[:, None] + cells.size * quarters).reshape(-1, 2)
+        corners = corners[overlap(corners, cells.size / 2) > 0]
+        if not 0 < len(corners) <= max_cells:
+            break
+        cells = Cells(corners, cells.size / 2)
+    return cells
+
+
+THINNEST = 1e-12
+"""An outline whose area is below this share of its squared diameter has none."""
+
+EDGE_SLACK = 1e-9
+"""A center this near the outline, in diameters, is on it and counts as inside."""
+
+
+def object_from_outline(
+    outline: ArrayLike | Polygon,
+    parts: Mapping[int, ArrayLike | Polygon | MultiPolygon],
+    max_cells: int,
+    *,
+    name: str,
+    prior: PhysicalPrior | None,
+) -> GridObject:
+    """Fills a polygon with square cells whose centers are inside it (`GridObject.from_outline`).
+
+    Args:
+        outline: (k, 2) vertices, or a Polygon (with holes), body frame, m.
+        parts: polygons by label >= 1, body frame, m; the first to cover a cell's center names its part, and a
+            cell that none covers belongs to part 1.
+        max_cells: the most cells to make.
+        name: what to call it.
+        prior: what is known of mass and friction.
+
+    Returns:
+        The object; its outline runs counterclockwise, holes clockwise.
+
+    Raises:
+        ObjectError: a polygon crosses itself or has no area, a label is below 1, or the count is not positive.
+    """
+    check_max_cells(name, max_cells)
+    polygon = polygon_from(outline, f"{name}: outline")
+    polygons = {label: _part_from(label, part, name) for label, part in parts.items()}
+    region = _describe(polygon)
+    slightly_larger = polygon.buffer(EDGE_SLACK * float(np.linalg.norm(region.extent)), join_style="mitre")
+    shapely.prepare(slightly_larger)
+
+    def share(corners: NDArray[np.float64], size: float) -> NDArray[np.float64]:
+        return shapely.contains_xy(slightly_larger, *(corners + size / 2).T).astype(np.float64)
+
+    def overlap(corners: NDArray[np.float64], size: float) -> NDArray[np.float64]:
+        boxes = shapely.box(*corners.T, *(corners + size).T)
+        return shapely.area(shapely.intersection(boxes, polygon)) / size**2
+
+    cells = choose_cells(region, share, overlap, int(max_cells))
+    labels = _label(cells.centers, polygons)
+    return GridObject(name, cells.centers, cells.size, labels, polygon, prior or PhysicalPrior())
+
+
+def polygon_from(points: ArrayLike | Polygon, what: str, holes: tuple[ArrayLike, ...] = ()) -> Polygon:
+    """Makes a valid polygon.
+
+    Args:
+        points: (k, 2) vertices, k >= 3, either way round, first one repeated or not, m; or a Polygon.
+        what: what it is, at the head of an error's message.
+        holes: vertices of its holes, m.
+
+    Returns:
+        The polygon without repeated vertices, counterclockwise, holes clockwise.
+
+    Raises:
+        ObjectError: it is not finite, has no area, crosses itself, or a hole is not inside it.
+    """
+    if isinstance(points, Polygon):
+        polygon = points
+        _check_coordinates(shapely.get_coordinates(polygon), what)
+    else:
+        rings = [_ring(hole, f"{what}, hole {i}") for i, hole in enumerate(holes)]
+        polygon = Polygon(_ring(points, what), rings)
+    if polygon.is_empty:
+        raise ObjectError(f"{what} is empty; expected at least three vertices")
+    width, height = np.subtract(polygon.bounds[2:], polygon.bounds[:2])
+    if not (np.isfinite(polygon.area) and polygon.convex_hull.area > THINNEST * (width**2 + height**2)):
+        raise ObjectError(f"{what} encloses no area; expected vertices in meters, not all on one line")
+    if not polygon.is_valid:
+        raise ObjectError(f"{what} is not a simple polygon ({explain_validity(polygon)}); it must not cross itself")
+    return orient(shapely.force_2d(shapely.remove_repeated_points(polygon)))
+
+
+def _ring(points: ArrayLike, what: str) -> NDArray[np.float64]:
+    try:
+        ring = np.asarray(points, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ObjectError(f"{what} is not a list of [x, y] points, in meters") from error
+    if ring.ndim != 2 or ring.shape[1] != 2 or len(ring) < 3:
+        raise ObjectError(f"{what} has shape {ring.shape}; expected at least three [x, y] points, in meters")
+    _check_coordinates(ring, what)
+    return ring
+
+
+def _check_coordinates(points: NDArray[np.float64], what: str) -> None:
+    if not np.isfinite(points).all():
+        raise ObjectError(f"{what} has a coordinate that is not finite; expected numbers in meters")
+    farthest = np.abs(points).max(initial=0.0)
+    if farthest > MAX_SIZE:
+        raise ObjectError(f"{what} has a coordinate of {farthest:g} m; expected at most {MAX_SIZE:g} m")
+
+
+def _part_from(label: int, part: ArrayLike | Polygon | MultiPolygon, name: str) -> Polygon | MultiPolygon:
+    if isinstance(label, bool) or not isinstance(label, int | np.integer) or label < 1:
+        raise ObjectError(f"{name}: part label is {label!r}; expected a whole number, 1 or more")
+    if isinstance(part, MultiPolygon):
+        return MultiPolygon([polygon_from(piece, f"{name}: part {label}") for piece in part.geoms])
+    return polygon_from(part, f"{name}: part {label}")
+
+
+def _describe(polygon: Polygon) -> Region:
+    """Area, centroid and second moments by Green's theorem over the rings, outer +, holes -."""
+    center = np.array(polygon.centroid.coords[0])
+    moments = np.zeros((2, 2))
+    for ring in (polygon.exterior, *polygon.interiors):
+        p = np.asarray(ring.coords) - center
+        a, b = p[:-1], p[1:]
+        cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+        for i, j in np.ndindex(2, 2):
+            mixed = a[:, i] * b[:, j] + b[:, i] * a[:, j]
+            moments[i, j] += cross @ (2 * a[:, i] * a[:, j] + mixed + 2 * b[:, i] * b[:, j]) / 24
+    low, high = np.array(polygon.bounds).reshape(2, 2)
+    return Region(low, high - low, polygon.area, center, moments / polygon.area)
+
+
+def _label(centers: NDArray[np.float64], parts: Mapping[int, Polygon | MultiPolygon]) -> NDArray[np.int64]:
+    labels = np.zeros(len(centers), dtype=np.int64)
+    for label, part in parts.items():
+        labels[shapely.intersects_xy(part, *centers.T) & (labels == 0)] = label
+    return np.where(labels == 0, 1, labels)

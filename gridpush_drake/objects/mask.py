@@ -1,0 +1,363 @@
+"""A label image turned into cells and an outline.
+
+Label images read from PGM and PNG files, with the labels as they were stored and bounded memory.
+
+Connected pieces of a mask, found from its runs of pixels, so that memory goes with the outline, not the area.
+"""
+
+import re
+import struct
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from PIL.PngImagePlugin import PngImageFile
+from scipy.ndimage import map_coordinates
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from shapely.geometry.polygon import orient
+
+from gridpush_drake.errors import ObjectError
+from gridpush_drake.files import MEGABYTE, open_file, read_bytes
+from gridpush_drake.geometry.contour import calc_contour
+from gridpush_drake.objects.cells import Cells, Region, Share, check_max_cells, choose_cells
+from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+
+MAX_PIXELS = 400_000_000
+"""Larger images are refused before they are decoded."""
+
+MAX_SIZE = 1024 * MEGABYTE
+"""Of an image file, bytes: more than the most pixels take at 16 bit."""
+
+STRIP_PIXELS = 4_000_000
+"""Pixels looked at in one go."""
+
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+PNG_MODES = ("1", "L", "P", "I", "I;16")
+"""Pillow's names of images with one number per pixel."""
+
+PNG_DEPTH_AT = 24
+"""Place of the bit depth in a PNG file."""
+
+PNG_GRAY_STRETCH = {2: 85, 4: 17}
+"""Pillow stretches gray of so few bits to 0 to 255 by this factor; labels are wanted as stored."""
+
+PGM_GAP = rb"(?:\s|#[^\r\n]*+[\r\n])++"
+"""Blanks and comments between the numbers of a header; possessive, so that it is read once and never again."""
+
+PGM_HEADER = re.compile(rb"(P[25])" + (PGM_GAP + rb"(\d{1,9}+)") * 3 + rb"(?:[ \t]*+#[^\r\n]*+)?\s")
+
+MAX_PLAIN_SIZE = 32 * MEGABYTE
+"""Of a plain PGM, whose numbers are text, bytes."""
+
+PGM_HEADER_ROOM = 4096
+"""Bytes within which a PGM header must end."""
+
+FORM = "a PGM or PNG label image: 0 is background, every other value a part"
+
+WANTED = f"expected {FORM}"
+
+Rows = Callable[[int, int], NDArray[np.generic]]
+"""Rows from the first number to before the second, (rows, width)."""
+
+
+def read_labels(path: Path) -> NDArray[np.uint16]:
+    """Reads a label image, cropped to what is not background.
+
+    Args:
+        path: a PGM (plain or raw, 8 or 16 bit) or PNG (gray of 1 to 16 bit, or palette) file.
+
+    Returns:
+        (height, width) labels, 0 is background; rows run down the image.
+
+    Raises:
+        ObjectError: the file cannot be read, is a color image or another kind of file, is too large, or holds
+            background only.
+    """
+    with open_file(path, FORM, ObjectError, MAX_SIZE) as file:
+        head = file.read(PGM_HEADER_ROOM)
+        file.seek(0)
+        if head.startswith(PNG_SIGNATURE):
+            return _read_png(path, file, head)
+        if head[:2] in (b"P2", b"P5"):
+            return _read_pgm(path, file, head)
+    if head[:2] in (b"P3", b"P6"):
+        raise ObjectError(f"{path}: is a color image (PPM); {WANTED}")
+    raise ObjectError(f"{path}: is neither PGM nor PNG; {WANTED}")
+
+
+def crop(path: Path, rows: Rows, width: int, height: int) -> NDArray[np.uint16]:
+    """Cuts the bounding box of what is not 0 out of an image that is read strip by strip."""
+    used_rows, used_columns = np.zeros(height, dtype=bool), np.zeros(width, dtype=bool)
+    step = max(1, STRIP_PIXELS // width)
+    for top in range(0, height, step):
+        object_here = rows(top, min(height, top + step)) != 0
+        used_rows[top : top + step] = object_here.any(axis=1)
+        used_columns |= object_here.any(axis=0)
+    if not used_rows.any():
+        raise ObjectError(f"{path}: holds background (0) only; {WANTED}")
+    (top, bottom), (left, right) = ((int(i[0]), int(i[-1]) + 1) for i in map(np.flatnonzero, (used_rows, used_columns)))
+    labels = np.empty((bottom - top, right - left), dtype=np.uint16)
+    for first in range(top, bottom, step):
+        last = min(bottom, first + step)
+        labels[first - top : last - top] = rows(first, last)[:, left:right]
+    return labels
+
+
+def _read_png(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
+    # The plugin is opened itself: Image.open would measure it by Pillow's global limit instead of MAX_PIXELS.
+    try:
+        with PngImageFile(file) as image:
+            _check_size(path, *image.size)
+            if image.mode not in PNG_MODES:
+                raise ObjectError(f"{path}: is a color or transparent image ({image.mode}); {WANTED}")
+            stretch = PNG_GRAY_STRETCH.get(head[PNG_DEPTH_AT], 1) if image.mode == "L" else 1
+            image.load()
+            width, height = image.size
+
+            def rows(first: int, last: int) -> NDArray[np.generic]:
+                return np.asarray(image.crop((0, first, width, last))) // np.uint8(stretch)
+
+            return crop(path, rows, width, height)
+    except (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error) as error:
+        raise ObjectError(f"{path}: is a damaged PNG ({error}); {WANTED}") from error
+
+
+def _read_pgm(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
+    header = PGM_HEADER.match(head)
+    if header is None:
+        raise ObjectError(f"{path}: is a PGM with a damaged header; {WANTED}")
+    width, height, greatest = (int(number) for number in header.groups()[1:])
+    _check_size(path, width, height)
+    if not 0 < greatest <= np.iinfo(np.uint16).max:
+        raise ObjectError(f"{path}: is a PGM of greatest value {greatest}; expected 1 to 65535")
+    try:
+        if header[1] == b"P2":
+            numbers = re.sub(rb"#[^\r\n]*", b"", _read_plain(path)[header.end() :]).split()
+            pixels = np.array(numbers[: width * height], dtype=np.uint16).reshape(height, width)
+        else:
+            kind = np.dtype(np.uint8 if greatest <= np.iinfo(np.uint8).max else ">u2")
+            pixels = np.memmap(file, dtype=kind, mode="r", offset=header.end(), shape=(height, width))
+    except (OSError, ValueError, OverflowError) as error:
+        raise ObjectError(f"{path}: is a damaged PGM, shorter than its {width} x {height} pixels") from error
+    return crop(path, lambda first, last: pixels[first:last], width, height)
+
+
+def _read_plain(path: Path) -> bytes:
+    return read_bytes(path, "a raw PGM (P5), which takes less room", ObjectError, MAX_PLAIN_SIZE)
+
+
+def _check_size(path: Path, width: int, height: int) -> None:
+    if not 0 < width * height <= MAX_PIXELS:
+        raise ObjectError(
+            f"{path}: has {width} x {height} pixels; expected at least one and at most {MAX_PIXELS // 10**6} million"
+        )
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Horizontal runs of object pixels, in reading order.
+
+    Attributes:
+        row: (k,) of each run.
+        start: (k,) its first column.
+        stop: (k,) the column after its last.
+    """
+
+    row: NDArray[np.int64]
+    start: NDArray[np.int64]
+    stop: NDArray[np.int64]
+
+    @property
+    def length(self) -> NDArray[np.int64]:
+        """(k,) pixels."""
+        return self.stop - self.start
+
+
+def find_runs(labels: NDArray[np.uint16]) -> Runs:
+    """Finds the runs of pixels that are not 0 in (height, width) `labels`."""
+    height, width = labels.shape
+    step = max(1, STRIP_PIXELS // width)
+    found: list[list[NDArray[np.int64]]] = [[], [], []]
+    for top in range(0, height, step):
+        solid = np.pad(labels[top : top + step] != 0, ((0, 0), (1, 1)))
+        row, start = np.nonzero(solid[:, 1:] & ~solid[:, :-1])
+        stop = np.nonzero(solid[:, :-1] & ~solid[:, 1:])[1]
+        for column, part in zip(found, (row + top, start, stop), strict=True):
+            column.append(part)
+    return Runs(*(np.concatenate(column) for column in found))
+
+
+def find_pieces(runs: Runs, width: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Groups runs into pieces that touch along a side or at a corner (8-connectivity).
+
+    Args:
+        runs: in reading order.
+        width: of the image, pixels.
+
+    Returns:
+        (k,) the piece of each run, and (pieces,) their sizes, pixels.
+    """
+    # Places on one line, with room between rows: a run meets those of the next row whose places overlap its own.
+    stride = width + 2
+    start, stop = runs.row * stride + runs.start, runs.row * stride + runs.stop
+    first = np.searchsorted(stop, start + stride, side="left")
+    last = np.searchsorted(start, stop + stride, side="right")
+    count = np.maximum(last - first, 0)
+    upper = np.repeat(np.arange(len(start)), count)
+    lower = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + np.repeat(first, count)
+    graph = coo_array((np.ones(len(upper), dtype=bool), (upper, lower)), shape=(len(start), len(start)))
+    piece = connected_components(graph, directed=False)[1].astype(np.int64)
+    return piece, np.bincount(piece, weights=runs.length).astype(np.int64)
+
+
+def erase(labels: NDArray[np.uint16], runs: Runs, unwanted: NDArray[np.bool_]) -> None:
+    """Sets the pixels of the unwanted runs to background, in place."""
+    width = labels.shape[1]
+    length = runs.length[unwanted]
+    start = (runs.row * width + runs.start)[unwanted]
+    offset = np.arange(length.sum()) - np.repeat(np.cumsum(length) - length, length)
+    labels.ravel()[np.repeat(start, length) + offset] = 0
+
+
+WORKING_PIXELS = 4_000_000
+"""Larger masks are averaged over square blocks of pixels down to about this many before they are traced."""
+
+MAX_PARTS = 100
+"""More labels than this are taken for a photograph or a softened edge."""
+
+
+def object_from_mask(
+    path: Path,
+    meters_per_pixel: float,
+    max_cells: int,
+    *,
+    largest_piece: bool,
+    name: str | None,
+    prior: PhysicalPrior | None,
+) -> GridObject:
+    """Reads a label image and coarsens it to square cells (`GridObject.from_mask`).
+
+    A cell belongs to the object when at least half its area does, and to the part that covers most of it.
+
+    Args:
+        path: PGM or PNG; 0 is background, every other value a part.
+        meters_per_pixel: its scale, m.
+        max_cells: the most cells to make; cells are not made smaller than a pixel.
+        largest_piece: keep the largest connected piece where there are several.
+        name: what to call it; the file's stem where None.
+        prior: what is known of mass and friction.
+
+    Returns:
+        The object; B is at the cells' centroid, x right and y up in the image.
+
+    Raises:
+        ObjectError: the image cannot be read or is not a label image, is empty, has several pieces (and
+            `largest_piece` is not set), or a scale or count is not positive.
+    """
+    name = path.stem if name is None else name
+    check_max_cells(name, max_cells)
+    if not (np.isfinite(meters_per_pixel) and meters_per_pixel > 0):
+        raise ObjectError(f"{path}: meters_per_pixel is {meters_per_pixel!r}; expected a positive number (m)")
+    labels = _keep_one_piece(path, read_labels(path), largest_piece)
+    values = _find_values(path, labels)
+    block = int(np.ceil(np.sqrt(labels.size / WORKING_PIXELS)))
+    coverage = _average(labels, None, block)
+    share = _make_share(coverage)
+    cells = choose_cells(_describe(coverage), share, share, int(max_cells), min_size=1.0)
+    majority = _vote(labels, values, block, cells)
+    center = cells.centers.mean(axis=0)
+    scale = meters_per_pixel * block * np.array([1.0, -1.0])
+    outline = shapely.transform(calc_contour(coverage), lambda p: (p - center) * scale)
+    p_BC = (cells.centers - center) * scale
+    return GridObject(name, p_BC, cells.size * scale[0], majority, orient(outline), prior or PhysicalPrior())
+
+
+def _keep_one_piece(path: Path, labels: NDArray[np.uint16], largest_piece: bool) -> NDArray[np.uint16]:
+    runs = find_runs(labels)
+    piece, sizes = find_pieces(runs, labels.shape[1])
+    if len(sizes) == 1:
+        return labels
+    if not largest_piece:
+        largest = ", ".join(str(size) for size in np.sort(sizes)[::-1][:4]) + (", ..." if len(sizes) > 4 else "")
+        raise ObjectError(
+            f"{path}: the mask has {len(sizes)} separate pieces (of {largest} pixels); expected one; "
+            "pass --largest-piece to keep the largest and leave out the others"
+        )
+    erase(labels, runs, piece != int(np.argmax(sizes)))
+    rows, columns = (np.flatnonzero((labels != 0).any(axis=axis)) for axis in (1, 0))
+    return labels[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+
+
+def _find_values(path: Path, labels: NDArray[np.uint16]) -> NDArray[np.int64]:
+    counts = np.zeros(np.iinfo(np.uint16).max + 1, dtype=np.int64)
+    flat = labels.ravel()
+    for start in range(0, flat.size, WORKING_PIXELS):
+        counts += np.bincount(flat[start : start + WORKING_PIXELS], minlength=len(counts))
+    values = np.flatnonzero(counts[1:]) + 1
+    if len(values) > MAX_PARTS:
+        raise ObjectError(
+            f"{path}: has {len(values)} different labels; expected a label image of at most {MAX_PARTS} parts, "
+            "not a photograph or an image with softened edges"
+        )
+    return values
+
+
+def _average(labels: NDArray[np.uint16], value: int | None, block: int) -> NDArray[np.float64]:
+    """Share of each block of pixels that is `value` (None: anything but background), padded with background."""
+    height, width = labels.shape
+    rows, columns = -(-height // block), -(-width // block)
+    share = np.empty((rows, columns))
+    step = max(1, WORKING_PIXELS // (width * block))
+    for first in range(0, rows, step):
+        strip = labels[first * block : (first + step) * block]
+        wanted = strip != 0 if value is None else strip == value
+        padded = np.pad(wanted, ((0, -len(strip) % block), (0, columns * block - width)))
+        share[first : first + step] = padded.reshape(-1, block, columns, block).mean(axis=(1, 3))
+    return share
+
+
+def _make_share(coverage: NDArray[np.float64]) -> Share:
+    """Exact share of square cells by the summed-area table, which is bilinear within a pixel."""
+    table = np.zeros(np.add(coverage.shape, 1))
+    table[1:, 1:] = coverage.cumsum(axis=0).cumsum(axis=1)
+
+    def share(corners: NDArray[np.float64], size: float) -> NDArray[np.float64]:
+        (x0, y0), (x1, y1) = corners.T, corners.T + size
+        at = np.array([[y0, y1, y0, y1], [x0, x1, x1, x0]])
+        below, above, right, left = map_coordinates(table, at, order=1, mode="nearest")
+        return (below + above - right - left) / size**2
+
+    return share
+
+
+def _describe(coverage: NDArray[np.float64]) -> Region:
+    area = float(coverage.sum())
+    by_axis = [coverage.sum(axis=0), coverage.sum(axis=1)]
+    middles = [np.arange(len(mass)) + 0.5 for mass in by_axis]
+    centroid = np.array([mass @ middle for mass, middle in zip(by_axis, middles, strict=True)]) / area
+    dx, dy = (middle - c for middle, c in zip(middles, centroid, strict=True))
+    covariance = np.full((2, 2), dy @ coverage @ dx)
+    np.fill_diagonal(covariance, [by_axis[0] @ dx**2, by_axis[1] @ dy**2])
+    covariance = (covariance + area / 12 * np.eye(2)) / area
+    extent = np.array(coverage.shape[::-1], dtype=np.float64)
+    return Region(np.zeros(2), extent, area, centroid, covariance)
+
+
+def _vote(labels: NDArray[np.uint16], values: NDArray[np.int64], block: int, cells: Cells) -> NDArray[np.int64]:
+    """The label with the largest share of each cell; the lowest of equals."""
+    if len(values) == 1:
+        return np.full(len(cells.corners), values[0])
+    best = np.zeros(len(cells.corners))
+    winner = np.full(len(cells.corners), values[0])
+    for value in values:
+        share = _make_share(_average(labels, int(value), block))(cells.corners, cells.size)
+        winner = np.where(share > best, value, winner)
+        best = np.maximum(share, best)
+    return winner

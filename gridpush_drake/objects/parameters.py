@@ -1,0 +1,183 @@
+"""Per-cell mass and friction, and the mass properties that follow from them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gridpush_drake.errors import ParameterError
+from gridpush_drake.objects.grid_object import GridObject
+
+DEFAULT_TOTAL_MASS = 1.0
+"""kg, for objects that were never weighed."""
+
+
+@dataclass(frozen=True, eq=False)
+class CellParameters:
+    """The physical parameters of a grid object's n cells.
+
+    Attributes:
+        mass: (n,) kg, positive.
+        friction: (n,) friction coefficient of each cell against the support, >= 0.
+        contact_friction: friction coefficient of the pusher against the object's outline, >= 0.
+
+    Raises:
+        ParameterError: shapes disagree or a value is out of range.
+    """
+
+    mass: NDArray[np.float64]
+    friction: NDArray[np.float64]
+    contact_friction: float = 0.5
+
+    def __post_init__(self) -> None:
+        mass, friction = (np.array(value, dtype=np.float64) for value in (self.mass, self.friction))
+        if mass.ndim != 1 or mass.shape != friction.shape or not len(mass):
+            raise ParameterError(
+                f"mass of shape {mass.shape} and friction of shape {friction.shape}; expected (n,) and (n,)"
+            )
+        if not (np.isfinite(mass).all() and (mass > 0).all()):
+            raise ParameterError("mass: expected positive finite numbers (kg)")
+        if not (np.isfinite(friction).all() and (friction >= 0).all()):
+            raise ParameterError("friction: expected finite numbers >= 0")
+        if not (np.isfinite(self.contact_friction) and self.contact_friction >= 0):
+            raise ParameterError(f"contact_friction is {self.contact_friction!r}; expected a number >= 0")
+        for name, value in (("mass", mass), ("friction", friction)):
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "contact_friction", float(self.contact_friction))
+
+    @classmethod
+    def uniform(
+        cls,
+        obj: GridObject,
+        total_mass: float | None = None,
+        friction: float | None = None,
+        contact_friction: float | None = None,
+    ) -> "CellParameters":
+        """Spreads the mass evenly over the cells; what is not given comes from `obj.prior`.
+
+        Args:
+            obj: the object.
+            total_mass: kg.
+            friction: coefficient of every cell against the support.
+            contact_friction: coefficient of the pusher against the object.
+
+        Returns:
+            The parameters.
+
+        Raises:
+            ParameterError: a value is out of range.
+        """
+        if total_mass is None:
+            total_mass = obj.prior.total_mass or DEFAULT_TOTAL_MASS
+        return cls(
+            np.full(obj.n, total_mass / obj.n),
+            np.full(obj.n, obj.prior.friction if friction is None else friction),
+            obj.prior.contact_friction if contact_friction is None else contact_friction,
+        )
+
+    @classmethod
+    def by_part(
+        cls,
+        obj: GridObject,
+        mass: Mapping[int, float],
+        friction: Mapping[int, float] | float | None = None,
+        contact_friction: float | None = None,
+    ) -> "CellParameters":
+        """Gives every cell of a part the same values.
+
+        Args:
+            obj: the object, with its cells' `labels`.
+            mass: kg per *cell*, by label.
+            friction: coefficient by label, or one for all.
+            contact_friction: coefficient of the pusher against the object.
+
+        Returns:
+            The parameters.
+
+        Raises:
+            ParameterError: a label of the object is missing, or a value is out of range.
+        """
+        friction = obj.prior.friction if friction is None else friction
+        return cls(
+            _spread(obj, "mass", mass),
+            _spread(obj, "friction", friction) if isinstance(friction, Mapping) else np.full(obj.n, float(friction)),
+            obj.prior.contact_friction if contact_friction is None else contact_friction,
+        )
+
+    @classmethod
+    def random(
+        cls,
+        obj: GridObject,
+        seed: int,
+        mass_range: tuple[float, float] = (0.1, 5.0),
+        friction_range: tuple[float, float] | None = None,
+        by: str = "part",
+    ) -> "CellParameters":
+        """Draws masses (log-uniform, kg per cell) and frictions (uniform), one per part or per cell.
+
+        Args:
+            obj: the object.
+            seed: of the draw.
+            mass_range: least and greatest cell mass, kg.
+            friction_range: least and greatest coefficient; None gives every cell `obj.prior.friction`.
+            by: "part" or "cell".
+
+        Returns:
+            The parameters.
+
+        Raises:
+            ParameterError: a range is not positive and increasing, or `by` is neither word.
+        """
+        if by not in ("part", "cell"):
+            raise ParameterError(f"by is {by!r}; expected 'part' or 'cell'")
+        if not 0 < mass_range[0] <= mass_range[1] < np.inf:
+            raise ParameterError(f"mass_range is {mass_range!r}; expected 0 < least <= greatest")
+        rng = np.random.default_rng(seed)
+        group = np.unique(obj.labels, return_inverse=True)[1] if by == "part" else np.arange(obj.n)
+        groups = int(group.max()) + 1
+        mass = np.exp(rng.uniform(np.log(mass_range[0]), np.log(mass_range[1]), groups))[group]
+        if friction_range is None:
+            return cls(mass, np.full(obj.n, obj.prior.friction), obj.prior.contact_friction)
+        if not 0 <= friction_range[0] <= friction_range[1] < np.inf:
+            raise ParameterError(f"friction_range is {friction_range!r}; expected 0 <= least <= greatest")
+        return cls(mass, rng.uniform(*friction_range, groups)[group], obj.prior.contact_friction)
+
+    @property
+    def n(self) -> int:
+        """Number of cells."""
+        return len(self.mass)
+
+    @property
+    def total_mass(self) -> float:
+        """Of all cells, kg."""
+        return float(self.mass.sum())
+
+    def center_of_mass(self, obj: GridObject) -> NDArray[np.float64]:
+        """p_BBcm, (2,), m."""
+        self._check(obj)
+        return self.mass @ obj.p_BC / self.total_mass
+
+    def inertia(self, obj: GridObject) -> float:
+        """Moment of inertia about the center of mass, normal to the support, kg m²; each cell a plate m s²/6."""
+        arm = obj.p_BC - self.center_of_mass(obj)
+        return float(self.mass @ ((arm**2).sum(axis=1) + obj.cell_size**2 / 6))
+
+    def relative_friction(self) -> NDArray[np.float64]:
+        """(n,) k_i = mu_i m_i / sum(mu m): the share of the support's friction that each cell carries."""
+        load = self.mass * self.friction
+        total = load.sum()
+        return load / total if total > 0 else np.full(self.n, 1 / self.n)
+
+    def _check(self, obj: GridObject) -> None:
+        if obj.n != self.n:
+            raise ParameterError(f"parameters of {self.n} cells; expected {obj.n}, as {obj.name} has")
+
+
+def _spread(obj: GridObject, name: str, by_label: Mapping[int, float] | ArrayLike) -> NDArray[np.float64]:
+    assert isinstance(by_label, Mapping)
+    missing = sorted(set(obj.labels.tolist()) - set(by_label))
+    if missing:
+        raise ParameterError(f"{name}: no value for part {missing[0]} of {obj.name}; expected one for each part")
+    return np.array([float(by_label[int(label)]) for label in obj.labels])

@@ -1,0 +1,1 @@
+"""Contact-point optimization: where on the outline, in which direction and how far to push."""

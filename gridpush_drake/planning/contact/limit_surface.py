@@ -1,0 +1,139 @@
+"""What a push will roughly do, for a great many pushes at once: the ellipsoidal limit surface.
+
+The support's friction as a whole can resist a force f_max = sum k_i, or a moment m_max = sum k_i |p_i - c| about the
+center of friction c; in between lies about an ellipsoid (Goyal, Ruina & Papadopoulos 1991; Lynch & Mason 1996). With
+lambda = m_max / f_max the quasi-static twist about c that a force f at the point p, relative to c, gives is
+
+    v ~ f,   w ~ (p x f) / lambda²,   so that the contact moves with   v_p ~ B f,   B = I + p⊥ p⊥^T / lambda²,
+
+with p⊥ = z x p. Where the pusher's velocity u asks for a force f = B^-1 u outside the friction cone, the contact slides
+and f is on the cone's edge. Disc against outline is read from a table of the signed distance to the outline.
+
+This costs no simulation; it only says where simulations are worth their while.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+
+Array = NDArray[np.float64]
+
+TABLE_STEP = 0.003
+"""m, of the table of signed distances."""
+
+MAX_TABLE_NODES = 1000
+"""Along a side of the table; what is larger than they span has wider steps."""
+
+TABLE_ROOM = 0.02
+"""m, by which the table exceeds the outline grown by the disc."""
+
+STEPS = 16
+"""Steps that a push is cut into."""
+
+
+@dataclass(frozen=True, eq=False)
+class DistanceTable:
+    """Signed distance to the outline at the nodes of a square lattice, body frame, m; positive outside."""
+
+    corner: Array
+    step: float
+    values: Array
+
+    def lookup(self, p: Array) -> tuple[Array, Array]:
+        """Distances (N,) and outward unit normals (N, 2) at points (N, 2), by bilinear interpolation; held beyond."""
+        cell = np.clip((p - self.corner) / self.step, 0.0, np.array(self.values.shape) - 1.001)
+        i, j = cell.astype(int).T
+        u, v = cell[:, 0] - i, cell[:, 1] - j
+        a, b, c, d = self.values[i, j], self.values[i + 1, j], self.values[i, j + 1], self.values[i + 1, j + 1]
+        value = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
+        slope = np.column_stack([(1 - v) * (b - a) + v * (d - c), (1 - u) * (c - a) + u * (d - b)])
+        return value, slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-12)
+
+
+@lru_cache(maxsize=32)
+def make_distance_table(obj: GridObject, radius: float) -> DistanceTable:
+    """Tabulates the signed distance to the exterior outline as far as a disc of `radius` (m) may be."""
+    outline = shapely.Polygon(obj.outline.exterior)
+    shapely.prepare(outline)
+    low, high = np.array(outline.bounds[:2]), np.array(outline.bounds[2:])
+    room = radius + TABLE_ROOM
+    step = max(TABLE_STEP, float((high - low).max() + 2 * room) / MAX_TABLE_NODES)
+    x, y = (np.arange(low[i] - room, high[i] + room + step, step) for i in (0, 1))
+    X, Y = np.meshgrid(x, y, indexing="ij")
+    distance = shapely.distance(outline.exterior, shapely.points(X, Y))
+    return DistanceTable(
+        np.array([x[0], y[0]]), step, np.where(shapely.contains_xy(outline, X, Y), -distance, distance)
+    )
+
+
+def predict_roughly(
+    obj: GridObject, params: CellParameters, start: Array, direction: Array, distance: float, radius: float,
+    steps: int = STEPS,
+) -> Array:  # fmt: skip
+    """Follows N straight pushes by the ellipsoidal limit surface.
+
+    Args:
+        obj: the object, at the pose (0, 0, 0).
+        params: its model.
+        start: (N, 2) p_BP of the disc's center at the beginning, m.
+        direction: (N, 2) unit vectors of the motion.
+        distance: of the motion, m.
+        radius: of the disc, m.
+        steps: that the motion is cut into.
+
+    Returns:
+        (steps, N, 3) poses (x, y, theta) of the body frame after each step, m and rad.
+    """
+    table = make_distance_table(obj, radius)
+    share = params.relative_friction()
+    c = share @ obj.p_BC
+    arm = np.hypot(np.linalg.norm(obj.p_BC - c, axis=1), SPIN_ARM * obj.cell_size)
+    inverse = 1.0 / float(share @ arm) ** 2
+    mu, h = params.contact_friction, distance / steps
+    center, theta = np.tile(c, (len(start), 1)), np.zeros(len(start))
+    poses = np.empty((steps, len(start), 3))
+    for step in range(steps):
+        cos, sin = np.cos(theta), np.sin(theta)
+        tip = start + h * step * direction - center
+        p_tip = np.column_stack([cos * tip[:, 0] + sin * tip[:, 1], -sin * tip[:, 0] + cos * tip[:, 1]])
+        u = h * np.column_stack(
+            [cos * direction[:, 0] + sin * direction[:, 1], -sin * direction[:, 0] + cos * direction[:, 1]]
+        )
+        away, outward = table.lookup(p_tip + c)
+        twist = _calc_twist(p_tip - away[:, None] * outward, -outward, u, away - radius, inverse, mu)
+        half = theta + twist[:, 2] / 2
+        cos, sin = np.cos(half), np.sin(half)
+        center = center + np.column_stack(
+            [cos * twist[:, 0] - sin * twist[:, 1], sin * twist[:, 0] + cos * twist[:, 1]]
+        )
+        theta = theta + twist[:, 2]
+        cos, sin = np.cos(theta), np.sin(theta)
+        poses[step, :, 0] = center[:, 0] - (cos * c[0] - sin * c[1])
+        poses[step, :, 1] = center[:, 1] - (sin * c[0] + cos * c[1])
+        poses[step, :, 2] = theta
+    return poses
+
+
+def _calc_twist(p: Array, n: Array, u: Array, gap: Array, inverse: float, mu: float) -> Array:
+    """Displacement (N, 3) of the body, at the center of friction: contacts p, inward normals n, the tip's motion u."""
+    closing = np.maximum((n * u).sum(axis=1) - gap, 0.0)
+    t = np.column_stack([-n[:, 1], n[:, 0]])
+    u = u + np.minimum(0.0, -np.maximum(gap, 0.0))[:, None] * n + np.maximum(-gap, 0.0)[:, None] * n
+    lever = np.column_stack([-p[:, 1], p[:, 0]])
+    # B^-1 u by Sherman-Morrison
+    norm = 1.0 + inverse * (p**2).sum(axis=1)
+    force = u - (inverse * (lever * u).sum(axis=1) / norm)[:, None] * lever
+    along, across = (force * n).sum(axis=1), (force * t).sum(axis=1)
+    slides = np.abs(across) > mu * along
+    edge = n + mu * np.sign(across)[:, None] * t
+    speed = (edge * n).sum(axis=1) + inverse * (lever * edge).sum(axis=1) * (lever * n).sum(axis=1)
+    sliding = (closing / np.maximum(speed, 1e-9))[:, None] * edge
+    force = np.where(slides[:, None], sliding, force) * (closing > 0)[:, None]
+    return np.column_stack([force, inverse * (lever * force).sum(axis=1)])

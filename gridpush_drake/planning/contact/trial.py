@@ -1,0 +1,210 @@
+"""One simulated push of a contact search: how near it comes to the goal, and which way is better.
+
+A straight push at one place and in one direction passes through all its shorter selves, so that a single simulation
+tells the best distance too: the cost at (arc length s, direction phi) is that of the best allowed pose on the way,
+
+    f(s, phi) = min_d C(q(s, phi, d)),   C(q) = 1/n sum_i |p_i(q) - p_i(goal)|.
+
+With the exact Jacobian dq/d(s, phi, d), from the same simulation, C's gradient is  1/n sum_i r_i^T/|r_i| dp_i/dq dq/dx,
+and  H = 1/n sum_i (dp_i/dx)^T (dp_i/dx) / |r_i|  is the Gauss-Newton matrix of the sum of norms (each norm replaced by
+the parabola that touches it from above). A simulation with its Jacobian counts as one simulation.
+
+A push that was chosen, and what the model expects of it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gridpush_drake.dynamics.motion import MotionStatus
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulate import Regime, simulate
+from gridpush_drake.dynamics.time_grid import make_path_times
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.reachable_outline import ReachableOutline
+from gridpush_drake.planning.push_constraints import PushChecker
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedPush:
+    """One push of a plan, by its parameters, as a motion, and with its predicted outcome.
+
+    Attributes:
+        arc_length: where on the exterior outline the disc touches, m (see `Push.on_outline`).
+        angle: of the motion from the inward normal there, rad, counterclockwise.
+        distance: of the motion, the clearance included, m.
+        push: the disc's motion, world frame.
+        pose: (3,) predicted pose q_W of the object at the push's end, m and rad.
+        cost: mean distance of the cells' centers at `pose` from where they are at the goal pose, m.
+        simulations: simulated pushes that the choice took.
+    """
+
+    arc_length: float
+    angle: float
+    distance: float
+    push: Push
+    pose: Array
+    cost: float
+    simulations: int
+
+
+def calc_goal_error(obj: GridObject, pose: ArrayLike, goal: ArrayLike) -> Array:
+    """Mean distance of the cells' centers between poses (..., 3) and one goal pose (3,), (...,) m (the paper's ADD)."""
+    difference = obj.cells_at(pose) - obj.cells_at(goal)
+    return np.asarray(np.hypot(difference[..., 0], difference[..., 1]).mean(axis=-1))
+
+
+RECORD_EVERY = 4
+"""Steps between those whose Jacobian is kept."""
+
+MIN_RESIDUAL = 1e-4
+"""m, below which a cell's error weighs no more in the Gauss-Newton matrix."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A simulated push, at its best distance.
+
+    Attributes:
+        arc_length: m.
+        piece: of the reachable outline.
+        angle: from the inward normal, rad.
+        distance: m.
+        pose: (3,) q_W at its end.
+        cost: mean cell error to the goal, m; infinite where the push is not allowed.
+        slope: (3,) derivative of the cost by arc length, direction and distance, -, m/rad, -; None where not asked for.
+        curvature: (3, 3) Gauss-Newton matrix of the same.
+    """
+
+    arc_length: float
+    piece: int
+    angle: float
+    distance: float
+    pose: Array
+    cost: float
+    slope: Array | None = None
+    curvature: Array | None = None
+
+
+@dataclass(eq=False)
+class TrialRunner:
+    """Simulates pushes from one pose towards one goal, and counts them.
+
+    Attributes:
+        obj: the object.
+        params: its model.
+        pose: (3,) where it lies.
+        goal: (3,) where it should.
+        reach: where the disc can touch.
+        checker: the rules.
+        radius: of the disc, m.
+        clearance: gap at the beginning, m.
+        speed: m/s.
+        distance_range: least and greatest distance, m.
+        regime: of the simulation.
+        simulations: run so far.
+    """
+
+    obj: GridObject
+    params: CellParameters
+    pose: Array
+    goal: Array
+    reach: ReachableOutline
+    checker: PushChecker
+    radius: float
+    clearance: float
+    speed: float
+    distance_range: tuple[float, float]
+    regime: Regime = "quasi_static"
+    simulations: int = 0
+
+    def make_push(self, arc_length: float, angle: float, distance: float) -> Push:
+        """The push with these parameters."""
+        return Push.on_outline(
+            self.obj, arc_length, angle, distance, radius=self.radius, speed=self.speed, pose=self.pose,
+            clearance=self.clearance,
+        )  # fmt: skip
+
+    def run(self, arc_length: float, piece: int, angle: float, gradient: bool = False) -> Trial:
+        """Simulates the longest push at a place and angle, and takes its best allowed part."""
+        push = self.make_push(arc_length, angle, self.distance_range[1])
+        failed = Trial(arc_length, piece, angle, self.distance_range[1], self.pose, np.inf)
+        if not self.checker.allows_finger(push.start[None])[0]:
+            return failed
+        times = make_path_times(push, self.regime)
+        record = np.unique(np.append(np.arange(0, len(times), RECORD_EVERY), len(times) - 1))
+        motion = simulate(
+            self.obj, self.params, push, self.pose, times=times, regime=self.regime, gradients=gradient,
+            record=record if gradient else None,
+        )  # fmt: skip
+        self.simulations += 1
+        if motion.status in (MotionStatus.STARTED_OVERLAPPING, MotionStatus.NOT_CONVERGED):
+            return failed
+        traveled = self.speed * times
+        usable = self.checker.count_allowed(motion.tip, motion.poses)
+        first = int(np.searchsorted(traveled, self.distance_range[0] - 1e-9))
+        if usable <= first:
+            return failed
+        best, cost = self._find_nearest(motion.poses, first, usable)
+        trial = Trial(arc_length, piece, angle, float(traveled[best]), motion.poses[best].copy(), cost)
+        if not gradient:
+            return trial
+        row = int(np.argmin(np.abs(record - best)))
+        J, k = motion.jacobian, int(record[row])
+        assert J.contact_location is not None
+        onward = motion.poses[min(k + 1, len(times) - 1)] - motion.poses[max(k - 1, 0)]
+        onward = onward / (traveled[min(k + 1, len(times) - 1)] - traveled[max(k - 1, 0)])
+        dq = np.column_stack([J.contact_location[row], J.direction[row], onward])
+        slope, curvature = calc_cost_derivatives(self.obj, trial.pose, self.goal, dq)
+        # A distance that cannot change, for the range or a rule ends here, is no unknown.
+        if best in (first, usable - 1):
+            slope, curvature = _hold(slope, curvature, 2)
+        return Trial(arc_length, piece, angle, trial.distance, trial.pose, trial.cost, slope, curvature)
+
+    def _find_nearest(self, poses: Array, first: int, end: int) -> tuple[int, float]:
+        """Index of the pose in [first, end) nearest to the goal, looked for coarsely first, and its cost, m."""
+        rows = np.unique(np.append(np.arange(first, end, RECORD_EVERY), end - 1))
+        coarse = int(rows[np.argmin(calc_goal_error(self.obj, poses[rows], self.goal))])
+        begin, stop = max(first, coarse - RECORD_EVERY + 1), min(end, coarse + RECORD_EVERY)
+        costs = calc_goal_error(self.obj, poses[begin:stop], self.goal)
+        return begin + int(np.argmin(costs)), float(costs.min())
+
+    def finish(self, trial: Trial, simulations: int) -> PlannedPush:
+        """The trial as a planned push."""
+        push = self.make_push(trial.arc_length, trial.angle, trial.distance)
+        return PlannedPush(trial.arc_length, trial.angle, trial.distance, push, trial.pose, trial.cost, simulations)
+
+
+def calc_cost_derivatives(obj: GridObject, pose: Array, goal: Array, dq: Array) -> tuple[Array, Array]:
+    """Differentiates the mean cell error.
+
+    Args:
+        obj: the object.
+        pose: (3,) q.
+        goal: (3,).
+        dq: (3, k) derivative of q by k parameters.
+
+    Returns:
+        The gradient (k,) and the Gauss-Newton matrix (k, k).
+    """
+    residual = obj.cells_at(pose) - obj.cells_at(goal)
+    length = np.maximum(np.linalg.norm(residual, axis=1), MIN_RESIDUAL)
+    arm = obj.cells_at(pose) - pose[:2]
+    dp = np.zeros((obj.n, 2, 3))
+    dp[:, 0, 0] = dp[:, 1, 1] = 1.0
+    dp[:, 0, 2], dp[:, 1, 2] = -arm[:, 1], arm[:, 0]
+    dx = dp @ dq
+    slope = np.einsum("ij,ijk->k", residual / length[:, None], dx) / obj.n
+    return slope, np.einsum("ijk,ijl,i->kl", dx, dx, 1.0 / length) / obj.n
+
+
+def _hold(slope: Array, curvature: Array, index: int) -> tuple[Array, Array]:
+    slope, curvature = slope.copy(), curvature.copy()
+    slope[index] = 0.0
+    curvature[index, :] = curvature[:, index] = 0.0
+    curvature[index, index] = 1.0
+    return slope, curvature

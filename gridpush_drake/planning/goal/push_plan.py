@@ -1,0 +1,264 @@
+"""A sequence of pushes to a goal pose, by the model alone.
+
+A push plan as a YAML file, and as the document that it holds.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import ArrayLike, NDArray
+from shapely import Point
+
+from gridpush_drake.errors import PlanningError
+from gridpush_drake.files import write_whole
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.optimization import ContactOptions, check_pose
+from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
+from gridpush_drake.planning.goal.cost_to_go import CostToGo
+from gridpush_drake.planning.goal.next_push import HorizonOptions, choose_push
+from gridpush_drake.planning.push_constraints import PushConstraints
+
+Array = NDArray[np.float64]
+
+REACHED = "reached"
+GOAL_OFF_TABLE, START_OFF_TABLE = "goal_off_table", "start_off_table"
+GOAL_BLOCKED, START_BLOCKED = "goal_blocked", "start_blocked"
+GOAL_OUT_OF_REACH = "goal_out_of_reach"
+NO_WAY, STUCK, TOO_MANY_PUSHES = "no_way", "stuck", "too_many_pushes"
+
+REASONS = {
+    REACHED: "The object is at the goal, within the tolerance.",
+    GOAL_OFF_TABLE: "At the goal pose the object hangs over the table's edge further than it may.",
+    START_OFF_TABLE: "Where the object lies, its center is not over the table.",
+    GOAL_BLOCKED: "At the goal pose the object touches an obstacle, or is nearer to one than it may be.",
+    GOAL_OUT_OF_REACH: "At the goal pose the finger does not come to the object.",
+    START_BLOCKED: "Where the object lies, it overlaps an obstacle.",
+    NO_WAY: "There is no way to the goal for the object between the obstacles and the table's edges.",
+    STUCK: "No push that the finger can make brings the object nearer to the goal.",
+    TOO_MANY_PUSHES: "The goal was not reached within the pushes that were allowed.",
+}
+"""What each status means, in a sentence."""
+
+DEFAULT_TOLERANCE = 0.02
+"""Mean cell error at which a goal counts as reached, m: the paper's."""
+
+DEFAULT_MAX_PUSHES = 25
+
+
+@dataclass(frozen=True, eq=False)
+class PushPlan:
+    """A sequence of pushes, each from where the one before is predicted to end.
+
+    Attributes:
+        start: (3,) q_W at the beginning.
+        goal: (3,).
+        pushes: in order; as far as they get, where the goal is not reached.
+        status: "reached", or why not: see REASONS.
+        reason: the same in a sentence.
+        error: predicted mean cell error at the end, m.
+        errors: (pushes,) the same after each push; a push that goes round something may make it greater.
+        simulations: simulated pushes.
+        seconds: wall-clock time.
+    """
+
+    start: Array
+    goal: Array
+    pushes: tuple[PlannedPush, ...]
+    status: str
+    reason: str
+    error: float
+    errors: Array
+    simulations: int
+    seconds: float
+
+    @property
+    def reached(self) -> bool:
+        """Whether the plan ends at the goal."""
+        return self.status == REACHED
+
+    @property
+    def poses(self) -> Array:
+        """(pushes + 1, 3) the start and the predicted pose after each push."""
+        return np.array([self.start, *(push.pose for push in self.pushes)])
+
+
+def plan_pushes(
+    obj: GridObject,
+    params: CellParameters,
+    pose: ArrayLike,
+    goal: ArrayLike,
+    *,
+    constraints: PushConstraints | None = None,
+    options: ContactOptions | None = None,
+    horizons: HorizonOptions | None = None,
+    tolerance: float = DEFAULT_TOLERANCE,
+    max_pushes: int = DEFAULT_MAX_PUSHES,
+) -> PushPlan:
+    """Plans pushes that bring an object to a goal pose, trusting the model.
+
+    Args:
+        obj: the object.
+        params: its model.
+        pose: (3,) q_W where it lies, m and rad.
+        goal: (3,) where it should.
+        constraints: table, obstacles and further rules; none by default.
+        options: what pushes may be chosen from.
+        horizons: how far ahead to look.
+        tolerance: mean cell error at which the goal counts as reached, m.
+        max_pushes: most pushes.
+
+    Returns:
+        The plan; its `status` says whether it gets there, and if not why.
+
+    Raises:
+        PlanningError: an argument is out of range.
+    """
+    begin = perf_counter()
+    constraints, options = constraints or PushConstraints(), options or ContactOptions()
+    horizons = horizons or HorizonOptions()
+    q, aim = check_pose("pose", pose), check_pose("goal", goal)
+    check_tolerance(tolerance, max_pushes)
+    pushes: list[PlannedPush] = []
+    simulations, start = 0, q
+    status = check_ends(obj, q, aim, constraints, options.radius)
+    way = CostToGo(obj, q, aim, constraints.start_at(obj, q, options.radius)) if status is None else None
+    while status is None and way is not None:
+        status = judge(obj, q, way, len(pushes), tolerance, max_pushes)
+        if status is not None:
+            break
+        decision = choose_push(obj, params, q, way, tolerance, constraints, options, horizons)
+        simulations += decision.simulations
+        if decision.push is None:
+            status = STUCK
+            break
+        pushes.append(decision.push)
+        q = decision.push.pose
+    assert status is not None
+    errors = calc_goal_error(obj, np.array([start, *(push.pose for push in pushes)]), aim)
+    return PushPlan(
+        start, aim, tuple(pushes), status, REASONS[status], float(errors[-1]), errors[1:], simulations,
+        perf_counter() - begin,
+    )  # fmt: skip
+
+
+def judge(obj: GridObject, pose: Array, way: CostToGo, made: int, tolerance: float, max_pushes: int) -> str | None:
+    """Why a sequence should end at `pose` after `made` pushes; None where it should go on."""
+    if float(calc_goal_error(obj, pose, way.goal)) <= tolerance:
+        return REACHED
+    if made >= max_pushes:
+        return TOO_MANY_PUSHES
+    return None if np.isfinite(way.calc_cost(pose)) else NO_WAY
+
+
+def check_ends(obj: GridObject, start: Array, goal: Array, constraints: PushConstraints, radius: float) -> str | None:
+    """Why the object cannot lie at the goal, or does not lie properly at the start, by the rules; None where it can."""
+    checker = constraints.start_at(obj, start, radius)
+    if constraints.surface is not None:
+        center = Point(obj.cells_at(start).mean(axis=0))
+        if not constraints.surface.polygon.covers(center):
+            return START_OFF_TABLE
+    if checker.overlaps_obstacle(start):
+        return START_BLOCKED
+    table, blocked = constraints.allow_pose(obj, goal)
+    if not table:
+        return GOAL_OFF_TABLE
+    if blocked:
+        return GOAL_BLOCKED
+    region = constraints.finger_region
+    if region is not None and region.distance(checker.place(goal[None])[0]) > radius:
+        return GOAL_OUT_OF_REACH
+    return None
+
+
+def check_tolerance(tolerance: float, max_pushes: int) -> None:
+    """Raises PlanningError where the tolerance is not positive, or the pushes are fewer than none."""
+    if not (np.isfinite(tolerance) and tolerance > 0):
+        raise PlanningError(f"tolerance is {tolerance!r}; expected a positive number (m)")
+    if max_pushes < 0:
+        raise PlanningError(f"max_pushes is {max_pushes!r}; expected 0 or more")
+
+
+FORMAT_VERSION = 1
+
+HEADER = """\
+# Pushes that bring an object to a goal pose, planned by gridpush.
+# SI units, radians, world frame; `start` is the place of the pusher's center, `pose` the object's predicted pose after
+# the push (x, y, theta), `error` the mean distance of the object's cells from where they are at the goal.
+"""
+
+LINE_WIDTH = 120
+
+
+def describe_plan(plan: PushPlan, name: str, radius: float) -> dict[str, Any]:
+    """A plan as plain lists and numbers.
+
+    Args:
+        plan: the plan.
+        name: of the object.
+        radius: of the pusher, m.
+
+    Returns:
+        The document.
+    """
+    return {
+        "gridpush_plan": FORMAT_VERSION,
+        "object": name,
+        "status": plan.status,
+        "reason": plan.reason,
+        "start": plan.start.tolist(),
+        "goal": plan.goal.tolist(),
+        "error": plan.error,
+        "simulations": plan.simulations,
+        "pusher_radius": radius,
+        "pushes": [
+            {
+                "start": planned.push.start.tolist(),
+                "velocity": planned.push.velocity.tolist(),
+                "duration": planned.push.duration,
+                "arc_length": planned.arc_length,
+                "angle": planned.angle,
+                "distance": planned.distance,
+                "pose": planned.pose.tolist(),
+                "error": float(error),
+            }
+            for planned, error in zip(plan.pushes, plan.errors, strict=True)
+        ],
+    }
+
+
+def write_plan(path: Path | str, plan: PushPlan, name: str, radius: float, force: bool = False) -> None:
+    """Writes a plan.
+
+    Args:
+        path: the YAML file.
+        plan: the plan.
+        name: of the object.
+        radius: of the pusher, m.
+        force: whether an existing file may be replaced.
+
+    Raises:
+        OutputError: the file exists and `force` is not set, or it cannot be written.
+    """
+    document = describe_plan(plan, name, radius)
+    text = yaml.dump(document, Dumper=_Dumper, sort_keys=False, width=LINE_WIDTH)
+    write_whole(path, HEADER + text, force)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Lists of numbers on one line."""
+
+
+def _represent_list(dumper: Any, value: list[Any]) -> Any:
+    return dumper.represent_sequence("tag:yaml.org,2002:seq", value, flow_style=not any(map(_is_block, value)))
+
+
+def _is_block(value: Any) -> bool:
+    return isinstance(value, dict | list)
+
+
+_Dumper.add_representer(list, _represent_list)

@@ -1,0 +1,1 @@
+"""Sliding to the table's edge and grasping there."""

@@ -1,0 +1,229 @@
+"""Which poke to make next: the one that is expected to tell most about what matters.
+
+What was learned is z = (log k_1 .. log k_n, log mu_c) ~ N(mean, S). A push whose end would be seen as the residual
+r = J z + noise, with J exact from its simulation and noise ~ N(0, R) (`identification.noise`), leaves
+
+    S' = S - S J^T (J S J^T + R)^-1 J S
+
+whatever will be seen. What matters is linear in z near the mean, f = F z: the center of friction, which is the center
+of mass where all cells rub alike, along one direction or both; or the poses that other pushes are predicted to end in.
+The poke is chosen that makes the largest eigenvalue of F S' F^T least, the variance of what is then known least
+(Bayesian linear design by its worst direction: Chaloner and Verdinelli 1995, section 2).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits
+
+from gridpush_drake.dynamics.motion import MotionStatus
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.errors import PlanningError
+from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.contact.reachable_outline import find_reachable_outline
+from gridpush_drake.planning.pregrasp.uncertainty import LinearizedPosterior, turn_back
+from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PokeOptions:
+    """What pokes may be chosen from.
+
+    Attributes:
+        radius: of the finger, a disc, m.
+        speed: of the finger, m/s.
+        distance: of a poke, the clearance included, m.
+        clearance: gap between finger and object at the beginning, m.
+        places: along the outline.
+        angles: of the motion from the inward normal, rad.
+        apart: share of the outline's length that a poke begins away from every poke made before: what the model
+            gets wrong it would get wrong again.
+    """
+
+    radius: float = 0.008
+    speed: float = 0.03
+    distance: float = 0.04
+    clearance: float = 0.002
+    places: int = 36
+    angles: tuple[float, ...] = (-0.4, 0.0, 0.4)
+    apart: float = 0.04
+
+    def __post_init__(self) -> None:
+        for name in ("radius", "speed", "distance"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise PlanningError(f"poke: {name} is {getattr(self, name)!r}; expected a positive number")
+        if self.places < 1 or not self.angles:
+            raise PlanningError("poke: expected at least one place and one angle")
+
+
+@dataclass(frozen=True, eq=False)
+class PokeChoice:
+    """The poke to make next.
+
+    Attributes:
+        push: the poke.
+        index: among those offered.
+        std: of what matters, in the direction least known, now.
+        expected_std: the same after the poke.
+        expected_stds: (N,) the same for every poke offered; infinite where it would not touch the object.
+    """
+
+    push: Push
+    index: int
+    std: float
+    expected_std: float
+    expected_stds: Array
+
+
+def make_pokes(
+    knowledge: LinearizedPosterior,
+    pose: ArrayLike,
+    options: PokeOptions | None = None,
+    constraints: PushConstraints | None = None,
+) -> list[Push]:
+    """Makes pokes to choose from: all places, with all angles, that are new, touch the object and break no rule.
+
+    Args:
+        knowledge: what is known, and the pokes made before.
+        pose: (3,) where it lies, X_WB, m and rad.
+        options: places, angles, distance.
+        constraints: that the predicted motion must keep to the end; none where None.
+
+    Returns:
+        The pokes; empty where none is allowed.
+    """
+    options = options or PokeOptions()
+    obj, params = knowledge.obj, knowledge.params
+    q = np.asarray(pose, dtype=np.float64)
+    reach = find_reachable_outline(obj, options.radius, options.clearance)
+    checker = (constraints or PushConstraints()).start_at(obj, q, options.radius)
+    pokes = []
+    for s in reach.spread(reach.length / options.places)[0]:
+        for angle in options.angles:
+            push = Push.on_outline(
+                obj, float(s), angle, options.distance, radius=options.radius, speed=options.speed, pose=q,
+                clearance=options.clearance,
+            )  # fmt: skip
+            begins = turn_back(push.start - q[:2], q[2])
+            if (np.linalg.norm(knowledge.made - begins, axis=1) < options.apart * reach.perimeter).any():
+                continue
+            motion = simulate(obj, params, push, q, regime="quasi_static")
+            if motion.status == MotionStatus.OK and checker.count_allowed(motion.tip, motion.poses) == len(motion.tip):
+                pokes.append(push)
+    return pokes
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")
+def choose_poke(knowledge: LinearizedPosterior, pose: ArrayLike, pokes: Sequence[Push], F: Array) -> PokeChoice:
+    """Chooses the poke that is expected to leave the least variance of what matters, in the direction least known.
+
+    Args:
+        knowledge: what is known.
+        pose: (3,) where the object lies, X_WB, m and rad.
+        pokes: to choose from.
+        F: (m, n+1) what matters, as derivatives by z.
+
+    Returns:
+        The choice.
+
+    Raises:
+        PlanningError: there is no poke to choose from, or none touches the object.
+    """
+    if not pokes:
+        raise PlanningError("pokes: none; expected at least one to choose from")
+    S = knowledge.posterior.covariance
+    stds = np.full(len(pokes), np.inf)
+    for i, push in enumerate(pokes):
+        seen = calc_observation(knowledge, push, pose)
+        if seen is not None:
+            stds[i] = calc_worst_std(calc_remaining(S, F, *seen))
+    best = int(np.argmin(stds))
+    if not np.isfinite(stds[best]):
+        raise PlanningError("pokes: none of them touches the object")
+    return PokeChoice(pokes[best], best, calc_worst_std(F @ S @ F.T), float(stds[best]), stds)
+
+
+def calc_observation(knowledge: LinearizedPosterior, push: Push, pose: ArrayLike) -> tuple[Array, Array] | None:
+    """What the end of a push would show.
+
+    Args:
+        knowledge: what is known.
+        push: the push.
+        pose: (3,) where the object lies, X_WB, m and rad.
+
+    Returns:
+        J (3, n+1) of the residual by z, and R (3, 3) its noise, m²; None where the push does not touch the object.
+    """
+    obj, q = knowledge.obj, np.asarray(pose, dtype=np.float64)
+    seen = ObservedPush("poke", push, q, np.array([push.duration]), q[None])
+    problem = PushProblem(obj, PushLog((seen,)), knowledge.params.friction, "quasi_static")
+    linear = problem.linearize(knowledge.posterior.mean)
+    J = linear.by_z[0]
+    if not J.any():
+        return None
+    factor = knowledge.noise.calc_factor(linear.by_inputs[0], knowledge.scale)
+    return J, factor @ factor.T
+
+
+def calc_remaining(S: Array, F: Array, J: Array, R: Array) -> Array:
+    """Covariance (m, m) of what matters after an observation, F S' F^T.
+
+    Args:
+        S: (n+1, n+1) covariance of z.
+        F: (m, n+1) what matters.
+        J: (r, n+1) the observation.
+        R: (r, r) its noise.
+    """
+    SJ = S @ J.T
+    G = F @ SJ
+    return np.asarray(F @ S @ F.T - G @ np.linalg.solve(J @ SJ + R, G.T))
+
+
+def calc_worst_std(covariance: Array) -> float:
+    """Standard deviation in the direction least known, of a covariance (m, m)."""
+    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
+
+
+def make_center_functional(obj: GridObject, posterior: Posterior, direction: ArrayLike | None = None) -> Array:
+    """The center of friction, m: its derivatives share_i (p_i - center) by z.
+
+    Args:
+        obj: the object.
+        posterior: of z.
+        direction: (2,) unit vector in the body frame; both coordinates where None.
+
+    Returns:
+        (1, n+1) or (2, n+1).
+    """
+    share = posterior.calc_share()
+    F = np.zeros((2, obj.n + 1))
+    F[:, :-1] = (share[:, None] * (obj.p_BC - share @ obj.p_BC)).T
+    return F if direction is None else np.asarray(direction, dtype=np.float64)[None] @ F
+
+
+def make_pose_functional(knowledge: LinearizedPosterior, pushes: Sequence[Push], poses: ArrayLike) -> Array:
+    """Where pushes are predicted to take the object: the residuals (x, y of the centroid, turn at rho), m, by z.
+
+    Args:
+        knowledge: what is known.
+        pushes: N pushes; those that do not touch count nothing.
+        poses: (N, 3) where the object lies before each, X_WB.
+
+    Returns:
+        (3 N, n+1).
+    """
+    width = len(knowledge.posterior.mean)
+    rows = [np.zeros((0, width))]
+    for push, pose in zip(pushes, np.asarray(poses, dtype=np.float64), strict=True):
+        seen = calc_observation(knowledge, push, pose)
+        if seen is not None:
+            rows.append(seen[0])
+    return np.concatenate(rows)

@@ -1,0 +1,349 @@
+"""What to do next to get an object to the table's edge and grasp it there (the paper's Algorithm 3, made safe).
+
+    explore   poke until the set of possible masses leaves a goal that is safe
+    slide     push towards the goals, stable at the worst all the way; learn from every push that stayed on the table
+    grasp     a graspable part hangs over far enough, and the object stays put at the worst
+
+Each decision depends on what is seen and known now and on how many pushes were made, on nothing else: an object that
+slipped, or was moved by somebody, is simply decided on anew. Whatever cannot be done safely is not done, and the
+decision says why.
+
+A whole pre-grasp slide as one model predicts it: the decisions of `pregrasp`, made on predicted poses.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import PlanningError
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.pregrasp.edge_push import simulate_near_edge
+from gridpush_drake.planning.pregrasp.exploration import (
+    PokeChoice,
+    PokeOptions,
+    calc_worst_std,
+    choose_poke,
+    make_center_functional,
+    make_pokes,
+)
+from gridpush_drake.planning.pregrasp.goals import (
+    ANY_ARM,
+    ArmLimits,
+    GoalOptions,
+    PreGraspGoal,
+    check_room,
+    find_grasp_at,
+    find_pregrasp_goals,
+)
+from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, Gripper, find_grasp_parts
+from gridpush_drake.planning.pregrasp.slides import Slide, SlideOptions, make_stability_rule, plan_slide
+from gridpush_drake.planning.pregrasp.uncertainty import Belief
+from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.support_surface import SupportSurface
+
+Array = NDArray[np.float64]
+Action = Literal["poke", "slide", "grasp", "fail"]
+
+MM = 1e3
+"""Millimeters in a meter."""
+
+
+ACCEPTED_SHARE = 2 / 3
+"""Of the margin asked of a goal, that it must still have where the object ends up: pushes end only nearly there."""
+
+
+HOPE_SIGMAS = 4.0
+"""How many of the center's standard deviations across the edge further pokes may add to a margin."""
+
+
+@dataclass(frozen=True)
+class PreGraspOptions:
+    """How far to go, and how carefully.
+
+    Attributes:
+        gripper: its measures.
+        goal: how goals are sought, and what counts as safe.
+        slide: how pushes of the slide are chosen.
+        poke: what pokes may be chosen from.
+        min_pokes: made in any case, unless the object can be grasped where it lies.
+        max_pokes: made before giving up.
+        max_slides: made before giving up.
+        poke_margin: how far inside the edge pokes keep every cell, m.
+        max_arm: farthest that a part may be from where the center of mass is believed, m: held farther off, the object
+            would turn in the gripper.
+    """
+
+    gripper: Gripper = field(default_factory=Gripper)
+    goal: GoalOptions = field(default_factory=GoalOptions)
+    slide: SlideOptions = field(default_factory=SlideOptions)
+    poke: PokeOptions = field(default_factory=PokeOptions)
+    min_pokes: int = 3
+    max_pokes: int = 15
+    max_slides: int = 30
+    poke_margin: float = 0.02
+    max_arm: float = np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class PreGraspDecision:
+    """What to do next.
+
+    Attributes:
+        action: "poke" and "slide" are pushes to make; "grasp" and "fail" end the task.
+        push: to make; None at the end.
+        goal: that the slide goes to, or the present pose where it can be grasped; None where there is none.
+        expected_pose: (3,) of the object after a slide; None otherwise.
+        margin: stability margin of the goal at the worst, m; NaN without a goal.
+        reason: in a sentence.
+    """
+
+    action: Action
+    push: Push | None
+    goal: PreGraspGoal | None
+    expected_pose: Array | None
+    margin: float
+    reason: str
+
+
+class PreGraspPlanner:
+    """Decides what to do next with one object on one table.
+
+    Attributes:
+        obj: the object.
+        surface: the table.
+        options: how far to go, and how carefully.
+        parts: the graspable parts.
+        limits: of the arm.
+    """
+
+    def __init__(
+        self,
+        obj: GridObject,
+        surface: SupportSurface,
+        options: PreGraspOptions | None = None,
+        parts: Sequence[GraspPart] | None = None,
+        limits: ArmLimits = ANY_ARM,
+    ) -> None:
+        """Finds the graspable parts.
+
+        Args:
+            obj: the object.
+            surface: the table.
+            options: how far to go, and how carefully.
+            parts: the graspable parts, where they are known already.
+            limits: of the arm that is to do it.
+
+        Raises:
+            PlanningError: there is no graspable part, or the table is smaller than the object.
+        """
+        self.obj, self.surface, self.limits = obj, surface, limits
+        self.options = options or PreGraspOptions()
+        self.parts = tuple(find_grasp_parts(obj, self.options.gripper) if parts is None else parts)
+        check_room(obj, self.parts, surface)
+
+    @threadpool_limits.wrap(limits=1, user_api="blas")
+    def decide(self, pose: ArrayLike, belief: Belief | None, pokes: int = 0, slides: int = 0) -> PreGraspDecision:
+        """Decides what to do next.
+
+        Args:
+            pose: (3,) where the object is seen, X_WB, m and rad.
+            belief: what is believed of it; None before the first push.
+            pokes: made so far.
+            slides: made so far.
+
+        Returns:
+            The decision.
+        """
+        q = np.asarray(pose, dtype=np.float64)
+        if belief is None:
+            return self._poke(q, Belief.of_prior(self.obj), None, pokes, "nothing is known of the object yet")
+        parts = self._find_parts_near(belief, self.options.max_arm)
+        here = find_grasp_at(belief.masses, parts, q, self.surface, self.options.goal, self.limits)
+        if here is not None and here.margin >= ACCEPTED_SHARE * self.options.goal.margin:
+            reason = f"a part hangs over, and the object stays put with {here.margin * MM:.0f} mm to spare"
+            return PreGraspDecision("grasp", None, here, None, here.margin, reason)
+        if belief.knowledge is not None and pokes < self.options.min_pokes:
+            return self._poke(q, belief, None, pokes, "too little is known of the object yet")
+        goals = self._find_goals(q, belief, parts)
+        if not goals:
+            return self._poke_or_give_up(q, belief, parts, pokes)
+        if goals[0].margin < self.options.goal.margin:
+            return self._poke(q, belief, goals[0], pokes, self._describe_lack(goals[0].margin))
+        if slides >= self.options.max_slides:
+            return _fail(f"not at the edge after {slides} slides", goals[0])
+        slide = plan_slide(
+            belief.masses, belief.params, belief.draws, q, goals, self.surface, self.options.slide, self.limits
+        )
+        if slide is None:
+            return self._poke(q, belief, goals[0], pokes, "no push towards a goal is safe all the way")
+        return _slide(slide)
+
+    def _find_parts_near(self, belief: Belief, arm: float) -> tuple[GraspPart, ...]:
+        """The parts no farther than `arm` (m) from where the center of mass is believed."""
+        middle = belief.masses.center_of_mass_polygon.mean(axis=0)
+        return tuple(part for part in self.parts if np.linalg.norm(part.p_BG - middle) <= arm)
+
+    def _find_goals(self, pose: Array, belief: Belief, parts: tuple[GraspPart, ...]) -> list[PreGraspGoal]:
+        if not parts:
+            return []
+        return find_pregrasp_goals(belief.masses, parts, pose, self.surface, self.options.goal, self.limits)
+
+    def _poke_or_give_up(
+        self, pose: Array, belief: Belief, parts: tuple[GraspPart, ...], pokes: int
+    ) -> PreGraspDecision:
+        """No goal with `parts`: a poke where the center of mass may still turn out to be near others that allow one."""
+        arm = self.options.max_arm
+        near = f" within {arm * MM:.0f} mm of the center of mass" if np.isfinite(arm) else ""
+        why = f"no pose lets a graspable part{near} hang over the edge where the arm can take it"
+        hoped = self._find_parts_near(belief, arm + HOPE_SIGMAS * _calc_center_std(belief))
+        if len(hoped) == len(parts) or not self._find_goals(pose, belief, hoped):
+            return _fail(why, None)
+        return self._poke(pose, belief, None, pokes, why)
+
+    def _describe_lack(self, margin: float) -> str:
+        needed = f"{self.options.goal.margin * MM:.0f} mm are asked for"
+        return f"the safest goal has a stability margin of {margin * MM:.0f} mm at the worst; {needed}"
+
+    def _poke(self, pose: Array, belief: Belief, best: PreGraspGoal | None, pokes: int, why: str) -> PreGraspDecision:
+        """The poke that tells most about the center of mass, across the edge of the best goal; or failure."""
+        if belief.knowledge is None:
+            return _fail(f"{why}, and pokes would not tell more", best)
+        if pokes >= self.options.max_pokes:
+            return _fail(f"{why}, after {pokes} pokes", best)
+        direction = None if best is None else best.weakest
+        choice = suggest_poke(belief, pose, self.surface, direction, self.options, self.limits)
+        if choice is None:
+            return _fail(f"{why}, and no poke keeps the object on the table", best)
+        if best is not None and best.margin + HOPE_SIGMAS * choice.std < self.options.goal.margin:
+            return _fail(f"{why}; pokes cannot tell mass from friction, only closer friction bounds would help", best)
+        reason = (
+            f"{why}; this poke is expected to bring the center's standard deviation"
+            f"{'' if direction is None else ' across the edge'} from {choice.std * MM:.1f} mm "
+            f"to {choice.expected_std * MM:.1f} mm"
+        )
+        return PreGraspDecision("poke", choice.push, best, None, np.nan if best is None else best.margin, reason)
+
+
+def suggest_poke(
+    belief: Belief,
+    pose: ArrayLike,
+    surface: SupportSurface,
+    direction: ArrayLike | None = None,
+    options: PreGraspOptions | None = None,
+    limits: ArmLimits = ANY_ARM,
+) -> PokeChoice | None:
+    """The poke that is expected to tell most about the center of mass.
+
+    Args:
+        belief: what is believed of the object; its `knowledge` must not be None.
+        pose: (3,) where the object lies, X_WB, m and rad.
+        surface: the table, inside whose edge the object stays, or at least as far in and as stable as it is.
+        direction: (2,) unit vector in the body frame along which the center matters; both where None.
+        options: what pokes may be chosen from.
+        limits: of the arm that is to poke.
+
+    Returns:
+        The poke; None where none within the arm's reach keeps the object on the table.
+
+    Raises:
+        PlanningError: the belief leaves nothing to learn.
+    """
+    options, knowledge = options or PreGraspOptions(), belief.knowledge
+    if knowledge is None:
+        raise PlanningError("belief: parameters taken for granted; expected knowledge that pokes can add to")
+    rule = make_stability_rule(belief.masses, pose, surface, options.slide.margin, options.slide.inset)
+    constraints = PushConstraints(
+        surface,
+        edge_margin=options.poke_margin,
+        pose_rule=rule,
+        finger_region=limits.finger_region,
+        push_rule=limits.can_push,
+    )
+    pokes = make_pokes(knowledge, pose, options.poke, constraints)
+    if not pokes:
+        return None
+    F = make_center_functional(knowledge.obj, knowledge.posterior, direction)
+    choice = choose_poke(knowledge, pose, pokes, F)
+    for index in np.argsort(choice.expected_stds, kind="stable").tolist():
+        expected = float(choice.expected_stds[index])
+        if np.isfinite(expected) and constraints.allows_push(pokes[index]):
+            return replace(choice, push=pokes[index], index=index, expected_std=expected)
+    return None
+
+
+def _calc_center_std(belief: Belief) -> float:
+    """Of the center of mass in the direction least known, m."""
+    if belief.knowledge is None:
+        return 0.0
+    posterior = belief.knowledge.posterior
+    F = make_center_functional(belief.knowledge.obj, posterior)
+    return calc_worst_std(F @ posterior.covariance @ F.T)
+
+
+def _slide(slide: Slide) -> PreGraspDecision:
+    reason = (
+        f"{slide.planned.cost * MM:.0f} mm from a goal after this push; stability margin {slide.margin * MM:.0f} mm "
+        "or more on the way"
+    )
+    return PreGraspDecision("slide", slide.planned.push, slide.goal, slide.planned.pose, slide.goal.margin, reason)
+
+
+def _fail(reason: str, goal: PreGraspGoal | None) -> PreGraspDecision:
+    return PreGraspDecision("fail", None, goal, None, np.nan if goal is None else goal.margin, reason)
+
+
+STATUS_READY = "ready"
+STATUS_POKE_FIRST = "poke_first"
+STATUS_FAILED = "failed"
+
+
+@dataclass(frozen=True, eq=False)
+class PreGraspPlan:
+    """Pushes that bring an object to the edge, and how they end.
+
+    Attributes:
+        status: "ready": at the end of the pushes a part can be grasped; "poke_first": no goal is safe enough yet, and a
+            poke would help; "failed".
+        message: the status in a sentence.
+        pushes: of the slide; empty where the object can be grasped where it lies, and where there is no safe way.
+        poses: (P+1, 3) predicted before and after each push, X_WB, m and rad.
+        goal: what hangs over at the end; where nothing is safe enough, the safest goal; None where there is none.
+        poke: that would help most, where one would.
+    """
+
+    status: str
+    message: str
+    pushes: tuple[Push, ...]
+    poses: Array
+    goal: PreGraspGoal | None
+    poke: Push | None
+
+
+def plan_pregrasp(planner: PreGraspPlanner, belief: Belief, pose: ArrayLike) -> PreGraspPlan:
+    """Plans a slide to the end.
+
+    Args:
+        planner: object, table and options.
+        belief: what is believed of the object. Motions are predicted with its `params`.
+        pose: (3,) where the object lies, X_WB, m and rad.
+
+    Returns:
+        The plan.
+    """
+    poses, pushes = [np.array(pose, dtype=np.float64)], list[Push]()
+    while True:
+        decision = planner.decide(poses[-1], belief, planner.options.min_pokes, len(pushes))
+        if decision.action != "slide" or decision.push is None:
+            break
+        pushes.append(decision.push)
+        poses.append(
+            simulate_near_edge(planner.obj, belief.params, decision.push, poses[-1], planner.surface).final_pose
+        )
+    status = {"grasp": STATUS_READY, "poke": STATUS_POKE_FIRST}.get(decision.action, STATUS_FAILED)
+    poke = decision.push if decision.action == "poke" else None
+    return PreGraspPlan(status, decision.reason, tuple(pushes), np.array(poses), decision.goal, poke)

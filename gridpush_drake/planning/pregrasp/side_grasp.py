@@ -1,0 +1,314 @@
+"""Where a gripper can take an object from beyond the table's edge, one jaw under the overhang and one over it.
+
+Seen from above, with the grasp point G in the middle between the pads and the x axis along the heading in which the
+fingers point, the gripper is made of rectangles:
+
+    pads       [-pad_length/2, pad_length/2] x pad_width   wholly on the object, a margin inside its outline
+    jaws       [-body_front, jaw_reach] x jaw_width        the lower one clear of the table
+    the rest   [-body_back, -body_front] x body_width      clear of the object, and of the table
+
+For each of many headings the places where the pads and the lower jaw may be are found by `pad_places`, exactly; what is
+left is looked at one by one.
+
+A few grasps that differ, of many that are near copies: what an arm is asked about, which takes time.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike, NDArray
+from shapely.affinity import affine_transform
+from shapely.geometry.base import BaseGeometry
+
+from gridpush_drake.errors import PlanningError
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.pregrasp.pad_placement import TOUCH, Handle, Walls, find_handles, find_places, get_edges
+from gridpush_drake.planning.support_surface import SupportSurface
+
+Array = NDArray[np.float64]
+
+HEADINGS = 72
+"""Tried over a full turn, beside those of narrow handles."""
+
+MIN_EDGE = 0.25
+"""Of the pads' length, that the sides of a narrow handle are long."""
+
+ARC_DETAIL = 4
+"""Pieces of a quarter turn, where what is within or about the outline is round."""
+
+MAX_SLANT = np.radians(75)
+"""Between a heading and the shortest way in to the table."""
+
+SLANT_SPARE = np.radians(5)
+"""For the directions between those in which the table is seen from corners of the overhang."""
+
+STEP = 0.005
+"""m, between grasp points tried."""
+
+
+@dataclass(frozen=True)
+class SideGripper:
+    """A parallel gripper seen from above while it reaches in from the side, m; as `models/gripper` has it.
+
+    Attributes:
+        opening: of the jaws, over and under the object.
+        pad_length: of the pads' contact along the heading.
+        pad_width: across it.
+        jaw_reach: of the jaws beyond the grasp point.
+        jaw_width: across the heading.
+        body_front: from the grasp point back to the gripper's body.
+        body_width: of body, bracket and finger, whichever is widest, across the heading.
+        body_back: from the grasp point back to the farthest of them.
+        standoff: from where the gripper comes down to the grasp point.
+        table_clearance: of the lower jaw.
+        object_clearance: of body, bracket and finger; of everything while it comes down.
+        height_clearance: of each open jaw, over and under the object.
+        margin: of the pads inside the outline.
+
+    Raises:
+        PlanningError: a measure is not a positive number; a clearance or margin is negative.
+    """
+
+    opening: float = 0.1
+    pad_length: float = 0.024
+    pad_width: float = 0.012
+    jaw_reach: float = 0.015
+    jaw_width: float = 0.02
+    body_front: float = 0.0669
+    body_width: float = 0.064
+    body_back: float = 0.202
+    standoff: float = 0.1
+    table_clearance: float = 0.004
+    object_clearance: float = 0.008
+    height_clearance: float = 0.01
+    margin: float = 0.0005
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value, may_be_zero = getattr(self, field.name), field.name.endswith("clearance") or field.name == "margin"
+            if not (np.isfinite(value) and (value > 0 or (may_be_zero and value == 0))):
+                kind = "a number >= 0" if may_be_zero else "a positive number"
+                raise PlanningError(f"side gripper: {field.name} is {value!r}; expected {kind} (m)")
+        if not self.jaw_reach < self.standoff or not self.body_front < self.body_back:
+            raise PlanningError(
+                "side gripper: expected jaw_reach less than standoff, and body_front less than body_back (m)"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class SideGrasp:
+    """A grasp from the side.
+
+    Attributes:
+        p_WG: (2,) grasp point, m.
+        approach: heading in which the fingers point, rad from W's x axis, in (-pi, pi].
+        p_BG: (2,) grasp point, body frame, m.
+        distance: from the grasp point to what was aimed at, m.
+        clearance: between the lower jaw and the table, m.
+    """
+
+    p_WG: Array
+    approach: float
+    p_BG: Array
+    distance: float
+    clearance: float
+
+
+def find_side_grasps(
+    obj: GridObject,
+    pose: ArrayLike,
+    surface: SupportSurface,
+    gripper: SideGripper | None = None,
+    aim: ArrayLike | None = None,
+    *,
+    height: float = 0.03,
+    step: float = STEP,
+    headings: int = HEADINGS,
+) -> list[SideGrasp]:
+    """Finds where the gripper can take an object that overhangs the edge.
+
+    Args:
+        obj: the object.
+        pose: (3,) X_WB, m and rad.
+        surface: the table.
+        gripper: its measures.
+        aim: (2,) point near which to grasp, body frame, m: the estimated center of mass; by default the mean of the
+            cells.
+        height: of the object, m.
+        step: between grasp points tried, m: at most so much across the heading, four times as much along it.
+        headings: tried over a full turn, beside those of narrow handles.
+
+    Returns:
+        The grasps, by distance from `aim`, at equal distance by clearance from the table; none where there is no place.
+
+    Raises:
+        PlanningError: a number is not finite or not positive, or the object is too thick for the gripper.
+    """
+    gripper = gripper or SideGripper()
+    q = _check_vector("pose", pose, 3)
+    target = obj.p_BC.mean(axis=0) if aim is None else _check_vector("aim", aim, 2)
+    if not (np.isfinite(height) and height > 0 and np.isfinite(step) and step > 0 and headings >= 1):
+        raise PlanningError(
+            f"height is {height!r}, step {step!r} and headings {headings!r}; expected positive lengths (m) and a number"
+        )
+    if height > gripper.opening - 2 * gripper.height_clearance:
+        raise PlanningError(
+            f"{obj.name}: {height:g} m thick; expected at most the gripper's opening less its clearances, "
+            f"{gripper.opening - 2 * gripper.height_clearance:g} m"
+        )
+    outline = _place(obj.outline, q)
+    c, s = np.cos(q[2]), np.sin(q[2])
+    R = np.array([[c, -s], [s, c]])
+    points, angles = _propose(outline, surface, gripper, R @ target + q[:2], step, headings)
+    kept = _filter(outline, points, angles, surface, gripper)
+    points, angles = points[kept], angles[kept]
+    if not len(points):
+        return []
+    p_BG = (points - q[:2]) @ R
+    distance = np.linalg.norm(p_BG - target, axis=1)
+    clear = shapely.distance(_make_rectangles(points, angles, *_lower_jaw(gripper)), surface.polygon)
+    order = np.lexsort((-clear, np.round(distance, 6)))
+    return [
+        SideGrasp(points[i].copy(), float(angles[i]), p_BG[i].copy(), float(distance[i]), float(clear[i]))
+        for i in order.tolist()
+    ]
+
+
+def _propose(
+    outline: shapely.Polygon, surface: SupportSurface, gripper: SideGripper, aim: Array, step: float, headings: int
+) -> tuple[Array, Array]:
+    """Points (k, 2) and headings (k,) with which the pads are on the overhang and the lower jaw clear of the table."""
+    inner = outline.buffer(-gripper.margin, quad_segs=ARC_DETAIL)
+    # no farther in than half the jaw's width, whatever the heading; the pads reach no farther from there than this
+    least, half = gripper.table_clearance + gripper.jaw_width / 2, np.hypot(gripper.pad_length, gripper.pad_width) / 2
+    beyond = inner - surface.polygon.buffer(least, join_style="mitre")
+    overhang = inner - surface.polygon.buffer(least - half, join_style="mitre")
+    if beyond.is_empty:
+        return np.empty((0, 2)), np.empty(0)
+    table = surface.polygon.buffer(gripper.table_clearance)
+    pads = Walls(get_edges(overhang), -gripper.pad_length / 2, gripper.pad_length / 2, gripper.pad_width)
+    grown = _grow(outline, gripper.object_clearance + 4 * TOUCH)
+    jaw = Walls(get_edges(table), *_lower_jaw(gripper))
+    rest = Walls(get_edges(grown), -gripper.body_back - gripper.standoff, -gripper.body_front, gripper.body_width)
+    shapely.prepare(overhang)
+    handles, even = _choose_headings(beyond, pads, surface, step, headings)
+    tries = [*((handle.heading, handle.corners) for handle in handles), *((angle, None) for angle in even)]
+    points, angles = find_places(overhang, pads, (jaw, rest), tries, aim, step)
+    inwards = _find_ways_in(points, surface)
+    ahead = inwards[:, 0] * np.cos(angles) + inwards[:, 1] * np.sin(angles) >= np.cos(MAX_SLANT)
+    return points[ahead], angles[ahead]
+
+
+def _choose_headings(
+    beyond: BaseGeometry, pads: Walls, surface: SupportSurface, step: float, count: int
+) -> tuple[list[Handle], list[float]]:
+    """Headings that point inwards from somewhere `beyond` the edge: along narrow handles, and of `count` even ones."""
+    even = np.pi * (2 * np.arange(1, count + 1) / count - 1)
+    # in anything wider the pads have a step's play at the nearest of the even headings
+    length, off = pads.front - pads.back, min(np.pi / count, np.pi / 4)
+    widest = length * np.sin(off) + pads.width * np.cos(off) + step
+    handles = find_handles(pads.edges, MIN_EDGE * length, widest)
+    both = [Handle(handle.heading + turn, handle.corners) for turn in (0.0, -np.pi) for handle in handles]
+    # the way in from any point leads over the region's boundary, and from there on in the same direction
+    inwards = _find_ways_in(shapely.get_coordinates(shapely.segmentize(beyond, STEP)), surface)
+
+    def points_in(headings: Array) -> NDArray[np.bool_]:
+        ahead = inwards @ np.array([np.cos(headings), np.sin(headings)])
+        return np.asarray((ahead >= np.cos(MAX_SLANT + SLANT_SPARE)).any(axis=0))
+
+    kept = points_in(np.array([handle.heading for handle in both]))
+    return [both[k] for k in np.flatnonzero(kept)], even[points_in(even)].tolist()
+
+
+def _find_ways_in(points: Array, surface: SupportSurface) -> Array:
+    """Unit vectors (k, 2) from points (k, 2) beyond the edge to the nearest place of the table."""
+    lines = shapely.shortest_line(shapely.points(points), surface.polygon)
+    inwards = shapely.get_coordinates(lines).reshape(-1, 2, 2)
+    inwards = inwards[:, 1] - inwards[:, 0]
+    return np.asarray(inwards / np.linalg.norm(inwards, axis=1, keepdims=True))
+
+
+def _filter(
+    outline: shapely.Polygon, points: Array, angles: Array, surface: SupportSurface, gripper: SideGripper
+) -> NDArray[np.int64]:
+    """Indices of those whose gripper, but for the lower jaw, is clear of the table and of the object."""
+    kept = np.arange(len(points))
+    table, grown = surface.polygon.buffer(gripper.table_clearance), _grow(outline, gripper.object_clearance)
+    for shape in (table, grown):
+        shapely.prepare(shape)
+    body = (-gripper.body_back - gripper.standoff, -gripper.body_front, gripper.body_width)
+    jaws_before = (-gripper.body_front - gripper.standoff, gripper.jaw_reach - gripper.standoff, gripper.jaw_width)
+    tests = (
+        (table, body),
+        (grown, body),
+        (grown, jaws_before),
+    )
+    for shape, (back, front, width) in tests:
+        kept = kept[~shapely.intersects(shape, _make_rectangles(points[kept], angles[kept], back, front, width))]
+    return kept
+
+
+def _grow(outline: shapely.Polygon, clearance: float) -> BaseGeometry:
+    """What is nowhere nearer to the outline than the clearance, of few edges."""
+    return outline.buffer(clearance / np.cos(np.pi / (4 * ARC_DETAIL)), quad_segs=ARC_DETAIL)
+
+
+def _lower_jaw(gripper: SideGripper) -> tuple[float, float, float]:
+    """The lane that the lower jaw sweeps: its back and front along the heading, and its width, m."""
+    return -gripper.body_front - gripper.standoff, gripper.jaw_reach, gripper.jaw_width
+
+
+def _make_rectangles(points: Array, angles: Array, back: float, front: float, width: float) -> NDArray[np.object_]:
+    """Rectangles from `back` to `front` along the headings, seen from the points, m."""
+    c, s = np.cos(angles), np.sin(angles)
+    corners = np.array([(back, -width / 2), (front, -width / 2), (front, width / 2), (back, width / 2)])
+    x = points[:, :1] + np.outer(c, corners[:, 0]) - np.outer(s, corners[:, 1])
+    y = points[:, 1:] + np.outer(s, corners[:, 0]) + np.outer(c, corners[:, 1])
+    return shapely.polygons(np.stack([x, y], axis=-1))
+
+
+def _place(outline: shapely.Polygon, q: Array) -> shapely.Polygon:
+    c, s = np.cos(q[2]), np.sin(q[2])
+    return affine_transform(outline, [c, -s, s, c, q[0], q[1]])
+
+
+def _check_vector(name: str, value: ArrayLike, size: int) -> Array:
+    vector = np.array(value, dtype=np.float64)
+    if vector.shape != (size,) or not np.isfinite(vector).all():
+        raise PlanningError(f"{name} is {value!r}; expected {size} finite numbers")
+    return vector
+
+
+APART = 0.01
+"""m between grasp points, from which on two grasps differ."""
+
+TURNED = np.radians(12)
+"""Likewise between headings."""
+
+
+def choose_varied(
+    grasps: Sequence[SideGrasp], count: int, *, apart: float = APART, turned: float = TURNED
+) -> list[SideGrasp]:
+    """Chooses the first grasps, each unlike all chosen before it.
+
+    Args:
+        grasps: the best first.
+        count: how many to choose, at most.
+        apart: grasp points at this distance differ, m.
+        turned: headings with this angle between them differ, rad.
+
+    Returns:
+        The chosen ones, in their order.
+    """
+    p_WG = np.array([grasp.p_WG for grasp in grasps]).reshape(-1, 2)
+    approach = np.array([grasp.approach for grasp in grasps])
+    left, chosen = np.arange(len(grasps)), list[SideGrasp]()
+    while len(left) and len(chosen) < count:
+        best, left = left[0], left[1:]
+        chosen.append(grasps[best])
+        off = np.linalg.norm(p_WG[left] - p_WG[best], axis=1)
+        angle = np.abs((approach[left] - approach[best] + np.pi) % (2 * np.pi) - np.pi)
+        left = left[(off >= apart) | (angle >= turned)]
+    return chosen

@@ -1,0 +1,252 @@
+"""The next push of a slide to the table's edge: towards one of several goals, safe all the way.
+
+Contact-point optimization proposes pushes towards each goal, forbidden to pass poses whose stability margin is too
+thin. The proposals are then tried on several draws from what is believed of the object, with the loads that an
+overhanging object has (`edge_push`), and cut short before the first pose in which any draw's margin is too thin. Taken
+is the proposal that, so cut, ends nearest to its goal on the average of the draws.
+
+`TippingMonitor`: watches a push under way that the object stays as safe as it was planned to.
+
+A push is planned so that the worst-case stability margin m(q) stays at m0 or above, where m0 is what was asked for, or
+less where the margin was thinner at the beginning. A look errs by up to e, so that nothing is known to be amiss until
+
+    m_e(q) < m0 - e,
+
+where m_e also counts as held those cells that only just seem to be beyond the edge, by e or less. Then something else
+happened than was planned: the object slipped, or somebody moved it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.geometry.convex import calc_margin_inside, hull_of
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.optimization import ContactOptions, optimize_contact
+from gridpush_drake.planning.contact.search import SearchOptions
+from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
+from gridpush_drake.planning.pregrasp.edge_push import simulate_near_edge
+from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, PreGraspGoal
+from gridpush_drake.planning.pregrasp.stability import (
+    SUPPORT_INSET,
+    PlausibleMassSet,
+    calc_stability_margin,
+    calc_stability_margins,
+)
+from gridpush_drake.planning.push_constraints import PoseRule, PushConstraints
+from gridpush_drake.planning.support_surface import SupportSurface
+
+Array = NDArray[np.float64]
+
+FREE_OVERHANG = 1.0
+"""m that cells may hang over the edge as far as the push search is concerned; stability is the limit."""
+
+CHECK_EVERY = 0.003
+"""m of the pusher's motion between poses that are checked."""
+
+
+@dataclass(frozen=True)
+class SlideOptions:
+    """How pushes of a slide are chosen.
+
+    Attributes:
+        margin: least stability margin on the way, m.
+        inset: m inside the edge that a cell's center must be to hold.
+        goals: so many of the best goals are pushed towards.
+        proposals: tried on the draws, over all goals.
+        min_gain: by which a push must bring the object nearer to its goal, mean of the cells, m.
+        finger_overhang: how far beyond the edge the finger's center may be, m.
+        contact: what pushes may be chosen from.
+    """
+
+    margin: float = 0.002
+    inset: float = SUPPORT_INSET
+    goals: int = 3
+    proposals: int = 10
+    min_gain: float = 0.0005
+    finger_overhang: float = 0.03
+    contact: ContactOptions = field(
+        default_factory=lambda: ContactOptions(distance_range=(0.004, 0.15), search=SearchOptions(starts=6, budget=24))
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Slide:
+    """A push towards a goal.
+
+    Attributes:
+        planned: the push, and where it is expected to end.
+        goal: that it goes to.
+        margin: least stability margin of any draw on the way, m.
+        spread: root mean square distance of the draws' ends from their mean, of the cells, m.
+    """
+
+    planned: PlannedPush
+    goal: PreGraspGoal
+    margin: float
+    spread: float
+
+
+def make_stability_rule(
+    masses: PlausibleMassSet, pose: ArrayLike, surface: SupportSurface, margin: float, inset: float = SUPPORT_INSET
+) -> PoseRule:
+    """A rule for a push's poses: the stability margin must not fall below `margin`, m.
+
+    Where it is thinner at `pose` (3,) already, or with the object wholly on the table, it must not get thinner still.
+    """
+    wanted = calc_kept_margin(masses, pose, surface, margin, inset) - THINNER
+
+    def rule(poses: Array) -> NDArray[np.bool_]:
+        return np.asarray(calc_stability_margins(masses, poses, surface, inset) >= wanted)
+
+    return rule
+
+
+def calc_kept_margin(
+    masses: PlausibleMassSet, pose: ArrayLike, surface: SupportSurface, margin: float, inset: float = SUPPORT_INSET
+) -> float:
+    """The stability margin that a push keeps, m.
+
+    It is `margin`, or less where it is thinner at `pose` (3,) already, or with the object wholly on the table.
+    """
+    whole = calc_margin_inside(masses.center_of_mass_polygon, hull_of(masses.obj.p_BC))
+    return min(margin, float(whole), calc_stability_margin(masses, pose, surface, inset))
+
+
+THINNER = 1e-4
+"""m that a margin may become thinner where it is thin already, for round-off."""
+
+
+def plan_slide(
+    masses: PlausibleMassSet,
+    params: CellParameters,
+    draws: Sequence[CellParameters],
+    pose: ArrayLike,
+    goals: Sequence[PreGraspGoal],
+    surface: SupportSurface,
+    options: SlideOptions | None = None,
+    limits: ArmLimits = ANY_ARM,
+) -> Slide | None:
+    """Chooses the next push.
+
+    Args:
+        masses: the masses held possible.
+        params: the model.
+        draws: further models to try the pushes on; the model itself is always tried.
+        pose: (3,) where the object lies, X_WB, m and rad.
+        goals: best first.
+        surface: the table.
+        options: how to choose.
+        limits: of the arm that is to push.
+
+    Returns:
+        The push; None where none is safe, within the arm's reach, and brings the object nearer to a goal.
+    """
+    options = options or SlideOptions()
+    q = np.asarray(pose, dtype=np.float64)
+    rule = make_stability_rule(masses, q, surface, options.margin, options.inset)
+    constraints = PushConstraints(
+        surface,
+        edge_margin=-FREE_OVERHANG,
+        finger_inset=-options.finger_overhang,
+        pose_rule=rule,
+        finger_region=limits.finger_region,
+        push_rule=limits.can_push,
+    )
+    proposals: list[tuple[PlannedPush, PreGraspGoal]] = []
+    for goal in goals[: options.goals]:
+        plan = optimize_contact(masses.obj, params, q, goal.pose, constraints=constraints, options=options.contact)
+        proposals += [(push, goal) for push in plan.candidates if push.cost < plan.start_cost - options.min_gain]
+    proposals.sort(key=lambda each: each[0].cost)
+    best: Slide | None = None
+    for planned, goal in proposals[: options.proposals]:
+        if best is not None and planned.cost >= best.planned.cost:
+            break  # cut short and with doubt, it would hardly end nearer than the model has it end
+        slide = _try(planned, goal, masses, (params, *draws), q, surface, rule, options)
+        if slide is None or (best is not None and slide.planned.cost >= best.planned.cost):
+            continue
+        if constraints.allows_push(slide.planned.push):
+            best = slide
+    return best
+
+
+def _try(
+    planned: PlannedPush,
+    goal: PreGraspGoal,
+    masses: PlausibleMassSet,
+    models: Sequence[CellParameters],
+    pose: Array,
+    surface: SupportSurface,
+    rule: PoseRule,
+    options: SlideOptions,
+) -> Slide | None:
+    """The push cut so short that it is safe with every model; None where nothing useful is left of it."""
+    obj = masses.obj
+    checks = np.unique(np.append(np.arange(0.0, planned.distance, CHECK_EVERY), planned.distance))
+    paths = []
+    for model in models:
+        motion = simulate_near_edge(obj, model, planned.push, pose, surface)
+        path = np.column_stack([np.interp(checks, motion.traveled, motion.poses[:, i]) for i in range(3)])
+        allowed = rule(path) & (~np.bool_(motion.fell) | (checks < motion.traveled[-1]))
+        checks = checks[: int(np.argmin(allowed))] if not allowed.all() else checks
+        paths.append(path)
+        if not (checks >= options.contact.distance_range[0]).any():
+            return None
+    useful = checks >= options.contact.distance_range[0]
+    ends = np.array([path[: len(checks)] for path in paths])
+    costs = np.where(useful, calc_goal_error(obj, ends, goal.pose).mean(axis=0), np.inf)
+    best = int(np.argmin(costs))
+    start_cost = float(calc_goal_error(obj, pose, goal.pose))
+    if costs[best] > start_cost - options.min_gain:
+        return None
+    distance = float(checks[best])
+    push = Push.on_outline(
+        obj, planned.arc_length, planned.angle, distance, radius=planned.push.radius,
+        speed=planned.push.length / planned.push.duration, pose=pose, clearance=options.contact.clearance,
+    )  # fmt: skip
+    cells = obj.cells_at(ends[:, best])
+    spread = float(np.sqrt(((cells - cells.mean(axis=0)) ** 2).sum(axis=2).mean()))
+    margin = float(calc_stability_margins(masses, ends[:, : best + 1].reshape(-1, 3), surface, options.inset).min())
+    cut = replace(planned, distance=distance, push=push, pose=ends[0, best], cost=float(costs[best]))
+    return Slide(cut, goal, margin, spread)
+
+
+MM = 1e3
+"""Millimeters in a meter."""
+
+
+@dataclass(frozen=True, eq=False)
+class TippingMonitor:
+    """What one push was planned with.
+
+    Attributes:
+        masses: the masses held possible.
+        surface: the table.
+        margin: m0, m.
+        inset: m inside the edge that a cell's center must be to hold.
+        error: e, of a look, m.
+    """
+
+    masses: PlausibleMassSet
+    surface: SupportSurface
+    margin: float
+    inset: float
+    error: float
+
+    @classmethod
+    def of_push(
+        cls, masses: PlausibleMassSet, surface: SupportSurface, pose: Array, options: SlideOptions, error: float
+    ) -> "TippingMonitor":
+        """The guard of a push from `pose` (3,), planned with `options`; `error` is that of a look, m."""
+        margin = calc_kept_margin(masses, pose, surface, options.margin, options.inset)
+        return cls(masses, surface, margin, options.inset, error)
+
+    def find_fault(self, pose: Array) -> str | None:
+        """Why the push should not go on with the object seen at `pose` (3,), in half a sentence; None where it may."""
+        margin = calc_stability_margin(self.masses, pose, self.surface, self.inset - self.error)
+        if margin >= self.margin - self.error:
+            return None
+        return f"the object might fall, its stability margin is {margin * MM:.0f} mm at the worst"

@@ -1,0 +1,308 @@
+"""The support surface: the table's top as a polygon in the plane z = 0, world frame W.
+
+A round table is the regular polygon inscribed in its circle, so that nothing counts as supported beyond its edge.
+Signed distances are positive inside:
+
+    d(p) = +- min over edges |p - edge|
+
+Which cells are on the table.
+
+The same as `SupportSurface.contains` of the cells' centers, but quicker: of a convex table only those edges are looked
+at that the object reaches, at any of the poses.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import linprog
+from shapely import Polygon
+from shapely.geometry.polygon import orient
+
+from gridpush_drake.errors import PlanningError
+from gridpush_drake.objects.grid_object import GridObject
+
+Array = NDArray[np.float64]
+
+ROUND_SIDES = 120
+"""Sides of the polygon that stands for a round table; the edge is then off by R (1 - cos(pi/120)) = R/2900."""
+
+FIT_ANGLES = 48
+"""Directions in which a body is tried on a table, over a full turn."""
+
+STRAIGHT = 1e-9
+"""m², cross product of two edges above which a corner turned the wrong way makes a table concave."""
+
+
+@dataclass(frozen=True, eq=False)
+class SupportSurface:
+    """A table's top.
+
+    Attributes:
+        polygon: its edge, world frame, m; counterclockwise, without holes.
+
+    Raises:
+        PlanningError: the polygon crosses itself, is empty or has holes.
+    """
+
+    polygon: Polygon
+
+    def __post_init__(self) -> None:
+        polygon = self.polygon
+        if not isinstance(polygon, Polygon) or polygon.is_empty or not polygon.is_valid or polygon.area <= 0:
+            raise PlanningError("table: expected a simple polygon with an area, that does not cross itself")
+        if polygon.interiors:
+            raise PlanningError("table: has holes; expected a polygon without")
+        object.__setattr__(self, "polygon", orient(polygon))
+
+    @classmethod
+    def rectangle(cls, center: ArrayLike, size: ArrayLike) -> "SupportSurface":
+        """A rectangle along the world's axes.
+
+        Args:
+            center: (x, y), m.
+            size: its sides along x and y, m.
+
+        Returns:
+            The table.
+
+        Raises:
+            PlanningError: a number is not finite, or a side is not positive.
+        """
+        (x, y), (width, height) = _vector("center", center), _vector("size", size)
+        if width <= 0 or height <= 0:
+            raise PlanningError(f"table: size is ({width:g}, {height:g}); expected positive sides (m)")
+        return cls(shapely.box(x - width / 2, y - height / 2, x + width / 2, y + height / 2))
+
+    @classmethod
+    def round(cls, center: ArrayLike, radius: float) -> "SupportSurface":
+        """A disc.
+
+        Args:
+            center: (x, y), m.
+            radius: m.
+
+        Returns:
+            The table, an inscribed polygon of `ROUND_SIDES` sides.
+
+        Raises:
+            PlanningError: a number is not finite, or the radius is not positive.
+        """
+        p = _vector("center", center)
+        if not (np.isfinite(radius) and radius > 0):
+            raise PlanningError(f"table: radius is {radius!r}; expected a positive number (m)")
+        angle = 2 * np.pi * np.arange(ROUND_SIDES) / ROUND_SIDES
+        return cls(Polygon(p + radius * np.column_stack([np.cos(angle), np.sin(angle)])))
+
+    @classmethod
+    def from_polygon(cls, points: ArrayLike | Sequence[Sequence[float]]) -> "SupportSurface":
+        """A polygon by its corners.
+
+        Args:
+            points: (k, 2) in either turning, k >= 3, m.
+
+        Returns:
+            The table.
+
+        Raises:
+            PlanningError: the corners are no simple polygon.
+        """
+        corners = np.array(points, dtype=np.float64)
+        if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(corners).all():
+            raise PlanningError(f"table: points of shape {corners.shape}; expected (k, 2) finite numbers, k >= 3 (m)")
+        return cls(Polygon(corners))
+
+    @cached_property
+    def corners(self) -> Array:
+        """(k, 2) of the polygon, counterclockwise, the first not repeated, m."""
+        return np.asarray(self.polygon.exterior.coords, dtype=np.float64)[:-1, :2]
+
+    @cached_property
+    def edge_lengths(self) -> Array:
+        """(k,) of the edge from each corner to the next, m."""
+        return np.linalg.norm(np.roll(self.corners, -1, axis=0) - self.corners, axis=1)
+
+    @cached_property
+    def edge_normals(self) -> Array:
+        """(k, 2) outward unit normals of the edges."""
+        tangent = (np.roll(self.corners, -1, axis=0) - self.corners) / self.edge_lengths[:, None]
+        return np.column_stack([tangent[:, 1], -tangent[:, 0]])
+
+    @cached_property
+    def edge_offsets(self) -> Array:
+        """(k,) where the edges' lines are along their normals n, m: n.p is as great for all p on a line."""
+        return np.asarray((self.edge_normals * self.corners).sum(axis=1))
+
+    @cached_property
+    def is_convex(self) -> bool:
+        """Whether no corner turns inwards."""
+        along = np.roll(self.corners, -1, axis=0) - self.corners
+        after = np.roll(along, -1, axis=0)
+        return bool((along[:, 0] * after[:, 1] - along[:, 1] * after[:, 0] > -STRAIGHT).all())
+
+    @property
+    def perimeter(self) -> float:
+        """Length of the edge, m."""
+        return float(self.edge_lengths.sum())
+
+    def edge_at(self, arc_length: float) -> tuple[Array, Array]:
+        """Finds a place on the edge.
+
+        Args:
+            arc_length: m from the first corner, counterclockwise, modulo the perimeter.
+
+        Returns:
+            The point (2,), m, and the outward unit normal (2,) there.
+        """
+        s = arc_length % self.perimeter
+        begins = np.cumsum(self.edge_lengths) - self.edge_lengths
+        edge = int(np.searchsorted(begins, s, side="right")) - 1
+        normal = self.edge_normals[edge]
+        return self.corners[edge] + (s - begins[edge]) * np.array([-normal[1], normal[0]]), normal
+
+    def nearest_edge(self, point: ArrayLike) -> tuple[Array, Array, float]:
+        """Finds the place of the edge that is nearest to a point.
+
+        Args:
+            point: (2,) m.
+
+        Returns:
+            The place (2,), m, the outward unit normal (2,) of its edge, and its arc length from the first corner, m.
+        """
+        p = np.asarray(point, dtype=np.float64)
+        feet, share = self._project(p[None])
+        edge = int(np.argmin(((feet[0] - p) ** 2).sum(axis=1)))
+        begin = float(self.edge_lengths[:edge].sum())
+        return feet[0, edge], self.edge_normals[edge], begin + float(share[0, edge]) * float(self.edge_lengths[edge])
+
+    def contains(self, points: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
+        """Whether points (..., 2) are on the table, at least `margin` (m) inside its edge, or so far out if negative.
+
+        Beyond the corners of a convex table a negative margin reaches as far as the edges' lines, set off, do.
+        """
+        p = np.asarray(points, dtype=np.float64)
+        if self.is_convex:
+            return np.asarray(self._half_plane_distances(p) >= margin)
+        if margin:
+            return np.asarray(self.signed_distances(p) >= margin)
+        return np.asarray(shapely.contains_xy(self.polygon, p[..., 0], p[..., 1]))
+
+    def signed_distances(self, points: ArrayLike) -> Array:
+        """Distance of points (..., 2) to the edge (...,), m: positive on the table, negative beyond it."""
+        p = np.asarray(points, dtype=np.float64)
+        flat = p.reshape(-1, 2)
+        feet, _ = self._project(flat)
+        distance = np.sqrt(((feet - flat[:, None]) ** 2).sum(axis=2).min(axis=1)).reshape(p.shape[:-1])
+        return np.where(self.contains(p), distance, -distance)
+
+    def cell_distances(self, obj: GridObject, pose: ArrayLike) -> Array:
+        """How far inside the edge each cell's square is.
+
+        Args:
+            obj: the object.
+            pose: (..., 3) X_WB, m and rad.
+
+        Returns:
+            (..., n) the least signed distance over the square, m: negative where any of it is beyond the edge. For a
+            concave table a lower bound, the center's less half the diagonal.
+        """
+        q = np.asarray(pose, dtype=np.float64)
+        centers = obj.cells_at(q)
+        half = obj.cell_size / 2
+        if not self.is_convex:
+            return self.signed_distances(centers) - half * np.sqrt(2)
+        c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
+        # a square's support function: half times the 1-norm of the normal seen from the body
+        x, y = self.edge_normals.T
+        across = np.abs(c[..., None] * x + s[..., None] * y) + np.abs(-s[..., None] * x + c[..., None] * y)
+        gaps = self.edge_offsets - centers @ self.edge_normals.T - half * across[..., None, :]
+        return np.asarray(gaps.min(axis=-1))
+
+    def contains_cells(self, obj: GridObject, pose: ArrayLike, margin: float = 0.0) -> bool | NDArray[np.bool_]:
+        """Whether every cell's square is on the table, at least `margin` (m) inside the edge.
+
+        Args:
+            obj: the object.
+            pose: (3,) or (..., 3) X_WB, m and rad.
+            margin: m.
+
+        Returns:
+            One truth, or (...,) of them.
+        """
+        inside = self.cell_distances(obj, pose).min(axis=-1) >= margin
+        return bool(inside) if np.ndim(inside) == 0 else np.asarray(inside)
+
+    def fits(self, body: ArrayLike) -> bool:
+        """Whether a convex body can lie on the table, turned in some direction.
+
+        In each of `FIT_ANGLES` directions: whether the edges' half-planes, moved in by how far the body reaches across
+        them, have a point in common. Of a concave table the convex hull is tried.
+
+        Args:
+            body: (V, 2) corners, m.
+        """
+        table = self if self.is_convex else SupportSurface(self.polygon.convex_hull)
+        offsets = table.edge_offsets
+        for angle in 2 * np.pi * np.arange(FIT_ANGLES) / FIT_ANGLES:
+            c, s = np.cos(angle), np.sin(angle)
+            turned = np.asarray(body, dtype=np.float64) @ np.array([[c, s], [-s, c]])
+            if _have_common_point(table.edge_normals, offsets - (turned @ table.edge_normals.T).max(axis=0)):
+                return True
+        return False
+
+    def _half_plane_distances(self, p: Array) -> Array:
+        """Least distance (...,) inside the edges' lines; convex tables only."""
+        offsets = self.edge_offsets
+        return np.asarray((offsets - p @ self.edge_normals.T).min(axis=-1))
+
+    def _project(self, p: Array) -> tuple[Array, Array]:
+        """The nearest point of every edge (N, k, 2) to points (N, 2), and where it is on the edge (N, k), 0 to 1."""
+        along = np.roll(self.corners, -1, axis=0) - self.corners
+        share = ((p[:, None] - self.corners) * along).sum(axis=2) / self.edge_lengths**2
+        share = np.clip(share, 0.0, 1.0)
+        return self.corners + share[..., None] * along, share
+
+
+def _have_common_point(normals: Array, offsets: Array) -> bool:
+    """Whether half-planes n.p <= offset (m) have a point in common: whether n.p + t <= offset with some t >= 0."""
+    A = np.column_stack([normals, np.ones(len(normals))])
+    best = linprog([0.0, 0.0, -1.0], A_ub=A, b_ub=offsets, bounds=[(None, None), (None, None), (None, None)])
+    return bool(best.status == 0 and -best.fun >= 0)
+
+
+def _vector(name: str, value: ArrayLike) -> Array:
+    vector = np.array(value, dtype=np.float64)
+    if vector.shape != (2,) or not np.isfinite(vector).all():
+        raise PlanningError(f"table: {name} is {value!r}; expected two finite numbers (m)")
+    return vector
+
+
+ROUND_OFF = 1e-9
+"""m."""
+
+
+def find_supported(obj: GridObject, poses: ArrayLike, surface: SupportSurface, inset: float = 0.0) -> NDArray[np.bool_]:
+    """Whether cells' centers are on the table.
+
+    Args:
+        obj: the object.
+        poses: (..., 3) X_WB, m and rad.
+        surface: the table.
+        inset: m inside the edge that a center must be.
+
+    Returns:
+        (..., n).
+    """
+    q = np.asarray(poses, dtype=np.float64)
+    if not surface.is_convex:
+        return surface.contains(obj.cells_at(q), inset)
+    normals, offsets = surface.edge_normals, surface.edge_offsets
+    reach = float(np.linalg.norm(obj.p_BC, axis=1).max()) + inset + ROUND_OFF
+    gaps = (offsets - q[..., :2] @ normals.T).reshape(-1, len(normals))
+    near = gaps.min(axis=0) < reach
+    if not near.any():
+        return np.ones((*q.shape[:-1], obj.n), dtype=bool)
+    return np.asarray((offsets[near] - obj.cells_at(q) @ normals[near].T).min(axis=-1) >= inset)

@@ -1,0 +1,330 @@
+"""Importer of the CMU pushes (Zhou, Paolini, Bagnell, Mason, ICRA 2016; GitHub robinzhoucmu/MLab_EXP).
+
+A right-angled triangular block is pushed with a point; its pose is known before and after. As a file's
+pushes are chained (where one ends, the next begins), each is given in its own initial object frame: an
+imported push's world frame is the object's body frame at that push's beginning, so that the initial pose is
+zero.
+
+The text format of the CMU pushes (Zhou, Paolini, Bagnell, Mason, ICRA 2016), as numbers and no more.
+
+One record a line, blanks between numbers: the number of pushes; then for each push the object's pose before
+and its pose after (x y z, quaternion w x y z), the number of force rows and the rows (t fx fy), the number
+of tool rows and the rows (t x y z qw qx qy qz). Lengths are in mm, times in s (absolute), forces in N and in
+the sensor's frame.
+"""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import PushLogError
+from gridpush_drake.files import read_text
+from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog, nearest_turn
+
+POSE_FORM = "x y z (mm) qw qx qy qz"
+FORCE_FORM = "t (s) fx fy (N)"
+TOOL_FORM = "t (s) x y z (mm) qw qx qy qz"
+
+POSE_SIZE, FORCE_SIZE, TOOL_SIZE = 7, 3, 8
+"""Numbers on a line of each kind."""
+
+QUATERNION_TOLERANCE = 1e-3
+"""Largest difference of a quaternion's norm from 1."""
+
+
+MAX_DIGITS = 9
+"""Of a count."""
+
+MAX_NUMBER = 1e12
+"""Magnitude of a number, beyond which it is none that was logged."""
+
+SHOWN = 60
+"""Most characters of a bad line that a message repeats."""
+
+
+class CmuPush(NamedTuple):
+    """One push as logged.
+
+    Attributes:
+        before: (7,) the object's pose before, mm and quaternion w x y z, robot base frame.
+        after: (7,) the same after.
+        force: (F, 3) rows t fx fy, s and N, sensor frame.
+        tool: (T, 8) rows t x y z qw qx qy qz, s, mm and quaternion, robot base frame.
+    """
+
+    before: NDArray[np.float64]
+    after: NDArray[np.float64]
+    force: NDArray[np.float64]
+    tool: NDArray[np.float64]
+
+
+def read_cmu(path: Path) -> list[CmuPush]:
+    """Reads every push of a file.
+
+    Args:
+        path: the text file.
+
+    Returns:
+        The pushes, in the file's order.
+
+    Raises:
+        PushLogError: the file cannot be read, is cut short, goes on after its last push, or a line is not
+            what it should be; the message names the file, the line and the expected form.
+    """
+    lines = _Lines(path)
+    pushes = [_read_push(lines, i) for i in range(lines.count("the number of pushes"))]
+    lines.expect_end()
+    return pushes
+
+
+def _read_push(lines: "_Lines", i: int) -> CmuPush:
+    before = lines.table(1, POSE_SIZE, f"push {i + 1}: the object's pose before, {POSE_FORM}")[0]
+    after = lines.table(1, POSE_SIZE, f"push {i + 1}: its pose after, {POSE_FORM}")[0]
+    force_rows = lines.count(f"push {i + 1}: the number of force rows")
+    force = lines.table(force_rows, FORCE_SIZE, f"push {i + 1}: a force row, {FORCE_FORM}")
+    tool_rows = lines.count(f"push {i + 1}: the number of tool rows")
+    tool = lines.table(tool_rows, TOOL_SIZE, f"push {i + 1}: a tool row, {TOOL_FORM}")
+    return CmuPush(before, after, force, tool)
+
+
+class _Lines:
+    """The file's lines with something on them, taken from the top."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        text = read_text(path, "a file of the CMU pushes", PushLogError)
+        lines = enumerate(text.splitlines(), start=1)
+        self._lines = [(number, words) for number, line in lines if (words := line.split())]
+        self._next = 0
+
+    def count(self, what: str) -> int:
+        """Takes a line with one whole number, at least 1."""
+        number, words = self._take(what)
+        counted = len(words) == 1 and words[0].isdecimal() and len(words[0]) <= MAX_DIGITS
+        if not counted or int(words[0]) < 1:
+            self._fail(number, words, f"{what}, a whole number of at least 1")
+        return int(words[0])
+
+    def table(self, rows: int, size: int, what: str) -> NDArray[np.float64]:
+        """Takes `rows` lines of `size` finite numbers; a size of at least 7 ends in a unit quaternion."""
+        table = np.empty((min(rows, len(self._lines) - self._next), size))
+        for row in range(rows):
+            number, words = self._take(what)
+            try:
+                values = [float(word) for word in words]
+            except ValueError:
+                values = []
+            if len(values) != size or not (np.abs(values) <= MAX_NUMBER).all():
+                self._fail(number, words, what)
+            table[row] = values
+            norm = float(np.linalg.norm(table[row, -4:])) if size >= POSE_SIZE else 1.0
+            if abs(norm - 1) > QUATERNION_TOLERANCE:
+                self._fail(number, words, f"{what} with a quaternion of length 1")
+        return table
+
+    def expect_end(self) -> None:
+        """Refuses lines that are left."""
+        if self._next < len(self._lines):
+            self._fail(*self._lines[self._next], "the file's end after its last push")
+
+    def _take(self, what: str) -> tuple[int, list[str]]:
+        if self._next == len(self._lines):
+            last = self._lines[-1][0] if self._lines else 0
+            raise PushLogError(f"{self._path}, line {last + 1}: the file ends here; expected {what}")
+        self._next += 1
+        return self._lines[self._next - 1]
+
+    def _fail(self, number: int, words: list[str], what: str) -> None:
+        shown = " ".join(words)
+        raise PushLogError(f"{self._path}, line {number}: is {shown[:SHOWN]!r}; expected {what}")
+
+
+MM = 1e-3
+"""Meters in a millimeter."""
+
+CENTROID = (0.050, 0.050)
+"""The block's centroid, from the logged origin (the right-angle corner) in body axes, m."""
+
+OUTLINE = ((-0.05, -0.05), (0.10, -0.05), (-0.05, 0.10))
+"""The block's corners about its centroid, m."""
+
+TIP_OFFSET = (-0.0012, -0.00085)
+"""From the logged tool point to the tip's center, tool's axes, m; from contact geometry over all logs."""
+
+TIP_EXTENSION = 0.00065
+"""What the tool travels along its straight path after its logging stops, m."""
+
+TIP_RADIUS = 0.0005
+"""m."""
+
+STANDSTILL = 0.00005
+"""A tool within this of where it starts (or ends) stands still, m: half a step of its log."""
+
+STRAIGHT = 0.0002
+"""A tool's path within this of a straight line is one, m: it is logged in steps of 0.1 mm."""
+
+SENSOR_AXES = ((2**-0.5, 2**-0.5), (2**-0.5, -(2**-0.5)))
+"""R_tool: from the force sensor's axes to the tool's."""
+
+BLOCK_MASS = 1.518
+"""kg."""
+
+CONTACT_FRICTION, CONTACT_FRICTION_STD = 0.5, 0.15
+"""What is held of the tip's friction coefficient on the block's side, and its standard deviation."""
+
+BLOCK_CELLS = 55
+"""Most cells of the block's grid."""
+
+UNIFORM_PLATE_STD = 0.002
+"""How well the center of mass of a uniform plate is known to be at its centroid, m."""
+
+
+def triangle_block(uniform_plate: bool = False) -> GridObject:
+    """Makes the pushed block.
+
+    Args:
+        uniform_plate: whether to hold it known that the block is a uniform plate, with its center of mass at
+            the centroid.
+
+    Returns:
+        The block; B is at its centroid, x and y along its legs.
+    """
+    prior = PhysicalPrior(
+        total_mass=BLOCK_MASS,
+        center_of_mass=(0.0, 0.0) if uniform_plate else None,
+        center_of_mass_std=UNIFORM_PLATE_STD,
+        contact_friction=CONTACT_FRICTION,
+        contact_friction_std=CONTACT_FRICTION_STD,
+        pusher_radius=TIP_RADIUS,
+    )
+    return GridObject.from_outline(OUTLINE, max_cells=BLOCK_CELLS, name="triangle_block", prior=prior)
+
+
+def import_cmu(
+    path: Path | str,
+    *,
+    calibrate: bool = True,
+    shuffle: bool = True,
+    seed: int = 0,
+    uniform_plate: bool = False,
+) -> tuple[PushLog, GridObject]:
+    """Reads a file of CMU pushes.
+
+    Args:
+        path: the text file.
+        calibrate: whether to correct the logged tool point to the tip's center (TIP_OFFSET), to take the
+            log's steps out of its straight path, and to let it travel on for TIP_EXTENSION; without, the
+            logged point is taken as it is.
+        shuffle: whether to put the pushes in random order, so that no two neighbors are known to be chained.
+        seed: of that order.
+        uniform_plate: as in `triangle_block`.
+
+    Returns:
+        The pushes, named by their place in the log, each observed at its end only; and the block.
+
+    Raises:
+        PushLogError: the file cannot be read or is not of the format, or a push's tool does not move.
+    """
+    path = Path(path)
+    logged = read_cmu(path)
+    order = np.random.default_rng(seed).permutation(len(logged)) if shuffle else np.arange(len(logged))
+    digits = len(str(len(logged)))
+    pushes = []
+    for place, i in enumerate(order, start=1):
+        if not _has_path(logged[i].tool):
+            raise PushLogError(f"{path}: push {i + 1}: the tool does not move; expected a path")
+        pushes.append(_observe(logged[i], f"push_{place:0{digits}}", calibrate))
+    return PushLog(tuple(pushes), str(path)), triangle_block(uniform_plate)
+
+
+def _observe(logged: CmuPush, name: str, calibrate: bool) -> ObservedPush:
+    q_before, q_after = _centroid_pose(logged.before), _centroid_pose(logged.after)
+    tool = _without_standstill(_in_time_order(logged.tool))
+    yaw = _yaw(tool[:, 4:])
+    t, p = tool[:, 0] - tool[0, 0], tool[:, 1:3] * MM
+    force = _force_on_object(logged.force, tool[:, 0], yaw)
+    force_t = t
+    if calibrate:
+        t, p = _travel_on(t, _straightened(p + _rotated(yaw, np.array(TIP_OFFSET))))
+    push = Push.along(t, _rotated(-q_before[2], p - q_before[:2]), TIP_RADIUS)
+    end = np.append(
+        _rotated(-q_before[2], q_after[:2] - q_before[:2]), nearest_turn(float(q_after[2] - q_before[2]), 0.0)
+    )
+    return ObservedPush(
+        name,
+        push,
+        np.zeros(3),
+        np.array([push.duration]),
+        end[None],
+        force_t,
+        _rotated(-q_before[2], force),
+    )
+
+
+def _centroid_pose(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Pose of B at the centroid, m and rad, from the logged pose (7,) of the corner, mm and quaternion."""
+    yaw = _yaw(pose[3:])
+    return np.append(pose[:2] * MM + _rotated(yaw, np.array(CENTROID)), yaw)
+
+
+def _force_on_object(
+    rows: NDArray[np.float64], times: NDArray[np.float64], yaw: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(K, 2) force on the object, robot's frame, N, at the tool's `times`: -R(yaw) R_tool (f - f_first)."""
+    rows = _in_time_order(rows)
+    f = np.column_stack([np.interp(times, rows[:, 0], rows[:, axis] - rows[0, axis]) for axis in (1, 2)])
+    return -_rotated(yaw, f @ np.array(SENSOR_AXES).T)
+
+
+def _straightened(p: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Projects p (K, 2), m, on its best line, never going back; unchanged where it is not STRAIGHT."""
+    center = p.mean(axis=0)
+    along, across = np.linalg.svd(p - center, full_matrices=False)[2]
+    if np.abs((p - center) @ across).max() > STRAIGHT:
+        return p
+    if (p[-1] - p[0]) @ along < 0:
+        along = -along
+    return center + np.maximum.accumulate((p - center) @ along)[:, None] * along
+
+
+def _travel_on(t: NDArray[np.float64], p: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Adds a sample TIP_EXTENSION further on the line from the first to the last, at the mean speed."""
+    way = p[-1] - p[0]
+    length = np.linalg.norm(way)
+    share = TIP_EXTENSION / length
+    return np.append(t, t[-1] + share * t[-1]), np.vstack([p, p[-1] + share * way])
+
+
+def _has_path(tool: NDArray[np.float64]) -> bool:
+    return bool(np.linalg.norm(tool[-1, 1:3] - tool[0, 1:3]) * MM > STANDSTILL)
+
+
+def _in_time_order(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The rows whose time (first column) is later than that of all before them."""
+    t = rows[:, 0]
+    return rows[np.append(True, t[1:] > np.maximum.accumulate(t)[:-1])]
+
+
+def _without_standstill(tool: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The tool's rows from the last at the place where it starts to the first at the place where it ends."""
+    p = tool[:, 1:3] * MM
+    left = np.linalg.norm(p - p[0], axis=1) > STANDSTILL
+    not_yet = np.linalg.norm(p - p[-1], axis=1) > STANDSTILL
+    return tool[np.flatnonzero(left)[0] - 1 : np.flatnonzero(not_yet)[-1] + 2]
+
+
+def _yaw(q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angle (...) about z, rad, of quaternions (..., 4), w x y z."""
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
+
+
+def _rotated(angle: NDArray[np.float64] | float, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """R(angle) v for an angle (...), rad, and vectors (..., 2), one or both of them several."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)

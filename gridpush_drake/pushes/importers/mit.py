@@ -1,0 +1,214 @@
+"""Importer of the MIT pushes, start and end only (Yu, Bauza, Fazeli, Rodriguez, IROS 2016).
+
+The files are those of GitHub robinzhoucmu/PlanarManipulationToolBox (mcube_data_proc): `record_all` holds for
+each push the object's pose and the pusher's place before and after, next to another model's prediction.
+
+Outlines of the eleven objects of the MIT push data set (Yu, Bauza, Fazeli, Rodriguez, IROS 2016).
+
+Each is in the tracked body frame, m. The dimensions are those measured by the data set's authors, as
+published in GitHub mcubelab/push-est-public (catkin_ws/src/pnpush_config/src/config/shape_db.py; butter from
+catkin_ws/src/isam_pose/include/shape_db_butter_shape.h) and again in peterkty/pnpush. rect1, rect3 and hex
+agree with where the pusher touches in the data; the areas of all agree with the plates' published masses
+within 2.5 %.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import PushLogError
+from gridpush_drake.files import MEGABYTE, open_file
+from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog, nearest_turn
+
+TRIANGLE_CORNER = (0.045, 0.045)
+"""Where the triangles' right angle is: the frame is that of the 90 mm square the markers were put on, m."""
+
+ELLIPSE_VERTICES = 120
+"""Vertices of an ellipse's polygon; it then lies within 0.03 mm."""
+
+HEXAGON_RADIUS = 0.0605
+"""From the hexagon's center to its vertices, the first on the x axis, m."""
+
+BUTTER_HALF_MM = (
+    (-27.46, 0.00), (-27.94, -3.73), (-29.67, -8.71), (-32.20, -13.67), (-35.23, -18.62),
+    (-38.46, -23.55), (-41.61, -28.46), (-44.38, -33.34), (-46.47, -38.18), (-47.59, -42.99),
+    (-47.49, -47.75), (-46.18, -52.42), (-43.79, -56.91), (-40.42, -61.16), (-36.21, -65.09),
+    (-31.27, -68.64), (-25.72, -71.72), (-19.70, -74.27), (-13.31, -76.21), (-6.67, -77.46),
+    (0.92, -78.02), (6.83, -77.66), (13.47, -76.59), (19.86, -74.81), (25.88, -72.41),
+    (31.43, -69.45), (36.37, -66.02), (40.58, -62.17), (43.95, -57.99), (46.34, -53.56),
+    (47.65, -48.93), (47.75, -44.19), (46.63, -39.39), (44.54, -34.55), (41.77, -29.68),
+    (38.62, -24.78), (35.39, -19.85), (32.36, -14.91), (29.83, -9.95), (28.10, -4.98),
+)  # fmt: skip
+"""Half of the butterfly's outline; the other half is this one turned by pi about the origin, mm."""
+
+MM = 1e-3
+"""Meters in a millimeter."""
+
+
+def _rectangle(along_x: float, along_y: float) -> NDArray[np.float64]:
+    return np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * (along_x / 2, along_y / 2)
+
+
+def _triangle(along_x: float, along_y: float) -> NDArray[np.float64]:
+    return TRIANGLE_CORNER - np.array([[0, 0], [along_x, 0], [0, along_y]])
+
+
+def _ellipse(along_x: float, along_y: float) -> NDArray[np.float64]:
+    angle = np.linspace(0, 2 * np.pi, ELLIPSE_VERTICES, endpoint=False)
+    return np.column_stack([np.cos(angle) * along_x / 2, np.sin(angle) * along_y / 2])
+
+
+def _hexagon() -> NDArray[np.float64]:
+    angle = np.arange(6) * np.pi / 3
+    return HEXAGON_RADIUS * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def _butter() -> NDArray[np.float64]:
+    half = np.array(BUTTER_HALF_MM) * MM
+    return np.vstack([half, -half])
+
+
+MIT_SHAPES: dict[str, Callable[[], NDArray[np.float64]]] = {
+    "rect1": lambda: _rectangle(0.0900, 0.0900),
+    "rect2": lambda: _rectangle(0.08991, 0.11258),
+    "rect3": lambda: _rectangle(0.13501, 0.08994),
+    "tri1": lambda: _triangle(0.12590, 0.12587),
+    "tri2": lambda: _triangle(0.15100, 0.12587),
+    "tri3": lambda: _triangle(0.17650, 0.12561),
+    "ellip1": lambda: _ellipse(0.10500, 0.10500),
+    "ellip2": lambda: _ellipse(0.10500, 0.13089),
+    "ellip3": lambda: _ellipse(0.10500, 0.15700),
+    "hex": _hexagon,
+    "butter": _butter,
+}
+"""(k, 2) vertices by the data set's name of the shape, m."""
+
+
+TIP_RADIUS = 0.00475
+"""m."""
+
+SPEED = 0.010
+"""Of the pusher where the file does not say (`vel`, mm/s), m/s."""
+
+
+MIT_CELLS = 60
+"""Most cells of an object's grid."""
+
+WHAT = "a MATLAB v5 file"
+
+MAX_SIZE = 16 * MEGABYTE
+"""Of a file, bytes; the data set's have a tenth of one megabyte."""
+
+RECORD_SIZES = {"init_pose_gt": 3, "final_pose_gt": 3, "init_tip_pt": 2, "final_tip_pt": 2}
+"""What is read of a record, and how many numbers each has (m, rad)."""
+
+MODEL_ERRORS = ("avg_diff_disp", "avg_diff_angle")
+"""The other model's mean errors in the file, m and rad."""
+
+
+def import_mit(
+    path: Path | str, *, shape: str | None = None, obj: GridObject | None = None
+) -> tuple[PushLog, GridObject]:
+    """Reads a file of MIT pushes.
+
+    Args:
+        path: the MATLAB v5 file.
+        shape: the object's name in MIT_SHAPES; where neither it nor `obj` is given, the last part of the
+            file's name after an underscore if it is one, otherwise the file's own `shape_id`.
+        obj: the object, for a shape that is not among them.
+
+    Returns:
+        The pushes, straight and at constant speed in the world frame as logged, each observed at its end
+        only; and the object.
+
+    Raises:
+        PushLogError: the file cannot be read, lacks a field or holds something else in it, a pusher does not
+            move, or the shape is not known.
+    """
+    path = Path(path)
+    data = _read_mat(path)
+    obj = obj or _mit_object(path, shape, data)
+    speed = float(_numbers(path, "vel", data["vel"], 1)[0]) * MM if "vel" in data else SPEED
+    if speed <= 0:
+        raise PushLogError(f"{path}: vel is {data['vel']!r}; expected a positive number (mm/s)")
+    records = np.atleast_1d(_field(path, data, "record_all"))
+    digits = len(str(len(records)))
+    pushes = tuple(_observe(path, record, f"push_{i:0{digits}}", speed) for i, record in enumerate(records, start=1))
+    return PushLog(pushes, str(path)), obj
+
+
+def read_model_errors(path: Path | str) -> tuple[float, float]:
+    """Reads how far the file's own model is off.
+
+    Args:
+        path: the MATLAB v5 file.
+
+    Returns:
+        Its mean error of the end position, m, and of the end angle, rad.
+
+    Raises:
+        PushLogError: the file cannot be read or does not say.
+    """
+    path = Path(path)
+    data = _read_mat(path)
+    position, angle = (float(_numbers(path, name, _field(path, data, name), 1)[0]) for name in MODEL_ERRORS)
+    return position, angle
+
+
+def _observe(path: Path, record: Any, name: str, speed: float) -> ObservedPush:
+    fields = {}
+    for field, size in RECORD_SIZES.items():
+        if not hasattr(record, field):
+            raise PushLogError(f"{path}: {name} of record_all has no {field}; expected {', '.join(RECORD_SIZES)}")
+        fields[field] = _numbers(path, f"{field} of {name}", getattr(record, field), size)
+    start, way = fields["init_tip_pt"], fields["final_tip_pt"] - fields["init_tip_pt"]
+    length = float(np.linalg.norm(way))
+    if length == 0:
+        raise PushLogError(f"{path}: {name}: the pusher ends where it starts; expected a path")
+    push = Push(start, way * (speed / length), length / speed, TIP_RADIUS)
+    pose, end = fields["init_pose_gt"], fields["final_pose_gt"]
+    end[2] = nearest_turn(float(end[2]), float(pose[2]))
+    return ObservedPush(name, push, pose, np.array([push.duration]), end[None])
+
+
+def _mit_object(path: Path, shape: str | None, data: dict[str, Any]) -> GridObject:
+    named = path.stem.rpartition("_")[2]
+    if shape is None:
+        shape = named if named in MIT_SHAPES else str(data.get("shape_id", named))
+    if shape not in MIT_SHAPES:
+        raise PushLogError(f"{path}: shape {shape!r} is not known; expected {', '.join(MIT_SHAPES)}, or an object file")
+    prior = PhysicalPrior(pusher_radius=TIP_RADIUS)
+    return GridObject.from_outline(MIT_SHAPES[shape](), max_cells=MIT_CELLS, name=shape, prior=prior)
+
+
+def _read_mat(path: Path) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    with open_file(path, WHAT, PushLogError, MAX_SIZE) as file:
+        try:
+            data: dict[str, Any] = loadmat(file, squeeze_me=True, struct_as_record=False)
+        except Exception as error:  # a damaged file makes SciPy raise almost anything
+            raise PushLogError(f"{path}: cannot be read as {WHAT}: {error}") from error
+    return data
+
+
+def _field(path: Path, data: dict[str, Any], name: str) -> Any:
+    if name not in data:
+        there = ", ".join(key for key in data if not key.startswith("__")) or "nothing"
+        raise PushLogError(f"{path}: has no {name}; it holds {there}")
+    return data[name]
+
+
+def _numbers(path: Path, name: str, value: Any, size: int) -> NDArray[np.float64]:
+    try:
+        numbers = np.array(value, dtype=np.float64).reshape(-1)
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if numbers.shape != (size,) or not np.isfinite(numbers).all():
+        raise PushLogError(f"{path}: {name} is {value!r}; expected {size} finite number(s)")
+    return numbers

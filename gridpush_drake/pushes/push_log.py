@@ -1,0 +1,430 @@
+"""Observed pushes: the tip's path, the object's poses and, where it was measured, the force.
+
+Positions are in the world frame W, in m; angles in rad; times in s from the push's own beginning; forces, N,
+are the pusher's on the object.
+
+The push log as one tidy CSV file: a row a sample, SI units, radians, world frame.
+
+Columns: push (any text, rows of one push together), t, tip_x, tip_y (the disc's center), object_x, object_y,
+object_theta (on a push's first row, and wherever else it was observed; empty elsewhere), where it was measured,
+force_x, force_y on the object and, where it happened, overhang: 1 while a part of the object hung over the table's
+edge, 0 or empty otherwise; one such row marks the push. Times are counted from each push's first row.
+"""
+
+import csv
+import difflib
+import io
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple, NoReturn, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import PushLogError
+from gridpush_drake.files import check_writable, read_text, write_whole
+
+DEFAULT_PUSHER_RADIUS = 0.005
+"""The disc's radius where neither the reader's caller nor the object's file gives one, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedPush:
+    """One push and what was seen of the object while it lasted.
+
+    Attributes:
+        name: what to call it; any text without blanks at its ends.
+        push: the disc's motion.
+        pose: (3,) q_W = (x, y, theta) of the object at the push's beginning, m and rad.
+        t_observed: (K,) times of the later observations, s, strictly increasing, in (0, push.duration]; K is
+            0 only where a push is to be predicted.
+        poses_observed: (K, 3) q_W at those times, theta continuous (see `nearest_turn`).
+        force_t: (F,) times of the force samples, s, strictly increasing, in [0, push.duration]; None where
+            the force was not measured.
+        force: (F, 2) force on the object in W, N; None where it was not measured.
+        overhang: whether a part of the object hung over the table's edge, which the model does not know of.
+
+    Raises:
+        PushLogError: a shape, a time or a value is not as said above.
+    """
+
+    name: str
+    push: Push
+    pose: NDArray[np.float64]
+    t_observed: NDArray[np.float64]
+    poses_observed: NDArray[np.float64]
+    force_t: NDArray[np.float64] | None = None
+    force: NDArray[np.float64] | None = None
+    overhang: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.name or self.name != self.name.strip():
+            raise PushLogError(f"push {self.name!r}: its name must not be empty nor have blanks at its ends")
+        t_observed = self._array("t_observed", self.t_observed, (-1,))
+        self._array("pose", self.pose, (3,))
+        self._array("poses_observed", self.poses_observed, (len(t_observed), 3))
+        self._check_times("t_observed", t_observed)
+        if len(t_observed) and t_observed[0] <= 0:
+            raise PushLogError(f"push {self.name!r}: t_observed[0] is {t_observed[0]} s; expected times > 0")
+        if (self.force_t is None) != (self.force is None):
+            raise PushLogError(f"push {self.name!r}: force_t and force come together, or not at all")
+        if self.force_t is not None and self.force is not None:
+            force_t = self._array("force_t", self.force_t, (-1,))
+            self._array("force", self.force, (len(force_t), 2))
+            self._check_times("force_t", force_t)
+
+    def _array(self, name: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+        array = np.array(value, dtype=np.float64)
+        if array.size == 0 and 0 in shape:
+            array = array.reshape(shape)
+        if array.ndim != len(shape) or any(n not in (-1, m) for n, m in zip(shape, array.shape, strict=True)):
+            raise PushLogError(f"push {self.name!r}: {name} has shape {array.shape}; expected {shape}")
+        if not np.isfinite(array).all():
+            raise PushLogError(f"push {self.name!r}: {name} must hold finite numbers")
+        array.setflags(write=False)
+        object.__setattr__(self, name, array)
+        return array
+
+    def _check_times(self, name: str, t: NDArray[np.float64]) -> None:
+        if np.any(np.diff(t) <= 0):
+            raise PushLogError(f"push {self.name!r}: {name} must be strictly increasing")
+        if len(t) and (t[0] < 0 or t[-1] > self.push.duration):
+            raise PushLogError(
+                f"push {self.name!r}: {name} runs from {t[0]} to {t[-1]} s; expected times within the push, "
+                f"0 to {self.push.duration} s"
+            )
+
+    @property
+    def final_pose(self) -> NDArray[np.float64]:
+        """(3,) q_W at the last observation. Raises PushLogError where there is none after the first."""
+        if not len(self.poses_observed):
+            raise PushLogError(f"push {self.name!r}: the object was not observed after the push's beginning")
+        return self.poses_observed[-1]
+
+
+@dataclass(frozen=True, eq=False)
+class PushLog:
+    """Several pushes of one object. `log[3]` is a push; `log[1:4]` and `log[[0, 2]]` are logs.
+
+    Attributes:
+        pushes: the pushes.
+        source: where they came from, such as a file's name.
+        radius_given: whether the pusher's radius was given with the pushes; where it was not, they carry
+            DEFAULT_PUSHER_RADIUS, and whoever knows the object's file replaces it (`with_radius`).
+    """
+
+    pushes: tuple[ObservedPush, ...]
+    source: str = ""
+    radius_given: bool = True
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pushes", tuple(self.pushes))
+
+    @classmethod
+    def read_csv(cls, path: Path | str, radius: float | None = None, *, require_final: bool = True) -> "PushLog":
+        """Reads a push log; README, "Bring your own pushes", has the columns.
+
+        Args:
+            path: the CSV file.
+            radius: of the pusher, m; DEFAULT_PUSHER_RADIUS where None, and `radius_given` says so.
+            require_final: whether every push must have an observation after its first row.
+
+        Returns:
+            The log.
+
+        Raises:
+            PushLogError: the file cannot be read or breaks the form; the message names the file, the line,
+                the column and the expected form.
+            PushError: the radius is not positive.
+        """
+        return read_push_csv(Path(path), radius, require_final=require_final)
+
+    def write_csv(self, path: Path | str, force: bool = False) -> None:
+        """Writes the log so that `read_csv` gives its numbers back bit for bit.
+
+        Args:
+            path: the CSV file.
+            force: whether an existing file may be replaced.
+
+        Raises:
+            PushLogError: two pushes have the same name, or there is no push.
+            OutputError: the file exists and `force` is not set, or it cannot be written.
+        """
+        write_push_csv(self, Path(path), force)
+
+    def __len__(self) -> int:
+        return len(self.pushes)
+
+    def __iter__(self) -> Iterator[ObservedPush]:
+        return iter(self.pushes)
+
+    @overload
+    def __getitem__(self, index: int) -> ObservedPush: ...
+
+    @overload
+    def __getitem__(self, index: slice | Sequence[int] | NDArray[np.integer]) -> "PushLog": ...
+
+    def __getitem__(self, index: int | slice | Sequence[int] | NDArray[np.integer]) -> "ObservedPush | PushLog":
+        if isinstance(index, slice):
+            return replace(self, pushes=self.pushes[index])
+        if isinstance(index, (int, np.integer)):
+            return self.pushes[index]
+        return self.subset(index)
+
+    def subset(self, indices: Sequence[int] | NDArray[np.integer]) -> "PushLog":
+        """The log of the pushes at `indices` (or of a mask), in their order. Raises IndexError beyond the last."""
+        chosen = np.arange(len(self))[list(indices)]
+        return replace(self, pushes=tuple(self.pushes[i] for i in chosen))
+
+    @property
+    def supported(self) -> "PushLog":
+        """The pushes during which the whole object was on the table: those that a model can explain.
+
+        Raises:
+            PushLogError: there are pushes, but none of them is such a one.
+        """
+        kept = self.subset([i for i, seen in enumerate(self) if not seen.overhang])
+        if len(self) and not len(kept):
+            raise PushLogError(
+                f"{self.source or 'push log'}: overhang is 1 in every push; expected at least one push with the whole "
+                "object on the table"
+            )
+        return kept
+
+    @property
+    def overhanging(self) -> "PushLog":
+        """The pushes during which a part of the object hung over the table's edge."""
+        return self.subset([i for i, seen in enumerate(self) if seen.overhang])
+
+    def with_radius(self, radius: float) -> "PushLog":
+        """The same pushes made by a disc of `radius`, m. Raises PushError where it is not positive."""
+        pushes = tuple(replace(seen, push=replace(seen.push, radius=radius)) for seen in self.pushes)
+        return replace(self, pushes=pushes, radius_given=True)
+
+
+def nearest_turn(theta: float, reference: float) -> float:
+    """`theta`, rad, by as many whole turns as bring it within pi of `reference`; none where it is already."""
+    turns = round((reference - theta) / math.tau)
+    return theta + turns * math.tau if turns else theta
+
+
+TIP = ("tip_x", "tip_y")
+POSE = ("object_x", "object_y", "object_theta")
+FORCE = ("force_x", "force_y")
+REQUIRED = ("push", "t", *TIP, *POSE)
+OVERHANG = "overhang"
+COLUMNS = (*REQUIRED, *FORCE, OVERHANG)
+
+FLAGS = {"": False, "0": False, "1": True}
+"""What may stand in a column that says yes or no."""
+
+WHAT = "a push log (CSV)"
+
+UNITS = {"t": "s", "object_theta": "rad", "force_x": "N", "force_y": "N"}
+"""Unit of each column; m where not listed."""
+
+SUGGESTION_CUTOFF = 0.5
+"""Similarity (0 to 1) from which a known column is suggested for an unknown one."""
+
+
+MAX_SHOWN = 60
+"""Characters of a refused value that a message repeats."""
+
+MAX_NUMBER = 1e12
+"""Magnitude of a number in a log, beyond which it is none that was measured."""
+
+MIN_TIME_STEP = 1e-9
+"""s between two rows of a push."""
+
+
+class _Row(NamedTuple):
+    line: int
+    push: str
+    t: float
+    tip: list[float]
+    pose: list[float] | None
+    force: list[float] | None
+    overhang: bool
+
+
+def read_push_csv(path: Path, radius: float | None, *, require_final: bool = True) -> PushLog:
+    """Reads a push log; see `PushLog.read_csv`."""
+    seen: dict[str, int] = {}
+    pushes = []
+    for rows in _groups(_rows(path, _read_text(path))):
+        first = rows[0]
+        if first.push in seen:
+            _fail(
+                path, first.line, "push",
+                f"push {first.push!r} began on line {seen[first.push]} already; expected its rows together",
+            )  # fmt: skip
+        seen[first.push] = first.line
+        pushes.append(_observed_push(path, rows, DEFAULT_PUSHER_RADIUS if radius is None else radius, require_final))
+    if not pushes:
+        raise PushLogError(f"{path}: holds no push; expected rows below the header {','.join(REQUIRED)}")
+    return PushLog(tuple(pushes), str(path), radius_given=radius is not None)
+
+
+def write_push_csv(log: PushLog, path: Path, force: bool = False) -> None:
+    """Writes a push log; see `PushLog.write_csv`."""
+    check_writable(path, force)
+    names = [seen.name for seen in log]
+    if not names:
+        raise PushLogError(f"{path}: the log to be written holds no push")
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise PushLogError(f"{path}: two pushes of the log are named {name!r}; expected one name a push")
+    with_force = any(seen.force is not None for seen in log)
+    with_overhang = any(seen.overhang for seen in log)
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow([*REQUIRED, *(FORCE if with_force else ()), *((OVERHANG,) if with_overhang else ())])
+    for seen in log:
+        flag = [str(int(seen.overhang))] if with_overhang else []
+        writer.writerows(cells + flag for cells in _cells(seen, with_force))
+    write_whole(path, buffer.getvalue(), force)
+
+
+def _cells(seen: ObservedPush, with_force: bool) -> Iterator[list[str]]:
+    poses = dict(zip(seen.t_observed.tolist(), seen.poses_observed.tolist(), strict=True))
+    poses[0.0] = seen.pose.tolist()
+    forces: dict[float, list[float]] = {}
+    if seen.force_t is not None and seen.force is not None:
+        forces = dict(zip(seen.force_t.tolist(), seen.force.tolist(), strict=True))
+    times = sorted({*seen.push.t.tolist(), *poses, *forces})
+    for t, tip in zip(times, seen.push.tip_at(times).tolist(), strict=True):
+        row = [seen.name, repr(t), *map(repr, tip), *map(repr, poses.get(t, []))]
+        row += [""] * (len(REQUIRED) - len(row))
+        if with_force:
+            row += [repr(f) for f in forces[t]] if t in forces else [""] * len(FORCE)
+        yield row
+
+
+def _read_text(path: Path) -> str:
+    text = read_text(path, WHAT, PushLogError)
+    if "\0" in text:
+        raise PushLogError(f"{path}: is not UTF-8 text (it holds a NUL); expected {WHAT}")
+    return text
+
+
+def _rows(path: Path, text: str) -> Iterator[_Row]:
+    reader = csv.reader(io.StringIO(text, newline=""))
+    at: dict[str, int] | None = None
+    try:
+        for cells in reader:
+            if not any(cell.strip() for cell in cells):
+                continue
+            if at is None:
+                at = _column_indices(path, reader.line_num, [cell.strip() for cell in cells])
+            elif len(cells) != len(at):
+                raise PushLogError(f"{path}, line {reader.line_num}: has {len(cells)} fields; the header has {len(at)}")
+            else:
+                yield _parse_row(path, reader.line_num, cells, at)
+    except csv.Error as error:
+        raise PushLogError(f"{path}, line {reader.line_num}: is not CSV: {error}") from error
+    if at is None:
+        raise PushLogError(f"{path}: is empty; expected the header {','.join(REQUIRED)}")
+
+
+def _column_indices(path: Path, line: int, header: Sequence[str]) -> dict[str, int]:
+    at = {name: i for i, name in enumerate(header)}
+    form = f"expected comma-separated {','.join(REQUIRED)} and, if known, {','.join(FORCE)} and {OVERHANG}"
+    if len(at) != len(header):
+        twice = next(name for i, name in enumerate(header) if name in header[:i])
+        _fail(path, line, twice, f"is there twice; {form}")
+    unknown = [name for name in header if name not in COLUMNS]
+    for name in (name for name in REQUIRED if name not in at):
+        close = difflib.get_close_matches(name, unknown, 1, SUGGESTION_CUTOFF)
+        hint = f"; rename {close[0]!r} to {name!r}?" if close else ""
+        _fail(path, line, name, f"is missing{hint}; {form}")
+    if unknown:
+        close = difflib.get_close_matches(unknown[0], COLUMNS, 1, SUGGESTION_CUTOFF)
+        hint = f"did you mean {close[0]!r}? " if close else ""
+        _fail(path, line, unknown[0], f"is unknown; {hint}{form}")
+    missing = [name for name in FORCE if name not in at]
+    if len(missing) == 1:
+        _fail(path, line, missing[0], f"is missing; the columns {' and '.join(FORCE)} come together")
+    return at
+
+
+def _parse_row(path: Path, line: int, cells: list[str], at: dict[str, int]) -> _Row:
+    name = cells[at["push"]].strip()
+    if not name:
+        _fail(path, line, "push", "is empty; expected the push's name, on each of its rows")
+    pose, force = (
+        [_number(path, line, column, cells[at[column]]) for column in columns]
+        if columns[0] in at and any(cells[at[column]].strip() for column in columns)
+        else None
+        for columns in (POSE, FORCE)
+    )
+    tip = [_number(path, line, column, cells[at[column]]) for column in TIP]
+    overhang = OVERHANG in at and _flag(path, line, OVERHANG, cells[at[OVERHANG]])
+    return _Row(line, name, _number(path, line, "t", cells[at["t"]]), tip, pose, force, overhang)
+
+
+def _flag(path: Path, line: int, column: str, cell: str) -> bool:
+    if cell.strip() not in FLAGS:
+        _fail(path, line, column, f"is {cell.strip()!r}; expected 0 or 1, or empty")
+    return FLAGS[cell.strip()]
+
+
+def _number(path: Path, line: int, column: str, cell: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or abs(value) > MAX_NUMBER or "_" in cell:
+        group = next((columns for columns in (POSE, FORCE) if column in columns), None)
+        form = f"a finite number ({UNITS.get(column, 'm')})" + (f", or {', '.join(group)} empty" if group else "")
+        _fail(path, line, column, f"is {cell.strip()[:MAX_SHOWN]!r}; expected {form}")
+    return value
+
+
+def _groups(rows: Iterator[_Row]) -> Iterator[list[_Row]]:
+    group: list[_Row] = []
+    for row in rows:
+        if group and row.push != group[0].push:
+            yield group
+            group = []
+        group.append(row)
+    if group:
+        yield group
+
+
+def _observed_push(path: Path, rows: list[_Row], radius: float, require_final: bool) -> ObservedPush:
+    first = rows[0]
+    if first.pose is None:
+        _fail(path, first.line, POSE[0], f"is empty; expected a pose on push {first.push!r}'s first row")
+    if len(rows) == 1:
+        _fail(path, first.line, "push", f"push {first.push!r} has one row; expected at least two")
+    for before, row in pairwise(rows):
+        if row.t - before.t < MIN_TIME_STEP:
+            _fail(path, row.line, "t", f"is {row.t!r} after {before.t!r}; expected times (s) that increase")
+    seen = [row for row in rows[1:] if row.pose is not None]
+    if require_final and not seen:
+        _fail(
+            path, rows[-1].line, POSE[0],
+            f"is empty; expected the object's pose on a later row of push {first.push!r} too",
+        )  # fmt: skip
+    poses = [list(row.pose or ()) for row in [first, *seen]]
+    for pose_before, pose in pairwise(poses):
+        pose[2] = nearest_turn(pose[2], pose_before[2])
+    felt = [row for row in rows if row.force is not None]
+    return ObservedPush(
+        first.push,
+        Push.along([row.t for row in rows], [row.tip for row in rows], radius),
+        np.array(poses[0]),
+        np.array([row.t - first.t for row in seen]),
+        np.array(poses[1:]).reshape(-1, len(POSE)),
+        np.array([row.t - first.t for row in felt]) if felt else None,
+        np.array([row.force for row in felt]) if felt else None,
+        any(row.overhang for row in rows),
+    )
+
+
+def _fail(path: Path, line: int, column: str, what: str) -> NoReturn:
+    raise PushLogError(f"{path}, line {line}, column {column}: {what}")

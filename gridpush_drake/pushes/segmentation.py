@@ -1,0 +1,331 @@
+"""Where a push begins and ends, seen from the pusher's state alone.
+
+A push is going on while the tip is down (below `engaged_below`) and moves over the table; it is over when the tip has
+stopped and then lifts, moves on, or simply stands. The object moves only when pushed, so that the poses seen between
+two pushes are many looks at one pose.
+
+    waiting --- down and moving ---> moving --- slow, or lifted ---> settling --- lifted, `settle` over ---> waiting
+                                       ^  (shorter stops than `pause`) |  moving again: the next push
+                                       +-------------------------------+
+
+From what was seen during a push to the entry of a push log.
+
+The first pose is the mean of the looks at the object at rest before it, the last one that of the looks after it;
+between them a few single looks are kept, evenly spread along the tip's way. The tip's path is as measured, without the
+samples that straight lines between the others replace to within `path_tolerance`.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import cos, hypot, isfinite, pi, sin
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from shapely import LineString
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.push_log import ObservedPush, nearest_turn
+
+Numbers = tuple[float, float, float]
+
+
+class Sample(NamedTuple):
+    """What was seen at one time, W.
+
+    Attributes:
+        t: s.
+        pose: q = (x, y, theta) of the object, m and rad; not finite where it was not seen.
+        tip: p_WP of the tip's center, m.
+        velocity: v_WP, m/s.
+    """
+
+    t: float
+    pose: Numbers
+    tip: Numbers
+    velocity: Numbers
+
+
+@dataclass(frozen=True)
+class SegmenterOptions:
+    """When a push begins and ends.
+
+    Attributes:
+        engaged_below: height of the tip's center below which it can touch the object, m.
+        moving_above: horizontal speed from which on the tip moves, m/s.
+        pause: a shorter stop does not end a push, s.
+        look: after lifting, a push is not over sooner than this after its stop, s: its last pose wants to be seen
+            several times.
+        settle: so long after the stop a push is over though the tip stays down, s.
+        lift: the tip is lifted when it rises by this from its lowest place in the push, m.
+        rest_window: longest time for which poses at rest are kept, s.
+    """
+
+    engaged_below: float = 0.05
+    moving_above: float = 0.005
+    pause: float = 0.2
+    look: float = 0.6
+    settle: float = 1.0
+    lift: float = 0.003
+    rest_window: float = 3.0
+
+
+@dataclass(frozen=True)
+class Episode:
+    """A motion of the tip that may be a push.
+
+    Attributes:
+        before: looks at the object before it, at rest.
+        path: while the tip was down, the first with the tip about to move.
+        after: from the stop on.
+    """
+
+    before: tuple[Sample, ...]
+    path: tuple[Sample, ...]
+    after: tuple[Sample, ...]
+
+
+@dataclass(frozen=True)
+class SegmenterState:
+    """What the segmenter remembers.
+
+    Attributes:
+        rest: looks at the object since it last came to rest.
+        path: the present push while the tip is down; empty where there is none.
+        after: from its stop on, lifted or not; empty while it moves.
+        lifted: whether it has ended by lifting.
+    """
+
+    rest: tuple[Sample, ...] = ()
+    path: tuple[Sample, ...] = ()
+    after: tuple[Sample, ...] = ()
+    lifted: bool = False
+
+
+def advance(state: SegmenterState, sample: Sample, options: SegmenterOptions) -> tuple[SegmenterState, Episode | None]:
+    """Takes in one sample.
+
+    Args:
+        state: before it.
+        sample: later than all before; it is passed over where the tip is not known.
+        options: see `SegmenterOptions`.
+
+    Returns:
+        The state after it, and the episode that it ends, if any.
+    """
+    if not all(map(isfinite, (*sample.tip, *sample.velocity))):
+        return state, None
+    moving = sample.tip[2] < options.engaged_below and _slides(sample.velocity, options)
+    if not state.path:
+        return (_begin(state.rest, sample) if moving else _rest(state, sample, options)), None
+    lifted = state.lifted or sample.tip[2] > _find_lift_height(state.path, options)
+    stopped_for = sample.t - state.after[0].t if state.after else 0.0
+    if moving and (state.lifted or (not lifted and stopped_for >= options.pause)):
+        return _begin(state.after, sample), Episode(state.rest, state.path, state.after)
+    if moving and not lifted:
+        return replace(state, path=(*state.path, sample), after=()), None
+    state = replace(
+        state, lifted=lifted, after=(*state.after, sample), path=state.path if lifted else (*state.path, sample)
+    )
+    if stopped_for >= (options.look if lifted else options.settle):
+        return SegmenterState(rest=state.after), Episode(state.rest, state.path, state.after)
+    return state, None
+
+
+def _slides(velocity: Numbers, options: SegmenterOptions) -> bool:
+    """Whether the tip moves over the table rather than up or down."""
+    speed = hypot(*velocity[:2])
+    return speed > options.moving_above and speed > abs(velocity[2])
+
+
+def _begin(rest: tuple[Sample, ...], sample: Sample) -> SegmenterState:
+    """Starts a push; the sample before, with the tip still at rest, is where its path begins."""
+    return SegmenterState(rest, (*rest[-1:], sample))
+
+
+def _rest(state: SegmenterState, sample: Sample, options: SegmenterOptions) -> SegmenterState:
+    kept = tuple(seen for seen in state.rest if seen.t >= sample.t - options.rest_window)
+    return SegmenterState((*kept, sample))
+
+
+def _find_lift_height(path: tuple[Sample, ...], options: SegmenterOptions) -> float:
+    return min(options.engaged_below, min(sample.tip[2] for sample in path) + options.lift)
+
+
+Array = NDArray[np.float64]
+
+SAME_TIME = 1e-6
+"""s; times that differ by less are one."""
+
+LATEST = 5
+"""Looks at the end whose median tells where the object rests."""
+
+
+@dataclass(frozen=True)
+class RecordOptions:
+    """How a push is written down.
+
+    Attributes:
+        observations: most poses a push, the last one included.
+        min_distance: of the tip; less is no push, m.
+        reach: a tip that never came closer to the object than its radius and this did not push it, m.
+        path_tolerance: by which the thinned path may differ from the measured one, m.
+        still: the tip has not yet, or no longer, moved within this of its first, or last, place, m.
+        coast: how long the object may slide on after the tip's stop, s.
+        rest_tolerance: looks further than this from where the object rests are not of that rest, m.
+        rest_angle_tolerance: likewise, rad.
+        pose_delay: how old a pose is when it is read, s.
+    """
+
+    observations: int = 10
+    min_distance: float = 0.005
+    reach: float = 0.005
+    path_tolerance: float = 5e-5
+    still: float = 5e-5
+    coast: float = 0.1
+    rest_tolerance: float = 0.003
+    rest_angle_tolerance: float = 0.03
+    pose_delay: float = 0.0
+
+
+def make_observed_push(
+    episode: Episode, obj: GridObject, radius: float, name: str, options: RecordOptions
+) -> ObservedPush | None:
+    """Makes the log's entry.
+
+    Args:
+        episode: what was seen.
+        obj: the object.
+        radius: of the tip, m.
+        name: what to call the push.
+        options: see `RecordOptions`.
+
+    Returns:
+        The push; None where the tip hardly moved or never came near the object, or where the object was not seen both
+        before and after.
+    """
+    pose = calc_rest_pose(episode.before, options)
+    t, xy = _trim(episode.path, options.still)
+    if pose is None or len(t) < 2:
+        return None
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
+    if way[-1] < options.min_distance or _calc_distance(obj, pose, xy) > radius + options.reach:
+        return None
+    end, t, xy = _add_coast(episode, t, xy, options.coast)
+    way = np.append(way, np.full(len(t) - len(way), way[-1]))
+    settled = [look for look in episode.after if look.t - options.pose_delay >= t[-1]]
+    last = calc_rest_pose(settled, options)
+    seen = _choose_looks(episode.path, t, way, end, options, up_to_end=last is None)
+    if last is not None:
+        seen = [(time, look) for time, look in seen if time < t[-1]] + [(float(t[-1]), last)]
+    if not seen:
+        return None
+    times = np.array([time for time, _ in seen])
+    t, xy = thin_path(t, xy, times, options.path_tolerance)
+    return ObservedPush(name, Push.along(t - t[0], xy, radius), pose, times - t[0], _continue_turns(pose, seen))
+
+
+def calc_rest_pose(looks: tuple[Sample, ...] | list[Sample], options: RecordOptions) -> Array | None:
+    """Mean of the latest looks at one pose; None where the object was not seen.
+
+    Starting from the last look, all within the tolerance of the last few's median count, up to the first two in a row
+    that do not: before them the object lay elsewhere. A single one is a bad look.
+    """
+    poses = np.array([look.pose for look in looks if np.isfinite(look.pose).all()])
+    if not len(poses):
+        return None
+    theta = poses[-1, 2]
+    poses[:, 2] = theta + (poses[:, 2] - theta + pi) % (2 * pi) - pi
+    off = poses - np.median(poses[-LATEST:], axis=0)
+    good = np.hypot(off[:, 0], off[:, 1]) <= options.rest_tolerance
+    good &= np.abs(off[:, 2]) <= options.rest_angle_tolerance
+    elsewhere = np.flatnonzero(~(good[:-1] | good[1:]))
+    if len(elsewhere):
+        good[: elsewhere[-1] + 1] = False
+    return poses[good].mean(axis=0) if good.any() else np.median(poses[-LATEST:], axis=0)
+
+
+def thin_path(t: Array, xy: Array, keep: Array, tolerance: float) -> tuple[Array, Array]:
+    """Leaves out samples that linear interpolation in time replaces (Ramer, Douglas and Peucker's way).
+
+    Args:
+        t: (K,) times, s, increasing.
+        xy: (K, 2) places, m.
+        keep: times that the path is cut at in any case, within it, s.
+        tolerance: m.
+
+    Returns:
+        The times (L,) and places (L, 2) that are left.
+    """
+    times = np.union1d(t, keep)
+    places = np.column_stack([np.interp(times, t, xy[:, axis]) for axis in (0, 1)])
+    wanted = np.isin(times, keep)
+    wanted[[0, -1]] = True
+    pending = list(pairwise(np.flatnonzero(wanted).tolist()))
+    while pending:
+        first, last = pending.pop()
+        if last - first < 2:
+            continue
+        share = (times[first + 1 : last] - times[first]) / (times[last] - times[first])
+        straight = places[first] + share[:, None] * (places[last] - places[first])
+        error = np.linalg.norm(places[first + 1 : last] - straight, axis=1)
+        if error.max() > tolerance:
+            middle = first + 1 + int(np.argmax(error))
+            wanted[middle] = True
+            pending += [(first, middle), (middle, last)]
+    return times[wanted], places[wanted]
+
+
+def _trim(path: tuple[Sample, ...], still: float) -> tuple[Array, Array]:
+    """Times and places of the tip from its last moment at rest to its first."""
+    t, xy = np.array([look.t for look in path]), np.array([look.tip[:2] for look in path])
+    moved = np.flatnonzero(np.linalg.norm(xy - xy[0], axis=1) > still)
+    moving = np.flatnonzero(np.linalg.norm(xy - xy[-1], axis=1) > still)
+    if not len(moved) or not len(moving):
+        return t[:1], xy[:1]
+    part = slice(max(moved[0] - 1, 0), moving[-1] + 2)
+    return t[part], xy[part]
+
+
+def _add_coast(episode: Episode, t: Array, xy: Array, coast: float) -> tuple[float, Array, Array]:
+    """Lets the tip stand for as long as the object may slide on, while it was seen to; and when it stopped, s."""
+    end = float(t[-1])
+    stood = min(coast, episode.path[-1].t - end)
+    return (end, np.append(t, end + stood), np.vstack([xy, xy[-1:]])) if stood > 0 else (end, t, xy)
+
+
+def _choose_looks(
+    path: tuple[Sample, ...], t: Array, way: Array, end: float, options: RecordOptions, up_to_end: bool
+) -> list[tuple[float, Array]]:
+    """Times and poses of the looks nearest to even shares of the tip's way."""
+    looks = [
+        (_snap(look.t - options.pose_delay, t), np.array(look.pose)) for look in path if np.isfinite(look.pose).all()
+    ]
+    looks = [(time, pose) for time, pose in looks if t[0] < time <= end]
+    if not looks:
+        return []
+    passed = np.interp([time for time, _ in looks], t, way)
+    wanted = way[-1] * np.arange(1, options.observations + up_to_end) / options.observations
+    return [looks[i] for i in sorted({int(np.argmin(np.abs(passed - share))) for share in wanted})]
+
+
+def _snap(time: float, t: Array) -> float:
+    """The nearest of the times t where round-off alone keeps `time` from it."""
+    nearest = float(t[np.argmin(np.abs(t - time))])
+    return nearest if abs(nearest - time) < SAME_TIME else time
+
+
+def _calc_distance(obj: GridObject, pose: Array, xy: Array) -> float:
+    """Least distance of the tip's center from the object where it lies at the beginning, m."""
+    c, s = cos(pose[2]), sin(pose[2])
+    return float(obj.outline.distance(LineString((xy - pose[:2]) @ np.array([[c, -s], [s, c]]))))
+
+
+def _continue_turns(pose: Array, seen: list[tuple[float, Array]]) -> Array:
+    """The poses (K, 3), theta without jumps from the first pose on."""
+    poses, before = [], float(pose[2])
+    for _, look in seen:
+        before = nearest_turn(float(look[2]), before)
+        poses.append([look[0], look[1], before])
+    return np.array(poses)

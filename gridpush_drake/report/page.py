@@ -1,0 +1,322 @@
+"""The report: one self-contained HTML page about a learned model.
+
+The report's tables of numbers.
+
+What a robot did with an object, told at the head of a report.
+"""
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, StrictUndefined
+from matplotlib.figure import Figure
+
+from gridpush_drake import __version__
+from gridpush_drake.identification.prediction import (
+    ErrorSummary,
+    Prediction,
+    calc_final_errors,
+    calc_mean_cell_error,
+    predict,
+    summarize_errors,
+)
+from gridpush_drake.identification.result import STATUS_BUDGET_SPENT, STATUS_NO_DATA, STATUS_PRIOR_KEPT, Identification
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.report.figures import draw_learning, draw_loss, draw_object_parts, draw_pushes
+from gridpush_drake.report.maps import draw_learned_maps, draw_unknown_maps, to_svg
+from gridpush_drake.report.pose_figures import MAX_DUMBBELLS, MAX_OVERLAYS, Outcome, draw_errors, draw_overlays
+
+MM = 1e3
+
+Row = tuple[str, str, str]
+"""What, its learned value and, where it is known, the true one."""
+
+
+def list_numbers(result: Identification, truth: CellParameters | None = None) -> list[Row]:
+    """The quantities that sum a model up, each with its standard deviation, and the truth where it is known."""
+    known = result.identifiability
+    rows = [_describe_part(result, label, truth) for label in _parts(result)]
+    rows.append(
+        (
+            "center of friction",
+            _point(
+                known.center_of_friction, np.sqrt(np.maximum(np.diagonal(known.center_of_friction_covariance), 0.0))
+            ),
+            "" if truth is None else _point(truth.relative_friction() @ result.obj.p_BC),
+        )
+    )
+    low, high = known.center_of_mass_box
+    rows += [
+        (
+            "center of mass, estimate",
+            _point(result.params.center_of_mass(result.obj)),
+            "" if truth is None else _point(truth.center_of_mass(result.obj)),
+        ),
+        ("center of mass, possible", f"x {_range(low[0], high[0])}, y {_range(low[1], high[1])}", ""),
+        (
+            "contact friction",
+            f"{result.params.contact_friction:.2f} ± {result.std.contact_friction:.2f}",
+            "" if truth is None else f"{truth.contact_friction:.2f}",
+        ),
+        (
+            "total mass",
+            f"{result.params.total_mass:.3g} kg" + ("" if result.obj.prior.total_mass else ", assumed"),
+            "" if truth is None else f"{truth.total_mass:.3g} kg",
+        ),
+        ("left unexplained", f"{result.noise_std * MM:.2f} mm per axis", ""),
+    ]
+    return rows
+
+
+def describe_making(result: Identification, log: PushLog, version: str) -> list[tuple[str, str]]:
+    """How the model was made."""
+    return [
+        ("object", f"{result.obj.name}, {result.obj.n} cells of {result.obj.cell_size * MM:.1f} mm"),
+        ("pushes", log.source or "given in memory"),
+        ("method", result.method),
+        ("physics", result.regime.replace("_", "-")),
+        ("status", result.status.replace("_", " ")),
+        ("simulated pushes", str(result.simulations)),
+        ("seed", str(result.seed)),
+        ("gridpush-drake", version),
+    ]
+
+
+def _parts(result: Identification) -> list[int]:
+    labels = np.unique(result.obj.labels)
+    return labels.tolist() if len(labels) > 1 else []
+
+
+def _describe_part(result: Identification, label: int, truth: CellParameters | None) -> Row:
+    """The share of the support's friction that a part carries."""
+    part = (result.obj.labels == label).astype(np.float64)
+    share = result.identifiability.relative_friction @ part
+    spread = np.sqrt(max(part @ result.posterior.calc_share_covariance() @ part, 0.0))
+    true = "" if truth is None else f"{truth.relative_friction() @ part * 100:.0f} %"
+    return f"friction carried by part {label}", f"{share * 100:.0f} ± {spread * 100:.0f} %", true
+
+
+def _point(point: np.ndarray, spread: np.ndarray | None = None) -> str:
+    if spread is None:
+        return f"({point[0] * MM:.1f}, {point[1] * MM:.1f}) mm"
+    x, y = (f"{value * MM:.1f} ± {std * MM:.1f}" for value, std in zip(point, spread, strict=True))
+    return f"({x}, {y}) mm"
+
+
+def _range(low: float, high: float) -> str:
+    return f"{low * MM:.0f} to {high * MM:.0f} mm" if np.isfinite([low, high]).all() else "not bounded"
+
+
+@dataclass(frozen=True, eq=False)
+class ReportSummary:
+    """What was done, and what came of it.
+
+    Attributes:
+        verdict: in a sentence or two.
+        facts: what is counted, and the count: three or four.
+        figure: of it.
+        caption: of the figure.
+        heads: of the columns of `steps`.
+        steps: what was done, in order, a row a step.
+    """
+
+    verdict: str
+    facts: Sequence[tuple[str, str]]
+    figure: Figure
+    caption: str
+    heads: tuple[str, ...]
+    steps: Sequence[tuple[str, ...]]
+
+
+TEMPLATE = "report.html.j2"
+
+
+SIMILAR = 0.05
+"""Errors within this share of each other are called about the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Comparison:
+    """One log, predicted before and after learning."""
+
+    log: PushLog
+    before: list[Prediction]
+    after: list[Prediction]
+    errors_before: list[ErrorSummary]
+    errors_after: list[ErrorSummary]
+    outcomes: list[Outcome]
+
+    @property
+    def cell(self) -> tuple[float, float]:
+        """Mean cell error, m, before and after; NaN where nothing was observed."""
+        return tuple(  # type: ignore[return-value]
+            next((error.mean for error in errors if error.name == "cell"), float("nan"))
+            for errors in (self.errors_before, self.errors_after)
+        )
+
+
+def make_report(
+    identification: Identification,
+    log: PushLog,
+    held_out: PushLog | None = None,
+    truth: CellParameters | None = None,
+    learning: Sequence[float] | None = None,
+    story: ReportSummary | None = None,
+) -> str:
+    """Makes the report.
+
+    Args:
+        identification: the model.
+        log: the pushes it was learned from.
+        held_out: pushes it never saw, with their final poses.
+        truth: what the object's cells really are, where that is known.
+        learning: mean cell error of the held-out pushes, m, before the first push and after each; None where nobody
+            followed it.
+        story: what a robot did with the object; None where it only looked.
+
+    Returns:
+        An HTML page that needs nothing else.
+    """
+    obj = identification.obj
+    used = log.subset([i for i, seen in enumerate(log) if seen.name not in identification.unused_pushes])
+    training = _compare(identification, used, held_out=False)
+    fresh = _compare(identification, held_out, held_out=True) if held_out else None
+    compared = [training, *([fresh] if fresh else [])]
+    judged = fresh if fresh and fresh.outcomes else training
+    outcomes = [outcome for comparison in reversed(compared) for outcome in comparison.outcomes]
+    text = files("gridpush_drake.report").joinpath("templates", TEMPLATE).read_text(encoding="utf-8")
+    return Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True).from_string(
+        text
+    ).render(
+        name=obj.name.replace("_", " "),
+        verdict=_judge(identification, judged, fresh is judged) if story is None else story.verdict,
+        message=identification.message,
+        facts=_list_facts(identification, judged, log, held_out) if story is None else story.facts,
+        story=story,
+        figures=_draw_figures(identification, log, held_out, truth, training.cell[0], outcomes)
+        | {
+            "learning": _embed(_draw_learning(identification, held_out, truth, learning)) if learning else None,
+            "story": None if story is None else _embed(story.figure),
+        },
+        known_truth=truth is not None,
+        has_held_out=fresh is not None,
+        overlays_shown=min(len(outcomes), MAX_OVERLAYS),
+        outcomes=len(outcomes),
+        line_by_line=len(outcomes) <= MAX_DUMBBELLS,
+        error_tables=[_tabulate_errors(comparison, comparison is fresh) for comparison in compared],
+        unused=identification.unused_pushes,
+        statements=identification.identifiability.statements,
+        numbers=list_numbers(identification, truth),
+        making=describe_making(identification, log, __version__),
+    )  # fmt: skip
+
+
+def _draw_figures(
+    result: Identification,
+    log: PushLog,
+    held_out: PushLog | None,
+    truth: CellParameters | None,
+    before: float,
+    outcomes: list[Outcome],
+) -> dict[str, str | None]:
+    """All figures as data URIs; None where there is nothing to draw."""
+    figures = {
+        "object": draw_object_parts(result.obj),
+        "pushes": draw_pushes(result, log, held_out),
+        "maps": draw_learned_maps(result, truth),
+        "unknown": draw_unknown_maps(result),
+        "loss": draw_loss(result.history, before) if result.history else None,
+        "overlays": draw_overlays(result.obj, outcomes) if outcomes else None,
+        "errors": draw_errors(outcomes) if outcomes else None,
+    }
+    return {name: None if figure is None else _embed(figure) for name, figure in figures.items()}
+
+
+def _draw_learning(
+    result: Identification, held_out: PushLog | None, truth: CellParameters | None, learning: Sequence[float]
+) -> Figure:
+    known = truth is not None and held_out is not None
+    floor = calc_mean_cell_error(result.obj, truth, held_out, result.regime) if known else None  # type: ignore[arg-type]
+    return draw_learning(learning, floor)
+
+
+def _compare(result: Identification, log: PushLog, held_out: bool) -> _Comparison:
+    run = partial(predict, result.obj, log=log, regime=result.regime)
+    before, after = run(params=CellParameters.uniform(result.obj)), run(params=result.params)
+    errors = zip(*(calc_final_errors(result.obj, poses, log) for poses in (before, after)), strict=True)
+    outcomes = [
+        Outcome(seen, first.at_observations[-1], second.at_observations[-1], one.cell, other.cell, held_out)
+        for seen, first, second, (one, other) in zip(log, before, after, errors, strict=True)
+        if one is not None and other is not None
+    ]
+    return _Comparison(
+        log,
+        before,
+        after,
+        summarize_errors(result.obj, before, log),
+        summarize_errors(result.obj, after, log),
+        outcomes,
+    )
+
+
+def _judge(result: Identification, judged: _Comparison, held_out: bool) -> str:
+    """The first sentence: what came of it, in plain words."""
+    before, after = judged.cell
+    name = result.obj.name.replace("_", " ")
+    if result.status == STATUS_NO_DATA or not np.isfinite(after):
+        return f"Nothing was learned about the {name}: the pusher touched it in none of the pushes."
+    which = "pushes it had never seen" if held_out else "the pushes it learned from"
+    if result.status == STATUS_PRIOR_KEPT:
+        return (
+            f"These pushes gave no reason to leave the assumption of an even object: predictions of {which} are off by "
+            f"{after * MM:.1f} mm on average."
+        )
+    count = len(result.push_names)
+    spent = "The search ended early, at its budget. " if result.status == STATUS_BUDGET_SPENT else ""
+    learned = (
+        f"{spent}After {count} push{'es' if count != 1 else ''}, the model predicts where {which} leave the {name}"
+    )
+    if after > (1 - SIMILAR) * before:
+        return (
+            f"{learned} to {after * MM:.1f} mm on average, about as well as assuming an even object "
+            f"({before * MM:.1f} mm)."
+        )
+    return f"{learned} to {after * MM:.1f} mm on average; assuming an even object, it is off by {before * MM:.1f} mm."
+
+
+def _list_facts(
+    result: Identification, judged: _Comparison, log: PushLog, held_out: PushLog | None
+) -> list[tuple[str, str]]:
+    """Three large numbers below the verdict."""
+    before, after = judged.cell
+    facts = [("pushes learned from", str(len(result.push_names)))]
+    if held_out:
+        facts.append(("pushes held out", str(len(held_out))))
+    if np.isfinite(after):
+        facts += [("error, even object", f"{before * MM:.1f} mm"), ("error, learned", f"{after * MM:.1f} mm")]
+    return facts
+
+
+def _tabulate_errors(comparison: _Comparison, held_out: bool) -> dict[str, Any]:
+    rows = [
+        (
+            first.name,
+            *(
+                f"{value * first.scale:.2f} {first.unit}"
+                for value in (first.mean, second.mean, second.median, second.p90)
+            ),
+        )
+        for first, second in zip(comparison.errors_before, comparison.errors_after, strict=True)
+    ]
+    kind = "held out" if held_out else "learned from"
+    return {"title": f"{len(comparison.outcomes)} pushes {kind}", "rows": rows}
+
+
+def _embed(figure: Figure) -> str:
+    return "data:image/svg+xml;base64," + base64.b64encode(to_svg(figure)).decode()

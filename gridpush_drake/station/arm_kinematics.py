@@ -1,0 +1,222 @@
+"""Which posture the arm has when the finger's tip is somewhere: the one of all that is nearest to the nominal posture.
+
+With q the joint angles, J(q) the tip's Jacobian (rotation above translation) and e the pose's error, one step of
+
+    dq = J+ e + (I - J+ J)(q_nominal - q)
+
+moves the tip where it should be and, in the null space, as near to q_nominal as possible. Drake's differential inverse
+kinematics with joint centering has the same fixed point, so that what is found here is what the moving arm does.
+
+The tool points down; its turn about the vertical (yaw) is zero at `R_WP_DOWN`.
+
+Whether the arm can follow the tip along a way, asked before it goes.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import JacobianWrtVariable
+
+from gridpush_drake.errors import StationError
+from gridpush_drake.multibody.tool_motion import R_WP_DOWN, TURNING_RADIUS, calc_tool_rotation
+
+Array = NDArray[np.float64]
+
+TIP_FRAME = "finger_tip"
+"""Name of the frame at the center of the finger's tip."""
+
+SEED_POSTURE = (0.0, 0.6, 0.0, -1.75, 0.0, 0.8, 0.0)
+"""Elbow up, hand down, about where a table is: a search begins here, rad."""
+
+POSITION_TOLERANCE = 1e-6
+"""m and rad, of a pose that counts as reached."""
+
+CENTERING_TOLERANCE = 1e-6
+"""rad, of the last step."""
+
+
+class ArmPosture:
+    """The tip's kinematics and their inverse.
+
+    Attributes:
+        lower: (7,) joint limits, rad.
+        upper: likewise.
+        speed: (7,) rad/s.
+    """
+
+    def __init__(self, control_plant: MultibodyPlant):
+        """Takes the plant that `MakeControlPlant` makes."""
+        self._plant = control_plant
+        self._context = control_plant.CreateDefaultContext()
+        self._tip, self._world = control_plant.GetFrameByName(TIP_FRAME), control_plant.world_frame()
+        self.lower, self.upper = control_plant.GetPositionLowerLimits(), control_plant.GetPositionUpperLimits()
+        self.speed = control_plant.GetVelocityUpperLimits()
+
+    def calc_tip_pose(self, q: Array) -> RigidTransform:
+        """X_WP of the tip's frame at the joint angles q (7,), rad."""
+        self._plant.SetPositions(self._context, q)
+        return self._tip.CalcPoseInWorld(self._context)
+
+    def calc_step(
+        self, q: Array, p_WP: Array, q_nominal: Array, R_WP: RotationMatrix = R_WP_DOWN
+    ) -> tuple[Array, float]:
+        """One step towards the tool pointing down with its tip at p_WP.
+
+        Args:
+            q: (7,) rad.
+            p_WP: (3,) m.
+            q_nominal: (7,) rad.
+            R_WP: of the tool, see `calc_tool_rotation`.
+
+        Returns:
+            dq (7,), rad, and the error's norm before the step, m and rad.
+        """
+        X_WP = self.calc_tip_pose(q)
+        J = self._plant.CalcJacobianSpatialVelocity(
+            self._context, JacobianWrtVariable.kV, self._tip, np.zeros(3), self._world, self._world
+        )
+        e = np.concatenate([_calc_rotation_error(X_WP.rotation().matrix(), R_WP.matrix()), p_WP - X_WP.translation()])
+        J_plus = np.linalg.pinv(J)
+        away = q_nominal - q
+        return J_plus @ e + away - J_plus @ (J @ away), float(np.linalg.norm(e))
+
+    def solve(
+        self, p_WP: ArrayLike, q_nominal: Array, q_seed: Array, iterations: int = 200, yaw: float = 0.0
+    ) -> Array | None:
+        """Finds the posture with the tool down and its tip at p_WP.
+
+        Args:
+            p_WP: (3,) m.
+            q_nominal: (7,) posture to stay near to, rad.
+            q_seed: (7,) where the search begins, rad.
+            iterations: at most.
+            yaw: of the tool, rad.
+
+        Returns:
+            (7,) rad, or None where the search does not arrive. Joint limits are not looked at.
+        """
+        q, target, R_WP = q_seed, np.asarray(p_WP, float), calc_tool_rotation(yaw)
+        for _ in range(iterations):
+            dq, error = self.calc_step(q, target, q_nominal, R_WP)
+            q = q + dq
+            if error < POSITION_TOLERANCE and np.abs(dq).max() < CENTERING_TOLERANCE:
+                return q
+            if not np.abs(q).max() < 2.0 * np.pi:
+                return None
+        return None
+
+
+def CalcStartPosture(control_plant: MultibodyPlant, p_WP: ArrayLike, q_seed: ArrayLike = SEED_POSTURE) -> Array:
+    """Calculates the posture in which the tool points down with its tip at p_WP.
+
+    Args:
+        control_plant: as `MakeControlPlant` makes it.
+        p_WP: (3,) m.
+        q_seed: (7,) of the search, rad.
+
+    Returns:
+        (7,) rad.
+
+    Raises:
+        StationError: there is none within the joint limits.
+    """
+    posture, seed = ArmPosture(control_plant), np.array(q_seed, float)
+    q = posture.solve(p_WP, seed, seed)
+    if q is None or (q < posture.lower).any() or (q > posture.upper).any():
+        where = np.round(np.asarray(p_WP, float), 3).tolist()
+        raise StationError(f"tip at {where} m: the arm does not reach it with the finger down")
+    return q
+
+
+def _calc_rotation_error(R_WP: Array, R_wanted: Array) -> Array:
+    """(3,) rotation vector in W that turns R_WP into the wanted one, for small angles exact to second order, rad."""
+    R = R_wanted @ R_WP.T
+    sine = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    length = np.linalg.norm(sine)
+    angle = np.arctan2(length, (np.trace(R) - 1.0) / 2.0)
+    return sine if length < np.finfo(float).eps else angle / length * sine
+
+
+STEP = 0.02
+"""m along the way, between the postures looked at."""
+
+STEPS_PER_POSTURE = 8
+"""Newton's, at most, from one posture to the next; three or four are enough where the arm is not stretched."""
+
+ARRIVED = 1e-5
+"""m and rad, of a posture that is reached."""
+
+
+class ArmReach:
+    """Leads the arm along a way in steps and says what stops it.
+
+    It is what a `PushExecutor` and a `GraspExecutor` take as `reach`. The postures are those of `arm_posture`, to which
+    the moving arm is drawn.
+    """
+
+    def __init__(
+        self,
+        control_plant: MultibodyPlant,
+        q_nominal: ArrayLike,
+        position_margin: float = 0.05,
+        speed_share: float = 0.9,
+    ):
+        """Makes the question.
+
+        Args:
+            control_plant: as `MakeControlPlant` makes it.
+            q_nominal: (7,) the posture that the arm is drawn to, rad.
+            position_margin: to keep from the joint limits, rad.
+            speed_share: of the joints' greatest speeds that may be used.
+        """
+        self._posture = ArmPosture(control_plant)
+        self._nominal = np.array(q_nominal, float)
+        self._p_WN = self._posture.calc_tip_pose(self._nominal).translation()
+        self._lower, self._upper = self._posture.lower + position_margin, self._posture.upper - position_margin
+        self._speed = speed_share * self._posture.speed
+
+    def __call__(self, way: ArrayLike, speeds: ArrayLike, yaws: ArrayLike | None = None) -> str | None:
+        """None where the tip can go along `way`, else a sentence that says why not.
+
+        Args:
+            way: (k, 3) corners p_WP of the tip's way, m.
+            speeds: (k - 1,) greatest on its pieces, m/s; of the way that `tool_motion` measures where the tool turns.
+            yaws: (k,) of the tool at the corners, rad; None where it does not turn.
+        """
+        corners = np.array(way, float)
+        turns = np.zeros(len(corners)) if yaws is None else np.asarray(yaws, float)
+        corners = np.column_stack([corners, turns])
+        q, reason = self._follow(self._nominal, np.append(self._p_WN, 0.0), corners[0], None)
+        for start, end, speed in zip(corners[:-1], corners[1:], np.asarray(speeds, float), strict=True):
+            if reason is not None:
+                break
+            q, reason = self._follow(q, start, end, float(speed))
+        return reason
+
+    def _follow(self, q: Array, start: Array, end: Array, speed: float | None) -> tuple[Array, str | None]:
+        """Leads the arm from posture q, tip and yaw at `start` (4,), to `end`; returns its last posture and stop."""
+        turn = float(end[3] - start[3])
+        length = float(np.hypot(np.linalg.norm(end[:3] - start[:3]), TURNING_RADIUS * turn))
+        count = int(np.ceil(length / STEP))
+        for i in range(1, count + 1):
+            p_WP = start[:3] + (end[:3] - start[:3]) * (i / count)
+            R_WP = calc_tool_rotation(float(start[3]) + turn * (i / count))
+            before, where = q, "({:.2f}, {:.2f}, {:.2f}) m".format(*p_WP)
+            for _ in range(STEPS_PER_POSTURE):
+                dq, error = self._posture.calc_step(q, p_WP, self._nominal, R_WP)
+                q = q + dq
+                if error < ARRIVED:
+                    break
+            if not error < ARRIVED:
+                return q, f"the arm does not reach {where}"
+            stopped = np.flatnonzero((q < self._lower) | (q > self._upper))
+            if stopped.size:
+                return q, f"joint {stopped[0] + 1} of the arm would come to its limit at {where}"
+            if speed is not None:
+                share = np.abs(q - before) * speed * count / length / self._speed
+                if share.max() > 1.0:
+                    k = int(share.argmax())
+                    needed = share[k] * self._speed[k]
+                    return q, f"joint {k + 1} of the arm would have to turn at {needed:.2f} rad/s at {where}"
+        return q, None

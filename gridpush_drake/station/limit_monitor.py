@@ -1,0 +1,120 @@
+"""How the robot behaves while it works: its limits, what it touches, how well its finger follows."""
+
+from dataclasses import dataclass, field
+from typing import Any
+from weakref import ref
+
+import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import Context, EventStatus
+
+from gridpush_drake.station.arm_kinematics import TIP_FRAME
+from gridpush_drake.station.push_station import PushStation
+from gridpush_drake.systems.messages import GraspPhase, PushPhase
+
+GRIPPING = (GraspPhase.CLOSING, GraspPhase.LIFTING, GraspPhase.HOLDING, GraspPhase.OPENING)
+"""Phases of a grasp in which the gripper's fingers may touch the object."""
+
+DEFAULT_PERIOD = 0.02
+"""Between two looks, s."""
+
+
+@dataclass
+class LimitReport:
+    """What was seen up to now; shares are of the limits, so that 1 is just allowed.
+
+    Attributes:
+        position_share: furthest that a joint was from the middle of its range.
+        velocity_share: fastest that a joint turned.
+        torque_share: greatest torque that a joint was asked for.
+        tracking_error: furthest that the tip was from where it should be at the time, during pushes, m.
+        touched: pairs of bodies that should not have touched and did.
+        looks: how often it was looked at.
+    """
+
+    position_share: float = 0.0
+    velocity_share: float = 0.0
+    torque_share: float = 0.0
+    tracking_error: float = 0.0
+    touched: set[tuple[str, str]] = field(default_factory=set)
+    looks: int = 0
+
+    @property
+    def ok(self) -> bool:
+        """Whether all limits were kept and nothing was touched but the object, by the tip or a grasp."""
+        return max(self.position_share, self.velocity_share, self.torque_share) <= 1.0 and not self.touched
+
+
+class LimitMonitor:
+    """Watches a station: `simulator.set_monitor(LimitMonitor(station))`.
+
+    Attributes:
+        limit_report: what was seen up to now.
+    """
+
+    def __init__(self, station: PushStation, period: float = DEFAULT_PERIOD) -> None:
+        """Makes the monitor.
+
+        Args:
+            station: the station, or a part of the Diagram that is simulated.
+            period: between two looks, s; 0 looks at every step.
+        """
+        self.limit_report = LimitReport()
+        # a Simulator holds its monitor where the garbage collector does not see it
+        self._station, self._period, self._next = ref(station), period, -np.inf
+        plant, iiwa = station.plant, station.arm.iiwa
+        joints = [plant.get_joint(index) for index in plant.GetJointIndices(iiwa)]
+        joints = [joint for joint in joints if joint.num_positions() == 1]
+        lower, upper = (
+            np.array([limits(joint)[0] for joint in joints])
+            for limits in (lambda j: j.position_lower_limits(), lambda j: j.position_upper_limits())
+        )
+        self._middle, self._half = (lower + upper) / 2, (upper - lower) / 2
+        self._speed = np.array([joint.velocity_upper_limits()[0] for joint in joints])
+        self._torque = np.array(
+            [plant.get_joint_actuator(index).effort_limit() for index in plant.GetJointActuatorIndices(iiwa)]
+        )
+        self._object = station.object_in_plant.body.index()
+        self._tip = plant.GetBodyByName(TIP_FRAME).index()
+        fingers = () if station.gripper is None else ("left_finger", "right_finger")
+        self._fingers = {plant.GetBodyByName(name, station.gripper).index() for name in fingers}
+        inspector = station.scene_graph.model_inspector()
+        self._table = {plant.GetBodyFromFrameId(inspector.GetFrameId(geometry)).index() for geometry in station.table}
+
+    def __call__(self, root_context: Context) -> EventStatus:
+        """Looks, where it is time to."""
+        station = self._station()
+        if station is not None and root_context.get_time() >= self._next:
+            self._next = root_context.get_time() + self._period
+            self._look(station, station.GetMyContextFromRoot(root_context))
+        return EventStatus.DidNothing()
+
+    def _look(self, station: PushStation, context: Context) -> None:
+        seen = self.limit_report
+
+        def read(port: str) -> Any:
+            return station.GetOutputPort(port).Eval(context)
+
+        def share(now: float, values: np.ndarray, limits: np.ndarray) -> float:
+            return max(now, float(np.max(np.abs(values) / limits)))
+
+        seen.looks += 1
+        seen.position_share = share(seen.position_share, read("iiwa.position_measured") - self._middle, self._half)
+        seen.velocity_share = share(seen.velocity_share, read("iiwa.velocity_estimated"), self._speed)
+        seen.torque_share = share(seen.torque_share, read("iiwa.torque_commanded"), self._torque)
+        if read("executor.status").phase == PushPhase.PUSHING:
+            gap = read("executor.tip_pose").translation() - read("pusher.state")[:3]
+            seen.tracking_error = max(seen.tracking_error, float(np.linalg.norm(gap)))
+        contacts = read("contact_results")
+        gripping = station.gripper is not None and read("grasp.status").phase in GRIPPING
+        allowed = {self._tip, *self._table, *(self._fingers if gripping else ())}
+        for i in range(contacts.num_point_pair_contacts()):
+            contact = contacts.point_pair_contact_info(i)
+            self._judge(station.plant, contact.bodyA_index(), contact.bodyB_index(), allowed)
+
+    def _judge(self, plant: MultibodyPlant, a: int, b: int, allowed: set[int]) -> None:
+        pair = {a, b}
+        if self._object in pair and pair & allowed:
+            return
+        first, second = sorted(plant.get_body(index).name() for index in pair)
+        self.limit_report.touched.add((first, second))

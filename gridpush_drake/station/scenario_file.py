@@ -1,0 +1,521 @@
+"""Scenario files: a `PushScenario` as YAML, read strictly and written whole.
+
+Whether YAML data fits a scenario's schema, said in words a user can act on.
+
+`pydrake.common.yaml` refuses what does not fit, but names neither the place nor the nearest known key.
+
+What a scenario names, made: the object and the scene's models.
+
+Whether a scenario makes sense as a whole: the object lies on the table, the arm gets to it, the finger clears it.
+
+Of an iiwa whose tool points down, the wrist stands over the finger's tip; from the shoulder it is as
+far as the elbow lets it be:
+
+    d^2 = a^2 + b^2 + 2 a b cos(q4),   |q4| <= 120 deg,
+
+with upper arm a and forearm b. At a given height of the tip its distance from the robot's axis lies between two radii.
+"""
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from difflib import get_close_matches
+from math import cos, radians, sqrt
+from numbers import Integral, Real
+from pathlib import Path
+from types import UnionType
+from typing import Any, Union, get_args, get_origin
+
+import numpy as np
+import shapely
+import yaml
+from numpy.typing import NDArray
+from pydrake.common.yaml import yaml_dump_typed, yaml_load_data, yaml_load_typed
+from pydrake.geometry import SceneGraph, SceneGraphInspector, Sphere
+from pydrake.multibody.parsing import ModelDirectives, ModelInstanceInfo, Parser, ProcessModelDirectives
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.systems.framework import DiagramBuilder
+from shapely import Polygon
+from shapely.affinity import affine_transform
+from shapely.geometry.base import BaseGeometry
+
+from gridpush_drake.errors import ObjectError, ScenarioError
+from gridpush_drake.files import is_file, read_text, write_whole
+from gridpush_drake.multibody.contact_material import FindTableOutline
+from gridpush_drake.multibody.ground_truth import sample_ground_truth
+from gridpush_drake.multibody.parser import MakeParser
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object, read_object
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.station.scenario import CURRENT_VERSION, EXPECTED, PushScenario, TruthConfig
+from gridpush_drake.yaml_file import MAX_YAML_SIZE, NOT_YAML, check_yaml
+
+FORMS = {bool: "true or false", int: "a whole number", float: "a number", str: "some text"}
+
+MAX_SHOWN = 60
+"""Characters of a refused value that a message repeats."""
+
+
+def check_data(data: Any, schema: type, place: str = "") -> None:
+    """Checks that the keys and types of YAML data are those of a schema.
+
+    Args:
+        data: as YAML loads it.
+        schema: a dataclass, or a struct of Drake's.
+        place: of the data in its document, such as "camera".
+
+    Raises:
+        ScenarioError: a key is unknown, or a value of the wrong type; the message names its place and what is
+            expected there.
+    """
+    types = _types_of(schema)
+    if not isinstance(data, Mapping):
+        raise ScenarioError(f"{place or 'the scenario'} is {shorten(data)}; expected `key: value` lines")
+    for key in data:
+        if key not in types:
+            raise ScenarioError(f"{_join(place, key)}: unknown key{suggest(str(key), list(types))}")
+    for key, value in data.items():
+        _check_value(value, types[key], _join(place, key), _form_of(schema, key))
+
+
+def check_values(value: Any, place: str = "") -> None:
+    """Checks that each field of a dataclass, and of those within it, holds what its metadata asks for.
+
+    Args:
+        value: the dataclass's instance.
+        place: of it in its document.
+
+    Raises:
+        ScenarioError: a field does not; the message names its place and what is expected there.
+    """
+    for field in dataclasses.fields(value):
+        item, inner = getattr(value, field.name), _join(place, field.name)
+        expected = field.metadata.get(EXPECTED)
+        if expected is not None and not (_is_of(item, field.type) and expected.holds(item)):
+            raise ScenarioError(f"{inner} is {shorten(item)}; expected {expected.text}")
+        if isinstance(field.type, type) and dataclasses.is_dataclass(field.type):
+            if not isinstance(item, field.type):
+                raise ScenarioError(f"{inner} is {shorten(item)}; expected a {field.type.__name__}")
+            check_values(item, inner)
+        for at, part in enumerate(item) if isinstance(item, list) else ():
+            if dataclasses.is_dataclass(part):
+                check_values(part, f"{inner}[{at}]")
+
+
+def suggest(word: str, known: list[str]) -> str:
+    """The end of a message about an unknown word: the nearest known one, and all."""
+    near = get_close_matches(word, known, n=1)
+    guess = f"; did you mean {near[0]}?" if near else ";"
+    return f"{guess} expected one of {', '.join(known)}"
+
+
+def shorten(value: Any) -> str:
+    """A refused value for a message."""
+    text = "empty" if value is None else repr(value)
+    return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."
+
+
+def _form_of(schema: type, key: str) -> str | None:
+    """What a field is expected to hold, by its metadata; None where it does not say."""
+    if not dataclasses.is_dataclass(schema):
+        return None
+    field = next(field for field in dataclasses.fields(schema) if field.name == key)
+    return field.metadata[EXPECTED].text if EXPECTED in field.metadata else None
+
+
+def _types_of(schema: Any) -> dict[str, Any]:
+    fields = dataclasses.fields(schema) if dataclasses.is_dataclass(schema) else schema.__fields__
+    return {field.name: field.type for field in fields}
+
+
+def _join(place: str, key: Any) -> str:
+    return f"{place}.{key}" if place else str(key)
+
+
+def _check_value(value: Any, schema: Any, place: str, form: str | None) -> None:
+    origin, arguments = get_origin(schema), get_args(schema)
+    if origin in (Union, UnionType) and arguments[1:] == (type(None),):
+        if value is not None:
+            _check_value(value, arguments[0], place, form)
+    elif schema in FORMS:
+        if not _is_of(value, schema) and not (schema is float and _reads_as_number(value)):
+            raise ScenarioError(f"{place} is {shorten(value)}; expected {form or FORMS[schema]}")
+    elif origin is list:
+        if not isinstance(value, list):
+            raise ScenarioError(f"{place} is {shorten(value)}; expected {form or 'a list'}")
+        for at, item in enumerate(value):
+            _check_value(item, arguments[0], f"{place}[{at}]", None)
+    elif origin is dict:
+        if not isinstance(value, Mapping):
+            raise ScenarioError(f"{place} is {shorten(value)}; expected `key: value` lines")
+        for key, item in value.items():
+            _check_value(item, arguments[1], _join(place, key), None)
+    elif dataclasses.is_dataclass(schema) or hasattr(schema, "__fields__"):
+        check_data(value, schema, place)
+
+
+def _is_of(value: Any, schema: Any) -> bool:
+    """Whether a plain value, or a list of them, is of a type; whole numbers are numbers."""
+    if get_origin(schema) in (Union, UnionType):
+        return any(_is_of(value, choice) for choice in get_args(schema))
+    if get_origin(schema) is list:
+        (inner,) = get_args(schema)
+        return isinstance(value, list) and all(_is_of(item, inner) for item in value)
+    if schema in (int, float):
+        return isinstance(value, Integral if schema is int else Real) and not isinstance(value, bool)
+    return isinstance(value, schema)
+
+
+def _reads_as_number(value: Any) -> bool:
+    """Whether Drake will read a text as a number, such as 1e-3, which YAML 1.1 takes for one."""
+    try:
+        return isinstance(value, str) and float(value) is not None
+    except ValueError:
+        return False
+
+
+WHAT = "a scenario (object, base, directives, ...)"
+
+
+def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushScenario:
+    """Reads a scenario, or one of several in a file.
+
+    Args:
+        path: the YAML file.
+        child_name: key of the document's root under which the scenario stands; the root itself where None.
+
+    Returns:
+        The scenario. What the file does not say is as `PushScenario` has it; an object file it names is looked up
+        beside it and named in full.
+
+    Raises:
+        ScenarioError: the file cannot be read, is of another schema, has an unknown key or a value that will not do;
+            the message names the file, the field and the expected form. Whether the scene as a whole makes
+            sense is `check_scenario`'s to say.
+    """
+    path = Path(path)
+    text = read_text(path, WHAT, ScenarioError, MAX_YAML_SIZE)
+    data = _parse(path, text)
+    where = str(path)
+    if child_name is not None:
+        where, data = f"{path}, {child_name}", _pick_child(path, data, child_name)
+    try:
+        _check_version(data)
+        check_data(data, PushScenario)
+        scenario: PushScenario = yaml_load_typed(schema=PushScenario, data=text, child_name=child_name)
+        check_values(scenario)
+    except ScenarioError as error:
+        raise ScenarioError(f"{where}: {error}") from error
+    except (RuntimeError, TypeError, ValueError, AssertionError, AttributeError) as error:
+        raise ScenarioError(f"{where}: directives: {' '.join(str(error).split())}") from error
+    beside = path.parent / scenario.object
+    if beside.suffix or is_file(beside):
+        scenario.object = str(beside.resolve())
+    return scenario
+
+
+def write_scenario(path: Path | str, scenario: PushScenario, force: bool = False) -> None:
+    """Writes a scenario with every field, so that `read_scenario` gives it back.
+
+    Args:
+        path: the YAML file to be written.
+        scenario: to be written.
+        force: whether an existing file may be replaced.
+
+    Raises:
+        ScenarioError: a field holds what will not do.
+        OutputError: the file exists and `force` is not set, or it cannot be written.
+    """
+    check_values(scenario)
+    write_whole(path, yaml_dump_typed(scenario, schema=PushScenario), force)
+
+
+def _parse(path: Path, text: str) -> dict[str, Any]:
+    check_yaml(path, text, WHAT, ScenarioError)
+    try:
+        data = yaml_load_data(text, private=True)
+    except (yaml.YAMLError, *NOT_YAML) as error:
+        raise ScenarioError(f"{path}: is not valid YAML: {' '.join(str(error).split())}") from error
+    if data is None:
+        raise ScenarioError(f"{path}: is empty; expected {WHAT}")
+    if not isinstance(data, dict):
+        raise ScenarioError(f"{path}: is {shorten(data)} at its top level; expected {WHAT}: `key: value` lines")
+    for key in data:
+        if not isinstance(key, str):
+            raise ScenarioError(f"{path}: {key}: unknown key; expected {WHAT}")
+    return {key: value for key, value in data.items() if not key.startswith("_")}
+
+
+def _pick_child(path: Path, data: dict[str, Any], name: str) -> Any:
+    if name in data:
+        return data[name]
+    near = get_close_matches(name, map(str, data), n=1)
+    guess = f"; did you mean {near[0]}?" if near else ";"
+    raise ScenarioError(f"{path}: has no scenario {name}{guess} it has {', '.join(map(str, data))}")
+
+
+def _check_version(data: Any) -> None:
+    version = data.get("version", CURRENT_VERSION) if isinstance(data, dict) else CURRENT_VERSION
+    if isinstance(version, int) and version != CURRENT_VERSION:
+        age = "an older" if version < CURRENT_VERSION else "a newer"
+        raise ScenarioError(f"version is {version}, {age} schema; this release reads version {CURRENT_VERSION}")
+
+
+def load_object(scenario: PushScenario) -> GridObject:
+    """Reads the scenario's object; a file goes before a shipped object of the same name.
+
+    The bounds of its friction, `prior.friction_min` and `friction_max`, are those that its file and the scenario's
+    `object_friction` both allow; the prior coefficient is the file's, or the nearest bound.
+
+    Raises:
+        ScenarioError: there is none, its file is not what it should be, where the message suggests the nearest name; or
+            scenario and file allow no common friction.
+    """
+    path = Path(scenario.object)
+    try:
+        obj = read_object(path if path.suffix or is_file(path) else find_shipped_object(scenario.object))
+    except ObjectError as error:
+        raise ScenarioError(f"object: {error}") from error
+    return obj if scenario.object_friction is None else _bound_friction(obj, *scenario.object_friction)
+
+
+def _bound_friction(obj: GridObject, least: float, greatest: float) -> GridObject:
+    prior = obj.prior
+    low, high = max(least, prior.friction_min), min(greatest, prior.friction_max)
+    if low > high:
+        raise ScenarioError(
+            f"object_friction is [{least:g}, {greatest:g}]; expected a range that overlaps that of {obj.name}'s file, "
+            f"{prior.friction_min:g} to {prior.friction_max:g}"
+        )
+    friction = min(max(prior.friction, low), high)
+    return replace(obj, prior=replace(prior, friction=friction, friction_min=low, friction_max=high))
+
+
+def AddScene(parser: Parser, scenario: PushScenario) -> list[ModelInstanceInfo]:
+    """Adds what stands in the scene besides the object to the parser's plant, before that is finalised.
+
+    Args:
+        parser: `MakeParser(plant)`.
+        scenario: its `directives`.
+
+    Returns:
+        What was added.
+
+    Raises:
+        ScenarioError: a directive cannot be carried out.
+    """
+    directives = ModelDirectives(directives=scenario.directives)
+    try:
+        return ProcessModelDirectives(directives, parser)
+    except (RuntimeError, ValueError) as error:
+        raise ScenarioError(f"directives: {_first_line(str(error).splitlines())}") from error
+
+
+def _first_line(lines: Iterable[str]) -> str:
+    return next((line.strip() for line in lines if line.strip()), "cannot be carried out")
+
+
+SHOULDER_HEIGHT = 0.36
+"""m above the robot's base."""
+
+UPPER_ARM, FOREARM = 0.42, 0.40
+"""m, shoulder to elbow and elbow to wrist."""
+
+ELBOW_LIMIT = radians(120)
+
+WRIST_TO_FLANGE = 0.126
+"""m."""
+
+TIP_TOLERANCE = 1e-6
+"""m, between the scenario's tip radius and the model's."""
+
+TURNS = 36
+"""Headings that are tried where the object does not lie on the table, to say whether it could."""
+
+
+def check_scenario(scenario: PushScenario) -> None:
+    """Checks that a scenario can be built and makes sense.
+
+    Raises:
+        ScenarioError: a value will not do; the object is unknown, larger than the table, or does not lie on it; the
+            finger cannot clear the object; the workspace or the object is out of the arm's reach; a directive cannot be
+            carried out. The message names the field and the expected form.
+    """
+    check_values(scenario)
+    obj = load_object(scenario)
+    _check_truth(scenario, obj)
+    _check_heights(scenario)
+    plant, scene_graph = _parse_scene(scenario)
+    inspector = scene_graph.model_inspector()
+    _check_on_table(scenario, obj, FindTableOutline(plant, inspector))
+    _check_tip(scenario, plant, inspector)
+    _check_reach(scenario, plant)
+
+
+def calc_reach(tool_length: float, tip_height: float) -> tuple[float, float]:
+    """Calculates how far from the robot's axis the tip can be while the tool points down.
+
+    Args:
+        tool_length: from iiwa_link_ee_kuka to the tip's center, m.
+        tip_height: of the tip's center above the robot's base, m.
+
+    Returns:
+        Least and greatest distance, m; the greatest is 0 where the arm is nowhere long enough.
+    """
+    above_shoulder = tip_height + tool_length + WRIST_TO_FLANGE - SHOULDER_HEIGHT
+    folded = UPPER_ARM**2 + FOREARM**2 + 2 * UPPER_ARM * FOREARM * cos(ELBOW_LIMIT)
+    least, greatest = (max(0.0, d2 - above_shoulder**2) for d2 in (folded, (UPPER_ARM + FOREARM) ** 2))
+    return sqrt(least), sqrt(greatest)
+
+
+def CalcTipReach(plant: MultibodyPlant, tip_height: float) -> tuple[NDArray[np.float64], float, float]:
+    """Calculates where the tip can be while the tool points down.
+
+    Args:
+        plant: finalised, with robot and finger.
+        tip_height: of the tip's center, z in W, m.
+
+    Returns:
+        The robot's axis (2,) in W, and the least and greatest distance from it, m, see `calc_reach`.
+    """
+    context = plant.CreateDefaultContext()
+    base, flange, tip = (plant.GetFrameByName(name) for name in ("iiwa_link_0", "iiwa_link_ee_kuka", "finger_tip"))
+    p_WR = base.CalcPoseInWorld(context).translation()
+    length = tip.CalcPose(context, flange).translation()[2]
+    return p_WR[:2].copy(), *calc_reach(length, tip_height - p_WR[2])
+
+
+def _parse_scene(scenario: PushScenario) -> tuple[MultibodyPlant, SceneGraph]:
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, scenario.simulation.time_step)
+    AddScene(MakeParser(plant), scenario)
+    plant.Finalize()
+    for model, body in (("iiwa", "iiwa_link_ee_kuka"), ("finger", "finger_tip")):
+        found = plant.HasModelInstanceNamed(model) and plant.HasBodyNamed(body, plant.GetModelInstanceByName(model))
+        if not found:
+            raise ScenarioError(f"directives: there is no body {model}::{body}; expected a robot with a finger")
+    return plant, scene_graph
+
+
+def _check_truth(scenario: PushScenario, obj: GridObject) -> None:
+    labels = [part.label for part in scenario.truth.parts]
+    for at, label in enumerate(labels):
+        if label in labels[:at]:
+            raise ScenarioError(f"truth.parts[{at}].label is {label} once more; expected each part once")
+    MakeTruth(obj, scenario.truth, scenario.seed)
+
+
+def _check_heights(scenario: PushScenario) -> None:
+    finger, height = scenario.finger, scenario.object_height
+    if not finger.tip_radius < finger.push_height <= height:
+        raise ScenarioError(
+            f"finger.push_height is {finger.push_height:g} m; expected more than the tip's radius, "
+            f"{finger.tip_radius:g} m, and at most the object's height, {height:g} m"
+        )
+    if finger.travel_height <= height + finger.tip_radius:
+        raise ScenarioError(
+            f"finger.travel_height is {finger.travel_height:g} m; expected more than the object's height "
+            f"and the tip's radius, {height + finger.tip_radius:g} m"
+        )
+
+
+def _check_on_table(scenario: PushScenario, obj: GridObject, table: BaseGeometry) -> None:
+    if table.covers(_place(obj.outline, scenario.object_pose)):
+        return
+    middle = np.array(table.centroid.coords[0])
+    for turn in np.linspace(0, 2 * np.pi, TURNS, endpoint=False):
+        turned = _place(obj.outline, [0.0, 0.0, turn])
+        left, low, right, high = turned.bounds
+        at = middle - ((left + right) / 2, (low + high) / 2)
+        if table.covers(_place(obj.outline, [*at, turn])):
+            x, y, theta = scenario.object_pose
+            near, far = table.bounds[:2], table.bounds[2:]
+            raise ScenarioError(
+                f"object_pose is [{x:g}, {y:g}, {theta:g}]: there the object is not wholly on the table; expected "
+                f"a pose on it; the table spans x {near[0]:g} to {far[0]:g} m and y {near[1]:g} to {far[1]:g} m"
+            )
+    raise ScenarioError(
+        f"object: {obj.name}, {_describe_size(obj.outline)}, is larger than the table, {_describe_size(table)}; "
+        "expected one that can lie on it"
+    )
+
+
+def _check_tip(scenario: PushScenario, plant: MultibodyPlant, inspector: SceneGraphInspector) -> None:
+    body = plant.GetBodyByName("finger_tip", plant.GetModelInstanceByName("finger"))
+    shapes = [inspector.GetShape(geometry) for geometry in plant.GetCollisionGeometriesForBody(body)]
+    radii = [shape.radius() for shape in shapes if isinstance(shape, Sphere)]
+    if len(radii) != 1 or len(shapes) != 1:
+        raise ScenarioError("directives: body finger::finger_tip must have one sphere, and nothing else, to touch with")
+    if abs(radii[0] - scenario.finger.tip_radius) > TIP_TOLERANCE:
+        raise ScenarioError(
+            f"finger.tip_radius is {scenario.finger.tip_radius:g} m; "
+            f"expected {radii[0]:g} m, as the scene's finger has it"
+        )
+
+
+def _check_reach(scenario: PushScenario, plant: MultibodyPlant) -> None:
+    p_WR, least, greatest = CalcTipReach(plant, scenario.finger.push_height)
+    workspace, robot = scenario.workspace, shapely.Point(p_WR)
+    box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
+    reach = f"between {least:.2f} and {greatest:.2f} m from the robot's axis"
+    if box.distance(robot) >= greatest or box.hausdorff_distance(robot) <= least:
+        raise ScenarioError(f"workspace is out of the arm's reach; expected a box with points {reach}")
+    x, y = scenario.object_pose[:2]
+    if not box.covers(shapely.Point(x, y)):
+        raise ScenarioError(
+            f"workspace does not contain the object's position, ({x:g}, {y:g}) m; expected that it does"
+        )
+
+
+def _place(outline: Polygon, pose: list[float]) -> Polygon:
+    """The outline in W of an object whose body frame is at `pose`."""
+    x, y, theta = pose
+    c, s = np.cos(theta), np.sin(theta)
+    return affine_transform(outline, [c, -s, s, c, x, y])
+
+
+def _describe_size(shape: BaseGeometry) -> str:
+    left, low, right, high = shape.bounds
+    return f"{right - left:.2f} x {high - low:.2f} m"
+
+
+def MakeTruth(obj: GridObject, config: TruthConfig, seed: int) -> CellParameters:
+    """Draws what a scenario says of an object's truth, and sets what it gives.
+
+    Args:
+        obj: the object.
+        config: ranges, and what is given for some parts.
+        seed: of the draw.
+
+    Returns:
+        The truth.
+
+    Raises:
+        ScenarioError: a part is given that the object does not have.
+    """
+    drawn = sample_ground_truth(
+        obj,
+        seed,
+        cell_mass_range=_pair(config.cell_mass),
+        friction_range=_pair(config.friction),
+        contact_friction_range=_pair(config.contact_friction),
+        friction_by_part=config.friction_by_part,
+    )
+    mass, friction = drawn.mass.copy(), drawn.friction.copy()
+    for at, part in enumerate(config.parts):
+        cells = obj.labels == part.label
+        if not cells.any():
+            known = ", ".join(map(str, np.unique(obj.labels).tolist()))
+            raise ScenarioError(
+                f"truth.parts[{at}].label is {part.label}; expected a part of {obj.name}: one of {known}"
+            )
+        if part.cell_mass is not None:
+            mass[cells] = part.cell_mass
+        if part.friction is not None:
+            friction[cells] = part.friction
+    return CellParameters(mass, friction, drawn.contact_friction)
+
+
+def _pair(values: list[float]) -> tuple[float, float]:
+    least, greatest = values
+    return least, greatest

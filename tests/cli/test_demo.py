@@ -1,0 +1,210 @@
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import yaml
+
+from gridpush_drake.cli.demo_files import FILES
+from gridpush_drake.cli.demo_pre_grasp import FILES as STORY_FILES
+from gridpush_drake.identification.model_file import read_model
+from gridpush_drake.multibody.cell_colors import CellColors
+from gridpush_drake.multibody.meshcat_server import StartMeshcatServer, looks_like_recording
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.station.pregrasp_task import MEMORY
+from tests.helpers.chromium import find_pixels, freeze_recording, take_picture
+
+MIN_SEEN = 500
+"""Pixels that a whole object takes at least."""
+
+SHORT = "object: {object}\npokes: {{count: {count}, test_count: {test_count}, speed: 0.06}}\n"
+
+
+def write_scenario(folder, object_name="open_book", count=2, test_count=1):
+    path = folder / "scenario.yaml"
+    path.write_text(SHORT.format(object=object_name, count=count, test_count=test_count))
+    return path
+
+
+@pytest.mark.slow
+def test_learns_and_reports(gridpush, tmp_path):
+    out = tmp_path / "demo"
+    outcome = gridpush(
+        "demo", "--task", "identify", "--scenario", write_scenario(tmp_path), "--out", out, "--port", "0", "--json"
+    )
+    assert outcome.code == 0, outcome.err
+    assert sorted(path.name for path in out.iterdir()) == sorted(FILES)
+    verdict = json.loads(outcome.out)
+    assert (verdict["status"], verdict["pushes"], verdict["held_out"]) == ("finished", 2, 1)
+    assert verdict["limit_report"]["touched"] == []
+    assert max(verdict["limit_report"][f"{what}_share"] for what in ("position", "velocity", "torque")) <= 1
+    assert looks_like_recording(out / "recording.html")
+    assert "Push by push" in (out / "report.html").read_text()
+    assert yaml.safe_load((out / "truth.yaml").read_text())["object"] == "open_book"
+    assert yaml.safe_load((out / "scenario.yaml").read_text())["pokes"]["count"] == 2
+
+    check_recording(out, verdict["simulated_seconds"], tmp_path)
+
+    # the same files, offline
+    offline = tmp_path / "offline.yaml"
+    again = gridpush("identify", out / "object.yaml", out / "pushes.csv", "--out", offline)
+    assert again.code == 0, again.err
+    np.testing.assert_array_equal(read_model(offline).params.mass, read_model(out / "model.yaml").params.mass)
+    assert len(PushLog.read_csv(out / "held_out.csv")) == 1
+
+
+def check_recording(out, duration, tmp_path):
+    """A real browser shows the cells in the colors of their estimate: even at first, as learned at last."""
+    model = read_model(out / "model.yaml")
+    even = CellColors().calc_colors(CellParameters.uniform(model.obj).mass, model.params.friction)[0]
+    learned = CellColors().calc_colors(model.params.mass, model.params.friction)
+    extreme = learned[np.argmax(np.linalg.norm(learned - even, axis=1))]
+    seen = []
+    for name, moment in (("first", 0.2), ("last", duration - 0.2)):
+        frozen = freeze_recording(out / "recording.html", moment, tmp_path / f"{name}.html")
+        picture = take_picture(frozen, tmp_path / f"{name}.png")
+        seen.append([int(find_pixels(picture, color).sum()) for color in (even, extreme)])
+    (even_first, extreme_first), (even_last, extreme_last) = seen
+    assert even_first > MIN_SEEN, seen
+    assert extreme_last > max(MIN_SEEN / 10, 3 * extreme_first), seen
+    assert even_last < even_first / 2, seen
+
+
+def test_replaces_nothing_unasked(refuses, tmp_path):
+    out = tmp_path / "demo"
+    out.mkdir()
+    (out / "pushes.csv").write_text("mine")
+    refuses("demo", "--task", "identify", "--out", out, says=["pushes.csv", "--force"])
+    assert (out / "pushes.csv").read_text() == "mine"
+
+
+def test_refuses_an_unknown_object(refuses, tmp_path):
+    refuses(
+        "demo",
+        "--task",
+        "identify",
+        "--object",
+        "claw_hamer",
+        "--out",
+        tmp_path / "demo",
+        says=["claw_hamer", "claw_hammer"],
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("version: 0\n", ["version", "older"]),
+        ("objekt: claw_hammer\n", ["objekt", "object"]),
+        ("object_pose: [2.0, 0.0, 0.0]\n", ["object_pose", "table"]),
+        ("workspace: {x: [2.0, 3.0]}\n", ["workspace", "reach"]),
+    ],
+)
+def test_refuses_a_scenario_that_makes_no_sense(refuses, tmp_path, text, says):
+    path = tmp_path / "bad.yaml"
+    path.write_text(text)
+    refuses("demo", "--task", "identify", "--scenario", path, "--out", tmp_path / "demo", says=says)
+
+
+def test_refuses_an_object_larger_than_the_table(refuses, tmp_path):
+    door = tmp_path / "door.yaml"
+    door.write_text("name: door\noutline: [[-1, -0.4], [1, -0.4], [1, 0.4], [-1, 0.4]]\nmax_cells: 60\n")
+    refuses(
+        "demo",
+        "--task",
+        "identify",
+        "--object",
+        door,
+        "--out",
+        tmp_path / "demo",
+        says=["door", "larger than the table"],
+    )
+
+
+def test_refuses_a_port_in_use(gridpush, tmp_path):
+    server = StartMeshcatServer(0)
+    with socket.socket() as probe:
+        assert probe.connect_ex(("localhost", server.port())) == 0
+    outcome = gridpush("demo", "--task", "identify", "--out", tmp_path / "demo", "--port", str(server.port()))
+    assert outcome.code == 2
+    assert str(server.port()) in outcome.err
+    assert "in use" in outcome.err
+
+
+@pytest.mark.slow
+def test_an_interrupted_demo_keeps_what_was_done(tmp_path):
+    out = tmp_path / "demo"
+    command = shutil.which("gridpush") or sys.executable
+    arguments = [
+        command,
+        "demo",
+        "--task",
+        "identify",
+        "--scenario",
+        write_scenario(tmp_path, count=5),
+        "--out",
+        out,
+        "--port",
+        "0",
+        "--json",
+    ]
+    process = subprocess.Popen(
+        arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    assert "Watch it at" in _read_until(process.stderr, "Watch it at")
+    time.sleep(25)
+    os.kill(process.pid, signal.SIGINT)
+    printed, errors = process.communicate(timeout=60)
+    assert "Traceback" not in errors
+    assert process.returncode == 130, errors
+    verdict = json.loads(printed)
+    assert verdict["status"] == "interrupted"
+    assert (out / "recording.html").exists()
+    assert (out / "scenario.yaml").exists()
+    assert ("model.yaml" in {path.name for path in out.iterdir()}) == (verdict["pushes"] > 0)
+
+
+def _read_until(stream, text):
+    read = ""
+    while text not in read:
+        line = stream.readline()
+        if not line:
+            break
+        read += line
+    return read
+
+
+@pytest.mark.slow
+def test_the_whole_story_as_readme_says(gridpush, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    outcome = gridpush("demo", "--json")
+    assert outcome.code == 0, outcome.err
+    verdict = json.loads(outcome.out)
+    assert verdict["status"] == "held"
+    assert verdict["raised"] > 0.08
+    assert verdict["pokes"] >= 3
+    assert verdict["slides"] >= 1
+    assert verdict["limit_report"]["touched"] == []
+    assert max(verdict["limit_report"][f"{what}_share"] for what in ("position", "velocity", "torque")) <= 1
+    out = tmp_path / "gridpush_demo"
+    assert sorted(path.name for path in out.iterdir()) == sorted(STORY_FILES)
+    assert "What the robot did" in (out / "report.html").read_text()
+    check_same_offline(gridpush, out, tmp_path)
+
+
+def check_same_offline(gridpush, out, tmp_path):
+    """From the files alone the same model, to the last digit, though the object hung over the edge at the end."""
+    offline = tmp_path / "offline.yaml"
+    options = ("--latest", str(MEMORY), "--seed", yaml.safe_load((out / "scenario.yaml").read_text())["seed"])
+    again = gridpush("identify", out / "object.yaml", out / "pushes.csv", *options, "--out", offline)
+    assert again.code == 0, again.err
+    assert "as the object hung over the table's edge" in again.out
+    assert offline.read_text() == (out / "model.yaml").read_text()

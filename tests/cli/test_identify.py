@@ -1,0 +1,143 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from typing import get_args
+
+import pytest
+
+from gridpush_drake.cli import identify as command
+from gridpush_drake.identification import identify as search
+from gridpush_drake.identification.model_file import read_model
+from gridpush_drake.pushes.push_log import PushLog
+
+INTERRUPT_AFTER = 6.0
+"""s, in which the interpreter, the imports and the kernels are ready and the search has begun."""
+
+
+def test_learns_a_model_and_reports_it(gridpush, block, pushes, tmp_path):
+    model, report = tmp_path / "learned.yaml", tmp_path / "report.html"
+    outcome = gridpush("identify", block, pushes, "--out", model, "--report", report, "--seed", "1")
+    assert outcome.code == 0, outcome.err
+    for text in ("block", "cell error", "contact friction", "cannot", str(model), str(report)):
+        assert text in outcome.out
+    learned = read_model(model)
+    assert learned.seed == 1
+    assert learned.obj.prior.pusher_radius == 0.004
+    assert report.read_text().startswith("<!doctype html>")
+    assert gridpush("predict", model, pushes, "--out", tmp_path / "predicted.csv").code == 0
+    assert gridpush("show", model, "--out", tmp_path / "picture.png").code == 0
+
+
+def test_prints_one_json_document(gridpush, block, pushes, tmp_path):
+    outcome = gridpush(
+        "identify", block, pushes, "--out", tmp_path / "learned.yaml", "--method", "random_search", "--budget", "40",
+        "--regime", "quasi_static", "--json",
+    )  # fmt: skip
+    document = json.loads(outcome.out)
+    assert (document["method"], document["regime"]) == ("random_search", "quasi_static")
+    assert document["mean_cell_error"] <= document["mean_cell_error_before"] * 1.05
+
+
+def test_offers_every_method():
+    assert get_args(command.Method) == search.METHODS
+
+
+def test_refuses_to_replace_a_file_before_it_begins(refuses, block, pushes, tmp_path, monkeypatch):
+    monkeypatch.setattr(search, "identify", None)
+    for name in ("learned.yaml", "report.html"):
+        (tmp_path / name).write_text("mine")
+        outputs = ("--out", tmp_path / "learned.yaml", "--report", tmp_path / "report.html")
+        refuses("identify", block, pushes, *outputs, says=[name, "--force"])
+        (tmp_path / name).unlink()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("object_theta", "theta", ["object_theta"]),
+        ("push_1,", "push_1 ,", []),
+        ("push_1,0.0,", "push_1,soon,", ["soon"]),
+    ],
+)
+def test_refuses_a_log(refuses, gridpush, block, pushes, tmp_path, old, new, says):
+    pushes.write_text(pushes.read_text().replace(old, new, 1))
+    if says:
+        refuses("identify", block, pushes, "--out", tmp_path / "learned.yaml", says=[pushes, *says])
+
+
+def test_an_interrupt_leaves_nothing(gridpush, block, pushes, tmp_path, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(search, "identify", interrupted)
+    outcome = gridpush("identify", block, pushes, "--out", tmp_path / "learned.yaml")
+    assert outcome.code == 130
+    assert outcome.err == "gridpush: interrupted; no file was left half-written\n"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["block.yaml", "pushes.csv"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+def test_an_interrupted_process_leaves_nothing(block, pushes, tmp_path):
+    process = subprocess.Popen(
+        [
+            sys.executable, "-m", "gridpush_drake.cli.main", "identify", block, pushes, "--out", tmp_path / "m.yaml",
+            "--method", "random_search", "--budget", "100000000",
+        ],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background jobs ignore it
+    )  # fmt: skip
+    try:
+        time.sleep(INTERRUPT_AFTER)
+        assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130
+    assert out == ""
+    assert "Traceback" not in err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["block.yaml", "pushes.csv"]
+
+
+def test_pushes_over_the_edge_are_left_out_bit_for_bit(gridpush, block, pushes, tmp_path):
+    """The same model as from the log without them, and so from the latest of several."""
+    log = PushLog.read_csv(pushes)
+    marked = PushLog(tuple(replace(seen, overhang=i in (1, 4)) for i, seen in enumerate(log)))
+    marked.write_csv(tmp_path / "marked.csv")
+    log[[0, 2, 3]].write_csv(tmp_path / "kept.csv")
+    log[[2, 3]].write_csv(tmp_path / "latest.csv")
+
+    def learn(name, *options):
+        outcome = gridpush("identify", block, tmp_path / f"{name}.csv", "--out", tmp_path / f"{name}.yaml", *options)
+        assert outcome.code == 0, outcome.err
+        return outcome.out, (tmp_path / f"{name}.yaml").read_text()
+
+    told, model = learn("marked")
+    assert "left out 2 pushes, as the object hung over the table's edge: push_2, push_5" in told
+    assert model == learn("kept")[1]
+    assert model != learn("latest")[1]
+    assert learn("marked", "--latest", "2", "--force")[1] == learn("latest", "--force")[1]
+
+
+def test_refuses_a_log_of_nothing_but_pushes_over_the_edge(refuses, block, pushes, tmp_path):
+    log = PushLog.read_csv(pushes)
+    PushLog(tuple(replace(seen, overhang=True) for seen in log)).write_csv(tmp_path / "over.csv")
+    for name in ("identify", "predict"):
+        says = [tmp_path / "over.csv", "overhang", "expected"]
+        refuses(name, block, tmp_path / "over.csv", "--out", tmp_path / "out", says=says)
+
+
+def test_refuses_what_cannot_be_true(refuses, block, tmp_path):
+    log = tmp_path / "log.csv"
+    header = "push,t,tip_x,tip_y,object_x,object_y,object_theta\n"
+    for rows, says in (
+        ("a,0,-0.02,0.034,0,0,0\na,1,-0.02,0.024,9.9,0,0\n", ["push 'a'", "object_x", "moves 9.9 m", "lost track"]),
+        ("a,0,-20,34,10,0,0\na,1,-20,24,10,-5,0\n", ["push 'a'", "tip_x", "in millimeters?"]),
+        ("a,0,1,1,0,0,0\na,1,1,1.1,0,0,0\n", ["no push touches block", "'a'"]),
+    ):
+        log.write_text(header + rows)
+        refuses("identify", block, log, "--out", tmp_path / "model.yaml", says=[log, *says])

@@ -1,0 +1,135 @@
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+import gridpush_drake
+from gridpush_drake.cli.options import OptionError, parse_numbers
+
+COMMANDS = [
+    (), ("demo",), ("identify",), ("predict",), ("simulate",), ("show",), ("import",), ("import", "cmu"),
+    ("import", "mit"), ("bench",), ("bench", "speed"), ("bench", "paper"), ("bench", "real"),
+    ("bench", "drake"), ("bench", "planning"), ("bench", "pregrasp"), ("bench", "grasp"), ("export",), ("view",),
+    ("plan",), ("slide",),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_every_command_has_help(gridpush, command):
+    outcome = gridpush(*command, "--help")
+    assert outcome.code == 0
+    assert f"Usage: {' '.join(['gridpush', *command])}" in outcome.out
+    assert outcome.err == ""
+
+
+@pytest.mark.parametrize("command", [(), ("import",), ("bench",)], ids=" ".join)
+def test_shows_its_help_where_nothing_is_asked(gridpush, command):
+    assert "Commands" in gridpush(*command).out
+
+
+def test_prints_its_version(gridpush):
+    assert gridpush("--version").out == f"gridpush {gridpush_drake.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (("pull",), ["pull"]),
+        (("show", "claw_hammer"), ["--out"]),
+        (("show", "claw_hammer", "--out", "a.png", "--color"), ["--color"]),
+        (("identify", "a.yaml", "b.csv", "--out", "m.yaml", "--method", "guess"), ["--method", "guess"]),
+        (("simulate", "claw_hammer", "--start", "0,0", "--velocity", "0,1", "--duration", "long"), ["--duration"]),
+    ],
+)
+def test_says_in_one_line_what_is_wrong_with_its_arguments(refuses, args, says):
+    refuses(*args, says=says)
+
+
+def test_starts_fast():
+    for arguments in (["-c", "import gridpush_drake"], ["-m", "gridpush_drake.cli.main", "--help"]):
+        begin = time.perf_counter()
+        subprocess.run([sys.executable, *arguments], check=True, capture_output=True)
+        print(f"{' '.join(arguments)}: {time.perf_counter() - begin:.2f} s")
+
+
+@pytest.mark.parametrize("module", ["gridpush_drake", "gridpush_drake.cli.main"])
+def test_imports_nothing_heavy(module):
+    heavy = ("numpy", "numba", "scipy", "matplotlib", "shapely", "jinja2", "pydantic", "pydrake")
+    code = f"import sys, {module}; print(*[name for name in {heavy} if name in sys.modules])"
+    printed = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    assert set(printed.split()) <= {"pydantic"}  # Typer's own
+
+
+def test_every_public_name_is_there():
+    assert list(gridpush_drake.__all__) == sorted(gridpush_drake.__all__)
+    for name in gridpush_drake.__all__:
+        assert getattr(gridpush_drake, name).__name__ == name
+        assert name in dir(gridpush_drake)
+    assert re.match(r"\d+\.\d+", gridpush_drake.__version__)
+    with pytest.raises(AttributeError, match="nothing"):
+        _ = gridpush_drake.nothing
+
+
+def test_reads_numbers():
+    assert parse_numbers("--start", "-0.1,2e-3", "x,y") == (-0.1, 0.002)
+    for text in ("", "1", "1,2,3", "1,b", "1,nan", "1;2"):
+        with pytest.raises(OptionError, match=r"--start.*x,y"):
+            parse_numbers("--start", text, "x,y")
+
+
+LATE = """
+import atexit, os, signal, sys
+
+class Late:
+    def __del__(self, kill=os.kill, pid=os.getpid(), number=int(sys.argv[1])):
+        kill(pid, number)
+
+late = Late()
+atexit.register(os.kill, os.getpid(), int(sys.argv[1]))
+sys.argv[1:] = ["--version"]
+from gridpush_drake.cli.main import main
+main()
+"""
+"""Sends a signal while the interpreter shuts down, and another once its signal handlers are gone."""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_after_the_work_changes_nothing(number):
+    done = subprocess.run(
+        [sys.executable, "-c", LATE, str(int(number))], capture_output=True, text=True, timeout=60, check=False,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("gridpush ")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupt_that_python_ignores_ends_the_process_all_the_same(number, code):
+    """One raised in a finalizer is lost; the process ends a moment later."""
+    script = (
+        "import os, signal, sys, time\n"
+        "from gridpush_drake.cli import main\n"
+        "class Deaf:\n"
+        "    def __del__(self):\n"
+        f"        os.kill(os.getpid(), {int(number)})\n"
+        "        time.sleep(0.1)\n"
+        "def run(args):\n"
+        "    Deaf()\n"
+        "    time.sleep(40)\n"
+        "main._run = run\n"
+        "main.main()\n"
+    )
+    begin = time.monotonic()
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
+    assert done.returncode == code
+    assert done.stderr.endswith("gridpush: interrupted; no file was left half-written\n")
+    assert time.monotonic() - begin < 30

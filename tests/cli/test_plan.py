@@ -1,0 +1,86 @@
+import json
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+
+GOAL = ("--goal", "0.15,0.1,0.8")
+TABLE = ("--table", "rectangle:0.8x0.6")
+
+
+def test_writes_a_plan_that_can_be_followed(gridpush, block, tmp_path):
+    out, picture = tmp_path / "plan.yaml", tmp_path / "plan.png"
+    outcome = gridpush("plan", block, *GOAL, *TABLE, "--out", out, "--picture", picture)
+    assert outcome.code == 0, outcome.err
+    assert "reached" in outcome.out
+    assert "push 1" in outcome.out
+    plan = yaml.safe_load(out.read_text())
+    assert (plan["gridpush_plan"], plan["status"], plan["goal"]) == (1, "reached", [0.15, 0.1, 0.8])
+    obj = GridObject.from_yaml(block)
+    pose = plan["start"]
+    for step in plan["pushes"]:
+        push = Push(step["start"], step["velocity"], step["duration"], plan["pusher_radius"])
+        pose = simulate(obj, CellParameters.uniform(obj), push, pose, regime="quasi_static").final_pose
+        np.testing.assert_allclose(pose, step["pose"], atol=1e-5)
+    assert plan["pushes"][-1]["error"] == plan["error"] <= 0.005
+    with Image.open(picture) as image:
+        assert image.format == "PNG"
+        assert image.width > 400
+
+
+def test_prints_one_json_document(gridpush, model):
+    outcome = gridpush("plan", model, *GOAL, "--start", "0.1,0.1,0.5", "--json")
+    document = json.loads(outcome.out)
+    assert (outcome.code, document["status"], document["written"]) == (0, "reached", [])
+    assert document["start"] == [0.1, 0.1, 0.5]
+    assert outcome.err == ""
+
+
+def test_goes_round_an_obstacle(gridpush, block):
+    obstacle = ("--obstacle", "rectangle:0.03x0.1@0.1,0", "--obstacle", "round:0.02@0.1,-0.1")
+    outcome = gridpush("plan", block, "--goal", "0.25,0,0", *obstacle, "--tolerance", "0.01", "--json")
+    document = json.loads(outcome.out)
+    assert document["status"] == "reached"
+    assert max(abs(push["pose"][1]) for push in document["pushes"]) > 0.05
+
+
+def test_says_that_there_is_no_way(gridpush, block, tmp_path):
+    out = tmp_path / "plan.yaml"
+    outcome = gridpush("plan", block, "--goal", "0.25,0,0", *TABLE, "--obstacle", "rectangle:0.02x1@0.12,0", "-o", out)
+    assert outcome.code == 1
+    assert "no_way" in outcome.out
+    assert yaml.safe_load(out.read_text())["pushes"] == []
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (("--goal", "0.1,0.1"), ["--goal", "x,y,theta"]),
+        (("--goal", "2,0,0", *TABLE), ["--goal", "goal_off_table"]),
+        (("--goal", "0.3,0,0", "--obstacle", "round:0.05@0.3,0"), ["--goal", "goal_blocked"]),
+        ((*GOAL, *TABLE, "--start", "3,0,0"), ["--start", "start_off_table"]),
+        ((*GOAL, "--start=a,b,c"), ["--start", "x,y,theta"]),
+        ((*GOAL, "--table", "square:1"), ["--table", "rectangle:WxH"]),
+        ((*GOAL, "--table", "round:-1"), ["--table", "radius"]),
+        ((*GOAL, "--obstacle", "round:x"), ["--obstacle", "round:R"]),
+        ((*GOAL, "--radius", "-1"), ["radius", "positive"]),
+        ((*GOAL, "--tolerance", "0"), ["tolerance", "positive"]),
+        ((*GOAL, "--speed", "0"), ["speed", "positive"]),
+    ],
+)
+def test_refuses(refuses, block, args, says):
+    refuses("plan", block, *args, says=says)
+
+
+def test_does_not_write_over_a_file(gridpush, block, tmp_path):
+    out = tmp_path / "plan.yaml"
+    out.write_text("mine")
+    outcome = gridpush("plan", block, *GOAL, "--out", out)
+    assert outcome.code == 2
+    assert out.read_text() == "mine"

@@ -1,0 +1,75 @@
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+
+@pytest.mark.parametrize("target", ["block", "model", "open_book"])
+def test_draws_a_picture(gridpush, block, model, tmp_path, target):
+    out = tmp_path / "picture.png"
+    outcome = gridpush("show", {"block": block, "model": model}.get(target, target), "--out", out)
+    assert outcome.code == 0, outcome.err
+    assert str(out) in outcome.out
+    with Image.open(out) as image:
+        assert image.width > 300
+
+
+def test_prints_one_json_document(gridpush, block, tmp_path):
+    document = json.loads(gridpush("show", block, "--out", tmp_path / "picture.png", "--json").out)
+    assert (document["kind"], document["cells"], document["parts"]) == ("object", 18, [1, 2])
+
+
+def test_replaces_a_picture_only_when_told(gridpush, refuses, block, tmp_path):
+    out = tmp_path / "picture.png"
+    out.write_text("mine")
+    refuses("show", block, "--out", out, says=[out, "--force"])
+    assert out.read_text() == "mine"
+    assert gridpush("show", block, "--out", out, "--force").code == 0
+    assert out.read_bytes().startswith(b"\x89PNG")
+
+
+def test_refuses_a_folder_that_cannot_be_written(refuses, block, tmp_path):
+    refuses("show", block, "--out", tmp_path / "missing" / "picture.png", says=["missing", "does not exist"])
+    refuses("show", block, "--out", block / "picture.png", says=["picture.png", "does not exist"])
+    refuses("show", block, "--out", "/proc/picture.png", says=["/proc/picture.png", "cannot write"])
+    refuses("show", block, "--out", tmp_path, says=[tmp_path, "is a folder"])
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", ["is empty"]),
+        ("name: a\noutlines: [[0, 0], [1, 0], [0, 1]]\n", ["outlines", "unknown key", "outline"]),
+        ("outline: [[0, 0], [1, 0], [0, 1]]\ntotal_mass: -1\n", ["total_mass", "-1", "positive"]),
+        ("outline: [[0, 0], [1, 0], [0, 1]]\nmax_cells: 0\n", ["max_cells", "1 or more"]),
+        ("outline: [[0, 0], [1, 0\n", ["line", "YAML"]),
+        ("mask: {image: none.png, meters_per_pixel: 0.001}\n", ["none.png"]),
+        ("mask: {image: wrong.png, meters_per_pixel: 0.001}\n", ["wrong.png"]),
+        ("mask: {image: color.png, meters_per_pixel: 0.001}\n", ["color.png"]),
+        ("mask: {image: pieces.png, meters_per_pixel: 0.001}\n", ["pieces.png", "--largest-piece"]),
+    ],
+)
+def test_refuses_an_object(refuses, tmp_path, text, says):
+    (tmp_path / "wrong.png").write_text("not a picture")
+    Image.new("RGB", (4, 4), (255, 0, 0)).save(tmp_path / "color.png")
+    pieces = np.zeros((20, 30), dtype=np.uint8)
+    pieces[2:8, 2:8] = pieces[10:18, 10:28] = 1
+    Image.fromarray(pieces).save(tmp_path / "pieces.png")
+    path = tmp_path / "object.yaml"
+    path.write_text(text)
+    refuses("show", path, "--out", tmp_path / "picture.png", says=[path, *says])
+
+
+def test_keeps_the_largest_piece_when_told(gridpush, tmp_path):
+    pieces = np.zeros((20, 30), dtype=np.uint8)
+    pieces[2:8, 2:8] = pieces[10:18, 10:28] = 1
+    Image.fromarray(pieces).save(tmp_path / "pieces.png")
+    path = tmp_path / "object.yaml"
+    path.write_text("mask: {image: pieces.png, meters_per_pixel: 0.001}\n")
+    outcome = gridpush("show", path, "--out", tmp_path / "picture.png", "--largest-piece")
+    assert outcome.code == 0, outcome.err
+
+
+def test_refuses_a_file_that_is_not_there(refuses, tmp_path):
+    refuses("show", tmp_path / "none.yaml", "--out", tmp_path / "picture.png", says=["none.yaml"])

@@ -1,0 +1,72 @@
+import json
+
+import numpy as np
+import pytest
+import shapely
+import yaml
+from PIL import Image
+
+from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+from gridpush_drake.objects.object_file import write_object
+
+TABLE = ("--table", "rectangle:0.6x0.5@0.4,0.1")
+SURE = PhysicalPrior(friction=0.3, friction_min=0.29, friction_max=0.31, center_of_mass=(-0.05, 0.0))
+
+
+@pytest.fixture
+def pan(tmp_path):
+    """A plate with a handle, its center of mass known beforehand."""
+    outline = shapely.box(-0.14, -0.07, 0.0, 0.07).union(shapely.box(0.0, -0.015, 0.2, 0.015))
+    path = tmp_path / "pan.yaml"
+    write_object(path, GridObject.from_outline(outline, max_cells=40, name="pan", prior=SURE))
+    return path
+
+
+def test_plans_draws_and_writes(gridpush, pan, tmp_path):
+    out, picture = tmp_path / "plan.yaml", tmp_path / "plan.png"
+    outcome = gridpush("slide", pan, *TABLE, "--out", out, "--picture", picture)
+    assert outcome.code == 0, outcome.err
+    assert "pan: ready" in outcome.out
+    assert str(out) in outcome.out
+    plan = yaml.safe_load(out.read_text())
+    assert plan["status"] == "ready"
+    assert plan["pushes"]
+    assert plan["goal"]["stability_margin"] > 0.002
+    grasp = np.array(plan["goal"]["grasp"]["at"])
+    assert not shapely.box(0.1, -0.15, 0.7, 0.35).contains(shapely.Point(grasp))
+    with Image.open(picture) as image:
+        assert image.width > 600
+
+
+def test_one_json_document_tells_what_a_poke_is_worth(gridpush):
+    outcome = gridpush("slide", "claw_hammer", "--table", "round:0.4", "--margin", 0.02, "--json")
+    assert outcome.code == 1, outcome.err
+    document = json.loads(outcome.out)
+    assert document["status"] == "poke_first"
+    assert document["model"] == "prior"
+    assert document["pushes"] == []
+    assert len(document["poke"]["from"]) == 2
+    assert "standard deviation" in document["message"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("open_book", "--table", "round:0.4"), ["open_book", "no graspable part"]),
+        (("claw_hammer", "--table", "rectangle:0.2x0.2@0,0"), ["table", "smaller than claw_hammer"]),
+        (("claw_hammer", "--table", "triangle:1"), ["--table", "rectangle:WxH@x,y"]),
+        (("claw_hammer", "--table", "round:0.4@0"), ["--table", "round:R@x,y"]),
+        (("claw_hammer", "--table", "round:-1"), ["table", "radius"]),
+        (("claw_hammer", "--table", "polygon:0,0;1,1;1,0;0,1"), ["table", "cross itself"]),
+        (("claw_hammer", *TABLE, "--opening", "0"), ["gripper", "opening"]),
+        (("claw_hammer", *TABLE, "--depth", "-0.1"), ["gripper", "depth"]),
+        (("claw_hammer", *TABLE, "--margin", "-0.1"), ["margin"]),
+        (("claw_hammer", *TABLE, "--friction", "0.5,0.2"), ["friction_range"]),
+        (("claw_hammer", *TABLE, "--radius", "0"), ["radius"]),
+        (("claw_hammer", *TABLE, "--start", "5,0,0"), ["--start", "on the table"]),
+        (("claw_hammer", *TABLE, "--start", "0,0"), ["--start", "x,y,theta"]),
+        (("nothing", *TABLE), ["nothing"]),
+    ],
+)
+def test_refuses_what_makes_no_sense(refuses, arguments, says):
+    refuses("slide", *arguments, says=says)

@@ -1,0 +1,66 @@
+"""A grid object free in space: it lies still, and tips over an edge when its center of mass lies beyond it."""
+
+import numpy as np
+import pytest
+
+from gridpush_drake.cli.options import load_object
+from gridpush_drake.multibody.ground_truth import SetGridObjectPose, sample_ground_truth
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from tests.helpers.plant_object import make_scene
+from tests.helpers.shapes import rectangle
+
+TABLE_EDGE = 2.0
+"""m, x of the edge of a table of 4 m about the origin."""
+
+
+@pytest.mark.parametrize("name", ["claw_hammer", "toothpaste_tube"])
+def test_lies_still(name):
+    obj = load_object(name)
+    params = sample_ground_truth(obj, 3, friction_by_part=True)
+    scene = make_scene(obj, params, "free")
+    SetGridObjectPose(scene.plant, scene.plant_context, scene.handle, (0.1, 0.2, 0.5))
+    scene.simulator.AdvanceTo(1.0)
+    assert np.abs(scene.pose() - (0.1, 0.2, 0.5)).max() < 1e-9
+    np.testing.assert_allclose(scene.foot_forces()[:, 2], params.mass * 9.81, rtol=1e-4)
+
+
+@pytest.mark.parametrize("feet_per_cell", [1, 4])
+@pytest.mark.parametrize("heavy_end", [False, True])
+def test_tips_over_the_edge_when_its_center_of_mass_is_beyond(feet_per_cell, heavy_end):
+    obj = GridObject.from_outline(rectangle(0.3, 0.03), max_cells=30, name="bar")
+    mass = np.where(obj.p_BC[:, 0] > 0.1, 0.05, 0.01) if heavy_end else np.full(obj.n, 0.02)
+    params = CellParameters(mass, np.full(obj.n, 0.4))
+    scene = make_scene(obj, params, "free", feet_per_cell=feet_per_cell)
+    center = params.center_of_mass(obj)[0]
+    # feet carry up to a cell less far than the edge reaches
+    for beyond, tips in ((-1.5 * obj.cell_size, False), (1.5 * obj.cell_size, True)):
+        SetGridObjectPose(scene.plant, scene.plant_context, scene.handle, (TABLE_EDGE + beyond - center, 0.0, 0.0))
+        scene.simulator.AdvanceTo(scene.context.get_time() + 0.5)
+        assert (scene.tilt() > 0.1) == tips, beyond
+        if not tips:
+            assert scene.tilt() < 1e-3
+
+
+def test_a_heavy_head_that_overhangs_does_not_tip_falsely():
+    obj = load_object("claw_hammer")
+    head = obj.p_BC[:, 0] > 0.08
+    params = CellParameters(np.where(head, 0.012, 0.0012), np.full(obj.n, 0.35))
+    scene = make_scene(obj, params, "free")
+    # all that overhangs is the light end of the handle
+    handle_end = obj.p_BC[:, 0].min()
+    x = -TABLE_EDGE - handle_end - 0.15
+    SetGridObjectPose(scene.plant, scene.plant_context, scene.handle, (x, 0.0, 0.0))
+    scene.simulator.AdvanceTo(1.0)
+    assert scene.tilt() < 1e-3
+    assert abs(scene.pose()[0] - x) < 1e-5
+
+
+def test_falls_off_the_table():
+    obj = GridObject.from_outline(rectangle(0.1, 0.05), max_cells=8, name="block")
+    params = CellParameters.uniform(obj, 0.2, 0.3)
+    scene = make_scene(obj, params, "free")
+    SetGridObjectPose(scene.plant, scene.plant_context, scene.handle, (TABLE_EDGE + 0.1, 0.0, 0.0))
+    scene.simulator.AdvanceTo(0.2)
+    height = scene.plant.EvalBodyPoseInWorld(scene.plant_context, scene.handle.body).translation()[2]
+    assert height == pytest.approx(-9.81 * 0.2**2 / 2, rel=0.02)

@@ -1,0 +1,66 @@
+import numpy as np
+import pytest
+
+from gridpush_drake.multibody.meshcat_shapes import (
+    make_arrow,
+    make_cell_prisms,
+    make_disc,
+    make_outline_edge,
+    make_outline_prism,
+    make_ring,
+)
+from tests.helpers.shapes import SHAPES, make_shape
+
+HEIGHT = 0.03
+
+
+def areas(mesh):
+    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+
+
+def area_at(mesh, height):
+    flat = (mesh.vertices[mesh.faces][:, :, 2] == height).all(axis=1)
+    return areas(mesh)[flat].sum()
+
+
+def test_cells_have_their_area_at_the_top_and_four_walls_each():
+    obj = make_shape("l_bracket", 40)
+    mesh = make_cell_prisms(obj, HEIGHT, share=0.9)
+    side = 0.9 * obj.cell_size
+    assert area_at(mesh, HEIGHT) == pytest.approx(obj.n * side**2)
+    assert areas(mesh).sum() == pytest.approx(obj.n * (side**2 + 4 * side * HEIGHT))
+    np.testing.assert_allclose(mesh.vertices.reshape(8, obj.n, 3).mean(axis=0)[:, :2], obj.p_BC, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_an_outline_s_prism_has_its_area_and_its_walls(name):
+    obj = make_shape(name)
+    mesh = make_outline_prism(obj, HEIGHT)
+    assert area_at(mesh, HEIGHT) == pytest.approx(obj.outline.area)
+    assert areas(mesh).sum() == pytest.approx(obj.outline.area + obj.outline.length * HEIGHT)
+
+
+def test_an_edge_is_as_long_as_the_outline():
+    obj = make_shape("wrench")
+    assert areas(make_outline_edge(obj, HEIGHT, 1e-4)).sum() == pytest.approx(1e-4 * obj.outline.length, rel=0.01)
+
+
+def test_an_ellipse_has_the_covariance_s_axes():
+    covariance, center = np.array([[4e-4, 1e-4], [1e-4, 2e-4]]), np.array([0.1, -0.2])
+    disc = make_disc(covariance, center, HEIGHT)
+    away = disc.vertices[:-1, :2] - center
+    np.testing.assert_allclose(np.einsum("ki,ij,kj->k", away, np.linalg.inv(covariance), away), 1.0)
+    assert areas(disc).sum() == pytest.approx(np.pi * np.sqrt(np.linalg.det(covariance)), rel=0.01)
+    ring = make_ring(covariance, center, HEIGHT, 1e-3)
+    assert np.linalg.norm(ring.vertices[:, :2] - center, axis=1).max() == pytest.approx(
+        np.sqrt(np.linalg.eigvalsh(covariance)[-1]) + 1e-3, rel=0.01
+    )
+
+
+@pytest.mark.parametrize("length", [0.1, 0.004])
+def test_an_arrow_reaches_from_its_start_to_its_end(length):
+    start, along = np.array([0.3, 0.1]), np.array([0.6, 0.8])
+    arrow = make_arrow(start, start + length * along, HEIGHT, 0.005)
+    reach = (arrow.vertices[:, :2] - start) @ along
+    assert (reach.min(), reach.max()) == pytest.approx((0.0, length), abs=1e-15)

@@ -1,0 +1,119 @@
+"""A grid object as an SDFormat file: Drake's parser makes the same body of it, and it moves the same."""
+
+import numpy as np
+import pytest
+from pydrake.geometry import Sphere
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+
+from gridpush_drake.bench.plant import STICTION_TOLERANCE, TIME_STEP, AddPusher, PlantPusher
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import ObjectError, OutputError, ParameterError
+from gridpush_drake.multibody.grid_object import FOOT_RADIUS, MakeSpatialInertia
+from gridpush_drake.multibody.sdformat import WriteSdf, make_sdf
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from tests.helpers.plant_object import add_table, parse_sdf
+from tests.helpers.shapes import make_shape
+
+RADIUS = 0.008
+
+
+@pytest.fixture(scope="module")
+def obj():
+    return make_shape("claw_hammer", 60)
+
+
+@pytest.fixture(scope="module")
+def params(obj):
+    rng = np.random.default_rng(5)
+    return CellParameters(rng.uniform(0.002, 0.02, obj.n), rng.uniform(0.2, 0.6, obj.n), 0.45)
+
+
+def push_parsed(path, obj, push, base):
+    """The last planar pose of the parsed model after a push."""
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, TIME_STEP[base])
+    plant.set_stiction_tolerance(STICTION_TOLERANCE)
+    add_table(plant)
+    pusher = AddPusher(plant, push.radius, 0.012)
+    Parser(plant).AddModels(str(path))
+    plant.Finalize()
+    simulator = Simulator(builder.Build())
+    context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    dt = TIME_STEP[base]
+    path_W = push.tip_at(np.arange(round(push.duration / dt) + 1) * dt)
+    desired = plant.get_desired_state_input_port(pusher)
+    plant.SetPositions(context, pusher, path_W[0])
+    plant.SetVelocities(context, pusher, push.velocity)
+    for i, tip in enumerate(path_W):
+        desired.FixValue(context, np.r_[tip, push.velocity])
+        simulator.AdvanceTo(i * dt)
+    X_WB = plant.EvalBodyPoseInWorld(context, plant.GetBodyByName(obj.name))
+    R = X_WB.rotation().matrix()
+    return np.array([*X_WB.translation()[:2], np.arctan2(R[1, 0], R[0, 0])])
+
+
+@pytest.mark.parametrize("base", ["planar", "free"])
+def test_moves_as_the_object_it_came_from(obj, params, base, tmp_path):
+    path = tmp_path / "hammer.sdf"
+    WriteSdf(obj, params, path, base=base)
+    push = Push.on_outline(obj, 0.1, 0.2, 0.05, radius=RADIUS, speed=0.1)
+    expected = PlantPusher(obj, params, RADIUS, base).push(params, push).poses[-1]
+    found = push_parsed(path, obj, push, base)
+    assert np.linalg.norm(expected[:2]) > 0.01
+    # geometries come in another order, which Drake's solver feels
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-4)
+
+
+def test_has_the_inertia_and_the_feet(obj, params, tmp_path):
+    path = tmp_path / "hammer.sdf"
+    WriteSdf(obj, params, path, height=0.04)
+    plant, scene_graph = parse_sdf(path)
+    assert plant.num_positions() == 7
+    body = plant.GetBodyByName(obj.name)
+    found = body.CalcSpatialInertiaInBodyFrame(plant.CreateDefaultContext())
+    expected = MakeSpatialInertia(obj, params, 0.04).CopyToFullMatrix6()
+    np.testing.assert_allclose(found.CopyToFullMatrix6(), expected, rtol=1e-9, atol=1e-15)
+    inspector = scene_graph.model_inspector()
+    feet = [
+        geometry
+        for geometry in plant.GetCollisionGeometriesForBody(body)
+        if isinstance(inspector.GetShape(geometry), Sphere)
+    ]
+    p_BF = np.array([inspector.GetPoseInFrame(foot).translation() for foot in feet])
+    np.testing.assert_allclose(p_BF, np.column_stack([obj.p_BC, np.full(obj.n, FOOT_RADIUS)]), atol=1e-15)
+    own = [
+        inspector.GetProximityProperties(foot).GetProperty("material", "coulomb_friction").dynamic_friction()
+        for foot in feet
+    ]
+    np.testing.assert_allclose(2 * np.array(own) / (1 + np.array(own)), params.friction, rtol=1e-12)
+
+
+def test_refuses(obj, params, tmp_path):
+    with pytest.raises(ObjectError, match="base"):
+        make_sdf(obj, params, "flying")
+    with pytest.raises(ObjectError, match="height"):
+        make_sdf(obj, params, height=0.001)
+    with pytest.raises(ObjectError, match="delta"):
+        make_sdf(obj, params, delta=0.1)
+    with pytest.raises(ParameterError, match="friction of cell"):
+        make_sdf(obj, CellParameters(params.mass, np.full(obj.n, 3.0)))
+    with pytest.raises(ObjectError, match="name"):
+        strange = GridObject("a::b", obj.p_BC, obj.cell_size, obj.labels, obj.outline)
+        make_sdf(strange, params)
+    path = tmp_path / "there.sdf"
+    path.write_text("mine")
+    with pytest.raises(OutputError, match="--force"):
+        WriteSdf(obj, params, path)
+    assert path.read_text() == "mine"
+
+
+def test_names_are_escaped(obj, params, tmp_path):
+    named = GridObject("nuts & <bolts>", obj.p_BC, obj.cell_size, obj.labels, obj.outline)
+    path = tmp_path / "named.sdf"
+    WriteSdf(named, params, path)
+    plant, _ = parse_sdf(path)
+    assert plant.HasBodyNamed("nuts & <bolts>")

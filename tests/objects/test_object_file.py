@@ -1,0 +1,204 @@
+import re
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from gridpush_drake.errors import ObjectError, OutputError
+from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects, read_object, write_object
+
+FULL = """\
+name: triangle_block
+outline: [[-0.05, -0.05], [0.10, -0.05], [-0.05, 0.10]]
+parts:
+  - {label: 2, outline: [[-0.05, -0.05], [0.0, -0.05], [0.0, 0.10], [-0.05, 0.10]]}
+max_cells: 60
+total_mass: 1.518
+center_of_mass: {at: [0.0, 0.001], std: 3e-3}
+friction: {prior: 0.3, min: 0.1, max: 0.9}
+contact_friction: {prior: 0.45, std: 0.1}
+pusher: {radius: 0.0005}
+"""
+BASE = "outline: [[0, 0], [0.1, 0], [0.1, 0.1]]\n"
+
+
+def written(tmp_path, text):
+    path = tmp_path / "object.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_whole_file(tmp_path):
+    obj = read_object(written(tmp_path, FULL))
+    assert obj.name == "triangle_block"
+    assert 50 <= obj.n <= 60
+    assert set(obj.labels) == {1, 2}
+    assert obj.prior == PhysicalPrior(1.518, (0.0, 0.001), 0.003, 0.3, 0.1, 0.9, 0.45, 0.1, 0.0005)
+
+
+def test_outline_alone_is_enough(tmp_path):
+    obj = read_object(written(tmp_path, BASE))
+    assert obj.name == "object"
+    assert obj.prior == PhysicalPrior()
+    assert 115 <= obj.n <= 127
+    assert GridObject.from_yaml(tmp_path / "object.yaml").n == obj.n
+
+
+def test_mask_is_looked_up_beside_the_file(tmp_path):
+    labels = np.zeros((40, 60), np.uint8)
+    labels[5:20, 5:30], labels[30:35, 50:55] = 4, 1
+    Image.fromarray(labels).save(tmp_path / "m.png")
+    path = written(tmp_path, "mask: {image: m.png, meters_per_pixel: 0.002}\nmax_cells: 60\ntotal_mass: 2\n")
+    with pytest.raises(ObjectError, match=r"object\.yaml.*2 separate pieces"):
+        read_object(path)
+    obj = read_object(path, largest_piece=True)
+    assert set(obj.labels) == {4}
+    assert obj.prior.total_mass == 2.0
+    assert obj.outline.area == pytest.approx(15 * 25 * 4e-6, rel=0.01)
+
+
+def test_holes_hold_no_cells(tmp_path):
+    hole = "holes: [[[0.06, 0.01], [0.09, 0.01], [0.09, 0.04], [0.06, 0.04]]]\n"
+    obj = read_object(written(tmp_path, BASE + hole))
+    assert len(obj.outline.interiors) == 1
+    x, y = obj.p_BC.T
+    assert not ((x > 0.06) & (x < 0.09) & (y > 0.01) & (y < 0.04)).any()
+
+
+def test_pieces_of_one_part_may_be_listed_apart(tmp_path):
+    square = "outline: [[0, 0], [1, 0], [1, 1], [0, 1]]\nmax_cells: 100\nparts:\n"
+    ends = "  - {label: 2, outline: [[0, 0], [0.2, 0], [0.2, 1], [0, 1]]}\n"
+    ends += "  - {label: 2, outline: [[0.8, 0], [1, 0], [1, 1], [0.8, 1]]}\n"
+    obj = read_object(written(tmp_path, square + ends))
+    np.testing.assert_array_equal(obj.labels == 2, abs(obj.p_BC[:, 0] - 0.5) > 0.3)
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("", "is empty"),
+        ("- 1\n", "top level"),
+        ("words", "top level"),
+        ("name: [1\n", "line 2, column 1: is not valid YAML"),
+        ("name: a\nname: b\n" + BASE, "line 2, column 1.*'name' occurs twice"),
+        (BASE + "pusher: {radius: 1, radius: 2}\n", "'radius' occurs twice"),
+        (BASE + "nmae: x\n", "nmae: unknown key; did you mean name"),
+        (BASE + "1: x\n", "unknown key"),
+        (BASE + "friction: {piror: 0.3}\n", r"friction\.piror: unknown key; did you mean prior"),
+        (BASE + "name: 3\n", "name is 3; expected some text"),
+        (BASE + "total_mass: -1\n", "total_mass is -1; expected a positive number, in kg"),
+        (BASE + "total_mass: .nan\n", "total_mass is nan"),
+        (BASE + "total_mass: .inf\n", "total_mass is inf"),
+        (BASE + "total_mass: '3'\n", "total_mass is '3'"),
+        (BASE + "total_mass: yes\n", "total_mass is True"),
+        (BASE + "max_cells: 0\n", "max_cells is 0; expected a whole number"),
+        (BASE + "max_cells: 1.5\n", "max_cells is 1.5"),
+        (BASE + "friction: 0.3\n", "friction is 0.3; expected prior, min and max"),
+        (BASE + "friction: {prior: 2}\n", r"friction\.prior is 2.*0\.05 to 1\.0"),
+        (BASE + "friction: {min: 0}\n", r"friction\.min is 0; expected a positive number"),
+        (BASE + "contact_friction: {prior: -0.1}\n", r"contact_friction\.prior is -0.1"),
+        (BASE + "center_of_mass: {std: 0.1}\n", r"center_of_mass\.at is missing"),
+        (BASE + "center_of_mass: {at: [0]}\n", r"center_of_mass\.at"),
+        (BASE + "pusher: {}\n", r"pusher\.radius is missing; expected a positive number, in meters"),
+        (BASE + "parts: [{label: 0, outline: [[0, 0], [1, 0], [0, 1]]}]\n", r"parts\[0\]\.label is 0"),
+        (BASE + "parts: [{label: 1, outline: [[0, 0], [1, 0], [a, 1]]}]\n", r"parts\[0\]\.outline\[2\]\[0\] is 'a'"),
+        (BASE + "parts: [{label: 1, outline: [[0, 0], [1, 0], [2, 0]]}]\n", r"parts\[0\]\.outline encloses no area"),
+        (BASE + "holes: [[[5, 5], [6, 5], [6, 6]]]\n", "outline is not a simple polygon"),
+        (BASE + "mask: {image: a.png, meters_per_pixel: 1}\n", "both of outline and mask"),
+        ("name: x\n", "neither of outline and mask"),
+        ("mask: {image: a.png, meters_per_pixel: 0}\n", r"mask\.meters_per_pixel is 0"),
+        ("mask: {image: a.png, meters_per_pixel: 1}\n", r"a\.png: cannot be read"),
+        (
+            "mask: {image: a.png, meters_per_pixel: 1}\nparts: [{label: 1, outline: [[0, 0], [1, 0], [0, 1]]}]\n",
+            "parts",
+        ),
+        ("outline: [[0, 0], [1, 1], [1, 0], [0, 1]]\n", "must not cross itself"),
+        ("outline: [[0, 0], [1, 1]]\n", "at least three points"),
+        ("outline: [[0, 0], [true, 1], [1, 0]]\n", r"outline\[1\]\[0\] is True"),
+        ("outline: [[0, 0], [.nan, 1], [1, 0]]\n", r"outline\[1\]\[0\] is nan"),
+        ("!!python/object:os.system x", "is not valid YAML"),
+        (BASE + "total_mass: 2024-13-45\n", "is not valid YAML"),
+        ("[" * 3000, "nested too deeply"),
+        ("name: '\x00'\n", "is not valid YAML"),
+    ],
+)
+def test_bad_files_are_refused_with_the_place_and_the_expected_form(tmp_path, text, message):
+    path = written(tmp_path, text)
+    with pytest.raises(ObjectError, match=message) as caught:
+        read_object(path)
+    assert str(caught.value).startswith(str(path))
+    assert "pydantic" not in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_what_is_no_text_file_is_refused(tmp_path):
+    with pytest.raises(ObjectError, match="is a folder"):
+        read_object(tmp_path)
+    with pytest.raises(ObjectError, match="cannot be read"):
+        read_object(tmp_path / "none.yaml")
+    (tmp_path / "b.yaml").write_bytes(b"\x80\xff\x00")
+    with pytest.raises(ObjectError, match="UTF-8"):
+        read_object(tmp_path / "b.yaml")
+
+
+def test_written_object_is_read_back_as_it_was(tmp_path):
+    first = read_object(written(tmp_path, FULL + "holes: [[[-0.03, -0.03], [-0.01, -0.03], [-0.01, -0.01]]]\n"))
+    write_object(tmp_path / "copy.yaml", first, max_cells=60)
+    copy = read_object(tmp_path / "copy.yaml")
+    np.testing.assert_array_equal(copy.p_BC, first.p_BC)
+    np.testing.assert_array_equal(copy.labels, first.labels)
+    assert copy.cell_size == first.cell_size
+    assert copy.name == first.name and copy.prior == first.prior
+    assert copy.outline.equals(first.outline)
+
+
+def test_labels_that_enclose_others_survive_writing(tmp_path):
+    square = [[0, 0], [1, 0], [1, 1], [0, 1]]
+    inner = [[0.4, 0.4], [0.6, 0.4], [0.6, 0.6], [0.4, 0.6]]
+    middle = [[0.2, 0.2], [0.8, 0.2], [0.8, 0.8], [0.2, 0.8]]
+    first = GridObject.from_outline(square, parts={5: inner, 3: middle}, max_cells=100)
+    write_object(tmp_path / "a.yaml", first, max_cells=100)
+    np.testing.assert_array_equal(read_object(tmp_path / "a.yaml").labels, first.labels)
+
+
+@pytest.mark.parametrize("name", list_shipped_objects())
+def test_an_object_is_given_back_bit_for_bit(tmp_path, name):
+    obj = read_object(find_shipped_object(name))
+    write_object(tmp_path / "a.yaml", obj)
+    copy = read_object(tmp_path / "a.yaml")
+    for array in ("p_BC", "labels"):
+        np.testing.assert_array_equal(getattr(copy, array), getattr(obj, array))
+    np.testing.assert_array_equal(copy.edges.start, obj.edges.start)
+    assert (copy.name, copy.cell_size, copy.prior) == (obj.name, obj.cell_size, obj.prior)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (BASE + "cells: {size: 0.01, centers: [[0.05, 0.02]]}\nmax_cells: 3\n", "expected no mask, parts or max_cells"),
+        (BASE + "cells: {size: 0.01, centers: [[0.05, 0.02]], labels: [1, 2]}\n", "has 2 entries; expected 1"),
+        (BASE + "cells: {size: 0, centers: [[0.05, 0.02]]}\n", "cells.size is 0; expected a positive"),
+        (BASE + "cells: {size: 0.01, centers: []}\n", "cells.centers"),
+    ],
+)
+def test_cells_that_make_no_sense_are_refused(tmp_path, text, says):
+    with pytest.raises(ObjectError, match=re.escape(says)):
+        read_object(written(tmp_path, text))
+
+
+def test_object_without_priors_is_written_short(tmp_path):
+    obj = GridObject.from_outline([[0, 0], [1, 0], [1, 1], [0, 1]], max_cells=100, name="on")
+    write_object(tmp_path / "a.yaml", obj)
+    data = yaml.safe_load((tmp_path / "a.yaml").read_text())
+    assert set(data) == {"name", "outline", "cells", "friction", "contact_friction"}
+    copy = read_object(tmp_path / "a.yaml")
+    assert (copy.n, copy.name) == (100, "on")
+
+
+def test_existing_file_is_kept_unless_forced(tmp_path):
+    obj = read_object(written(tmp_path, BASE))
+    with pytest.raises(OutputError, match="--force"):
+        write_object(tmp_path / "object.yaml", obj)
+    write_object(tmp_path / "object.yaml", obj, force=True)
+    assert read_object(tmp_path / "object.yaml").outline.equals(obj.outline)

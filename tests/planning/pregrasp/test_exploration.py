@@ -1,0 +1,165 @@
+import numpy as np
+import pytest
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.errors import PlanningError
+from gridpush_drake.identification.identify import identify
+from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.pregrasp.exploration import (
+    PokeOptions,
+    calc_observation,
+    calc_remaining,
+    choose_poke,
+    make_center_functional,
+    make_pokes,
+    make_pose_functional,
+)
+from gridpush_drake.planning.pregrasp.uncertainty import LinearizedPosterior
+from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from tests.helpers.shapes import claw_hammer
+
+HERE = np.zeros(3)
+
+
+@pytest.fixture(scope="module")
+def hammer():
+    return GridObject.from_outline(claw_hammer(), max_cells=40, name="hammer")
+
+
+@pytest.fixture(scope="module")
+def knowledge(hammer):
+    return LinearizedPosterior.of_prior(hammer)
+
+
+@pytest.fixture(scope="module")
+def pokes(knowledge):
+    return make_pokes(knowledge, HERE, PokeOptions(places=12))
+
+
+def test_what_remains_is_what_bayes_rule_leaves():
+    rng = np.random.default_rng(0)
+    for rows in (1, 3):
+        root, F, J = rng.normal(size=(8, 8)), rng.normal(size=(2, 8)), rng.normal(size=(rows, 8))
+        S, R = root @ root.T, np.diag(rng.uniform(0.1, 1, rows))
+        after = np.linalg.inv(np.linalg.inv(S) + J.T @ np.linalg.inv(R) @ J)
+        np.testing.assert_allclose(calc_remaining(S, F, J, R), F @ after @ F.T, rtol=1e-8)
+
+
+def test_the_choice_is_the_best_by_brute_force(knowledge, pokes):
+    F = make_center_functional(knowledge.obj, knowledge.posterior)
+    choice = choose_poke(knowledge, HERE, pokes, F)
+    left = []
+    for push in pokes:
+        J, R = calc_observation(knowledge, push, HERE)
+        information = np.linalg.inv(knowledge.posterior.covariance) + J.T @ np.linalg.inv(R) @ J
+        left.append(np.sqrt(np.linalg.eigvalsh(F @ np.linalg.inv(information) @ F.T)[-1]))
+    assert choice.index == int(np.argmin(left))
+    assert choice.push is pokes[choice.index]
+    np.testing.assert_allclose(choice.expected_stds, left, rtol=1e-6)
+    assert choice.expected_std < 0.5 * choice.std
+
+
+def test_what_a_push_would_show_is_the_derivative_of_where_it_ends(knowledge, pokes):
+    obj, mean = knowledge.obj, knowledge.posterior.mean
+    push, step = pokes[5], 1e-5
+    J, R = calc_observation(knowledge, push, HERE)
+
+    def end(z):
+        mu = obj.prior.friction
+        params = CellParameters(np.exp(z[:-1]) / mu, np.full(obj.n, mu), float(np.exp(z[-1])))
+        return simulate(obj, params, push, HERE, regime="quasi_static").final_pose
+
+    pose, centroid = end(mean), obj.p_BC.mean(axis=0)
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    arm = np.array([[c, -s], [s, c]]) @ centroid
+    for i in (0, 7, obj.n - 1, obj.n):
+        dz = step * np.eye(obj.n + 1)[i]
+        dq = (end(mean + dz) - end(mean - dz)) / (2 * step)
+        shift = dq[:2] + dq[2] * np.array([-arm[1], arm[0]])
+        # the residual is measured in the axes of the body as it was seen, here at its start
+        np.testing.assert_allclose(J[:2, i], shift, rtol=2e-3, atol=1e-7)
+        np.testing.assert_allclose(J[2, i], obj.radius_of_gyration * dq[2], rtol=2e-3, atol=1e-7)
+    assert (np.linalg.eigvalsh(R) > 0).all()
+
+
+def test_the_center_s_derivatives_agree_with_differences(hammer):
+    rng = np.random.default_rng(1)
+    posterior = Posterior(rng.normal(size=hammer.n + 1), np.eye(hammer.n + 1), np.eye(hammer.n + 1))
+    F, step = make_center_functional(hammer, posterior), 1e-6
+    for i in (0, 11, hammer.n):
+        dz = step * np.eye(hammer.n + 1)[i]
+        shares = [Posterior(posterior.mean + sign * dz, np.eye(1), np.eye(1)).calc_share() for sign in (1, -1)]
+        np.testing.assert_allclose(F[:, i], (shares[0] - shares[1]) @ hammer.p_BC / (2 * step), atol=1e-9)
+    np.testing.assert_allclose(make_center_functional(hammer, posterior, [0.6, 0.8]), [[0.6, 0.8]] @ F)
+
+
+def test_a_poke_tells_most_about_its_own_end(knowledge, pokes):
+    F = make_pose_functional(knowledge, [pokes[3]], HERE[None])
+    stds = choose_poke(knowledge, HERE, pokes, F).expected_stds
+    assert stds[3] < 0.5 * np.sqrt(np.linalg.eigvalsh(F @ knowledge.posterior.covariance @ F.T)[-1])
+    assert stds[3] < np.median(stds)
+
+
+def test_pokes_keep_the_object_on_the_table_and_the_places_apart(knowledge):
+    table = SupportSurface.rectangle((0.0, 0.0), (0.5, 0.4))
+    pose = np.array([0.02, -0.13, 0.0])
+    options = PokeOptions(places=12, apart=0.1)
+    kept = make_pokes(knowledge, pose, options, PushConstraints(table, edge_margin=0.01))
+    free = make_pokes(knowledge, pose, options)
+    assert 0 < len(kept) < len(free)
+    for push in kept:
+        motion = simulate(knowledge.obj, knowledge.params, push, pose, regime="quasi_static")
+        assert table.contains_cells(knowledge.obj, motion.poses, 0.009).all()
+    log = PushLog((ObservedPush("poke", free[0], pose, np.array([free[0].duration]), pose[None]),))
+    found = identify(knowledge.obj, log, regime="quasi_static")
+    rest = make_pokes(LinearizedPosterior.of_identification(found, log), pose, options)
+    perimeter = knowledge.obj.edges.perimeter
+    assert 0 < len(rest) < len(free)
+    assert min(np.linalg.norm(push.start - free[0].start) for push in rest) > 0.09 * perimeter
+
+
+def test_refuses_to_choose_from_nothing_or_from_what_does_not_touch(knowledge):
+    F = make_center_functional(knowledge.obj, knowledge.posterior)
+    with pytest.raises(PlanningError, match="none; expected"):
+        choose_poke(knowledge, HERE, [], F)
+    with pytest.raises(PlanningError, match="touches"):
+        choose_poke(knowledge, HERE, [Push((1.0, 1.0), (0.03, 0.0), 1.0, 0.008)], F)
+    with pytest.raises(PlanningError, match="distance"):
+        PokeOptions(distance=0.0)
+
+
+def poke_until_known(obj, truth, active, rng, std=0.005, most=16):
+    knowledge, pose, log = LinearizedPosterior.of_prior(obj), HERE, []
+    while len(log) < most:
+        pokes = make_pokes(knowledge, pose)
+        if active:
+            push = choose_poke(knowledge, pose, pokes, make_center_functional(obj, knowledge.posterior)).push
+        else:
+            push = pokes[int(rng.integers(len(pokes)))]
+        noise = rng.normal(size=3) * (0.0005, 0.0005, 0.003)
+        after = simulate(obj, truth, push, pose, regime="quasi_static").final_pose + noise
+        log.append(ObservedPush(f"poke_{len(log)}", push, pose, np.array([push.duration]), after[None]))
+        pose = after
+        found = identify(obj, PushLog(tuple(log)), regime="quasi_static")
+        knowledge = LinearizedPosterior.of_identification(found, PushLog(tuple(log)) if active else None)
+        known = found.identifiability
+        if np.linalg.eigvalsh(known.center_of_friction_covariance)[-1] < std**2:
+            break
+    return len(log), np.linalg.norm(known.center_of_friction - truth.center_of_mass(obj))
+
+
+@pytest.mark.slow
+def test_chosen_pokes_find_the_center_of_mass_sooner_than_random_ones(hammer):
+    counts = {True: [], False: []}
+    for seed in range(4):
+        truth = CellParameters.random(hammer, seed, by="cell", mass_range=(0.1, 1.0))
+        for active in counts:
+            count, error = poke_until_known(hammer, truth, active, np.random.default_rng(seed))
+            counts[active].append(count)
+            assert error < 0.015
+    assert np.mean(counts[True]) < 0.75 * np.mean(counts[False])

@@ -1,0 +1,20 @@
+"""The whole story in the full station: a robot, an object it knows nothing about, and a table's edge."""
+
+import pytest
+
+from gridpush_drake.cli.demo_pre_grasp import make_scenario
+from gridpush_drake.errors import PlanningError, ScenarioError
+from gridpush_drake.station.pregrasp_task import PreGraspTask
+from gridpush_drake.station.scenario import PushScenario
+
+
+def test_a_scene_without_a_gripper_is_refused():
+    with pytest.raises(ScenarioError, match="gripper"):
+        PreGraspTask(PushScenario())
+
+
+def test_an_object_without_a_graspable_part_is_refused():
+    scenario = make_scenario()
+    scenario.object = "open_book"
+    with pytest.raises(PlanningError, match="no graspable part"):
+        PreGraspTask(scenario)

@@ -1,0 +1,249 @@
+"""The controller as a system by itself: its inputs are set, as a robot would set them, and its outputs read."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydrake.common.value import AbstractValue
+from pydrake.systems.analysis import Simulator
+
+from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.errors import PlanningError
+from gridpush_drake.identification.identify import describe_prior, identify
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
+from gridpush_drake.planning.pregrasp.side_grasp import SideGripper, find_side_grasps
+from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from gridpush_drake.systems.messages import GraspCommand, GraspOutcome, GraspStatus, PushCommand, PushPhase, PushStatus
+from gridpush_drake.systems.pregrasp_controller import ControllerOptions, PreGraspController
+
+TABLE = SupportSurface.rectangle((0.0, 0.0), (0.8, 0.6))
+
+BAR = GridObject.from_outline([[-0.12, -0.02], [0.12, -0.02], [0.12, 0.02], [-0.12, 0.02]], max_cells=48)
+BAR = replace(BAR, prior=replace(BAR.prior, friction=0.35, friction_min=0.34, friction_max=0.36))
+
+TRUTH = CellParameters(np.where(BAR.p_BC[:, 0] > 0, 0.03, 0.01), np.full(BAR.n, 0.35), 0.5)
+"""Three times as heavy on its right side: its center of mass is at x = 3 cm."""
+
+OVER_THE_EDGE = (-0.36, 0.0, 0.0)
+"""Eight centimeters of the light end beyond the edge at x = -0.4."""
+
+NOWHERE = (np.nan, np.nan, np.nan)
+
+
+class Robot:
+    """What the controller is connected to."""
+
+    def __init__(self, pose, **options):
+        planner = PreGraspPlanner(BAR, TABLE)
+        self.controller = PreGraspController(planner, self.find_grasp, options=ControllerOptions(**options))
+        self.simulator = Simulator(self.controller)
+        self.context = self.simulator.get_mutable_context()
+        self.log, self.found = PushLog(()), describe_prior(BAR)
+        self.pushing, self.grasping = PushStatus(), GraspStatus()
+        self.see(pose)
+        self.tell()
+
+    @staticmethod
+    def find_grasp(pose, aim):
+        return next(iter(find_side_grasps(BAR, pose, TABLE, SideGripper(), aim)), None)
+
+    def see(self, pose):
+        self.controller.GetInputPort("object_pose").FixValue(self.context, pose)
+
+    def tell(self):
+        for port, value in (
+            ("identification", self.found),
+            ("push_log", self.log),
+            ("push_status", self.pushing),
+            ("grasp_status", self.grasping),
+        ):
+            self.controller.GetInputPort(port).FixValue(self.context, AbstractValue.Make(value))
+
+    def wait(self, seconds=1.0):
+        self.tell()
+        self.simulator.AdvanceTo(self.context.get_time() + seconds)
+        return self.status
+
+    def read(self, port):
+        return self.controller.GetOutputPort(port).Eval(self.context)
+
+    @property
+    def status(self):
+        return self.read("status")
+
+    @property
+    def push(self):
+        return PushCommand.from_vector(self.read("push_command"))
+
+    @property
+    def grasp(self):
+        return GraspCommand.from_vector(self.read("grasp_command"))
+
+    def learn(self, pushes=4):
+        """Knows the bar from simulated pokes."""
+        planner, seen = self.controller.planner, []
+        poses = [np.zeros(3)]
+        for _ in range(pushes):
+            belief = (
+                None
+                if not seen
+                else self.controller._believe(identify(BAR, PushLog(tuple(seen))), PushLog(tuple(seen)))
+            )
+            push = planner.decide(poses[-1], belief, 0).push
+            end = simulate(BAR, TRUTH, push, poses[-1], regime="quasi_static").final_pose
+            seen.append(ObservedPush(f"push_{len(seen)}", push, poses[-1], np.array([push.duration]), end[None]))
+            poses.append(end)
+        self.log = PushLog(tuple(seen))
+        self.found = identify(BAR, self.log, regime="quasi_static")
+
+
+@pytest.fixture(scope="module")
+def learned():
+    robot = Robot((0.0, 0.0, 0.0))
+    robot.learn()
+    return robot.log, robot.found
+
+
+def make_robot(pose, learned, **options):
+    robot = Robot(pose, **options)
+    robot.log, robot.found = learned
+    return robot
+
+
+def test_pokes_first_and_waits_for_the_robot():
+    robot = Robot((0.0, 0.0, 0.0))
+    assert robot.wait().mode == "exploring"
+    command = robot.push
+    assert (command.number, robot.status.pokes) == (1, 1)
+    robot.pushing = PushStatus(PushPhase.PUSHING, 1)
+    robot.see((0.02, 0.0, 0.1))
+    robot.wait(3.0)
+    assert robot.push == command  # nothing new while the finger is at work
+    robot.pushing = PushStatus(number=1, executed=1)
+    robot.wait()
+    assert robot.push.number == 2
+
+
+def test_grasps_what_hangs_over_and_reports_that_it_is_held(learned):
+    robot = make_robot(OVER_THE_EDGE, learned)
+    assert robot.wait().mode == "grasping"
+    command = robot.grasp
+    assert command.number == 1
+    assert command.x < -0.4
+    assert np.cos(command.approach) > 0.0  # the fingers come in over the edge at x = -0.4
+    robot.grasping = GraspStatus("closing", 1)
+    assert robot.wait().mode == "grasping"
+    robot.grasping = GraspStatus("holding", 1, GraspOutcome.HELD)
+    assert robot.wait().mode == "holding"
+    assert robot.status.over
+
+
+def test_a_missed_grasp_is_tried_anew_and_given_up_in_the_end(learned):
+    robot = make_robot(OVER_THE_EDGE, learned, max_grasps=2)
+    for number in (1, 2):
+        assert robot.wait().mode == "grasping"
+        assert robot.grasp.number == number
+        robot.grasping = GraspStatus("retreating", number, GraspOutcome.MISSED, "nothing is in it")
+        assert robot.wait().mode == "grasping"  # until it is out of the way
+        robot.grasping = GraspStatus("idle", number, GraspOutcome.MISSED, "nothing is in it")
+    status = robot.wait()
+    assert status.mode == "failed"
+    assert "nothing is in it" in status.reason
+
+
+def test_an_object_out_of_sight_is_lost_and_dealt_with_where_it_is_seen_again(learned):
+    robot = make_robot(NOWHERE, learned, timeout=1.0)
+    assert robot.wait(0.8).mode == "waiting"
+    assert robot.wait(0.5).mode == "lost"
+    assert robot.push.number == 0
+    robot.see(OVER_THE_EDGE)
+    assert robot.wait().mode == "grasping"
+
+
+def test_a_push_not_taken_up_when_the_object_goes_out_of_sight_is_taken_back(learned):
+    robot = make_robot((0.0, 0.0, 0.0), learned, timeout=1.0)
+    assert robot.wait().mode == "exploring"
+    first = robot.push
+    robot.see(NOWHERE)
+    status = robot.wait(0.5)
+    assert (status.mode, status.pokes, robot.push.number) == ("waiting", 0, 0)
+    assert robot.wait().mode == "lost"
+    robot.see((0.1, 0.05, 0.5))
+    assert robot.wait().mode == "exploring"
+    assert (robot.push.number, robot.status.pokes) == (1, 1)
+    assert np.linalg.norm(robot.push.start - first.start) > 0.02
+
+
+def test_an_object_unseen_only_since_the_push_ended_is_not_lost_yet(learned):
+    robot = make_robot((0.0, 0.0, 0.0), learned, timeout=1.0)
+    robot.wait()
+    robot.pushing = PushStatus(PushPhase.PUSHING, 1)
+    robot.wait(5.0)
+    robot.pushing = PushStatus(number=1, executed=1)
+    robot.see(NOWHERE)
+    assert robot.wait(0.8).mode == "waiting"
+    assert robot.wait(0.5).mode == "lost"
+
+
+def test_a_push_in_which_the_object_might_fall_is_broken_off(learned):
+    robot = make_robot((0.0, 0.0, 0.0), learned)
+    robot.wait()
+    command = robot.push
+    robot.pushing = PushStatus(PushPhase.PUSHING, 1)
+    robot.see((-0.3, 0.0, 0.0))  # over the edge, but the heavy end holds it
+    assert (robot.wait(0.2).mode, robot.push) == ("exploring", command)
+    robot.see((-0.45, 0.0, 0.0))  # its center of mass is beyond the edge
+    status = robot.wait(0.2)
+    assert (status.mode, robot.push.number) == ("stopping", 0)
+    assert "might fall" in status.reason
+    robot.see((-0.3, 0.0, 0.0))
+    assert robot.wait(0.2) is status  # what was begun is not taken up again
+    robot.pushing = PushStatus(number=1, executed=1)
+    assert robot.wait(0.2).mode == "waiting"
+    assert robot.status.pokes == 1
+    robot.wait()
+    assert robot.push.number in (0, 2)
+
+
+def test_a_stranger_who_moves_the_object_between_two_looks_changes_the_decision(learned):
+    robot = make_robot((0.0, 0.0, 0.0), learned)
+    robot.wait(0.2)  # some looks, not enough yet
+    assert robot.status.mode == "waiting"
+    robot.see((0.1, 0.05, 0.5))
+    robot.wait()
+    assert robot.status.mode == "exploring"  # fewer pokes were made than are asked for
+    near = np.linalg.norm(BAR.cells_at((0.1, 0.05, 0.5)) - robot.push.start, axis=1).min()
+    assert near < 0.03
+
+
+def test_refused_pushes_do_not_count_and_are_given_up(learned):
+    robot = make_robot((0.0, 0.0, 0.0), learned, max_refusals=3)
+    for number in (1, 2, 3):
+        assert robot.wait().mode == "exploring"
+        assert (robot.push.number, robot.status.pokes) == (number, 1)
+        robot.pushing = PushStatus(number=number, refused=number, reason="the arm does not reach it")
+    status = robot.wait()
+    assert status.mode == "failed"
+    assert "the arm does not reach it" in status.reason
+    assert status.pokes == 0
+
+
+def test_a_clone_of_the_context_goes_the_same_way(learned):
+    robot = make_robot(OVER_THE_EDGE, learned)
+    robot.wait(0.2)
+    clone = robot.context.Clone()
+    robot.wait()
+    other = Simulator(robot.controller, clone)
+    other.AdvanceTo(robot.context.get_time())
+    np.testing.assert_array_equal(
+        robot.controller.GetOutputPort("grasp_command").Eval(clone), robot.read("grasp_command")
+    )
+
+
+@pytest.mark.parametrize("options", [{"period": 0.0}, {"looks": 0}, {"timeout": np.nan}])
+def test_refuses_options_out_of_range(options):
+    with pytest.raises(PlanningError, match=next(iter(options))):
+        ControllerOptions(**options)
