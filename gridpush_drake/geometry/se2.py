@@ -1,0 +1,64 @@
+"""Planar rigid motions, SE(2).
+
+A pose q = (x, y, theta), m and rad, is X_AB: where frame B stands in frame A, as in Drake's monogram notation.
+
+    p_A = (x, y) + R(theta) p_B,      R(theta) = [[cos theta, -sin theta], [sin theta, cos theta]]
+
+All functions take arrays with any leading dimensions, which broadcast, and return new ones.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def make_rotation(theta: ArrayLike) -> Array:
+    """Makes R(theta), (..., 2, 2), of angles theta (...,), rad."""
+    angle = np.asarray(theta, dtype=np.float64)
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
+
+
+def make_direction(theta: ArrayLike) -> Array:
+    """Makes the unit vectors (..., 2) at angles theta (...,), rad, from the x axis."""
+    angle = np.asarray(theta, dtype=np.float64)
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def rotate(theta: ArrayLike, v: ArrayLike) -> Array:
+    """Rotates vectors v (..., 2) by angles theta (...,), rad: R(theta) v."""
+    angle, vector = np.asarray(theta, dtype=np.float64), np.asarray(v, dtype=np.float64)
+    c, s = np.cos(angle), np.sin(angle)
+    x, y = vector[..., 0], vector[..., 1]
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
+
+
+def transform(X_AB: ArrayLike, p_B: ArrayLike) -> Array:
+    """Brings points p_B (n, 2), given in B, m, into A: (..., n, 2) for poses X_AB (..., 3)."""
+    q = np.asarray(X_AB, dtype=np.float64)[..., None, :]
+    return q[..., :2] + rotate(q[..., 2], p_B)
+
+
+def transform_back(X_AB: ArrayLike, p_A: ArrayLike) -> Array:
+    """Brings points p_A (..., n, 2), given in A, m, into B: (..., n, 2) for poses X_AB (..., 3)."""
+    q = np.asarray(X_AB, dtype=np.float64)[..., None, :]
+    return rotate(-q[..., 2], np.asarray(p_A, dtype=np.float64) - q[..., :2])
+
+
+def compose(X_AB: ArrayLike, X_BC: ArrayLike) -> Array:
+    """Composes poses (..., 3): X_AC = X_AB X_BC; the angles add up and are not wrapped."""
+    q_AB, q_BC = np.asarray(X_AB, dtype=np.float64), np.asarray(X_BC, dtype=np.float64)
+    p_AC = q_AB[..., :2] + rotate(q_AB[..., 2], q_BC[..., :2])
+    return np.concatenate([p_AC, (q_AB[..., 2] + q_BC[..., 2])[..., None]], axis=-1)
+
+
+def invert(X_AB: ArrayLike) -> Array:
+    """Inverts poses (..., 3): X_BA."""
+    q = np.asarray(X_AB, dtype=np.float64)
+    return np.concatenate([rotate(-q[..., 2], -q[..., :2]), -q[..., 2:]], axis=-1)
+
+
+def wrap_angle(theta: ArrayLike) -> Array:
+    """Wraps angles (...,), rad, into [-pi, pi)."""
+    return np.asarray((np.asarray(theta, dtype=np.float64) + np.pi) % (2.0 * np.pi) - np.pi)
