@@ -24,7 +24,7 @@ FOLDER = Path("gridpush_bench")
 SOURCES = (".py", ".yaml", ".sdf", ".urdf")
 """Endings of the package's files that results depend on."""
 
-NO_SOURCES = "apps"
+NO_SOURCES = "cli"
 """Folder of the package that no result depends on."""
 
 DIGITS = 12

@@ -139,7 +139,7 @@ def _tidy(pairs: NDArray[np.int64]) -> NDArray[np.int64]:
 DEFAULT_MAX_CELLS = 127
 """The paper's largest grid."""
 
-MAX_CELLS = 4000
+MAX_CELLS = 10_000
 """Of an object; what learning keeps grows with the square of their number."""
 
 MAX_LABEL = 2**31 - 1

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridpush_drake.bench import grasp as pregrasp_station
+from gridpush_drake.bench import grasp
 from gridpush_drake.bench.grasp import GraspScore, tabulate
 from gridpush_drake.cli.main import main
 from gridpush_drake.errors import GridPushError, ObjectError
@@ -40,11 +40,11 @@ def test_the_table_counts_what_happened():
 
 def test_refuses_what_makes_no_sense():
     with pytest.raises(ObjectError, match="brick"):
-        pregrasp_station.run(["claw_hammer", "brick"], [0])
+        grasp.run(["claw_hammer", "brick"], [0])
     with pytest.raises(GridPushError, match="objects: none"):
-        pregrasp_station.run([], [0])
+        grasp.run([], [0])
     with pytest.raises(GridPushError, match="seeds: none"):
-        pregrasp_station.run(["claw_hammer"], [])
+        grasp.run(["claw_hammer"], [])
 
 
 def test_the_command_refuses_an_unknown_object(capsys):

@@ -6,7 +6,6 @@ import pytest
 from shapely import Point
 
 from gridpush_drake.bench import paper
-from gridpush_drake.bench import paper as paper_tables
 from gridpush_drake.bench.paper import Score
 from gridpush_drake.bench.paper_protocol import (
     DURATION,
@@ -42,7 +41,7 @@ def made_folder(tmp_path):
     content = {
         "masses_by_label": {"ell": [[1.0, 3.0], [4.0, 0.5]]},
         "splits": splits,
-        "meters_per_pixel": {"simulated": 0.002},
+        "metres_per_pixel": {"simulated": 0.002},
     }
     (tmp_path / "protocol.json").write_text(json.dumps(content))
     return tmp_path
@@ -209,9 +208,9 @@ def make_scores():
 
 def test_tables_of_scores():
     scores = make_scores()
-    table = paper_tables.tabulate_methods(scores, ["a", "b"], ["uniform prior", "default"], 5, 100)
+    table = paper.tabulate_methods(scores, ["a", "b"], ["uniform prior", "default"], 5, 100)
     assert table.rows[1] == ["default", "2.00 (1.00 to 3.00)", "6.00 (5.00 to 7.00)", "4.00 (3.00 to 5.00)", 80]
-    table = paper_tables.tabulate_training(scores, ["a", "b"], "default", 100)
+    table = paper.tabulate_training(scores, ["a", "b"], "default", 100)
     assert [row[0] for row in table.rows] == [1, 5]
     assert table.rows[0][-2] == "40.00 (30.00 to 50.00)"
 
@@ -219,8 +218,8 @@ def test_tables_of_scores():
 def test_interval():
     rng = np.random.default_rng(0)
     values = rng.normal(3.0, 1.0, 200)
-    interval = paper_tables.calc_interval(values)
+    interval = paper.calc_interval(values)
     assert interval.mean == pytest.approx(values.mean())
     assert interval.high - interval.low == pytest.approx(2 * 1.96 * values.std() / np.sqrt(200), rel=0.05)
-    assert paper_tables.calc_interval([2.0]).mean == 2.0
-    assert np.isnan(paper_tables.calc_interval([2.0]).low)
+    assert paper.calc_interval([2.0]).mean == 2.0
+    assert np.isnan(paper.calc_interval([2.0]).low)

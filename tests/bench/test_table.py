@@ -4,7 +4,7 @@ from itertools import product
 import pytest
 from rich.console import Console
 
-from gridpush_drake.bench import paper_tables, planning_tables, plant, pregrasp_station, pregrasp_tables, real, station
+from gridpush_drake.bench import grasp, paper, planning, plant, pregrasp, real, station
 from gridpush_drake.bench.pregrasp_exploration import AIMS, DISTANCES, ExplorationScore, Trace
 from gridpush_drake.bench.pregrasp_world import Outcome
 from gridpush_drake.bench.speed import measure, one_core
@@ -68,29 +68,29 @@ ERROR = 0.1234567
 
 
 def make_paper_tables():
-    methods = (paper_tables.UNIFORM, *METHODS)
+    methods = (paper.UNIFORM, *METHODS)
     scores = [
-        paper_tables.Score(name, number, training, method, 1500, 1500, ERROR * (1 + number))
+        paper.Score(name, number, training, method, 1500, 1500, ERROR * (1 + number))
         for name, number, training, method in product(NAMES, range(2), (1, 5), methods)
     ]
     return [
-        paper_tables.tabulate_methods(scores, NAMES, methods, 5, 1500),
-        paper_tables.tabulate_training(scores, NAMES, paper_tables.DEFAULT, 1500),
-        paper_tables.tabulate_budgets(scores, methods, 5),
+        paper.tabulate_methods(scores, NAMES, methods, 5, 1500),
+        paper.tabulate_training(scores, NAMES, paper.DEFAULT, 1500),
+        paper.tabulate_budgets(scores, methods, 5),
     ]
 
 
 def make_planning_tables():
-    modes = (planning_tables.LEARNING, planning_tables.LOOK_AHEAD)
+    modes = (planning.LEARNING, planning.LOOK_AHEAD)
     decisions = [
-        planning_tables.Decision(name, method, 422, ERROR, 1.2345)
+        planning.Decision(name, method, 422, ERROR, 1.2345)
         for name, method in product(NAMES, ("gradient", "finite_difference", "exhaustive"))
     ]
     runs = [
-        planning_tables.Run(name, mode, False, True, 25, "too many pushes", ERROR, ERROR, 1234, 1234.5, 123.4)
+        planning.Run(name, mode, False, True, 25, "too many pushes", ERROR, ERROR, 1234, 1234.5, 123.4)
         for name, mode in product(NAMES, modes)
     ]
-    return [planning_tables.tabulate_decisions(decisions, NAMES), planning_tables.tabulate_runs(runs, NAMES, modes, 25)]
+    return [planning.tabulate_decisions(decisions, NAMES), planning.tabulate_runs(runs, NAMES, modes, 25)]
 
 
 def make_real_tables():
@@ -110,22 +110,19 @@ def make_real_tables():
 def make_pregrasp_tables():
     methods = ("learned, wide friction", "unbounded")
     slides = [
-        pregrasp_tables.SlideScore(name, method, Outcome(True, False, 13, 12, ""))
-        for name, method in product(NAMES, methods)
+        pregrasp.SlideScore(name, method, Outcome(True, False, 13, 12, "")) for name, method in product(NAMES, methods)
     ]
     trace = Trace(21, (ERROR,), (ERROR,), 1.0)
     pokes = [
         ExplorationScore(name, aim, distance, trace, trace) for name, aim, distance in product(NAMES, AIMS, DISTANCES)
     ]
-    grasps = [
-        pregrasp_station.GraspScore(name, 0, "dropped", "It fell.", 3, 2, 0.1, 0.2, 123.4, 234.5) for name in NAMES
-    ]
+    grasps = [grasp.GraspScore(name, 0, "dropped", "It fell.", 3, 2, 0.1, 0.2, 123.4, 234.5) for name in NAMES]
     return [
-        pregrasp_tables.tabulate_slides(slides, methods),
-        pregrasp_tables.tabulate_objects(slides, NAMES, methods[0]),
-        pregrasp_tables.tabulate_exploration(pokes),
-        pregrasp_tables.tabulate_exploration_by_object(pokes, NAMES),
-        pregrasp_station.tabulate(grasps, NAMES),
+        pregrasp.tabulate_slides(slides, methods),
+        pregrasp.tabulate_objects(slides, NAMES, methods[0]),
+        pregrasp.tabulate_exploration(pokes),
+        pregrasp.tabulate_exploration_by_object(pokes, NAMES),
+        grasp.tabulate(grasps, NAMES),
     ]
 
 

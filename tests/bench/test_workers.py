@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gridpush_drake.bench import paper, planning, plant, pregrasp, pregrasp_station, real, station
+from gridpush_drake.bench import grasp, paper, planning, plant, pregrasp, real, station
 from gridpush_drake.bench.paper import Score
 from gridpush_drake.bench.planning import Decision, Run
 from gridpush_drake.bench.pregrasp import SlideScore
@@ -161,7 +161,7 @@ TRACE = Trace(3, (0.1, 0.004), (0.2, nan), 1.5)
         (real.run_job, [real.Score("a", 0, "poses", 5, (0.1, 0.2), (nan, 0.3))]),
         (pregrasp.run_job, SlideScore("a", "learned", Outcome(True, False, 3, 2, "held", nan), False)),
         (pregrasp.run_job, ExplorationScore("a", "both directions", 0.02, TRACE, replace(TRACE, pokes=21))),
-        (pregrasp_station.run_job, pregrasp_station.GraspScore("a", 0, "held", "", 3, 2, 0.1, nan, 30.0, 12.5)),
+        (grasp.run_job, grasp.GraspScore("a", 0, "held", "", 3, 2, 0.1, nan, 30.0, 12.5)),
         (
             station.run_job,
             station.StationScore("a", 0, "finished", 8, 4, (0.1, 0.2, nan), (0.1, 0.2), 0.1, 0.5, 0, 9.0),

@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gridpush_drake.dynamics.force_push import ForcePush
 
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.dynamics.time_grid import MAX_STEPS
 from gridpush_drake.errors import GridPushError, ObjectError, OutputError, ParameterError, PushError, SimulationError
@@ -124,14 +123,14 @@ def test_headers_without_end(tmp_path, filler):
 def test_numbers_that_are_too_many(tmp_path):
     path = tmp_path / "object.yaml"
     for line, message in (
-        ("max_cells: 10000000", "max_cells is 10000000; expected a whole number, 1 or more, at most 4000"),
+        ("max_cells: 10000000", "max_cells is 10000000; expected a whole number, 1 or more, at most 10000"),
         (f"cells: {{size: 0.1, centers: [[0, 0]], labels: [{10**30}]}}", r"labels\[0\] is 10+; expected"),
         (f"parts: [{{label: {10**30}, outline: [[0, 0], [1, 0], [0, 1]]}}]", r"parts\[0\]\.label is 10+; expected"),
     ):
         path.write_text(f"{OUTLINE}{line}\n")
         with pytest.raises(ObjectError, match=message):
             read_object(path)
-    with pytest.raises(ObjectError, match="at most 4000"):
+    with pytest.raises(ObjectError, match="at most 10000"):
         GridObject.from_outline([[0, 0], [1, 0], [0, 1]], max_cells=MAX_CELLS + 1)
     with pytest.raises(ObjectError, match="labels"):
         GridObject("a", np.zeros((1, 2)), 0.1, [10**30], make_block().outline)
