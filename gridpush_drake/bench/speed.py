@@ -132,7 +132,7 @@ def make_bench_push(obj: GridObject) -> Push:
     x0, y0, x1, y1 = obj.outline.bounds
     x = x0 + PLACE * (x1 - x0)
     bottom = obj.outline.intersection(LineString([(x, y0 - 1), (x, y1 + 1)])).bounds[1]
-    return Push((x, bottom - RADIUS), (0.0, SPEED), DURATION, RADIUS)  # type: ignore[arg-type]
+    return Push((x, bottom - RADIUS), (0.0, SPEED), DURATION, RADIUS)
 
 
 def load_hammer(data: Path | None) -> GridObject:

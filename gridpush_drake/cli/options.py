@@ -219,7 +219,7 @@ def compile_kernels() -> None:
 
         obj = GridObject.from_outline([[0, 0], [SIDE, 0], [SIDE, SIDE], [0, SIDE]], max_cells=1)
         params = CellParameters.uniform(obj)
-        push = Push((-RADIUS, SIDE / 3), (SPEED, 0.0), DURATION, RADIUS)  # type: ignore[arg-type]
+        push = Push((-RADIUS, SIDE / 3), (SPEED, 0.0), DURATION, RADIUS)
         regimes: tuple[Regime, ...] = ("inertial", "quasi_static")
         for regime in regimes:
             simulate(obj, params, push, gradients=True, regime=regime)

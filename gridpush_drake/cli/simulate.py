@@ -70,7 +70,7 @@ def _make_push(start: str, velocity: str, duration: float, radius: float | None)
     from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 
     tip, v = options.parse_numbers("--start", start, "x,y"), options.parse_numbers("--velocity", velocity, "vx,vy")
-    return Push(tip, v, duration, DEFAULT_PUSHER_RADIUS if radius is None else radius)  # type: ignore[arg-type]
+    return Push(tip, v, duration, DEFAULT_PUSHER_RADIUS if radius is None else radius)
 
 
 def _make_log(push: "Push", motion: "Motion", samples: int) -> "PushLog":

@@ -10,7 +10,7 @@ from gridpush_drake.errors import PushError
 from gridpush_drake.objects.grid_object import GridObject
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class Push:
     """The motion of a disc of radius `radius` in the plane of the support, piecewise linear in time.
 
@@ -35,26 +35,40 @@ class Push:
     velocity: NDArray[np.float64]
     duration: float
     radius: float
-    t: NDArray[np.float64] = field(default=None, kw_only=True, repr=False)  # type: ignore[arg-type]
-    xy: NDArray[np.float64] = field(default=None, kw_only=True, repr=False)  # type: ignore[arg-type]
-    start_tangent: NDArray[np.float64] | None = field(default=None, kw_only=True, repr=False)
+    t: NDArray[np.float64] = field(kw_only=True, repr=False)
+    xy: NDArray[np.float64] = field(kw_only=True, repr=False)
+    start_tangent: NDArray[np.float64] | None = field(kw_only=True, repr=False)
 
-    def __post_init__(self) -> None:
-        start, velocity = _vector("start", self.start), _vector("velocity", self.velocity)
-        _require_positive("radius", self.radius)
-        _require_positive("duration", self.duration)
-        t = np.array([0.0, self.duration]) if self.t is None else np.array(self.t, dtype=np.float64)
+    def __init__(
+        self,
+        start: ArrayLike,
+        velocity: ArrayLike,
+        duration: float,
+        radius: float,
+        *,
+        t: ArrayLike | None = None,
+        xy: ArrayLike | None = None,
+        start_tangent: ArrayLike | None = None,
+    ) -> None:
+        """Copies and checks what is given; without samples `t` and `xy`, those of the straight motion are made."""
+        begin, v = _vector("start", start), _vector("velocity", velocity)
+        _require_positive("radius", radius)
+        _require_positive("duration", duration)
         with np.errstate(over="ignore"):
-            end = _vector("end, start + velocity * duration,", start + velocity * self.duration)
-        xy = np.array([start, end]) if self.xy is None else np.array(self.xy)
-        arrays = {"start": start, "velocity": velocity, "t": t, "xy": xy}
-        if self.start_tangent is not None:
-            arrays["start_tangent"] = _vector("start_tangent", self.start_tangent)
-        for name, value in arrays.items():
-            value.setflags(write=False)
+            end = _vector("end, start + velocity * duration,", begin + v * duration)
+        values = {
+            "start": begin,
+            "velocity": v,
+            "duration": float(duration),
+            "radius": float(radius),
+            "t": np.array([0.0, duration]) if t is None else np.array(t, dtype=np.float64),
+            "xy": np.array([begin, end]) if xy is None else np.array(xy, dtype=np.float64),
+            "start_tangent": None if start_tangent is None else _vector("start_tangent", start_tangent),
+        }
+        for name, value in values.items():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
             object.__setattr__(self, name, value)
-        object.__setattr__(self, "duration", float(self.duration))
-        object.__setattr__(self, "radius", float(self.radius))
 
     @classmethod
     def along(cls, t: ArrayLike, xy: ArrayLike | Sequence[Sequence[float]], radius: float) -> "Push":

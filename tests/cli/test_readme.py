@@ -4,6 +4,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+import gridpush_drake
 from gridpush_drake.cli.main import app
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import list_shipped_objects
@@ -24,6 +25,25 @@ def test_the_python_runs(block, pushes, tmp_path, monkeypatch):
     assert len(examples) == 3
     for example in examples:
         exec(compile(example, "README.md", "exec"), {})
+
+
+def test_the_python_names_public_things_only():
+    for example in blocks("python"):
+        ours = re.findall(r"from gridpush_drake([\w.]*) import ([\w, ]+)", example)
+        assert ours
+        for module, names in ours:
+            assert module == "" and set(names.split(", ")) <= set(gridpush_drake.__all__)
+
+
+def test_the_python_type_checks(tmp_path):
+    mypy = pytest.importorskip("mypy.api", reason="mypy is not installed")
+    files = []
+    for i, example in enumerate(blocks("python")):
+        files.append(tmp_path / f"example_{i}.py")
+        files[-1].write_text(example)
+    settings = ROOT / "pyproject.toml"
+    out, err, code = mypy.run([*map(str, files), f"--config-file={settings}", "--follow-imports=silent", "--strict"])
+    assert code == 0, out + err
 
 
 def test_the_object_and_the_pushes_can_be_read(tmp_path):

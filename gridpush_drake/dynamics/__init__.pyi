@@ -1,0 +1,13 @@
+from .condensed_step import calc_step as calc_step
+from .motion import Jacobian as Jacobian
+from .motion import Motion as Motion
+from .motion import MotionStatus as MotionStatus
+from .push import ForcePush as ForcePush
+from .push import Push as Push
+from .simulate import GRAVITY as GRAVITY
+from .simulate import Regime as Regime
+from .simulate import simulate as simulate
+from .simulate import simulate_batch as simulate_batch
+from .time_grid import DEFAULT_DT as DEFAULT_DT
+from .time_grid import DEFAULT_TIP_STEP as DEFAULT_TIP_STEP
+from .time_grid import make_path_times as make_path_times

@@ -1,0 +1,14 @@
+from .call import Method as Method
+from .call import make_method as make_method
+from .call import run_kernel as run_kernel
+from .compiled import kernel as kernel
+from .forward_sensitivity import OTHER as OTHER
+from .friction import LAWS as LAWS
+from .friction_law import SPIN_ARM as SPIN_ARM
+from .friction_law import SPIN_MODELS as SPIN_MODELS
+from .friction_law import FrictionLaw as FrictionLaw
+from .inputs import Load as Load
+from .inputs import Steps as Steps
+from .step import CONVERGED as CONVERGED
+from .step_memory import MEMORY_SIZE as MEMORY_SIZE
+from .step_memory import make_memory as make_memory

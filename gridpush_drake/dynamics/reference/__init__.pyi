@@ -1,0 +1,13 @@
+from .isotropic_socp import solve_isotropic_socp as solve_isotropic_socp
+from .maximal_lcp import MaximalLcp as MaximalLcp
+from .maximal_lcp import make_maximal_lcp as make_maximal_lcp
+from .maximal_lcp import twist_to_cells as twist_to_cells
+from .maximal_solvers import LcpSolution as LcpSolution
+from .maximal_solvers import solve_as_lcp as solve_as_lcp
+from .maximal_solvers import solve_as_qp as solve_as_qp
+from .paper_gradient import PaperGradient as PaperGradient
+from .paper_gradient import calc_paper_gradient as calc_paper_gradient
+from .paper_gradient import calc_paper_loss_gradient as calc_paper_loss_gradient
+from .paper_gradient import calc_paper_step_jacobian as calc_paper_step_jacobian
+from .paper_gradient import calc_x11 as calc_x11
+from .paper_rollout import calc_paper_jacobian as calc_paper_jacobian
