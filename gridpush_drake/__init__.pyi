@@ -1,10 +1,10 @@
 from .dynamics.motion import Motion as Motion
 from .dynamics.push import ForcePush as ForcePush
 from .dynamics.push import Push as Push
-from .dynamics.simulate import simulate as simulate
-from .dynamics.simulate import simulate_batch as simulate_batch
+from .dynamics.simulation import simulate as simulate
+from .dynamics.simulation import simulate_batch as simulate_batch
 from .errors import GridPushError as GridPushError
-from .identification.identify import identify as identify
+from .identification.learning import identify as identify
 from .identification.model_file import read_model as read_model
 from .identification.model_file import write_model as write_model
 from .identification.prediction import predict as predict

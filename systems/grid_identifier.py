@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, LeafSystem, State
 
-from gridpush_drake.dynamics.simulate import Regime
+from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import GridPushError, IdentificationError
-from gridpush_drake.identification.identify import METHODS, REGIMES, describe_prior, identify
+from gridpush_drake.identification.learning import METHODS, REGIMES, describe_prior, identify
 from gridpush_drake.identification.map_ensemble import MapEnsembleOptions
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import HistoryEntry, Identification, calc_center_of_mass

@@ -1,6 +1,8 @@
 """The public names: what README and tutorials may import, and no more."""
 
 import ast
+import subprocess
+import sys
 from importlib import import_module
 from pathlib import Path
 
@@ -33,3 +35,9 @@ def test_every_name_is_there_and_is_no_module(stub):
         assert not isinstance(getattr(package, name), type(ast)), name
     with pytest.raises(AttributeError, match="no_such_name"):
         _ = package.no_such_name
+
+
+def test_importing_dynamics_and_its_pushes_imports_no_compiler():
+    code = "import sys, gridpush_drake.dynamics.push; print('numba' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout.split() == ["False"]

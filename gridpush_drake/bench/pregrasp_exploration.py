@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.bench.pregrasp_world import see
-from gridpush_drake.dynamics.simulate import simulate
-from gridpush_drake.identification.identify import identify
+from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.identification.learning import identify
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.exploration import PokeOptions, choose_poke, make_center_functional, make_pokes

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.identification.identify import identify
+from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters

@@ -4,10 +4,10 @@ from .motion import Motion as Motion
 from .motion import MotionStatus as MotionStatus
 from .push import ForcePush as ForcePush
 from .push import Push as Push
-from .simulate import GRAVITY as GRAVITY
-from .simulate import Regime as Regime
-from .simulate import simulate as simulate
-from .simulate import simulate_batch as simulate_batch
+from .simulation import GRAVITY as GRAVITY
+from .simulation import Regime as Regime
+from .simulation import simulate as simulate
+from .simulation import simulate_batch as simulate_batch
 from .time_grid import DEFAULT_DT as DEFAULT_DT
 from .time_grid import DEFAULT_TIP_STEP as DEFAULT_TIP_STEP
 from .time_grid import make_path_times as make_path_times

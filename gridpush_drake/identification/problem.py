@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.motion import Motion, MotionStatus
-from gridpush_drake.dynamics.simulate import Regime, simulate
+from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters

@@ -10,7 +10,7 @@ from gridpush_drake.dynamics.kernels.contact_modes import SEPARATE, SLIDE_MINUS,
 from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
 from gridpush_drake.dynamics.kernels.inputs import Load
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters

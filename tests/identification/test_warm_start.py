@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.identification.identify import describe_prior, identify
+from gridpush_drake.identification.learning import describe_prior, identify
 from gridpush_drake.identification.map_ensemble import MapEnsembleOptions, calc_prior_factor
 from gridpush_drake.identification.map_fit import NoiseModel, calc_smooth_covariance, fit_map
 from gridpush_drake.identification.problem import PushProblem

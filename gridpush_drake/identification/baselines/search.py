@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.motion import Motion
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification.result import STATUS_BUDGET_SPENT, HistoryEntry

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
-from gridpush_drake.dynamics.simulate import Regime
+from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters

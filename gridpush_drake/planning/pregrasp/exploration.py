@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.problem import PushProblem

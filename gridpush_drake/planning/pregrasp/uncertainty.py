@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from gridpush_drake.identification.identify import MIN_CONTACT_FRICTION
+from gridpush_drake.identification.learning import MIN_CONTACT_FRICTION
 from gridpush_drake.identification.map_ensemble import MapEnsembleOptions, calc_prior_factor
 from gridpush_drake.identification.map_fit import NoiseModel, calc_smooth_covariance
 from gridpush_drake.identification.posterior import Posterior, draw_consistent

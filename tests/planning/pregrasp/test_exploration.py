@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.identification.identify import identify
+from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters

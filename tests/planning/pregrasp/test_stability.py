@@ -213,7 +213,7 @@ def test_a_push_over_the_edge_drops_the_rod_when_it_tips(rod):
 
 
 def test_a_push_that_stays_on_the_table_is_the_plain_one(hammer):
-    from gridpush_drake.dynamics.simulate import simulate
+    from gridpush_drake.dynamics.simulation import simulate
 
     params = CellParameters.random(hammer, 1)
     push = Push.on_outline(hammer, 0.3, 0.2, 0.05, radius=0.008, speed=0.03)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from gridpush_drake.dynamics.simulate import GRAVITY, Regime
+from gridpush_drake.dynamics.simulation import GRAVITY, Regime
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification.baselines.methods import DEFAULT_BUDGET_PER_PUSH, SEARCH_METHODS
 from gridpush_drake.identification.baselines.search import Bounds, SearchMethod
