@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.errors import PushError
+from gridpush_drake.geometry.se2 import make_rotation, rotate
 from gridpush_drake.objects.grid_object import GridObject
 
 
@@ -148,9 +149,9 @@ class Push:
             duration = distance / speed
         _require_positive("duration", duration)
         point, tangent, normal = obj.edges.at(arc_length)
-        R = _rotation(q[2])
+        R = make_rotation(q[2])
         start = q[:2] + R @ (point + (radius + clearance) * normal)
-        direction = R @ _rotation(angle) @ -normal
+        direction = R @ rotate(angle, -normal)
         return cls(start, distance / duration * direction, duration, radius, start_tangent=R @ tangent)
 
     @property
@@ -206,11 +207,6 @@ class ForcePush:
         """(T, 2) the force in each of the T steps between `times` (T+1,), N, world frame; that of the step's start."""
         index = np.searchsorted(self.t, times[:-1], side="right") - 1
         return self.force[np.maximum(index, 0)]
-
-
-def _rotation(angle: float) -> NDArray[np.float64]:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s], [s, c]])
 
 
 def _vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
