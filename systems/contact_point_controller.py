@@ -128,7 +128,7 @@ class ContactPointController(ObjectController[ControllerState]):
     * push_status: abstract `PushStatus` of the executor.
     * goal_pose: vector of 3, where the object should lie, (x, y, theta) of B in W, m and rad; NaN for nowhere.
     * status: abstract `ContactPointStatus`.
-    * push_command: vector of 6, see `PushCommand`; number 0 before the first.
+    * push_command: vector of 6, see `PushCommand`; id 0 before the first.
 
     Abstract state: one `ControllerState`.
     """
@@ -161,7 +161,7 @@ class ContactPointController(ObjectController[ControllerState]):
         """One look: waits for the robot, then for a goal, then for the object, then decides."""
         executor: PushStatus = self._push_status.Eval(context)
         pose, time = self._object_pose.Eval(context), context.get_time()
-        if not executor.ready or now.command.number not in (0, executor.number):
+        if not executor.ready or now.command.command_id not in (0, executor.command_id):
             return self._wait_for_robot(now, executor, pose, time)
         if now.status.mode == ContactPointMode.PUSHING:
             now = self._end_push(now, executor, self._read_log(context))
@@ -185,7 +185,7 @@ class ContactPointController(ObjectController[ControllerState]):
         now = replace(now, looks=now.looks.wait(time, pose))
         if not np.isfinite(pose).all() and executor.ready:
             # it was not taken up, and when the object is seen again it may lie elsewhere
-            return replace(now, command=PushCommand(executor.number)).turn_to(
+            return replace(now, command=PushCommand(executor.command_id)).turn_to(
                 ContactPointMode.WAITING, "The object is not seen."
             )
         return now
@@ -264,4 +264,4 @@ class ContactPointController(ObjectController[ControllerState]):
             ContactPointMode.PUSHING, f"Push {now.status.pushes + 1} is under way.", error=decision.error,
             expected_pose=(x, y, theta), expected_error=expected,
         )  # fmt: skip
-        return replace(now, command=command, issued=command.number, executed=executor.executed, logged=logged)
+        return replace(now, command=command, issued=command.command_id, executed=executor.executed, logged=logged)

@@ -139,7 +139,7 @@ class Canvas:
             return
         self.meshcat.SetTransform(path, MakePlanarTransform((0.0, 0.0, 0.0), self.lift))
         command = drawing.command
-        if command.number and command.distance > 0:
+        if command.command_id and command.distance > 0:
             above = self.height + 4 * LAYER
             AddArrow(self.meshcat, f"{path}/arrow", command.start, command.end, above)
         if len(drawing.predicted):
@@ -296,14 +296,14 @@ class EstimateVisualizer(LeafSystem):
             )
         vector = self._Eval(self._command, context)
         command = PushCommand.from_vector(vector) if len(vector) else PushCommand()
-        if command.number == drawn.command.number:
+        if command.command_id == drawn.command.command_id:
             return present
         predicted = self._Predict(context, command, mass, friction)
         return replace(present, push=drawn.push + 1, command=command, predicted=predicted)
 
     def _Predict(self, context: Context, command: PushCommand, mass: Array, friction: Array) -> Array:
         """The pose (3,) after a push; empty where the model cannot say."""
-        if not (command.number and command.distance > 0 and command.speed > 0):
+        if not (command.command_id and command.distance > 0 and command.speed > 0):
             return EMPTY
         contact = self._Eval(self._contact_friction, context)
         mu = float(contact[0]) if len(contact) else self._obj.prior.contact_friction

@@ -253,7 +253,7 @@ class GraspState:
 class GraspExecutor(AbstractStateSystem[GraspState]):
     """Grasps what overhangs the table's edge, from the side, lifts it and holds it; else passes the finger's pose on.
 
-    A command is taken up when the push executor is idle, this one too, and the command's number is not the last one's.
+    A command is taken up when the push executor is idle, this one too, and the command's id is not the last one's.
     It is refused, with its reason in the status, where its numbers are not usable and where the arm cannot follow.
     While what it needs to see is not finite it waits where it is, and the status says why.
     After a grasp that failed the tool goes back to the push executor's pose. The pose is continuous, and so are its
@@ -276,7 +276,7 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
     Ports:
         push_tip_pose: abstract `RigidTransform`, X_WP that the push executor desires; at rest while that is idle.
         push_status: abstract `PushStatus`.
-        grasp_command: vector of 6, see `GraspCommand`: number, x, y, z (m), approach (rad), lift (m). Need not be
+        grasp_command: vector of 6, see `GraspCommand`: command_id, x, y, z (m), approach (rad), lift (m). Need not be
             connected where nothing is grasped.
         gripper_state: vector of 4, the fingers' positions, left and right, m, and velocities, m/s.
         tip_pose: abstract `RigidTransform`, X_WP desired.
@@ -354,10 +354,10 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
         """What is needed at present and not finite; empty for nothing."""
         busy = bool(now.legs)
         if not busy:
-            number = self._command.Eval(context)[0] if self._command.HasValue(context) else 0
-            if not np.isfinite(number):
+            command_id = self._command.Eval(context)[0] if self._command.HasValue(context) else 0
+            if not np.isfinite(command_id):
                 return UNREADABLE
-            if number in (0, now.status.number):
+            if command_id in (0, now.status.command_id):
                 return ""
         if not np.isfinite(self._push_pose.Eval(context).translation()).all():
             return "the push executor's pose is not finite"
@@ -369,14 +369,15 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
         if not self._command.HasValue(context) or not self._push_status.Eval(context).ready:
             return now
         vector = self._command.Eval(context)
-        if vector[0] in (0, now.status.number):
+        if vector[0] in (0, now.status.command_id):
             return now
         command = GraspCommand.from_vector(vector)
         rest = calc_tool_pose(self._push_pose.Eval(context))
         legs, reason = self.plan(command, rest)
         if reason:
-            return replace(now, status=GraspStatus(number=command.number, outcome=GraspOutcome.REFUSED, reason=reason))
-        status = GraspStatus(GraspPhase(legs[0].phase), command.number)
+            refused = GraspStatus(command_id=command.command_id, outcome=GraspOutcome.REFUSED, reason=reason)
+            return replace(now, status=refused)
+        status = GraspStatus(GraspPhase(legs[0].phase), command.command_id)
         return GraspState(legs, time, command, _find_speed_scale(legs, self.style), 0.0, status)
 
     def plan(self, command: GraspCommand, rest: ToolPose) -> tuple[tuple[ToolTrajectorySegment, ...], str]:

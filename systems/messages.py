@@ -29,7 +29,7 @@ class PushCommand:
     """A straight push of the finger's tip in the plane of the table, world frame.
 
     Attributes:
-        number: counts the commands from 1; a command is new when its number is. 0 stands for no command.
+        command_id: counts the commands from 1; a command is new when its id is. 0 stands for no command.
         x: of the tip's center where the push begins, m.
         y: likewise.
         direction: of the motion, rad from W's x axis, counterclockwise.
@@ -37,7 +37,7 @@ class PushCommand:
         speed: on the way, m/s.
     """
 
-    number: int = 0
+    command_id: int = 0
     x: float = 0.0
     y: float = 0.0
     direction: float = 0.0
@@ -55,21 +55,21 @@ class PushCommand:
         return self.start + self.distance * np.array([cos(self.direction), sin(self.direction)])
 
     def to_vector(self) -> NDArray[np.float64]:
-        """(6,) as on a port: number, x, y, direction, distance, speed."""
-        return np.array([self.number, self.x, self.y, self.direction, self.distance, self.speed])
+        """(6,) as on a port: command_id, x, y, direction, distance, speed."""
+        return np.array([self.command_id, self.x, self.y, self.direction, self.distance, self.speed])
 
     @classmethod
     def from_vector(cls, vector: NDArray[np.float64]) -> "PushCommand":
-        """Reads what `to_vector` wrote; a number that is not finite is none, 0."""
-        number, *rest = vector.tolist()
-        return cls(round(number) if isfinite(number) else 0, *rest)
+        """Reads what `to_vector` wrote; an id that is not finite is none, 0."""
+        command_id, *rest = vector.tolist()
+        return cls(round(command_id) if isfinite(command_id) else 0, *rest)
 
     @classmethod
-    def from_push(cls, number: int, push: Push) -> "PushCommand":
+    def from_push(cls, command_id: int, push: Push) -> "PushCommand":
         """The command for a straight push."""
         x, y = push.start.tolist()
         direction = atan2(push.velocity[1], push.velocity[0])
-        return cls(number, x, y, direction, push.length, push.length / push.duration)
+        return cls(command_id, x, y, direction, push.length, push.length / push.duration)
 
 
 class PushPhase(StrEnum):
@@ -89,14 +89,14 @@ class PushStatus:
 
     Attributes:
         phase: "idle", "approaching", "descending", "pushing", "settling" or "retracting".
-        number: of the last command taken up or refused; 0 before the first.
+        command_id: of the last command taken up or refused; 0 before the first.
         executed: commands carried out to the end, or broken off.
         refused: commands refused.
         reason: why the last command was refused; empty where it was not.
     """
 
     phase: PushPhase = PushPhase.IDLE
-    number: int = 0
+    command_id: int = 0
     executed: int = 0
     refused: int = 0
     reason: str = ""
@@ -115,7 +115,7 @@ class GraspCommand:
     """A grasp from beyond the table's edge, one jaw under the object and one over it, world frame.
 
     Attributes:
-        number: counts the commands from 1; a command is new when its number is. 0 stands for no command.
+        command_id: counts the commands from 1; a command is new when its id is. 0 stands for no command.
         x: of the grasp point p_WG, the middle between the pads, m.
         y: likewise.
         z: likewise; half the object's thickness where it lies on the table.
@@ -123,7 +123,7 @@ class GraspCommand:
         lift: how high to lift what was grasped, m.
     """
 
-    number: int = 0
+    command_id: int = 0
     x: float = 0.0
     y: float = 0.0
     z: float = 0.0
@@ -141,14 +141,14 @@ class GraspCommand:
         return np.array([cos(self.approach), sin(self.approach)])
 
     def to_vector(self) -> NDArray[np.float64]:
-        """(6,) as on a port: number, x, y, z, approach, lift."""
-        return np.array([self.number, self.x, self.y, self.z, self.approach, self.lift])
+        """(6,) as on a port: command_id, x, y, z, approach, lift."""
+        return np.array([self.command_id, self.x, self.y, self.z, self.approach, self.lift])
 
     @classmethod
     def from_vector(cls, vector: NDArray[np.float64]) -> "GraspCommand":
-        """Reads what `to_vector` wrote; a number that is not finite is none, 0."""
-        number, *rest = vector.tolist()
-        return cls(round(number) if isfinite(number) else 0, *rest)
+        """Reads what `to_vector` wrote; an id that is not finite is none, 0."""
+        command_id, *rest = vector.tolist()
+        return cls(round(command_id) if isfinite(command_id) else 0, *rest)
 
 
 class GraspPhase(StrEnum):
@@ -180,14 +180,14 @@ class GraspStatus:
 
     Attributes:
         phase: "idle", "approaching", "entering", "closing", "lifting", "holding", "opening" or "retreating".
-        number: of the last command taken up or refused; 0 before the first.
+        command_id: of the last command taken up or refused; 0 before the first.
         outcome: of that command: "" (under way), "refused", "missed" (closed on nothing), "slipped" (lost while lifting
             or holding) or "held" (lifted, and held for the time: the phase stays "holding").
         reason: why it was refused, or what went wrong; empty where nothing did.
     """
 
     phase: GraspPhase = GraspPhase.IDLE
-    number: int = 0
+    command_id: int = 0
     outcome: GraspOutcome = GraspOutcome.NONE
     reason: str = ""
 

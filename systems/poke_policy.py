@@ -1,6 +1,6 @@
 """Choosing the next exploratory push: random places of the outline where the tip fits and the object stays in bounds.
 
-The k-th candidate of a push is drawn from (seed, number of the push, k) alone: neither the pushes before it nor how
+The k-th candidate of a push is drawn from (seed, command_id, k) alone: neither the pushes before it nor how
 many candidates they took change it.
 
 Which push comes next, as a Drake system: random pokes, one whenever the executor is ready for it.
@@ -103,7 +103,7 @@ def choose_poke(
     obj: GridObject,
     params: CellParameters,
     pose: ArrayLike,
-    number: int,
+    command_id: int,
     seed: int,
     style: RandomPokeOptions,
     region: PokeRegion,
@@ -120,7 +120,7 @@ def choose_poke(
         obj: the object.
         params: by which its motion is predicted.
         pose: (3,) where it lies, m and rad.
-        number: of the command.
+        command_id: of the command.
         seed: of the draws.
         style: how to push.
         region: where.
@@ -133,7 +133,7 @@ def choose_poke(
     q = np.array(pose, dtype=np.float64)
     nearest, least = None, (True, np.inf)
     for attempt in range(first, first + style.candidates):
-        command = draw_poke(obj, q, number, seed, attempt, style)
+        command = draw_poke(obj, q, command_id, seed, attempt, style)
         if not fits(obj, q, command, style, region) or (reach is not None and not reach(command)):
             continue
         last = predict_poke(obj, params, q, command, style)
@@ -151,17 +151,17 @@ def choose_poke(
 
 
 def draw_poke(
-    obj: GridObject, pose: Array, number: int, seed: int, attempt: int, style: RandomPokeOptions
+    obj: GridObject, pose: Array, command_id: int, seed: int, attempt: int, style: RandomPokeOptions
 ) -> PushCommand:
     """Draws a candidate: a place on the exterior outline, a slant and a distance, all uniform."""
-    rng = np.random.default_rng((seed, number, attempt))
+    rng = np.random.default_rng((seed, command_id, attempt))
     place, slant, distance = rng.uniform(0, obj.edges.perimeter), rng.uniform(-1, 1), rng.uniform(*style.distance)
     push = Push.on_outline(
         obj, place, slant * style.slant, distance + style.clearance, radius=style.tip_radius, speed=style.speed,
         pose=pose, clearance=style.clearance,
     )  # fmt: skip
     x, y = push.start.tolist()
-    return PushCommand(number, x, y, atan2(push.velocity[1], push.velocity[0]), push.length, style.speed)
+    return PushCommand(command_id, x, y, atan2(push.velocity[1], push.velocity[0]), push.length, style.speed)
 
 
 def fits(obj: GridObject, pose: Array, command: PushCommand, style: RandomPokeOptions, region: PokeRegion) -> bool:
@@ -219,10 +219,10 @@ class PokePolicy(LeafSystem):
 
     * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; while it is NaN the policy waits.
     * status: abstract `PushStatus` of the executor.
-    * push_command: vector of 6, see `PushCommand`; number 0 before the first. It stays until the executor is ready
-      again and has taken up, or refused, its number.
+    * push_command: vector of 6, see `PushCommand`; id 0 before the first. It stays until the executor is ready
+      again and has taken up, or refused, its id.
 
-    A refused command is replaced by another one, with the next number. After `num_pushes` executed commands, and
+    A refused command is replaced by another one, with the next id. After `num_pushes` executed commands, and
     `test_pushes` more of their own style, the last one stays. Abstract state: one `PokePolicyState`. Numeric parameter
     0: the seed.
     """
@@ -299,12 +299,12 @@ class PokePolicy(LeafSystem):
         status: PushStatus = self._status.Eval(context)
         pose = self._object_pose.Eval(context)
         wanted = status.executed < self.num_pushes + self.test_pushes
-        if not (wanted and status.ready and status.number == before.command.number and np.isfinite(pose).all()):
+        if not (wanted and status.ready and status.command_id == before.command.command_id and np.isfinite(pose).all()):
             return EventStatus.DidNothing()
         style = self.style if status.executed < self.num_pushes else self._test_style
         seed = int(context.get_numeric_parameter(int(self._seed)).value()[0])
         command, attempts = choose_poke(
-            self.obj, self._params, pose, before.command.number + 1, seed, style, self.region, self._reach,
+            self.obj, self._params, pose, before.command.command_id + 1, seed, style, self.region, self._reach,
             before.attempts,
         )  # fmt: skip
         after = PokePolicyState(command) if command else PokePolicyState(before.command, attempts)

@@ -133,9 +133,9 @@ class PreGraspController(ObjectController[ControllerState]):
     * push_status: abstract `PushStatus` of the push executor.
     * grasp_status: abstract `GraspStatus` of the grasp executor.
     * status: abstract `PreGraspStatus`.
-    * push_command: vector of 6, see `PushCommand`; number 0 before the first, while a push is
+    * push_command: vector of 6, see `PushCommand`; id 0 before the first, while a push is
       broken off, and while the object is grasped.
-    * grasp_command: vector of 6, see `GraspCommand`; number 0 before the first.
+    * grasp_command: vector of 6, see `GraspCommand`; id 0 before the first.
 
     Abstract state: one `ControllerState`.
     """
@@ -177,7 +177,7 @@ class PreGraspController(ObjectController[ControllerState]):
         time, pose = context.get_time(), self._object_pose.Eval(context)
         if now.status.mode == PreGraspMode.GRASPING:
             return self._follow_grasp(replace(now, looks=now.looks.wait(time, pose)), grasping)
-        if pushing.number != now.push.number or not (pushing.ready and grasping.ready):
+        if pushing.command_id != now.push.command_id or not (pushing.ready and grasping.ready):
             return self._follow_push(replace(now, looks=now.looks.wait(time, pose)), pushing, pose)
         if now.status.mode in PUSHES:
             now = self._end_push(now, pushing)
@@ -193,9 +193,9 @@ class PreGraspController(ObjectController[ControllerState]):
     def _follow_push(self, now: ControllerState, pushing: PushStatus, pose: Array) -> ControllerState:
         """Until a push was carried out, or refused: takes it back where the object is not seen, or might fall."""
         seen = np.isfinite(pose).all()
-        if pushing.ready and pushing.number != now.push.number and not seen:
+        if pushing.ready and pushing.command_id != now.push.command_id and not seen:
             # it was not taken up, and when the object is seen again it may lie elsewhere
-            return replace(now, push=replace(now.push, number=pushing.number)).turn_to(
+            return replace(now, push=replace(now.push, command_id=pushing.command_id)).turn_to(
                 PreGraspMode.WAITING, "The object is not seen.", expected_pose=None, **_uncount(now)
             )
         if (
@@ -260,7 +260,7 @@ class PreGraspController(ObjectController[ControllerState]):
         planner, known = self.planner, belief or Belief.of_prior(self.planner.obj)
         guard = TippingMonitor.of_push(known.masses, planner.surface, pose, planner.options.slide, self.options.rest)
         poke = decision.action == "poke"
-        command = PushCommand.from_push(now.push.number + 1, push)
+        command = PushCommand.from_push(now.push.command_id + 1, push)
         expected = None if decision.expected_pose is None else tuple(decision.expected_pose.tolist())
         return replace(now, push=command, guard=guard).turn_to(
             PreGraspMode.EXPLORING if poke else PreGraspMode.SLIDING,
@@ -281,14 +281,14 @@ class PreGraspController(ObjectController[ControllerState]):
         if grasp is None:
             return now.turn_to(PreGraspMode.FAILED, "The gripper reaches no part that hangs over.", **told)
         x, y = grasp.p_WG.tolist()
-        command = GraspCommand(now.grasp.number + 1, x, y, self._height, grasp.approach, self._lift)
+        command = GraspCommand(now.grasp.command_id + 1, x, y, self._height, grasp.approach, self._lift)
         return replace(now, grasp=command).turn_to(
             PreGraspMode.GRASPING, "A part that hangs over is taken.", grasps=now.status.grasps + 1, **told
         )
 
     def _follow_grasp(self, now: ControllerState, grasping: GraspStatus) -> ControllerState:
         """While a grasp is under way, and after it."""
-        if grasping.number != now.grasp.number or not grasping.outcome:
+        if grasping.command_id != now.grasp.command_id or not grasping.outcome:
             return now
         if grasping.outcome == GraspOutcome.HELD:
             return now.turn_to(PreGraspMode.HOLDING, "The object is lifted and held.")

@@ -142,16 +142,16 @@ class ExecutorState:
 
 NOT_FINITE = "the command has numbers that are not finite"
 
-UNREADABLE = "the command's number is not finite"
+UNREADABLE = "the command's id is not finite"
 
 
 class PushExecutor(AbstractStateSystem[ExecutorState]):
     """Carries out straight pushes: over the object, down beside it, along, a pause, and up again.
 
-    A command is taken up when the executor is idle and the command's number is not the last one's. It is refused, with
+    A command is taken up when the executor is idle and the command's id is not the last one's. It is refused, with
     its reason in the status, where its numbers are not finite or not usable, where the tip would start in the object or
-    touch it, and where the arm cannot follow. One whose own number is not finite counts as refused once; the status
-    says so until another one is there. A command that is withdrawn, by another with number 0, is broken off: the finger
+    touch it, and where the arm cannot follow. One whose own id is not finite counts as refused once; the status
+    says so until another one is there. A command that is withdrawn, by another with id 0, is broken off: the finger
     stops as soon as it can, and goes up. The desired position, velocity and acceleration are continuous.
 
     .. pydrake_system::
@@ -165,7 +165,7 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         - status
 
     Ports:
-        push_command: vector of 6, see `PushCommand`: number, x, y (m), direction (rad), distance (m), speed (m/s).
+        push_command: vector of 6, see `PushCommand`: command_id, x, y (m), direction (rad), distance (m), speed (m/s).
         object_pose: vector of 3: measured (x, y, theta) of B in W, m and rad; read when a command is taken up, which
             waits while they are NaN (the object is not seen). Need not be connected where there is no outline.
         tip_pose: abstract `RigidTransform`, X_WP desired: P at the tip's center, its z axis pointing down, m.
@@ -255,12 +255,12 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
             status = replace(now.status, refused=now.status.refused + unreadable)
             now = replace(now, unreadable=unreadable, status=status)
         command = PushCommand.from_vector(vector)
-        if command.number in (0, now.status.number):
+        if command.command_id in (0, now.status.command_id):
             return now
         if self._outline is not None and not np.isfinite(self._pose_port.Eval(context)).all():
             return now  # the object is not seen: wait until it is
         legs, reason = self._plan(context, command, now.rest)
-        status = replace(now.status, number=command.number, reason=reason)
+        status = replace(now.status, command_id=command.command_id, reason=reason)
         if reason:
             return replace(now, status=replace(status, refused=status.refused + 1))
         return ExecutorState(now.rest, legs, time, replace(status, phase=PushPhase(legs[0].phase)))

@@ -101,7 +101,7 @@ class ArmBench:
     def push(self, command: PushCommand, every: float = 0.005) -> Record:
         """Carries a command out to the end, or lets it be refused."""
         self.command(command)
-        return self.record(every, lambda status: status.number == command.number and status.ready)
+        return self.record(every, lambda status: status.command_id == command.command_id and status.ready)
 
     def _note(self, record: Record) -> None:
         root = self.simulator.get_context()

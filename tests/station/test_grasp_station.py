@@ -77,7 +77,7 @@ class Run:
         while self.context.get_time() < limit:
             self.simulator.AdvanceTo(self.context.get_time() + 0.1)
             status = self.read("grasp.status")
-            if status.outcome == "held" or (status.number == command.number and status.ready):
+            if status.outcome == "held" or (status.command_id == command.command_id and status.ready):
                 return status
         raise AssertionError(f"not done after {limit} s: {status}")
 

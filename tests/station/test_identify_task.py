@@ -100,14 +100,14 @@ def test_an_unknown_object_suggests_the_nearest():
 def test_gives_up_after_many_refusals():
     watch, seen = _Watch(5), np.zeros(3)
     assert watch.judge(0.1, PushStatus(), seen) == ("", "")
-    status, message = watch.judge(0.2, PushStatus(number=20, refused=20, reason="the arm sulks"), seen)
+    status, message = watch.judge(0.2, PushStatus(command_id=20, refused=20, reason="the arm sulks"), seen)
     assert status == STUCK
     assert "the arm sulks" in message
 
 
 @pytest.mark.slow
 def test_commands_are_numbered_anew_in_each_run(short):
-    assert PushCommand().number == 0
+    assert PushCommand().command_id == 0
     first, second, _ = short
     assert [seen.name for seen in first.log] == [seen.name for seen in second.log] == ["push_1", "push_2"]
 

@@ -17,7 +17,7 @@ def advance_until_idle(simulator, station, command, limit=15.0):
     while context.get_time() < end:
         simulator.AdvanceTo(context.get_time() + 0.1)
         status = station.GetOutputPort("executor.status").Eval(context)
-        if status.ready and status.number == command.number:
+        if status.ready and status.command_id == command.command_id:
             return status
     raise AssertionError(f"not done after {limit} s: {status}")
 

@@ -51,7 +51,7 @@ class Bench:
             lost = self.status.phase == "lifting" and self.poses[-1][2] > self.lost_at
             opening = max(self.openings[-1], 0.0 if lost or not self.width else self.width)
             self.fix("gripper_state", [-opening / 2, opening / 2, 0.0, 0.0])
-            if self.status.outcome == "held" or (self.status.number == command.number and self.status.ready):
+            if self.status.outcome == "held" or (self.status.command_id == command.command_id and self.status.ready):
                 return self.status
         raise AssertionError(f"not done after {limit} s: {self.status}")
 
@@ -139,7 +139,7 @@ def test_waits_for_the_push_to_end_and_for_a_new_number():
 def test_refuses_what_is_not_usable(change, reason):
     bench = Bench()
     status = bench.run(GraspCommand(**{**vars(COMMAND), **change}), 1.0)
-    assert (status.outcome, status.phase, status.number) == ("refused", "idle", 1)
+    assert (status.outcome, status.phase, status.command_id) == ("refused", "idle", 1)
     assert reason in status.reason
     assert set(bench.phases) == {"idle"}
 

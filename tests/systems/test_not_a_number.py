@@ -156,7 +156,7 @@ def test_a_push_with_nan_is_refused(at):
     command = PushCommand(1, *PUSH).to_vector()
     command[at] = np.nan
     status = command_executor(None)(command, 0.1)
-    assert (status.number, status.refused, status.executed) == (1, 1, 0)
+    assert (status.command_id, status.refused, status.executed) == (1, 1, 0)
     assert "not finite" in status.reason
 
 
@@ -164,10 +164,10 @@ def test_a_push_whose_number_is_nan_is_refused_and_does_no_harm():
     tell = command_executor(None)
     bad, good = [np.nan, *PUSH], PushCommand(1, *PUSH).to_vector()
     status = tell(bad, 0.5)
-    assert (status.number, status.refused, status.ready) == (0, 1, True)
-    assert "number is not finite" in status.reason
+    assert (status.command_id, status.refused, status.ready) == (0, 1, True)
+    assert "id is not finite" in status.reason
     status = tell(good, 0.1)
-    assert (status.number, status.reason, status.ready) == (1, "", False)
+    assert (status.command_id, status.reason, status.ready) == (1, "", False)
     assert tell(bad, 0.1).reason == "", "a push under way is not broken off"
     done = tell(good, 10.0)
     assert (done.executed, done.refused) == (1, 1)
@@ -191,9 +191,9 @@ def test_a_grasp_with_nan_is_refused_and_an_unknown_gripper_is_waited_for():
         return system.GetOutputPort("status").Eval(context)
 
     status = tell([np.nan, *GRASP], OPEN_GRIPPER, 0.1)
-    assert (status.number, status.outcome, status.phase) == (0, GraspOutcome.REFUSED, GraspPhase.IDLE)
+    assert (status.command_id, status.outcome, status.phase) == (0, GraspOutcome.REFUSED, GraspPhase.IDLE)
     status = tell([1, *GRASP[:2], np.nan, *GRASP[3:]], OPEN_GRIPPER, 0.1)
-    assert (status.number, status.outcome) == (1, GraspOutcome.REFUSED)
+    assert (status.command_id, status.outcome) == (1, GraspOutcome.REFUSED)
     assert "not finite" in status.reason
     status = tell(GraspCommand(2, *GRASP).to_vector(), np.full(4, np.nan), 30.0)
     assert (status.phase, status.reason) == ("closing", "the gripper's state is not finite")

@@ -46,7 +46,7 @@ def test_chosen_pushes_fit_and_stay_in_bounds(name):
         command, _ = choose(obj, number)
         gap = place(obj, POSE).distance(Point(command.start)) - STYLE.tip_radius
         assert gap == pytest.approx(STYLE.clearance, rel=1e-4)
-        assert command.number == number and command.speed == STYLE.speed
+        assert command.command_id == number and command.speed == STYLE.speed
         assert STYLE.distance[0] <= command.distance - STYLE.clearance <= STYLE.distance[1]
         assert REGION.workspace.contains(Point(command.start)) and REGION.workspace.contains(Point(command.end))
         last = predict_poke(obj, CellParameters.uniform(obj), POSE, command, STYLE)
@@ -147,40 +147,40 @@ def test_commands_when_the_executor_is_ready_and_only_then():
     for phase in (PushPhase.APPROACHING, PushPhase.PUSHING):
         assert bench.say(PushStatus(phase, 1)) == first
     moved = POSE + [0.03, 0.0, 0.2]
-    second = bench.say(PushStatus(number=1, executed=1), moved)
+    second = bench.say(PushStatus(command_id=1, executed=1), moved)
     assert second == choose(bench.obj, 2, 4, moved)[0]
-    assert bench.say(PushStatus(number=2, executed=2), moved) == second, "done"
+    assert bench.say(PushStatus(command_id=2, executed=2), moved) == second, "done"
 
 
 def test_draws_another_one_when_refused():
     bench = Bench(num_pushes=1)
     first = bench.say(PushStatus())
-    second = bench.say(PushStatus(number=1, refused=1, reason="out of reach"))
-    assert second.number == 2 and second != replace(first, number=2)
-    assert bench.say(PushStatus(number=2, executed=1, refused=1)) == second
+    second = bench.say(PushStatus(command_id=1, refused=1, reason="out of reach"))
+    assert second.command_id == 2 and second != replace(first, command_id=2)
+    assert bench.say(PushStatus(command_id=2, executed=1, refused=1)) == second
 
 
 def test_waits_until_the_object_is_seen():
     bench = Bench()
     first = bench.say(PushStatus())
-    assert bench.say(PushStatus(number=1, executed=1), (np.nan,) * 3) == first
-    assert bench.say(PushStatus(number=1, executed=1)).number == 2
+    assert bench.say(PushStatus(command_id=1, executed=1), (np.nan,) * 3) == first
+    assert bench.say(PushStatus(command_id=1, executed=1)).command_id == 2
 
 
 def test_looks_on_where_no_candidate_fits():
     bench = Bench(style=RandomPokeOptions(candidates=5))
     first = bench.say(PushStatus())
     far = (3.0, 0.0, 0.0)
-    assert bench.say(PushStatus(number=1, executed=1), far) == first
-    assert bench.say(PushStatus(number=1, executed=1)).number == 2, "the object came back"
+    assert bench.say(PushStatus(command_id=1, executed=1), far) == first
+    assert bench.say(PushStatus(command_id=1, executed=1)).command_id == 2, "the object came back"
 
 
 def test_test_pushes_follow_in_their_own_style():
     bench = Bench(num_pushes=1, test_pushes=1, test_distance=0.05)
     bench.say(PushStatus())
-    test = bench.say(PushStatus(number=1, executed=1))
-    assert test.number == 2 and test.distance == pytest.approx(0.05 + STYLE.clearance)
-    assert bench.say(PushStatus(number=2, executed=2)) == test
+    test = bench.say(PushStatus(command_id=1, executed=1))
+    assert test.command_id == 2 and test.distance == pytest.approx(0.05 + STYLE.clearance)
+    assert bench.say(PushStatus(command_id=2, executed=2)) == test
 
 
 def test_executor_takes_the_pushes_and_a_clone_goes_on_alike():
@@ -196,7 +196,7 @@ def test_executor_takes_the_pushes_and_a_clone_goes_on_alike():
     for run in (simulator, clone):
         run.AdvanceTo(20.0)
         status = parts.executor.GetOutputPort("status").Eval(parts.executor.GetMyContextFromRoot(run.get_context()))
-        assert (status.executed, status.refused, status.number) == (3, 0, 3)
+        assert (status.executed, status.refused, status.command_id) == (3, 0, 3)
         ends.append(parts.world.GetOutputPort("pose").Eval(parts.world.GetMyContextFromRoot(run.get_context())))
     np.testing.assert_array_equal(*ends)
     assert REGION.keep_in.contains(place(obj, ends[0]))

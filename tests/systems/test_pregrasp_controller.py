@@ -117,21 +117,21 @@ def test_pokes_first_and_waits_for_the_robot():
     robot = Robot((0.0, 0.0, 0.0))
     assert robot.wait().mode == "exploring"
     command = robot.push
-    assert (command.number, robot.status.pokes) == (1, 1)
+    assert (command.command_id, robot.status.pokes) == (1, 1)
     robot.pushing = PushStatus(PushPhase.PUSHING, 1)
     robot.see((0.02, 0.0, 0.1))
     robot.wait(3.0)
     assert robot.push == command  # nothing new while the finger is at work
-    robot.pushing = PushStatus(number=1, executed=1)
+    robot.pushing = PushStatus(command_id=1, executed=1)
     robot.wait()
-    assert robot.push.number == 2
+    assert robot.push.command_id == 2
 
 
 def test_grasps_what_hangs_over_and_reports_that_it_is_held(learned):
     robot = make_robot(OVER_THE_EDGE, learned)
     assert robot.wait().mode == "grasping"
     command = robot.grasp
-    assert command.number == 1
+    assert command.command_id == 1
     assert command.x < -0.4
     assert np.cos(command.approach) > 0.0  # the fingers come in over the edge at x = -0.4
     robot.grasping = GraspStatus("closing", 1)
@@ -145,7 +145,7 @@ def test_a_missed_grasp_is_tried_anew_and_given_up_in_the_end(learned):
     robot = make_robot(OVER_THE_EDGE, learned, max_grasps=2)
     for number in (1, 2):
         assert robot.wait().mode == "grasping"
-        assert robot.grasp.number == number
+        assert robot.grasp.command_id == number
         robot.grasping = GraspStatus("retreating", number, GraspOutcome.MISSED, "nothing is in it")
         assert robot.wait().mode == "grasping"  # until it is out of the way
         robot.grasping = GraspStatus("idle", number, GraspOutcome.MISSED, "nothing is in it")
@@ -158,7 +158,7 @@ def test_an_object_out_of_sight_is_lost_and_dealt_with_where_it_is_seen_again(le
     robot = make_robot(NOWHERE, learned, timeout=1.0)
     assert robot.wait(0.8).mode == "waiting"
     assert robot.wait(0.5).mode == "lost"
-    assert robot.push.number == 0
+    assert robot.push.command_id == 0
     robot.see(OVER_THE_EDGE)
     assert robot.wait().mode == "grasping"
 
@@ -169,11 +169,11 @@ def test_a_push_not_taken_up_when_the_object_goes_out_of_sight_is_taken_back(lea
     first = robot.push
     robot.see(NOWHERE)
     status = robot.wait(0.5)
-    assert (status.mode, status.pokes, robot.push.number) == ("waiting", 0, 0)
+    assert (status.mode, status.pokes, robot.push.command_id) == ("waiting", 0, 0)
     assert robot.wait().mode == "lost"
     robot.see((0.1, 0.05, 0.5))
     assert robot.wait().mode == "exploring"
-    assert (robot.push.number, robot.status.pokes) == (1, 1)
+    assert (robot.push.command_id, robot.status.pokes) == (1, 1)
     assert np.linalg.norm(robot.push.start - first.start) > 0.02
 
 
@@ -182,7 +182,7 @@ def test_an_object_unseen_only_since_the_push_ended_is_not_lost_yet(learned):
     robot.wait()
     robot.pushing = PushStatus(PushPhase.PUSHING, 1)
     robot.wait(5.0)
-    robot.pushing = PushStatus(number=1, executed=1)
+    robot.pushing = PushStatus(command_id=1, executed=1)
     robot.see(NOWHERE)
     assert robot.wait(0.8).mode == "waiting"
     assert robot.wait(0.5).mode == "lost"
@@ -197,15 +197,15 @@ def test_a_push_in_which_the_object_might_fall_is_broken_off(learned):
     assert (robot.wait(0.2).mode, robot.push) == ("exploring", command)
     robot.see((-0.45, 0.0, 0.0))  # its center of mass is beyond the edge
     status = robot.wait(0.2)
-    assert (status.mode, robot.push.number) == ("stopping", 0)
+    assert (status.mode, robot.push.command_id) == ("stopping", 0)
     assert "might fall" in status.reason
     robot.see((-0.3, 0.0, 0.0))
     assert robot.wait(0.2) is status  # what was begun is not taken up again
-    robot.pushing = PushStatus(number=1, executed=1)
+    robot.pushing = PushStatus(command_id=1, executed=1)
     assert robot.wait(0.2).mode == "waiting"
     assert robot.status.pokes == 1
     robot.wait()
-    assert robot.push.number in (0, 2)
+    assert robot.push.command_id in (0, 2)
 
 
 def test_a_stranger_who_moves_the_object_between_two_looks_changes_the_decision(learned):
@@ -223,8 +223,8 @@ def test_refused_pushes_do_not_count_and_are_given_up(learned):
     robot = make_robot((0.0, 0.0, 0.0), learned, max_refusals=3)
     for number in (1, 2, 3):
         assert robot.wait().mode == "exploring"
-        assert (robot.push.number, robot.status.pokes) == (number, 1)
-        robot.pushing = PushStatus(number=number, refused=number, reason="the arm does not reach it")
+        assert (robot.push.command_id, robot.status.pokes) == (number, 1)
+        robot.pushing = PushStatus(command_id=number, refused=number, reason="the arm does not reach it")
     status = robot.wait()
     assert status.mode == "failed"
     assert "the arm does not reach it" in status.reason

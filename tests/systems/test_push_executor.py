@@ -195,7 +195,7 @@ def test_push_is_refused_with_its_reason(change, message):
     if message is None:
         assert run.status == PushStatus("approaching", 1)
         return
-    assert (run.status.phase, run.status.number, run.status.refused, run.status.executed) == ("idle", 1, 1, 0)
+    assert (run.status.phase, run.status.command_id, run.status.refused, run.status.executed) == ("idle", 1, 1, 0)
     with pytest.raises(AssertionError, match=message):
         raise AssertionError(run.status.reason)
     np.testing.assert_array_equal(run.p, np.broadcast_to(HOME, (10, 3)))
