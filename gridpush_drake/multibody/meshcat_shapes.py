@@ -192,6 +192,9 @@ CENTER_COLOR = Rgba(0.93, 0.07, 0.42)
 
 ELLIPSE_OPACITY = 0.3
 
+SIGMAS = 2.0
+"""Half axes of the ellipse, in standard deviations."""
+
 PLAN_COLOR = Rgba(0.93, 0.38, 0.05)
 """Of what is to come: a push, and the pose it is predicted to end in."""
 
@@ -237,10 +240,8 @@ def AddCells(
     meshcat.SetTriangleColorMesh(path, vertices, faces, columns)
 
 
-def AddCenter(
-    meshcat: Meshcat, path: str, center: ArrayLike, covariance: ArrayLike, height: float, sigmas: float
-) -> None:
-    """Draws an estimated point with its uncertainty, flat, at z = `height` and a little above.
+def AddCenter(meshcat: Meshcat, path: str, center: ArrayLike, covariance: ArrayLike, height: float) -> None:
+    """Draws an estimated point and its ellipse of SIGMAS standard deviations, flat, from z = `height` up.
 
     Args:
         meshcat: where to draw.
@@ -248,11 +249,10 @@ def AddCenter(
         center: (2,) body frame, m.
         covariance: (2, 2) m²; nothing but the dot is drawn where it is not finite.
         height: m.
-        sigmas: half axes of the ellipse, in standard deviations.
     """
     dot = make_disc(CENTER_RADIUS**2 * np.eye(2), center, height + 2 * LAYER)
     _AddMesh(meshcat, f"{path}/dot", dot, CENTER_COLOR)
-    spread = sigmas**2 * np.asarray(covariance, dtype=np.float64)
+    spread = SIGMAS**2 * np.asarray(covariance, dtype=np.float64)
     if np.isfinite(spread).all() and spread.any():
         fill = make_disc(spread, center, height)
         _AddMesh(meshcat, f"{path}/ellipse", fill, _fade(CENTER_COLOR, ELLIPSE_OPACITY))
