@@ -37,9 +37,6 @@ from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, PushCommand
 
 Array = NDArray[np.float64]
 
-SIGMAS = 2.0
-"""Half axes of the ellipse about the center of mass, in standard deviations."""
-
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
@@ -130,7 +127,7 @@ class Canvas:
         if len(drawing.center):
             covariance = drawing.covariance if len(drawing.covariance) else np.zeros(4)
             top = self.height + LAYER
-            AddCenter(self.meshcat, f"{path}/center", drawing.center, covariance.reshape(2, 2), top, SIGMAS)
+            AddCenter(self.meshcat, f"{path}/center", drawing.center, covariance.reshape(2, 2), top)
         self._Turn("object", drawing.estimate, time)
 
     def _SendPush(self, drawing: Drawing, time: float) -> None:
@@ -161,7 +158,7 @@ class EstimateVisualizer(LeafSystem):
     """Colors an object's cells by their estimate, live and in a recording, and shows what the next push will do.
 
     Drawn are the cells in the colors of their mass or friction; the estimated center of mass, with the ellipse of
-    `estimate_drawing.SIGMAS` standard deviations about it; the commanded push as an arrow; and, as a translucent ghost,
+    `meshcat_shapes.SIGMAS` standard deviations about it; the commanded push as an arrow; and, as a translucent ghost,
     the pose that the estimate at the time of the command predicts for its end. Everything is below `path`: the cells
     and the center at `path`/object/<count of estimates>, arrow and ghost at `path`/push/<count of pushes>.
 

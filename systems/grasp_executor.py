@@ -325,7 +325,7 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
     def _calc_tip_pose(self, context: Context, output: AbstractValue) -> None:
         state = self._get_state(context)
         if state.legs:
-            output.set_value(make_transform(state.legs[0].calc_pose(context.get_time() - state.leg_start)))
+            output.set_value(make_transform(state.legs[0].position(context.get_time() - state.leg_start)))
         else:
             output.set_value(self._push_pose.Eval(context))
 

@@ -241,12 +241,13 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
             legs = break_off(now.legs, time - now.leg_start)
             now = now if legs == now.legs else replace(now, legs=legs)
         done, *left = now.legs
+        x, y, z = done.end
         if time - now.leg_start < done.duration:
             return now
         phase = PushPhase(left[0].phase) if left else PushPhase.IDLE
         executed = now.status.executed + (not left)
         status = replace(now.status, phase=phase, executed=executed)
-        return ExecutorState(done.end, tuple(left), time, status)
+        return ExecutorState((x, y, z), tuple(left), time, status)
 
     def _take_up(self, context: Context, now: ExecutorState, time: float) -> ExecutorState:
         vector = self._command_port.Eval(context)

@@ -1,4 +1,7 @@
-"""`gridpush demo`: a robot and an object it knows nothing about: poked, learned, slid to the edge, grasped, lifted."""
+"""`gridpush demo`: a robot and an object it knows nothing about: poked, learned, slid to the edge, grasped, lifted.
+
+What is slow to import is imported when the command runs, so that `gridpush` starts fast.
+"""
 
 from enum import StrEnum
 from pathlib import Path
@@ -10,7 +13,7 @@ from gridpush_drake.cli import options
 from gridpush_drake.cli.console import print_json, print_notice
 
 if TYPE_CHECKING:
-    from gridpush_drake.cli.demo_task import DemoTask
+    from gridpush_drake.cli.demo_tasks import DemoTask
     from gridpush_drake.station.scenario import PushScenario
 
 EXIT_NOT_DONE = 1
@@ -66,39 +69,38 @@ def demo(
 
     Exit code 1 where the robot did not get there.
     """
-    from gridpush_drake.cli.demo_task import load_task
-    from gridpush_drake.cli.options import compile_kernels
+    from gridpush_drake.cli.demo_tasks import TASKS, print_summary, write_files
     from gridpush_drake.files import check_writable, make_folder
     from gridpush_drake.multibody.meshcat_server import StartMeshcatServer
     from gridpush_drake.station.scenario_file import check_scenario
 
     if pushes is not None and task is not TaskName.identify:
         raise options.OptionError(f"--pushes: is for --task identify; {task} decides itself how many to make")
-    chosen = load_task(task)
+    chosen = TASKS[task]
     scenario = _make_scenario(chosen, scenario_file, object_file, pushes, seed)
     check_scenario(scenario)
     make_folder(out)
     for name in chosen.files:
         check_writable(out / name, force)
     meshcat = StartMeshcatServer(port)
-    compile_kernels()
+    options.compile_kernels()
     print_notice(f"Watch it at {meshcat.web_url()}")
     if open_browser:
         typer.launch(meshcat.web_url())
     record = chosen.run(scenario, meshcat, realtime_rate)
     print_notice(f"Writing to {out} ...")
-    written = chosen.write(out, scenario, record, meshcat, force)
-    verdict = chosen.judge(record)
+    written = write_files(chosen, out, scenario, record, meshcat, force)
+    summary = chosen.summarize(record)
     if json:
-        print_json({**verdict, "written": [str(path) for path in written]})
+        print_json({**summary, "written": [str(path) for path in written]})
     else:
-        chosen.tell(verdict, written)
+        print_summary(chosen, summary, written)
     report = out / chosen.files[0]
     if open_browser and report in written:
         typer.launch(str(report.resolve()))
-    if verdict["status"] == "interrupted":
+    if summary["status"] == "interrupted":
         raise typer.Exit(EXIT_INTERRUPTED)
-    if not verdict.get("done", True):
+    if not summary.get("done", True):
         raise typer.Exit(EXIT_NOT_DONE)
 
 

@@ -1,4 +1,7 @@
-"""`gridpush view`: a model, a log of pushes or a recording, in Meshcat."""
+"""`gridpush view`: a model, a log of pushes or a recording, in Meshcat.
+
+What is slow to import is imported when the command runs, so that `gridpush` starts fast.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +16,6 @@ from gridpush_drake.errors import GridPushError
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
-    from gridpush_drake.cli.options import Target
     from gridpush_drake.identification.prediction import Prediction
     from gridpush_drake.multibody.recording_overlay import Overlay
     from gridpush_drake.pushes.push_log import PushLog
@@ -126,10 +128,9 @@ def _play_recording(path: Path, open_page: bool, json: bool) -> None:
 
 
 def _view_model(source: str, look: Look, largest_piece: bool, delivery: Delivery) -> None:
-    from gridpush_drake.cli.options import load_target
     from gridpush_drake.cli.view_scene import AddModel, describe_colors, make_overlay
 
-    target = load_target(source, largest_piece)
+    target = options.load_target(source, largest_piece)
     meshcat = _start(delivery)
     AddModel(meshcat, target, look.shows, look.height)
     lines = [f"{target.obj.name}: {target.obj.n} cells", describe_colors(look.shows)]
@@ -138,9 +139,8 @@ def _view_model(source: str, look: Look, largest_piece: bool, delivery: Delivery
     _deliver(meshcat, overlay, {"kind": kind, "object": target.obj.name}, lines, delivery)
 
 
-def _find_target(log: Path, object_file: str | None, model_file: Path | None, largest_piece: bool) -> "Target":
+def _find_target(log: Path, object_file: str | None, model_file: Path | None, largest_piece: bool) -> "options.Target":
     """The model or object of a push log: as told, or by the names the demo uses."""
-    from gridpush_drake.cli.options import load_target
     from gridpush_drake.files import exists, is_file
     from gridpush_drake.identification.model_file import looks_like_model
 
@@ -154,15 +154,14 @@ def _find_target(log: Path, object_file: str | None, model_file: Path | None, la
         raise ViewError(
             f"{log}: its object is unknown; expected --object, --model, or {MODEL_BESIDE} or {OBJECT_BESIDE} beside it"
         )
-    return load_target(str(told), largest_piece)
+    return options.load_target(str(told), largest_piece)
 
 
-def _view_pushes(path: Path, target: "Target", names: list[str] | None, look: Look, delivery: Delivery) -> None:
-    from gridpush_drake.cli.options import describe_overhanging, load_log
+def _view_pushes(path: Path, target: "options.Target", names: list[str] | None, look: Look, delivery: Delivery) -> None:
     from gridpush_drake.cli.view_scene import AddPushes, describe_colors, make_overlay
     from gridpush_drake.identification.prediction import summarize_errors
 
-    log = load_log(path, target.obj, require_final=False)
+    log = options.load_log(path, target.obj, require_final=False)
     known = [seen.name for seen in log]
     for name in names or ():
         if name not in known:
@@ -181,18 +180,17 @@ def _view_pushes(path: Path, target: "Target", names: list[str] | None, look: Lo
     cell = [error for error in errors if error.name == "cell"]
     lines += [f"Mean cell error of the final poses: {error.mean * error.scale:.1f} {error.unit}" for error in cell]
     if predictions and overhanging:
-        lines.append(f"Of these errors, {describe_overhanging(overhanging)}")
+        lines.append(f"Of these errors, {options.describe_overhanging(overhanging)}")
     found = {"kind": "pushes", "object": target.obj.name, "pushes": [seen.name for seen in chosen]}
     overlay = make_overlay(target, look.shows, chosen, predictions)
     _deliver(meshcat, overlay, {**found, "errors": [vars(error) for error in errors]}, lines, delivery)
 
 
-def _predict(target: "Target", log: "PushLog", chosen: "PushLog") -> "list[Prediction]":
-    from gridpush_drake.cli.options import compile_kernels
+def _predict(target: "options.Target", log: "PushLog", chosen: "PushLog") -> "list[Prediction]":
     from gridpush_drake.identification.learning import choose_regime
     from gridpush_drake.identification.prediction import predict
 
-    compile_kernels()
+    options.compile_kernels()
     return predict(target.obj, target.params, chosen, target.resolve_regime("auto", choose_regime(target.obj, log)))
 
 

@@ -8,7 +8,6 @@ from pydrake.geometry import Box, Cylinder, Meshcat, Rgba
 
 from gridpush_drake.cli.console import MM
 from gridpush_drake.cli.options import Target
-from gridpush_drake.cli.recording_legend import describe_scale, list_center_marks, to_css
 from gridpush_drake.identification.prediction import Prediction
 from gridpush_drake.multibody.cell_colors import CellColors, Shown
 from gridpush_drake.multibody.meshcat_server import AimCamera
@@ -22,10 +21,16 @@ from gridpush_drake.multibody.meshcat_shapes import (
     ApplyTurn,
     MakePlanarTransform,
 )
-from gridpush_drake.multibody.recording_overlay import Mark, Overlay, Phase
+from gridpush_drake.multibody.recording_overlay import (
+    Mark,
+    Overlay,
+    Phase,
+    list_center_marks,
+    make_color_scale,
+    to_css,
+)
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-from gridpush_drake.systems.estimate_visualizer import SIGMAS
 
 Array = NDArray[np.float64]
 
@@ -78,7 +83,7 @@ def make_overlay(
     target: Target, shows: Shown, log: PushLog | None = None, predictions: Sequence[Prediction] | None = None
 ) -> Overlay:
     """What stands beside the page of a model, or of the pushes that `AddPushes` records."""
-    scale = describe_scale(target.obj, CellColors(shows)) if target.model is not None else None
+    scale = make_color_scale(target.obj, CellColors(shows)) if target.model is not None else None
     marks = list_center_marks() if target.model is not None else ()
     if log is not None:
         marks += (Mark(to_css(PLAN_COLOR), "the finger's push", "line"),)
@@ -103,7 +108,7 @@ def AddPushes(
 ) -> None:
     """Records pushes one after the other: the object as observed, the finger, and the predicted poses as a ghost.
 
-    Between two observations the object is drawn on the straight way from one to the other.
+    Between two observations the object is drawn on the straight line from one to the other.
 
     Args:
         meshcat: where to draw; its recording is begun here and left for the caller to publish.
@@ -140,7 +145,7 @@ def _AddObject(meshcat: Meshcat, target: Target, colors: CellColors, height: flo
     AddCells(meshcat, f"{OBJECT}/cells", obj, drawn, height)
     if model is not None:
         covariance = model.identifiability.center_of_friction_covariance
-        AddCenter(meshcat, f"{OBJECT}/center", params.center_of_mass(obj), covariance, height + LAYER, SIGMAS)
+        AddCenter(meshcat, f"{OBJECT}/center", params.center_of_mass(obj), covariance, height + LAYER)
 
 
 def _AddPush(meshcat: Meshcat, seen: ObservedPush, i: int, begin: float, height: float) -> None:
@@ -173,14 +178,14 @@ def _sample(times: Array) -> Array:
 
 
 def _calc_extent(obj: GridObject, log: PushLog) -> Array:
-    """(2, 2) least and greatest x, y, m, of all observed cells and of the finger's ways."""
+    """(2, 2) min and max x, y, m, of all observed cells and of the finger's paths."""
     poses = np.concatenate([np.vstack([seen.pose, seen.poses_observed]) for seen in log])
     points = np.concatenate([obj.cells_at(poses).reshape(-1, 2), *(seen.push.xy for seen in log)])
     return np.array([points.min(axis=0), points.max(axis=0)])
 
 
 def _FrameScene(meshcat: Meshcat, extent: ArrayLike) -> None:
-    """Puts a table below (2, 2) `extent`, least and greatest x, y, m, and points the camera at it."""
+    """Puts a table below (2, 2) `extent`, min and max x, y, m, and points the camera at it."""
     low, high = np.asarray(extent, dtype=np.float64)
     middle, size = (low + high) / 2, high - low
     width, depth = size + 2 * TABLE_MARGIN

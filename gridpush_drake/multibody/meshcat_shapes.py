@@ -6,19 +6,21 @@ drawn gets a path of its own, and versions take turns by the property "visible",
 Meshcat's shader takes a mesh's vertex colors for linear light, though a material's for sRGB; what is given here is
 always sRGB.
 
-Triangle meshes of what is drawn flat on a table: cells, an outline's prism, discs, rings and arrows.
+What is drawn lies flat on a table: cells, an outline's prism, discs, rings and arrows. Areas are shapely's, meshes
+trimesh's.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import trimesh
 from numpy.typing import ArrayLike, NDArray
 from pydrake.geometry import Meshcat, Rgba
 from pydrake.math import RigidTransform, RotationMatrix
 from shapely import MultiPolygon, Polygon, constrained_delaunay_triangles
-from shapely.geometry.polygon import orient
+from trimesh import Trimesh
 
+from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.objects.grid_object import GridObject
 
 Array = NDArray[np.float64]
@@ -29,29 +31,11 @@ CELL_SHARE = 0.94
 CIRCLE_SIDES = 48
 """Straight pieces of a drawn circle."""
 
-CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-"""Of a square, counterclockwise."""
+MIN_HALF_AXIS = 1e-5
+"""Of a drawn ellipse, m; one that is narrower has no area to speak of."""
 
 
-@dataclass(frozen=True, eq=False)
-class TriangleMesh:
-    """Triangles in space.
-
-    Attributes:
-        vertices: (k, 3) m.
-        faces: (m, 3) indices into the vertices.
-    """
-
-    vertices: Array
-    faces: NDArray[np.int32]
-
-    def __add__(self, other: "TriangleMesh") -> "TriangleMesh":
-        """Both together."""
-        faces = np.concatenate([self.faces, other.faces + len(self.vertices)]).astype(np.int32)
-        return TriangleMesh(np.concatenate([self.vertices, other.vertices]), faces)
-
-
-def make_cell_prisms(obj: GridObject, height: float, share: float = CELL_SHARE) -> TriangleMesh:
+def make_cell_prisms(obj: GridObject, height: float, share: float = CELL_SHARE) -> Trimesh:
     """Makes a prism a cell, standing on the plane z = 0 of the body frame, open below.
 
     Args:
@@ -60,29 +44,22 @@ def make_cell_prisms(obj: GridObject, height: float, share: float = CELL_SHARE) 
         share: side of a prism, in cells.
 
     Returns:
-        The mesh; its 8 n vertices come by corner, then by cell (the first n are all cells' first upper corners).
+        The mesh; its 8 n vertices come by corner, then by cell (the first n are all cells' first corners).
     """
-    n, half = obj.n, share * obj.cell_size / 2
-    rings = [np.column_stack([obj.p_BC + half * np.array(corner), np.zeros(n)]) for corner in CORNERS]
-    upper = [ring + np.array([0.0, 0.0, height]) for ring in rings]
-    quads = [(0, 1, 2, 3)] + [(i + 4, (i + 1) % 4 + 4, (i + 1) % 4, i) for i in range(4)]
-    cell = np.arange(n)
-    faces = [
-        np.column_stack([cell + n * corner for corner in triangle]) for quad in quads for triangle in _halves(quad)
-    ]
-    return TriangleMesh(np.concatenate(upper + rings), np.concatenate(faces).astype(np.int32))
+    side, cell = share * obj.cell_size, np.arange(obj.n)
+    box = _drop_floor(trimesh.creation.box(bounds=[[-side / 2, -side / 2, 0.0], [side / 2, side / 2, height]]))
+    p_BC = np.column_stack([obj.p_BC, np.zeros(obj.n)])
+    vertices = (box.vertices[:, None] + p_BC).reshape(-1, 3)
+    faces = (box.faces[None] * obj.n + cell[:, None, None]).reshape(-1, 3)
+    return Trimesh(vertices, faces, process=False)
 
 
-def make_outline_prism(obj: GridObject, height: float) -> TriangleMesh:
+def make_outline_prism(obj: GridObject, height: float) -> Trimesh:
     """Makes the walls and the lid of an object's outline; body frame, from z = 0 to `height`, m."""
-    mesh = _make_plate(obj.outline, height)
-    outline = orient(obj.outline)
-    for ring in (outline.exterior, *outline.interiors):
-        mesh += _make_wall(np.array(ring.coords)[:, :2], height)
-    return mesh
+    return _drop_floor(trimesh.creation.extrude_triangulation(*_triangulate(obj.outline), height))
 
 
-def make_outline_edge(obj: GridObject, height: float, width: float) -> TriangleMesh:
+def make_outline_edge(obj: GridObject, height: float, width: float) -> Trimesh:
     """Makes a flat band about an object's outline, half inside and half outside; body frame, at z = `height`, m.
 
     Args:
@@ -97,7 +74,7 @@ def make_outline_edge(obj: GridObject, height: float, width: float) -> TriangleM
     return _make_plate(band, height)
 
 
-def make_disc(covariance: ArrayLike, center: ArrayLike, height: float) -> TriangleMesh:
+def make_disc(covariance: ArrayLike, center: ArrayLike, height: float) -> Trimesh:
     """Makes a flat ellipse, the points p with (p - c)' S^-1 (p - c) <= 1.
 
     Args:
@@ -108,25 +85,16 @@ def make_disc(covariance: ArrayLike, center: ArrayLike, height: float) -> Triang
     Returns:
         The mesh.
     """
-    rim = _calc_ellipse(covariance, center)
-    vertices = np.column_stack([np.vstack([rim, np.asarray(center)]), np.full(len(rim) + 1, height)])
-    i = np.arange(len(rim))
-    faces = np.column_stack([i, (i + 1) % len(rim), np.full(len(rim), len(rim))])
-    return TriangleMesh(vertices, faces.astype(np.int32))
+    return _make_plate(_make_ellipse(covariance, center), height)
 
 
-def make_ring(covariance: ArrayLike, center: ArrayLike, height: float, width: float) -> TriangleMesh:
-    """Makes the rim of the ellipse of `make_disc`, as a flat band that reaches `width`, m, outwards."""
-    inner = _calc_ellipse(covariance, center)
-    outer = _calc_ellipse(_widen(np.asarray(covariance, dtype=np.float64), width), center)
-    n, i = len(inner), np.arange(len(inner))
-    j = (i + 1) % n
-    faces = np.concatenate([np.column_stack([i, i + n, j + n]), np.column_stack([i, j + n, j])])
-    rim = np.vstack([inner, outer])
-    return TriangleMesh(np.column_stack([rim, np.full(len(rim), height)]), faces.astype(np.int32))
+def make_ring(covariance: ArrayLike, center: ArrayLike, height: float, width: float) -> Trimesh:
+    """Makes the edge of the ellipse of `make_disc`, as a flat band that reaches `width`, m, outwards."""
+    outer = _make_ellipse(covariance, center, width)
+    return _make_plate(outer.difference(_make_ellipse(covariance, center)), height)
 
 
-def make_arrow(start: ArrayLike, end: ArrayLike, height: float, width: float) -> TriangleMesh:
+def make_arrow(start: ArrayLike, end: ArrayLike, height: float, width: float) -> Trimesh:
     """Makes a flat arrow.
 
     Args:
@@ -143,46 +111,41 @@ def make_arrow(start: ArrayLike, end: ArrayLike, height: float, width: float) ->
     along = (point - tail) / length
     across = np.array([-along[1], along[0]])
     neck, half = length - min(3 * width, length), width / 2
-    outline = [(0, -half), (neck, -half), (neck, half), (0, half), (neck, -3 * half), (length, 0), (neck, 3 * half)]
-    flat = np.array([tail + s * along + t * across for s, t in outline])
-    vertices = np.column_stack([flat, np.full(len(flat), height)])
-    return TriangleMesh(vertices, np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6]], dtype=np.int32))
+    head = [(neck, -3 * half), (length, 0.0), (neck, 3 * half)]
+    shaft = [(0.0, -half), (neck, -half), *head, (neck, half), (0.0, half)]
+    outline = shaft if neck > 0.0 else head
+    return _make_plate(Polygon([tail + s * along + t * across for s, t in outline]), height)
 
 
-def _make_plate(area: Polygon | MultiPolygon, height: float) -> TriangleMesh:
+def _make_plate(area: Polygon | MultiPolygon, height: float) -> Trimesh:
+    """An area at z = height."""
+    corners, faces = _triangulate(area)
+    return Trimesh(np.column_stack([corners, np.full(len(corners), height)]), faces, process=False)
+
+
+def _triangulate(area: Polygon | MultiPolygon) -> tuple[Array, NDArray[np.int64]]:
+    """Corners (k, 2), each once, and triangles (m, 3) of an area."""
     triangles = constrained_delaunay_triangles(area).geoms
-    corners = np.concatenate([np.array(triangle.exterior.coords)[:3, :2] for triangle in triangles])
-    faces = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
-    return TriangleMesh(np.column_stack([corners, np.full(len(corners), height)]), faces)
+    corners, faces = np.unique(
+        np.concatenate([np.array(triangle.exterior.coords)[:3, :2] for triangle in triangles]),
+        axis=0,
+        return_inverse=True,
+    )
+    return corners, faces.reshape(-1, 3)
 
 
-def _make_wall(ring: Array, height: float) -> TriangleMesh:
-    """Between a closed ring (k, 2), first and last the same, at z = 0 and at z = height."""
-    n = len(ring) - 1
-    low = np.column_stack([ring[:-1], np.zeros(n)])
-    i = np.arange(n)
-    j = (i + 1) % n
-    faces = np.concatenate([np.column_stack([i, j, j + n]), np.column_stack([i, j + n, i + n])])
-    return TriangleMesh(np.vstack([low, low + np.array([0.0, 0.0, height])]), faces.astype(np.int32))
+def _drop_floor(mesh: Trimesh) -> Trimesh:
+    """What stands on z = 0, open below."""
+    mesh.update_faces(~(mesh.triangles[:, :, 2] == 0.0).all(axis=1))
+    return mesh
 
 
-def _halves(quad: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    a, b, c, d = quad
-    return (a, b, c), (a, c, d)
-
-
-def _calc_ellipse(covariance: ArrayLike, center: ArrayLike) -> Array:
+def _make_ellipse(covariance: ArrayLike, center: ArrayLike, margin: float = 0.0) -> Polygon:
+    """The ellipse whose half axes are the square roots of the covariance's eigenvalues, and longer by `margin`, m."""
     values, vectors = np.linalg.eigh(np.asarray(covariance, dtype=np.float64))
-    angle = 2 * np.pi * np.arange(CIRCLE_SIDES) / CIRCLE_SIDES
-    circle = np.column_stack([np.cos(angle), np.sin(angle)]) * np.sqrt(np.maximum(values, 0.0))
-    return np.asarray(center, dtype=np.float64) + circle @ vectors.T
-
-
-def _widen(covariance: Array, width: float) -> Array:
-    """The ellipse whose half axes are longer by `width`."""
-    values, vectors = np.linalg.eigh(covariance)
-    axes = np.sqrt(np.maximum(values, 0.0)) + width
-    return (vectors * axes**2) @ vectors.T
+    circle = make_direction(2 * np.pi * np.arange(CIRCLE_SIDES) / CIRCLE_SIDES)
+    axes = np.sqrt(np.maximum(values, MIN_HALF_AXIS**2)) + margin
+    return Polygon(np.asarray(center, dtype=np.float64) + (circle * axes) @ vectors.T)
 
 
 VISIBLE = "visible"
@@ -192,6 +155,9 @@ CENTER_COLOR = Rgba(0.93, 0.07, 0.42)
 
 ELLIPSE_OPACITY = 0.3
 
+SIGMAS = 2.0
+"""Half axes of the ellipse, in standard deviations."""
+
 PLAN_COLOR = Rgba(0.93, 0.38, 0.05)
 """Of what is to come: a push, and the pose it is predicted to end in."""
 
@@ -200,8 +166,8 @@ GHOST_OPACITY = 0.3
 CENTER_RADIUS = 0.0025
 """Of the dot at the center of mass, m."""
 
-RIM_WIDTH = 0.0012
-"""Of the ellipse's rim, m."""
+RING_WIDTH = 0.0012
+"""Of the ellipse's edge, m."""
 
 ARROW_WIDTH = 0.005
 """Of a push's shaft, m."""
@@ -227,7 +193,7 @@ def AddCells(
         obj: the object.
         colors: (n, 3) sRGB, 0 to 1.
         height: of the cells, m.
-        share: side of a drawn cell, in cells; `triangle_meshes.CELL_SHARE` by default.
+        share: side of a drawn cell, in cells; CELL_SHARE by default.
     """
     mesh = make_cell_prisms(obj, height) if share is None else make_cell_prisms(obj, height, share)
     light = srgb_to_linear(np.asarray(colors, dtype=np.float64))
@@ -237,26 +203,23 @@ def AddCells(
     meshcat.SetTriangleColorMesh(path, vertices, faces, columns)
 
 
-def AddCenter(
-    meshcat: Meshcat, path: str, center: ArrayLike, covariance: ArrayLike, height: float, sigmas: float
-) -> None:
-    """Draws an estimated point with its uncertainty, flat, at z = `height` and a little above.
+def AddCenter(meshcat: Meshcat, path: str, center: ArrayLike, covariance: ArrayLike, height: float) -> None:
+    """Draws an estimated point and its ellipse of SIGMAS standard deviations, flat, from z = `height` up.
 
     Args:
         meshcat: where to draw.
-        path: a dot is drawn at `path`/dot, the ellipse and its rim at `path`/ellipse and `path`/rim.
+        path: a dot is drawn at `path`/dot, the ellipse and its edge at `path`/ellipse and `path`/edge.
         center: (2,) body frame, m.
         covariance: (2, 2) m²; nothing but the dot is drawn where it is not finite.
         height: m.
-        sigmas: half axes of the ellipse, in standard deviations.
     """
     dot = make_disc(CENTER_RADIUS**2 * np.eye(2), center, height + 2 * LAYER)
     _AddMesh(meshcat, f"{path}/dot", dot, CENTER_COLOR)
-    spread = sigmas**2 * np.asarray(covariance, dtype=np.float64)
+    spread = SIGMAS**2 * np.asarray(covariance, dtype=np.float64)
     if np.isfinite(spread).all() and spread.any():
         fill = make_disc(spread, center, height)
         _AddMesh(meshcat, f"{path}/ellipse", fill, _fade(CENTER_COLOR, ELLIPSE_OPACITY))
-        _AddMesh(meshcat, f"{path}/rim", make_ring(spread, center, height + LAYER, RIM_WIDTH), CENTER_COLOR)
+        _AddMesh(meshcat, f"{path}/edge", make_ring(spread, center, height + LAYER, RING_WIDTH), CENTER_COLOR)
 
 
 def AddGhost(meshcat: Meshcat, path: str, obj: GridObject, height: float, color: Rgba = PLAN_COLOR) -> None:
@@ -315,13 +278,13 @@ def srgb_to_linear(srgb: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
-def _AddMesh(meshcat: Meshcat, path: str, mesh: TriangleMesh, color: Rgba) -> None:
+def _AddMesh(meshcat: Meshcat, path: str, mesh: Trimesh, color: Rgba) -> None:
     vertices, faces = _to_columns(mesh)
     meshcat.SetTriangleMesh(path, vertices, faces, color)
 
 
-def _to_columns(mesh: TriangleMesh) -> tuple[Any, Any]:
-    return mesh.vertices.T, mesh.faces.T
+def _to_columns(mesh: Trimesh) -> tuple[Any, Any]:
+    return mesh.vertices.T, mesh.faces.T.astype(np.int32)
 
 
 def _fade(color: Rgba, opacity: float) -> Rgba:

@@ -1,7 +1,8 @@
 """What stands beside a recording: what is being done at each moment, what the colors mean, and what is drawn.
 
 A recording is a page that shows Meshcat's animation. The overlay is HTML above it that follows the animation's time: it
-plays, stops and is wound with it. Fonts and colors are the page's own; nothing is loaded.
+plays, stops and is wound with it. Fonts and colors are the page's own; nothing is loaded. The legend's colors are those
+of `CellColors` and `meshcat_shapes`.
 """
 
 import json
@@ -10,10 +11,30 @@ from dataclasses import dataclass
 from html import escape
 from string import Template
 
+import numpy as np
+from matplotlib.colors import to_hex
+from pydrake.geometry import Rgba
+
+from gridpush_drake.multibody.cell_colors import CellColors
+from gridpush_drake.multibody.meshcat_shapes import CENTER_COLOR, PLAN_COLOR, SIGMAS
+from gridpush_drake.objects.grid_object import GridObject
+
 PAGE_END = "</body>"
 """Before the last one of a page the overlay is inserted."""
 
 PERCENT = 100.0
+
+SCALE_COLORS = 17
+"""Of a scale; the page blends between them."""
+
+TICKS = 5
+"""Of a scale."""
+
+GRAM = 1e-3
+"""In kg."""
+
+DIGITS = 2
+"""Of a tick's value."""
 
 
 @dataclass(frozen=True)
@@ -22,8 +43,8 @@ class ColorScale:
 
     Attributes:
         title: what the colors stand for, with its unit.
-        colors: CSS colors from the least value to the greatest, evenly spaced.
-        ticks: (place, text) of some values, place from 0, the least, to 1.
+        colors: CSS colors from the smallest value to the greatest, evenly spaced.
+        ticks: (place, text) of some values, place from 0, the smallest, to 1.
     """
 
     title: str
@@ -74,6 +95,46 @@ class Overlay:
     scale: ColorScale | None = None
     marks: tuple[Mark, ...] = ()
     phases: tuple[Phase, ...] = ()
+
+
+def make_color_scale(obj: GridObject, colors: CellColors) -> ColorScale:
+    """The scale of cells' colors: the mass in g where the object was weighed, else shares of the even one."""
+    low, high = colors.resolve_limits()
+    values = np.geomspace(low, high, SCALE_COLORS)
+    places, shown = np.linspace(0.0, 1.0, TICKS), np.geomspace(low, high, TICKS)
+    weighed = colors.shows == "mass" and obj.prior.total_mass is not None
+    if colors.shows == "friction":
+        title = "friction coefficient of a cell"
+    elif weighed:
+        title = "estimated mass of a cell, g"
+        shown = shown * obj.prior.total_mass / obj.n / GRAM  # type: ignore[operator]
+    else:
+        what = "mass" if colors.shows == "mass" else "friction force"
+        title = f"estimated {what} of a cell, in even shares"
+    ticks = tuple((float(place), f"{value:.{DIGITS}g}") for place, value in zip(places, shown, strict=True))
+    return ColorScale(title, tuple(map(to_hex, colors.calc_colors_of(values))), ticks)
+
+
+def list_center_marks() -> tuple[Mark, ...]:
+    """What stands for the estimated center of mass."""
+    return (
+        Mark(to_css(CENTER_COLOR), "estimated center of mass", "dot"),
+        Mark(to_css(CENTER_COLOR), f"where it may be, {SIGMAS:g} standard deviations"),
+    )
+
+
+def list_estimate_marks() -> tuple[Mark, ...]:
+    """What an `EstimateVisualizer` draws."""
+    return (
+        *list_center_marks(),
+        Mark(to_css(PLAN_COLOR), "the push that is commanded", "line"),
+        Mark(to_css(PLAN_COLOR), "where it is predicted to leave the object"),
+    )
+
+
+def to_css(color: Rgba) -> str:
+    """A color as CSS has it."""
+    return str(to_hex((color.r(), color.g(), color.b())))
 
 
 def add_overlay(page: str, overlay: Overlay) -> str:

@@ -2,7 +2,7 @@
 
 The report's tables of numbers.
 
-What a robot did with an object, told at the head of a report.
+What a robot did with an object stands at the head of a report.
 """
 
 import base64
@@ -118,7 +118,7 @@ class ReportSummary:
     """What was done, and what came of it.
 
     Attributes:
-        verdict: in a sentence or two.
+        headline: in a sentence or two.
         facts: what is counted, and the count: three or four.
         figure: of it.
         caption: of the figure.
@@ -126,7 +126,7 @@ class ReportSummary:
         steps: what was done, in order, a row a step.
     """
 
-    verdict: str
+    headline: str
     facts: Sequence[tuple[str, str]]
     figure: Figure
     caption: str
@@ -167,7 +167,7 @@ def make_report(
     held_out: PushLog | None = None,
     truth: CellParameters | None = None,
     learning: Sequence[float] | None = None,
-    story: ReportSummary | None = None,
+    summary: ReportSummary | None = None,
 ) -> str:
     """Makes the report.
 
@@ -178,7 +178,7 @@ def make_report(
         truth: what the object's cells really are, where that is known.
         learning: mean cell error of the held-out pushes, m, before the first push and after each; None where nobody
             followed it.
-        story: what a robot did with the object; None where it only looked.
+        summary: what a robot did with the object; None where it only looked.
 
     Returns:
         An HTML page that needs nothing else.
@@ -195,14 +195,14 @@ def make_report(
         text
     ).render(
         name=obj.name.replace("_", " "),
-        verdict=_judge(identification, judged, fresh is judged) if story is None else story.verdict,
+        headline=_judge(identification, judged, fresh is judged) if summary is None else summary.headline,
         message=identification.message,
-        facts=_list_facts(identification, judged, log, held_out) if story is None else story.facts,
-        story=story,
+        facts=_list_facts(identification, judged, log, held_out) if summary is None else summary.facts,
+        summary=summary,
         figures=_draw_figures(identification, log, held_out, truth, training.cell[0], outcomes)
         | {
             "learning": _embed(_draw_learning(identification, held_out, truth, learning)) if learning else None,
-            "story": None if story is None else _embed(story.figure),
+            "summary": None if summary is None else _embed(summary.figure),
         },
         known_truth=truth is not None,
         has_held_out=fresh is not None,
@@ -293,7 +293,7 @@ def _judge(result: Identification, judged: _Comparison, held_out: bool) -> str:
 def _list_facts(
     result: Identification, judged: _Comparison, log: PushLog, held_out: PushLog | None
 ) -> list[tuple[str, str]]:
-    """Three large numbers below the verdict."""
+    """Three large numbers below the headline."""
     before, after = judged.cell
     facts = [("pushes learned from", str(len(result.push_names)))]
     if held_out:

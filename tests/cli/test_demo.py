@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from gridpush_drake.cli.demo_files import FILES
-from gridpush_drake.cli.demo_pre_grasp import FILES as STORY_FILES
+from gridpush_drake.cli.demo_tasks import TASKS
 from gridpush_drake.identification.model_file import read_model
 from gridpush_drake.multibody.cell_colors import CellColors
 from gridpush_drake.multibody.meshcat_server import StartMeshcatServer, looks_like_recording
@@ -40,17 +39,17 @@ def test_learns_and_reports(gridpush, tmp_path):
         "demo", "--task", "identify", "--scenario", write_scenario(tmp_path), "--out", out, "--port", "0", "--json"
     )
     assert outcome.code == 0, outcome.err
-    assert sorted(path.name for path in out.iterdir()) == sorted(FILES)
-    verdict = json.loads(outcome.out)
-    assert (verdict["status"], verdict["pushes"], verdict["held_out"]) == ("finished", 2, 1)
-    assert verdict["limit_report"]["touched"] == []
-    assert max(verdict["limit_report"][f"{what}_share"] for what in ("position", "velocity", "torque")) <= 1
+    assert sorted(path.name for path in out.iterdir()) == sorted(TASKS["identify"].files)
+    summary = json.loads(outcome.out)
+    assert (summary["status"], summary["pushes"], summary["held_out"]) == ("finished", 2, 1)
+    assert summary["limit_report"]["touched"] == []
+    assert max(summary["limit_report"][f"{what}_share"] for what in ("position", "velocity", "torque")) <= 1
     assert looks_like_recording(out / "recording.html")
     assert "Push by push" in (out / "report.html").read_text()
     assert yaml.safe_load((out / "truth.yaml").read_text())["object"] == "open_book"
     assert yaml.safe_load((out / "scenario.yaml").read_text())["pokes"]["count"] == 2
 
-    check_recording(out, verdict["simulated_seconds"], tmp_path)
+    check_recording(out, summary["simulated_seconds"], tmp_path)
 
     # the same files, offline
     offline = tmp_path / "offline.yaml"
@@ -165,11 +164,11 @@ def test_an_interrupted_demo_keeps_what_was_done(tmp_path):
     printed, errors = process.communicate(timeout=60)
     assert "Traceback" not in errors
     assert process.returncode == 130, errors
-    verdict = json.loads(printed)
-    assert verdict["status"] == "interrupted"
+    summary = json.loads(printed)
+    assert summary["status"] == "interrupted"
     assert (out / "recording.html").exists()
     assert (out / "scenario.yaml").exists()
-    assert ("model.yaml" in {path.name for path in out.iterdir()}) == (verdict["pushes"] > 0)
+    assert ("model.yaml" in {path.name for path in out.iterdir()}) == (summary["pushes"] > 0)
 
 
 def _read_until(stream, text):
@@ -183,19 +182,19 @@ def _read_until(stream, text):
 
 
 @pytest.mark.slow
-def test_the_whole_story_as_readme_says(gridpush, tmp_path, monkeypatch):
+def test_pokes_slides_and_lifts_as_readme_says(gridpush, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     outcome = gridpush("demo", "--json")
     assert outcome.code == 0, outcome.err
-    verdict = json.loads(outcome.out)
-    assert verdict["status"] == "held"
-    assert verdict["raised"] > 0.08
-    assert verdict["pokes"] >= 3
-    assert verdict["slides"] >= 1
-    assert verdict["limit_report"]["touched"] == []
-    assert max(verdict["limit_report"][f"{what}_share"] for what in ("position", "velocity", "torque")) <= 1
+    summary = json.loads(outcome.out)
+    assert summary["status"] == "held"
+    assert summary["raised"] > 0.08
+    assert summary["pokes"] >= 3
+    assert summary["slides"] >= 1
+    assert summary["limit_report"]["touched"] == []
+    assert max(summary["limit_report"][f"{what}_share"] for what in ("position", "velocity", "torque")) <= 1
     out = tmp_path / "gridpush_demo"
-    assert sorted(path.name for path in out.iterdir()) == sorted(STORY_FILES)
+    assert sorted(path.name for path in out.iterdir()) == sorted(TASKS["pregrasp"].files)
     assert "What the robot did" in (out / "report.html").read_text()
     check_same_offline(gridpush, out, tmp_path)
 

@@ -58,6 +58,14 @@ def test_an_ellipse_has_the_covariance_s_axes():
     )
 
 
+def test_an_ellipse_without_width_is_a_line():
+    covariance = np.diag([4e-4, 0.0])
+    disc, ring = make_disc(covariance, (0.1, 0.2), HEIGHT), make_ring(covariance, (0.1, 0.2), HEIGHT, 1e-3)
+    assert np.ptp(disc.vertices[:, 0]) == pytest.approx(0.04)
+    assert np.ptp(disc.vertices[:, 1]) < 1e-4
+    assert areas(disc).sum() < areas(ring).sum()
+
+
 @pytest.mark.parametrize("length", [0.1, 0.004])
 def test_an_arrow_reaches_from_its_start_to_its_end(length):
     start, along = np.array([0.3, 0.1]), np.array([0.6, 0.8])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from gridpush_drake.multibody.tool_motion import TrajectorySegment
+from gridpush_drake.multibody.tool_motion import TURNING_RADIUS, TrajectorySegment
 from gridpush_drake.systems.messages import PushPhase
 
 A, B = (0.1, 0.2, 0.3), (0.4, 0.2, -0.1)  # 0.5 m apart
@@ -55,6 +55,25 @@ def test_short_leg_is_slower():
     leg = LEGS[2]
     assert leg.top_speed == pytest.approx(np.sqrt(2 * leg.acceleration * leg.length / 3))
     assert leg.moving_time == pytest.approx(2 * leg.ramp)
+
+
+def test_position_is_the_ramp_s_closed_form():
+    leg = LEGS[1]
+    v, T = leg.top_speed, leg.ramp
+    for t in np.linspace(0.0, T, 7):
+        u = t / T
+        for at, s in ((t, v * T * (u**3 - u**4 / 2)), (leg.moving_time - t, leg.length - v * T * (u**3 - u**4 / 2))):
+            np.testing.assert_allclose(
+                leg.position(at), np.add(A, s / leg.length * np.subtract(B, A)), rtol=0, atol=1e-12
+            )
+
+
+def test_a_tool_turns_by_more_than_half_a_turn():
+    leg = TrajectorySegment(PushPhase.PUSHING, (*A, -3.0), (*A, 3.0), 0.3, 1.0)
+    assert leg.length == pytest.approx(6.0 * TURNING_RADIUS)
+    yaws = [leg.position(t)[3] for t in np.linspace(0.0, leg.duration, 50)]
+    assert (np.diff(yaws) > 0.0).all()
+    assert yaws[-1] == pytest.approx(3.0)
 
 
 def test_wait_and_leg_of_no_length():

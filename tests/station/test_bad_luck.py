@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.bench.grasp import GraspJob, make_score
-from gridpush_drake.cli.demo_pre_grasp import make_scenario
+from gridpush_drake.cli.demo_tasks import PreGraspDemo
 from gridpush_drake.multibody.ground_truth import CalcPlanarPose, SetGridObjectPose
 from gridpush_drake.station import pregrasp_task as pre_grasp_task
 from gridpush_drake.station.pregrasp_task import HELD, LOST, PreGraspTask
@@ -50,7 +50,7 @@ class Stranger:
 
 def make_scenario_of_seed_0():
     """The shipped one, with a heavy handle."""
-    scenario = make_scenario()
+    scenario = PreGraspDemo().make_scenario()
     scenario.seed = 0
     return scenario
 

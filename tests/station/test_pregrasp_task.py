@@ -2,7 +2,7 @@
 
 import pytest
 
-from gridpush_drake.cli.demo_pre_grasp import make_scenario
+from gridpush_drake.cli.demo_tasks import PreGraspDemo
 from gridpush_drake.errors import PlanningError, ScenarioError
 from gridpush_drake.station.pregrasp_task import PreGraspTask
 from gridpush_drake.station.scenario import PushScenario
@@ -14,7 +14,7 @@ def test_a_scene_without_a_gripper_is_refused():
 
 
 def test_an_object_without_a_graspable_part_is_refused():
-    scenario = make_scenario()
+    scenario = PreGraspDemo().make_scenario()
     scenario.object = "open_book"
     with pytest.raises(PlanningError, match="no graspable part"):
         PreGraspTask(scenario)

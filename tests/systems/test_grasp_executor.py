@@ -202,9 +202,9 @@ def test_yaws_point_the_fingers_along_the_approach(approach):
 
 def test_a_leg_turns_and_moves_with_one_share():
     leg = ToolTrajectorySegment(GraspPhase.APPROACHING, (0.0, 0.0, 0.1, 0.0), (0.3, 0.0, 0.1, 1.0), 0.2, 1.0)
-    middle = leg.calc_pose(leg.duration / 2)
+    middle = leg.position(leg.duration / 2)
     np.testing.assert_allclose(middle, [0.15, 0.0, 0.1, 0.5], atol=1e-12)
-    assert leg.profile.length == pytest.approx(np.hypot(0.3, TURNING_RADIUS))
+    assert leg.length == pytest.approx(np.hypot(0.3, TURNING_RADIUS))
     turn = ToolTrajectorySegment(GraspPhase.APPROACHING, (0.0, 0.0, 0.1, 0.0), (0.0, 0.0, 0.1, 1.0), 0.2, 1.0)
     assert turn.duration > TURNING_RADIUS / 0.2
-    assert isinstance(make_transform(turn.calc_pose(1.0)), RigidTransform)
+    assert isinstance(make_transform(turn.position(1.0)), RigidTransform)

@@ -1,0 +1,487 @@
+"""What `gridpush demo` can do: how each task is run, what it leaves in the folder, and what it says."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import yaml
+from pydrake.geometry import Meshcat
+from pydrake.systems.analysis import Simulator
+
+from gridpush_drake.cli.console import MM, count_progress, print_line
+from gridpush_drake.files import write_whole
+from gridpush_drake.identification.learning import describe_prior
+from gridpush_drake.identification.model_file import write_model
+from gridpush_drake.identification.prediction import calc_mean_cell_error
+from gridpush_drake.multibody.cell_colors import CellColors
+from gridpush_drake.multibody.ground_truth import describe_truth
+from gridpush_drake.multibody.meshcat_server import write_recording
+from gridpush_drake.multibody.parser import find_models
+from gridpush_drake.multibody.recording_overlay import (
+    Mark,
+    Overlay,
+    Phase,
+    list_estimate_marks,
+    make_color_scale,
+    to_css,
+)
+from gridpush_drake.objects.object_file import write_object
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.trial import calc_goal_error
+from gridpush_drake.planning.pregrasp.uncertainty import Belief
+from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.report.page import ReportSummary, make_report
+from gridpush_drake.report.pregrasp_figure import GraspDrawn, PushDrawn, draw_pre_grasp
+from gridpush_drake.report.push_figure import draw_push_run
+from gridpush_drake.station.identify_task import FINISHED, IdentifyTask, IdentifyTaskRecord
+from gridpush_drake.station.limit_monitor import LimitReport
+from gridpush_drake.station.pregrasp_task import HELD, PreGraspRecord, PreGraspStep, PreGraspTask
+from gridpush_drake.station.push_task import GOAL_COLOR, REACHED, PushTask, PushTaskRecord
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario_file import read_scenario, write_scenario
+from gridpush_drake.systems.messages import ContactPointMode, PreGraspMode, PushStatus
+
+FRAMES_PER_SECOND = 20.0
+"""Of the recording."""
+
+FILES = ("report.html", "recording.html", "model.yaml", "object.yaml", "pushes.csv", "truth.yaml", "scenario.yaml")
+"""That a task leaves in its folder, the report first."""
+
+HELD_OUT = "held_out.csv"
+
+GRASP_SCENARIO = "scenarios/grasp.yaml"
+"""Among the shipped models."""
+
+PUSH_TITLES = {
+    ContactPointMode.WAITING: "Looking at the object",
+    ContactPointMode.PUSHING: "Push {}, toward the goal",
+    ContactPointMode.REACHED: "At the goal",
+    ContactPointMode.FAILED: "Given up",
+    ContactPointMode.LOST: "The object is out of sight",
+}
+"""Of the controller's modes, beside the recording; {} is the push's number."""
+
+PREGRASP_TITLES = {
+    PreGraspMode.WAITING: "Looking at the object",
+    PreGraspMode.EXPLORING: "Poke {status.pokes}, to learn where the mass is",
+    PreGraspMode.SLIDING: "Slide {status.slides}, toward the table's edge",
+    PreGraspMode.STOPPING: "Breaking off the push",
+    PreGraspMode.VERIFYING: "Checking that it can be grasped here",
+    PreGraspMode.GRASPING: "Grasping and lifting",
+    PreGraspMode.HOLDING: "Lifted and held",
+    PreGraspMode.LOST: "The object is out of sight",
+    PreGraspMode.FAILED: "Given up",
+}
+"""Likewise; `status` is the controller's."""
+
+
+class DemoTask(Protocol):
+    """A task of the demo. `record` is what its run came to: a `TaskRecord` of its own kind.
+
+    Attributes:
+        files: that it leaves in its folder, the report first.
+        marks: of the recording's legend, besides the estimate's.
+    """
+
+    files: tuple[str, ...]
+    marks: tuple[Mark, ...]
+
+    def make_scenario(self) -> PushScenario:
+        """The scenario that it has by itself."""
+
+    def run(self, scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> Any:
+        """Runs the task and records it from the moment when all is set up; returns the record."""
+
+    def list_phases(self, record: Any) -> list[Phase]:
+        """What the robot did when, for the recording."""
+
+    def split_log(self, record: Any) -> tuple[PushLog, PushLog]:
+        """The pushes to learn from and those held out."""
+
+    def make_report(self, record: Any) -> str:
+        """The report, as HTML; the record has an estimate."""
+
+    def summarize(self, record: Any) -> dict[str, Any]:
+        """What came of it, in SI units, for JSON; "object", "status" and "done", whether the robot got there."""
+
+    def describe(self, summary: dict[str, Any]) -> list[str]:
+        """A summary in lines of words."""
+
+
+def write_files(
+    task: DemoTask, folder: Path, scenario: PushScenario, record: Any, meshcat: Meshcat, force: bool
+) -> list[Path]:
+    """Writes what a run came to.
+
+    The model is the station's own: that which `gridpush identify` makes of object.yaml and pushes.csv.
+
+    Args:
+        task: that was run.
+        folder: where; it exists.
+        scenario: of the run.
+        record: of the run; what it was too short for is not written.
+        meshcat: with its recording.
+        force: whether existing files may be replaced.
+
+    Returns:
+        The files written, in the order of the task's.
+
+    Raises:
+        OutputError: a file exists and `force` is not set, or it cannot be written.
+    """
+    obj = record.obj
+    overlay = Overlay(
+        make_color_scale(obj, CellColors()), (*list_estimate_marks(), *task.marks), tuple(task.list_phases(record))
+    )
+    write_recording(meshcat, folder / "recording.html", force, overlay)
+    write_object(folder / "object.yaml", obj, force=force)
+    truth = yaml.safe_dump(describe_truth(obj, record.truth), sort_keys=False)
+    write_whole(folder / "truth.yaml", truth, force)
+    write_scenario(folder / "scenario.yaml", scenario, force)
+    written = {"recording.html", "object.yaml", "truth.yaml", "scenario.yaml"}
+    training, held_out = task.split_log(record)
+    if record.estimates:
+        training.write_csv(folder / "pushes.csv", force)
+        write_model(folder / "model.yaml", record.estimates[-1], force)
+        write_whole(folder / "report.html", task.make_report(record), force)
+        written |= {"pushes.csv", "model.yaml", "report.html"}
+    if len(held_out):
+        held_out.write_csv(folder / HELD_OUT, force)
+        written.add(HELD_OUT)
+    return [folder / name for name in task.files if name in written]
+
+
+def print_summary(task: DemoTask, summary: dict[str, Any], written: list[Path]) -> None:
+    """Prints what came of a run, and what was written."""
+    for line in task.describe(summary):
+        print_line(line)
+    print_line(f"\nIn {written[0].parent}: {', '.join(path.name for path in written)}.")
+
+
+class IdentifyDemo:
+    """A robot pokes an object it knows nothing about, and comes to know it."""
+
+    files: tuple[str, ...] = (*FILES[:5], HELD_OUT, *FILES[5:])
+    marks: tuple[Mark, ...] = ()
+
+    def make_scenario(self) -> PushScenario:
+        """An iiwa with a finger."""
+        return PushScenario()
+
+    def run(self, scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> IdentifyTaskRecord:
+        """Pokes and learns."""
+        task = IdentifyTask(scenario, meshcat)
+        training, total = scenario.pokes.count, scenario.pokes.count + scenario.pokes.test_count
+
+        def describe(status: PushStatus) -> tuple[str, int]:
+            kind = "push" if status.executed < training else "held-out push"
+            at = min(status.executed + 1, total)
+            refused = f" (refused {status.refused}: {status.reason})" if status.reason else ""
+            return f"{kind} {at} of {total}, {status.phase}{refused}", status.executed
+
+        with _recording(task, meshcat, task.simulator, total, describe) as progress:
+            return task.run(progress=progress, realtime_rate=realtime_rate)
+
+    def list_phases(self, record: IdentifyTaskRecord) -> list[Phase]:
+        """Pushes to learn from, then pushes to test."""
+        phases = []
+        for time, status in record.phases:
+            count = status.executed + (not status.ready)
+            kind = "Push" if count <= record.training else "Held-out push"
+            title = "Looking at the object" if status.ready else f"{kind} {count}: {status.phase}"
+            detail = "" if count <= record.training else "Predicted only, to test what was learned."
+            phases.append(Phase(time, title, detail))
+        return phases
+
+    def split_log(self, record: IdentifyTaskRecord) -> tuple[PushLog, PushLog]:
+        """By the scenario's counts."""
+        return record.training_log, record.held_out_log
+
+    def make_report(self, record: IdentifyTaskRecord) -> str:
+        """How the error of the held-out pushes fell, push by push."""
+        training, held_out = self.split_log(record)
+        result = record.estimates[-1]
+        if not len(held_out):
+            return make_report(result, training, truth=record.truth)
+        learning = [
+            calc_mean_cell_error(record.obj, found.params, held_out, result.regime)
+            for found in (describe_prior(record.obj), *record.estimates)
+        ]
+        return make_report(result, training, held_out, record.truth, learning)
+
+    def summarize(self, record: IdentifyTaskRecord) -> dict[str, Any]:
+        """Errors before and after learning, and how the robot behaved."""
+        summary: dict[str, Any] = {
+            "object": record.obj.name,
+            "status": record.status,
+            "message": record.message,
+            "pushes": len(record.training_log),
+            "held_out": len(record.held_out_log),
+            "simulated_seconds": record.duration,
+            "limit_report": _describe_limit_report(record.limit_report),
+        }
+        if record.estimates:
+            summary["learned"] = record.estimates[-1].message
+            for name, error in _calc_center_errors(record).items():
+                params = CellParameters.uniform(record.obj) if name == "before" else record.estimates[-1].params
+                regime = record.estimates[-1].regime
+                held_out = calc_mean_cell_error(record.obj, params, record.held_out_log, regime)
+                summary[name] = {"held_out_cell_error": held_out, "center_of_mass_error": error}
+        return summary
+
+    def describe(self, summary: dict[str, Any]) -> list[str]:
+        """Errors before and after learning."""
+        name = summary["object"].replace("_", " ")
+        lines = [summary["message"]] if summary["status"] != FINISHED else []
+        if "after" not in summary:
+            return [*lines, f"Nothing was learned about the {name}."]
+        lines.append(f"The {name} after {summary['pushes']} pushes: {summary['learned']}")
+        if summary["held_out"]:
+            lines.append(_compare(f"error of {summary['held_out']} pushes held out", "held_out_cell_error", summary))
+        return [*lines, _compare("error of the center of mass", "center_of_mass_error", summary)]
+
+
+class PushDemo:
+    """A robot pushes an object it knows nothing about to a goal, and learns it on the way."""
+
+    files: tuple[str, ...] = FILES
+    marks: tuple[Mark, ...] = (Mark(to_css(GOAL_COLOR), "where the object should lie"),)
+
+    def make_scenario(self) -> PushScenario:
+        """An iiwa with a finger."""
+        return PushScenario()
+
+    def run(self, scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> PushTaskRecord:
+        """Pushes until the object lies at the goal."""
+        task = PushTask(scenario, meshcat)
+
+        def describe(status: PushStatus) -> tuple[str, int]:
+            return f"push {status.executed + (not status.ready)}, {status.phase}", status.executed
+
+        with _recording(task, meshcat, task.task.simulator, scenario.goal.max_pushes, describe) as progress:
+            return task.run(progress=progress, realtime_rate=realtime_rate)
+
+    def list_phases(self, record: PushTaskRecord) -> list[Phase]:
+        """A phase a push."""
+        return [
+            Phase(step.time, PUSH_TITLES[step.status.mode].format(step.status.pushes + 1), step.status.reason)
+            for step in record.steps
+        ]
+
+    def split_log(self, record: PushTaskRecord) -> tuple[PushLog, PushLog]:
+        """None is held out."""
+        return record.log, record.log[:0]
+
+    def make_report(self, record: PushTaskRecord) -> str:
+        """Where the object lay after every push."""
+        return _report_run(record, self._make_report_summary(record))
+
+    def summarize(self, record: PushTaskRecord) -> dict[str, Any]:
+        """How far from the goal it ended."""
+        return {
+            "object": record.obj.name,
+            "status": record.status,
+            "done": record.status == REACHED,
+            "message": record.message,
+            "pushes": record.pushes,
+            "goal": [float(value) for value in record.goal],
+            "error": record.error,
+            "simulated_seconds": record.duration,
+            "limit_report": _describe_limit_report(record.limit_report),
+        }
+
+    def describe(self, summary: dict[str, Any]) -> list[str]:
+        """How far from the goal it ended."""
+        return [
+            f"The {summary['object'].replace('_', ' ')} after {summary['pushes']} pushes: {summary['message']}",
+            f"  mean distance of its cells from where they should be: {summary['error'] * MM:.1f} mm",
+        ]
+
+    def _make_report_summary(self, record: PushTaskRecord) -> ReportSummary:
+        steps = []
+        for count, (seen, pose) in enumerate(zip(record.log, record.rest_poses[1:], strict=False), start=1):
+            x, y = seen.push.start.tolist()
+            left = float(calc_goal_error(record.obj, pose, record.goal)) * MM
+            steps.append((str(count), f"({x:.3f}, {y:.3f}) m, {seen.push.length * MM:.0f} mm far", f"{left:.0f} mm"))
+        return ReportSummary(
+            headline=record.message,
+            facts=(
+                ("pushes", str(record.pushes)),
+                ("left to go", f"{record.error * MM:.1f} mm"),
+                ("simulated", f"{record.duration:.0f} s"),
+            ),
+            figure=draw_push_run(
+                record.obj,
+                record.rest_poses,
+                [seen.push for seen in record.log],
+                record.goal,
+                record.surface,
+                expected=record.expected_errors,
+                tolerance=record.tolerance,
+            ),
+            caption="The object at rest after every push, the pushes as arrows, the goal dotted; and how far off it "
+            "was.",
+            heads=("push", "from", "left to go"),
+            steps=steps,
+        )
+
+
+class PreGraspDemo:
+    """A robot pokes an object, learns it, slides it to the table's edge, grasps what hangs over, and lifts it."""
+
+    files: tuple[str, ...] = FILES
+    marks: tuple[Mark, ...] = ()
+
+    def make_scenario(self) -> PushScenario:
+        """The shipped scenario of a robot that can grasp."""
+        return read_scenario(find_models() / GRASP_SCENARIO)
+
+    def run(self, scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> PreGraspRecord:
+        """Pokes, slides, grasps and lifts."""
+        task = PreGraspTask(scenario, meshcat)
+
+        def describe(_: PushStatus) -> tuple[str, int]:
+            now = task.task.read("status", task.controller)
+            return f"{now.mode}, {_count(now.pokes, 'poke')} and {_count(now.slides, 'slide')}", int(now.over)
+
+        with _recording(task, meshcat, task.task.simulator, 1, describe) as progress:
+            return task.run(progress=progress, realtime_rate=realtime_rate)
+
+    def list_phases(self, record: PreGraspRecord) -> list[Phase]:
+        """A phase a step of the controller."""
+        return [
+            Phase(step.time, PREGRASP_TITLES[step.status.mode].format(status=step.status), step.status.reason)
+            for step in record.steps
+        ]
+
+    def split_log(self, record: PreGraspRecord) -> tuple[PushLog, PushLog]:
+        """None is held out."""
+        return record.log, record.log[:0]
+
+    def make_report(self, record: PreGraspRecord) -> str:
+        """The object's trajectory to the edge, and how safely it lies there."""
+        return _report_run(record, self._make_report_summary(record))
+
+    def summarize(self, record: PreGraspRecord) -> dict[str, Any]:
+        """Whether the object was lifted, and how well its center of mass was known."""
+        last = record.last
+        summary: dict[str, Any] = {
+            "object": record.obj.name,
+            "status": record.status,
+            "done": record.status == HELD,
+            "message": record.message,
+            "pokes": last.pokes,
+            "slides": last.slides,
+            "grasps": last.grasps,
+            "raised": record.raised,
+            "simulated_seconds": record.duration,
+            "limit_report": _describe_limit_report(record.limit_report),
+        }
+        if record.estimates:
+            errors = _calc_center_errors(record)
+            summary |= {name: {"center_of_mass_error": error} for name, error in errors.items()}
+        return summary
+
+    def describe(self, summary: dict[str, Any]) -> list[str]:
+        """Whether the object was lifted, and how well its center of mass was known."""
+        name, did = summary["object"].replace("_", " "), f"{summary['pokes']} pokes and {summary['slides']} slides"
+        lines = [f"The {name} after {did}: {summary['message']}"]
+        if "after" in summary:
+            lines.append(_compare("error of the center of mass", "center_of_mass_error", summary))
+        return lines
+
+    def _make_report_summary(self, record: PreGraspRecord) -> ReportSummary:
+        last = record.last
+        masses = Belief.of_identification(record.estimates[-1]).masses
+        poses = [step.pose for step in record.steps if np.isfinite(step.pose).all() and not step.status.over]
+        pushes = [
+            PushDrawn(step.push.start, step.push.end, step.status.mode == PreGraspMode.EXPLORING)
+            for step in record.steps
+            if step.push is not None
+        ]
+        grasp = next((step.grasp for step in reversed(record.steps) if step.grasp is not None), None)
+        drawn = None if grasp is None else GraspDrawn(np.array([grasp.x, grasp.y]), grasp.approach)
+        return ReportSummary(
+            headline=f"{record.message} It took {_count(last.pokes, 'poke')} and {_count(last.slides, 'slide')}.",
+            facts=(
+                ("pokes", str(last.pokes)),
+                ("slides", str(last.slides)),
+                ("simulated", f"{record.duration:.0f} s"),
+                ("raised by", f"{record.raised * MM:.0f} mm"),
+            ),
+            figure=draw_pre_grasp(record.obj, record.surface, poses, pushes, masses, record.truth, drawn),
+            caption="Left: pokes to learn, then slides to the table's edge. Right: as long as its center of mass is "
+            "within what holds the object it stays put; it was judged on every place where the center of mass may "
+            "still be.",
+            heads=("time", "what", "why"),
+            steps=[_describe_step(step) for step in record.steps if step.status.mode != PreGraspMode.WAITING],
+        )
+
+
+TASKS: dict[str, DemoTask] = {"identify": IdentifyDemo(), "push": PushDemo(), "pregrasp": PreGraspDemo()}
+"""By the words of `demo.TaskName`."""
+
+
+@contextmanager
+def _recording(task: Any, meshcat: Meshcat, simulator: Simulator, total: int, describe: Any) -> Iterator[Any]:
+    """Begins a recording of the station and shows the progress.
+
+    Args:
+        task: with `AimCamera`.
+        meshcat: records from now on.
+        simulator: of the task, for the time.
+        total: to count to.
+        describe: what is being done by a status of the push executor, and how far the count is.
+
+    Yields:
+        What the run calls with that status and the number of pushes logged.
+    """
+    task.AimCamera(meshcat)
+    with count_progress("the robot", total) as report:
+
+        def show(status: PushStatus, logged: int) -> None:
+            doing, count = describe(status)
+            report(doing, f"{simulator.get_context().get_time():.0f} s simulated", count)
+
+        meshcat.StartRecording(FRAMES_PER_SECOND)
+        yield show
+
+
+def _report_run(record: PushTaskRecord | PreGraspRecord, summary: ReportSummary) -> str:
+    """The report of a task that learns on the way, from the pushes its last estimate was learned from."""
+    found = record.estimates[-1]
+    used = record.log.subset([i for i, seen in enumerate(record.log) if seen.name in found.push_names])
+    return make_report(found, used, truth=record.truth, summary=summary)
+
+
+def _describe_limit_report(limit_report: LimitReport) -> dict[str, Any]:
+    """How the robot behaved, for JSON."""
+    return {
+        "position_share": limit_report.position_share,
+        "velocity_share": limit_report.velocity_share,
+        "torque_share": limit_report.torque_share,
+        "tracking_error": limit_report.tracking_error,
+        "touched": sorted(map(list, limit_report.touched)),
+    }
+
+
+def _calc_center_errors(record: Any) -> dict[str, float]:
+    """Distance of the center of mass from the true one, m, "before", assuming an even object, and "after"."""
+    obj, true = record.obj, record.truth.center_of_mass(record.obj)
+    compared = {"before": CellParameters.uniform(obj), "after": record.estimates[-1].params}
+    return {name: float(np.linalg.norm(params.center_of_mass(obj) - true)) for name, params in compared.items()}
+
+
+def _compare(what: str, key: str, summary: dict[str, Any]) -> str:
+    before, after = (summary[when][key] * MM for when in ("before", "after"))
+    return f"  {what}: {before:.1f} mm assuming an even object, {after:.1f} mm as learned"
+
+
+def _describe_step(step: PreGraspStep) -> tuple[str, str, str]:
+    return f"{step.time:.1f}\N{NO-BREAK SPACE}s", step.status.mode, step.status.reason
+
+
+def _count(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
