@@ -18,7 +18,6 @@ from gridpush_drake.multibody.ground_truth import describe_truth
 from gridpush_drake.multibody.meshcat_server import write_recording
 from gridpush_drake.multibody.recording_overlay import Mark, Overlay, Phase
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.object_file import write_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.report.page import ReportSummary, make_report
@@ -111,7 +110,7 @@ def write_setting(
     names = ("recording.html", "object.yaml", "truth.yaml", "scenario.yaml")
     recording, object_file, hidden, setting = written = [folder / name for name in names]
     write_recording(meshcat, recording, force, overlay)
-    write_object(object_file, obj, force=force)
+    obj.write_yaml(object_file, force=force)
     write_whole(hidden, yaml.safe_dump(describe_truth(obj, truth), sort_keys=False), force)
     write_scenario(setting, scenario, force)
     return written
