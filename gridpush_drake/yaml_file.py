@@ -1,16 +1,21 @@
-"""YAML read strictly and within bounds: no key twice, 1e-3 is a number, and errors that name the line.
+"""YAML read strictly and within bounds, and checked against a schema, with errors that name the line or the field.
+
+No key stands twice, and 1e-3 is a number.
 
 An alias or a merge key of a few bytes can stand for billions of values. So a document is composed first, which costs
 no more than its text, and measured with its aliases written out, before anything is made of it.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, TypeVar, get_args, get_origin
 
 import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic.fields import FieldInfo
 
 from gridpush_drake.errors import GridPushError, ObjectError
 from gridpush_drake.files import MEGABYTE, read_text
@@ -27,6 +32,12 @@ MAX_NUMBER_LENGTH = 400
 MAX_PROBLEM = 160
 """Characters of PyYAML's complaint that a message repeats."""
 
+MAX_SHOWN = 60
+"""Characters of a refused value that a message repeats."""
+
+UNKNOWN_KEY = ("extra_forbidden", "invalid_key")
+"""Pydantic's names for a key that the schema does not have; said first, as a misspelt key explains a missing one."""
+
 NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 
 NOT_YAML = (ValueError, LookupError, TypeError, AttributeError, OverflowError)
@@ -34,6 +45,22 @@ NOT_YAML = (ValueError, LookupError, TypeError, AttributeError, OverflowError)
 
 
 _TOO_MANY = f"the document holds more than {MAX_NODES} keys and values"
+
+
+class StrictSchema(BaseModel):
+    """What a YAML mapping may hold: these keys and no others, each of its type, numbers finite.
+
+    A field's `description` says in a message what is expected of it.
+
+    Attributes:
+        renamed: the present name of each key that had another before.
+    """
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+    renamed: ClassVar[Mapping[str, str]] = {}
+
+
+Schema = TypeVar("Schema", bound=StrictSchema)
 
 
 class _StrictLoader(yaml.SafeLoader):
@@ -102,6 +129,78 @@ def check_yaml(path: Path, text: str, what: str, error: type[GridPushError]) -> 
     """Checks a document that somebody else will make values of; the arguments and errors are those of `parse_yaml`."""
     with _explained(path, what, error):
         _compose(_StrictLoader(text))
+
+
+def check_mapping(path: Path, data: dict[str, Any], schema: type[Schema], error: type[GridPushError]) -> Schema:
+    """Checks a mapping against a schema.
+
+    Args:
+        path: of the file, for messages.
+        data: as `read_mapping` gives it.
+        schema: what it should hold.
+        error: raised where it does not.
+
+    Returns:
+        The content, checked.
+
+    Raises:
+        GridPushError: `error`: a key is missing, unknown or renamed, or a value is of the wrong form; the message names
+            the file, the field and the expected form.
+    """
+    try:
+        return schema.model_validate(data)
+    except ValidationError as cause:
+        raise error(f"{path}: {_explain(cause, schema)}") from None
+
+
+def _explain(error: ValidationError, schema: type[StrictSchema]) -> str:
+    """Says the first thing that is wrong, with the field's place and what is expected there."""
+    first = min(error.errors(), key=lambda e: e["type"] not in UNKNOWN_KEY)
+    place = first["loc"]
+    field = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place).lstrip(".")
+    names = [step for step in place if isinstance(step, str)]
+    if first["type"] in UNKNOWN_KEY:
+        above = _find_field(schema, names[: len(names) - isinstance(place[-1], str)])[1] or schema
+        return f"{field}: {_explain_unknown_key(str(place[-1]), above)}"
+    message = str(first["msg"]).removeprefix("Value error, ")
+    if first["type"] == "value_error":
+        return f"{field}: {message}" if field else message
+    info = _find_field(schema, names)[0]
+    expected = info.description if info else None
+    if first["type"] == "missing":
+        return f"{field} is missing" + (f"; expected {expected}" if expected else "")
+    return f"{field} is {shorten_value(first['input'])}; expected {expected or message[:1].lower() + message[1:]}"
+
+
+def _explain_unknown_key(key: str, schema: type[StrictSchema]) -> str:
+    if key in schema.renamed:
+        return f"this key is called {schema.renamed[key]} now"
+    known = list(schema.model_fields)
+    near = get_close_matches(key, known, n=1)
+    guess = f"; did you mean {near[0]}?" if near else ";"
+    return f"unknown key{guess} expected one of {', '.join(known)}"
+
+
+def _find_field(schema: type[StrictSchema], names: list[str]) -> tuple[FieldInfo | None, type[StrictSchema] | None]:
+    """The field at a place in a schema, and the schema of what it holds, where it holds a mapping."""
+    field: FieldInfo | None = None
+    inner: type[StrictSchema] | None = schema
+    for name in names:
+        field = inner.model_fields.get(name) if inner else None
+        inner = _find_schema(field.annotation) if field else None
+    return field, inner
+
+
+def _find_schema(annotation: Any) -> type[StrictSchema] | None:
+    if get_origin(annotation) is None:
+        return annotation if isinstance(annotation, type) and issubclass(annotation, StrictSchema) else None
+    return next((found for part in get_args(annotation) if (found := _find_schema(part))), None)
+
+
+def shorten_value(value: Any) -> str:
+    """A refused value for a message."""
+    text = "empty" if value is None else repr(value)
+    return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."
 
 
 @contextmanager

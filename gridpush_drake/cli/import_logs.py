@@ -90,10 +90,9 @@ def _check_outputs(
 def _write(
     pushes: "PushLog", obj: "GridObject", max_cells: int, paths: tuple[Path, Path], force: bool, json: bool
 ) -> None:
-    from gridpush_drake.objects.object_file import write_object
 
     pushes.write_csv(paths[0], force)
-    write_object(paths[1], obj, max_cells=max_cells, force=force)
+    obj.write_yaml(paths[1], max_cells=max_cells, force=force)
     if json:
         print_json({"object": obj.name, "cells": obj.n, "pushes": len(pushes), "written": list(map(str, paths))})
     else:

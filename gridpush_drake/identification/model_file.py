@@ -1,93 +1,63 @@
 """A learned model as one self-contained YAML file: the object, its cells' values and how well they are known.
 
-The schema of a model file.
-
-Symmetric matrices as text, exact to the last bit: base64 of little-endian float64.
+The object stands there as in an object file, with its very cells. Symmetric matrices are text, exact to the last bit:
+base64 of little-endian float64.
 """
 
 import base64
 import binascii
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
-from shapely import Polygon
+from pydantic import Field, Strict, model_validator
 
 from gridpush_drake.errors import GridPushError, IdentificationError
 from gridpush_drake.files import read_head, write_whole
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.result import HistoryEntry, Identification
-from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import ObjectSchema, describe_object, make_cells
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.yaml_file import read_mapping
+from gridpush_drake.yaml_file import StrictSchema, check_mapping, read_mapping
 
-FORMAT_VERSION: Literal[1] = 1
+FORMAT_VERSION: Literal[2] = 2
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Point = Annotated[list[Number], Field(min_length=2, max_length=2)]
-Ring = Annotated[list[Point], Field(min_length=3)]
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+PerhapsInfinite = Annotated[float, Field(ge=0, allow_inf_nan=True)]
+Point = Annotated[list[float], Field(min_length=2, max_length=2)]
 Matrix2 = Annotated[list[Point], Field(min_length=2, max_length=2)]
 
 
-class _Schema(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True)
+class CellValuesSchema(StrictSchema):
+    """What is known of the cells: one entry a cell, in the order of `object.cells`."""
 
+    renamed: ClassVar[Mapping[str, str]] = {"p_BC": "object.cells.centers", "labels": "object.cells.labels"}
 
-class PriorSchema(_Schema):
-    """What was known beforehand; see `PhysicalPrior`."""
-
-    total_mass: Positive | None = None
-    center_of_mass: Point | None = None
-    center_of_mass_std: Positive
-    friction: Positive
-    friction_min: Positive
-    friction_max: Positive
-    contact_friction: NotNegative
-    contact_friction_std: Positive
-    pusher_radius: Positive | None = None
-
-
-class ObjectSchema(_Schema):
-    """The object, its cells apart; see `GridObject`."""
-
-    name: str
-    cell_size: Positive
-    outline: Ring
-    holes: list[Ring]
-    prior: PriorSchema
-
-
-class CellsSchema(_Schema):
-    """One entry a cell."""
-
-    p_BC: Annotated[list[Point], Field(min_length=1)]
-    labels: list[int]
     mass: list[Positive]
     mass_std: list[Positive]
     mass_min: list[NotNegative]
-    mass_max: list[Annotated[float, Field(ge=0)]]
+    mass_max: list[PerhapsInfinite]
     friction: list[NotNegative]
     friction_std: list[NotNegative]
     relative_friction: list[NotNegative]
     relative_friction_std: list[NotNegative]
-    learned_share: list[Number]
-
-    @model_validator(mode="after")
-    def _check_lengths(self) -> "CellsSchema":
-        for name, values in self:
-            if len(values) != len(self.p_BC):
-                raise ValueError(f"{name} has {len(values)} entries; expected one a cell, {len(self.p_BC)}")
-        return self
+    learned_share: list[float]
 
 
-class IdentifiabilitySchema(_Schema):
+class IdentifiabilitySchema(StrictSchema):
     """What the data determine; see `Identifiability`."""
+
+    renamed: ClassVar[Mapping[str, str]] = {
+        "centre_of_friction": "center_of_friction",
+        "centre_of_friction_covariance": "center_of_friction_covariance",
+        "centre_of_mass_box": "center_of_mass_box",
+    }
 
     statements: list[str]
     center_of_friction: Point
@@ -96,63 +66,62 @@ class IdentifiabilitySchema(_Schema):
     learned_directions: Annotated[int, Field(ge=0)]
 
 
-class PosteriorSchema(_Schema):
+class PosteriorSchema(StrictSchema):
     """See `Posterior`. A covariance is base64 of its lower triangle, row by row, float64."""
 
-    mean: list[Number]
+    mean: list[float]
     covariance: str
     prior_covariance: str
 
 
-class ModelSchema(_Schema):
+class LearnedObjectSchema(ObjectSchema):
+    """The object as in an object file, with a name and its very cells."""
+
+    renamed: ClassVar[Mapping[str, str]] = {
+        **ObjectSchema.renamed,
+        "cell_size": "cells.size",
+        "prior": "total_mass, center_of_mass, friction, contact_friction and pusher, as in an object file,",
+    }
+
+    @model_validator(mode="after")
+    def _check_cells(self) -> "LearnedObjectSchema":
+        for key in ("name", "cells"):
+            if getattr(self, key) is None:
+                raise ValueError(f"{key} is missing; expected the object's name and its cells")
+        return self
+
+
+class ModelSchema(StrictSchema):
     """The whole file; see `Identification`."""
 
-    gridpush_model: Literal[1]
+    gridpush_model: Literal[2] = Field(description="2, the form that this release reads")
     method: str
     regime: Literal["quasi_static", "inertial"]
     status: str
     message: str
     seed: int
     simulations: Annotated[int, Field(ge=0)]
-    noise_std: Annotated[float, Field(ge=0)]
+    noise_std: PerhapsInfinite
     training_pushes: list[str]
     unused_pushes: list[str]
-    object: ObjectSchema
+    object: LearnedObjectSchema
     contact_friction: NotNegative
     contact_friction_std: NotNegative
-    cells: CellsSchema
+    cells: CellValuesSchema
     identifiability: IdentifiabilitySchema
-    history: list[Annotated[tuple[int, Number, str], Strict(False)]]
+    history: list[Annotated[tuple[int, float, str], Strict(False)]]
     posterior: PosteriorSchema
 
     @model_validator(mode="after")
-    def _check_posterior(self) -> "ModelSchema":
-        expected = len(self.cells.p_BC) + 1
-        if len(self.posterior.mean) != expected:
-            raise ValueError(f"posterior.mean has {len(self.posterior.mean)} entries; expected {expected}, cells + 1")
+    def _check_lengths(self) -> "ModelSchema":
+        assert self.object.cells is not None
+        n = len(self.object.cells.centers)
+        for name, values in self.cells:
+            if len(values) != n:
+                raise ValueError(f"cells.{name} has {len(values)} entries; expected one a cell, {n}")
+        if len(self.posterior.mean) != n + 1:
+            raise ValueError(f"posterior.mean has {len(self.posterior.mean)} entries; expected {n + 1}, cells + 1")
         return self
-
-
-def check_model(path: Path, content: dict[str, Any]) -> ModelSchema:
-    """Checks what was read from a model file.
-
-    Args:
-        path: of the file, for messages.
-        content: the YAML mapping.
-
-    Returns:
-        The content, checked.
-
-    Raises:
-        IdentificationError: a key is missing, unknown or of the wrong form; the message names the first.
-    """
-    try:
-        return ModelSchema.model_validate(content)
-    except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(str(part) for part in first["loc"]) or "model"
-        message = str(first["msg"]).removeprefix("Value error, ")
-        raise IdentificationError(f"{path}: {field}: {message[:1].lower()}{message[1:]}") from None
 
 
 Array = NDArray[np.float64]
@@ -242,7 +211,7 @@ def write_model(path: Path | str, identification: Identification, force: bool = 
     Raises:
         OutputError: the file exists and `force` is not set, or it cannot be written.
     """
-    content = _describe(identification).model_dump(exclude_none=True)
+    content = _describe(identification).model_dump(exclude_none=True, exclude_unset=True)
     write_whole(path, HEADER + yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=LINE_WIDTH), force)
 
 
@@ -260,7 +229,7 @@ def read_model(path: Path | str) -> Identification:
         IdentificationError: it is not a model; the message names the file, the field and the expected form.
     """
     path = Path(path)
-    schema = check_model(path, read_mapping(path, WHAT))
+    schema = check_mapping(path, read_mapping(path, WHAT), ModelSchema, IdentificationError)
     try:
         return _restore(schema)
     except GridPushError as error:
@@ -281,12 +250,10 @@ def _describe(result: Identification) -> ModelSchema:
         noise_std=float(result.noise_std),
         training_pushes=list(result.push_names),
         unused_pushes=list(result.unused_pushes),
-        object=_describe_object(obj),
+        object=LearnedObjectSchema.model_validate(describe_object(obj.name, obj.grid, obj.prior)),
         contact_friction=result.params.contact_friction,
         contact_friction_std=result.std.contact_friction,
-        cells=CellsSchema(
-            p_BC=obj.p_BC.tolist(),
-            labels=obj.labels.tolist(),
+        cells=CellValuesSchema(
             mass=result.params.mass.tolist(),
             mass_std=result.std.mass.tolist(),
             mass_min=known.mass_min.tolist(),
@@ -313,25 +280,10 @@ def _describe(result: Identification) -> ModelSchema:
     )
 
 
-def _describe_object(obj: GridObject) -> ObjectSchema:
-    rings = [[list(point[:2]) for point in ring.coords[:-1]] for ring in (obj.outline.exterior, *obj.outline.interiors)]
-    prior: dict[str, Any] = {**vars(obj.prior)}
-    prior["center_of_mass"] = obj.prior.center_of_mass and list(obj.prior.center_of_mass)
-    return ObjectSchema(
-        name=obj.name, cell_size=obj.cell_size, outline=rings[0], holes=rings[1:], prior=PriorSchema(**prior)
-    )
-
-
 def _restore(schema: ModelSchema) -> Identification:
-    cells, n = schema.cells, len(schema.cells.p_BC)
-    prior = schema.object.prior.model_dump()
-    if prior["center_of_mass"] is not None:
-        prior["center_of_mass"] = tuple(prior["center_of_mass"])
-    outline = Polygon(schema.object.outline, schema.object.holes)
-    obj = GridObject(
-        schema.object.name, np.array(cells.p_BC), schema.object.cell_size, np.array(cells.labels), outline,
-        PhysicalPrior(**prior),
-    )  # fmt: skip
+    name = str(schema.object.name)
+    obj = GridObject(name, *make_cells(schema.object, name, Path()), schema.object.to_prior())
+    cells, n = schema.cells, obj.n
     params = CellParameters(np.array(cells.mass), np.array(cells.friction), schema.contact_friction)
     posterior = Posterior(
         np.array(schema.posterior.mean),

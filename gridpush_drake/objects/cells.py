@@ -1,21 +1,47 @@
-"""How large the cells are and where their lattice lies: as many as allowed, and true to the shape.
+"""Square cells that fill a shape: how large they are, where their lattice lies, and which of them touch."""
 
-An outline filled with square cells.
-"""
-
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
-import shapely
 from numpy.typing import ArrayLike, NDArray
-from shapely import MultiPolygon, Polygon
-from shapely.geometry.polygon import orient
-from shapely.validation import explain_validity
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
+from scipy.spatial import Delaunay, QhullError, cKDTree
+from shapely import Polygon
 
 from gridpush_drake.errors import ObjectError
-from gridpush_drake.objects.grid_object import MAX_CELLS, MAX_SIZE, GridObject, PhysicalPrior
+
+DEFAULT_MAX_CELLS = 127
+"""The paper's largest grid."""
+
+MAX_CELLS = 10_000
+"""Of an object; what learning keeps grows with the square of their number."""
+
+MAX_LABEL = 2**31 - 1
+"""Of a part."""
+
+MIN_SIZE, MAX_SIZE = 1e-6, 1e4
+"""Of a cell's side, least, and of any coordinate of an object, greatest, m; beyond them no object is pushed."""
+
+
+class CellGrid(NamedTuple):
+    """The geometry of a grid object, body frame; see `GridObject`.
+
+    Attributes:
+        p_BC: (n, 2) cell centers, m.
+        cell_size: side of a cell, m.
+        labels: (n,) the part each cell belongs to, >= 1.
+        outline: contour with holes, m.
+    """
+
+    p_BC: NDArray[np.float64]
+    cell_size: float
+    labels: NDArray[np.int64]
+    outline: Polygon
+
 
 Share = Callable[[NDArray[np.float64], float], NDArray[np.float64]]
 """Given the lower corners (k, 2) of square cells and their size, how much of each is object: (k,), 0 to 1."""
@@ -192,130 +218,65 @@ def _take_touched(region: Region, overlap: Share, max_cells: int, min_size: floa
     return cells
 
 
-THINNEST = 1e-12
-"""An outline whose area is below this share of its squared diameter has none."""
+SIDE_REACH = 1.2
+"""Centers nearer than this many cell sides share a side; diagonal neighbors are sqrt(2) sides apart."""
 
-EDGE_SLACK = 1e-9
-"""A center this near the outline, in diameters, is on it and counts as inside."""
+FLATNESS = 1e-9
+"""Cells whose extent across their main direction is below this many cell sides stand in one line."""
 
 
-def object_from_outline(
-    outline: ArrayLike | Polygon,
-    parts: Mapping[int, ArrayLike | Polygon | MultiPolygon],
-    max_cells: int,
-    *,
-    name: str,
-    prior: PhysicalPrior | None,
-) -> GridObject:
-    """Fills a polygon with square cells whose centers are inside it (`GridObject.from_outline`).
+def calc_adjacency(p_BC: ArrayLike, cell_size: float) -> NDArray[np.int64]:
+    """Finds the pairs of cells that share a side, and joins islands by their shortest links.
 
     Args:
-        outline: (k, 2) vertices, or a Polygon (with holes), body frame, m.
-        parts: polygons by label >= 1, body frame, m; the first to cover a cell's center names its part, and a
-            cell that none covers belongs to part 1.
-        max_cells: the most cells to make.
-        name: what to call it.
-        prior: what is known of mass and friction.
+        p_BC: (n, 2) cell centers on a square lattice, any one frame, m.
+        cell_size: side of a cell, m.
 
     Returns:
-        The object; its outline runs counterclockwise, holes clockwise.
-
-    Raises:
-        ObjectError: a polygon crosses itself or has no area, a label is below 1, or the count is not positive.
+        (m, 2) pairs i < j in increasing order; as a graph they connect all n cells.
     """
-    check_max_cells(name, max_cells)
-    polygon = polygon_from(outline, f"{name}: outline")
-    polygons = {label: _part_from(label, part, name) for label, part in parts.items()}
-    region = _describe(polygon)
-    slightly_larger = polygon.buffer(EDGE_SLACK * float(np.linalg.norm(region.extent)), join_style="mitre")
-    shapely.prepare(slightly_larger)
-
-    def share(corners: NDArray[np.float64], size: float) -> NDArray[np.float64]:
-        return shapely.contains_xy(slightly_larger, *(corners + size / 2).T).astype(np.float64)
-
-    def overlap(corners: NDArray[np.float64], size: float) -> NDArray[np.float64]:
-        boxes = shapely.box(*corners.T, *(corners + size).T)
-        return shapely.area(shapely.intersection(boxes, polygon)) / size**2
-
-    cells = choose_cells(region, share, overlap, int(max_cells))
-    labels = _label(cells.centers, polygons)
-    return GridObject(name, cells.centers, cells.size, labels, polygon, prior or PhysicalPrior())
+    p_BC = np.asarray(p_BC, dtype=np.float64)
+    pairs = cKDTree(p_BC).query_pairs(SIDE_REACH * cell_size, output_type="ndarray").astype(np.int64)
+    islands = _find_islands(pairs, len(p_BC))
+    if islands.max() > 0:
+        pairs = np.concatenate([pairs, _calc_links(p_BC, cell_size, islands)])
+    return _tidy(pairs)
 
 
-def polygon_from(points: ArrayLike | Polygon, what: str, holes: tuple[ArrayLike, ...] = ()) -> Polygon:
-    """Makes a valid polygon.
-
-    Args:
-        points: (k, 2) vertices, k >= 3, either way round, first one repeated or not, m; or a Polygon.
-        what: what it is, at the head of an error's message.
-        holes: vertices of its holes, m.
-
-    Returns:
-        The polygon without repeated vertices, counterclockwise, holes clockwise.
-
-    Raises:
-        ObjectError: it is not finite, has no area, crosses itself, or a hole is not inside it.
-    """
-    if isinstance(points, Polygon):
-        polygon = points
-        _check_coordinates(shapely.get_coordinates(polygon), what)
-    else:
-        rings = [_ring(hole, f"{what}, hole {i}") for i, hole in enumerate(holes)]
-        polygon = Polygon(_ring(points, what), rings)
-    if polygon.is_empty:
-        raise ObjectError(f"{what} is empty; expected at least three vertices")
-    width, height = np.subtract(polygon.bounds[2:], polygon.bounds[:2])
-    if not (np.isfinite(polygon.area) and polygon.convex_hull.area > THINNEST * (width**2 + height**2)):
-        raise ObjectError(f"{what} encloses no area; expected vertices in meters, not all on one line")
-    if not polygon.is_valid:
-        raise ObjectError(f"{what} is not a simple polygon ({explain_validity(polygon)}); it must not cross itself")
-    return orient(shapely.force_2d(shapely.remove_repeated_points(polygon)))
+def _find_islands(pairs: NDArray[np.int64], n: int) -> NDArray[np.int64]:
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
-def _ring(points: ArrayLike, what: str) -> NDArray[np.float64]:
-    try:
-        ring = np.asarray(points, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ObjectError(f"{what} is not a list of [x, y] points, in meters") from error
-    if ring.ndim != 2 or ring.shape[1] != 2 or len(ring) < 3:
-        raise ObjectError(f"{what} has shape {ring.shape}; expected at least three [x, y] points, in meters")
-    _check_coordinates(ring, what)
-    return ring
+def _calc_links(p_BC: NDArray[np.float64], cell_size: float, islands: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Shortest tree of links between islands; the Delaunay edges contain the Euclidean spanning tree."""
+    candidates = _tidy(_delaunay_edges(p_BC, cell_size))
+    i, j = candidates[islands[candidates[:, 0]] != islands[candidates[:, 1]]].T
+    length = np.linalg.norm(p_BC[i] - p_BC[j], axis=1)
+    ends = np.sort(np.column_stack([islands[i], islands[j]]), axis=1)
+    order = np.lexsort((length, ends[:, 1], ends[:, 0]))
+    first = order[np.unique(ends[order], axis=0, return_index=True)[1]]
+    count = int(islands.max()) + 1
+    graph = coo_array((length[first], (ends[first, 0], ends[first, 1])), shape=(count, count))
+    tree = minimum_spanning_tree(graph.tocsr()).tocoo()
+    chosen = {(int(a), int(b)) for a, b in zip(*tree.coords, strict=True)}
+    kept = [k for k in first if (int(ends[k, 0]), int(ends[k, 1])) in chosen]
+    return np.column_stack([i[kept], j[kept]])
 
 
-def _check_coordinates(points: NDArray[np.float64], what: str) -> None:
-    if not np.isfinite(points).all():
-        raise ObjectError(f"{what} has a coordinate that is not finite; expected numbers in meters")
-    farthest = np.abs(points).max(initial=0.0)
-    if farthest > MAX_SIZE:
-        raise ObjectError(f"{what} has a coordinate of {farthest:g} m; expected at most {MAX_SIZE:g} m")
+def _delaunay_edges(p_BC: NDArray[np.float64], cell_size: float) -> NDArray[np.int64]:
+    centered = (p_BC - p_BC.mean(axis=0)) / cell_size
+    along, _, axes = np.linalg.svd(centered, full_matrices=False)
+    across = centered @ axes[-1]
+    if len(p_BC) > 2 and np.ptp(across) > FLATNESS:
+        try:
+            simplices = Delaunay(centered).simplices
+            return np.concatenate([simplices[:, [0, 1]], simplices[:, [1, 2]], simplices[:, [2, 0]]]).astype(np.int64)
+        except QhullError:
+            pass
+    order = np.argsort(along[:, 0], kind="stable")
+    return np.column_stack([order[:-1], order[1:]]).astype(np.int64)
 
 
-def _part_from(label: int, part: ArrayLike | Polygon | MultiPolygon, name: str) -> Polygon | MultiPolygon:
-    if isinstance(label, bool) or not isinstance(label, int | np.integer) or label < 1:
-        raise ObjectError(f"{name}: part label is {label!r}; expected a whole number, 1 or more")
-    if isinstance(part, MultiPolygon):
-        return MultiPolygon([polygon_from(piece, f"{name}: part {label}") for piece in part.geoms])
-    return polygon_from(part, f"{name}: part {label}")
-
-
-def _describe(polygon: Polygon) -> Region:
-    """Area, centroid and second moments by Green's theorem over the rings, outer +, holes -."""
-    center = np.array(polygon.centroid.coords[0])
-    moments = np.zeros((2, 2))
-    for ring in (polygon.exterior, *polygon.interiors):
-        p = np.asarray(ring.coords) - center
-        a, b = p[:-1], p[1:]
-        cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-        for i, j in np.ndindex(2, 2):
-            mixed = a[:, i] * b[:, j] + b[:, i] * a[:, j]
-            moments[i, j] += cross @ (2 * a[:, i] * a[:, j] + mixed + 2 * b[:, i] * b[:, j]) / 24
-    low, high = np.array(polygon.bounds).reshape(2, 2)
-    return Region(low, high - low, polygon.area, center, moments / polygon.area)
-
-
-def _label(centers: NDArray[np.float64], parts: Mapping[int, Polygon | MultiPolygon]) -> NDArray[np.int64]:
-    labels = np.zeros(len(centers), dtype=np.int64)
-    for label, part in parts.items():
-        labels[shapely.intersects_xy(part, *centers.T) & (labels == 0)] = label
-    return np.where(labels == 0, 1, labels)
+def _tidy(pairs: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.unique(np.sort(pairs, axis=1), axis=0).reshape(-1, 2)

@@ -1,8 +1,4 @@
-"""What is known of an object's mass and friction before any push: the physical part of its YAML.
-
-Which cells touch: the pairs that share a side, made connected where the grid fell into islands.
-
-The grid object: square cells, the outline they stand for, and what is known of them beforehand.
+"""The grid object: square cells, the outline they stand for, and what is known of them beforehand.
 
 The body frame B, said once: for an outline it is the outline's own coordinates; for a mask it is the cells' centroid,
 x to the right and y up in the image.
@@ -14,139 +10,25 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
-from scipy.spatial import Delaunay, QhullError, cKDTree
 from shapely import Polygon
 
-from gridpush_drake.errors import ObjectError, ParameterError
+from gridpush_drake.errors import ObjectError
+from gridpush_drake.files import write_whole
 from gridpush_drake.geometry.outline import OutlineEdges
-
-
-@dataclass(frozen=True)
-class PhysicalPrior:
-    """Prior knowledge of an object, all of it optional.
-
-    Attributes:
-        total_mass: kg; None where it was not weighed.
-        center_of_mass: (x, y) in the body frame, m; None where unknown.
-        center_of_mass_std: its standard deviation per axis, m.
-        friction: prior friction coefficient of the cells against the support.
-        friction_min: smallest coefficient held possible.
-        friction_max: largest coefficient held possible.
-        contact_friction: prior friction coefficient of the pusher against the object.
-        contact_friction_std: its standard deviation.
-        pusher_radius: m; None where the object's file does not say.
-
-    Raises:
-        ParameterError: a value is out of range.
-    """
-
-    total_mass: float | None = None
-    center_of_mass: tuple[float, float] | None = None
-    center_of_mass_std: float = 0.002
-    friction: float = 0.4
-    friction_min: float = 0.05
-    friction_max: float = 1.0
-    contact_friction: float = 0.5
-    contact_friction_std: float = 0.15
-    pusher_radius: float | None = None
-
-    def __post_init__(self) -> None:
-        positive = (
-            "total_mass", "center_of_mass_std", "friction", "friction_min", "friction_max",
-            "contact_friction_std", "pusher_radius",
-        )  # fmt: skip
-        for name in positive:
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise ParameterError(f"{name} is {value!r}; expected a positive number")
-        if not (np.isfinite(self.contact_friction) and self.contact_friction >= 0):
-            raise ParameterError(f"contact_friction is {self.contact_friction!r}; expected a number >= 0")
-        if not self.friction_min <= self.friction <= self.friction_max:
-            raise ParameterError(
-                f"friction.prior is {self.friction!r}; expected min <= prior <= max, "
-                f"here {self.friction_min} to {self.friction_max}"
-            )
-        if self.center_of_mass is not None and not np.isfinite(self.center_of_mass).all():
-            raise ParameterError(f"center_of_mass.at is {self.center_of_mass!r}; expected two finite numbers")
-
-
-SIDE_REACH = 1.2
-"""Centers nearer than this many cell sides share a side; diagonal neighbors are sqrt(2) sides apart."""
-
-FLATNESS = 1e-9
-"""Cells whose extent across their main direction is below this many cell sides stand in one line."""
-
-
-def calc_adjacency(p_BC: ArrayLike, cell_size: float) -> NDArray[np.int64]:
-    """Finds the pairs of cells that share a side, and joins islands by their shortest links.
-
-    Args:
-        p_BC: (n, 2) cell centers on a square lattice, any one frame, m.
-        cell_size: side of a cell, m.
-
-    Returns:
-        (m, 2) pairs i < j in increasing order; as a graph they connect all n cells.
-    """
-    p_BC = np.asarray(p_BC, dtype=np.float64)
-    pairs = cKDTree(p_BC).query_pairs(SIDE_REACH * cell_size, output_type="ndarray").astype(np.int64)
-    islands = _find_islands(pairs, len(p_BC))
-    if islands.max() > 0:
-        pairs = np.concatenate([pairs, _calc_links(p_BC, cell_size, islands)])
-    return _tidy(pairs)
-
-
-def _find_islands(pairs: NDArray[np.int64], n: int) -> NDArray[np.int64]:
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    return connected_components(graph, directed=False)[1].astype(np.int64)
-
-
-def _calc_links(p_BC: NDArray[np.float64], cell_size: float, islands: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Shortest tree of links between islands; the Delaunay edges contain the Euclidean spanning tree."""
-    candidates = _tidy(_delaunay_edges(p_BC, cell_size))
-    i, j = candidates[islands[candidates[:, 0]] != islands[candidates[:, 1]]].T
-    length = np.linalg.norm(p_BC[i] - p_BC[j], axis=1)
-    ends = np.sort(np.column_stack([islands[i], islands[j]]), axis=1)
-    order = np.lexsort((length, ends[:, 1], ends[:, 0]))
-    first = order[np.unique(ends[order], axis=0, return_index=True)[1]]
-    count = int(islands.max()) + 1
-    graph = coo_array((length[first], (ends[first, 0], ends[first, 1])), shape=(count, count))
-    tree = minimum_spanning_tree(graph.tocsr()).tocoo()
-    chosen = {(int(a), int(b)) for a, b in zip(*tree.coords, strict=True)}
-    kept = [k for k in first if (int(ends[k, 0]), int(ends[k, 1])) in chosen]
-    return np.column_stack([i[kept], j[kept]])
-
-
-def _delaunay_edges(p_BC: NDArray[np.float64], cell_size: float) -> NDArray[np.int64]:
-    centered = (p_BC - p_BC.mean(axis=0)) / cell_size
-    along, _, axes = np.linalg.svd(centered, full_matrices=False)
-    across = centered @ axes[-1]
-    if len(p_BC) > 2 and np.ptp(across) > FLATNESS:
-        try:
-            simplices = Delaunay(centered).simplices
-            return np.concatenate([simplices[:, [0, 1]], simplices[:, [1, 2]], simplices[:, [2, 0]]]).astype(np.int64)
-        except QhullError:
-            pass
-    order = np.argsort(along[:, 0], kind="stable")
-    return np.column_stack([order[:-1], order[1:]]).astype(np.int64)
-
-
-def _tidy(pairs: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.unique(np.sort(pairs, axis=1), axis=0).reshape(-1, 2)
-
-
-DEFAULT_MAX_CELLS = 127
-"""The paper's largest grid."""
-
-MAX_CELLS = 10_000
-"""Of an object; what learning keeps grows with the square of their number."""
-
-MAX_LABEL = 2**31 - 1
-"""Of a part."""
-
-MIN_SIZE, MAX_SIZE = 1e-6, 1e4
-"""Of a cell's side, least, and of any coordinate of an object, greatest, m; beyond them no object is pushed."""
+from gridpush_drake.geometry.se2 import transform
+from gridpush_drake.objects.cells import (
+    DEFAULT_MAX_CELLS,
+    MAX_CELLS,
+    MAX_LABEL,
+    MAX_SIZE,
+    MIN_SIZE,
+    CellGrid,
+    calc_adjacency,
+)
+from gridpush_drake.objects.mask import coarsen_mask
+from gridpush_drake.objects.object_file import dump_object, make_cells, read_object_file
+from gridpush_drake.objects.outline import fill_outline
+from gridpush_drake.objects.prior import PhysicalPrior
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,11 +119,10 @@ class GridObject:
             ObjectError: the image cannot be read or is not a label image, is empty, has several pieces (and
                 `largest_piece` is not set), or a scale or count is not positive.
         """
-        from gridpush_drake.objects.mask import object_from_mask
-
-        return object_from_mask(
-            Path(path), meters_per_pixel, max_cells, largest_piece=largest_piece, name=name, prior=prior
-        )
+        path = Path(path)
+        name = path.stem if name is None else name
+        grid = coarsen_mask(path, meters_per_pixel, max_cells, largest_piece=largest_piece, name=name)
+        return cls(name, *grid, prior or PhysicalPrior())
 
     @classmethod
     def from_outline(
@@ -268,9 +149,7 @@ class GridObject:
         Raises:
             ObjectError: the polygon crosses itself or has no area, or the count is not positive.
         """
-        from gridpush_drake.objects.cells import object_from_outline
-
-        return object_from_outline(outline, parts or {}, max_cells, name=name, prior=prior)
+        return cls(name, *fill_outline(outline, parts or {}, max_cells, name=name), prior or PhysicalPrior())
 
     @classmethod
     def from_yaml(cls, path: Path | str, *, largest_piece: bool = False) -> "GridObject":
@@ -287,9 +166,31 @@ class GridObject:
             ObjectError: the file cannot be read, has an unknown key or a value out of range; the message names
                 the file, the field and the expected form.
         """
-        from gridpush_drake.objects.object_file import read_object
+        path = Path(path)
+        schema = read_object_file(path)
+        name = path.stem if schema.name is None else schema.name
+        try:
+            return cls(name, *make_cells(schema, name, path.parent, largest_piece), schema.to_prior())
+        except ObjectError as error:
+            raise ObjectError(f"{path}: {error}") from error
 
-        return read_object(Path(path), largest_piece=largest_piece)
+    def write_yaml(self, path: Path | str, *, max_cells: int | None = None, force: bool = False) -> None:
+        """Writes the object as an outline with its cells and prior, so that `from_yaml` gives it back, bit for bit.
+
+        Args:
+            path: the YAML file to be written.
+            max_cells: to fill the outline with when it is read; None writes the very cells.
+            force: whether an existing file may be replaced.
+
+        Raises:
+            OutputError: the file exists and `force` is not set, or it cannot be written.
+        """
+        write_whole(path, dump_object(self.name, self.grid, self.prior, max_cells), force)
+
+    @property
+    def grid(self) -> CellGrid:
+        """Its geometry alone."""
+        return CellGrid(self.p_BC, self.cell_size, self.labels, self.outline)
 
     @property
     def n(self) -> int:
@@ -314,7 +215,4 @@ class GridObject:
 
     def cells_at(self, pose: ArrayLike) -> NDArray[np.float64]:
         """p_WC (..., n, 2), m, of the cells at poses `(..., 3)` (x, y, theta)."""
-        q = np.asarray(pose, dtype=np.float64)
-        c, s = np.cos(q[..., 2, None]), np.sin(q[..., 2, None])
-        x, y = self.p_BC.T
-        return np.stack([q[..., 0, None] + c * x - s * y, q[..., 1, None] + s * x + c * y], axis=-1)
+        return transform(pose, self.p_BC)

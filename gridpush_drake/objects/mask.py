@@ -1,15 +1,9 @@
-"""A label image turned into cells and an outline.
-
-Label images read from PGM and PNG files, with the labels as they were stored and bounded memory.
-
-Connected pieces of a mask, found from its runs of pixels, so that memory goes with the outline, not the area.
-"""
+"""A label image (PGM, PNG), read with the labels as they were stored, and turned into cells and an outline."""
 
 import re
 import struct
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -17,21 +11,18 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 from PIL.PngImagePlugin import PngImageFile
-from scipy.ndimage import map_coordinates
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from scipy.ndimage import find_objects, label, map_coordinates
 from shapely.geometry.polygon import orient
 
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.files import MEGABYTE, open_file, read_bytes
 from gridpush_drake.geometry.contour import calc_contour
-from gridpush_drake.objects.cells import Cells, Region, Share, check_max_cells, choose_cells
-from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+from gridpush_drake.objects.cells import CellGrid, Cells, Region, Share, check_max_cells, choose_cells
 
 MAX_PIXELS = 400_000_000
 """Larger images are refused before they are decoded."""
 
-MAX_SIZE = 1024 * MEGABYTE
+MAX_FILE_SIZE = 1024 * MEGABYTE
 """Of an image file, bytes: more than the most pixels take at 16 bit."""
 
 STRIP_PIXELS = 4_000_000
@@ -80,7 +71,7 @@ def read_labels(path: Path) -> NDArray[np.uint16]:
         ObjectError: the file cannot be read, is a color image or another kind of file, is too large, or holds
             background only.
     """
-    with open_file(path, FORM, ObjectError, MAX_SIZE) as file:
+    with open_file(path, FORM, ObjectError, MAX_FILE_SIZE) as file:
         head = file.read(PGM_HEADER_ROOM)
         file.seek(0)
         if head.startswith(PNG_SIGNATURE):
@@ -160,72 +151,6 @@ def _check_size(path: Path, width: int, height: int) -> None:
         )
 
 
-@dataclass(frozen=True)
-class Runs:
-    """Horizontal runs of object pixels, in reading order.
-
-    Attributes:
-        row: (k,) of each run.
-        start: (k,) its first column.
-        stop: (k,) the column after its last.
-    """
-
-    row: NDArray[np.int64]
-    start: NDArray[np.int64]
-    stop: NDArray[np.int64]
-
-    @property
-    def length(self) -> NDArray[np.int64]:
-        """(k,) pixels."""
-        return self.stop - self.start
-
-
-def find_runs(labels: NDArray[np.uint16]) -> Runs:
-    """Finds the runs of pixels that are not 0 in (height, width) `labels`."""
-    height, width = labels.shape
-    step = max(1, STRIP_PIXELS // width)
-    found: list[list[NDArray[np.int64]]] = [[], [], []]
-    for top in range(0, height, step):
-        solid = np.pad(labels[top : top + step] != 0, ((0, 0), (1, 1)))
-        row, start = np.nonzero(solid[:, 1:] & ~solid[:, :-1])
-        stop = np.nonzero(solid[:, :-1] & ~solid[:, 1:])[1]
-        for column, part in zip(found, (row + top, start, stop), strict=True):
-            column.append(part)
-    return Runs(*(np.concatenate(column) for column in found))
-
-
-def find_pieces(runs: Runs, width: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Groups runs into pieces that touch along a side or at a corner (8-connectivity).
-
-    Args:
-        runs: in reading order.
-        width: of the image, pixels.
-
-    Returns:
-        (k,) the piece of each run, and (pieces,) their sizes, pixels.
-    """
-    # Places on one line, with room between rows: a run meets those of the next row whose places overlap its own.
-    stride = width + 2
-    start, stop = runs.row * stride + runs.start, runs.row * stride + runs.stop
-    first = np.searchsorted(stop, start + stride, side="left")
-    last = np.searchsorted(start, stop + stride, side="right")
-    count = np.maximum(last - first, 0)
-    upper = np.repeat(np.arange(len(start)), count)
-    lower = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + np.repeat(first, count)
-    graph = coo_array((np.ones(len(upper), dtype=bool), (upper, lower)), shape=(len(start), len(start)))
-    piece = connected_components(graph, directed=False)[1].astype(np.int64)
-    return piece, np.bincount(piece, weights=runs.length).astype(np.int64)
-
-
-def erase(labels: NDArray[np.uint16], runs: Runs, unwanted: NDArray[np.bool_]) -> None:
-    """Sets the pixels of the unwanted runs to background, in place."""
-    width = labels.shape[1]
-    length = runs.length[unwanted]
-    start = (runs.row * width + runs.start)[unwanted]
-    offset = np.arange(length.sum()) - np.repeat(np.cumsum(length) - length, length)
-    labels.ravel()[np.repeat(start, length) + offset] = 0
-
-
 WORKING_PIXELS = 4_000_000
 """Larger masks are averaged over square blocks of pixels down to about this many before they are traced."""
 
@@ -233,16 +158,10 @@ MAX_PARTS = 100
 """More labels than this are taken for a photograph or a softened edge."""
 
 
-def object_from_mask(
-    path: Path,
-    meters_per_pixel: float,
-    max_cells: int,
-    *,
-    largest_piece: bool,
-    name: str | None,
-    prior: PhysicalPrior | None,
-) -> GridObject:
-    """Reads a label image and coarsens it to square cells (`GridObject.from_mask`).
+def coarsen_mask(
+    path: Path, meters_per_pixel: float, max_cells: int, *, largest_piece: bool = False, name: str
+) -> CellGrid:
+    """Reads a label image and coarsens it to square cells.
 
     A cell belongs to the object when at least half its area does, and to the part that covers most of it.
 
@@ -251,17 +170,15 @@ def object_from_mask(
         meters_per_pixel: its scale, m.
         max_cells: the most cells to make; cells are not made smaller than a pixel.
         largest_piece: keep the largest connected piece where there are several.
-        name: what to call it; the file's stem where None.
-        prior: what is known of mass and friction.
+        name: of the object, for messages.
 
     Returns:
-        The object; B is at the cells' centroid, x right and y up in the image.
+        The cells and the outline; B is at the cells' centroid, x right and y up in the image.
 
     Raises:
         ObjectError: the image cannot be read or is not a label image, is empty, has several pieces (and
             `largest_piece` is not set), or a scale or count is not positive.
     """
-    name = path.stem if name is None else name
     check_max_cells(name, max_cells)
     if not (np.isfinite(meters_per_pixel) and meters_per_pixel > 0):
         raise ObjectError(f"{path}: meters_per_pixel is {meters_per_pixel!r}; expected a positive number (m)")
@@ -275,24 +192,24 @@ def object_from_mask(
     center = cells.centers.mean(axis=0)
     scale = meters_per_pixel * block * np.array([1.0, -1.0])
     outline = shapely.transform(calc_contour(coverage), lambda p: (p - center) * scale)
-    p_BC = (cells.centers - center) * scale
-    return GridObject(name, p_BC, cells.size * scale[0], majority, orient(outline), prior or PhysicalPrior())
+    return CellGrid((cells.centers - center) * scale, cells.size * float(scale[0]), majority, orient(outline))
 
 
 def _keep_one_piece(path: Path, labels: NDArray[np.uint16], largest_piece: bool) -> NDArray[np.uint16]:
-    runs = find_runs(labels)
-    piece, sizes = find_pieces(runs, labels.shape[1])
-    if len(sizes) == 1:
+    """Leaves the largest piece of pixels that touch along a side or at a corner, cropped to it."""
+    pieces, count = label(labels != 0, np.ones((3, 3)))
+    if count == 1:
         return labels
+    sizes = np.bincount(pieces.ravel())[1:]
     if not largest_piece:
-        largest = ", ".join(str(size) for size in np.sort(sizes)[::-1][:4]) + (", ..." if len(sizes) > 4 else "")
+        largest = ", ".join(str(size) for size in np.sort(sizes)[::-1][:4]) + (", ..." if count > 4 else "")
         raise ObjectError(
-            f"{path}: the mask has {len(sizes)} separate pieces (of {largest} pixels); expected one; "
+            f"{path}: the mask has {count} separate pieces (of {largest} pixels); expected one; "
             "pass --largest-piece to keep the largest and leave out the others"
         )
-    erase(labels, runs, piece != int(np.argmax(sizes)))
-    rows, columns = (np.flatnonzero((labels != 0).any(axis=axis)) for axis in (1, 0))
-    return labels[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    kept = int(np.argmax(sizes)) + 1
+    box = find_objects(pieces, kept)[-1]
+    return np.where(pieces[box] == kept, labels[box], 0).astype(np.uint16)
 
 
 def _find_values(path: Path, labels: NDArray[np.uint16]) -> NDArray[np.int64]:

@@ -1,70 +1,78 @@
-"""Object files: an object's outline or mask and what is known of it, as YAML; and those that are shipped.
+"""Object files: an object's outline or mask and what is known of it, as YAML; and those that are shipped."""
 
-The object file's schema, and its complaints in words a user can act on.
-"""
-
-from collections.abc import Callable
+from collections.abc import Mapping
 from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import shapely
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
+from pydantic import Field, Strict, model_validator
 from shapely import LinearRing, MultiPolygon, Polygon
 
 from gridpush_drake.errors import ObjectError, ParameterError
-from gridpush_drake.files import write_whole
-from gridpush_drake.objects.cells import object_from_outline, polygon_from
-from gridpush_drake.objects.grid_object import DEFAULT_MAX_CELLS, MAX_CELLS, MAX_LABEL, GridObject, PhysicalPrior
-from gridpush_drake.objects.mask import object_from_mask
-from gridpush_drake.yaml_file import read_mapping
+from gridpush_drake.objects.cells import DEFAULT_MAX_CELLS, MAX_CELLS, MAX_LABEL, CellGrid
+from gridpush_drake.objects.mask import coarsen_mask
+from gridpush_drake.objects.outline import fill_outline, make_polygon
+from gridpush_drake.objects.prior import PhysicalPrior
+from gridpush_drake.yaml_file import StrictSchema, check_mapping, read_mapping
+
+POINTS = "at least three points [x, y], in meters"
+LABEL = f"a whole number, 1 or more, at most {MAX_LABEL}"
 
 Point = Annotated[tuple[float, float], Strict(False)]
-Points = Annotated[list[Point], Field(min_length=3)]
-Positive = Annotated[float, Field(gt=0)]
+Points = Annotated[list[Point], Field(min_length=3, description=POINTS)]
+Positive = Annotated[float, Field(gt=0, description="a positive number")]
+NotNegative = Annotated[float, Field(ge=0, description="a number, 0 or more")]
+Length = Annotated[float, Field(gt=0, description="a positive number, in meters")]
 Label = Annotated[int, Field(ge=1, le=MAX_LABEL)]
 
-MAX_SHOWN = 60
-"""Characters of a refused value that a message repeats."""
 
-
-class _Schema(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class MaskSchema(_Schema):
+class MaskSchema(StrictSchema):
     """A label image, beside the object file, and its scale in m."""
 
-    image: str
-    meters_per_pixel: Positive
+    renamed: ClassVar[Mapping[str, str]] = {"metres_per_pixel": "meters_per_pixel"}
+
+    image: str = Field(description="the name of a PGM or PNG file beside this one")
+    meters_per_pixel: Length
 
 
-class PartSchema(_Schema):
+class PartSchema(StrictSchema):
     """A part of an outline: its label and where it is, body frame, m."""
 
-    label: Label
+    label: Label = Field(description=LABEL)
     outline: Points
 
 
-class CellsSchema(_Schema):
+class CellsSchema(StrictSchema):
     """The very cells of an outline, body frame, m, instead of filling it; labels are 1 where not given."""
 
-    size: Positive
-    centers: Annotated[list[Point], Field(min_length=1)]
-    labels: list[Label] | None = None
+    renamed: ClassVar[Mapping[str, str]] = {"centres": "centers"}
+
+    size: Length
+    centers: list[Point] = Field(min_length=1, description="a list of points [x, y], in meters")
+    labels: list[Label] | None = Field(
+        None, description=f"a list of whole numbers, 1 or more, at most {MAX_LABEL}, one a cell"
+    )
+
+    @model_validator(mode="after")
+    def _check_labels(self) -> "CellsSchema":
+        n = len(self.centers)
+        if self.labels is not None and len(self.labels) != n:
+            raise ValueError(f"labels has {len(self.labels)} entries; expected {n}, one a cell")
+        return self
 
 
-class CenterOfMassSchema(_Schema):
+class CenterOfMassSchema(StrictSchema):
     """Prior of the center of mass, body frame, m."""
 
-    at: Point
-    std: Positive = PhysicalPrior.center_of_mass_std
+    at: Point = Field(description="a point [x, y], in meters")
+    std: Length = PhysicalPrior.center_of_mass_std
 
 
-class FrictionSchema(_Schema):
+class FrictionSchema(StrictSchema):
     """Prior of the friction of a cell against the support."""
 
     prior: Positive = PhysicalPrior.friction
@@ -72,34 +80,54 @@ class FrictionSchema(_Schema):
     max: Positive = PhysicalPrior.friction_max
 
 
-class ContactFrictionSchema(_Schema):
+class ContactFrictionSchema(StrictSchema):
     """Prior of the friction of the pusher against the object."""
 
-    prior: Annotated[float, Field(ge=0)] = PhysicalPrior.contact_friction
+    prior: NotNegative = PhysicalPrior.contact_friction
     std: Positive = PhysicalPrior.contact_friction_std
 
 
-class PusherSchema(_Schema):
+class PusherSchema(StrictSchema):
     """The disc that pushes, m."""
 
-    radius: Positive
+    radius: Length
 
 
-class ObjectSchema(_Schema):
-    """A whole object file."""
+class ObjectSchema(StrictSchema):
+    """An object: a whole object file, and the object of a model file."""
 
-    name: Annotated[str, Field(min_length=1)] | None = None
-    outline: Points | None = None
-    holes: list[Points] = []
-    parts: list[PartSchema] = []
-    mask: MaskSchema | None = None
-    cells: CellsSchema | None = None
-    max_cells: Annotated[int, Field(ge=1, le=MAX_CELLS)] = DEFAULT_MAX_CELLS
-    total_mass: Positive | None = None
-    center_of_mass: CenterOfMassSchema | None = None
-    friction: FrictionSchema = FrictionSchema()
-    contact_friction: ContactFrictionSchema = ContactFrictionSchema()
-    pusher: PusherSchema | None = None
+    renamed: ClassVar[Mapping[str, str]] = {"centre_of_mass": "center_of_mass"}
+
+    name: str | None = Field(None, min_length=1, description="some text")
+    outline: Points | None = Field(None, description=POINTS)
+    holes: list[Points] = Field([], description=f"a list of holes, each {POINTS}")
+    parts: list[PartSchema] = Field([], description="a list of parts, each with a label and an outline")
+    mask: MaskSchema | None = Field(None, description="image and meters_per_pixel")
+    cells: CellsSchema | None = Field(None, description="size, centers and, where there are several parts, labels")
+    max_cells: int = Field(
+        DEFAULT_MAX_CELLS, ge=1, le=MAX_CELLS, description=f"a whole number, 1 or more, at most {MAX_CELLS}"
+    )
+    total_mass: float | None = Field(None, gt=0, description="a positive number, in kg")
+    center_of_mass: CenterOfMassSchema | None = Field(None, description="at: [x, y] and std, in meters")
+    friction: FrictionSchema = Field(FrictionSchema(), description="prior, min and max")
+    contact_friction: ContactFrictionSchema = Field(ContactFrictionSchema(), description="prior and std")
+    pusher: PusherSchema | None = Field(None, description="radius")
+
+    @model_validator(mode="after")
+    def _check_whole(self) -> "ObjectSchema":
+        try:
+            self.to_prior()
+        except ParameterError as error:
+            raise ValueError(str(error)) from error
+        if (self.outline is None) == (self.mask is None):
+            found = "neither" if self.mask is None else "both"
+            raise ValueError(f"has {found} of outline and mask; expected exactly one of them")
+        if self.cells and (self.mask or self.parts or "max_cells" in self.model_fields_set):
+            raise ValueError("cells are the object's own; expected no mask, parts or max_cells beside them")
+        for key in ("holes", "parts"):
+            if self.mask and getattr(self, key):
+                raise ValueError(f"{key} goes with outline; a mask's own background and labels say it")
+        return self
 
     def to_prior(self) -> PhysicalPrior:
         """What the file says of mass and friction.
@@ -121,137 +149,73 @@ class ObjectSchema(_Schema):
         )
 
 
-POINTS = "at least three points [x, y], in meters"
-
-EXPECTED = {
-    "name": "some text",
-    "outline": POINTS,
-    "holes": f"a list of holes, each {POINTS}",
-    "parts": "a list of parts, each with a label and an outline",
-    "parts.label": f"a whole number, 1 or more, at most {MAX_LABEL}",
-    "parts.outline": POINTS,
-    "mask": "image and meters_per_pixel",
-    "mask.image": "the name of a PGM or PNG file beside this one",
-    "mask.meters_per_pixel": "a positive number, in meters",
-    "cells": "size, centers and, where there are several parts, labels",
-    "cells.size": "a positive number, in meters",
-    "cells.centers": "a list of points [x, y], in meters",
-    "cells.labels": f"a list of whole numbers, 1 or more, at most {MAX_LABEL}, one a cell",
-    "max_cells": f"a whole number, 1 or more, at most {MAX_CELLS}",
-    "total_mass": "a positive number, in kg",
-    "center_of_mass": "at: [x, y] and std, in meters",
-    "center_of_mass.at": "a point [x, y], in meters",
-    "center_of_mass.std": "a positive number, in meters",
-    "friction": "prior, min and max",
-    "friction.prior": "a positive number",
-    "friction.min": "a positive number",
-    "friction.max": "a positive number",
-    "contact_friction": "prior and std",
-    "contact_friction.prior": "a number, 0 or more",
-    "contact_friction.std": "a positive number",
-    "pusher": "radius",
-    "pusher.radius": "a positive number, in meters",
-}
-"""What each field should hold, by its place without indices."""
-
-
-UNKNOWN_KEY = ("extra_forbidden", "invalid_key")
-"""Pydantic's names for a key that the schema does not have; said first, as a misspelt key explains a missing one."""
-
-
-def explain(error: ValidationError) -> str:
-    """Says the first thing that is wrong, with the field's place and what is expected there."""
-    first = min(error.errors(), key=lambda e: e["type"] not in UNKNOWN_KEY)
-    place = first["loc"]
-    field = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place).lstrip(".")
-    if first["type"] in UNKNOWN_KEY:
-        return f"{field}: {_suggest([step for step in place[:-1] if isinstance(step, str)], str(place[-1]))}"
-    names = [step for step in place if isinstance(step, str)]
-    expected = EXPECTED.get(".".join(names), "something else")
-    if first["type"] == "missing":
-        return f"{field} is missing; expected {expected}"
-    return f"{field} is {_shorten(first['input'])}; expected {expected}"
-
-
-def _suggest(above: list[str], key: str) -> str:
-    known = [path.split(".")[-1] for path in EXPECTED if path.split(".")[:-1] == above]
-    near = get_close_matches(key, known, n=1)
-    guess = f"; did you mean {near[0]}?" if near else ";"
-    return f"unknown key{guess} expected one of {', '.join(known)}"
-
-
-def _shorten(value: Any) -> str:
-    text = "empty" if value is None else repr(value)
-    return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."
-
-
 WHAT = "an object file (name, outline or mask, max_cells, ...)"
 
 PART_REACH = 0.501
 """Half the side of the square written for a part's cell, in cell sides: a little over, so that neighbors join."""
 
 
-def read_object(path: Path | str, *, largest_piece: bool = False) -> GridObject:
-    """Reads an object file.
-
-    Args:
-        path: the YAML file; a mask it names is looked up beside it.
-        largest_piece: keep the largest connected piece of a mask that has several.
-
-    Returns:
-        The object, with its `prior` as the file says.
+def read_object_file(path: Path) -> ObjectSchema:
+    """Reads an object file and checks it, but for the mask it may name.
 
     Raises:
         ObjectError: the file cannot be read, has an unknown key or a value out of range; the message names the
             file, the field and the expected form.
     """
-    path = Path(path)
-    data = read_mapping(path, WHAT)
-    try:
-        schema = ObjectSchema.model_validate(data)
-        prior = schema.to_prior()
-    except ValidationError as error:
-        raise ObjectError(f"{path}: {explain(error)}") from error
-    except ParameterError as error:
-        raise ObjectError(f"{path}: {error}") from error
-    if (schema.outline is None) == (schema.mask is None):
-        found = "neither" if schema.mask is None else "both"
-        raise ObjectError(f"{path}: has {found} of outline and mask; expected exactly one of them")
-    name = path.stem if schema.name is None else schema.name
-    if schema.cells is not None and (schema.mask is not None or schema.parts or "max_cells" in data):
-        raise ObjectError(f"{path}: cells are the object's own; expected no mask, parts or max_cells beside them")
-    if schema.mask is not None:
-        for key in ("holes", "parts"):
-            if getattr(schema, key):
-                raise ObjectError(f"{path}: {key} goes with outline; a mask's own background and labels say it")
-        image, scale = path.parent / schema.mask.image, schema.mask.meters_per_pixel
-        options = {"largest_piece": largest_piece, "name": name, "prior": prior}
-        return _in_file(path, object_from_mask, image, scale, schema.max_cells, **options)
-    return _in_file(path, _take_cells if schema.cells else _fill_outline, schema, name, prior)
+    return check_mapping(path, read_mapping(path, WHAT), ObjectSchema, ObjectError)
 
 
-def write_object(path: Path | str, obj: GridObject, *, max_cells: int | None = None, force: bool = False) -> None:
-    """Writes an object as an outline with its cells and prior, so that `read_object` gives it back, bit for bit.
+def make_cells(schema: ObjectSchema, name: str, folder: Path, largest_piece: bool = False) -> CellGrid:
+    """Makes the cells and the outline that a schema describes.
 
     Args:
-        path: the YAML file to be written.
-        obj: the object.
-        max_cells: to fill its outline with when it is read; None writes its very cells.
-        force: whether an existing file may be replaced.
+        schema: of the object.
+        name: of the object, for messages.
+        folder: where a mask that it names is looked up.
+        largest_piece: keep the largest connected piece of a mask that has several.
+
+    Returns:
+        The geometry.
 
     Raises:
-        OutputError: the file exists and `force` is not set, or it cannot be written.
+        ObjectError: a polygon crosses itself or has no area, or the mask cannot be read or is none.
     """
-    prior = obj.prior
-    data: dict[str, Any] = {"name": obj.name, "outline": _points(obj.outline.exterior)}
-    if obj.outline.interiors:
-        data["holes"] = [_points(ring) for ring in obj.outline.interiors]
+    if schema.mask is not None:
+        image, scale = folder / schema.mask.image, schema.mask.meters_per_pixel
+        return coarsen_mask(image, scale, schema.max_cells, largest_piece=largest_piece, name=name)
+    assert schema.outline is not None
+    outline = make_polygon(schema.outline, "outline", tuple(schema.holes))
+    if schema.cells is not None:
+        labels = schema.cells.labels or [1] * len(schema.cells.centers)
+        return CellGrid(np.array(schema.cells.centers), schema.cells.size, np.array(labels), outline)
+    by_label: dict[int, list[Polygon]] = {}
+    for i, part in enumerate(schema.parts):
+        by_label.setdefault(part.label, []).append(make_polygon(part.outline, f"parts[{i}].outline"))
+    parts = {label: shapely.union_all(pieces) for label, pieces in by_label.items()}
+    return fill_outline(outline, parts, schema.max_cells, name=name)
+
+
+def describe_object(name: str, grid: CellGrid, prior: PhysicalPrior, max_cells: int | None = None) -> dict[str, Any]:
+    """The plain values of which `ObjectSchema` makes the same object again, bit for bit.
+
+    Args:
+        name: of the object.
+        grid: its geometry.
+        prior: what is known of its mass and friction.
+        max_cells: to fill its outline with; None gives its very cells.
+
+    Returns:
+        The values, in the order of a file.
+    """
+    data: dict[str, Any] = {"name": name, "outline": _points(grid.outline.exterior)}
+    if grid.outline.interiors:
+        data["holes"] = [_points(ring) for ring in grid.outline.interiors]
     if max_cells is None:
-        data["cells"] = {"size": obj.cell_size, "centers": obj.p_BC.tolist()}
-        if (obj.labels != 1).any():
-            data["cells"]["labels"] = obj.labels.tolist()
+        data["cells"] = {"size": grid.cell_size, "centers": grid.p_BC.tolist()}
+        if (grid.labels != 1).any():
+            data["cells"]["labels"] = grid.labels.tolist()
     else:
-        data |= _describe_parts(obj) | {"max_cells": int(max_cells)}
+        data |= _describe_parts(grid) | {"max_cells": int(max_cells)}
     if prior.total_mass is not None:
         data["total_mass"] = float(prior.total_mass)
     if prior.center_of_mass is not None:
@@ -263,8 +227,14 @@ def write_object(path: Path | str, obj: GridObject, *, max_cells: int | None = N
     data["contact_friction"] = {key: float(value) for key, value in contact.items()}
     if prior.pusher_radius is not None:
         data["pusher"] = {"radius": float(prior.pusher_radius)}
-    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, allow_unicode=True)
-    write_whole(path, text, force)
+    return data
+
+
+def dump_object(name: str, grid: CellGrid, prior: PhysicalPrior, max_cells: int | None = None) -> str:
+    """An object file's text; the arguments are those of `describe_object`."""
+    data = describe_object(name, grid, prior, max_cells)
+    text: str = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, allow_unicode=True)
+    return text
 
 
 def list_shipped_objects() -> list[str]:
@@ -296,42 +266,14 @@ def _shipped_folder() -> Path:
     return Path(str(files("gridpush_drake"))) / "models" / "objects"
 
 
-def _in_file(path: Path, make: Callable[..., GridObject], *arguments: Any, **options: Any) -> GridObject:
-    try:
-        return make(*arguments, **options)
-    except ObjectError as error:
-        raise ObjectError(f"{path}: {error}") from error
-
-
-def _fill_outline(schema: ObjectSchema, name: str, prior: PhysicalPrior) -> GridObject:
-    assert schema.outline is not None
-    outline = polygon_from(schema.outline, "outline", tuple(schema.holes))
-    by_label: dict[int, list[Polygon]] = {}
-    for i, part in enumerate(schema.parts):
-        by_label.setdefault(part.label, []).append(polygon_from(part.outline, f"parts[{i}].outline"))
-    parts = {label: shapely.union_all(pieces) for label, pieces in by_label.items()}
-    return object_from_outline(outline, parts, schema.max_cells, name=name, prior=prior)
-
-
-def _take_cells(schema: ObjectSchema, name: str, prior: PhysicalPrior) -> GridObject:
-    assert schema.outline is not None
-    assert schema.cells is not None
-    cells = schema.cells
-    labels = [1] * len(cells.centers) if cells.labels is None else cells.labels
-    if len(labels) != len(cells.centers):
-        raise ObjectError(f"cells.labels has {len(labels)} entries; expected {len(cells.centers)}, one a cell")
-    outline = polygon_from(schema.outline, "outline", tuple(schema.holes))
-    return GridObject(name, np.array(cells.centers), cells.size, np.array(labels), outline, prior)
-
-
-def _describe_parts(obj: GridObject) -> dict[str, Any]:
+def _describe_parts(grid: CellGrid) -> dict[str, Any]:
     """`parts`: the squares of each part's cells, joined; nothing where part 1 is the only one."""
-    labels = sorted({int(label) for label in obj.labels} - {1})
+    labels = sorted({int(label) for label in grid.labels} - {1})
     parts = []
     for label in labels:
-        low = obj.p_BC[obj.labels == label] - obj.cell_size * PART_REACH
-        boxes = shapely.box(*low.T, *(low + 2 * obj.cell_size * PART_REACH).T)
-        joined = shapely.union_all(boxes).simplify(obj.cell_size * (PART_REACH - 0.5))
+        low = grid.p_BC[grid.labels == label] - grid.cell_size * PART_REACH
+        boxes = shapely.box(*low.T, *(low + 2 * grid.cell_size * PART_REACH).T)
+        joined = shapely.union_all(boxes).simplify(grid.cell_size * (PART_REACH - 0.5))
         parts += [{"label": label, "outline": _points(piece.exterior)} for piece in _without_holes(joined)]
     return {"parts": parts} if parts else {}
 

@@ -45,7 +45,7 @@ from gridpush_drake.multibody.contact_material import FindTableOutline
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.multibody.parser import MakeParser
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.object_file import find_shipped_object, read_object
+from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.station.scenario import CURRENT_VERSION, EXPECTED, PushScenario, TruthConfig
 from gridpush_drake.yaml_file import MAX_YAML_SIZE, NOT_YAML, check_yaml
@@ -273,7 +273,7 @@ def load_object(scenario: PushScenario) -> GridObject:
     """
     path = Path(scenario.object)
     try:
-        obj = read_object(path if path.suffix or is_file(path) else find_shipped_object(scenario.object))
+        obj = GridObject.from_yaml(path if path.suffix or is_file(path) else find_shipped_object(scenario.object))
     except ObjectError as error:
         raise ScenarioError(f"object: {error}") from error
     return obj if scenario.object_friction is None else _bound_friction(obj, *scenario.object_friction)

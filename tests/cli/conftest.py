@@ -3,7 +3,6 @@ import pytest
 from gridpush_drake.cli.options import compile_kernels
 from gridpush_drake.identification.model_file import write_model
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
-from gridpush_drake.objects.object_file import write_object
 from tests.helpers.command_line import run_gridpush
 from tests.helpers.made_identifications import make_block, make_identification
 from tests.helpers.simulated_pushes import make_pushes
@@ -45,7 +44,7 @@ def refuses(gridpush, tmp_path):
 @pytest.fixture
 def block(tmp_path):
     path = tmp_path / "block.yaml"
-    write_object(path, make_block())
+    make_block().write_yaml(path)
     return path
 
 

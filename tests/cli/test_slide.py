@@ -7,7 +7,6 @@ import yaml
 from PIL import Image
 
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
-from gridpush_drake.objects.object_file import write_object
 
 TABLE = ("--table", "rectangle:0.6x0.5@0.4,0.1")
 SURE = PhysicalPrior(friction=0.3, friction_min=0.29, friction_max=0.31, center_of_mass=(-0.05, 0.0))
@@ -18,7 +17,7 @@ def pan(tmp_path):
     """A plate with a handle, its center of mass known beforehand."""
     outline = shapely.box(-0.14, -0.07, 0.0, 0.07).union(shapely.box(0.0, -0.015, 0.2, 0.015))
     path = tmp_path / "pan.yaml"
-    write_object(path, GridObject.from_outline(outline, max_cells=40, name="pan", prior=SURE))
+    GridObject.from_outline(outline, max_cells=40, name="pan", prior=SURE).write_yaml(path)
     return path
 
 

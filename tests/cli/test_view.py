@@ -10,7 +10,6 @@ from gridpush_drake.identification.model_file import write_model
 from gridpush_drake.multibody.cell_colors import CellColors
 from gridpush_drake.multibody.meshcat_server import StartMeshcatServer, looks_like_recording
 from gridpush_drake.multibody.meshcat_shapes import CENTER_COLOR, PLAN_COLOR
-from gridpush_drake.objects.object_file import write_object
 from tests.helpers.chromium import find_pixels, freeze_recording, require_chromium, take_picture
 from tests.helpers.made_identifications import make_block, make_identification
 
@@ -41,7 +40,7 @@ def test_replays_the_pushes_of_an_object_without_a_model(gridpush, pushes, block
     out = tmp_path / "page.html"
     document = json.loads(gridpush("view", pushes, "--object", block, "--out", out, "--json").out)
     assert (document["errors"], len(document["pushes"])) == ([], 5)
-    write_object(tmp_path / "object.yaml", make_block())
+    make_block().write_yaml(tmp_path / "object.yaml")
     assert gridpush("view", pushes, "--out", out, "--force").code == 0
 
 

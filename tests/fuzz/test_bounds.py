@@ -17,9 +17,9 @@ from gridpush_drake.errors import GridPushError, ObjectError, OutputError, Param
 from gridpush_drake.files import check_writable, make_folder, read_bytes, write_whole
 from gridpush_drake.identification.model_file import looks_like_model, read_model
 from gridpush_drake.multibody.sdformat import make_sdf
-from gridpush_drake.objects.grid_object import MAX_CELLS, GridObject
+from gridpush_drake.objects.cells import MAX_CELLS
+from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.mask import read_labels
-from gridpush_drake.objects.object_file import read_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.limit_surface import MAX_TABLE_NODES, make_distance_table
 from gridpush_drake.pushes.importers.cmu import import_cmu
@@ -28,7 +28,7 @@ from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.station.scenario_file import read_scenario
 from tests.helpers.made_identifications import make_block
 
-READERS = [read_object, read_model, read_scenario, read_labels, import_cmu, import_mit, PushLog.read_csv]
+READERS = [GridObject.from_yaml, read_model, read_scenario, read_labels, import_cmu, import_mit, PushLog.read_csv]
 OUTLINE = "outline: [[0, 0], [0.1, 0], [0.1, 0.1]]\n"
 LEVELS, COPIES = 12, 9
 
@@ -40,7 +40,7 @@ MERGES = "a0: &a0 {x: 1}\n" + "".join(
 )
 
 
-@pytest.mark.parametrize("reader", [read_object, read_scenario])
+@pytest.mark.parametrize("reader", [GridObject.from_yaml, read_scenario])
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -60,7 +60,7 @@ def test_yaml_bombs(tmp_path, reader, text, message):
         reader(path)
 
 
-@pytest.mark.parametrize("reader", [read_object, read_model, read_scenario])
+@pytest.mark.parametrize("reader", [GridObject.from_yaml, read_model, read_scenario])
 def test_yaml_runs_no_code(tmp_path, reader):
     path, made = tmp_path / "code.yaml", tmp_path / "made"
     for tag in ("object/apply:os.mkdir", "object/new:os.mkdir", "name:os.mkdir", "module:os"):
@@ -129,7 +129,7 @@ def test_numbers_that_are_too_many(tmp_path):
     ):
         path.write_text(f"{OUTLINE}{line}\n")
         with pytest.raises(ObjectError, match=message):
-            read_object(path)
+            GridObject.from_yaml(path)
     with pytest.raises(ObjectError, match="at most 10000"):
         GridObject.from_outline([[0, 0], [1, 0], [0, 1]], max_cells=MAX_CELLS + 1)
     with pytest.raises(ObjectError, match="labels"):

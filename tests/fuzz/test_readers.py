@@ -13,7 +13,6 @@ from gridpush_drake.errors import GridPushError, PushLogWarning
 from gridpush_drake.identification.model_file import read_model, write_model
 from gridpush_drake.identification.prediction import predict
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.object_file import read_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.importers.cmu import import_cmu
 from gridpush_drake.pushes.push_log import PushLog
@@ -128,7 +127,7 @@ def survives(path, text, read) -> None:
 
 
 def read_and_push(path) -> None:
-    obj = read_object(path)
+    obj = GridObject.from_yaml(path)
     simulate(obj, CellParameters.uniform(obj), make_push(obj), regime="quasi_static")
 
 
@@ -141,7 +140,7 @@ def make_push(obj: GridObject):
 @few(150)
 @given(text=broken(OBJECT) | broken(CELLS))
 def test_objects(place, text):
-    survives(place / "object.yaml", text, read_object)
+    survives(place / "object.yaml", text, GridObject.from_yaml)
 
 
 @few(60)

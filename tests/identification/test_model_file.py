@@ -1,4 +1,5 @@
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -59,17 +60,19 @@ def test_keeps_an_existing_file(model):
 @pytest.mark.parametrize(
     ("old", "new", "messages"),
     [
-        ("gridpush_model: 1", "gridpush_model: 2", ["gridpush_model", "1"]),
-        ("method: default", "methods: default", ["method", "required"]),
+        ("gridpush_model: 2", "gridpush_model: 1", ["gridpush_model is 1", "expected 2"]),
+        ("method: default", "methods: default", ["methods: unknown key", "did you mean method?"]),
         ("seed: 0", "seed: zero", ["seed", "integer"]),
-        ("seed: 0", "seed: 0\ncolor: red", ["color", "not permitted"]),
-        ("  mass: [0", "  mass: [-0", ["cells.mass.0", "greater than 0"]),
+        ("seed: 0", "seed: 0\ncolor: red", ["color: unknown key", "expected one of gridpush_model, method"]),
+        ("  mass: [0", "  mass: [-0", ["cells.mass[0]", "greater than 0"]),
         ("  mass: [0", "  mass: [1.0, 0", ["mass", "expected one a cell, 18"]),
         ("  mean: [", "  mean: [1.0, ", ["posterior.mean", "19"]),
         ("  covariance: |\n    ", "  covariance: |\n    !", ["posterior.covariance", "base64"]),
         ("  covariance: |\n    ", "  covariance: |\n    AAAAAAAA", ["posterior.covariance", "expected"]),
         ("contact_friction: 0.43", "contact_friction: .nan", ["contact_friction", "finite"]),
         ("outline: [", "outline: [[0.0, 1.0], ", ["outline"]),
+        ("    size: ", "    cell_size: ", ["object.cells.cell_size: unknown key", "expected one of size"]),
+        ("  name: block", "  title: block", ["object.title: unknown key"]),
     ],
 )  # fmt: skip
 def test_refuses_what_is_not_a_model(model, old, new, messages):
@@ -98,3 +101,26 @@ def test_says_that_there_is_no_file(tmp_path):
     assert not looks_like_model(tmp_path / "none.yaml")
     with pytest.raises(ObjectError, match="No such file"):
         read_model(tmp_path / "none.yaml")
+
+
+@pytest.mark.parametrize(
+    ("line", "old", "new"),
+    [
+        ("  name: block\n", "object.centre_of_mass", "center_of_mass"),
+        ("  name: block\n", "object.cell_size", "cells.size"),
+        ("  name: block\n", "object.prior", "total_mass, center_of_mass, friction, contact_friction and pusher"),
+        ("  cells:\n", "object.cells.centres", "centers"),
+        ("\ncells:\n", "cells.p_BC", "object.cells.centers"),
+        ("\ncells:\n", "cells.labels", "object.cells.labels"),
+        ("identifiability:\n", "identifiability.centre_of_friction", "center_of_friction"),
+        ("identifiability:\n", "identifiability.centre_of_friction_covariance", "center_of_friction_covariance"),
+        ("identifiability:\n", "identifiability.centre_of_mass_box", "center_of_mass_box"),
+    ],
+)
+def test_an_old_key_is_refused_with_its_new_name(model, line, old, new):
+    text = model.read_text()
+    assert line in text
+    indent = " " * (2 * old.count("."))
+    model.write_text(text.replace(line, f"{line}{indent}{old.rpartition('.')[2]}: 1\n", 1))
+    with pytest.raises(IdentificationError, match=re.escape(f"{old}: this key is called {new}") + ".* now"):
+        read_model(model)

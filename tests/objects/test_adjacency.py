@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from gridpush_drake.objects.grid_object import calc_adjacency
+from gridpush_drake.objects.cells import calc_adjacency
 
 
 def lattice(mask, size=1.0):

@@ -7,7 +7,7 @@ from PIL import Image
 
 from gridpush_drake.errors import ObjectError, OutputError
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
-from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects, read_object, write_object
+from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
 
 FULL = """\
 name: triangle_block
@@ -31,7 +31,7 @@ def written(tmp_path, text):
 
 
 def test_whole_file(tmp_path):
-    obj = read_object(written(tmp_path, FULL))
+    obj = GridObject.from_yaml(written(tmp_path, FULL))
     assert obj.name == "triangle_block"
     assert 50 <= obj.n <= 60
     assert set(obj.labels) == {1, 2}
@@ -39,7 +39,7 @@ def test_whole_file(tmp_path):
 
 
 def test_outline_alone_is_enough(tmp_path):
-    obj = read_object(written(tmp_path, BASE))
+    obj = GridObject.from_yaml(written(tmp_path, BASE))
     assert obj.name == "object"
     assert obj.prior == PhysicalPrior()
     assert 115 <= obj.n <= 127
@@ -52,8 +52,8 @@ def test_mask_is_looked_up_beside_the_file(tmp_path):
     Image.fromarray(labels).save(tmp_path / "m.png")
     path = written(tmp_path, "mask: {image: m.png, meters_per_pixel: 0.002}\nmax_cells: 60\ntotal_mass: 2\n")
     with pytest.raises(ObjectError, match=r"object\.yaml.*2 separate pieces"):
-        read_object(path)
-    obj = read_object(path, largest_piece=True)
+        GridObject.from_yaml(path)
+    obj = GridObject.from_yaml(path, largest_piece=True)
     assert set(obj.labels) == {4}
     assert obj.prior.total_mass == 2.0
     assert obj.outline.area == pytest.approx(15 * 25 * 4e-6, rel=0.01)
@@ -61,7 +61,7 @@ def test_mask_is_looked_up_beside_the_file(tmp_path):
 
 def test_holes_hold_no_cells(tmp_path):
     hole = "holes: [[[0.06, 0.01], [0.09, 0.01], [0.09, 0.04], [0.06, 0.04]]]\n"
-    obj = read_object(written(tmp_path, BASE + hole))
+    obj = GridObject.from_yaml(written(tmp_path, BASE + hole))
     assert len(obj.outline.interiors) == 1
     x, y = obj.p_BC.T
     assert not ((x > 0.06) & (x < 0.09) & (y > 0.01) & (y < 0.04)).any()
@@ -71,7 +71,7 @@ def test_pieces_of_one_part_may_be_listed_apart(tmp_path):
     square = "outline: [[0, 0], [1, 0], [1, 1], [0, 1]]\nmax_cells: 100\nparts:\n"
     ends = "  - {label: 2, outline: [[0, 0], [0.2, 0], [0.2, 1], [0, 1]]}\n"
     ends += "  - {label: 2, outline: [[0.8, 0], [1, 0], [1, 1], [0.8, 1]]}\n"
-    obj = read_object(written(tmp_path, square + ends))
+    obj = GridObject.from_yaml(written(tmp_path, square + ends))
     np.testing.assert_array_equal(obj.labels == 2, abs(obj.p_BC[:, 0] - 0.5) > 0.3)
 
 
@@ -127,25 +127,40 @@ def test_pieces_of_one_part_may_be_listed_apart(tmp_path):
 def test_bad_files_are_refused_with_the_place_and_the_expected_form(tmp_path, text, message):
     path = written(tmp_path, text)
     with pytest.raises(ObjectError, match=message) as caught:
-        read_object(path)
+        GridObject.from_yaml(path)
     assert str(caught.value).startswith(str(path))
     assert "pydantic" not in str(caught.value) and "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "old", "new"),
+    [
+        (BASE + "centre_of_mass: {at: [0, 0]}\n", "centre_of_mass", "center_of_mass"),
+        ("mask: {image: a.png, metres_per_pixel: 1}\n", "mask.metres_per_pixel", "meters_per_pixel"),
+        (BASE + "cells: {size: 0.1, centres: [[0, 0]]}\n", "cells.centres", "centers"),
+    ],
+)
+def test_an_old_key_is_refused_with_its_new_name(tmp_path, text, old, new):
+    with pytest.raises(ObjectError, match=f"{re.escape(old)}: this key is called {new} now"):
+        GridObject.from_yaml(written(tmp_path, text))
+
+
 def test_what_is_no_text_file_is_refused(tmp_path):
     with pytest.raises(ObjectError, match="is a folder"):
-        read_object(tmp_path)
+        GridObject.from_yaml(tmp_path)
     with pytest.raises(ObjectError, match="cannot be read"):
-        read_object(tmp_path / "none.yaml")
+        GridObject.from_yaml(tmp_path / "none.yaml")
     (tmp_path / "b.yaml").write_bytes(b"\x80\xff\x00")
     with pytest.raises(ObjectError, match="UTF-8"):
-        read_object(tmp_path / "b.yaml")
+        GridObject.from_yaml(tmp_path / "b.yaml")
 
 
 def test_written_object_is_read_back_as_it_was(tmp_path):
-    first = read_object(written(tmp_path, FULL + "holes: [[[-0.03, -0.03], [-0.01, -0.03], [-0.01, -0.01]]]\n"))
-    write_object(tmp_path / "copy.yaml", first, max_cells=60)
-    copy = read_object(tmp_path / "copy.yaml")
+    first = GridObject.from_yaml(
+        written(tmp_path, FULL + "holes: [[[-0.03, -0.03], [-0.01, -0.03], [-0.01, -0.01]]]\n")
+    )
+    first.write_yaml(tmp_path / "copy.yaml", max_cells=60)
+    copy = GridObject.from_yaml(tmp_path / "copy.yaml")
     np.testing.assert_array_equal(copy.p_BC, first.p_BC)
     np.testing.assert_array_equal(copy.labels, first.labels)
     assert copy.cell_size == first.cell_size
@@ -158,15 +173,15 @@ def test_labels_that_enclose_others_survive_writing(tmp_path):
     inner = [[0.4, 0.4], [0.6, 0.4], [0.6, 0.6], [0.4, 0.6]]
     middle = [[0.2, 0.2], [0.8, 0.2], [0.8, 0.8], [0.2, 0.8]]
     first = GridObject.from_outline(square, parts={5: inner, 3: middle}, max_cells=100)
-    write_object(tmp_path / "a.yaml", first, max_cells=100)
-    np.testing.assert_array_equal(read_object(tmp_path / "a.yaml").labels, first.labels)
+    first.write_yaml(tmp_path / "a.yaml", max_cells=100)
+    np.testing.assert_array_equal(GridObject.from_yaml(tmp_path / "a.yaml").labels, first.labels)
 
 
 @pytest.mark.parametrize("name", list_shipped_objects())
 def test_an_object_is_given_back_bit_for_bit(tmp_path, name):
-    obj = read_object(find_shipped_object(name))
-    write_object(tmp_path / "a.yaml", obj)
-    copy = read_object(tmp_path / "a.yaml")
+    obj = GridObject.from_yaml(find_shipped_object(name))
+    obj.write_yaml(tmp_path / "a.yaml")
+    copy = GridObject.from_yaml(tmp_path / "a.yaml")
     for array in ("p_BC", "labels"):
         np.testing.assert_array_equal(getattr(copy, array), getattr(obj, array))
     np.testing.assert_array_equal(copy.edges.start, obj.edges.start)
@@ -184,21 +199,21 @@ def test_an_object_is_given_back_bit_for_bit(tmp_path, name):
 )
 def test_cells_that_make_no_sense_are_refused(tmp_path, text, says):
     with pytest.raises(ObjectError, match=re.escape(says)):
-        read_object(written(tmp_path, text))
+        GridObject.from_yaml(written(tmp_path, text))
 
 
 def test_object_without_priors_is_written_short(tmp_path):
     obj = GridObject.from_outline([[0, 0], [1, 0], [1, 1], [0, 1]], max_cells=100, name="on")
-    write_object(tmp_path / "a.yaml", obj)
+    obj.write_yaml(tmp_path / "a.yaml")
     data = yaml.safe_load((tmp_path / "a.yaml").read_text())
     assert set(data) == {"name", "outline", "cells", "friction", "contact_friction"}
-    copy = read_object(tmp_path / "a.yaml")
+    copy = GridObject.from_yaml(tmp_path / "a.yaml")
     assert (copy.n, copy.name) == (100, "on")
 
 
 def test_existing_file_is_kept_unless_forced(tmp_path):
-    obj = read_object(written(tmp_path, BASE))
+    obj = GridObject.from_yaml(written(tmp_path, BASE))
     with pytest.raises(OutputError, match="--force"):
-        write_object(tmp_path / "object.yaml", obj)
-    write_object(tmp_path / "object.yaml", obj, force=True)
-    assert read_object(tmp_path / "object.yaml").outline.equals(obj.outline)
+        obj.write_yaml(tmp_path / "object.yaml")
+    obj.write_yaml(tmp_path / "object.yaml", force=True)
+    assert GridObject.from_yaml(tmp_path / "object.yaml").outline.equals(obj.outline)

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from shapely import Polygon
 
 from gridpush_drake.errors import ObjectError
+from gridpush_drake.objects.cells import MAX_CELLS
 from gridpush_drake.objects.grid_object import GridObject
 
 TRIANGLE = [[-0.05, -0.05], [0.10, -0.05], [-0.05, 0.10]]
@@ -35,7 +36,7 @@ def gyration(polygon):
     return np.sqrt(total / polygon.area)
 
 
-@pytest.mark.parametrize("max_cells", [60, 127, 1000, 10_000])
+@pytest.mark.parametrize("max_cells", [60, 127, 1000, MAX_CELLS])
 @pytest.mark.parametrize(
     "outline",
     [

@@ -3,7 +3,8 @@ import pytest
 import shapely
 
 from gridpush_drake.errors import ObjectError
-from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects, read_object
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
 
 NAMES = [
     "claw_hammer",
@@ -32,7 +33,7 @@ def test_all_are_listed():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_object_is_read_and_its_cells_are_true_to_its_outline(name):
-    obj = read_object(find_shipped_object(name))
+    obj = GridObject.from_yaml(find_shipped_object(name))
     points = fine_points(obj.outline)
     center = points.mean(axis=0)
     spread = np.sqrt(((points - center) ** 2).sum(axis=1).mean())
@@ -45,7 +46,7 @@ def test_object_is_read_and_its_cells_are_true_to_its_outline(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_object_says_what_is_known_of_it(name):
-    obj = read_object(find_shipped_object(name))
+    obj = GridObject.from_yaml(find_shipped_object(name))
     assert 2 <= len(set(obj.labels)) <= 3
     assert min(np.bincount(obj.labels)[1:]) >= 5
     assert 0.05 < obj.prior.total_mass < 5
@@ -55,7 +56,7 @@ def test_object_says_what_is_known_of_it(name):
 
 
 def test_wrench_clamp_and_toolbox_have_a_hole():
-    holes = {name: len(read_object(find_shipped_object(name)).outline.interiors) for name in NAMES}
+    holes = {name: len(GridObject.from_yaml(find_shipped_object(name)).outline.interiors) for name in NAMES}
     assert [name for name, count in holes.items() if count] == ["combination_wrench", "spring_clamp", "toolbox"]
 
 

@@ -12,7 +12,7 @@ from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.prediction import predict
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects, read_object
+from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.importers.cmu import import_cmu
 from gridpush_drake.pushes.importers.mit import import_mit
@@ -68,7 +68,7 @@ def test_mit_logs_are_plausible(name):
 
 @pytest.mark.parametrize("name", list_shipped_objects())
 def test_units_are_told_apart(name):
-    obj = read_object(find_shipped_object(name))
+    obj = GridObject.from_yaml(find_shipped_object(name))
     log = simulated(obj)
     assert find_implausible(obj, log) == []
     for units, says in (

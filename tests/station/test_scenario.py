@@ -18,7 +18,7 @@ from gridpush_drake.identification.model_file import read_model, write_model
 from gridpush_drake.multibody.contact_material import FindTableOutline
 from gridpush_drake.multibody.parser import MakeParser, find_models
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.object_file import list_shipped_objects, write_object
+from gridpush_drake.objects.object_file import list_shipped_objects
 from gridpush_drake.station.push_station import LoadPushedObject
 from gridpush_drake.station.scenario import PartTruth, PushScenario
 from gridpush_drake.station.scenario_file import (
@@ -46,7 +46,7 @@ def text_of(tmp_path, scenario):
 
 
 def write_rectangle(path, length, width):
-    write_object(path, GridObject.from_outline(rectangle(length, width), name="slab", max_cells=20))
+    GridObject.from_outline(rectangle(length, width), name="slab", max_cells=20).write_yaml(path)
     return str(path)
 
 
@@ -347,7 +347,7 @@ def test_friction_is_what_object_file_and_scenario_both_allow(tmp_path):
 def test_one_friction_range_from_the_scenario_to_the_model(tmp_path):
     """What the robot is told is what the object's file, the model, its reading and its report say."""
     obj = LoadPushedObject(read_scenario(find_models() / "scenarios/grasp.yaml"))
-    write_object(tmp_path / "object.yaml", obj)
+    obj.write_yaml(tmp_path / "object.yaml")
     again = GridObject.from_yaml(tmp_path / "object.yaml")
     write_model(tmp_path / "model.yaml", describe_prior(again))
     model = read_model(tmp_path / "model.yaml")

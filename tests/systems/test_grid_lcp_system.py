@@ -11,7 +11,7 @@ from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import ParameterError, SimulationError
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.object_file import find_shipped_object, read_object
+from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
 from tests.helpers.finite_difference import check_jacobian
@@ -72,7 +72,7 @@ def draw_push(obj: GridObject, seed: int) -> Push:
 )
 def test_steps_exactly_as_the_core_does(name, seeds, regime):
     """Jams in the pliers' jaw and a push that is not solved (8) included: there the solver's memory decides."""
-    obj = read_object(find_shipped_object(name))
+    obj = GridObject.from_yaml(find_shipped_object(name))
     for seed in seeds:
         params, push = make_params(obj, seed), draw_push(obj, seed)
         core = simulate(obj, params, push, dt=DT, regime=regime)

@@ -11,7 +11,7 @@ from shapely.affinity import affine_transform
 
 from gridpush_drake.errors import PushError
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.object_file import find_shipped_object, read_object
+from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.systems.messages import PushCommand, PushPhase, PushStatus
 from gridpush_drake.systems.poke_policy import (
@@ -41,7 +41,7 @@ def place(obj: GridObject, pose) -> Polygon:
 
 @pytest.mark.parametrize("name", ["claw_hammer", "pliers", "toolbox"])
 def test_chosen_pushes_fit_and_stay_in_bounds(name):
-    obj = read_object(find_shipped_object(name))
+    obj = GridObject.from_yaml(find_shipped_object(name))
     for number in range(1, 9):
         command, _ = choose(obj, number)
         gap = place(obj, POSE).distance(Point(command.start)) - STYLE.tip_radius

@@ -9,7 +9,7 @@ from shapely.affinity import affine_transform
 
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.object_file import find_shipped_object, read_object
+from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.planning.pregrasp.side_grasp import SideGripper, choose_varied, find_side_grasps
 from gridpush_drake.planning.support_surface import SupportSurface
 from tests.helpers.made_identifications import make_block
@@ -37,7 +37,7 @@ def lane(grasp, back, front, width):
 
 @pytest.mark.parametrize(("name", "pose"), OVERHANGING)
 def test_pads_are_on_the_object_and_the_gripper_is_clear(name, pose):
-    obj, g = read_object(find_shipped_object(name)), SideGripper()
+    obj, g = GridObject.from_yaml(find_shipped_object(name)), SideGripper()
     found = find_side_grasps(obj, pose, TABLE)
     outline = place(obj.outline, pose)
     assert found
@@ -131,7 +131,7 @@ def test_finds_none_with_a_heading_that_does_not_point_inwards():
     ],
 )
 def test_is_about_as_good_as_a_fine_search(name, y, theta):
-    obj, pose = read_object(find_shipped_object(name)), np.array([0.5, y, theta])
+    obj, pose = GridObject.from_yaml(find_shipped_object(name)), np.array([0.5, y, theta])
     aim = obj.p_BC.mean(axis=0)
     c, s = np.cos(theta), np.sin(theta)
     rng = np.random.default_rng(0)
@@ -145,7 +145,7 @@ def test_is_about_as_good_as_a_fine_search(name, y, theta):
 
 
 def test_nearest_to_the_aim_comes_first():
-    obj, pose = read_object(find_shipped_object("claw_hammer")), (0.5, 0.08, np.pi / 2)
+    obj, pose = GridObject.from_yaml(find_shipped_object("claw_hammer")), (0.5, 0.08, np.pi / 2)
     for aim in ([0.1, 0.0], [0.14, 0.04]):
         found = find_side_grasps(obj, pose, TABLE, aim=aim)
         distances = [grasp.distance for grasp in found]
@@ -154,7 +154,7 @@ def test_nearest_to_the_aim_comes_first():
 
 
 def test_finds_none_where_too_little_hangs_over():
-    obj = read_object(find_shipped_object("claw_hammer"))
+    obj = GridObject.from_yaml(find_shipped_object("claw_hammer"))
     assert not find_side_grasps(obj, (0.5, -0.1, 0.0), TABLE)
     assert not find_side_grasps(obj, (0.5, 0.005, np.pi / 2), TABLE)  # 2 cm
     assert find_side_grasps(obj, (0.5, 0.035, np.pi / 2), TABLE)  # 5 cm
@@ -187,7 +187,7 @@ def test_bad_arguments_are_refused():
 
 def test_varied_grasps_are_the_best_of_their_kind():
     name, pose = OVERHANGING[0]
-    found = find_side_grasps(read_object(find_shipped_object(name)), pose, TABLE)
+    found = find_side_grasps(GridObject.from_yaml(find_shipped_object(name)), pose, TABLE)
     chosen = choose_varied(found, 10, apart=0.01, turned=0.2)
     assert len(chosen) == 10 and chosen[0] is found[0]
 
