@@ -27,7 +27,6 @@ from gridpush_drake.multibody.recording_overlay import (
     make_color_scale,
     to_css,
 )
-from gridpush_drake.objects.object_file import write_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.uncertainty import Belief
