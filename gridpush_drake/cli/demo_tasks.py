@@ -135,7 +135,7 @@ def write_files(
         make_color_scale(obj, CellColors()), (*list_estimate_marks(), *task.marks), tuple(task.list_phases(record))
     )
     write_recording(meshcat, folder / "recording.html", force, overlay)
-    write_object(folder / "object.yaml", obj, force=force)
+    obj.write_yaml(folder / "object.yaml", force=force)
     truth = yaml.safe_dump(describe_truth(obj, record.truth), sort_keys=False)
     write_whole(folder / "truth.yaml", truth, force)
     write_scenario(folder / "scenario.yaml", scenario, force)
