@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.table import Table, Value
-from gridpush_drake.bench.workers import QUIET, Execution, run_jobs
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.station.pregrasp_task import PreGraspTask
+from gridpush_drake.station.scenario_file import read_scenario
 
 if TYPE_CHECKING:
     from gridpush_drake.station.pregrasp_task import PreGraspRecord
@@ -105,10 +108,6 @@ def run(
 
 def run_job(job: GraspJob) -> GraspScore:
     """Runs one object and seed in the shipped scenario."""
-    from gridpush_drake.multibody.parser import find_models
-    from gridpush_drake.station.pregrasp_task import PreGraspTask
-    from gridpush_drake.station.scenario_file import read_scenario
-
     scenario = read_scenario(find_models() / SCENARIO)
     scenario.object, scenario.seed = job.name, job.seed
     task = PreGraspTask(scenario)

@@ -11,7 +11,10 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
+from scipy.stats import bootstrap
 
+from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.paper_protocol import (
     DURATION,
     FINGER_RADIUS,
@@ -24,8 +27,7 @@ from gridpush_drake.bench.paper_protocol import (
     make_case,
     make_protocol,
 )
-from gridpush_drake.bench.table import Table, Value, save_figure
-from gridpush_drake.bench.workers import QUIET, Execution, run_jobs
+from gridpush_drake.bench.table import Table, Value, check_figure, save_figure
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import METHODS, identify
 from gridpush_drake.identification.prediction import calc_pose_error, predict
@@ -77,8 +79,6 @@ class Interval:
 
 def calc_interval(values: Sequence[float], seed: int = 0) -> Interval:
     """Mean and its 95 % bootstrap interval (percentiles)."""
-    from scipy.stats import bootstrap
-
     sample = np.asarray(values, dtype=np.float64)
     if len(sample) < 2:
         return Interval(float(sample.mean()), np.nan, np.nan)
@@ -227,8 +227,6 @@ def run(
         GridPushError: the data are not there, or an argument is out of range.
         OutputError: the figure cannot be written.
     """
-    from gridpush_drake.bench.table import check_figure
-
     folder = None if data is None else Path(data).resolve()
     protocol = make_protocol(folder, seed)
     names = list(protocol.masses if objects is None else objects)
@@ -342,8 +340,6 @@ def write_figure(
     Raises:
         OutputError: as `check_figure`.
     """
-    from matplotlib.figure import Figure
-
     panels = [*names, "all objects"]
     height = -(-len(panels) // COLUMNS)
     figure = Figure(figsize=(PANEL[0] * COLUMNS, PANEL[1] * height + 0.6), layout="constrained")

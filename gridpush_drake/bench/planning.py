@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.planning_protocol import (
     FINGER_RADIUS,
     PUSHED_SHIPPED,
@@ -20,7 +21,6 @@ from gridpush_drake.bench.planning_protocol import (
     read_planning_object,
 )
 from gridpush_drake.bench.table import Table, Value
-from gridpush_drake.bench.workers import QUIET, Execution, run_jobs
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import ContactOptions, optimize_contact, with_search

@@ -33,14 +33,19 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from shapely import Point
 
+from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.table import Table, Value
-from gridpush_drake.bench.workers import QUIET, Execution, run_jobs
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
 from gridpush_drake.multibody.contact_material import MakePartnerProperties
 from gridpush_drake.multibody.grid_object import AddGridObject, Base
-from gridpush_drake.multibody.ground_truth import CalcPlanarPose, SetGridObjectParameters, SetGridObjectPose
+from gridpush_drake.multibody.ground_truth import (
+    CalcPlanarPose,
+    SetGridObjectParameters,
+    SetGridObjectPose,
+    sample_ground_truth,
+)
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
@@ -151,8 +156,6 @@ def calc_scores(
 
 def run_job(job: PlantJob) -> list[PlantScore]:
     """Pushes one object in the plant and in the model, once a seed."""
-    from gridpush_drake.multibody.ground_truth import sample_ground_truth
-
     obj = GridObject.from_yaml(find_shipped_object(job.name))
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
     pusher = PlantPusher(obj, CellParameters.uniform(obj), radius, job.base)

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.pregrasp_exploration import (
     AIMS,
     ALONG,
@@ -31,7 +32,6 @@ from gridpush_drake.bench.pregrasp_exploration import (
 from gridpush_drake.bench.pregrasp_world import Believe, EdgeWorld, Learner, Outcome, PaperLearner, run_pregrasp
 from gridpush_drake.bench.public_data import find_masks
 from gridpush_drake.bench.table import Table
-from gridpush_drake.bench.workers import QUIET, Execution, run_jobs
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object

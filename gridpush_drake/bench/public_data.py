@@ -9,6 +9,8 @@
 
 from pathlib import Path
 
+from scipy.io import whosmat
+
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.pushes.importers.cmu import POSE_SIZE
 
@@ -92,7 +94,6 @@ def _count_cmu_pushes(path: Path) -> int:
 
 
 def _has_records(path: Path) -> bool:
-    from scipy.io import whosmat
 
     try:
         return any(name == RECORDS for name, _, _ in whosmat(path))

@@ -8,6 +8,11 @@ CMU (Zhou et al. 2016): 25 of a file's 50 pushes are held out, 1 to 25 of the ot
 out. The standard error of one CMU split's mean is 0.15 mm: smaller differences say nothing.
 
 The error on the CMU pushes against the number of training pushes.
+
+Simulated pushes of a shipped object that stand in for a real robot's, where those are not at hand.
+
+Masses and frictions are hidden, drawn by part; every push begins at a random place of the outline, and the object is
+seen with noise at its beginning and its end.
 """
 
 from collections.abc import Sequence
@@ -16,13 +21,15 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from scipy import stats
 
+from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.paper import PANEL
+from gridpush_drake.bench.plant import DISTANCE, SPEED, draw_push
 from gridpush_drake.bench.public_data import find_push_logs
-from gridpush_drake.bench.simulated_pushes import describe_pushes, simulate_log
 from gridpush_drake.bench.table import Table, Value, save_figure
-from gridpush_drake.bench.workers import QUIET, Execution, run_jobs
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.prediction import calc_pose_error, predict
@@ -31,7 +38,62 @@ from gridpush_drake.objects.object_file import find_shipped_object, list_shipped
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.importers.cmu import import_cmu
 from gridpush_drake.pushes.importers.mit import import_mit, read_model_errors
-from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
+
+PUSHES = 50
+"""A log, as many as the CMU's."""
+
+MASS_RANGE = (0.1, 5.0)
+"""Of a part's cells, kg a cell, log-uniform."""
+
+FRICTION_RANGE = (0.2, 0.5)
+"""Of a part's cells against the support."""
+
+POSITION_STD, ANGLE_STD = 0.0005, 0.003
+"""Noise of the poses that are seen, m per axis and rad."""
+
+
+@lru_cache(maxsize=1)
+def simulate_log(path: Path, seed: int, number: int) -> tuple[PushLog, GridObject]:
+    """Simulates a log, quasi-static.
+
+    Args:
+        path: of the object.
+        seed: of everything random.
+        number: of the log; the hidden parameters, pushes and noise of each are its own.
+
+    Returns:
+        The pushes as seen, and the object as whoever learns sees it: one part of unknown mass.
+
+    Raises:
+        ObjectError: the file cannot be read.
+        PushError: hardly any push moves the object.
+    """
+    obj = GridObject.from_yaml(path)
+    rng = np.random.default_rng([seed, number])
+    truth_seed, first = (int(value) for value in rng.integers(2**31, size=2))
+    truth = CellParameters.random(obj, truth_seed, MASS_RANGE, FRICTION_RANGE)
+    radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
+    noise = np.array([POSITION_STD, POSITION_STD, ANGLE_STD])
+    pushes = []
+    for i in range(PUSHES):
+        push, pose = draw_push(obj, truth, first + i, radius)
+        last = simulate(obj, truth, push, pose, regime="quasi_static").final_pose
+        before, after = (at + noise * rng.standard_normal(3) for at in (pose, last))
+        pushes.append(ObservedPush(f"push_{i + 1:02d}", push, before, np.array([push.duration]), after[None]))
+    prior = replace(obj.prior, total_mass=None)
+    plain = GridObject(obj.name, obj.p_BC, obj.cell_size, np.ones_like(obj.labels), obj.outline, prior)
+    return PushLog(tuple(pushes), source=f"{obj.name}, simulated, number {number}"), plain
+
+
+def describe_pushes() -> str:
+    """How the pushes are made, in a sentence."""
+    return (
+        f"Simulated by our own model: hidden masses and frictions by part, {PUSHES} pushes of {100 * DISTANCE:g} cm at "
+        f"{100 * SPEED:g} cm/s from random places, poses seen with {1e3 * POSITION_STD:g} mm and {ANGLE_STD:g} rad of "
+        "noise."
+    )
+
 
 CMU_RHO = 0.05 * 2**0.5
 """m, of the metric."""
@@ -329,8 +391,6 @@ def write_curve(
     Raises:
         OutputError: the file exists or cannot be written.
     """
-    from matplotlib.figure import Figure
-
     height = -(-len(names) // COLUMNS)
     figure = Figure(figsize=(PANEL[0] * COLUMNS, PANEL[1] * height + 0.6), layout="constrained")
     axes = figure.subplots(height, COLUMNS, squeeze=False, sharex=True, sharey=True).ravel()

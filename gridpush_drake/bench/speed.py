@@ -17,9 +17,9 @@ import numpy as np
 from shapely import LineString
 from threadpoolctl import threadpool_limits
 
+from gridpush_drake.bench.jobs import Report, count_steps
 from gridpush_drake.bench.pregrasp import find_mask
 from gridpush_drake.bench.table import Table, Value
-from gridpush_drake.bench.workers import Report, count_steps
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.objects.grid_object import GridObject

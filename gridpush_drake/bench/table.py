@@ -10,6 +10,10 @@ from math import floor, isnan, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import rich.table
+from rich.cells import cell_len
+from rich.text import Text
+
 from gridpush_drake.errors import OutputError
 from gridpush_drake.files import check_writable, write_whole
 
@@ -62,8 +66,6 @@ class Table:
         self, console: "rich.console.Console", options: "rich.console.ConsoleOptions"
     ) -> "Iterator[rich.console.RenderableType]":
         """The table as a terminal shows it, in as many parts, one below the other, as its width asks for."""
-        from rich.text import Text
-
         parts = self.split(options.max_width)
         for i, part in enumerate(parts):
             yield self._to_rich(part, options.max_width, title=self.title if i == 0 else "")
@@ -111,16 +113,11 @@ class Table:
 
     def _measure(self, column: int) -> int:
         """Characters that a column needs: its longest value, or the longest word of its name."""
-        from rich.cells import cell_len
-
         texts = [*self.columns[column].split(), *(self.format(row[column]) for row in self.rows)]
         return max(map(cell_len, texts))
 
     def _to_rich(self, part: Sequence[int], width: int, title: str) -> "rich.table.Table":
         """Some of the columns, keys left and the others right; nothing is read as markup."""
-        import rich.table
-        from rich.text import Text
-
         table = rich.table.Table(title=Text(title) if title else None, title_justify="left")
         spare = width - FRAME - sum(self._measure(i) + PADDING for i in part)
         for i in part:

@@ -11,8 +11,8 @@ from gridpush_drake.cli import options
 from gridpush_drake.cli.console import print_json, print_notice, print_table, to_json, work_progress
 
 if TYPE_CHECKING:
+    from gridpush_drake.bench.jobs import Execution
     from gridpush_drake.bench.table import Table
-    from gridpush_drake.bench.workers import Execution
 
 app = typer.Typer(no_args_is_help=True, help="Measure speed and accuracy, on the objects that ship with the package.")
 
@@ -241,19 +241,19 @@ def drake(
     json: options.Json = False,
 ) -> None:
     """Set Drake's plant beside the grid LCP, time the LCP system, and let the whole station learn."""
-    from gridpush_drake.bench import lcp_system, plant, station
+    from gridpush_drake.bench import drake, plant
     from gridpush_drake.cli.options import compile_kernels
 
     _check((out,), force)
     with _conduct("drake", {"quick": quick, "seed": seed}, results, workers, force) as execution:
         compile_kernels()
-        tables = lcp_system.run(report=execution.report)
+        tables = drake.run_lcp_system(report=execution.report)
         if quick:
             tables += plant.run(plant.OBJECTS[:1], 2, seed=seed, execution=execution)
-            tables += station.run(station.OBJECTS[:1], (seed,), execution)
+            tables += drake.run(drake.OBJECTS[:1], (seed,), execution)
         else:
             tables += plant.run(seed=seed, execution=execution)
-            tables += station.run(seeds=[seed + s for s in station.SEEDS], execution=execution)
+            tables += drake.run(seeds=[seed + s for s in drake.SEEDS], execution=execution)
     _show(tables, out, force, json)
 
 
@@ -262,8 +262,7 @@ def _conduct(
     bench: str, settings: dict[str, Any], path: Path | None, workers: int, force: bool
 ) -> "Iterator[Execution]":
     """How a bench's jobs are run: their results are kept, and what is done is shown."""
-    from gridpush_drake.bench.results import open_results
-    from gridpush_drake.bench.workers import Execution
+    from gridpush_drake.bench.jobs import Execution, open_results
     from gridpush_drake.cli.options import compile_kernels
 
     results = open_results(path, bench, settings, force)

@@ -6,6 +6,7 @@ import pytest
 from shapely import Point
 
 from gridpush_drake.bench import paper
+from gridpush_drake.bench.jobs import Execution
 from gridpush_drake.bench.paper import Score
 from gridpush_drake.bench.paper_protocol import (
     DURATION,
@@ -16,7 +17,6 @@ from gridpush_drake.bench.paper_protocol import (
     make_pushes,
     place_disc,
 )
-from gridpush_drake.bench.workers import Execution
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError, OutputError
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from gridpush_drake.bench.jobs import Execution
 from gridpush_drake.bench.planning import LEARNING, TRUE, run
 from gridpush_drake.bench.planning_protocol import (
     OVERHANG,
@@ -11,7 +12,6 @@ from gridpush_drake.bench.planning_protocol import (
     make_planning_protocol,
     read_planning_object,
 )
-from gridpush_drake.bench.workers import Execution
 from gridpush_drake.errors import GridPushError
 from tests.helpers.shared_data import shared_data
 

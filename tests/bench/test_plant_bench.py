@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from gridpush_drake.bench.jobs import Execution
 from gridpush_drake.bench.plant import OBJECTS, PlantJob, PlantPusher, calc_scores, draw_push, make_table, run_job
-from gridpush_drake.bench.workers import Execution
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import ObjectError, PushError

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.bench import pregrasp
+from gridpush_drake.bench.jobs import Execution
 from gridpush_drake.bench.pregrasp import (
     OBJECTS,
     SlideScore,
@@ -13,7 +14,6 @@ from gridpush_drake.bench.pregrasp import (
 )
 from gridpush_drake.bench.pregrasp_exploration import ALONG, MAX_POKES, explore
 from gridpush_drake.bench.pregrasp_world import EdgeWorld, Outcome, see
-from gridpush_drake.bench.workers import Execution
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
 

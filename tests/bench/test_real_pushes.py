@@ -3,6 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gridpush_drake.bench.jobs import Execution
 from gridpush_drake.bench.public_data import find_push_logs
 from gridpush_drake.bench.real import (
     CENTER,
@@ -14,9 +15,8 @@ from gridpush_drake.bench.real import (
     name_logs,
     run,
     run_job,
+    simulate_log,
 )
-from gridpush_drake.bench.simulated_pushes import simulate_log
-from gridpush_drake.bench.workers import Execution
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.objects.object_file import find_shipped_object
 from tests.helpers.shared_data import shared_data

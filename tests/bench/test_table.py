@@ -4,7 +4,7 @@ from itertools import product
 import pytest
 from rich.console import Console
 
-from gridpush_drake.bench import grasp, paper, planning, plant, pregrasp, real, station
+from gridpush_drake.bench import drake, grasp, paper, planning, plant, pregrasp, real
 from gridpush_drake.bench.pregrasp_exploration import AIMS, DISTANCES, ExplorationScore, Trace
 from gridpush_drake.bench.pregrasp_world import Outcome
 from gridpush_drake.bench.speed import measure, one_core
@@ -128,14 +128,14 @@ def make_pregrasp_tables():
 
 def make_drake_tables():
     stations = [
-        station.StationScore(name, 0, "finished", 8, 4, (ERROR,) * 3, (ERROR,) * 2, ERROR, 0.5, 0, 123.4)
+        drake.StationScore(name, 0, "finished", 8, 4, (ERROR,) * 3, (ERROR,) * 2, ERROR, 0.5, 0, 123.4)
         for name in NAMES
     ]
     plants = [
         plant.PlantScore(name, base, 0, spin, ERROR, ERROR, ERROR, ERROR, ERROR, ERROR)
         for name, base, spin in product(NAMES, plant.BASES, plant.SPINS)
     ]
-    return [station.make_table(stations), plant.make_table(plants)]
+    return [drake.make_table(stations), plant.make_table(plants)]
 
 
 @pytest.mark.parametrize(

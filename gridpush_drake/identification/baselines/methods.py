@@ -88,7 +88,7 @@ def search_finite_difference(search: Search) -> str:
 @search_method
 def search_cma_es(search: Search) -> str:
     """CMA-ES, by the package `cma`."""
-    import cma
+    import cma  # imported here, as it takes half a second and few want it
 
     search(search.start, "start")
     options: dict[str, Any] = {

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.io import loadmat
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushLogError
@@ -187,7 +188,6 @@ def _mit_object(path: Path, shape: str | None, data: dict[str, Any]) -> GridObje
 
 
 def _read_mat(path: Path) -> dict[str, Any]:
-    from scipy.io import loadmat
 
     with open_file(path, WHAT, PushLogError, MAX_SIZE) as file:
         try:

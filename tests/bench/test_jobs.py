@@ -10,14 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from gridpush_drake.bench import grasp, paper, planning, plant, pregrasp, real, station
+from gridpush_drake.bench import drake, grasp, paper, planning, plant, pregrasp, real
+from gridpush_drake.bench.jobs import Execution, open_results, run_jobs
 from gridpush_drake.bench.paper import Score
 from gridpush_drake.bench.planning import Decision, Run
 from gridpush_drake.bench.pregrasp import SlideScore
 from gridpush_drake.bench.pregrasp_exploration import ExplorationScore, Trace
 from gridpush_drake.bench.pregrasp_world import Outcome
-from gridpush_drake.bench.results import open_results
-from gridpush_drake.bench.workers import Execution, run_jobs
 from gridpush_drake.errors import GridPushError, OutputError
 
 STARTED_WITHIN, ENDED_WITHIN = 240.0, 6.0
@@ -124,7 +123,7 @@ def test_other_settings_are_refused_or_begun_anew(tmp_path, monkeypatch):
     assert results.lines == {}
     run_jobs(double, jobs, describe, Execution(0, None, results))
     assert len(open_results(path, "doubling", {"seed": 1}).lines) == 1
-    monkeypatch.setattr("gridpush_drake.bench.results.hash_sources", lambda: "another")
+    monkeypatch.setattr("gridpush_drake.bench.jobs.hash_sources", lambda: "another")
     with pytest.raises(GridPushError, match="program"):
         open_results(path, "doubling", {"seed": 1})
 
@@ -163,8 +162,8 @@ TRACE = Trace(3, (0.1, 0.004), (0.2, nan), 1.5)
         (pregrasp.run_job, ExplorationScore("a", "both directions", 0.02, TRACE, replace(TRACE, pokes=21))),
         (grasp.run_job, grasp.GraspScore("a", 0, "held", "", 3, 2, 0.1, nan, 30.0, 12.5)),
         (
-            station.run_job,
-            station.StationScore("a", 0, "finished", 8, 4, (0.1, 0.2, nan), (0.1, 0.2), 0.1, 0.5, 0, 9.0),
+            drake.run_job,
+            drake.StationScore("a", 0, "finished", 8, 4, (0.1, 0.2, nan), (0.1, 0.2), 0.1, 0.5, 0, 9.0),
         ),
         (plant.run_job, [plant.PlantScore("a", "free", 0, "none", 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)]),
     ],

@@ -1,0 +1,334 @@
+"""Runs jobs in worker processes, which end with this one, and keeps what each of them found.
+
+Results of finished jobs, kept in a file from which an interrupted run goes on.
+
+The file is JSON lines: first the settings, then a line for each finished job. Each line is written at once and whole; a
+last line that was cut off is dropped when the file is read.
+"""
+
+import hashlib
+import json
+import os
+import signal
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from importlib.resources import files
+from itertools import count
+from multiprocessing import get_context, parent_process, resource_tracker
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from os import _exit
+from pathlib import Path
+from threading import Thread
+from typing import Any, Generic, TypeVar, get_type_hints
+
+from pydantic import TypeAdapter, ValidationError
+
+from gridpush_drake.errors import GridPushError, OutputError
+from gridpush_drake.files import check_writable
+
+FOLDER = Path("gridpush_bench")
+"""Where results are kept unless told otherwise, in the current folder."""
+
+SOURCES = (".py", ".yaml", ".sdf", ".urdf")
+"""Endings of the package's files that results depend on."""
+
+NO_SOURCES = "cli"
+"""Folder of the package that no result depends on."""
+
+DIGITS = 12
+"""Of a hash, enough to tell two files from each other."""
+
+Result = TypeVar("Result")
+
+
+class Results:
+    """Results by job, in a file that is begun with the first of them.
+
+    Attributes:
+        path: of the file.
+        lines: results that were in it when it was opened.
+    """
+
+    def __init__(self, path: Path, lines: dict[str, Any], head: dict[str, Any] | None) -> None:
+        """Takes the first line of a file that is to be begun; None goes on with the file that is there."""
+        self.path, self.lines, self._head = path, lines, head
+
+    def bind(self, function: Callable[[Any], Result]) -> "BoundResults[Result]":
+        """The results of one function of a job, of the type that it is annotated with."""
+        return BoundResults(self, TypeAdapter(get_type_hints(function)["return"]))
+
+    def append(self, line: dict[str, Any]) -> None:
+        """Writes a line at once. Raises OutputError where the disk refuses."""
+        try:
+            if self._head is not None:
+                self.path.parent.mkdir(exist_ok=True)
+                self.path.write_bytes(_to_line(self._head))
+                self._head = None
+            with self.path.open("ab", buffering=0) as file:
+                file.write(_to_line(line))
+        except OSError as error:
+            raise OutputError(f"{self.path}: cannot be written: {error.strerror}") from error
+
+
+class BoundResults(Generic[Result]):
+    """Results of one kind of job."""
+
+    def __init__(self, results: Results, adapter: TypeAdapter[Result]) -> None:
+        self._results, self._adapter = results, adapter
+
+    def find(self, jobs: Sequence[Any]) -> dict[int, Result]:
+        """Finds the results of finished jobs, by the job's number. Raises GridPushError where one has another form."""
+        found = {i: self._results.lines[key] for i, key in enumerate(map(make_key, jobs)) if key in self._results.lines}
+        try:
+            return {i: self._adapter.validate_python(result) for i, result in found.items()}
+        except ValidationError as error:
+            raise GridPushError(
+                f"{self._results.path}: holds a result of another form; pass --force to start anew ({error.title})"
+            ) from error
+
+    def append(self, job: Any, result: Result) -> None:
+        """Keeps the result of a finished job."""
+        plain = self._adapter.dump_python(result, mode="json")
+        self._results.append({"job": json.loads(make_key(job)), "result": plain})
+
+
+def make_key(job: Any) -> str:
+    """A job, a dataclass, as text: its type and all it holds."""
+    return json.dumps([type(job).__name__, asdict(job)], default=str)
+
+
+def open_results(path: Path | str | None, bench: str, settings: dict[str, Any], force: bool = False) -> Results:
+    """Opens the file of a bench's results, or begins it.
+
+    Args:
+        path: of the file; None for one in FOLDER, another for every choice of settings and every change of the
+            program.
+        bench: the bench's name.
+        settings: all that was chosen.
+        force: whether to begin anew.
+
+    Returns:
+        The file, with the results that are in it.
+
+    Raises:
+        GridPushError: the file is of other settings, or is no such file.
+        OutputError: it cannot be written.
+    """
+    head = {"bench": bench, "program": hash_sources(), "settings": json.loads(json.dumps(settings, default=str))}
+    if path is None:
+        check_writable(FOLDER / bench if FOLDER.is_dir() else FOLDER, force=True)
+        path = FOLDER / f"{bench}-{_hash(_to_line(head))}.jsonl"
+    else:
+        path = check_writable(path, force=True)
+    if path.exists() and not force:
+        return Results(path, _read(path, head), None)
+    return Results(path, {}, head)
+
+
+def _read(path: Path, head: dict[str, Any]) -> dict[str, Any]:
+    """Reads the results, and cuts off a last line that is not whole."""
+    content = path.read_bytes()
+    whole = content[: content.rfind(b"\n") + 1]
+    try:
+        first, *lines = [json.loads(line) for line in whole.splitlines()]
+        known = {json.dumps(line["job"]): line["result"] for line in lines}
+        there = {"bench": first["bench"], "program": first["program"], **first["settings"]}
+    except (ValueError, KeyError, TypeError) as error:
+        raise GridPushError(
+            f"{path}: is no file of results; expected JSON lines as gridpush bench writes them, or another name"
+        ) from error
+    here = {"bench": head["bench"], "program": head["program"], **head["settings"]}
+    changed = [key for key in {**here, **there} if here.get(key) != there.get(key)]
+    if changed:
+        said = ", ".join(f"{key} {json.dumps(there.get(key))}, now {json.dumps(here.get(key))}" for key in changed)
+        raise GridPushError(f"{path}: was made with other settings ({said}); pass --force to start anew")
+    if len(whole) < len(content):
+        os.truncate(path, len(whole))
+    return known
+
+
+def hash_sources() -> str:
+    """Hashes the files of the package that results depend on."""
+    package, sums = Path(str(files("gridpush_drake"))), []
+    for folder, folders, names in os.walk(package, followlinks=True):
+        if Path(folder) == package:
+            folders.remove(NO_SOURCES)
+        paths = [Path(folder, name) for name in names if name.endswith(SOURCES)]
+        sums += [f"{path.relative_to(package)} {_hash(path.read_bytes())}" for path in paths]
+    return _hash("\n".join(sorted(sums)).encode())
+
+
+def _hash(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:DIGITS]
+
+
+def _to_line(line: dict[str, Any]) -> bytes:
+    return json.dumps(line, ensure_ascii=False).encode() + b"\n"
+
+
+Job = TypeVar("Job")
+Report = Callable[[str, int, int], None]
+"""Called now and then with what was done last, how many jobs are done, and how many there are."""
+
+WORKERS = 2
+"""Processes by default."""
+
+BEAT = 1.0
+"""s, at most, between two calls of a report."""
+
+END_WITHIN = 1.0
+"""s that a killed worker is waited for."""
+
+
+@dataclass(frozen=True)
+class Execution:
+    """How jobs are run; it changes no result.
+
+    Attributes:
+        workers: processes; 0 runs the jobs in this one.
+        report: what to call now and then; None where nobody looks.
+        results: where results are kept, and found again; None keeps none.
+        prepare: what to call before the first job, where there is any to do.
+    """
+
+    workers: int = WORKERS
+    report: Report | None = None
+    results: Results | None = None
+    prepare: Callable[[], None] | None = None
+
+
+QUIET = Execution()
+"""Nothing is said and nothing kept."""
+
+
+def run_jobs(
+    function: Callable[[Job], Result],
+    jobs: Sequence[Job],
+    describe: Callable[[Job], str],
+    execution: Execution = QUIET,
+) -> list[Result]:
+    """Runs a function on every job whose result is not known yet.
+
+    Args:
+        function: of a job; importable, as is the job, a dataclass; its result's type is annotated.
+        jobs: what to do.
+        describe: a job in a few words.
+        execution: how.
+
+    Returns:
+        The results in the jobs' order, which does not depend on the workers.
+
+    Raises:
+        GridPushError: a worker ended without an answer, or the results cannot be kept.
+    """
+    kept = execution.results.bind(function) if execution.results is not None else None
+    done = {} if kept is None else kept.find(jobs)
+    report = execution.report or (lambda *_: None)
+    said = "" if not done else f"{len(done)} known from before"
+    left = [(i, job) for i, job in enumerate(jobs) if i not in done]
+    if left and execution.prepare is not None:
+        execution.prepare()
+    report(said, len(done), len(jobs))
+    for found in _run(function, left, execution.workers):
+        if found is not None:
+            i, result = found
+            done[i], said = result, describe(jobs[i])
+            if kept is not None:
+                kept.append(jobs[i], result)
+        report(said, len(done), len(jobs))
+    return [done[i] for i in range(len(jobs))]
+
+
+def count_steps(report: Report | None, total: int) -> Callable[[str], None]:
+    """What to call at the beginning of each of `total` steps, where they are no jobs."""
+    done = count()
+    return lambda doing: None if report is None else report(doing, next(done), total)
+
+
+def _run(
+    function: Callable[[Job], Result], jobs: Sequence[tuple[int, Job]], workers: int
+) -> Iterator[tuple[int, Result] | None]:
+    """Yields numbers and results as they come, and None where none came for a while."""
+    if workers == 0 or not jobs:
+        yield from ((i, function(job)) for i, job in jobs)
+        return
+    with _pool(function, min(workers, len(jobs))) as pool:
+        waiting = list(reversed(jobs))
+        for connection in pool:
+            connection.send(waiting.pop())
+        busy = dict(pool)
+        while busy:
+            ready = wait(list(busy), BEAT)
+            if not ready:
+                yield None
+            for connection in [each for each in pool if each in ready]:
+                found = _receive(connection, busy[connection])
+                if waiting:
+                    connection.send(waiting.pop())
+                else:
+                    del busy[connection]
+                yield found
+
+
+def _receive(connection: Connection, process: BaseProcess) -> Any:
+    try:
+        i, result, error = connection.recv()
+    except (EOFError, ConnectionError) as ended:
+        process.join(END_WITHIN)
+        raise GridPushError(f"worker {process.pid} ended without an answer, exit code {process.exitcode}") from ended
+    if error is not None:
+        raise error
+    return i, result
+
+
+@contextmanager
+def _pool(function: Callable[[Any], Any], workers: int) -> Iterator[dict[Connection, BaseProcess]]:
+    """Worker processes by the pipe to each; they are killed in the end, whatever they do."""
+    context = get_context("spawn")  # fresh processes: a fork would copy other threads' locks
+    pool: dict[Connection, BaseProcess] = {}
+    resource_tracker.ensure_running()  # begun along with the first worker, it would unblock the signals
+    try:
+        for _ in range(workers):
+            # an interrupt waits until the new process is known here; the process itself inherits it blocked
+            blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
+            try:
+                here, there = context.Pipe()
+                process = context.Process(target=_work, args=(there, function), daemon=True)
+                process.start()
+                there.close()
+                pool[here] = process
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        yield pool
+    finally:
+        for worker in pool.values():
+            worker.kill()
+        for connection, worker in pool.items():
+            worker.join(END_WITHIN)
+            connection.close()
+
+
+def _work(connection: Connection, function: Callable[[Any], Any]) -> None:
+    """A worker's life: jobs in, answers out, until the pipe or the parent ends."""
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])  # an interrupt is the parent's business
+    Thread(target=_end_with_parent, daemon=True).start()
+    while True:
+        try:
+            i, job = connection.recv()
+        except EOFError:
+            return
+        try:
+            connection.send((i, function(job), None))
+        except Exception as error:
+            error.add_note(traceback.format_exc())
+            connection.send((i, None, error))
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        _exit(1)
