@@ -71,7 +71,7 @@ def plan(
         write_plan(out, found, target.obj.name, finger, force)
     if picture is not None:
         from gridpush_drake.report.draw import to_png
-        from gridpush_drake.report.plan_figure import draw_plan
+        from gridpush_drake.report.plan_figures import draw_plan
 
         write_whole(picture, to_png(draw_plan(target.obj, found, surface, obstacles)), force)
     written = [str(path) for path in (out, picture) if path is not None]

@@ -90,7 +90,7 @@ def slide(
         write_whole(out, _to_text(found, out), force)
     if picture is not None:
         from gridpush_drake.report.draw import to_png
-        from gridpush_drake.report.slide_figure import draw_slide
+        from gridpush_drake.report.plan_figures import draw_slide
 
         write_whole(picture, to_png(draw_slide(planner, belief.masses, plan)), force)
     if json:
