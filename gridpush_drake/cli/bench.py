@@ -102,7 +102,7 @@ def paper(
         "data": _resolve(data), "quick": quick, "objects": objects, "sets": sets, "methods": methods, "budget": budget,
         "seed": seed, "figure": figure is not None,
     }  # fmt: skip
-    with _conduct("paper", settings, results, workers, force) as execution:
+    with _run_bench("paper", settings, results, workers, force) as execution:
         tables = run(
             data, sets, objects, methods or METHODS, budget, seed, execution, quick=quick, figure=figure, force=force
         )
@@ -130,7 +130,7 @@ def real(
 
     _check((out, figure), force)
     settings = {"data": _resolve(data), "quick": quick, "objects": objects, "splits": splits, "seed": seed}
-    with _conduct("real", settings, results, workers, force) as execution:
+    with _run_bench("real", settings, results, workers, force) as execution:
         tables = run(
             data,
             objects=objects,
@@ -166,7 +166,7 @@ def planning(
         "data": _resolve(data), "quick": quick, "objects": objects, "sets": sets, "part": part, "seed": seed
     }  # fmt: skip
     parts = PARTS if part == "all" else (part,)
-    with _conduct("planning", settings, results, workers, force) as execution:
+    with _run_bench("planning", settings, results, workers, force) as execution:
         tables = run(data, sets, objects, parts=parts, seed=seed, execution=execution, quick=quick)
     _show(tables, out, force, json)
 
@@ -197,7 +197,7 @@ def pregrasp(
         "data": _resolve(data), "quick": quick, "objects": objects, "mass_sets": mass_sets, "seeds": seeds,
         "depth": depth, "experiment": experiment, "seed": seed,
     }  # fmt: skip
-    with _conduct("pregrasp", settings, results, workers, force) as execution:
+    with _run_bench("pregrasp", settings, results, workers, force) as execution:
         tables = run(
             objects, mass_sets or MASS_SETS, seeds or SEEDS, seed=seed, execution=execution, depth=depth,
             experiment=experiment, quick=quick, data=data,
@@ -225,7 +225,7 @@ def grasp(
     _check((out,), force)
     chosen = range(seed, seed + (seeds or len(SEEDS)))
     settings = {"quick": quick, "objects": objects, "seeds": seeds, "seed": seed}
-    with _conduct("grasp", settings, results, workers, force) as execution:
+    with _run_bench("grasp", settings, results, workers, force) as execution:
         tables = run(objects or OBJECTS, chosen, quick=quick, execution=execution)
     _show(tables, out, force, json)
 
@@ -245,7 +245,7 @@ def drake(
     from gridpush_drake.cli.options import compile_kernels
 
     _check((out,), force)
-    with _conduct("drake", {"quick": quick, "seed": seed}, results, workers, force) as execution:
+    with _run_bench("drake", {"quick": quick, "seed": seed}, results, workers, force) as execution:
         compile_kernels()
         tables = lcp_system.run(report=execution.report)
         if quick:
@@ -258,7 +258,7 @@ def drake(
 
 
 @contextmanager
-def _conduct(
+def _run_bench(
     bench: str, settings: dict[str, Any], path: Path | None, workers: int, force: bool
 ) -> "Iterator[Execution]":
     """How a bench's jobs are run: their results are kept, and what is done is shown."""

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from gridpush_drake.planning.pregrasp.planner import PreGraspPlan, PreGraspPlanner
 
 EXIT_NO_PLAN = 1
-"""Where the arguments are in order but there is no safe way yet."""
+"""Where the arguments are in order but there is no safe slide yet."""
 
 
 def slide(

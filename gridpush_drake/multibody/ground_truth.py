@@ -21,7 +21,7 @@ from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
 Range = tuple[float, float]
 
 CELL_MASS_RANGE = (0.1, 1.0)
-"""Least and greatest mass of a cell before all are scaled to the object's total mass; one draw a part."""
+"""Smallest and greatest mass of a cell before all are scaled to the object's total mass; one draw a part."""
 
 FRICTION_RANGE = (0.2, 0.6)
 CONTACT_FRICTION_RANGE = (0.35, 0.65)

@@ -129,7 +129,7 @@ def draw_cells(
         values: (n,) one number per cell; None draws them all pale.
         cmap: name of a color map.
         label: adds a color bar with this title ("friction", "mass, g"); None adds none.
-        limits: least and greatest value of the color map; the values' own where None.
+        limits: (low, high) ends of the color map; the values' own where None.
         pose: (x, y, theta) X_WB, m and rad.
         alpha: opacity, 0 to 1.
 

@@ -253,7 +253,7 @@ def _draw_map(
 
 
 def _limits(values: Array, others: Array | None = None, zero: bool = False) -> tuple[float, float]:
-    """Least and greatest of all, a little apart."""
+    """The smallest and the greatest of all, a little apart."""
     together = values if others is None else np.concatenate([values, others])
     low, high = (0.0 if zero else float(np.nanmin(together))), float(np.nanmax(together))
     apart = max(high - low, 0.02 * abs(high), np.finfo(float).tiny)
