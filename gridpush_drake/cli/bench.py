@@ -1,4 +1,7 @@
-"""`gridpush bench`: the measurements, as tables."""
+"""`gridpush bench`: the measurements, as tables.
+
+What is slow to import is imported when the command runs, so that `gridpush` starts fast.
+"""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -62,11 +65,10 @@ def speed(
 ) -> None:
     """Time a simulated push, its gradient, MuJoCo beside, the cost against the number of cells, and start-up."""
     from gridpush_drake.bench.speed import load_hammer, run
-    from gridpush_drake.cli.options import compile_kernels
 
     _check((out,), force)
     obj = load_hammer(data)
-    compile_kernels()
+    options.compile_kernels()
     with work_progress("timing") as report:
         tables = run(obj, repetitions=repetitions, with_mujoco=mujoco, report=report)
     _show(tables, out, force, json)
@@ -242,11 +244,10 @@ def drake(
 ) -> None:
     """Set Drake's plant beside the grid LCP, time the LCP system, and let the whole station learn."""
     from gridpush_drake.bench import lcp_system, plant, station
-    from gridpush_drake.cli.options import compile_kernels
 
     _check((out,), force)
     with _run_bench("drake", {"quick": quick, "seed": seed}, results, workers, force) as execution:
-        compile_kernels()
+        options.compile_kernels()
         tables = lcp_system.run(report=execution.report)
         if quick:
             tables += plant.run(plant.OBJECTS[:1], 2, seed=seed, execution=execution)
@@ -264,14 +265,13 @@ def _run_bench(
     """How a bench's jobs are run: their results are kept, and what is done is shown."""
     from gridpush_drake.bench.results import open_results
     from gridpush_drake.bench.workers import Execution
-    from gridpush_drake.cli.options import compile_kernels
 
     results = open_results(path, bench, settings, force)
     known = f", {len(results.lines)} of them from before" if results.lines else ""
 
     def prepare() -> None:
         print_notice(f"{bench}: results are kept in {results.path}{known}")
-        compile_kernels()
+        options.compile_kernels()
 
     with work_progress(bench) as report:
         yield Execution(workers, report, results, prepare)

@@ -1,4 +1,7 @@
-"""`gridpush slide`: where to slide an object so that it can be grasped at the table's edge, and by which pushes."""
+"""`gridpush slide`: where to slide an object so that it can be grasped at the table's edge, and by which pushes.
+
+What is slow to import is imported when the command runs, so that `gridpush` starts fast.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,7 +11,6 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_json, print_line, to_json
-from gridpush_drake.cli.options import Table, parse_table
 
 if TYPE_CHECKING:
     from gridpush_drake.planning.pregrasp.planner import PreGraspPlan, PreGraspPlanner
@@ -19,7 +21,7 @@ EXIT_NO_PLAN = 1
 
 def slide(
     model: options.ObjectOrModel,
-    table: Table,
+    table: options.Table,
     start: Annotated[
         str | None, typer.Option(metavar="x,y,theta", help="Where the object is, m and rad; the table's middle.")
     ] = None,
@@ -44,7 +46,6 @@ def slide(
     json: options.Json = False,
 ) -> None:
     """Plan a slide to the table's edge, where a part hangs over for the gripper and the object stays put."""
-    from gridpush_drake.cli.options import compile_kernels, load_target
     from gridpush_drake.files import check_writable, write_whole
     from gridpush_drake.planning.contact.optimization import DEFAULT_RADIUS
     from gridpush_drake.planning.pregrasp.exploration import PokeOptions
@@ -63,8 +64,8 @@ def slide(
     for path in (out, picture):
         if path is not None:
             check_writable(path, force)
-    surface = parse_table(table)
-    target = load_target(model, largest_piece)
+    surface = options.parse_table(table)
+    target = options.load_target(model, largest_piece)
     middle = surface.polygon.representative_point()
     pose = (middle.x, middle.y, 0.0) if start is None else options.parse_numbers("--start", start, "x,y,theta")
     bounds = None if friction is None else _parse_friction(friction)
@@ -78,7 +79,7 @@ def slide(
     planner = PreGraspPlanner(target.obj, surface, chosen)
     if not surface.contains(target.obj.cells_at(pose)).any():
         raise options.OptionError(f"--start: is {start}; expected a place on the table")
-    compile_kernels()
+    options.compile_kernels()
     if target.model is None:
         belief = Belief.of_prior(target.obj, bounds)
     else:
