@@ -1,4 +1,7 @@
-"""`gridpush bench`: the measurements, as tables."""
+"""`gridpush bench`: the measurements, as tables.
+
+What is slow to import is imported when the command runs, so that `gridpush` starts fast.
+"""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -62,11 +65,10 @@ def speed(
 ) -> None:
     """Time a simulated push, its gradient, MuJoCo beside, the cost against the number of cells, and start-up."""
     from gridpush_drake.bench.speed import load_hammer, run
-    from gridpush_drake.cli.options import compile_kernels
 
     _check((out,), force)
     obj = load_hammer(data)
-    compile_kernels()
+    options.compile_kernels()
     with work_progress("timing") as report:
         tables = run(obj, repetitions=repetitions, with_mujoco=mujoco, report=report)
     _show(tables, out, force, json)
@@ -102,7 +104,7 @@ def paper(
         "data": _resolve(data), "quick": quick, "objects": objects, "sets": sets, "methods": methods, "budget": budget,
         "seed": seed, "figure": figure is not None,
     }  # fmt: skip
-    with _conduct("paper", settings, results, workers, force) as execution:
+    with _run_bench("paper", settings, results, workers, force) as execution:
         tables = run(
             data, sets, objects, methods or METHODS, budget, seed, execution, quick=quick, figure=figure, force=force
         )
@@ -130,7 +132,7 @@ def real(
 
     _check((out, figure), force)
     settings = {"data": _resolve(data), "quick": quick, "objects": objects, "splits": splits, "seed": seed}
-    with _conduct("real", settings, results, workers, force) as execution:
+    with _run_bench("real", settings, results, workers, force) as execution:
         tables = run(
             data,
             objects=objects,
@@ -166,7 +168,7 @@ def planning(
         "data": _resolve(data), "quick": quick, "objects": objects, "sets": sets, "part": part, "seed": seed
     }  # fmt: skip
     parts = PARTS if part == "all" else (part,)
-    with _conduct("planning", settings, results, workers, force) as execution:
+    with _run_bench("planning", settings, results, workers, force) as execution:
         tables = run(data, sets, objects, parts=parts, seed=seed, execution=execution, quick=quick)
     _show(tables, out, force, json)
 
@@ -197,7 +199,7 @@ def pregrasp(
         "data": _resolve(data), "quick": quick, "objects": objects, "mass_sets": mass_sets, "seeds": seeds,
         "depth": depth, "experiment": experiment, "seed": seed,
     }  # fmt: skip
-    with _conduct("pregrasp", settings, results, workers, force) as execution:
+    with _run_bench("pregrasp", settings, results, workers, force) as execution:
         tables = run(
             objects, mass_sets or MASS_SETS, seeds or SEEDS, seed=seed, execution=execution, depth=depth,
             experiment=experiment, quick=quick, data=data,
@@ -225,7 +227,7 @@ def grasp(
     _check((out,), force)
     chosen = range(seed, seed + (seeds or len(SEEDS)))
     settings = {"quick": quick, "objects": objects, "seeds": seeds, "seed": seed}
-    with _conduct("grasp", settings, results, workers, force) as execution:
+    with _run_bench("grasp", settings, results, workers, force) as execution:
         tables = run(objects or OBJECTS, chosen, quick=quick, execution=execution)
     _show(tables, out, force, json)
 
@@ -242,11 +244,10 @@ def drake(
 ) -> None:
     """Set Drake's plant beside the grid LCP, time the LCP system, and let the whole station learn."""
     from gridpush_drake.bench import drake, plant
-    from gridpush_drake.cli.options import compile_kernels
 
     _check((out,), force)
-    with _conduct("drake", {"quick": quick, "seed": seed}, results, workers, force) as execution:
-        compile_kernels()
+    with _run_bench("drake", {"quick": quick, "seed": seed}, results, workers, force) as execution:
+        options.compile_kernels()
         tables = drake.run_lcp_system(report=execution.report)
         if quick:
             tables += plant.run(plant.OBJECTS[:1], 2, seed=seed, execution=execution)
@@ -258,19 +259,18 @@ def drake(
 
 
 @contextmanager
-def _conduct(
+def _run_bench(
     bench: str, settings: dict[str, Any], path: Path | None, workers: int, force: bool
 ) -> "Iterator[Execution]":
     """How a bench's jobs are run: their results are kept, and what is done is shown."""
     from gridpush_drake.bench.jobs import Execution, open_results
-    from gridpush_drake.cli.options import compile_kernels
 
     results = open_results(path, bench, settings, force)
     known = f", {len(results.lines)} of them from before" if results.lines else ""
 
     def prepare() -> None:
         print_notice(f"{bench}: results are kept in {results.path}{known}")
-        compile_kernels()
+        options.compile_kernels()
 
     with work_progress(bench) as report:
         yield Execution(workers, report, results, prepare)

@@ -32,8 +32,7 @@ from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.uncertainty import Belief
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.report.page import ReportSummary, make_report
-from gridpush_drake.report.pregrasp_figure import GraspDrawn, PushDrawn, draw_pre_grasp
-from gridpush_drake.report.push_figure import draw_push_run
+from gridpush_drake.report.plan_figures import GraspDrawn, PushDrawn, draw_pre_grasp, draw_push_run
 from gridpush_drake.station.identify_task import FINISHED, IdentifyTask, IdentifyTaskRecord
 from gridpush_drake.station.limit_monitor import LimitReport
 from gridpush_drake.station.pregrasp_task import HELD, PreGraspRecord, PreGraspStep, PreGraspTask

@@ -1,4 +1,7 @@
-"""`gridpush export`: an object or a learned model as a model for other simulators."""
+"""`gridpush export`: an object or a learned model as a model for other simulators.
+
+What is slow to import is imported when the command runs, so that `gridpush` starts fast.
+"""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -24,13 +27,12 @@ def export(
     json: options.Json = False,
 ) -> None:
     """Write an object or a learned model as an SDFormat model, for Drake."""
-    from gridpush_drake.cli.options import load_target
     from gridpush_drake.files import check_writable
 
     if out.suffix != SUFFIX:
         raise options.OptionError(f"OUT.sdf: is {str(out)!r}; expected a name that ends in {SUFFIX}")
     check_writable(out, force)
-    loaded = load_target(target, largest_piece)
+    loaded = options.load_target(target, largest_piece)
 
     from gridpush_drake.multibody.sdformat import WriteSdf
 

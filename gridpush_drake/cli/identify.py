@@ -1,4 +1,7 @@
-"""`gridpush identify`: learn a model from observed pushes."""
+"""`gridpush identify`: learn a model from observed pushes.
+
+What is slow to import is imported when the command runs, so that `gridpush` starts fast.
+"""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -7,7 +10,6 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_json, print_line, search_progress
-from gridpush_drake.cli.options import describe_overhanging
 
 if TYPE_CHECKING:
     from gridpush_drake.identification.result import Identification
@@ -42,7 +44,6 @@ def identify(
     json: options.Json = False,
 ) -> None:
     """Learn an object's friction and mass from pushes of it."""
-    from gridpush_drake.cli.options import compile_kernels, load_log, load_object
     from gridpush_drake.errors import PushLogError
     from gridpush_drake.files import check_writable, write_whole
     from gridpush_drake.identification.learning import identify as search
@@ -52,10 +53,10 @@ def identify(
     for path in (out, report):
         if path is not None:
             check_writable(path, force)
-    obj = load_object(object_file, largest_piece)
-    full = load_log(pushes, obj)
+    obj = options.load_object(object_file, largest_piece)
+    full = options.load_log(pushes, obj)
     log = full.supported[-latest:] if latest is not None else full.supported
-    compile_kernels()
+    options.compile_kernels()
     with search_progress(f"identifying {obj.name}", budget) as progress:
         result = search(obj, log, method=method, seed=seed, regime=regime, budget=budget, progress=progress)
     if not result.push_names:
@@ -121,7 +122,7 @@ def print_result(result: "Identification", found: dict[str, Any]) -> None:
     if result.unused_pushes:
         print_line(f"left out, as the pusher never touched the object: {', '.join(result.unused_pushes)}")
     if found["overhanging_pushes"]:
-        print_line(describe_overhanging(found["overhanging_pushes"]))
+        print_line(options.describe_overhanging(found["overhanging_pushes"]))
     print_line("What these pushes say, and what they cannot:")
     for statement in result.identifiability.statements:
         print_line(f"  - {statement}")

@@ -1,4 +1,7 @@
-"""`gridpush import`: public data sets to a push log and an object file."""
+"""`gridpush import`: public data sets to a push log and an object file.
+
+What is slow to import is imported when the command runs, so that `gridpush` starts fast.
+"""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -62,11 +65,10 @@ def mit(
     json: options.Json = False,
 ) -> None:
     """Import pushes of the MIT push data set (Yu, Bauza, Fazeli, Rodriguez, IROS 2016)."""
-    from gridpush_drake.cli.options import load_object
     from gridpush_drake.pushes.importers.mit import MIT_CELLS, import_mit
 
     paths = _check_outputs(out_dir, out_csv, out_object, force)
-    given = load_object(object_file) if object_file else None
+    given = options.load_object(object_file) if object_file else None
     pushes, obj = import_mit(file, shape=shape, obj=given)
     _write(pushes, obj, obj.n if given else MIT_CELLS, paths, force, json)
 

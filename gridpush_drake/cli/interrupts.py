@@ -26,8 +26,8 @@ class Interrupts:
 
     code: int | None = None
 
-    def __init__(self, patient: bool) -> None:
-        self._patient, self._finished = patient, False
+    def __init__(self, graceful: bool) -> None:
+        self._graceful, self._finished = graceful, False
 
     def finish(self) -> None:
         """From now on the work is done, and a signal changes nothing."""
@@ -41,7 +41,7 @@ class Interrupts:
             self.end()
         self.code = SIGNALLED + number
         # the exception may be lost: Python ignores those that are raised in a callback of C code or in a finalizer
-        if not self._patient:
+        if not self._graceful:
             timer = Timer(UNWIND_WITHIN, self.end)
             timer.daemon = True
             timer.start()
@@ -60,18 +60,18 @@ class Interrupts:
 
 
 @contextmanager
-def watch_interrupts(last: bool, patient: bool) -> Iterator[Interrupts]:
+def watch_interrupts(last: bool, graceful: bool) -> Iterator[Interrupts]:
     """Handles the signals while a command runs.
 
     Args:
         last: whether the process ends with the command; if so, the signals stay handled, for Python would end by the
             signal itself where one comes while it shuts down.
-        patient: whether the command may take its time to end, as one that writes what was done so far.
+        graceful: whether the command may take its time to end, as one that writes what was done so far.
 
     Yields:
         What came of them; nothing is handled outside the main thread.
     """
-    interrupts = Interrupts(patient)
+    interrupts = Interrupts(graceful)
     if current_thread() is not main_thread():
         yield interrupts
         return

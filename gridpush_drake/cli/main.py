@@ -16,7 +16,7 @@ EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 """128 + SIGINT, 128 + SIGTERM, as shells have it."""
 
-PATIENT = {"demo", "view"}
+GRACEFUL = {"demo", "view"}
 """Commands that answer an interrupt themselves: they end in order, and write what was done."""
 
 app = typer.Typer(
@@ -64,8 +64,8 @@ def main(args: list[str] | None = None) -> None:
     Args:
         args: instead of the process's own; the process is then taken to go on after the command.
     """
-    patient = not PATIENT.isdisjoint(sys.argv[1:2] if args is None else args[:1])
-    with watch_interrupts(last=args is None, patient=patient) as interrupts:
+    graceful = not GRACEFUL.isdisjoint(sys.argv[1:2] if args is None else args[:1])
+    with watch_interrupts(last=args is None, graceful=graceful) as interrupts:
         try:
             code = _run(args)
             interrupts.finish()

@@ -1,10 +1,6 @@
-"""Options that several commands share.
+"""What several commands share: options, tables, the objects, models and logs they read, and compiled kernels.
 
-The `--table` option: a rectangular, a round or a polygonal table.
-
-What the commands read: objects, models and push logs.
-
-The compiled kernels, made ready before work that is timed or shown.
+What is slow to import is imported when a function runs, so that `gridpush` starts fast.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,7 @@
-"""`gridpush plan`: pushes that bring an object to a goal pose."""
+"""`gridpush plan`: pushes that bring an object to a goal pose.
+
+What is slow to import is imported when the command runs, so that `gridpush` starts fast.
+"""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -7,7 +10,6 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_json, print_line
-from gridpush_drake.cli.options import FORMS, parse_table
 
 if TYPE_CHECKING:
     from gridpush_drake.planning.goal.push_plan import PushPlan
@@ -22,7 +24,8 @@ def plan(
     goal: Annotated[str, typer.Option(metavar="X,Y,THETA", help="Where the object should lie, m and rad.")],
     start: Annotated[str, typer.Option(metavar="X,Y,THETA", help="Where it lies, m and rad.")] = "0,0,0",
     table: Annotated[
-        str | None, typer.Option(metavar="SHAPE", help=f"The table's top: {FORMS}; without end where not given.")
+        str | None,
+        typer.Option(metavar="SHAPE", help=f"The table's top: {options.FORMS}; without end where not given."),
     ] = None,
     obstacle: Annotated[
         list[str] | None, typer.Option(metavar="SHAPE", help="What is in the way, in the same form; may be repeated.")
@@ -42,7 +45,6 @@ def plan(
     json: options.Json = False,
 ) -> None:
     """Plan pushes that bring an object, or a learned model, to a goal pose."""
-    from gridpush_drake.cli.options import compile_kernels, load_target
     from gridpush_drake.files import check_writable, write_whole
     from gridpush_drake.planning.contact.optimization import DEFAULT_RADIUS, ContactOptions
     from gridpush_drake.planning.goal.next_push import HorizonOptions
@@ -57,11 +59,11 @@ def plan(
     )
     surface = None if table is None else read_shape("--table", table)
     obstacles = [read_shape("--obstacle", text).polygon for text in obstacle or ()]
-    target = load_target(model, largest_piece)
+    target = options.load_target(model, largest_piece)
     finger = target.obj.prior.pusher_radius or DEFAULT_RADIUS if radius is None else radius
     chosen = ContactOptions(radius=finger, speed=speed)
     rules = PushConstraints(surface, tuple(obstacles), edge_margin=-overhang)
-    compile_kernels()
+    options.compile_kernels()
     found = plan_pushes(
         target.obj, target.params, pose, aim, constraints=rules, options=chosen,
         horizons=HorizonOptions(horizon=horizon), tolerance=tolerance, max_pushes=max_pushes,
@@ -71,7 +73,7 @@ def plan(
         write_plan(out, found, target.obj.name, finger, force)
     if picture is not None:
         from gridpush_drake.report.draw import to_png
-        from gridpush_drake.report.plan_figure import draw_plan
+        from gridpush_drake.report.plan_figures import draw_plan
 
         write_whole(picture, to_png(draw_plan(target.obj, found, surface, obstacles)), force)
     written = [str(path) for path in (out, picture) if path is not None]
@@ -88,7 +90,7 @@ def read_shape(option: str, text: str) -> "SupportSurface":
     from gridpush_drake.errors import PlanningError
 
     try:
-        return parse_table(text)
+        return options.parse_table(text)
     except (options.OptionError, PlanningError) as error:
         raise type(error)(f"{option}: {str(error).removeprefix('--table: ').removeprefix('table: ')}") from error
 

@@ -1,4 +1,7 @@
-"""`gridpush predict`: where pushes take an object."""
+"""`gridpush predict`: where pushes take an object.
+
+What is slow to import is imported when the command runs, so that `gridpush` starts fast.
+"""
 
 import csv
 import io
@@ -10,7 +13,6 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_json, print_line, print_table
-from gridpush_drake.cli.options import describe_overhanging
 
 if TYPE_CHECKING:
     from gridpush_drake.identification.prediction import ErrorSummary, PoseError, Prediction
@@ -32,7 +34,6 @@ def predict(
     json: options.Json = False,
 ) -> None:
     """Predict where pushes take an object, and compare with where they took it."""
-    from gridpush_drake.cli.options import compile_kernels, load_log, load_target
     from gridpush_drake.dynamics.motion import MotionStatus
     from gridpush_drake.errors import PushLogError
     from gridpush_drake.files import check_writable, write_whole
@@ -42,11 +43,11 @@ def predict(
     from gridpush_drake.pushes.plausibility import explain_no_contact
 
     check_writable(out, force)
-    target = load_target(model, largest_piece)
-    full = load_log(pushes, target.obj, require_final=False)
+    target = options.load_target(model, largest_piece)
+    full = options.load_log(pushes, target.obj, require_final=False)
     log = full.supported
     chosen = target.resolve_regime(regime, choose_regime(target.obj, log))
-    compile_kernels()
+    options.compile_kernels()
     predictions = predict_log(target.obj, target.params, log, chosen)
     if all(prediction.status == MotionStatus.NO_CONTACT for prediction in predictions):
         raise PushLogError(explain_no_contact(target.obj, log))
@@ -77,7 +78,7 @@ def _print_found(found: dict[str, Any], name: str) -> None:
     if found["untouched"]:
         print_line(f"The pusher never touches the object in: {', '.join(found['untouched'])}")
     if found["overhanging"]:
-        print_line(describe_overhanging(found["overhanging"]))
+        print_line(options.describe_overhanging(found["overhanging"]))
     if found["errors"]:
         print_errors(f"Errors of {found['errors'][0].pushes} final poses", found["errors"])
     print_line(f"Wrote {found['written'][0]}.")

@@ -1,4 +1,7 @@
-"""`gridpush show`: a picture of an object or a model."""
+"""`gridpush show`: a picture of an object or a model.
+
+What is slow to import is imported when the command runs, so that `gridpush` starts fast.
+"""
 
 from pathlib import Path
 from typing import Annotated
@@ -17,12 +20,11 @@ def show(
     json: options.Json = False,
 ) -> None:
     """Draw an object with its parts, or what a model learned of it."""
-    from gridpush_drake.cli.options import load_target
     from gridpush_drake.files import check_writable, write_whole
     from gridpush_drake.report.figures import draw_model, draw_object
 
     check_writable(out, force)
-    loaded = load_target(target, largest_piece)
+    loaded = options.load_target(target, largest_piece)
     obj = loaded.obj
     write_whole(out, draw_object(obj) if loaded.model is None else draw_model(loaded.model), force)
     if json:

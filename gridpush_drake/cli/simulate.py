@@ -1,4 +1,7 @@
-"""`gridpush simulate`: push an object in simulation."""
+"""`gridpush simulate`: push an object in simulation.
+
+What is slow to import is imported when the command runs, so that `gridpush` starts fast.
+"""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -41,7 +44,6 @@ def simulate(
     json: options.Json = False,
 ) -> None:
     """Simulate one push of an object or of a learned model."""
-    from gridpush_drake.cli.options import compile_kernels, load_target
     from gridpush_drake.dynamics.simulation import simulate as simulate_push
     from gridpush_drake.files import check_writable, write_whole
     from gridpush_drake.objects.parameters import CellParameters
@@ -49,12 +51,12 @@ def simulate(
     for path in (out, picture):
         if path is not None:
             check_writable(path, force)
-    loaded = load_target(target, largest_piece)
+    loaded = options.load_target(target, largest_piece)
     push = _make_push(start, velocity, duration, loaded.obj.prior.pusher_radius if radius is None else radius)
     pose_W = options.parse_numbers("--pose", pose, "x,y,theta")
     params = loaded.params if mass_seed is None else CellParameters.random(loaded.obj, mass_seed)
     chosen = loaded.resolve_regime(regime, "inertial")
-    compile_kernels()
+    options.compile_kernels()
     motion = simulate_push(loaded.obj, params, push, pose_W, regime=chosen)  # type: ignore[arg-type]
     if out is not None:
         _make_log(push, motion, samples).write_csv(out, force)

@@ -1,4 +1,7 @@
-"""`gridpush slide`: where to slide an object so that it can be grasped at the table's edge, and by which pushes."""
+"""`gridpush slide`: where to slide an object so that it can be grasped at the table's edge, and by which pushes.
+
+What is slow to import is imported when the command runs, so that `gridpush` starts fast.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,18 +11,17 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_json, print_line, to_json
-from gridpush_drake.cli.options import Table, parse_table
 
 if TYPE_CHECKING:
     from gridpush_drake.planning.pregrasp.planner import PreGraspPlan, PreGraspPlanner
 
 EXIT_NO_PLAN = 1
-"""Where the arguments are in order but there is no safe way yet."""
+"""Where the arguments are in order but there is no safe slide yet."""
 
 
 def slide(
     model: options.ObjectOrModel,
-    table: Table,
+    table: options.Table,
     start: Annotated[
         str | None, typer.Option(metavar="x,y,theta", help="Where the object is, m and rad; the table's middle.")
     ] = None,
@@ -44,7 +46,6 @@ def slide(
     json: options.Json = False,
 ) -> None:
     """Plan a slide to the table's edge, where a part hangs over for the gripper and the object stays put."""
-    from gridpush_drake.cli.options import compile_kernels, load_target
     from gridpush_drake.files import check_writable, write_whole
     from gridpush_drake.planning.contact.optimization import DEFAULT_RADIUS
     from gridpush_drake.planning.pregrasp.exploration import PokeOptions
@@ -63,8 +64,8 @@ def slide(
     for path in (out, picture):
         if path is not None:
             check_writable(path, force)
-    surface = parse_table(table)
-    target = load_target(model, largest_piece)
+    surface = options.parse_table(table)
+    target = options.load_target(model, largest_piece)
     middle = surface.polygon.representative_point()
     pose = (middle.x, middle.y, 0.0) if start is None else options.parse_numbers("--start", start, "x,y,theta")
     bounds = None if friction is None else _parse_friction(friction)
@@ -78,7 +79,7 @@ def slide(
     planner = PreGraspPlanner(target.obj, surface, chosen)
     if not surface.contains(target.obj.cells_at(pose)).any():
         raise options.OptionError(f"--start: is {start}; expected a place on the table")
-    compile_kernels()
+    options.compile_kernels()
     if target.model is None:
         belief = Belief.of_prior(target.obj, bounds)
     else:
@@ -90,7 +91,7 @@ def slide(
         write_whole(out, _to_text(found, out), force)
     if picture is not None:
         from gridpush_drake.report.draw import to_png
-        from gridpush_drake.report.slide_figure import draw_slide
+        from gridpush_drake.report.plan_figures import draw_slide
 
         write_whole(picture, to_png(draw_slide(planner, belief.masses, plan)), force)
     if json:

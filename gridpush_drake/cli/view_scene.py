@@ -59,11 +59,11 @@ HOLD = 0.8
 
 def describe_colors(shows: Shown) -> str:
     """What the colors mean, in a sentence."""
-    least, greatest = CellColors(shows).resolve_limits()
+    low, high = CellColors(shows).resolve_limits()
     if shows == "friction":
-        return f"Colors: the cells' friction coefficient, from {least:g} (dark) to {greatest:g} (bright)."
+        return f"Colors: the cells' friction coefficient, from {low:g} (dark) to {high:g} (bright)."
     what = "mass" if shows == "mass" else "share of the friction"
-    return f"Colors: the cells' {what}, from {least:g} (dark) to {greatest:g} times (bright) the even share."
+    return f"Colors: the cells' {what}, from {low:g} (dark) to {high:g} times (bright) the even share."
 
 
 def AddModel(meshcat: Meshcat, target: Target, shows: Shown, height: float) -> None:

@@ -1,7 +1,7 @@
 """Cells' values as colors, on a scale that stays the same while an estimate improves.
 
 Shares are shown as ratios to the even share: a cell's mass as m_i n / sum(m), its relative friction as
-mu_i m_i n / sum(mu m). Colors follow the logarithm, u = log(value / least) / log(greatest / least) cut to 0..1, so
+mu_i m_i n / sum(mu m). Colors follow the logarithm, u = log(value / low) / log(high / low) cut to 0..1, so
 that a quarter of the even share and four times as much lie equally far from the middle.
 """
 
@@ -19,10 +19,10 @@ Shown = Literal["mass", "friction", "relative_friction"]
 
 SHOWN = ("mass", "friction", "relative_friction")
 
-MIN_SHARE, GREATEST_SHARE = 0.25, 4.0
+MIN_SHARE, MAX_SHARE = 0.25, 4.0
 """Ends of the color scale of shares, in even shares."""
 
-MIN_FRICTION, GREATEST_FRICTION = 0.1, 1.0
+MIN_FRICTION, MAX_FRICTION = 0.1, 1.0
 """Ends of the color scale of friction coefficients."""
 
 
@@ -32,12 +32,12 @@ class CellColors:
 
     Attributes:
         shows: "mass" or "relative_friction", in even shares, or "friction", as the coefficient.
-        limits: least and greatest value of the color map, beyond which colors stay the same; by default
-            MIN_SHARE and GREATEST_SHARE, or for "friction" MIN_FRICTION and GREATEST_FRICTION.
+        limits: (low, high) ends of the color map, beyond which colors stay the same; by default
+            MIN_SHARE and MAX_SHARE, or for "friction" MIN_FRICTION and MAX_FRICTION.
         colormap: as matplotlib names it.
 
     Raises:
-        StationError: a name is unknown, or the limits are not 0 < least < greatest.
+        StationError: a name is unknown, or the limits are not 0 < low < high.
     """
 
     shows: Shown = "mass"
@@ -49,15 +49,15 @@ class CellColors:
             raise StationError(f"shows is {self.shows!r}; expected one of {', '.join(SHOWN)}")
         if self.colormap not in colormaps:
             raise StationError(f"colormap is {self.colormap!r}; expected one of matplotlib's, such as {CELL_MAP}")
-        least, greatest = self.resolve_limits()
-        if not 0 < least < greatest < np.inf:
+        low, high = self.resolve_limits()
+        if not 0 < low < high < np.inf:
             raise StationError(f"limits are {self.limits!r}; expected 0 < least < greatest")
 
     def resolve_limits(self) -> tuple[float, float]:
-        """Least and greatest value of the color map."""
+        """The ends of the color map."""
         if self.limits is not None:
             return self.limits
-        return (MIN_FRICTION, GREATEST_FRICTION) if self.shows == "friction" else (MIN_SHARE, GREATEST_SHARE)
+        return (MIN_FRICTION, MAX_FRICTION) if self.shows == "friction" else (MIN_SHARE, MAX_SHARE)
 
     def calc_values(self, mass: ArrayLike, friction: ArrayLike) -> NDArray[np.float64]:
         """What is shown of cells with masses (n,), kg, and friction coefficients (n,): (n,) numbers."""
@@ -75,6 +75,6 @@ class CellColors:
 
     def calc_colors_of(self, values: ArrayLike) -> NDArray[np.float64]:
         """(..., 3) sRGB, 0 to 1, of values (...)."""
-        least, greatest = self.resolve_limits()
-        cut = np.clip(np.asarray(values, dtype=np.float64), least, greatest)
-        return np.asarray(colormaps[self.colormap](np.log(cut / least) / np.log(greatest / least)))[..., :3]
+        low, high = self.resolve_limits()
+        cut = np.clip(np.asarray(values, dtype=np.float64), low, high)
+        return np.asarray(colormaps[self.colormap](np.log(cut / low) / np.log(high / low)))[..., :3]

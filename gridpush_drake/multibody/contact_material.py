@@ -5,8 +5,8 @@ partner* of friction mu_b = 1 and stiffness k_b >> k_a, the contact has friction
 
     mu_a = mu mu_b / (2 mu_b - mu) = mu / (2 - mu)
 
-So whatever touches a grid object (the table under its feet, the pusher's tip at its side) is made a stiff partner, and
-the object alone carries the parameters of the contact.
+So whatever touches a grid object (the table under its spheres, the pusher's tip at its side) is made a stiff partner,
+and the object alone carries the parameters of the contact.
 
 Where on the table's top things may lie, read from the table's model, which alone says how large it is.
 """
@@ -27,7 +27,7 @@ PARTNER_FRICTION = 1.0
 """Coefficient of a stiff partner."""
 
 PARTNER_STIFFNESS = 1e12
-"""N/m, of a stiff partner: next to it every foot's stiffness is its contact's to 1e-6."""
+"""N/m, of a stiff partner: next to it every sphere's stiffness is its contact's to 1e-6."""
 
 
 def calc_own_friction(friction: float, name: str = "friction") -> float:

@@ -1,9 +1,9 @@
 """A grid object as a body of a MultibodyPlant.
 
-One rigid body with the cells' inertia stands on sphere feet, a cell on one (or four), and is pushed at boxes along its
-outline. Two ways to hold it:
+One rigid body with the cells' inertia stands on contact spheres, a cell on one (or four), and is pushed at boxes along
+its outline (`contact_geometry`). Two ways to hold it:
 
-* "planar": a PlanarJoint whose parent frame lies `delta` below the table's top. Each foot is pressed in by delta, so
+* "planar": a PlanarJoint whose parent frame lies `delta` below the table's top. Each sphere is pressed in by delta, so
   cell i bears m_i g by construction, as the planar model assumes. For dt = 1 ms.
 * "free": six degrees of freedom: it can tip over the table's edge and be lifted; the cells' loads shift as it is pushed
   above the table. For dt = 2 ms.
@@ -11,35 +11,15 @@ outline. Two ways to hold it:
 The plant's contact approximation is best left at Drake's default, "lagged": "sap" and "similar" glide.
 
 Frames: the table's top is the plane z = 0 of the world; the object's bottom is z = 0 of B, whose x and y are the grid
-object's own. Feet touch nothing but the table, sides everything but the table.
-
-The feet that an object stands on: small spheres, pressed into the table by the cells' weights.
-
-A foot that carries the share m_i g of the weight, pressed in by delta, has stiffness
-
-    k_i = m_i g / delta
-
-so that, pressed in by delta, it bears just that share, whatever the other feet do.
-
-An object's outline as boxes that a finger can push.
-
-Contact of a sphere and a box is solved in closed form in Drake, that of sphere and convex mesh by iteration. So each
-edge of the outline is the outer face of one box, as deep as the object lets it be. A sphere's nearest point on these
-boxes is the nearest point of the outline, corners and holes included; a corner shared by two boxes gives the same
-contact twice.
-
-The inside is filled with boxes too, a little clear of the outline, so that whatever else comes down on the object or
-grips it is not let through.
+object's own. Spheres touch nothing but the table, sides everything but the table.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.common import MemoryFile
 from pydrake.geometry import (
     Box,
@@ -65,176 +45,20 @@ from pydrake.multibody.tree import (
     RigidBody,
     SpatialInertia,
 )
-from shapely import Polygon, box, constrained_delaunay_triangles, prepare
-from shapely.geometry.polygon import orient
 
 from gridpush_drake.errors import ObjectError, ParameterError
+from gridpush_drake.multibody.contact_geometry import (
+    SPHERE_RADIUS,
+    ContactSphereLayout,
+    PlanarBox,
+    SpheresPerCell,
+    make_edge_boxes,
+    make_inner_boxes,
+)
 from gridpush_drake.multibody.contact_material import MakeContactProperties, calc_own_friction
+from gridpush_drake.multibody.meshcat_shapes import make_outline_mesh
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-
-FOOT_RADIUS = 0.002
-"""m; more than the feet are ever pressed in."""
-
-FeetPerCell = Literal[1, 4]
-
-
-@dataclass(frozen=True, eq=False)
-class FeetLayout:
-    """Where the feet are.
-
-    Attributes:
-        p_BF: (f, 2) where they touch the table, body frame, m.
-        cell: (f,) the cell that each belongs to.
-        feet_per_cell: 1: at the cells' centers; 4: at their corners.
-    """
-
-    p_BF: NDArray[np.float64]
-    cell: NDArray[np.int64]
-    feet_per_cell: FeetPerCell
-
-    @classmethod
-    def for_object(cls, obj: GridObject, feet_per_cell: FeetPerCell = 1) -> "FeetLayout":
-        """Lays out the feet of an object.
-
-        Args:
-            obj: the object.
-            feet_per_cell: 1, or 4 to support it out to its edge.
-
-        Returns:
-            The layout, cell by cell.
-
-        Raises:
-            ParameterError: `feet_per_cell` is neither.
-        """
-        if feet_per_cell == 1:
-            return cls(obj.p_BC, np.arange(obj.n), 1)
-        if feet_per_cell != 4:
-            raise ParameterError(f"feet_per_cell is {feet_per_cell!r}; expected 1 or 4")
-        corners = obj.cell_size / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-        return cls((obj.p_BC[:, None] + corners).reshape(-1, 2), np.repeat(np.arange(obj.n), 4), 4)
-
-    def make_properties(self, params: CellParameters, delta: float, gravity: float) -> list[ProximityProperties]:
-        """Makes the feet's contact properties.
-
-        Args:
-            params: what the cells weigh and how they rub.
-            delta: how far the feet are pressed in, m.
-            gravity: m/s².
-
-        Returns:
-            Properties of the f feet.
-
-        Raises:
-            ParameterError: a friction is 2 or more, which Drake's combination cannot give.
-        """
-        stiffness = params.mass * gravity / (delta * self.feet_per_cell)
-        friction = [calc_own_friction(float(mu), f"friction of cell {i}") for i, mu in enumerate(params.friction)]
-        return [MakeContactProperties(friction[i], float(stiffness[i])) for i in self.cell]
-
-
-Array = NDArray[np.float64]
-
-MAX_DEPTH = 0.01
-"""m, of the boxes behind the edges."""
-
-HALVINGS = 12
-"""How often a box behind an edge is made half as deep for want of room."""
-
-PROTRUSION = 1e-6
-"""m by which boxes may stand out of the outline, next to a sharp corner."""
-
-STRIPS = 24
-"""Rows of boxes that fill the inside."""
-
-CLEARANCE = 5e-4
-"""m from the outline to the boxes that fill the inside; deeper than a finger ever presses in."""
-
-
-@dataclass(frozen=True, eq=False)
-class PlanarBox:
-    """A rectangle in the body frame.
-
-    Attributes:
-        center: (2,) m.
-        angle: of its length from the x axis, rad.
-        size: (length, width), m.
-    """
-
-    center: Array
-    angle: float
-    size: tuple[float, float]
-
-
-def make_edge_boxes(obj: GridObject) -> list[PlanarBox]:
-    """Makes a box behind every edge of the outline, exterior first, its outer face being the edge."""
-    room = obj.outline.buffer(PROTRUSION)
-    prepare(room)
-    boxes = []
-    for start, end in zip(obj.edges.start, obj.edges.end, strict=True):
-        length = float(np.linalg.norm(end - start))
-        along = (end - start) / length
-        inward = np.array([-along[1], along[0]])
-        depth = MAX_DEPTH
-        for _ in range(HALVINGS):
-            if room.covers(Polygon([start, end, end + depth * inward, start + depth * inward])):
-                break
-            depth /= 2
-        center = (start + end) / 2 + depth / 2 * inward
-        boxes.append(PlanarBox(center, float(np.arctan2(along[1], along[0])), (length, depth)))
-    return boxes
-
-
-def make_inner_boxes(obj: GridObject) -> list[PlanarBox]:
-    """Fills the outline, clear of it, with boxes that lie in STRIPS rows along the x axis."""
-    room = obj.outline.buffer(-CLEARANCE)
-    if room.is_empty:
-        return []
-    left, bottom, right, top = room.bounds
-    boxes = []
-    for low, high in pairwise(np.linspace(bottom, top, STRIPS + 1)):
-        outside = box(left, low, right, high).difference(room)
-        # the row is free where nothing outside is seen along y
-        seen = sorted((part.bounds[0], part.bounds[2]) for part in getattr(outside, "geoms", [outside]) if part.area)
-        reached = left
-        for start, end in [*seen, (right, right)]:
-            if start - reached > CLEARANCE:
-                boxes.append(PlanarBox(np.array([reached + start, low + high]) / 2, 0.0, (start - reached, high - low)))
-            reached = max(reached, end)
-    return boxes
-
-
-def make_outline_mesh(outline: Polygon, height: float) -> str:
-    """Makes a prism of the outline as a mesh.
-
-    Args:
-        outline: body frame, m.
-        height: from its bottom at z = 0 to its top, m.
-
-    Returns:
-        Wavefront OBJ text, faces outwards.
-    """
-    vertices: list[str] = []
-    faces: list[str] = []
-
-    def add(points: list[tuple[float, float, float]]) -> None:
-        first = len(vertices) + 1
-        vertices.extend(f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in points)
-        faces.append("f " + " ".join(str(first + i) for i in range(len(points))))
-
-    for triangle in constrained_delaunay_triangles(outline).geoms:
-        corners = list(orient(triangle).exterior.coords)[:3]
-        add([(x, y, height) for x, y in corners])
-        add([(x, y, 0.0) for x, y in reversed(corners)])
-    whole = orient(outline)
-    for ring in (whole.exterior, *whole.interiors):
-        points = [tuple(point[:2]) for point in ring.coords]
-        for (ax, ay), (bx, by) in pairwise(points):
-            quad = [(ax, ay, 0.0), (bx, by, 0.0), (bx, by, height), (ax, ay, height)]
-            add(quad[:3])
-            add([quad[0], *quad[2:]])
-    return "\n".join(["# prism of an outline, m", *vertices, *faces, ""])
-
 
 Base = Literal["planar", "free"]
 
@@ -242,7 +66,7 @@ DEFAULT_HEIGHT = 0.03
 """m."""
 
 DEFAULT_DELTA = {"planar": 1e-3, "free": 1e-6}
-"""m the feet are pressed in; a free body on softer feet tips falsely."""
+"""m the spheres are pressed in; a free body on softer spheres tips falsely."""
 
 SIDE_STIFFNESS = 3e5
 """N/m, of the outline: a push of 3 N presses the finger in by 0.01 mm. Friction of Drake's lagged contact follows the
@@ -266,12 +90,12 @@ class GridObjectInPlant:
         plant: the plant.
         body_index: of the rigid body, with frame B.
         joint_index: of the planar joint; None for a free base.
-        feet: geometries, in the order of `layout`.
+        contact_spheres: geometries, in the order of `layout`.
         sides: geometries along and within the outline.
         visuals: illustration geometries.
-        layout: where the feet are.
+        layout: where the spheres are.
         height: m.
-        delta: m the feet are pressed in at rest.
+        delta: m the spheres are pressed in at rest.
         side_stiffness: N/m.
     """
 
@@ -281,10 +105,10 @@ class GridObjectInPlant:
     plant: MultibodyPlant
     body_index: BodyIndex
     joint_index: JointIndex | None
-    feet: tuple[GeometryId, ...]
+    contact_spheres: tuple[GeometryId, ...]
     sides: tuple[GeometryId, ...]
     visuals: tuple[GeometryId, ...]
-    layout: FeetLayout
+    layout: ContactSphereLayout
     height: float
     delta: float
     side_stiffness: float
@@ -311,29 +135,29 @@ def AddGridObject(
     height: float = DEFAULT_HEIGHT,
     name: str | None = None,
     delta: float | None = None,
-    feet_per_cell: FeetPerCell = 1,
+    spheres_per_cell: SpheresPerCell = 1,
     side_stiffness: float = SIDE_STIFFNESS,
     visual: bool = True,
     color: Sequence[float] = DEFAULT_COLOR,
 ) -> GridObjectInPlant:
     """Adds a grid object to a plant, before Finalize.
 
-    The table and the pusher's tip are to be stiff partners (`scene.contact_material.SetPartner`). Feet and sides are
+    The table and the pusher's tip are to be stiff partners (`contact_material.SetPartner`). Spheres and sides are
     filtered against whatever else is in the plant by now; where more is added afterwards, call
     `ApplyGridObjectFilters` again.
 
     Args:
-        plant: discrete; its gravity field is the one that the feet are made for.
+        plant: discrete; its gravity field is the one that the spheres are made for.
         scene_graph: of the plant.
         obj: the object.
         params: the true masses and frictions.
         base: how it is held, see above.
-        table: collision geometries that the feet stand on; top at z = 0.
+        table: collision geometries that the spheres stand on; top at z = 0.
         height: of the object, m.
         name: of model instance and body, no other model's; the object's by default.
-        delta: m the feet are pressed in; by default 1e-3 for "planar", 1e-6 for "free".
-        feet_per_cell: 1, or 4: at the cells' corners, so that the object is supported out to its edge. Over a table's
-            edge it tips up to one cell early, either way.
+        delta: m the spheres are pressed in; by default 1e-3 for "planar", 1e-6 for "free".
+        spheres_per_cell: 1, or 4: at the cells' corners, so that the object is supported out to its edge. Over a
+            table's edge it tips up to one cell early, either way.
         side_stiffness: of the outline's contacts, N/m.
         visual: whether it has illustration geometry.
         color: red, green, blue and opacity of that.
@@ -353,17 +177,17 @@ def AddGridObject(
             raise ObjectError(f"{what} is {value!r}; expected a positive number")
     table = list(table)
     if not table:
-        raise ObjectError("table is empty; expected the collision geometries that the feet stand on")
+        raise ObjectError("table is empty; expected the collision geometries that the spheres stand on")
     name = obj.name if name is None else name
     if plant.HasModelInstanceNamed(name):
         raise ObjectError(f"name is {name!r}, as another model's in the plant; expected one of its own")
-    layout = FeetLayout.for_object(obj, feet_per_cell)
+    layout = ContactSphereLayout.for_object(obj, spheres_per_cell)
     model_instance = plant.AddModelInstance(name)
     body = plant.AddRigidBody(name, model_instance, MakeSpatialInertia(obj, params, height))
     joint = _hold(plant, body, base, delta)
     handle = GridObjectInPlant(
         obj, base, model_instance, plant, body.index(), joint and joint.index(),
-        _add_feet(plant, body, layout, params, delta),
+        _add_spheres(plant, body, layout, params, delta),
         _add_sides(plant, body, obj, params, height, side_stiffness),
         _add_visual(plant, scene_graph, body, obj, height, color) if visual else (),
         layout, height, delta, side_stiffness,
@@ -421,20 +245,20 @@ def calc_gravity(plant: MultibodyPlant) -> float:
 def ApplyGridObjectFilters(
     plant: MultibodyPlant, scene_graph: SceneGraph, handle: GridObjectInPlant, table: Iterable[GeometryId]
 ) -> None:
-    """Lets the feet touch the table alone, and the sides everything but the table, of what is in the plant by now.
+    """Lets the spheres touch the table alone, and the sides everything but the table, of what is in the plant by now.
 
     Args:
         plant: the plant.
         scene_graph: of the plant.
         handle: the object.
-        table: collision geometries that the feet stand on.
+        table: collision geometries that the spheres stand on.
     """
     table = list(table)
     inspector = scene_graph.model_inspector()
     others = set(inspector.GetGeometryIds(GeometrySet(inspector.GetAllGeometryIds()), Role.kProximity)) - set(table)
-    feet, sides = GeometrySet(list(handle.feet)), GeometrySet(list(handle.sides))
+    spheres, sides = GeometrySet(list(handle.contact_spheres)), GeometrySet(list(handle.sides))
     declaration = CollisionFilterDeclaration(CollisionFilterScope.kAll)
-    declaration.ExcludeBetween(feet, GeometrySet(list(others)))
+    declaration.ExcludeBetween(spheres, GeometrySet(list(others)))
     declaration.ExcludeBetween(sides, GeometrySet(table))
     scene_graph.collision_filter_manager().Apply(declaration)
 
@@ -448,14 +272,16 @@ def _hold(plant: MultibodyPlant, body: RigidBody, base: Base, delta: float) -> P
     return plant.AddJoint(PlanarJoint(f"{body.name()}_planar", frame, body.body_frame(), np.zeros(3)))
 
 
-def _add_feet(
-    plant: MultibodyPlant, body: RigidBody, layout: FeetLayout, params: CellParameters, delta: float
+def _add_spheres(
+    plant: MultibodyPlant, body: RigidBody, layout: ContactSphereLayout, params: CellParameters, delta: float
 ) -> tuple[GeometryId, ...]:
     properties = layout.make_properties(params, delta, calc_gravity(plant))
-    shape = Sphere(FOOT_RADIUS)
+    shape = Sphere(SPHERE_RADIUS)
     return tuple(
-        plant.RegisterCollisionGeometry(body, RigidTransform([x, y, FOOT_RADIUS]), shape, f"foot_{i}", properties[i])
-        for i, (x, y) in enumerate(layout.p_BF)
+        plant.RegisterCollisionGeometry(
+            body, RigidTransform([x, y, SPHERE_RADIUS]), shape, f"sphere_{i}", properties[i]
+        )
+        for i, (x, y) in enumerate(layout.p_BS)
     )
 
 

@@ -21,7 +21,7 @@ from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
 Range = tuple[float, float]
 
 CELL_MASS_RANGE = (0.1, 1.0)
-"""Least and greatest mass of a cell before all are scaled to the object's total mass; one draw a part."""
+"""Smallest and greatest mass of a cell before all are scaled to the object's total mass; one draw a part."""
 
 FRICTION_RANGE = (0.2, 0.6)
 CONTACT_FRICTION_RANGE = (0.35, 0.65)
@@ -142,7 +142,7 @@ def SetGridObjectParameters(
     handle: GridObjectInPlant,
     params: CellParameters,
 ) -> None:
-    """Changes the truth: inertia, what each foot bears and how it rubs, the friction of the sides.
+    """Changes the truth: inertia, what each sphere bears and how it rubs, the friction of the sides.
 
     Args:
         plant: the plant.
@@ -156,12 +156,12 @@ def SetGridObjectParameters(
         ParameterError: the parameters are of another number of cells, or a friction is 2 or more.
     """
     inertia = MakeSpatialInertia(handle.obj, params, handle.height)
-    feet = handle.layout.make_properties(params, handle.delta, calc_gravity(plant))
+    spheres = handle.layout.make_properties(params, handle.delta, calc_gravity(plant))
     side = MakeSideProperties(params, handle.side_stiffness)
     handle.body.SetSpatialInertiaInBodyFrame(plant.GetMyMutableContextFromRoot(context), inertia)
     scene_context = scene_graph.GetMyMutableContextFromRoot(context)
     source = plant.get_source_id()
-    for geometry, properties in zip(handle.feet, feet, strict=True):
+    for geometry, properties in zip(handle.contact_spheres, spheres, strict=True):
         scene_graph.AssignRole(scene_context, source, geometry, properties, RoleAssign.kReplace)
     for geometry in handle.sides:
         scene_graph.AssignRole(scene_context, source, geometry, side, RoleAssign.kReplace)

@@ -11,9 +11,10 @@ from pydrake.geometry import Meshcat, MeshcatAnimation, MeshcatParams
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.files import check_writable, read_head, write_whole
+from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.multibody.recording_overlay import Overlay, add_overlay
 
-MIN_PORT, GREATEST_PORT = 1024, 65535
+MIN_PORT, MAX_PORT = 1024, 65535
 """Ports below belong to the system."""
 
 LAYERS_TO_LEAVE_OUT = ("/drake/proximity", "/drake/contact_forces", "/drake/inertia")
@@ -49,8 +50,8 @@ def StartMeshcatServer(port: int | None = None, host: str = "localhost", *, show
     Raises:
         StationError: the port is out of range or in use, or the host is not this machine's.
     """
-    if port is not None and port != 0 and not MIN_PORT <= port <= GREATEST_PORT:
-        raise StationError(f"port is {port}; expected one from {MIN_PORT} to {GREATEST_PORT}, or 0 for any free one")
+    if port is not None and port != 0 and not MIN_PORT <= port <= MAX_PORT:
+        raise StationError(f"port is {port}; expected one from {MIN_PORT} to {MAX_PORT}, or 0 for any free one")
     params = MeshcatParams(host=host, port=port, show_stats_plot=show_stats)
     log = logging.getLogger("drake")
     level = log.level
@@ -91,7 +92,7 @@ def AimCamera(
         azimuth: of the camera as seen from there, rad from the x axis.
         elevation: of the camera as seen from there, rad from the table.
     """
-    direction = [cos(elevation) * cos(azimuth), cos(elevation) * sin(azimuth), sin(elevation)]
+    direction = [*cos(elevation) * make_direction(azimuth), sin(elevation)]
     p_WT: Any = np.asarray(target, dtype=np.float64)
     p_WC: Any = p_WT + distance * np.array(direction)
     meshcat.SetCameraPose(p_WC, p_WT)

@@ -59,6 +59,12 @@ def make_outline_prism(obj: GridObject, height: float) -> Trimesh:
     return _drop_floor(trimesh.creation.extrude_triangulation(*_triangulate(obj.outline), height))
 
 
+def make_outline_mesh(outline: Polygon, height: float) -> str:
+    """Makes a closed prism of an outline, m, from z = 0 to `height`, m, as Wavefront OBJ text, faces outwards."""
+    mesh = trimesh.creation.extrude_triangulation(*_triangulate(outline), height)
+    return str(mesh.export(file_type="obj", include_normals=False, header="prism of an outline, m"))
+
+
 def make_outline_edge(obj: GridObject, height: float, width: float) -> Trimesh:
     """Makes a flat band about an object's outline, half inside and half outside; body frame, at z = `height`, m.
 

@@ -1,11 +1,11 @@
 """A grid object as an SDFormat model, in one file, for Drake's parser.
 
-It has what `AddGridObject` gives a plant: the cells' inertia, a foot a cell, boxes along and within the outline; the
-cells are what is seen. SDFormat filters collisions by link and model only, so nothing is filtered: instead the sides
-end `SIDE_LIFT` above the table and the feet are lower than a finger reaches.
+It has what `AddGridObject` gives a plant: the cells' inertia, a contact sphere a cell, boxes along and within the
+outline; the cells are what is seen. SDFormat filters collisions by link and model only, so nothing is filtered: instead
+the sides end `SIDE_LIFT` above the table and the spheres are lower than a finger reaches.
 
 The file supposes that table and pusher are stiff partners: of friction 1, and of point contact stiffness 1e12 N/m
-(`scene.contact_material`). Then cell i has friction mu_i, and bears m_i g where the base is "planar".
+(`contact_material`). Then cell i has friction mu_i, and bears m_i g where the base is "planar".
 """
 
 from pathlib import Path
@@ -17,19 +17,21 @@ from pydrake.geometry import ProximityProperties
 
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.files import write_whole
+from gridpush_drake.multibody.contact_geometry import (
+    SPHERE_RADIUS,
+    ContactSphereLayout,
+    SpheresPerCell,
+    make_edge_boxes,
+    make_inner_boxes,
+)
 from gridpush_drake.multibody.grid_object import (
     DEFAULT_COLOR,
     DEFAULT_DELTA,
     DEFAULT_HEIGHT,
-    FOOT_RADIUS,
     SIDE_STIFFNESS,
     Base,
-    FeetLayout,
-    FeetPerCell,
     MakeSideProperties,
     MakeSpatialInertia,
-    make_edge_boxes,
-    make_inner_boxes,
     refuse_unphysical,
 )
 from gridpush_drake.objects.grid_object import GridObject
@@ -42,13 +44,13 @@ VERSION = "1.9"
 """Of SDFormat."""
 
 GRAVITY = 9.81
-"""m/s², that the feet are made for; Drake's own."""
+"""m/s², that the spheres are made for; Drake's own."""
 
 SIDE_LIFT = 0.003
-"""m from the object's bottom to that of its sides; more than the feet are pressed in."""
+"""m from the object's bottom to that of its sides; more than the spheres are pressed in."""
 
 NOTICE = (
-    " A grid object: a foot under every cell, boxes along the outline for a finger to push. Table and finger are to "
+    " A grid object: a sphere under every cell, boxes along the outline for a finger to push. Table and finger are to "
     "have friction 1 and drake:point_contact_stiffness 1e12. The object's bottom is z = 0 of its frame. Units: m, kg. "
 )
 
@@ -62,7 +64,7 @@ def make_sdf(
     *,
     height: float = DEFAULT_HEIGHT,
     delta: float | None = None,
-    feet_per_cell: FeetPerCell = 1,
+    spheres_per_cell: SpheresPerCell = 1,
     side_stiffness: float = SIDE_STIFFNESS,
     gravity: float = GRAVITY,
 ) -> str:
@@ -73,10 +75,10 @@ def make_sdf(
         params: what its cells weigh and how they rub.
         base: "free", or "planar": held by a planar joint to a frame `delta` below the world's z = 0.
         height: of the object, m; more than SIDE_LIFT.
-        delta: m the feet are pressed in; by default as `AddGridObject`.
-        feet_per_cell: 1 or 4.
+        delta: m the spheres are pressed in; by default as `AddGridObject`.
+        spheres_per_cell: 1 or 4.
         side_stiffness: of the outline's contacts, N/m.
-        gravity: m/s², that the feet are made for.
+        gravity: m/s², that the spheres are made for.
 
     Returns:
         SDFormat; the model and its link have the object's name.
@@ -101,7 +103,7 @@ def make_sdf(
     model = ElementTree.SubElement(sdf, "model", name=obj.name)
     link = ElementTree.SubElement(model, "link", name=obj.name)
     _add_inertia(link, obj, params, height)
-    _add_feet(link, obj, params, FeetLayout.for_object(obj, feet_per_cell), delta, gravity)
+    _add_spheres(link, obj, params, ContactSphereLayout.for_object(obj, spheres_per_cell), delta, gravity)
     _add_sides(link, obj, params, height, side_stiffness)
     _add_cells(link, obj, height)
     if base == "planar":
@@ -118,7 +120,7 @@ def WriteSdf(
     *,
     base: Base = "free",
     height: float = DEFAULT_HEIGHT,
-    feet_per_cell: FeetPerCell = 1,
+    spheres_per_cell: SpheresPerCell = 1,
 ) -> None:
     """Writes the model to a file.
 
@@ -129,13 +131,13 @@ def WriteSdf(
         force: whether an existing file may be replaced.
         base: as `make_sdf`.
         height: as `make_sdf`, m.
-        feet_per_cell: as `make_sdf`.
+        spheres_per_cell: as `make_sdf`.
 
     Raises:
         OutputError: the file cannot be written.
         ObjectError, ParameterError: as `make_sdf`.
     """
-    write_whole(path, make_sdf(obj, params, base, height=height, feet_per_cell=feet_per_cell), force)
+    write_whole(path, make_sdf(obj, params, base, height=height, spheres_per_cell=spheres_per_cell), force)
 
 
 def _add_inertia(link: Element, obj: GridObject, params: CellParameters, height: float) -> None:
@@ -150,13 +152,13 @@ def _add_inertia(link: Element, obj: GridObject, params: CellParameters, height:
         _add(inertia, f"i{'xyz'[i]}{'xyz'[j]}", [I_BBcm_B[i, j]])
 
 
-def _add_feet(
-    link: Element, obj: GridObject, params: CellParameters, layout: FeetLayout, delta: float, gravity: float
+def _add_spheres(
+    link: Element, obj: GridObject, params: CellParameters, layout: ContactSphereLayout, delta: float, gravity: float
 ) -> None:
     properties = layout.make_properties(params, delta, gravity)
-    for i, (x, y) in enumerate(layout.p_BF):
-        geometry = _add_collision(link, f"foot_{i}", [x, y, FOOT_RADIUS, 0, 0, 0], properties[i])
-        _add(ElementTree.SubElement(geometry, "sphere"), "radius", [FOOT_RADIUS])
+    for i, (x, y) in enumerate(layout.p_BS):
+        geometry = _add_collision(link, f"sphere_{i}", [x, y, SPHERE_RADIUS, 0, 0, 0], properties[i])
+        _add(ElementTree.SubElement(geometry, "sphere"), "radius", [SPHERE_RADIUS])
 
 
 def _add_sides(link: Element, obj: GridObject, params: CellParameters, height: float, stiffness: float) -> None:
@@ -180,8 +182,8 @@ def _add_cells(link: Element, obj: GridObject, height: float) -> None:
 def _add_joint(model: Element, link: str, delta: float) -> None:
     """Holds the object to a link, fixed to the world `delta` below its plane z = 0: joints of Drake's know no world."""
     support = f"{link}_support"
-    held = ElementTree.SubElement(model, "link", name=support)
-    _add(held, "pose", [0, 0, -delta, 0, 0, 0])
+    parent = ElementTree.SubElement(model, "link", name=support)
+    _add(parent, "pose", [0, 0, -delta, 0, 0, 0])
     fixed = ElementTree.SubElement(model, "joint", name=f"{support}_fixed", type="fixed")
     ElementTree.SubElement(fixed, "parent").text = "world"
     ElementTree.SubElement(fixed, "child").text = support

@@ -1,8 +1,8 @@
-"""Drake's meshes of the iiwa and the WSG-50 as a skin, where they are on this computer already.
+"""Drake's meshes of the iiwa and the WSG-50 instead of primitives, where they are on this computer already.
 
 This package's models are made of primitives and need nothing else. `package://drake_models` is what Drake downloads on
 demand; where someone has, its meshes are shown instead of the primitives. They are illustration only: contact, inertia
-and what the robot does stay the same. Nothing is ever downloaded for a skin.
+and what the robot does stay the same. Nothing is ever downloaded for them.
 """
 
 import os
@@ -38,8 +38,8 @@ MESHES: Mapping[str, Sequence[str]] = MappingProxyType(
 )
 """Of each body, its meshes within drake_models. Their frames are the bodies' own."""
 
-SKINNED_MODELS = ("iiwa", "gripper")
-"""Names of the model instances that take a skin."""
+MODELS = ("iiwa", "gripper")
+"""Names of the model instances that take meshes."""
 
 
 def find_drake_models() -> Path | None:
@@ -58,11 +58,11 @@ def find_drake_models() -> Path | None:
             os.environ[NETWORK_VARIABLE] = before
 
 
-def AddSkin(
+def AddVisualMeshes(
     plant: MultibodyPlant,
     scene_graph: SceneGraph,
     folder: Path | None,
-    models: Sequence[str] = SKINNED_MODELS,
+    models: Sequence[str] = MODELS,
 ) -> list[str]:
     """Shows meshes instead of primitives, body by body; a body of which a mesh is missing keeps its primitives.
 
@@ -70,14 +70,14 @@ def AddSkin(
         plant: with the models, not finalised.
         scene_graph: that the plant is registered with.
         folder: of drake_models, see `find_drake_models`; None adds nothing.
-        models: names of the model instances to be dressed; those that the plant has not are passed over.
+        models: names of the model instances to be changed; those that the plant has not are passed over.
 
     Returns:
         The names of the bodies that wear meshes now.
     """
-    dressed: list[str] = []
+    changed: list[str] = []
     if folder is None:
-        return dressed
+        return changed
     for model in models:
         if not plant.HasModelInstanceNamed(model):
             continue
@@ -85,16 +85,16 @@ def AddSkin(
             name = plant.get_body(index).name()
             files = [folder / mesh for mesh in MESHES.get(name, ())]
             if files and all(file.is_file() for file in files):
-                _dress(plant, scene_graph, index, files)
-                dressed.append(name)
-    return dressed
+                _replace_visuals(plant, scene_graph, index, files)
+                changed.append(name)
+    return changed
 
 
-def _dress(plant: MultibodyPlant, scene_graph: SceneGraph, body: BodyIndex, files: Sequence[Path]) -> None:
+def _replace_visuals(plant: MultibodyPlant, scene_graph: SceneGraph, body: BodyIndex, files: Sequence[Path]) -> None:
     source, frame = plant.get_source_id(), plant.GetBodyFrameIdOrThrow(body)
     scene_graph.RemoveRole(source, frame, Role.kIllustration)
     for file in files:
         # no color of its own, so that the mesh keeps the file's
-        geometry = GeometryInstance(RigidTransform(), Mesh(file), f"skin_{file.stem}")
+        geometry = GeometryInstance(RigidTransform(), Mesh(file), f"mesh_{file.stem}")
         geometry.set_illustration_properties(IllustrationProperties())
         plant.RegisterVisualGeometry(plant.get_body(body), geometry)

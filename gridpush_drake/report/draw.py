@@ -1,27 +1,34 @@
-"""Drawings of a grid object: its cells colored by value or part, and its outline.
+"""What all figures are drawn with: an object's cells and outline, pushes, tables, panels, legends, scale bars, files.
 
-Only matplotlib's objects are used (`make_figure` gives a Figure on an Agg canvas), never pyplot, so that nothing
+Only matplotlib's objects are used (`make_grid` gives a Figure on an Agg canvas), never pyplot, so that nothing
 global changes and drawing works in any thread and without a display.
 """
 
+from collections.abc import Sequence
 from io import BytesIO
+from math import floor, log10
 
 import numpy as np
-from matplotlib import colormaps
+from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch, PathPatch
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, PathPatch, Polygon
 from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.polygon import orient
 
 from gridpush_drake.errors import ObjectError
+from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.objects.grid_object import GridObject
+
+MM = 1e3
+"""Millimeters in a meter."""
 
 INK = "#2b2f36"
 """Outlines and text."""
@@ -50,21 +57,50 @@ BAR_SHARE, BAR_GAP = 0.04, 0.03
 MAX_TICKS = 5
 """On one axis or color bar."""
 
+LEARNED = "#2468a8"
+"""What the learned model says."""
 
-def make_figure(width: float = 6.0, height: float = 4.5, dpi: float = 150.0) -> tuple[Figure, Axes]:
-    """Makes a figure with one axes.
+BEFORE = "#c9822b"
+"""What was held before learning."""
 
-    Args:
-        width: inches.
-        height: inches.
-        dpi: pixels per inch.
+FAINT = "#a9b0b8"
+"""Where things began, and whatever stays in the background."""
 
-    Returns:
-        The figure, on an Agg canvas, and its axes.
-    """
-    figure = Figure(figsize=(width, height), dpi=dpi, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure, figure.add_subplot()
+PAGE_WIDTH = 8.0
+"""Of a figure as wide as the page, inches."""
+
+HALF_WIDTH = 4.6
+"""Of a figure half as wide, inches."""
+
+BAR_ROOM = 0.55
+"""Beside a panel, for its color bar, inches."""
+
+TITLE_ROOM = 0.5
+"""Above a panel, inches."""
+
+CENTIMETER = 0.01
+"""Lengths from here on are given in cm, shorter ones in mm; m."""
+
+ROUND = (5, 2, 1)
+"""What a round length begins with."""
+
+SCALE_DROP = 0.05
+"""How far below the object the scale bar is, in the object's larger side."""
+
+FRAME_SHARE = 0.03
+"""Room about the object, in its larger side."""
+
+SCALE_SHARE = 0.4
+"""A scale bar is at most this share of the object's width."""
+
+TABLE = "#f3efe6"
+"""The table's top."""
+
+LEGEND_PAD = 4.5
+"""Between the axes and a legend below them, in its font's size: room for ticks and a label."""
+
+ARROW_LINE = 1.6
+"""Line width, points."""
 
 
 def to_png(figure: Figure) -> bytes:
@@ -93,7 +129,7 @@ def draw_cells(
         values: (n,) one number per cell; None draws them all pale.
         cmap: name of a color map.
         label: adds a color bar with this title ("friction", "mass, g"); None adds none.
-        limits: least and greatest value of the color map; the values' own where None.
+        limits: (low, high) ends of the color map; the values' own where None.
         pose: (x, y, theta) X_WB, m and rad.
         alpha: opacity, 0 to 1.
 
@@ -171,7 +207,7 @@ def draw_outline(
         The outline.
     """
     outline = orient(obj.outline)
-    rings = [_place(np.array(ring.coords), pose) for ring in (outline.exterior, *outline.interiors)]
+    rings = [transform(pose, np.array(ring.coords)[:, :2]) for ring in (outline.exterior, *outline.interiors)]
     path = Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))
     patch = PathPatch(
         path, facecolor="none", edgecolor=color, linewidth=OUTLINE_LINE, linestyle=linestyle, alpha=alpha,
@@ -195,13 +231,7 @@ def _squares(obj: GridObject, pose: ArrayLike) -> list[NDArray[np.float64]]:
     """The (4, 2) corners of each cell in the world frame, m."""
     half = obj.cell_size / 2
     corners = half * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    return list(_place((obj.p_BC[:, None] + corners).reshape(-1, 2), pose).reshape(-1, 4, 2))
-
-
-def _place(p_BP: NDArray[np.float64], pose: ArrayLike) -> NDArray[np.float64]:
-    x, y, theta = np.asarray(pose, dtype=np.float64)
-    c, s = np.cos(theta), np.sin(theta)
-    return p_BP @ np.array([[c, s], [-s, c]]) + np.array([x, y])
+    return list(transform(pose, (obj.p_BC[:, None] + corners).reshape(-1, 2)).reshape(-1, 4, 2))
 
 
 def _frame(ax: Axes) -> None:
@@ -214,3 +244,123 @@ def _frame(ax: Axes) -> None:
         axis.set_major_locator(MaxNLocator(MAX_TICKS))
         axis.label.set(text=name, fontsize=FONT, color=INK)
     ax.tick_params(labelsize=FONT - 1, colors=INK)
+
+
+def draw_table(ax: Axes, corners: ArrayLike) -> None:
+    """Draws a table's top by its corners (k, 2), m."""
+    ax.add_patch(Polygon(np.asarray(corners), facecolor=TABLE, edgecolor=FAINT, linewidth=1.0, zorder=0))
+
+
+def draw_arrow(ax: Axes, start: ArrayLike, end: ArrayLike, color: str) -> None:
+    """Draws an arrow from `start` (2,) to `end` (2,), m."""
+    ax.annotate(
+        "", tuple(np.asarray(end)), tuple(np.asarray(start)),
+        arrowprops={"arrowstyle": "-|>", "color": color, "linewidth": ARROW_LINE, "shrinkA": 0, "shrinkB": 0},
+        zorder=5,
+    )  # fmt: skip
+
+
+def frame_points(ax: Axes, points: Sequence[ArrayLike], room: float) -> None:
+    """Sets the axes' limits to all points (k, 2), m, with `room` about them, m."""
+    together = np.concatenate([np.asarray(part) for part in points])
+    low, high = together.min(axis=0) - room, together.max(axis=0) + room
+    ax.set_aspect("equal", adjustable="box")
+    ax.set_xlim(low[0], high[0])
+    ax.set_ylim(low[1], high[1])
+
+
+def add_legend_below(ax: Axes, handles: Sequence[Line2D], columns: int) -> None:
+    """Adds a legend below the axes and their labels."""
+    ax.legend(
+        handles=list(handles), fontsize=FONT - 1, frameon=False, loc="upper center",
+        bbox_to_anchor=(0.5, 0.0), borderaxespad=LEGEND_PAD, ncols=columns,
+    )  # fmt: skip
+
+
+def make_panels(
+    obj: GridObject, rows: int, columns: int, *, width: float = PAGE_WIDTH, max_height: float = 3.2
+) -> tuple[Figure, np.ndarray]:
+    """Makes a grid of panels, each of the object's proportions.
+
+    Args:
+        obj: the object.
+        rows: of panels.
+        columns: of panels.
+        width: of the whole, inches.
+        max_height: of a panel, inches.
+
+    Returns:
+        The figure, on an Agg canvas, and its axes (rows, columns).
+    """
+    x0, y0, x1, y1 = obj.outline.bounds
+    panel = max(width / columns - BAR_ROOM, 1.0)
+    height = min(max(panel * (y1 - y0) / (x1 - x0), 0.8), max_height) + TITLE_ROOM
+    return make_grid(rows, columns, width, height)
+
+
+def make_grid(rows: int, columns: int, width: float, height: float) -> tuple[Figure, np.ndarray]:
+    """Makes a figure of `rows` by `columns` axes, `width` inches in all and `height` inches a row."""
+    figure = Figure(figsize=(width, height * rows), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def hide_axes(ax: Axes, title: str = "") -> None:
+    """Leaves of the axes only the drawing and a title."""
+    ax.set_axis_off()
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.set_title(title, fontsize=FONT, color=INK)
+
+
+def frame_object(ax: Axes, obj: GridObject) -> None:
+    """Sets the axes' limits to the object in its body frame, with room for its cells and a scale bar."""
+    x0, y0, x1, y1 = obj.outline.bounds
+    room = obj.cell_size / 2 + FRAME_SHARE * max(x1 - x0, y1 - y0)
+    ax.set_aspect("equal", adjustable="box")
+    ax.set_xlim(x0 - room, x1 + room)
+    ax.set_ylim(y0 - room - SCALE_DROP * max(x1 - x0, y1 - y0), y1 + room)
+
+
+def add_scale_bar(ax: Axes, obj: GridObject) -> None:
+    """Adds a bar of a round length below the object, body frame."""
+    x0, y0, x1, y1 = obj.outline.bounds
+    length = calc_round_length(SCALE_SHARE * max(x1 - x0, y1 - y0))
+    below = y0 - obj.cell_size / 2 - SCALE_DROP * max(x1 - x0, y1 - y0)
+    ax.plot([x0, x0 + length], [below, below], color=INK, linewidth=2, solid_capstyle="butt")
+    ax.annotate(
+        f" {_describe_length(length)}",
+        (x0 + length, below),
+        va="center",
+        fontsize=FONT - 1,
+        color=INK,
+        annotation_clip=False,
+    )
+
+
+def calc_round_length(longest: float) -> float:
+    """The greatest 1, 2 or 5 times a power of ten that is at most `longest`."""
+    power = 10.0 ** floor(log10(longest))
+    return next(first * power for first in ROUND if first * power <= longest * (1 + 1e-9))
+
+
+def _describe_length(length: float) -> str:
+    return f"{length * 100:g} cm" if length >= CENTIMETER else f"{length * 1000:g} mm"
+
+
+def tidy(ax: Axes, x: str, y: str) -> None:
+    """Names the axes of a chart and takes away what is not needed."""
+    ax.set_xlabel(x, fontsize=FONT, color=INK)
+    ax.set_ylabel(y, fontsize=FONT, color=INK)
+    ax.tick_params(labelsize=FONT - 1, colors=INK)
+    for spine in ("top", "right"):
+        ax.spines[spine].set_visible(False)
+    ax.grid(True, axis="both", color="#e8ebee", linewidth=0.6)
+    ax.set_axisbelow(True)
+
+
+def to_svg(figure: Figure) -> bytes:
+    """Renders a figure as an SVG file, the same bytes every time."""
+    buffer = BytesIO()
+    with rc_context({"svg.hashsalt": "gridpush"}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    return buffer.getvalue()

@@ -1,41 +1,70 @@
-"""Figures of the object, the pushes and the search.
-
-Pictures as PNG files: of an object, of a model, of a motion.
-"""
+"""Figures of an object and its model: its parts, the pushes, the search, what was learned, and what it predicts."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.geometry.se2 import transform_back
 from gridpush_drake.identification.result import HistoryEntry, Identification
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.report.draw import FONT, draw_cells, draw_outline, draw_parts, to_png
-from gridpush_drake.report.maps import (
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from gridpush_drake.report.draw import (
     BEFORE,
+    CELL_MAP,
     FAINT,
+    FONT,
     HALF_WIDTH,
+    INK,
     LEARNED,
+    MM,
+    PAGE_WIDTH,
+    add_color_bar,
     add_scale_bar,
-    draw_learned_maps,
+    draw_cells,
+    draw_outline,
+    draw_parts,
     frame_object,
     hide_axes,
     make_grid,
     make_panels,
     tidy,
+    to_png,
 )
 
-MM = 1e3
+Array = NDArray[np.float64]
 
 LEGEND_COLUMNS = 3
 
 GHOSTS = 5
 """Faint outlines along a drawn motion, its two ends apart."""
+
+SPREAD_MAP = "BuPu"
+"""Color map of standard deviations."""
+
+SHARE_MAP = "YlGnBu"
+"""Color map of what was learned, 0 to 1."""
+
+GRAM = 1e3
+"""Grams in a kilogram."""
+
+MAX_OVERLAYS = 8
+"""Pushes drawn one by one."""
+
+MAX_DUMBBELLS = 32
+"""Pushes compared line by line; above this, as a scatter of points."""
+
+OVERLAY_COLUMNS = 4
+
+LINE_HEIGHT = 0.22
+"""Of a push in the line by line comparison, inches."""
 
 
 def draw_object_parts(obj: GridObject, width: float = HALF_WIDTH) -> Figure:
@@ -58,7 +87,7 @@ def draw_pushes(result: Identification, log: PushLog, held_out: PushLog | None =
     for pushes, color, label in ((log, LEARNED, "learned from"), (held_out or (), BEFORE, "held out")):
         for i, seen in enumerate(pushes):
             unused = seen.name in result.unused_pushes
-            path = _to_body(seen.pose, seen.push.xy)
+            path = transform_back(seen.pose, seen.push.xy)
             _draw_arrow(ax, path, FAINT if unused else color, None if i else label)
     ax.autoscale_view()
     hide_axes(ax)
@@ -115,7 +144,7 @@ def draw_learning(errors: Sequence[float], noise_floor: float | None = None) -> 
     return figure
 
 
-def draw_path(obj: GridObject, push: Push, poses: NDArray[np.float64], width: float = 6.0) -> Figure:
+def draw_path(obj: GridObject, push: Push, poses: Array, width: float = 6.0) -> Figure:
     """Draws a simulated motion: the object from its beginning to its end, and the pusher's path."""
     figure, axes = make_grid(1, 1, width, 0.75 * width)
     ax = axes[0, 0]
@@ -142,7 +171,7 @@ def _draw_tip(ax: Axes, push: Push) -> None:
         ax.add_patch(Circle(tuple(center), push.radius, facecolor=LEARNED if filled else "none", edgecolor=LEARNED))
 
 
-def _draw_arrow(ax: Axes, path: NDArray[np.float64], color: str, label: str | None) -> None:
+def _draw_arrow(ax: Axes, path: Array, color: str, label: str | None) -> None:
     ax.plot(*path.T, color=color, linewidth=1.4, label=label)
     ahead = path[-1] - path[0]
     length = np.hypot(*ahead)
@@ -154,10 +183,189 @@ def _draw_arrow(ax: Axes, path: NDArray[np.float64], color: str, label: str | No
     ax.plot(*path[0], marker="o", markersize=3, color=color)
 
 
-def _to_body(pose: ArrayLike, p_WP: NDArray[np.float64]) -> NDArray[np.float64]:
-    x, y, theta = np.asarray(pose, dtype=np.float64)
-    c, s = np.cos(theta), np.sin(theta)
-    return (p_WP - (x, y)) @ np.array([[c, -s], [s, c]])
+def draw_learned_maps(result: Identification, truth: CellParameters | None = None) -> Figure:
+    """Draws relative support friction and mass beside their standard deviations, and beside the truth if known.
+
+    Relative friction is in units of the even share, so 1 everywhere where the object's friction is uniform.
+
+    Args:
+        result: the model.
+        truth: what the object's cells really are.
+
+    Returns:
+        The figure: a row for friction and one for mass.
+    """
+    obj, known = result.obj, result.identifiability
+    friction = known.relative_friction * obj.n
+    rows = [
+        (
+            "relative friction", friction, known.relative_friction_std * obj.n,
+            None if truth is None else truth.relative_friction() * obj.n, "× even share",
+        ),
+        (
+            "mass", result.params.mass * GRAM, result.std.mass * GRAM,
+            None if truth is None else truth.mass * (result.params.total_mass / truth.total_mass) * GRAM, "g a cell",
+        ),
+    ]  # fmt: skip
+    figure, axes = make_panels(obj, len(rows), 2 if truth is None else 3)
+    for ax_row, (name, estimate, spread, true, unit) in zip(axes, rows, strict=True):
+        limits = _limits(estimate, true)
+        columns = list(ax_row)
+        if true is not None:
+            _draw_map(columns.pop(0), obj, true, f"{name}: truth", unit, limits)
+        _draw_map(columns[0], obj, estimate, f"{name}: learned", unit, limits)
+        _draw_map(columns[1], obj, spread, "standard deviation", unit, _limits(spread, zero=True), SPREAD_MAP)
+    add_scale_bar(axes[-1, 0], obj)
+    return figure
+
+
+def draw_unknown_maps(result: Identification) -> Figure:
+    """Draws how much of each cell the pushes told, and the smallest and greatest mass it may have."""
+    obj, known = result.obj, result.identifiability
+    figure, axes = make_panels(obj, 1, 3)
+    _draw_map(axes[0, 0], obj, known.learned_share * 100, "learned from the pushes", "%", (0, 100), SHARE_MAP)
+    greatest = np.where(np.isfinite(known.mass_max), known.mass_max, np.nan) * GRAM
+    limits = _limits(known.mass_min * GRAM, greatest)
+    _draw_map(axes[0, 1], obj, known.mass_min * GRAM, "smallest possible mass", "g a cell", limits)
+    _draw_map(axes[0, 2], obj, greatest, "greatest possible mass", "g a cell", limits)
+    low, high = known.center_of_mass_box
+    for ax in axes[0, 1:]:
+        if np.isfinite(known.center_of_mass_box).all():
+            ax.plot(*_rectangle(low, high), color="white", linewidth=3)
+            ax.plot(*_rectangle(low, high), color=LEARNED, linewidth=1.5)
+    add_scale_bar(axes[0, 0], obj)
+    return figure
+
+
+def _draw_map(
+    ax: Axes,
+    obj: GridObject,
+    values: ArrayLike,
+    title: str,
+    unit: str,
+    limits: tuple[float, float],
+    cmap: str = CELL_MAP,
+) -> None:
+    cells = draw_cells(ax, obj, values, limits=limits, cmap=cmap)
+    hide_axes(ax, f"{title}, {unit}")
+    frame_object(ax, obj)
+    add_color_bar(ax, cells, "")
+
+
+def _limits(values: Array, others: Array | None = None, zero: bool = False) -> tuple[float, float]:
+    """The smallest and the greatest of all, a little apart."""
+    together = values if others is None else np.concatenate([values, others])
+    low, high = (0.0 if zero else float(np.nanmin(together))), float(np.nanmax(together))
+    apart = max(high - low, 0.02 * abs(high), np.finfo(float).tiny)
+    return (low, low + apart) if zero else ((low + high - apart) / 2, (low + high + apart) / 2)
+
+
+def _rectangle(low: Array, high: Array) -> tuple[list[float], list[float]]:
+    return [low[0], high[0], high[0], low[0], low[0]], [low[1], low[1], high[1], high[1], low[1]]
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """How one push came out.
+
+    Attributes:
+        seen: the push.
+        before: (3,) final pose predicted with uniform parameters, m and rad.
+        after: (3,) as the learned model predicts it.
+        error_before: mean cell error, m, of the one.
+        error_after: of the other.
+        held_out: whether the model never saw it.
+    """
+
+    seen: ObservedPush
+    before: Array
+    after: Array
+    error_before: float
+    error_after: float
+    held_out: bool
+
+
+def draw_overlays(obj: GridObject, outcomes: Sequence[Outcome]) -> Figure:
+    """Draws up to MAX_OVERLAYS pushes: where the object was, where it went, and where it was predicted to go."""
+    chosen = outcomes[:MAX_OVERLAYS]
+    columns = min(OVERLAY_COLUMNS, max(len(chosen), 1))
+    rows = max(1, -(-len(chosen) // columns))
+    figure, axes = make_grid(rows, columns, PAGE_WIDTH, PAGE_WIDTH / columns + 0.2)
+    for ax in axes.flat[len(chosen) :]:
+        ax.set_axis_off()
+    for ax, outcome in zip(axes.flat, chosen, strict=False):
+        _draw_overlay(ax, obj, outcome)
+    handles = [
+        Line2D([], [], color=color, linestyle="dashed" if color == FAINT else "solid", linewidth=1.6, label=label)
+        for label, color in (
+            ("before the push", FAINT),
+            ("observed", INK),
+            ("uniform friction", BEFORE),
+            ("learned", LEARNED),
+        )
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=FONT)
+    return figure
+
+
+def _draw_overlay(ax: Axes, obj: GridObject, outcome: Outcome) -> None:
+    seen = outcome.seen
+    draw_outline(ax, obj, pose=seen.pose, color=FAINT, linestyle="dashed")
+    draw_outline(ax, obj, pose=seen.final_pose, color=INK)
+    draw_outline(ax, obj, pose=outcome.before, color=BEFORE, alpha=0.9)
+    draw_outline(ax, obj, pose=outcome.after, color=LEARNED, alpha=0.9)
+    ax.plot(*seen.push.xy.T, color=FAINT, linewidth=1)
+    ax.plot(*seen.push.xy[-1], marker="o", markersize=4, color=FAINT)
+    ax.autoscale_view()
+    kind = ", held out" if outcome.held_out else ""
+    hide_axes(ax, f"{seen.name}{kind}\n{outcome.error_before * MM:.1f} → {outcome.error_after * MM:.1f} mm")
+
+
+def draw_errors(outcomes: Sequence[Outcome]) -> Figure:
+    """Draws every push's cell error with uniform friction and as learned."""
+    return _draw_dumbbells(outcomes) if len(outcomes) <= MAX_DUMBBELLS else _draw_scatter(outcomes)
+
+
+def _draw_dumbbells(outcomes: Sequence[Outcome]) -> Figure:
+    figure, axes = make_grid(1, 1, 6.5, LINE_HEIGHT * len(outcomes) + 0.9)
+    ax = axes[0, 0]
+    before, after = _errors(outcomes)
+    places = np.arange(len(outcomes))[::-1]
+    ax.hlines(places, before, after, color=FAINT, linewidth=1.2)
+    ax.plot(before, places, "o", color=BEFORE, markersize=5, label="uniform friction")
+    ax.plot(after, places, "o", color=LEARNED, markersize=5, label="learned")
+    names = [f"{outcome.seen.name}{' (held out)' if outcome.held_out else ''}" for outcome in outcomes]
+    ax.set_yticks(places, names)
+    ax.set_xlim(left=0)
+    ax.set_ylim(-0.7, len(outcomes) - 0.3)
+    tidy(ax, "mean cell error of the final pose, mm", "")
+    ax.legend(fontsize=FONT, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    return figure
+
+
+def _draw_scatter(outcomes: Sequence[Outcome]) -> Figure:
+    figure, axes = make_grid(1, 1, 5.0, 4.6)
+    ax = axes[0, 0]
+    before, after = _errors(outcomes)
+    held_out = np.array([outcome.held_out for outcome in outcomes])
+    for which, color, label in ((~held_out, LEARNED, "learned from"), (held_out, BEFORE, "held out")):
+        if which.any():
+            ax.plot(before[which], after[which], "o", color=color, markersize=4, alpha=0.7, label=label)
+    top = 1.05 * float(max(before.max(), after.max()))
+    ax.plot([0, top], [0, top], color=FAINT, linestyle="dashed", linewidth=1)
+    ax.set_xlim(0, top)
+    ax.set_ylim(0, top)
+    ax.set_aspect("equal")
+    tidy(ax, "cell error with uniform friction, mm", "cell error as learned, mm")
+    ax.legend(fontsize=FONT, frameon=False, loc="upper left")
+    return figure
+
+
+def _errors(outcomes: Sequence[Outcome]) -> tuple[Array, Array]:
+    return (
+        np.array([outcome.error_before for outcome in outcomes]) * MM,
+        np.array([outcome.error_after for outcome in outcomes]) * MM,
+    )
 
 
 def draw_object(obj: GridObject) -> bytes:
@@ -170,6 +378,6 @@ def draw_model(result: Identification) -> bytes:
     return to_png(draw_learned_maps(result))
 
 
-def draw_motion(obj: GridObject, push: Push, poses: NDArray[np.float64]) -> bytes:
+def draw_motion(obj: GridObject, push: Push, poses: Array) -> bytes:
     """An object's motion (T+1, 3) under a push, as PNG."""
     return to_png(draw_path(obj, push, poses))

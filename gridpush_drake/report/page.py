@@ -28,11 +28,20 @@ from gridpush_drake.identification.prediction import (
 from gridpush_drake.identification.result import STATUS_BUDGET_SPENT, STATUS_NO_DATA, STATUS_PRIOR_KEPT, Identification
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.report.figures import draw_learning, draw_loss, draw_object_parts, draw_pushes
-from gridpush_drake.report.maps import draw_learned_maps, draw_unknown_maps, to_svg
-from gridpush_drake.report.pose_figures import MAX_DUMBBELLS, MAX_OVERLAYS, Outcome, draw_errors, draw_overlays
-
-MM = 1e3
+from gridpush_drake.report.draw import MM, to_svg
+from gridpush_drake.report.figures import (
+    MAX_DUMBBELLS,
+    MAX_OVERLAYS,
+    Outcome,
+    draw_errors,
+    draw_learned_maps,
+    draw_learning,
+    draw_loss,
+    draw_object_parts,
+    draw_overlays,
+    draw_pushes,
+    draw_unknown_maps,
+)
 
 Row = tuple[str, str, str]
 """What, its learned value and, where it is known, the true one."""

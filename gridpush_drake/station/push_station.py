@@ -24,7 +24,7 @@ from gridpush_drake.multibody.contact_material import TABLE, FindTableOutline, S
 from gridpush_drake.multibody.grid_object import AddGridObject, Base, GridObjectInPlant
 from gridpush_drake.multibody.ground_truth import SetGridObjectParameters, SetGridObjectPose
 from gridpush_drake.multibody.parser import MakeParser
-from gridpush_drake.multibody.visual_meshes import AddSkin, find_drake_models
+from gridpush_drake.multibody.visual_meshes import AddVisualMeshes, find_drake_models
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -370,9 +370,9 @@ def MakePushStation(
         height=scenario.object_height,
         visual=show_object,
     )
-    skin = find_drake_models() if meshcat is not None else None
-    if skin is not None:
-        AddSkin(plant, scene_graph, skin)
+    drake_models = find_drake_models() if meshcat is not None else None
+    if drake_models is not None:
+        AddVisualMeshes(plant, scene_graph, drake_models)
     plant.Finalize()
 
     control_plant = MakeControlPlant(gripper=arm.gripper is not None)

@@ -46,11 +46,11 @@ class Scene:
         R = self.plant.EvalBodyPoseInWorld(self.plant_context, self.handle.body).rotation().matrix()
         return float(np.arccos(np.clip(R[2, 2], -1, 1)))
 
-    def foot_forces(self) -> np.ndarray:
-        """(f, 3) force of the table on each foot, N; zero where a foot does not touch."""
+    def sphere_forces(self) -> np.ndarray:
+        """(f, 3) force of the table on each sphere, N; zero where a sphere does not touch."""
         results = self.plant.get_contact_results_output_port().Eval(self.plant_context)
-        forces = np.zeros((len(self.handle.feet), 3))
-        at = {geometry: i for i, geometry in enumerate(self.handle.feet)}
+        forces = np.zeros((len(self.handle.contact_spheres), 3))
+        at = {geometry: i for i, geometry in enumerate(self.handle.contact_spheres)}
         for i in range(results.num_point_pair_contacts()):
             info = results.point_pair_contact_info(i)
             pair = info.point_pair()

@@ -22,18 +22,18 @@ def test_lies_still(name):
     SetGridObjectPose(scene.plant, scene.plant_context, scene.handle, (0.1, 0.2, 0.5))
     scene.simulator.AdvanceTo(1.0)
     assert np.abs(scene.pose() - (0.1, 0.2, 0.5)).max() < 1e-9
-    np.testing.assert_allclose(scene.foot_forces()[:, 2], params.mass * 9.81, rtol=1e-4)
+    np.testing.assert_allclose(scene.sphere_forces()[:, 2], params.mass * 9.81, rtol=1e-4)
 
 
-@pytest.mark.parametrize("feet_per_cell", [1, 4])
+@pytest.mark.parametrize("spheres_per_cell", [1, 4])
 @pytest.mark.parametrize("heavy_end", [False, True])
-def test_tips_over_the_edge_when_its_center_of_mass_is_beyond(feet_per_cell, heavy_end):
+def test_tips_over_the_edge_when_its_center_of_mass_is_beyond(spheres_per_cell, heavy_end):
     obj = GridObject.from_outline(rectangle(0.3, 0.03), max_cells=30, name="bar")
     mass = np.where(obj.p_BC[:, 0] > 0.1, 0.05, 0.01) if heavy_end else np.full(obj.n, 0.02)
     params = CellParameters(mass, np.full(obj.n, 0.4))
-    scene = make_scene(obj, params, "free", feet_per_cell=feet_per_cell)
+    scene = make_scene(obj, params, "free", spheres_per_cell=spheres_per_cell)
     center = params.center_of_mass(obj)[0]
-    # feet carry up to a cell less far than the edge reaches
+    # spheres carry up to a cell less far than the edge reaches
     for beyond, tips in ((-1.5 * obj.cell_size, False), (1.5 * obj.cell_size, True)):
         SetGridObjectPose(scene.plant, scene.plant_context, scene.handle, (TABLE_EDGE + beyond - center, 0.0, 0.0))
         scene.simulator.AdvanceTo(scene.context.get_time() + 0.5)

@@ -1,4 +1,4 @@
-"""A grid object in a plant, held to the plane: what its feet bear, what touches what, what may change at run time."""
+"""A grid object in a plant, held to the plane: what its spheres bear, what touches what, what may change in a run."""
 
 import numpy as np
 import pytest
@@ -39,22 +39,22 @@ def params(obj):
     return random_params(obj)
 
 
-@pytest.mark.parametrize("feet_per_cell", [1, 4])
-def test_every_cell_bears_its_weight_at_rest_and_while_it_slides(obj, params, feet_per_cell):
-    scene = make_scene(obj, params, feet_per_cell=feet_per_cell)
+@pytest.mark.parametrize("spheres_per_cell", [1, 4])
+def test_every_cell_bears_its_weight_at_rest_and_while_it_slides(obj, params, spheres_per_cell):
+    scene = make_scene(obj, params, spheres_per_cell=spheres_per_cell)
     SetGridObjectPose(scene.plant, scene.plant_context, scene.handle, (0.02, -0.01, 0.7))
     for velocity in ((0.0, 0.0, 0.0), (0.3, 0.1, -2.0)):
         SetGridObjectVelocity(scene.plant, scene.plant_context, scene.handle, velocity)
         scene.simulator.AdvanceTo(scene.context.get_time() + 0.005)
-        borne = np.bincount(scene.handle.layout.cell, scene.foot_forces()[:, 2])
+        borne = np.bincount(scene.handle.layout.cell, scene.sphere_forces()[:, 2])
         np.testing.assert_allclose(borne, params.mass * GRAVITY, rtol=1e-6)
 
 
-def test_friction_of_each_foot_is_its_cells(obj, params):
+def test_friction_of_each_sphere_is_its_cells(obj, params):
     scene = make_scene(obj, params)
     SetGridObjectVelocity(scene.plant, scene.plant_context, scene.handle, (0.4, 0.3, 3.0))
     scene.simulator.AdvanceTo(0.003)
-    forces = scene.foot_forces()
+    forces = scene.sphere_forces()
     ratio = np.linalg.norm(forces[:, :2], axis=1) / forces[:, 2]
     # cells near the center of rotation are too slow to slide
     np.testing.assert_allclose(ratio, params.friction, rtol=2e-4)
@@ -118,12 +118,12 @@ def add_ball_and_filter(plant, scene_graph, handle, table):
 
 
 @pytest.mark.parametrize("more", [{"before_object": add_ball}, {"after_object": add_ball_and_filter}])
-def test_feet_touch_the_table_alone_and_sides_all_but_the_table(obj, params, more):
+def test_spheres_touch_the_table_alone_and_sides_all_but_the_table(obj, params, more):
     scene = make_scene(obj, params, **more)
     inspector = scene.scene_graph.model_inspector()
     (ball,) = scene.plant.GetCollisionGeometriesForBody(scene.plant.GetBodyByName("ball"))
-    assert not any(inspector.CollisionFiltered(foot, scene.table) for foot in scene.handle.feet)
-    assert all(inspector.CollisionFiltered(foot, ball) for foot in scene.handle.feet)
+    assert not any(inspector.CollisionFiltered(sphere, scene.table) for sphere in scene.handle.contact_spheres)
+    assert all(inspector.CollisionFiltered(sphere, ball) for sphere in scene.handle.contact_spheres)
     assert all(inspector.CollisionFiltered(side, scene.table) for side in scene.handle.sides)
     assert not any(inspector.CollisionFiltered(side, ball) for side in scene.handle.sides)
     assert not inspector.CollisionFiltered(ball, scene.table)
@@ -174,7 +174,7 @@ def test_combined_friction_is_the_wanted_one(mu):
         ({"height": 0.0}, ObjectError, "height"),
         ({"delta": -1e-3}, ObjectError, "delta"),
         ({"side_stiffness": np.nan}, ObjectError, "side_stiffness"),
-        ({"feet_per_cell": 2}, ParameterError, "feet_per_cell.*1 or 4"),
+        ({"spheres_per_cell": 2}, ParameterError, "spheres_per_cell.*1 or 4"),
     ],
 )
 def test_refuses_what_makes_no_sense(obj, params, options, error, message):

@@ -11,7 +11,8 @@ from pydrake.systems.framework import DiagramBuilder
 from gridpush_drake.bench.plant import STICTION_TOLERANCE, TIME_STEP, AddPusher, PlantPusher
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import ObjectError, OutputError, ParameterError
-from gridpush_drake.multibody.grid_object import FOOT_RADIUS, MakeSpatialInertia
+from gridpush_drake.multibody.contact_geometry import SPHERE_RADIUS
+from gridpush_drake.multibody.grid_object import MakeSpatialInertia
 from gridpush_drake.multibody.sdformat import WriteSdf, make_sdf
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -68,7 +69,7 @@ def test_moves_as_the_object_it_came_from(obj, params, base, tmp_path):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-4)
 
 
-def test_has_the_inertia_and_the_feet(obj, params, tmp_path):
+def test_has_the_inertia_and_the_spheres(obj, params, tmp_path):
     path = tmp_path / "hammer.sdf"
     WriteSdf(obj, params, path, height=0.04)
     plant, scene_graph = parse_sdf(path)
@@ -78,16 +79,16 @@ def test_has_the_inertia_and_the_feet(obj, params, tmp_path):
     expected = MakeSpatialInertia(obj, params, 0.04).CopyToFullMatrix6()
     np.testing.assert_allclose(found.CopyToFullMatrix6(), expected, rtol=1e-9, atol=1e-15)
     inspector = scene_graph.model_inspector()
-    feet = [
+    spheres = [
         geometry
         for geometry in plant.GetCollisionGeometriesForBody(body)
         if isinstance(inspector.GetShape(geometry), Sphere)
     ]
-    p_BF = np.array([inspector.GetPoseInFrame(foot).translation() for foot in feet])
-    np.testing.assert_allclose(p_BF, np.column_stack([obj.p_BC, np.full(obj.n, FOOT_RADIUS)]), atol=1e-15)
+    p_BS = np.array([inspector.GetPoseInFrame(sphere).translation() for sphere in spheres])
+    np.testing.assert_allclose(p_BS, np.column_stack([obj.p_BC, np.full(obj.n, SPHERE_RADIUS)]), atol=1e-15)
     own = [
-        inspector.GetProximityProperties(foot).GetProperty("material", "coulomb_friction").dynamic_friction()
-        for foot in feet
+        inspector.GetProximityProperties(sphere).GetProperty("material", "coulomb_friction").dynamic_friction()
+        for sphere in spheres
     ]
     np.testing.assert_allclose(2 * np.array(own) / (1 + np.array(own)), params.friction, rtol=1e-12)
 

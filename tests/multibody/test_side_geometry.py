@@ -6,14 +6,9 @@ from pydrake.geometry import Role
 from shapely import Point, Polygon, unary_union
 
 from gridpush_drake.bench.plant import PlantPusher
-from gridpush_drake.multibody.grid_object import (
-    CLEARANCE,
-    PROTRUSION,
-    make_edge_boxes,
-    make_inner_boxes,
-    make_outline_mesh,
-)
+from gridpush_drake.multibody.contact_geometry import CLEARANCE, PROTRUSION, make_edge_boxes, make_inner_boxes
 from gridpush_drake.multibody.ground_truth import SetGridObjectPose
+from gridpush_drake.multibody.meshcat_shapes import make_outline_mesh
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
@@ -88,7 +83,7 @@ def test_what_comes_down_on_the_object_is_not_let_through(name):
 @pytest.mark.parametrize("name", ["claw_hammer", "combination_wrench", "square"])
 def test_mesh_is_a_closed_prism_of_the_outline(name):
     obj = load(name)
-    lines = [line.split() for line in make_outline_mesh(obj.outline, 0.05).splitlines()]
+    lines = [line.split() for line in make_outline_mesh(obj.outline, 0.05).splitlines() if line]
     vertices = np.array([line[1:] for line in lines if line[0] == "v"], dtype=float)
     faces = np.array([line[1:] for line in lines if line[0] == "f"], dtype=int) - 1
     a, b, c = (vertices[faces[:, i]] for i in range(3))
@@ -96,9 +91,9 @@ def test_mesh_is_a_closed_prism_of_the_outline(name):
     assert volume == pytest.approx(obj.outline.area * 0.05, rel=1e-4)
 
 
-def test_only_the_sides_and_feet_collide():
+def test_only_the_sides_and_spheres_collide():
     obj = load("square")
     rig = PlantPusher(obj, CellParameters.uniform(obj), 0.01)
     inspector = rig.scene_graph.model_inspector()
     frame = rig.plant.GetBodyFrameIdOrThrow(rig.handle.body.index())
-    assert set(inspector.GetGeometries(frame, Role.kProximity)) == {*rig.handle.feet, *rig.handle.sides}
+    assert set(inspector.GetGeometries(frame, Role.kProximity)) == {*rig.handle.contact_spheres, *rig.handle.sides}

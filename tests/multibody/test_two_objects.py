@@ -61,13 +61,17 @@ def test_nothing_is_shared():
     first, second = handles
     assert plant.GetBodyByName("block_0").index() == first.body.index() != second.body.index()
     assert plant.GetFrameByName("block_0_table").index() != plant.GetFrameByName("block_1_table").index()
-    assert not {*first.feet, *first.sides, *first.visuals} & {*second.feet, *second.sides, *second.visuals}
+    assert not {*first.contact_spheres, *first.sides, *first.visuals} & {
+        *second.contact_spheres,
+        *second.sides,
+        *second.visuals,
+    }
     inspector = scene_graph.model_inspector()
     for one, other in ((first, second), (second, first)):
-        assert inspector.CollisionFiltered(one.feet[0], other.sides[0])
-        assert inspector.CollisionFiltered(one.feet[0], other.feet[0])
+        assert inspector.CollisionFiltered(one.contact_spheres[0], other.sides[0])
+        assert inspector.CollisionFiltered(one.contact_spheres[0], other.contact_spheres[0])
         assert not inspector.CollisionFiltered(one.sides[0], other.sides[0])
-        assert not inspector.CollisionFiltered(one.feet[0], table)
+        assert not inspector.CollisionFiltered(one.contact_spheres[0], table)
 
 
 def test_a_name_that_is_taken_is_refused():

@@ -1,4 +1,4 @@
-"""Drake's meshes as a skin, with a drake_models of this test's own making."""
+"""Drake's meshes instead of primitives, with a drake_models of this test's own making."""
 
 import json
 import os
@@ -9,7 +9,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake.multibody.parser import MakeParser, find_models
-from gridpush_drake.multibody.visual_meshes import MESHES, NETWORK_VARIABLE, AddSkin, find_drake_models
+from gridpush_drake.multibody.visual_meshes import MESHES, NETWORK_VARIABLE, AddVisualMeshes, find_drake_models
 
 TRIANGLE = {
     "asset": {"version": "2.0"},
@@ -59,10 +59,10 @@ class Scene:
         return {body: self.shapes(body, Role.kProximity) for body in MESHES}
 
 
-def test_every_dressed_body_shows_its_meshes_alone_and_touches_as_before(drake_models):
+def test_every_changed_body_shows_its_meshes_alone_and_touches_as_before(drake_models):
     scene = Scene()
     before = scene.contact_shapes()
-    assert sorted(AddSkin(scene.plant, scene.scene_graph, drake_models)) == sorted(MESHES)
+    assert sorted(AddVisualMeshes(scene.plant, scene.scene_graph, drake_models)) == sorted(MESHES)
     for body, meshes in MESHES.items():
         assert scene.shapes(body) == ["Mesh"] * len(meshes)
     assert scene.shapes("finger_tip") == ["Sphere"]
@@ -74,16 +74,16 @@ def test_every_dressed_body_shows_its_meshes_alone_and_touches_as_before(drake_m
 def test_a_body_that_lacks_a_mesh_keeps_its_primitives(drake_models):
     (drake_models / MESHES["iiwa_link_2"][1]).unlink()
     scene, bare = Scene(), Scene()
-    dressed = AddSkin(scene.plant, scene.scene_graph, drake_models)
-    assert sorted(dressed) == sorted(set(MESHES) - {"iiwa_link_2"})
+    changed = AddVisualMeshes(scene.plant, scene.scene_graph, drake_models)
+    assert sorted(changed) == sorted(set(MESHES) - {"iiwa_link_2"})
     assert scene.shapes("iiwa_link_2") == bare.shapes("iiwa_link_2")
     assert "Mesh" not in bare.shapes("iiwa_link_2")
 
 
 def test_without_the_meshes_nothing_is_missing(tmp_path):
     scene, bare = Scene(), Scene()
-    assert AddSkin(scene.plant, scene.scene_graph, None) == []
-    assert AddSkin(scene.plant, scene.scene_graph, tmp_path) == []
+    assert AddVisualMeshes(scene.plant, scene.scene_graph, None) == []
+    assert AddVisualMeshes(scene.plant, scene.scene_graph, tmp_path) == []
     assert all(scene.shapes(body) == bare.shapes(body) != [] for body in MESHES)
 
 
@@ -91,7 +91,7 @@ def test_models_that_are_not_there_are_passed_over(drake_models):
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.002)
     MakeParser(plant).AddModels(str(find_models() / "tables/round.sdf"))
-    assert AddSkin(plant, scene_graph, drake_models) == []
+    assert AddVisualMeshes(plant, scene_graph, drake_models) == []
 
 
 @pytest.mark.parametrize("before", [None, "package_map", "none"])

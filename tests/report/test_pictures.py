@@ -6,8 +6,8 @@ from PIL import Image
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.report.draw import calc_round_length
 from gridpush_drake.report.figures import draw_model, draw_motion, draw_object
-from gridpush_drake.report.maps import calc_round_length
 from tests.helpers.made_identifications import make_block, make_identification
 
 

@@ -9,8 +9,7 @@ from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.stability import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.report.pregrasp_figure import GraspDrawn, PushDrawn, draw_pre_grasp
-from gridpush_drake.report.slide_figure import CLOSE_UP
+from gridpush_drake.report.plan_figures import CLOSE_UP, GraspDrawn, PushDrawn, draw_pre_grasp
 
 MANY_POSES = 60
 MAX_SECONDS = 2.0

@@ -5,7 +5,7 @@ from matplotlib.patches import Circle
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.report.draw import to_png
-from gridpush_drake.report.push_figure import draw_push_run
+from gridpush_drake.report.plan_figures import draw_push_run
 from tests.helpers.shapes import make_shape
 
 POSES = [(0.0, 0.0, 0.0), (0.05, 0.0, 0.3), (0.1, 0.02, 0.6)]

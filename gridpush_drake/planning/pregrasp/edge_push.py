@@ -6,7 +6,7 @@ The object falls where no loads can hold it.
 
 What each cell bears of an object's weight when some of it hangs over the table's edge.
 
-A cell is a foot at its center, as stiff as it is heavy (as `scene.feet` makes them): on the table altogether, every
+A cell is a foot at its center, as stiff as it is heavy (as the plant's contact spheres): on the table altogether, every
 foot bears its own cell's weight. Pressed in by a rigid body that sinks and tilts, foot i bears
 
     N_i = m_i g max(0, a.phi_i),    phi_i = (1, x_i, y_i),    for the feet on the table, 0 for the others

@@ -1,0 +1,390 @@
+"""Figures of plans and of runs: pushing to a goal, sliding to the table's edge, and grasping there."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Polygon
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike, NDArray
+from shapely import Polygon as Shape
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.geometry.se2 import make_direction, transform
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.trial import calc_goal_error
+from gridpush_drake.planning.goal.push_plan import PushPlan
+from gridpush_drake.planning.pregrasp.planner import PreGraspPlan, PreGraspPlanner
+from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, PlausibleMassSet, calc_support_polygon
+from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.report.draw import (
+    BEFORE,
+    FAINT,
+    FONT,
+    INK,
+    LEARNED,
+    MM,
+    PAGE_WIDTH,
+    add_legend_below,
+    draw_arrow,
+    draw_cells,
+    draw_outline,
+    draw_table,
+    frame_points,
+    make_grid,
+    tidy,
+)
+
+Array = NDArray[np.float64]
+
+HOLDS = "#4f9d69"
+"""What holds the object."""
+
+GRASP = "#b3423f"
+"""What the gripper takes."""
+
+OBSTACLE = "#c7bdb0"
+
+WIDTH, MAX_HEIGHT = 6.5, 7.5
+"""Of a plan's figure, inches."""
+
+LEGEND_ROOM = 0.7
+"""Beside a plan's drawing, inches."""
+
+PANEL_HEIGHT = 4.4
+"""Of figures with two panels, inches."""
+
+ROOM, CLOSE_UP = 0.05, 0.06
+"""About what is drawn, and about an object in a close-up, m."""
+
+JAW_LENGTH, JAW_WIDTH = 0.08, 0.02
+"""Of the gripper's fingers as drawn, m."""
+
+
+def draw_plan(
+    obj: GridObject, plan: PushPlan, surface: SupportSurface | None = None, obstacles: Sequence[Shape] = ()
+) -> Figure:
+    """Draws a plan.
+
+    Args:
+        obj: the object.
+        plan: its pushes; where there are none, start and goal alone are drawn.
+        surface: the table; None for one without end.
+        obstacles: what is in the way.
+
+    Returns:
+        The figure.
+    """
+    poses, pushes = plan.poses, [planned.push for planned in plan.pushes]
+    shapes = [np.array(obstacle.exterior.coords)[:, :2] for obstacle in obstacles]
+    points = [obj.cells_at(np.array([*poses, plan.goal])).reshape(-1, 2), *(push.xy for push in pushes), *shapes]
+    if surface is not None:
+        points.append(surface.corners)
+    width, height = np.ptp(np.concatenate(points), axis=0) + 2 * ROOM
+    figure, axes = make_grid(1, 1, WIDTH, min(WIDTH * height / width, MAX_HEIGHT) + LEGEND_ROOM)
+    ax = axes[0, 0]
+    for shape in shapes:
+        ax.add_patch(Polygon(shape, facecolor=OBSTACLE, edgecolor=INK, zorder=0.5))
+    _draw_pushes(ax, obj, poses, pushes, plan.goal, surface, "predicted end")
+    frame_points(ax, points, ROOM)
+    count = f"{len(pushes)} push{'' if len(pushes) == 1 else 'es'}"
+    words = plan.status.replace("_", " ")
+    ax.set_title(f"{obj.name}: {words}, {count}, {plan.error * MM:.1f} mm left", fontsize=FONT, color=INK)
+    return figure
+
+
+def draw_push_run(
+    obj: GridObject,
+    poses: Sequence[ArrayLike],
+    pushes: Sequence[Push],
+    goal: ArrayLike,
+    surface: SupportSurface | None = None,
+    *,
+    expected: Sequence[float] = (),
+    tolerance: float | None = None,
+) -> Figure:
+    """Draws a run: on the left the path to the goal, on the right how far the object was from it.
+
+    Args:
+        obj: the object.
+        poses: (3,) where it was seen at rest, X_WB, m and rad: before the first push, and after each.
+        pushes: as they were made; as many as poses, less one.
+        goal: (3,) where it should lie.
+        surface: the table; None for one without end.
+        expected: of each push, the mean cell error to the goal that was expected after it, m; empty for unknown.
+        tolerance: mean cell error at which the goal counts as reached, m; None is not drawn.
+
+    Returns:
+        The figure.
+    """
+    figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
+    rest, aim = np.array([np.asarray(pose, dtype=np.float64) for pose in poses]), np.asarray(goal, dtype=np.float64)
+    ax = axes[0, 0]
+    _draw_pushes(ax, obj, rest, pushes, aim, surface, "at the end")
+    frame_points(ax, [obj.cells_at(np.vstack([rest, aim])).reshape(-1, 2), *(push.xy for push in pushes)], ROOM)
+    ax.set_title("The path to the goal", fontsize=FONT, color=INK)
+    _draw_errors(axes[0, 1], np.atleast_1d(calc_goal_error(obj, rest, aim)), expected, tolerance)
+    return figure
+
+
+def _draw_pushes(
+    ax: Axes,
+    obj: GridObject,
+    poses: Sequence[Array] | Array,
+    pushes: Sequence[Push],
+    goal: Array,
+    surface: SupportSurface | None,
+    end: str,
+) -> None:
+    """The object from its first pose to its last, which the legend calls `end`, the numbered pushes, and the goal."""
+    if surface is not None:
+        draw_table(ax, surface.corners)
+    for pose in poses[1:-1]:
+        draw_outline(ax, obj, pose=pose, color=FAINT)
+    draw_outline(ax, obj, pose=poses[0], color=INK, linestyle="dashed")
+    if len(poses) > 1:
+        draw_cells(ax, obj, pose=poses[-1], alpha=0.7)
+    draw_outline(ax, obj, pose=goal, color=BEFORE, linestyle="dotted").set_zorder(4)
+    for count, push in enumerate(pushes, start=1):
+        _draw_push(ax, push, count)
+    handles = [
+        Line2D([], [], color=INK, linestyle="dashed", label="start"),
+        Line2D([], [], color=FAINT, label="in between"),
+        Line2D([], [], color=INK, label=end),
+        Line2D([], [], color=BEFORE, linestyle="dotted", label="goal"),
+        Line2D([], [], color=LEARNED, marker="o", markerfacecolor="white", label="pushes"),
+    ]
+    add_legend_below(ax, handles, 3)
+
+
+def _draw_push(ax: Axes, push: Push, count: int) -> None:
+    """An arrow along the push, the finger where it began, and the push's number in it."""
+    begin, end = push.xy[0], push.xy[-1]
+    draw_arrow(ax, begin, end, LEARNED)
+    ax.add_patch(Circle((begin[0], begin[1]), push.radius, facecolor="white", edgecolor=LEARNED, zorder=6))
+    ax.text(
+        float(begin[0]), float(begin[1]), str(count), color=LEARNED, fontsize=FONT - 2, ha="center",
+        va="center_baseline", fontweight="bold", zorder=7,
+    )  # fmt: skip
+
+
+def _draw_errors(ax: Axes, errors: Array, expected: Sequence[float], tolerance: float | None) -> None:
+    ax.plot(np.arange(len(errors)), MM * errors, color=LEARNED, marker="o", zorder=3)
+    handles = [Line2D([], [], color=LEARNED, marker="o", label="seen")]
+    if len(expected):
+        marks: dict[str, Any] = {
+            "color": BEFORE,
+            "marker": "D",
+            "markerfacecolor": "white",
+            "linestyle": "none",
+        }
+        ax.plot(np.arange(1, len(expected) + 1), MM * np.asarray(expected), zorder=4, **marks)
+        handles.append(Line2D([], [], label="expected", **marks))
+    if tolerance is not None:
+        ax.axhline(MM * tolerance, color=FAINT, linestyle="dashed", linewidth=1.2, zorder=2)
+        handles.append(Line2D([], [], color=FAINT, linestyle="dashed", label="near enough"))
+    ax.set_ylim(bottom=0.0)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    tidy(ax, "pushes made", "mean cell error to the goal, mm")
+    add_legend_below(ax, handles, 3)
+    ax.set_title("How far it was from the goal", fontsize=FONT, color=INK)
+
+
+def draw_slide(planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGraspPlan) -> Figure:
+    """Draws a plan: on the left the path, on the right the goal with what holds the object and what hangs over.
+
+    Args:
+        planner: object, table and options.
+        masses: the masses that stability was judged on.
+        plan: the plan; where nothing is safe, its safest goal is drawn.
+
+    Returns:
+        The figure.
+    """
+    figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
+    _draw_slides(axes[0, 0], planner, plan)
+    _draw_goal(axes[0, 1], planner, masses, plan)
+    return figure
+
+
+def _draw_slides(ax: Axes, planner: PreGraspPlanner, plan: PreGraspPlan) -> None:
+    draw_table(ax, planner.surface.corners)
+    for pose in plan.poses[:-1]:
+        draw_outline(ax, planner.obj, pose=pose, color=FAINT)
+    draw_outline(ax, planner.obj, pose=plan.poses[0], color=INK, linestyle="dashed")
+    draw_cells(ax, planner.obj, pose=plan.poses[-1])
+    for push in plan.pushes:
+        _draw_tips(ax, push, LEARNED)
+    if plan.poke is not None:
+        _draw_tips(ax, plan.poke, BEFORE)
+    frame_points(ax, [planner.surface.corners], CLOSE_UP)
+    count = len(plan.pushes)
+    ax.set_title(f"{plan.status}: {count} push{'' if count == 1 else 'es'}", fontsize=FONT, color=INK)
+
+
+def _draw_goal(ax: Axes, planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGraspPlan) -> None:
+    goal = plan.goal
+    if goal is None:
+        ax.set_axis_off()
+        ax.set_title("no goal", fontsize=FONT, color=INK)
+        return
+    draw_table(ax, planner.surface.corners)
+    draw_cells(ax, planner.obj, pose=goal.pose, alpha=0.6)
+    hull = calc_support_polygon(planner.obj, goal.pose, planner.surface, planner.options.goal.inset)
+    handles = _draw_areas(
+        ax,
+        goal.pose,
+        (
+            (hull, HOLDS, "what holds it"),
+            (masses.center_of_mass_polygon, BEFORE, "where the center of mass may be"),
+            (goal.part.footprint, GRASP, "gripper"),
+        ),
+    )
+    frame_points(ax, [transform(goal.pose, np.asarray(planner.obj.outline.exterior.coords)[:, :2])], CLOSE_UP)
+    ax.legend(handles=handles, fontsize=FONT - 1, frameon=False, loc="upper left")
+    ax.set_title(
+        f"{goal.margin * MM:.0f} mm to spare at the worst; {goal.part.width * MM:.0f} mm between the jaws",
+        fontsize=FONT, color=INK,
+    )  # fmt: skip
+
+
+def _draw_tips(ax: Axes, push: Push, color: str) -> None:
+    """The path of the finger, open where it begins."""
+    ax.plot(*push.xy.T, color=color, linewidth=1.2)
+    ax.add_patch(Circle((push.xy[0, 0], push.xy[0, 1]), push.radius, facecolor="none", edgecolor=color))
+    ax.add_patch(Circle((push.xy[-1, 0], push.xy[-1, 1]), push.radius, facecolor=color, edgecolor=color))
+
+
+@dataclass(frozen=True, eq=False)
+class PushDrawn:
+    """A push as it was made.
+
+    Attributes:
+        start: (2,) of the finger's center, W, m.
+        end: (2,) likewise.
+        poke: whether it was to learn; else to slide.
+    """
+
+    start: Array
+    end: Array
+    poke: bool
+
+
+@dataclass(frozen=True, eq=False)
+class GraspDrawn:
+    """A grasp as it was made.
+
+    Attributes:
+        point: (2,) p_WG, m.
+        approach: heading of the fingers, rad.
+    """
+
+    point: Array
+    approach: float
+
+
+def draw_pre_grasp(
+    obj: GridObject,
+    surface: SupportSurface,
+    poses: Sequence[Array],
+    pushes: Sequence[PushDrawn],
+    masses: PlausibleMassSet,
+    truth: CellParameters | None = None,
+    grasp: GraspDrawn | None = None,
+) -> Figure:
+    """Draws a run: on the left the object's path, on the right the object as it lay at the end.
+
+    Args:
+        obj: the object.
+        surface: the table.
+        poses: (3,) of the object at rest, in order, the last one where it was grasped, or given up.
+        pushes: in order.
+        masses: the masses held possible at the end.
+        truth: what the object really weighs, where that is known.
+        grasp: as it was made; None where there was none.
+
+    Returns:
+        The figure.
+    """
+    figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
+    _draw_trajectory(axes[0, 0], obj, surface, poses, pushes)
+    _draw_end(axes[0, 1], obj, surface, poses[-1], masses, truth, grasp)
+    return figure
+
+
+def _draw_trajectory(
+    ax: Axes, obj: GridObject, surface: SupportSurface, poses: Sequence[Array], pushes: Sequence[PushDrawn]
+) -> None:
+    draw_table(ax, surface.corners)
+    for pose in poses[1:-1]:
+        draw_outline(ax, obj, pose=pose, color=FAINT)
+    draw_outline(ax, obj, pose=poses[0], color=INK, linestyle="dashed")
+    draw_cells(ax, obj, pose=poses[-1])
+    for push in pushes:
+        draw_arrow(ax, push.start, push.end, BEFORE if push.poke else LEARNED)
+    frame_points(ax, [*(obj.cells_at(pose) for pose in poses), *(np.array([p.start, p.end]) for p in pushes)], CLOSE_UP)
+    add_legend_below(
+        ax,
+        [
+            Line2D([], [], color=INK, linestyle="dashed", label="start"),
+            Line2D([], [], color=BEFORE, marker=">", label="pokes"),
+            Line2D([], [], color=LEARNED, marker=">", label="slides"),
+        ],
+        2,
+    )
+    ax.set_title("The path to the table's edge", fontsize=FONT, color=INK)
+
+
+def _draw_end(
+    ax: Axes,
+    obj: GridObject,
+    surface: SupportSurface,
+    pose: Array,
+    masses: PlausibleMassSet,
+    truth: CellParameters | None,
+    grasp: GraspDrawn | None,
+) -> None:
+    draw_table(ax, surface.corners)
+    draw_cells(ax, obj, pose=pose, alpha=0.6)
+    hull = calc_support_polygon(obj, pose, surface, SUPPORT_INSET)
+    possible = masses.center_of_mass_polygon
+    handles = _draw_areas(
+        ax, pose, ((hull, HOLDS, "what holds it"), (possible, BEFORE, "where its center of mass may be"))
+    )
+    if truth is not None:
+        (at,) = transform(pose, truth.center_of_mass(obj)[None])
+        ax.plot(*at, marker="x", color=INK, markersize=7, markeredgewidth=1.8, linestyle="none", zorder=6)
+        handles.append(Line2D([], [], color=INK, marker="x", linestyle="none", label="where it truly is"))
+    points = [obj.cells_at(pose)]
+    if grasp is not None:
+        jaw = _make_jaw(grasp)
+        ax.add_patch(Polygon(jaw, facecolor=f"{GRASP}55", edgecolor=GRASP, linewidth=1.2, zorder=4))
+        ax.add_patch(Circle((grasp.point[0], grasp.point[1]), JAW_WIDTH / 4, color=GRASP, zorder=5))
+        handles.append(Line2D([], [], color=GRASP, label="gripper"))
+        points.append(jaw)
+    frame_points(ax, points, CLOSE_UP)
+    add_legend_below(ax, handles, 2)
+    ax.set_title("Where it was grasped" if grasp is not None else "Where it lay at the end", fontsize=FONT, color=INK)
+
+
+def _make_jaw(grasp: GraspDrawn) -> Array:
+    """(4, 2) corners of the fingers seen from above, their tips a little beyond the grasp point."""
+    along = make_direction(grasp.approach)
+    across = np.array([-along[1], along[0]]) * JAW_WIDTH / 2
+    tip, root = grasp.point + JAW_WIDTH * 0.75 * along, grasp.point - (JAW_LENGTH - JAW_WIDTH) * along
+    return np.array([tip + across, tip - across, root - across, root + across])
+
+
+def _draw_areas(ax: Axes, pose: Array, areas: Sequence[tuple[Array, str, str]]) -> list[Line2D]:
+    """Areas (k, 2) of the body frame, m, in their colors; returns what the legend says of those that are not empty."""
+    handles = []
+    for p_BP, color, label in areas:
+        if len(p_BP):
+            ax.add_patch(Polygon(transform(pose, p_BP), facecolor=f"{color}33", edgecolor=color, linewidth=1.4))
+            handles.append(Line2D([], [], color=color, label=label))
+    return handles
