@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 import yaml
 from pydantic import Field, Strict, model_validator
-from shapely import LinearRing, MultiPolygon, Polygon
+from shapely import LinearRing, Polygon
 
 from gridpush_drake.errors import ObjectError, ParameterError
 from gridpush_drake.objects.cells import DEFAULT_MAX_CELLS, MAX_CELLS, MAX_LABEL, CellGrid
@@ -151,9 +151,6 @@ class ObjectSchema(StrictSchema):
 
 WHAT = "an object file (name, outline or mask, max_cells, ...)"
 
-PART_REACH = 0.501
-"""Half the side of the square written for a part's cell, in cell sides: a little over, so that neighbors join."""
-
 
 def read_object_file(path: Path) -> ObjectSchema:
     """Reads an object file and checks it, but for the mask it may name.
@@ -195,14 +192,13 @@ def make_cells(schema: ObjectSchema, name: str, folder: Path, largest_piece: boo
     return fill_outline(outline, parts, schema.max_cells, name=name)
 
 
-def describe_object(name: str, grid: CellGrid, prior: PhysicalPrior, max_cells: int | None = None) -> dict[str, Any]:
+def describe_object(name: str, grid: CellGrid, prior: PhysicalPrior) -> dict[str, Any]:
     """The plain values of which `ObjectSchema` makes the same object again, bit for bit.
 
     Args:
         name: of the object.
         grid: its geometry.
         prior: what is known of its mass and friction.
-        max_cells: to fill its outline with; None gives its very cells.
 
     Returns:
         The values, in the order of a file.
@@ -210,12 +206,9 @@ def describe_object(name: str, grid: CellGrid, prior: PhysicalPrior, max_cells: 
     data: dict[str, Any] = {"name": name, "outline": _points(grid.outline.exterior)}
     if grid.outline.interiors:
         data["holes"] = [_points(ring) for ring in grid.outline.interiors]
-    if max_cells is None:
-        data["cells"] = {"size": grid.cell_size, "centers": grid.p_BC.tolist()}
-        if (grid.labels != 1).any():
-            data["cells"]["labels"] = grid.labels.tolist()
-    else:
-        data |= _describe_parts(grid) | {"max_cells": int(max_cells)}
+    data["cells"] = {"size": grid.cell_size, "centers": grid.p_BC.tolist()}
+    if (grid.labels != 1).any():
+        data["cells"]["labels"] = grid.labels.tolist()
     if prior.total_mass is not None:
         data["total_mass"] = float(prior.total_mass)
     if prior.center_of_mass is not None:
@@ -230,9 +223,9 @@ def describe_object(name: str, grid: CellGrid, prior: PhysicalPrior, max_cells: 
     return data
 
 
-def dump_object(name: str, grid: CellGrid, prior: PhysicalPrior, max_cells: int | None = None) -> str:
+def dump_object(name: str, grid: CellGrid, prior: PhysicalPrior) -> str:
     """An object file's text; the arguments are those of `describe_object`."""
-    data = describe_object(name, grid, prior, max_cells)
+    data = describe_object(name, grid, prior)
     text: str = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, allow_unicode=True)
     return text
 
@@ -264,30 +257,6 @@ def find_shipped_object(name: str) -> Path:
 
 def _shipped_folder() -> Path:
     return Path(str(files("gridpush_drake"))) / "models" / "objects"
-
-
-def _describe_parts(grid: CellGrid) -> dict[str, Any]:
-    """`parts`: the squares of each part's cells, joined; nothing where part 1 is the only one."""
-    labels = sorted({int(label) for label in grid.labels} - {1})
-    parts = []
-    for label in labels:
-        low = grid.p_BC[grid.labels == label] - grid.cell_size * PART_REACH
-        boxes = shapely.box(*low.T, *(low + 2 * grid.cell_size * PART_REACH).T)
-        joined = shapely.union_all(boxes).simplify(grid.cell_size * (PART_REACH - 0.5))
-        parts += [{"label": label, "outline": _points(piece.exterior)} for piece in _without_holes(joined)]
-    return {"parts": parts} if parts else {}
-
-
-def _without_holes(shape: Polygon | MultiPolygon) -> list[Polygon]:
-    """Polygons that together cover `shape`, each cut through the middle of its holes."""
-    if isinstance(shape, MultiPolygon):
-        return [piece for polygon in shape.geoms for piece in _without_holes(polygon)]
-    if not shape.interiors:
-        return [shape]
-    middle = shape.interiors[0].centroid.x
-    left, low, right, high = shape.bounds
-    halves = [shape & shapely.box(left, low, middle, high), shape & shapely.box(middle, low, right, high)]
-    return [piece for half in halves for piece in _without_holes(half)]
 
 
 def _points(ring: LinearRing) -> list[list[float]]:
