@@ -1,16 +1,18 @@
-"""YAML read strictly and within bounds: no key twice, 1e-3 is a number, and errors that name the line.
+"""YAML read strictly and within bounds: no key twice, 1e-3 is a number, and errors that name the line or the field.
 
 An alias or a merge key of a few bytes can stand for billions of values. So a document is composed first, which costs
 no more than its text, and measured with its aliases written out, before anything is made of it.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import yaml
+from pydantic import BaseModel, ValidationError
 
 from gridpush_drake.errors import GridPushError, ObjectError
 from gridpush_drake.files import MEGABYTE, read_text
@@ -26,6 +28,15 @@ MAX_NUMBER_LENGTH = 400
 
 MAX_PROBLEM = 160
 """Characters of PyYAML's complaint that a message repeats."""
+
+MAX_SHOWN = 60
+"""Characters of a refused value that a message repeats."""
+
+KEYS_AND_VALUES = "`key: value` lines"
+"""Form of a mapping of which a schema says nothing else."""
+
+UNKNOWN_KEY = ("extra_forbidden", "invalid_key")
+"""Pydantic's names for a key that the schema does not have; said first, as a misspelt key explains a missing one."""
 
 NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 
@@ -184,3 +195,57 @@ def _children(node: yaml.Node) -> list[yaml.Node]:
 def _shorten(problem: Any) -> str:
     text = " ".join(str(problem).split())
     return text if len(text) <= MAX_PROBLEM else text[: MAX_PROBLEM - 3] + "..."
+
+
+def list_expected(schema: type[BaseModel], place: str = "") -> dict[str, str]:
+    """Lists what each field of a schema should hold, as its `description` says, by its place without indices."""
+    expected = {}
+    for name, field in schema.model_fields.items():
+        inner = f"{place}.{name}" if place else name
+        expected[inner] = field.description or KEYS_AND_VALUES
+        for part in (field.annotation, *get_args(field.annotation)):
+            if isinstance(part, type) and issubclass(part, BaseModel):
+                expected |= list_expected(part, inner)
+    return expected
+
+
+def explain(error: ValidationError, expected: Mapping[str, str], renamed: Mapping[str, str] | None = None) -> str:
+    """Says the first thing that is wrong, with the field's place and what is expected there.
+
+    Args:
+        error: pydantic's.
+        expected: what each field should hold, by its place without indices, see `list_expected`.
+        renamed: what to say of keys that were once known, likewise by place.
+
+    Returns:
+        A sentence such as "camera.rate is -1; expected a positive number, in Hz".
+    """
+    first = min(error.errors(), key=lambda e: e["type"] not in UNKNOWN_KEY)
+    place = first["loc"]
+    field = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place).lstrip(".")
+    names = [step for step in place if isinstance(step, str)]
+    known_once = (renamed or {}).get(".".join(names))
+    if first["type"] in UNKNOWN_KEY:
+        above, key = names[: -1 if isinstance(place[-1], str) else None], str(place[-1])
+        return f"{field}: {known_once}" if known_once else f"{field}: unknown key{_suggest(above, key, expected)}"
+    form = expected.get(".".join(names), "something else")
+    if first["type"] == "missing":
+        return f"{field} is missing; expected {form}"
+    return f"{field} is {shorten(first['input'])}; expected {form}"
+
+
+def suggest(word: str, known: list[str]) -> str:
+    """The end of a message about an unknown word: the nearest known one, and all."""
+    near = get_close_matches(word, known, n=1)
+    guess = f"; did you mean {near[0]}?" if near else ";"
+    return f"{guess} expected one of {', '.join(known)}"
+
+
+def shorten(value: Any) -> str:
+    """A refused value for a message."""
+    text = "empty" if value is None else repr(value)
+    return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."
+
+
+def _suggest(above: list[str], key: str, expected: Mapping[str, str]) -> str:
+    return suggest(key, [path.split(".")[-1] for path in expected if path.split(".")[:-1] == above])

@@ -20,15 +20,12 @@ from gridpush_drake.files import write_whole
 from gridpush_drake.objects.cells import object_from_outline, polygon_from
 from gridpush_drake.objects.grid_object import DEFAULT_MAX_CELLS, MAX_CELLS, MAX_LABEL, GridObject, PhysicalPrior
 from gridpush_drake.objects.mask import object_from_mask
-from gridpush_drake.yaml_file import read_mapping
+from gridpush_drake.yaml_file import explain, read_mapping
 
 Point = Annotated[tuple[float, float], Strict(False)]
 Points = Annotated[list[Point], Field(min_length=3)]
 Positive = Annotated[float, Field(gt=0)]
 Label = Annotated[int, Field(ge=1, le=MAX_LABEL)]
-
-MAX_SHOWN = 60
-"""Characters of a refused value that a message repeats."""
 
 
 class _Schema(BaseModel):
@@ -155,36 +152,6 @@ EXPECTED = {
 """What each field should hold, by its place without indices."""
 
 
-UNKNOWN_KEY = ("extra_forbidden", "invalid_key")
-"""Pydantic's names for a key that the schema does not have; said first, as a misspelt key explains a missing one."""
-
-
-def explain(error: ValidationError) -> str:
-    """Says the first thing that is wrong, with the field's place and what is expected there."""
-    first = min(error.errors(), key=lambda e: e["type"] not in UNKNOWN_KEY)
-    place = first["loc"]
-    field = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place).lstrip(".")
-    if first["type"] in UNKNOWN_KEY:
-        return f"{field}: {_suggest([step for step in place[:-1] if isinstance(step, str)], str(place[-1]))}"
-    names = [step for step in place if isinstance(step, str)]
-    expected = EXPECTED.get(".".join(names), "something else")
-    if first["type"] == "missing":
-        return f"{field} is missing; expected {expected}"
-    return f"{field} is {_shorten(first['input'])}; expected {expected}"
-
-
-def _suggest(above: list[str], key: str) -> str:
-    known = [path.split(".")[-1] for path in EXPECTED if path.split(".")[:-1] == above]
-    near = get_close_matches(key, known, n=1)
-    guess = f"; did you mean {near[0]}?" if near else ";"
-    return f"unknown key{guess} expected one of {', '.join(known)}"
-
-
-def _shorten(value: Any) -> str:
-    text = "empty" if value is None else repr(value)
-    return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."
-
-
 WHAT = "an object file (name, outline or mask, max_cells, ...)"
 
 PART_REACH = 0.501
@@ -211,7 +178,7 @@ def read_object(path: Path | str, *, largest_piece: bool = False) -> GridObject:
         schema = ObjectSchema.model_validate(data)
         prior = schema.to_prior()
     except ValidationError as error:
-        raise ObjectError(f"{path}: {explain(error)}") from error
+        raise ObjectError(f"{path}: {explain(error, EXPECTED)}") from error
     except ParameterError as error:
         raise ObjectError(f"{path}: {error}") from error
     if (schema.outline is None) == (schema.mask is None):

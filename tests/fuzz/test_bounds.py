@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gridpush_drake.dynamics.force_push import ForcePush
 
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.dynamics.simulate import simulate
 from gridpush_drake.dynamics.time_grid import MAX_STEPS
 from gridpush_drake.errors import GridPushError, ObjectError, OutputError, ParameterError, PushError, SimulationError
@@ -26,7 +25,7 @@ from gridpush_drake.planning.contact.limit_surface import MAX_TABLE_NODES, make_
 from gridpush_drake.pushes.importers.cmu import import_cmu
 from gridpush_drake.pushes.importers.mit import import_mit
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.station.scenario import read_scenario
 from tests.helpers.made_identifications import make_block
 
 READERS = [read_object, read_model, read_scenario, read_labels, import_cmu, import_mit, PushLog.read_csv]
