@@ -107,7 +107,7 @@ def run_job(job: GraspJob) -> GraspScore:
     """Runs one object and seed in the shipped scenario."""
     from gridpush_drake.multibody.parser import find_models
     from gridpush_drake.station.pregrasp_task import PreGraspTask
-    from gridpush_drake.station.scenario_file import read_scenario
+    from gridpush_drake.station.scenario import read_scenario
 
     scenario = read_scenario(find_models() / SCENARIO)
     scenario.object, scenario.seed = job.name, job.seed

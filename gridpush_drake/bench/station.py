@@ -1,7 +1,7 @@
 """The whole station: an iiwa pokes objects with hidden masses, learns, and is judged by pushes held out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -94,7 +94,7 @@ def run_job(job: StationJob) -> StationScore:
     from gridpush_drake.station.identify_task import IdentifyTask
     from gridpush_drake.station.scenario import PushScenario
 
-    record = IdentifyTask(replace(PushScenario(), object=job.name, seed=job.seed)).run()
+    record = IdentifyTask(PushScenario(object=job.name, seed=job.seed)).run()
     obj, truth, limits, held_out = record.obj, record.truth, record.limit_report, record.held_out_log
     uniform = CellParameters.uniform(obj)
     learned = record.estimates[-1].params if record.estimates else uniform

@@ -23,8 +23,7 @@ from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.report.page import ReportSummary, make_report
 from gridpush_drake.station.identify_task import IdentifyTaskRecord
 from gridpush_drake.station.limit_monitor import LimitReport
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import write_scenario
+from gridpush_drake.station.scenario import PushScenario, write_scenario
 
 FILES = (
     "report.html",

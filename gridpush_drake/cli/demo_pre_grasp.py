@@ -16,8 +16,7 @@ from gridpush_drake.planning.pregrasp.uncertainty import Belief
 from gridpush_drake.report.page import ReportSummary
 from gridpush_drake.report.pregrasp_figure import GraspDrawn, PushDrawn, draw_pre_grasp
 from gridpush_drake.station.pregrasp_task import HELD, PreGraspRecord, PreGraspStep, PreGraspTask
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.station.scenario import PushScenario, read_scenario
 from gridpush_drake.systems.messages import PreGraspMode, PushStatus
 
 FILES = ("report.html", "recording.html", "model.yaml", "object.yaml", "pushes.csv", "truth.yaml", "scenario.yaml")

@@ -1,10 +1,9 @@
 """Object files: an object's outline or mask and what is known of it, as YAML; and those that are shipped."""
 
-from collections.abc import Mapping
 from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import numpy as np
 import shapely
@@ -33,8 +32,6 @@ Label = Annotated[int, Field(ge=1, le=MAX_LABEL)]
 class MaskSchema(StrictSchema):
     """A label image, beside the object file, and its scale in m."""
 
-    renamed: ClassVar[Mapping[str, str]] = {"metres_per_pixel": "meters_per_pixel"}
-
     image: str = Field(description="the name of a PGM or PNG file beside this one")
     meters_per_pixel: Length
 
@@ -48,8 +45,6 @@ class PartSchema(StrictSchema):
 
 class CellsSchema(StrictSchema):
     """The very cells of an outline, body frame, m, instead of filling it; labels are 1 where not given."""
-
-    renamed: ClassVar[Mapping[str, str]] = {"centres": "centers"}
 
     size: Length
     centers: list[Point] = Field(min_length=1, description="a list of points [x, y], in meters")
@@ -95,8 +90,6 @@ class PusherSchema(StrictSchema):
 
 class ObjectSchema(StrictSchema):
     """An object: a whole object file, and the object of a model file."""
-
-    renamed: ClassVar[Mapping[str, str]] = {"centre_of_mass": "center_of_mass"}
 
     name: str | None = Field(None, min_length=1, description="some text")
     outline: Points | None = Field(None, description=POINTS)
@@ -149,6 +142,13 @@ class ObjectSchema(StrictSchema):
         )
 
 
+RENAMED = {
+    "centre_of_mass": "this key is called center_of_mass now",
+    "cells.centres": "this key is called centers now",
+    "mask.metres_per_pixel": "this key is called meters_per_pixel now",
+}
+"""What became of keys of old, by their place in the object."""
+
 WHAT = "an object file (name, outline or mask, max_cells, ...)"
 
 
@@ -159,7 +159,7 @@ def read_object_file(path: Path) -> ObjectSchema:
         ObjectError: the file cannot be read, has an unknown key or a value out of range; the message names the
             file, the field and the expected form.
     """
-    return check_mapping(path, read_mapping(path, WHAT), ObjectSchema, ObjectError)
+    return check_mapping(path, read_mapping(path, WHAT), ObjectSchema, ObjectError, RENAMED)
 
 
 def make_cells(schema: ObjectSchema, name: str, folder: Path, largest_piece: bool = False) -> CellGrid:
