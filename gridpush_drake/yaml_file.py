@@ -11,11 +11,10 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar, get_args, get_origin
+from typing import Any, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
-from pydantic.fields import FieldInfo
 
 from gridpush_drake.errors import GridPushError, ObjectError
 from gridpush_drake.files import MEGABYTE, read_text
@@ -35,6 +34,9 @@ MAX_PROBLEM = 160
 MAX_SHOWN = 60
 """Characters of a refused value that a message repeats."""
 
+KEYS_AND_VALUES = "`key: value` lines"
+"""Form of a mapping of which a schema says nothing else."""
+
 UNKNOWN_KEY = ("extra_forbidden", "invalid_key")
 """Pydantic's names for a key that the schema does not have; said first, as a misspelt key explains a missing one."""
 
@@ -51,13 +53,9 @@ class StrictSchema(BaseModel):
     """What a YAML mapping may hold: these keys and no others, each of its type, numbers finite.
 
     A field's `description` says in a message what is expected of it.
-
-    Attributes:
-        renamed: the present name of each key that had another before.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-    renamed: ClassVar[Mapping[str, str]] = {}
 
 
 Schema = TypeVar("Schema", bound=StrictSchema)
@@ -131,7 +129,9 @@ def check_yaml(path: Path, text: str, what: str, error: type[GridPushError]) -> 
         _compose(_StrictLoader(text))
 
 
-def check_mapping(path: Path, data: dict[str, Any], schema: type[Schema], error: type[GridPushError]) -> Schema:
+def check_mapping(
+    path: Path, data: dict[str, Any], schema: type[Schema], error: type[GridPushError], renamed: Mapping[str, str]
+) -> Schema:
     """Checks a mapping against a schema.
 
     Args:
@@ -139,6 +139,7 @@ def check_mapping(path: Path, data: dict[str, Any], schema: type[Schema], error:
         data: as `read_mapping` gives it.
         schema: what it should hold.
         error: raised where it does not.
+        renamed: the present names of keys that had others before, see `explain`.
 
     Returns:
         The content, checked.
@@ -150,57 +151,68 @@ def check_mapping(path: Path, data: dict[str, Any], schema: type[Schema], error:
     try:
         return schema.model_validate(data)
     except ValidationError as cause:
-        raise error(f"{path}: {_explain(cause, schema)}") from None
+        raise error(f"{path}: {explain(cause, list_expected(schema), renamed)}") from None
 
 
-def _explain(error: ValidationError, schema: type[StrictSchema]) -> str:
-    """Says the first thing that is wrong, with the field's place and what is expected there."""
+def list_expected(schema: type[BaseModel], place: str = "") -> dict[str, str]:
+    """Lists what each field of a schema should hold, as its `description` says, by its place without indices.
+
+    A field without one has "" there, but where it holds a mapping.
+    """
+    expected = {}
+    for name, field in schema.model_fields.items():
+        place_of_field = f"{place}.{name}" if place else name
+        parts = (field.annotation, *get_args(field.annotation))
+        inner = [part for part in parts if isinstance(part, type) and issubclass(part, BaseModel)]
+        expected[place_of_field] = field.description or (KEYS_AND_VALUES if inner else "")
+        for part in inner:
+            expected |= list_expected(part, place_of_field)
+    return expected
+
+
+def explain(error: ValidationError, expected: Mapping[str, str], renamed: Mapping[str, str] | None = None) -> str:
+    """Says the first thing that is wrong, with the field's place and what is expected there.
+
+    Args:
+        error: pydantic's.
+        expected: what each field should hold, by its place without indices, see `list_expected`.
+        renamed: what to say of keys that were once known, likewise by place.
+
+    Returns:
+        A sentence such as "camera.rate is -1; expected a positive number, in Hz".
+    """
     first = min(error.errors(), key=lambda e: e["type"] not in UNKNOWN_KEY)
     place = first["loc"]
     field = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place).lstrip(".")
     names = [step for step in place if isinstance(step, str)]
-    if first["type"] in UNKNOWN_KEY:
-        above = _find_field(schema, names[: len(names) - isinstance(place[-1], str)])[1] or schema
-        return f"{field}: {_explain_unknown_key(str(place[-1]), above)}"
     message = str(first["msg"]).removeprefix("Value error, ")
-    if first["type"] == "value_error":
+    if first["type"] in UNKNOWN_KEY:
+        above, key = names[: -1 if isinstance(place[-1], str) else None], str(place[-1])
+        known_once = (renamed or {}).get(".".join(names))
+        return f"{field}: {known_once}" if known_once else f"{field}: unknown key{_suggest(above, key, expected)}"
+    form = expected.get(".".join(names))
+    if first["type"] == "value_error" and (not form or isinstance(first["input"], dict)):
         return f"{field}: {message}" if field else message
-    info = _find_field(schema, names)[0]
-    expected = info.description if info else None
     if first["type"] == "missing":
-        return f"{field} is missing" + (f"; expected {expected}" if expected else "")
-    return f"{field} is {shorten_value(first['input'])}; expected {expected or message[:1].lower() + message[1:]}"
+        return f"{field} is missing" + (f"; expected {form}" if form else "")
+    return f"{field} is {shorten(first['input'])}; expected {form or message[:1].lower() + message[1:]}"
 
 
-def _explain_unknown_key(key: str, schema: type[StrictSchema]) -> str:
-    if key in schema.renamed:
-        return f"this key is called {schema.renamed[key]} now"
-    known = list(schema.model_fields)
-    near = get_close_matches(key, known, n=1)
+def suggest(word: str, known: list[str]) -> str:
+    """The end of a message about an unknown word: the nearest known one, and all."""
+    near = get_close_matches(word, known, n=1)
     guess = f"; did you mean {near[0]}?" if near else ";"
-    return f"unknown key{guess} expected one of {', '.join(known)}"
+    return f"{guess} expected one of {', '.join(known)}"
 
 
-def _find_field(schema: type[StrictSchema], names: list[str]) -> tuple[FieldInfo | None, type[StrictSchema] | None]:
-    """The field at a place in a schema, and the schema of what it holds, where it holds a mapping."""
-    field: FieldInfo | None = None
-    inner: type[StrictSchema] | None = schema
-    for name in names:
-        field = inner.model_fields.get(name) if inner else None
-        inner = _find_schema(field.annotation) if field else None
-    return field, inner
-
-
-def _find_schema(annotation: Any) -> type[StrictSchema] | None:
-    if get_origin(annotation) is None:
-        return annotation if isinstance(annotation, type) and issubclass(annotation, StrictSchema) else None
-    return next((found for part in get_args(annotation) if (found := _find_schema(part))), None)
-
-
-def shorten_value(value: Any) -> str:
+def shorten(value: Any) -> str:
     """A refused value for a message."""
     text = "empty" if value is None else repr(value)
     return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."
+
+
+def _suggest(above: list[str], key: str, expected: Mapping[str, str]) -> str:
+    return suggest(key, [path.split(".")[-1] for path in expected if path.split(".")[:-1] == above])
 
 
 @contextmanager

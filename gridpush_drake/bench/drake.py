@@ -4,7 +4,7 @@ How fast `GridLcpSystem` runs in a Drake Simulator.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from time import perf_counter
 
 import numpy as np
@@ -104,7 +104,7 @@ def calc_scores(
 
 def run_job(job: StationJob) -> StationScore:
     """Runs one experiment with the default scenario."""
-    record = IdentifyTask(replace(PushScenario(), object=job.name, seed=job.seed)).run()
+    record = IdentifyTask(PushScenario(object=job.name, seed=job.seed)).run()
     obj, truth, limits, held_out = record.obj, record.truth, record.limit_report, record.held_out_log
     uniform = CellParameters.uniform(obj)
     learned = record.estimates[-1].params if record.estimates else uniform

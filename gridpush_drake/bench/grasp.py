@@ -13,7 +13,7 @@ from gridpush_drake.errors import GridPushError
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.station.pregrasp_task import PreGraspTask
-from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.station.scenario import read_scenario
 
 if TYPE_CHECKING:
     from gridpush_drake.station.pregrasp_task import PreGraspRecord

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from gridpush_drake.bench.paper_protocol import MASS_SETS, MAX_CELLS, SUPPORT_FRICTION, draw_masses
 from gridpush_drake.bench.public_data import find_masks, find_protocol
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.mask import read_labels
 from gridpush_drake.objects.object_file import find_shipped_object
@@ -114,8 +115,8 @@ def draw_pairs(seed: int) -> Array:
     rng = np.random.default_rng([seed, PAIRS])
     distance = PLACE_RADIUS * np.sqrt(rng.uniform(size=(PAIRS, 2)))
     bearing, heading = rng.uniform(-np.pi, np.pi, (2, PAIRS, 2))
-    x, y = TABLE_CENTER
-    return np.stack([x + distance * np.cos(bearing), y + distance * np.sin(bearing), heading], axis=-1)
+    places = TABLE_CENTER + distance[..., None] * make_direction(bearing)
+    return np.concatenate([places, heading[..., None]], axis=-1)
 
 
 def _read_protocol(path: Path, drawn: PlanningProtocol) -> PlanningProtocol:

@@ -33,6 +33,7 @@ from gridpush_drake.bench.pregrasp_world import Believe, EdgeWorld, Learner, Out
 from gridpush_drake.bench.public_data import find_masks
 from gridpush_drake.bench.table import Table
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
@@ -102,8 +103,7 @@ def make_table(seed: int) -> SupportSurface:
         return SupportSurface.rectangle((0.0, 0.0), RECTANGLE)
     if kind == 1:
         return SupportSurface.round((0.0, 0.0), RADIUS)
-    angle = np.pi / 3 * np.arange(6)
-    return SupportSurface.from_polygon(HEXAGON * np.column_stack([np.cos(angle), np.sin(angle)]))
+    return SupportSurface.from_polygon(HEXAGON * make_direction(np.pi / 3 * np.arange(6)))
 
 
 PERCENT = 100.0

@@ -36,8 +36,8 @@ from gridpush_drake.identification.prediction import calc_pose_error, predict
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.importers.cmu import import_cmu
-from gridpush_drake.pushes.importers.mit import import_mit, read_model_errors
+from gridpush_drake.pushes.importers.mit import read_model_errors
+from gridpush_drake.pushes.importers.registry import find_importer
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
 
 PUSHES = 50
@@ -266,7 +266,7 @@ def _describe(job: Job) -> str:
 
 @lru_cache(maxsize=1)
 def _read(path: Path, kind: str) -> tuple[PushLog, GridObject]:
-    return import_cmu(path) if kind == "cmu" else import_mit(path)
+    return find_importer(kind)().read(path)
 
 
 def _choose(scores: Sequence[Score], names: Sequence[str], model: str, training: int) -> list[Score]:

@@ -72,7 +72,7 @@ def demo(
     from gridpush_drake.cli.demo_tasks import TASKS, print_summary, write_files
     from gridpush_drake.files import check_writable, make_folder
     from gridpush_drake.multibody.meshcat_server import StartMeshcatServer
-    from gridpush_drake.station.scenario_file import check_scenario
+    from gridpush_drake.station.scene import check_scenario
 
     if pushes is not None and task is not TaskName.identify:
         raise options.OptionError(f"--pushes: is for --task identify; {task} decides itself how many to make")
@@ -108,7 +108,7 @@ def _make_scenario(
     task: "DemoTask", scenario_file: Path | None, object_file: str | None, pushes: int | None, seed: int | None
 ) -> "PushScenario":
     """The scenario of a file, or the task's own one, with what the command line says instead."""
-    from gridpush_drake.station.scenario_file import read_scenario
+    from gridpush_drake.station.scenario import read_scenario
 
     scenario = read_scenario(scenario_file) if scenario_file else task.make_scenario()
     if object_file is not None:

@@ -37,8 +37,7 @@ from gridpush_drake.station.identify_task import FINISHED, IdentifyTask, Identif
 from gridpush_drake.station.limit_monitor import LimitReport
 from gridpush_drake.station.pregrasp_task import HELD, PreGraspRecord, PreGraspStep, PreGraspTask
 from gridpush_drake.station.push_task import GOAL_COLOR, REACHED, PushTask, PushTaskRecord
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import read_scenario, write_scenario
+from gridpush_drake.station.scenario import PushScenario, read_scenario, write_scenario
 from gridpush_drake.systems.messages import ContactPointMode, PreGraspMode, PushStatus
 
 FRAMES_PER_SECOND = 20.0

@@ -1,22 +1,22 @@
 """`gridpush import`: public data sets to a push log and an object file.
 
-What is slow to import is imported when the command runs, so that `gridpush` starts fast.
+There is a command for each importer in `pushes.importers.registry`, with the options that are its fields.
 """
 
+import dataclasses
+from inspect import Parameter, Signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
+from typer.core import TyperGroup
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import print_json, print_line
 from gridpush_drake.errors import OutputError
 
 if TYPE_CHECKING:
-    from gridpush_drake.objects.grid_object import GridObject
-    from gridpush_drake.pushes.push_log import PushLog
-
-app = typer.Typer(no_args_is_help=True, help="Convert a public data set to a push log and an object file.")
+    from gridpush_drake.pushes.importers.registry import Importer
 
 OutDir = Annotated[
     Path | None,
@@ -25,52 +25,72 @@ OutDir = Annotated[
 OutCsv = Annotated[Path | None, typer.Option(metavar="PUSHES.csv", help="The push log to write.")]
 OutObject = Annotated[Path | None, typer.Option(metavar="OBJECT.yaml", help="The object file to write.")]
 
-
-@app.command("cmu")
-def cmu(
-    log: Annotated[Path, typer.Argument(metavar="LOG.txt", help="A file of GitHub robinzhoucmu/MLab_EXP.")],
-    out_dir: OutDir = None,
-    out_csv: OutCsv = None,
-    out_object: OutObject = None,
-    calibrate: Annotated[bool, typer.Option(help="Correct the logged tool point to the tip's center.")] = True,
-    shuffle: Annotated[bool, typer.Option(help="Put the pushes in random order.")] = True,
-    uniform_plate: Annotated[
-        bool, typer.Option("--uniform-plate", help="Take the block's center of mass as known to be at its centroid.")
-    ] = False,
-    seed: options.Seed = 0,
-    force: options.Force = False,
-    json: options.Json = False,
-) -> None:
-    """Import pushes of a triangular block (Zhou, Paolini, Bagnell, Mason, ICRA 2016)."""
-    from gridpush_drake.pushes.importers.cmu import BLOCK_CELLS, import_cmu
-
-    paths = _check_outputs(out_dir, out_csv, out_object, force)
-    pushes, obj = import_cmu(log, calibrate=calibrate, shuffle=shuffle, seed=seed, uniform_plate=uniform_plate)
-    _write(pushes, obj, BLOCK_CELLS, paths, force, json)
+OUTPUTS = {"out_dir": OutDir, "out_csv": OutCsv, "out_object": OutObject}
+FLAGS = {"force": options.Force, "json": options.Json}
 
 
-@app.command("mit")
-def mit(
-    file: Annotated[Path, typer.Argument(metavar="FILE.mat", help="A file of the MIT push data set, start and end.")],
-    out_dir: OutDir = None,
-    out_csv: OutCsv = None,
-    out_object: OutObject = None,
-    shape: Annotated[
-        str | None, typer.Option(help="The shape's name, such as rect1; by default as the file's name or content says.")
-    ] = None,
-    object_file: Annotated[
-        str | None, typer.Option("--object", metavar="OBJECT.yaml", help="The object, where its shape is not known.")
-    ] = None,
-    force: options.Force = False,
-    json: options.Json = False,
-) -> None:
-    """Import pushes of the MIT push data set (Yu, Bauza, Fazeli, Rodriguez, IROS 2016)."""
-    from gridpush_drake.pushes.importers.mit import MIT_CELLS, import_mit
+class ImporterGroup(TyperGroup):
+    """Makes a command of each importer, when it is asked for: importers are loaded only then."""
 
-    paths = _check_outputs(out_dir, out_csv, out_object, force)
-    given = options.load_object(object_file) if object_file else None
-    pushes, obj = import_mit(file, shape=shape, obj=given)
-    _write(pushes, obj, obj.n if given else MIT_CELLS, paths, force, json)
+    def list_commands(self, ctx: Any) -> list[str]:
+        """The importers' names."""
+        from gridpush_drake.pushes.importers.registry import IMPORTERS
+
+        return list(IMPORTERS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """The command of an importer; None where there is no such importer."""
+        from gridpush_drake.pushes.importers.registry import find_importer
+
+        if cmd_name not in self.commands and cmd_name in self.list_commands(ctx):
+            self.commands[cmd_name] = _make_command(cmd_name, find_importer(cmd_name))
+        return super().get_command(ctx, cmd_name)
+
+
+app = typer.Typer(
+    cls=ImporterGroup, no_args_is_help=True, help="Convert a public data set to a push log and an object file."
+)
+
+
+def _make_command(name: str, importer: "type[Importer]") -> Any:
+    types = get_type_hints(importer)
+    fields = {field.name: field for field in dataclasses.fields(importer)}  # type: ignore[arg-type]
+
+    def run(file: Path, out_dir: Path | None, out_csv: Path | None, out_object: Path | None, force: bool, json: bool,
+            **chosen: Any) -> None:  # fmt: skip
+        paths = _check_outputs(out_dir, out_csv, out_object, force)
+        values = {key: _read_value(types[key], value) for key, value in chosen.items()}
+        _write(importer(**values), file, paths, force, json)
+
+    file = Annotated[Path, typer.Argument(metavar=importer.file, help=f"A file of {importer.source}.")]
+    parameters = [Parameter("file", Parameter.POSITIONAL_OR_KEYWORD, annotation=file)]
+    annotations = OUTPUTS | {key: _describe_option(field, types[key]) for key, field in fields.items()} | FLAGS
+    defaults = dict.fromkeys(OUTPUTS) | {key: field.default for key, field in fields.items()}
+    for key, annotation in annotations.items():
+        default = defaults.get(key, False)
+        parameters.append(Parameter(key, Parameter.KEYWORD_ONLY, default=default, annotation=annotation))
+    run.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    single = typer.Typer(add_completion=False)
+    single.command(name, help=(importer.__doc__ or "").partition("\n")[0])(run)
+    return typer.main.get_command(single)
+
+
+def _describe_option(field: "dataclasses.Field[Any]", kind: Any) -> Any:
+    names = [field.metadata["name"]] if "name" in field.metadata else []
+    if _is_object(kind):
+        return Annotated[str | None, typer.Option(*names, metavar="OBJECT.yaml", help=field.metadata["help"])]
+    return Annotated[kind, typer.Option(*names, help=field.metadata["help"])]
+
+
+def _read_value(kind: Any, value: Any) -> Any:
+    return options.load_object(value) if _is_object(kind) and value is not None else value
+
+
+def _is_object(kind: Any) -> bool:
+    from gridpush_drake.objects.grid_object import GridObject
+
+    return kind == GridObject | None
 
 
 def _check_outputs(
@@ -89,12 +109,10 @@ def _check_outputs(
     return paths
 
 
-def _write(
-    pushes: "PushLog", obj: "GridObject", max_cells: int, paths: tuple[Path, Path], force: bool, json: bool
-) -> None:
-
+def _write(importer: "Importer", file: Path, paths: tuple[Path, Path], force: bool, json: bool) -> None:
+    pushes, obj = importer.read(file)
     pushes.write_csv(paths[0], force)
-    obj.write_yaml(paths[1], max_cells=max_cells, force=force)
+    obj.write_yaml(paths[1], force=force)
     if json:
         print_json({"object": obj.name, "cells": obj.n, "pushes": len(pushes), "written": list(map(str, paths))})
     else:

@@ -6,8 +6,11 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-MERGED = 1e-9
-"""m, for round-off, where half-planes meet."""
+SLACK = 1e-12
+"""m, so that half-planes that leave one point leave a polygon, for round-off's sake."""
+
+FAR = 8.0
+"""Size of a half-plane's rectangle, in greatest offsets."""
 
 
 def hull_of(points: Array) -> Array:
@@ -19,33 +22,23 @@ def hull_of(points: Array) -> Array:
 
 
 def bound_by_half_planes(directions: Array, offsets: Array) -> Array:
-    """Corners of the convex polygon {c: d.c <= h(d)}, by clipping.
+    """Corners of the convex polygon {c: d.c <= h(d)}.
 
     Bounds of single directions that hold for most draws only are no support function: some lie outside what the
     others leave, and count nothing.
 
     Args:
         directions: (D, 2) unit vectors, all round.
-        offsets: (D,) h, m; together they leave something.
+        offsets: (D,) h, m; together they leave something, be it a point.
 
     Returns:
-        (V, 2) corners, m, counterclockwise.
+        (V, 2) corners, m, counterclockwise, each bound taken SLACK further out.
     """
-    reach = 4.0 * float(np.abs(offsets).max()) + MERGED
-    polygon = reach * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    for d, h in zip(directions, offsets, strict=True):
-        inside = h - polygon @ d
-        if (inside >= 0).all():
-            continue
-        after, ahead = np.roll(polygon, -1, axis=0), np.roll(inside, -1)
-        corners: list[Array] = []
-        for p, q, here, there in zip(polygon, after, inside, ahead, strict=True):
-            if here >= -MERGED:
-                corners.append(p)
-            if (here > MERGED and there < -MERGED) or (here < -MERGED and there > MERGED):
-                corners.append(p + here / (here - there) * (q - p))
-        polygon = np.array(corners)
-    return polygon
+    reach = FAR * (float(np.abs(offsets).max()) + SLACK)
+    on_edge = (offsets + SLACK)[:, None] * directions
+    along, inward = reach * np.column_stack([-directions[:, 1], directions[:, 0]]), -reach * directions
+    half_planes = np.stack([on_edge + along, on_edge + along + inward, on_edge - along + inward, on_edge - along], 1)
+    return hull_of(shapely.get_coordinates(shapely.intersection_all(shapely.polygons(half_planes))))
 
 
 def calc_margin_inside(inner: Array, hull: Array) -> float:

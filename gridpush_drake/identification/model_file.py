@@ -6,9 +6,8 @@ base64 of little-endian float64.
 
 import base64
 import binascii
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
@@ -21,6 +20,7 @@ from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.result import HistoryEntry, Identification
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import RENAMED as OBJECT_RENAMED
 from gridpush_drake.objects.object_file import ObjectSchema, describe_object, make_cells
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.yaml_file import StrictSchema, check_mapping, read_mapping
@@ -37,8 +37,6 @@ Matrix2 = Annotated[list[Point], Field(min_length=2, max_length=2)]
 class CellValuesSchema(StrictSchema):
     """What is known of the cells: one entry a cell, in the order of `object.cells`."""
 
-    renamed: ClassVar[Mapping[str, str]] = {"p_BC": "object.cells.centers", "labels": "object.cells.labels"}
-
     mass: list[Positive]
     mass_std: list[Positive]
     mass_min: list[NotNegative]
@@ -52,12 +50,6 @@ class CellValuesSchema(StrictSchema):
 
 class IdentifiabilitySchema(StrictSchema):
     """What the data determine; see `Identifiability`."""
-
-    renamed: ClassVar[Mapping[str, str]] = {
-        "centre_of_friction": "center_of_friction",
-        "centre_of_friction_covariance": "center_of_friction_covariance",
-        "centre_of_mass_box": "center_of_mass_box",
-    }
 
     statements: list[str]
     center_of_friction: Point
@@ -76,12 +68,6 @@ class PosteriorSchema(StrictSchema):
 
 class LearnedObjectSchema(ObjectSchema):
     """The object as in an object file, with a name and its very cells."""
-
-    renamed: ClassVar[Mapping[str, str]] = {
-        **ObjectSchema.renamed,
-        "cell_size": "cells.size",
-        "prior": "total_mass, center_of_mass, friction, contact_friction and pusher, as in an object file,",
-    }
 
     @model_validator(mode="after")
     def _check_cells(self) -> "LearnedObjectSchema":
@@ -123,6 +109,18 @@ class ModelSchema(StrictSchema):
             raise ValueError(f"posterior.mean has {len(self.posterior.mean)} entries; expected {n + 1}, cells + 1")
         return self
 
+
+RENAMED = {
+    **{f"object.{place}": what for place, what in OBJECT_RENAMED.items()},
+    "object.cell_size": "this key is called object.cells.size now",
+    "object.prior": "its keys stand in object now: total_mass, center_of_mass, friction, contact_friction, pusher",
+    "cells.p_BC": "this key is called object.cells.centers now",
+    "cells.labels": "this key is called object.cells.labels now",
+    "identifiability.centre_of_friction": "this key is called center_of_friction now",
+    "identifiability.centre_of_friction_covariance": "this key is called center_of_friction_covariance now",
+    "identifiability.centre_of_mass_box": "this key is called center_of_mass_box now",
+}
+"""What became of keys of old, by their place."""
 
 Array = NDArray[np.float64]
 
@@ -229,7 +227,7 @@ def read_model(path: Path | str) -> Identification:
         IdentificationError: it is not a model; the message names the file, the field and the expected form.
     """
     path = Path(path)
-    schema = check_mapping(path, read_mapping(path, WHAT), ModelSchema, IdentificationError)
+    schema = check_mapping(path, read_mapping(path, WHAT), ModelSchema, IdentificationError, RENAMED)
     try:
         return _restore(schema)
     except GridPushError as error:

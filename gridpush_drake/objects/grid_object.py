@@ -174,18 +174,17 @@ class GridObject:
         except ObjectError as error:
             raise ObjectError(f"{path}: {error}") from error
 
-    def write_yaml(self, path: Path | str, *, max_cells: int | None = None, force: bool = False) -> None:
+    def write_yaml(self, path: Path | str, force: bool = False) -> None:
         """Writes the object as an outline with its cells and prior, so that `from_yaml` gives it back, bit for bit.
 
         Args:
             path: the YAML file to be written.
-            max_cells: to fill the outline with when it is read; None writes the very cells.
             force: whether an existing file may be replaced.
 
         Raises:
             OutputError: the file exists and `force` is not set, or it cannot be written.
         """
-        write_whole(path, dump_object(self.name, self.grid, self.prior, max_cells), force)
+        write_whole(path, dump_object(self.name, self.grid, self.prior), force)
 
     @property
     def grid(self) -> CellGrid:

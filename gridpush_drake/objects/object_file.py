@@ -1,16 +1,15 @@
 """Object files: an object's outline or mask and what is known of it, as YAML; and those that are shipped."""
 
-from collections.abc import Mapping
 from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import numpy as np
 import shapely
 import yaml
 from pydantic import Field, Strict, model_validator
-from shapely import LinearRing, MultiPolygon, Polygon
+from shapely import LinearRing, Polygon
 
 from gridpush_drake.errors import ObjectError, ParameterError
 from gridpush_drake.objects.cells import DEFAULT_MAX_CELLS, MAX_CELLS, MAX_LABEL, CellGrid
@@ -33,8 +32,6 @@ Label = Annotated[int, Field(ge=1, le=MAX_LABEL)]
 class MaskSchema(StrictSchema):
     """A label image, beside the object file, and its scale in m."""
 
-    renamed: ClassVar[Mapping[str, str]] = {"metres_per_pixel": "meters_per_pixel"}
-
     image: str = Field(description="the name of a PGM or PNG file beside this one")
     meters_per_pixel: Length
 
@@ -48,8 +45,6 @@ class PartSchema(StrictSchema):
 
 class CellsSchema(StrictSchema):
     """The very cells of an outline, body frame, m, instead of filling it; labels are 1 where not given."""
-
-    renamed: ClassVar[Mapping[str, str]] = {"centres": "centers"}
 
     size: Length
     centers: list[Point] = Field(min_length=1, description="a list of points [x, y], in meters")
@@ -95,8 +90,6 @@ class PusherSchema(StrictSchema):
 
 class ObjectSchema(StrictSchema):
     """An object: a whole object file, and the object of a model file."""
-
-    renamed: ClassVar[Mapping[str, str]] = {"centre_of_mass": "center_of_mass"}
 
     name: str | None = Field(None, min_length=1, description="some text")
     outline: Points | None = Field(None, description=POINTS)
@@ -149,10 +142,14 @@ class ObjectSchema(StrictSchema):
         )
 
 
-WHAT = "an object file (name, outline or mask, max_cells, ...)"
+RENAMED = {
+    "centre_of_mass": "this key is called center_of_mass now",
+    "cells.centres": "this key is called centers now",
+    "mask.metres_per_pixel": "this key is called meters_per_pixel now",
+}
+"""What became of keys of old, by their place in the object."""
 
-PART_REACH = 0.501
-"""Half the side of the square written for a part's cell, in cell sides: a little over, so that neighbors join."""
+WHAT = "an object file (name, outline or mask, max_cells, ...)"
 
 
 def read_object_file(path: Path) -> ObjectSchema:
@@ -162,7 +159,7 @@ def read_object_file(path: Path) -> ObjectSchema:
         ObjectError: the file cannot be read, has an unknown key or a value out of range; the message names the
             file, the field and the expected form.
     """
-    return check_mapping(path, read_mapping(path, WHAT), ObjectSchema, ObjectError)
+    return check_mapping(path, read_mapping(path, WHAT), ObjectSchema, ObjectError, RENAMED)
 
 
 def make_cells(schema: ObjectSchema, name: str, folder: Path, largest_piece: bool = False) -> CellGrid:
@@ -195,14 +192,13 @@ def make_cells(schema: ObjectSchema, name: str, folder: Path, largest_piece: boo
     return fill_outline(outline, parts, schema.max_cells, name=name)
 
 
-def describe_object(name: str, grid: CellGrid, prior: PhysicalPrior, max_cells: int | None = None) -> dict[str, Any]:
+def describe_object(name: str, grid: CellGrid, prior: PhysicalPrior) -> dict[str, Any]:
     """The plain values of which `ObjectSchema` makes the same object again, bit for bit.
 
     Args:
         name: of the object.
         grid: its geometry.
         prior: what is known of its mass and friction.
-        max_cells: to fill its outline with; None gives its very cells.
 
     Returns:
         The values, in the order of a file.
@@ -210,12 +206,9 @@ def describe_object(name: str, grid: CellGrid, prior: PhysicalPrior, max_cells: 
     data: dict[str, Any] = {"name": name, "outline": _points(grid.outline.exterior)}
     if grid.outline.interiors:
         data["holes"] = [_points(ring) for ring in grid.outline.interiors]
-    if max_cells is None:
-        data["cells"] = {"size": grid.cell_size, "centers": grid.p_BC.tolist()}
-        if (grid.labels != 1).any():
-            data["cells"]["labels"] = grid.labels.tolist()
-    else:
-        data |= _describe_parts(grid) | {"max_cells": int(max_cells)}
+    data["cells"] = {"size": grid.cell_size, "centers": grid.p_BC.tolist()}
+    if (grid.labels != 1).any():
+        data["cells"]["labels"] = grid.labels.tolist()
     if prior.total_mass is not None:
         data["total_mass"] = float(prior.total_mass)
     if prior.center_of_mass is not None:
@@ -230,9 +223,9 @@ def describe_object(name: str, grid: CellGrid, prior: PhysicalPrior, max_cells: 
     return data
 
 
-def dump_object(name: str, grid: CellGrid, prior: PhysicalPrior, max_cells: int | None = None) -> str:
+def dump_object(name: str, grid: CellGrid, prior: PhysicalPrior) -> str:
     """An object file's text; the arguments are those of `describe_object`."""
-    data = describe_object(name, grid, prior, max_cells)
+    data = describe_object(name, grid, prior)
     text: str = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, allow_unicode=True)
     return text
 
@@ -264,30 +257,6 @@ def find_shipped_object(name: str) -> Path:
 
 def _shipped_folder() -> Path:
     return Path(str(files("gridpush_drake"))) / "models" / "objects"
-
-
-def _describe_parts(grid: CellGrid) -> dict[str, Any]:
-    """`parts`: the squares of each part's cells, joined; nothing where part 1 is the only one."""
-    labels = sorted({int(label) for label in grid.labels} - {1})
-    parts = []
-    for label in labels:
-        low = grid.p_BC[grid.labels == label] - grid.cell_size * PART_REACH
-        boxes = shapely.box(*low.T, *(low + 2 * grid.cell_size * PART_REACH).T)
-        joined = shapely.union_all(boxes).simplify(grid.cell_size * (PART_REACH - 0.5))
-        parts += [{"label": label, "outline": _points(piece.exterior)} for piece in _without_holes(joined)]
-    return {"parts": parts} if parts else {}
-
-
-def _without_holes(shape: Polygon | MultiPolygon) -> list[Polygon]:
-    """Polygons that together cover `shape`, each cut through the middle of its holes."""
-    if isinstance(shape, MultiPolygon):
-        return [piece for polygon in shape.geoms for piece in _without_holes(polygon)]
-    if not shape.interiors:
-        return [shape]
-    middle = shape.interiors[0].centroid.x
-    left, low, right, high = shape.bounds
-    halves = [shape & shapely.box(left, low, middle, high), shape & shapely.box(middle, low, right, high)]
-    return [piece for half in halves for piece in _without_holes(half)]
 
 
 def _points(ring: LinearRing) -> list[list[float]]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from shapely import LineString, Point
 
 from gridpush_drake.errors import PushLogError, PushLogWarning
+from gridpush_drake.geometry.se2 import transform_back
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
@@ -265,9 +266,8 @@ def _are_misplaced(obj: GridObject, log: PushLog, units: _Units) -> NDArray[np.b
 
 def _calc_gap(obj: GridObject, seen: ObservedPush, units: _Units) -> tuple[float, float]:
     """How far the pusher's path stays off the outline, and how deep inside it begins, m, negative where it does not."""
-    theta = seen.pose[2] * units.angle
-    c, s = np.cos(theta), np.sin(theta)
-    path = (seen.push.xy * units.tip - seen.pose[:2] * units.place) @ np.array([[c, -s], [s, c]])
+    pose = seen.pose * (units.place, units.place, units.angle)
+    path = transform_back(pose, seen.push.xy * units.tip)
     start, radius = Point(path[0]), seen.push.radius
     inside = bool(shapely.contains(obj.outline, start))
     depth = radius + float(obj.outline.boundary.distance(start)) * (1.0 if inside else -1.0)

@@ -17,7 +17,7 @@ samples that straight lines between the others replace to within `path_tolerance
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import cos, hypot, isfinite, pi, sin
+from math import hypot, isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from shapely import LineString
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.geometry.se2 import transform_back, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush, nearest_turn
 
@@ -236,7 +237,7 @@ def calc_rest_pose(looks: tuple[Sample, ...] | list[Sample], options: RecordOpti
     if not len(poses):
         return None
     theta = poses[-1, 2]
-    poses[:, 2] = theta + (poses[:, 2] - theta + pi) % (2 * pi) - pi
+    poses[:, 2] = theta + wrap_angle(poses[:, 2] - theta)
     off = poses - np.median(poses[-LATEST:], axis=0)
     good = np.hypot(off[:, 0], off[:, 1]) <= options.rest_tolerance
     good &= np.abs(off[:, 2]) <= options.rest_angle_tolerance
@@ -318,8 +319,7 @@ def _snap(time: float, t: Array) -> float:
 
 def _calc_distance(obj: GridObject, pose: Array, xy: Array) -> float:
     """Least distance of the tip's center from the object where it lies at the beginning, m."""
-    c, s = cos(pose[2]), sin(pose[2])
-    return float(obj.outline.distance(LineString((xy - pose[:2]) @ np.array([[c, -s], [s, c]]))))
+    return float(obj.outline.distance(LineString(transform_back(pose, xy))))
 
 
 def _continue_turns(pose: Array, seen: list[tuple[float, Array]]) -> Array:

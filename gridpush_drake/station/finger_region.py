@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.station.push_station import PushStation
-from gridpush_drake.station.scenario_file import CalcTipReach
+from gridpush_drake.station.scene import CalcTipReach
 
 RING_SEGMENTS = 32
 """A quarter turn, of the polygon for a ring."""

@@ -41,7 +41,7 @@ from gridpush_drake.station.grasping import (
 )
 from gridpush_drake.station.iiwa import AddIiwaControl, Arm, ArmControl, MakeControlPlant, SetArmStart
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import AddScene, MakeTruth, check_scenario, load_object
+from gridpush_drake.station.scene import AddScene, MakeTruth, check_scenario, load_object
 from gridpush_drake.systems.grasp_executor import GraspExecutor
 from gridpush_drake.systems.grid_identifier import GridIdentifier
 from gridpush_drake.systems.messages import GraspCommand, PushCommand

@@ -1,18 +1,26 @@
 """`PushScenario`: all that a station is made from, as one YAML document with a default for every field.
 
-The classes are plain dataclasses as `pydrake.common.yaml` reads and writes them. Lengths are in m, angles in rad, times
-in s, masses in kg. Poses (x, y, theta) are the object's body frame B in the world frame W, whose plane z = 0 is the top
-of the table. Each field's metadata says what it should hold; `scenario_check` and `scenario_file` read it there.
+Lengths are in m, angles in rad, times in s, masses in kg. Poses (x, y, theta) are the object's body frame B in the
+world frame W, whose plane z = 0 is the top of the table. Each field's description is what a message says it should
+hold. Whether a scenario makes sense as a whole is `station.scene.check_scenario`'s to say.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from math import isfinite, radians
-from typing import Any
+from collections.abc import Mapping
+from difflib import get_close_matches
+from math import radians
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
 
-from pydrake.multibody.parsing import AddDirectives, ModelDirective
+import yaml
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, InstanceOf, ValidationError
+from pydrake.common.yaml import yaml_dump as dump_tagged
+from pydrake.common.yaml import yaml_dump_typed, yaml_load_data, yaml_load_typed
+from pydrake.multibody.parsing import AddDirectives, ModelDirective, ModelDirectives
 
+from gridpush_drake.errors import ScenarioError
+from gridpush_drake.files import is_file, read_text, write_whole
 from gridpush_drake.multibody.ground_truth import CELL_MASS_RANGE, CONTACT_FRICTION_RANGE, FRICTION_RANGE
+from gridpush_drake.yaml_file import MAX_YAML_SIZE, NOT_YAML, check_yaml, explain, list_expected, shorten, suggest
 
 CURRENT_VERSION = 1
 """Of the schema; a scenario of another one is refused."""
@@ -30,90 +38,86 @@ MAX_SEED = 2**63 - 1
 MIN_POKE = 0.01
 """Least path of a push that explores, m: as far as it must move the object to be made (`RandomPokeOptions`)."""
 
-EXPECTED = "expected"
-"""Key of a field's metadata: its `Expected`."""
+WHAT = "a scenario (object, base, directives, ...)"
+
+LINE_LENGTH = 120
+"""Of a written scenario, characters."""
 
 
-@dataclass(frozen=True)
-class Expected:
-    """What a field should hold.
-
-    Attributes:
-        text: in words, for messages.
-        holds: whether a value of the right type will do.
-    """
-
-    text: str
-    holds: Callable[[Any], bool]
+def _read_number(value: Any) -> Any:
+    """YAML 1.1 takes 1e-3 for a text."""
+    try:
+        return float(value) if isinstance(value, str) else value
+    except ValueError:
+        return value
 
 
-def _expecting(text: str, holds: Callable[[Any], bool], default: Any) -> Any:
-    return field(default=default, metadata={EXPECTED: Expected(text, holds)})
+Number = Annotated[float, BeforeValidator(_read_number)]
 
 
-def _positive(default: float, unit: str, low: float = MIN_SIZE, high: float = MAX_SIZE) -> Any:
-    return _expecting(
-        f"a positive number, in {unit}, from {low:g} to {high:g}", lambda value: low <= value <= high, default
-    )
+def _positive(unit: str, low: float = MIN_SIZE, high: float = MAX_SIZE) -> Any:
+    return Field(ge=low, le=high, description=f"a positive number, in {unit}, from {low:g} to {high:g}")
 
 
-def _optional(unit: str) -> Any:
-    """Positive, or None."""
-    return _expecting(
-        f"a positive number{unit}, or null", lambda value: value is None or MIN_SIZE <= value <= MAX_SIZE, None
-    )
+def _not_negative(unit: str) -> Any:
+    return Field(ge=0, le=MAX_SIZE, description=f"a number, 0 or more, in {unit}, at most {MAX_SIZE:g}")
 
 
-def _not_negative(default: float, text: str) -> Any:
-    return _expecting(
-        f"a number, 0 or more, {text}, at most {MAX_SIZE:g}", lambda value: 0 <= value <= MAX_SIZE, default
-    )
+def _count(low: int, high: int = MAX_COUNT) -> Any:
+    return Field(ge=low, le=high, description=f"a whole number, {low} or more, at most {high}")
 
 
-def _count(default: int, least: int, greatest: int = MAX_COUNT) -> Any:
-    return _expecting(
-        f"a whole number, {least} or more, at most {greatest}", lambda value: least <= value <= greatest, default
-    )
+def _is_increasing(values: list[float]) -> list[float]:
+    if not values[0] <= values[1]:
+        raise ValueError
+    return values
 
 
-def _word(default: str, words: Sequence[str]) -> Any:
-    return _expecting(f"one of {', '.join(words)}", lambda value: value in words, default)
+def _is_interval(values: list[float]) -> list[float]:
+    if not values[0] < values[1]:
+        raise ValueError
+    return values
 
 
-def _range(unit: str, low: float = MIN_SIZE, high: float = MAX_SIZE) -> dict[str, Expected]:
-    """Metadata of a range of positive numbers."""
+def _is_within(low: float, high: float) -> AfterValidator:
+    def check(values: list[float]) -> list[float]:
+        if not all(low <= value <= high for value in values):
+            raise ValueError
+        return values
 
-    def holds(value: list[float]) -> bool:
-        return len(value) == 2 and low <= value[0] <= value[1] <= high
-
-    return {EXPECTED: Expected(f"[least, greatest], positive{unit}, from {low:g} to {high:g}", holds)}
-
-
-def _are_places(value: list[float]) -> bool:
-    return all(isfinite(number) and abs(number) <= MAX_SIZE for number in value)
+    return AfterValidator(check)
 
 
-def _optional_range() -> dict[str, Expected]:
-    """Metadata of a range of positive numbers, or None."""
-    known = _range("")[EXPECTED]
-    return {EXPECTED: Expected(f"{known.text}, or null", lambda value: value is None or known.holds(value))}
+Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
+
+Range = Annotated[Pair, AfterValidator(_is_increasing), _is_within(MIN_SIZE, MAX_SIZE)]
+"""[least, greatest] of something positive."""
+
+RANGE = f"[least, greatest], positive, from {MIN_SIZE:g} to {MAX_SIZE:g}"
+
+Pose = Annotated[
+    list[Number],
+    Field(min_length=3, max_length=3, description=f"[x, y, theta], in m and rad, at most {MAX_SIZE:g}"),
+    _is_within(-MAX_SIZE, MAX_SIZE),
+]
+
+Interval = Annotated[
+    Pair,
+    Field(description=f"[least, greatest], in m, at most {MAX_SIZE:g}"),
+    AfterValidator(_is_interval),
+    _is_within(-MAX_SIZE, MAX_SIZE),
+]
+
+Positive = Annotated[Number, Field(ge=MIN_SIZE, le=MAX_SIZE)]
 
 
-def _is_interval(value: list[float]) -> bool:
-    return len(value) == 2 and _are_places(value) and value[0] < value[1]
+class _Config(BaseModel):
+    """A part of a scenario; it can be changed, and is checked again by whoever takes it."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, revalidate_instances="always")
 
 
-INTERVAL = {EXPECTED: Expected(f"[least, greatest], in m, at most {MAX_SIZE:g}", _is_interval)}
-
-POSE = {
-    EXPECTED: Expected(
-        f"[x, y, theta], in m and rad, at most {MAX_SIZE:g}", lambda value: len(value) == 3 and _are_places(value)
-    )
-}
-
-
-@dataclass
-class FingerConfig:
+class FingerConfig(_Config):
     """The finger that pushes.
 
     Attributes:
@@ -122,13 +126,12 @@ class FingerConfig:
         travel_height: of the tip's center while it passes over the object, m.
     """
 
-    tip_radius: float = _positive(0.008, "m")
-    push_height: float = _positive(0.012, "m")
-    travel_height: float = _positive(0.12, "m")
+    tip_radius: Annotated[Number, _positive("m")] = 0.008
+    push_height: Annotated[Number, _positive("m")] = 0.012
+    travel_height: Annotated[Number, _positive("m")] = 0.12
 
 
-@dataclass
-class PokeConfig:
+class PokeConfig(_Config):
     """The pushes that explore, and those held out to test what was learned.
 
     Attributes:
@@ -141,19 +144,23 @@ class PokeConfig:
         clearance: between tip and object where a push begins, m.
     """
 
-    count: int = _count(8, 1)
-    test_count: int = _count(6, 0)
-    distance: list[float] = field(default_factory=lambda: [0.06, 0.10], metadata=_range(", in m", low=MIN_POKE))
-    test_distance: float = _positive(0.10, "m", low=MIN_POKE)
-    speed: float = _positive(0.03, "m/s", low=1e-4)
-    slant: float = _expecting(
-        "an angle from 0 to less than pi / 2, in rad", lambda value: 0 <= value < radians(90), radians(30)
+    count: Annotated[int, _count(1)] = 8
+    test_count: Annotated[int, _count(0)] = 6
+    distance: Annotated[
+        Pair,
+        Field(description=f"[least, greatest], positive, in m, from {MIN_POKE:g} to {MAX_SIZE:g}"),
+        AfterValidator(_is_increasing),
+        _is_within(MIN_POKE, MAX_SIZE),
+    ] = [0.06, 0.10]
+    test_distance: Annotated[Number, _positive("m", low=MIN_POKE)] = 0.10
+    speed: Annotated[Number, _positive("m/s", low=1e-4)] = 0.03
+    slant: Annotated[Number, Field(ge=0, lt=radians(90), description="an angle from 0 to less than pi / 2, in rad")] = (
+        radians(30)
     )
-    clearance: float = _not_negative(0.008, "in m")
+    clearance: Annotated[Number, _not_negative("m")] = 0.008
 
 
-@dataclass
-class GoalConfig:
+class GoalConfig(_Config):
     """Where to push the object to.
 
     Attributes:
@@ -162,13 +169,12 @@ class GoalConfig:
         max_pushes: made before giving up.
     """
 
-    pose: list[float] = field(default_factory=lambda: [0.6, 0.15, 2.5], metadata=POSE)
-    tolerance: float = _positive(0.02, "m")
-    max_pushes: int = _count(25, 1)
+    pose: Pose = [0.6, 0.15, 2.5]
+    tolerance: Annotated[Number, _positive("m")] = 0.02
+    max_pushes: Annotated[int, _count(1)] = 25
 
 
-@dataclass
-class PreGraspConfig:
+class PreGraspConfig(_Config):
     """How the object is slid to the table's edge and grasped there.
 
     Attributes:
@@ -182,18 +188,17 @@ class PreGraspConfig:
         hold: how long it is held up, s.
     """
 
-    margin: float = _positive(0.003, "m")
-    min_pokes: int = _count(3, 1)
-    max_pokes: int = _count(12, 1)
-    max_slides: int = _count(20, 1)
-    max_arm: float = _positive(0.1, "m")
-    force: float = _positive(80.0, "N")
-    lift: float = _positive(0.1, "m")
-    hold: float = _positive(3.0, "s", high=3600.0)
+    margin: Annotated[Number, _positive("m")] = 0.003
+    min_pokes: Annotated[int, _count(1)] = 3
+    max_pokes: Annotated[int, _count(1)] = 12
+    max_slides: Annotated[int, _count(1)] = 20
+    max_arm: Annotated[Number, _positive("m")] = 0.1
+    force: Annotated[Number, _positive("N")] = 80.0
+    lift: Annotated[Number, _positive("m")] = 0.1
+    hold: Annotated[Number, _positive("s", high=3600.0)] = 3.0
 
 
-@dataclass
-class CameraConfig:
+class CameraConfig(_Config):
     """What sees the object's pose. Its noise is drawn from the scenario's seed.
 
     Attributes:
@@ -202,13 +207,12 @@ class CameraConfig:
         angle_noise: standard deviation, rad.
     """
 
-    rate: float = _positive(30.0, "Hz", low=0.1, high=1000.0)
-    position_noise: float = _not_negative(0.0005, "in m")
-    angle_noise: float = _not_negative(radians(0.2), "in rad")
+    rate: Annotated[Number, _positive("Hz", low=0.1, high=1000.0)] = 30.0
+    position_noise: Annotated[Number, _not_negative("m")] = 0.0005
+    angle_noise: Annotated[Number, _not_negative("rad")] = radians(0.2)
 
 
-@dataclass
-class PartTruth:
+class PartTruth(_Config):
     """What a part of the object truly is, instead of a random draw.
 
     Attributes:
@@ -217,13 +221,12 @@ class PartTruth:
         friction: of its cells against the table; null where it is drawn.
     """
 
-    label: int = _count(1, 1)
-    cell_mass: float | None = _optional(", in kg")
-    friction: float | None = _optional("")
+    label: Annotated[int, _count(1)] = 1
+    cell_mass: Annotated[Positive | None, Field(description="a positive number, in kg, or null")] = None
+    friction: Annotated[Positive | None, Field(description="a positive number, or null")] = None
 
 
-@dataclass
-class TruthConfig:
+class TruthConfig(_Config):
     """The object's true parameters, which only the simulated world knows. They are drawn by part from the seed.
 
     Attributes:
@@ -235,15 +238,14 @@ class TruthConfig:
         parts: given instead of drawn; masses given here are not scaled.
     """
 
-    cell_mass: list[float] = field(default_factory=lambda: list(CELL_MASS_RANGE), metadata=_range(""))
-    friction: list[float] = field(default_factory=lambda: list(FRICTION_RANGE), metadata=_range(""))
-    contact_friction: list[float] = field(default_factory=lambda: list(CONTACT_FRICTION_RANGE), metadata=_range(""))
-    friction_by_part: bool = _expecting("true or false", lambda value: True, False)
-    parts: list[PartTruth] = field(default_factory=list)
+    cell_mass: Annotated[Range, Field(description=RANGE)] = list(CELL_MASS_RANGE)
+    friction: Annotated[Range, Field(description=RANGE)] = list(FRICTION_RANGE)
+    contact_friction: Annotated[Range, Field(description=RANGE)] = list(CONTACT_FRICTION_RANGE)
+    friction_by_part: Annotated[bool, Field(description="true or false")] = False
+    parts: Annotated[list[PartTruth], Field(description="a list of parts, each with a label")] = []
 
 
-@dataclass
-class SimulationConfig:
+class SimulationConfig(_Config):
     """How the world is simulated.
 
     Attributes:
@@ -251,12 +253,11 @@ class SimulationConfig:
         stiction_tolerance: speed below which the plant takes contacts for sticking, m/s.
     """
 
-    time_step: float = _positive(0.002, "s", low=1e-5, high=0.1)
-    stiction_tolerance: float = _positive(1e-4, "m/s", low=1e-9)
+    time_step: Annotated[Number, _positive("s", low=1e-5, high=0.1)] = 0.002
+    stiction_tolerance: Annotated[Number, _positive("m/s", low=1e-9)] = 1e-4
 
 
-@dataclass
-class WorkspaceConfig:
+class WorkspaceConfig(_Config):
     """The box in which the finger's tip may move, frame W.
 
     Attributes:
@@ -264,16 +265,45 @@ class WorkspaceConfig:
         y: [least, greatest], m.
     """
 
-    x: list[float] = field(default_factory=lambda: [0.42, 0.8], metadata=INTERVAL)
-    y: list[float] = field(default_factory=lambda: [-0.4, 0.4], metadata=INTERVAL)
+    x: Interval = [0.42, 0.8]
+    y: Interval = [-0.4, 0.4]
+
+
+def _read_directives(data: Any) -> Any:
+    """Makes Drake's model directives of YAML data; what already is one, or is no list, stays."""
+    if not isinstance(data, list):
+        return data
+    return [item if isinstance(item, ModelDirective) else _read_directive(item, at) for at, item in enumerate(data)]
+
+
+def _read_directive(data: Any, at: int) -> ModelDirective:
+    """Drake refuses what does not fit, but names neither the place nor the nearest known key."""
+    _check_keys(data, ModelDirective, f"directives[{at}]")
+    try:
+        directive: ModelDirective = yaml_load_typed(schema=ModelDirective, data=dump_tagged(data))
+    except (RuntimeError, TypeError, ValueError, AssertionError, AttributeError, yaml.YAMLError) as error:
+        raise ScenarioError(f"directives: {' '.join(str(error).split())}") from error
+    return directive
+
+
+def _check_keys(data: Any, schema: Any, place: str) -> None:
+    """Refuses a key that one of Drake's structs does not have."""
+    if not isinstance(data, Mapping):
+        raise ScenarioError(f"{place} is {shorten(data)}; expected `key: value` lines")
+    types = {field.name: field.type for field in schema.__fields__}
+    for key, value in data.items():
+        if key not in types:
+            raise ScenarioError(f"{place}.{key}: unknown key{suggest(str(key), list(types))}")
+        choices = [kind for kind in get_args(types[key]) or (types[key],) if kind is not type(None)]
+        if len(choices) == 1 and hasattr(kind := choices[0], "__fields__") and value is not None:
+            _check_keys(value, kind, f"{place}.{key}")
 
 
 def _default_directives() -> list[ModelDirective]:
     return [ModelDirective(add_directives=AddDirectives(file=DEFAULT_SCENE))]
 
 
-@dataclass
-class PushScenario:
+class PushScenario(_Config):
     """An object, the scene it lies in, and what is to be done with it.
 
     Attributes:
@@ -285,8 +315,6 @@ class PushScenario:
             beside what the object's file says: what both allow holds. The narrower, the better the pushes show where
             the mass is. null where the file says it all.
         base: "free": it can tip and be lifted; "planar": it slides and turns only, each cell's load being exact.
-        directives: what stands in the scene besides the object, as Drake's model directives: a model `iiwa` with a
-            body `iiwa_link_ee_kuka`, a model `finger` with a body `finger_tip`, and a model `table`.
         finger: that pushes.
         pokes: how it pushes.
         camera: what sees the object.
@@ -296,23 +324,129 @@ class PushScenario:
         goal: where to push the object to, where that is the task.
         pregrasp: how to slide it to the edge and grasp it, where that is the task; the scene has a `gripper`.
         seed: of everything random.
+        directives: what stands in the scene besides the object, as Drake's model directives: a model `iiwa` with a
+            body `iiwa_link_ee_kuka`, a model `finger` with a body `finger_tip`, and a model `table`.
+
+    Raises:
+        ScenarioError: a field is unknown, or holds what will not do.
     """
 
-    version: int = CURRENT_VERSION
-    object: str = _expecting(
-        "the name of a shipped object or of an object file", lambda value: bool(value.strip()), "claw_hammer"
+    version: Annotated[int, Field(description="a whole number")] = CURRENT_VERSION
+    object: Annotated[str, Field(pattern=r"\S", description="the name of a shipped object or of an object file")] = (
+        "claw_hammer"
     )
-    object_pose: list[float] = field(default_factory=lambda: [0.6, 0.0, 0.0], metadata=POSE)
-    object_height: float = _positive(0.03, "m")
-    object_friction: list[float] | None = field(default=None, metadata=_optional_range())
-    base: str = _word("free", ("free", "planar"))
-    directives: list[ModelDirective] = field(default_factory=_default_directives)
-    finger: FingerConfig = field(default_factory=FingerConfig)
-    pokes: PokeConfig = field(default_factory=PokeConfig)
-    camera: CameraConfig = field(default_factory=CameraConfig)
-    truth: TruthConfig = field(default_factory=TruthConfig)
-    simulation: SimulationConfig = field(default_factory=SimulationConfig)
-    workspace: WorkspaceConfig = field(default_factory=WorkspaceConfig)
-    goal: GoalConfig = field(default_factory=GoalConfig)
-    pregrasp: PreGraspConfig = field(default_factory=PreGraspConfig)
-    seed: int = _count(0, 0, MAX_SEED)
+    object_pose: Pose = [0.6, 0.0, 0.0]
+    object_height: Annotated[Number, _positive("m")] = 0.03
+    object_friction: Annotated[Range | None, Field(description=f"{RANGE}, or null")] = None
+    base: Annotated[Literal["free", "planar"], Field(description="one of free, planar")] = "free"
+    finger: FingerConfig = FingerConfig()
+    pokes: PokeConfig = PokeConfig()
+    camera: CameraConfig = CameraConfig()
+    truth: TruthConfig = TruthConfig()
+    simulation: SimulationConfig = SimulationConfig()
+    workspace: WorkspaceConfig = WorkspaceConfig()
+    goal: GoalConfig = GoalConfig()
+    pregrasp: PreGraspConfig = PreGraspConfig()
+    seed: Annotated[int, _count(0, MAX_SEED)] = 0
+    directives: Annotated[
+        list[InstanceOf[ModelDirective]],
+        BeforeValidator(_read_directives),
+        Field(default_factory=_default_directives, description="a list of Drake's model directives"),
+    ]
+
+    def __init__(self, **fields: Any) -> None:
+        """Takes the fields by name."""
+        try:
+            super().__init__(**fields)
+        except ValidationError as error:
+            raise ScenarioError(explain(error, EXPECTED)) from error
+
+    def check(self) -> None:
+        """Checks the fields again, which may have been changed. Raises ScenarioError as the constructor does."""
+        PushScenario(**dict(self))
+
+
+EXPECTED = list_expected(PushScenario)
+"""What each field should hold, by its place."""
+
+
+def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushScenario:
+    """Reads a scenario, or one of several in a file.
+
+    Args:
+        path: the YAML file.
+        child_name: key of the document's root under which the scenario stands; the root itself where None.
+
+    Returns:
+        The scenario. What the file does not say is as `PushScenario` has it; an object file it names is looked up
+        beside it and named in full.
+
+    Raises:
+        ScenarioError: the file cannot be read, is of another schema, has an unknown key or a value that will not do;
+            the message names the file, the field and the expected form.
+    """
+    path = Path(path)
+    data = _parse(path, read_text(path, WHAT, ScenarioError, MAX_YAML_SIZE))
+    where = str(path)
+    if child_name is not None:
+        where, data = f"{path}, {child_name}", _pick_child(path, data, child_name)
+    try:
+        if not isinstance(data, dict):
+            raise ScenarioError(f"the scenario is {shorten(data)}; expected `key: value` lines")
+        _check_version(data.get("version", CURRENT_VERSION))
+        scenario = PushScenario(**data)
+    except ScenarioError as error:
+        raise ScenarioError(f"{where}: {error}") from error
+    beside = path.parent / scenario.object
+    if beside.suffix or is_file(beside):
+        scenario.object = str(beside.resolve())
+    return scenario
+
+
+def write_scenario(path: Path | str, scenario: PushScenario, force: bool = False) -> None:
+    """Writes a scenario with every field, so that `read_scenario` gives it back.
+
+    Args:
+        path: the YAML file to be written.
+        scenario: to be written.
+        force: whether an existing file may be replaced.
+
+    Raises:
+        ScenarioError: a field holds what will not do.
+        OutputError: the file exists and `force` is not set, or it cannot be written.
+    """
+    scenario.check()
+    fields = scenario.model_dump(exclude={"directives"})
+    text = yaml.safe_dump(fields, sort_keys=False, default_flow_style=None, allow_unicode=True, width=LINE_LENGTH)
+    directives = ModelDirectives(directives=scenario.directives)
+    write_whole(path, text + yaml_dump_typed(directives, schema=ModelDirectives), force)
+
+
+def _parse(path: Path, text: str) -> dict[str, Any]:
+    check_yaml(path, text, WHAT, ScenarioError)
+    try:
+        data = yaml_load_data(text, private=True)
+    except (yaml.YAMLError, *NOT_YAML) as error:
+        raise ScenarioError(f"{path}: is not valid YAML: {' '.join(str(error).split())}") from error
+    if data is None:
+        raise ScenarioError(f"{path}: is empty; expected {WHAT}")
+    if not isinstance(data, dict):
+        raise ScenarioError(f"{path}: is {shorten(data)} at its top level; expected {WHAT}: `key: value` lines")
+    for key in data:
+        if not isinstance(key, str):
+            raise ScenarioError(f"{path}: {key}: unknown key; expected {WHAT}")
+    return {key: value for key, value in data.items() if not key.startswith("_")}
+
+
+def _pick_child(path: Path, data: dict[str, Any], name: str) -> Any:
+    if name in data:
+        return data[name]
+    near = get_close_matches(name, map(str, data), n=1)
+    guess = f"; did you mean {near[0]}?" if near else ";"
+    raise ScenarioError(f"{path}: has no scenario {name}{guess} it has {', '.join(map(str, data))}")
+
+
+def _check_version(version: Any) -> None:
+    if isinstance(version, int) and version != CURRENT_VERSION:
+        age = "an older" if version < CURRENT_VERSION else "a newer"
+        raise ScenarioError(f"version is {version}, {age} schema; this release reads version {CURRENT_VERSION}")

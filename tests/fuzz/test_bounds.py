@@ -22,13 +22,21 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.mask import read_labels
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.limit_surface import MAX_TABLE_NODES, make_distance_table
-from gridpush_drake.pushes.importers.cmu import import_cmu
-from gridpush_drake.pushes.importers.mit import import_mit
+from gridpush_drake.pushes.importers.cmu import CmuImporter
+from gridpush_drake.pushes.importers.mit import MitImporter
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.station.scenario import read_scenario
 from tests.helpers.made_identifications import make_block
 
-READERS = [GridObject.from_yaml, read_model, read_scenario, read_labels, import_cmu, import_mit, PushLog.read_csv]
+READERS = [
+    GridObject.from_yaml,
+    read_model,
+    read_scenario,
+    read_labels,
+    CmuImporter().read,
+    MitImporter().read,
+    PushLog.read_csv,
+]
 OUTLINE = "outline: [[0, 0], [0.1, 0], [0.1, 0.1]]\n"
 LEVELS, COPIES = 12, 9
 
@@ -196,7 +204,7 @@ def test_counts_without_end_in_cmu_logs(tmp_path):
     for count in ("9" * 9, "9" * 5000):
         path.write_text(f"1\n0 0 0 1 0 0 0\n0 0 0 1 0 0 0\n{count}\n0 0 0\n")
         with pytest.raises(GridPushError, match=r"cmu\.txt, line [46]: .*expected push 1"):
-            import_cmu(path)
+            CmuImporter().read(path)
 
 
 def test_a_killed_writer_leaves_the_old_file_or_the_new_one(tmp_path):

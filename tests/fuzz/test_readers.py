@@ -14,9 +14,9 @@ from gridpush_drake.identification.model_file import read_model, write_model
 from gridpush_drake.identification.prediction import predict
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.importers.cmu import import_cmu
+from gridpush_drake.pushes.importers.cmu import CmuImporter
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.station.scenario import read_scenario
 from tests.fuzz.mutations import broken
 from tests.helpers.made_identifications import make_block, make_identification
 
@@ -173,7 +173,7 @@ def test_masks(place, text):
 @few(100)
 @given(text=broken(make_cmu()))
 def test_cmu_logs(place, text):
-    survives(place / "cmu.txt", text, import_cmu)
+    survives(place / "cmu.txt", text, CmuImporter().read)
 
 
 @few(40)

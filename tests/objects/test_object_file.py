@@ -159,7 +159,7 @@ def test_written_object_is_read_back_as_it_was(tmp_path):
     first = GridObject.from_yaml(
         written(tmp_path, FULL + "holes: [[[-0.03, -0.03], [-0.01, -0.03], [-0.01, -0.01]]]\n")
     )
-    first.write_yaml(tmp_path / "copy.yaml", max_cells=60)
+    first.write_yaml(tmp_path / "copy.yaml")
     copy = GridObject.from_yaml(tmp_path / "copy.yaml")
     np.testing.assert_array_equal(copy.p_BC, first.p_BC)
     np.testing.assert_array_equal(copy.labels, first.labels)
@@ -173,7 +173,7 @@ def test_labels_that_enclose_others_survive_writing(tmp_path):
     inner = [[0.4, 0.4], [0.6, 0.4], [0.6, 0.6], [0.4, 0.6]]
     middle = [[0.2, 0.2], [0.8, 0.2], [0.8, 0.8], [0.2, 0.8]]
     first = GridObject.from_outline(square, parts={5: inner, 3: middle}, max_cells=100)
-    first.write_yaml(tmp_path / "a.yaml", max_cells=100)
+    first.write_yaml(tmp_path / "a.yaml")
     np.testing.assert_array_equal(GridObject.from_yaml(tmp_path / "a.yaml").labels, first.labels)
 
 

@@ -14,8 +14,8 @@ from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.importers.cmu import import_cmu
-from gridpush_drake.pushes.importers.mit import import_mit
+from gridpush_drake.pushes.importers.cmu import CmuImporter
+from gridpush_drake.pushes.importers.mit import MitImporter
 from gridpush_drake.pushes.plausibility import check_plausible, explain_no_contact, find_implausible
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog, nearest_turn
 from tests.helpers.made_identifications import make_block
@@ -56,13 +56,13 @@ def changed(log: PushLog, i: int, pose) -> PushLog:
 @pytest.mark.parametrize("name", CMU)
 @pytest.mark.parametrize("calibrate", [True, False])
 def test_cmu_logs_are_plausible(name, calibrate):
-    log, obj = import_cmu(shared_data("cmu_pushes", f"{name}.txt"), calibrate=calibrate)
+    log, obj = CmuImporter(calibrate=calibrate).read(shared_data("cmu_pushes", f"{name}.txt"))
     assert find_implausible(obj, log) == []
 
 
 @pytest.mark.parametrize("name", MIT)
 def test_mit_logs_are_plausible(name):
-    log, obj = import_mit(shared_data("mit_pushes", f"{name}.mat"))
+    log, obj = MitImporter().read(shared_data("mit_pushes", f"{name}.mat"))
     assert find_implausible(obj, log) == []
 
 
@@ -83,7 +83,7 @@ def test_units_are_told_apart(name):
 
 @pytest.mark.parametrize("name", CMU)
 def test_units_of_real_logs_are_told_apart(name):
-    log, obj = import_cmu(shared_data("cmu_pushes", f"{name}.txt"))
+    log, obj = CmuImporter().read(shared_data("cmu_pushes", f"{name}.txt"))
     for units, says in (
         ({"tip": 1e3, "place": 1e3}, "tip_x, .*in millimeters"),
         ({"place": 1e3}, "object_[xy]: .*in millimeters"),

@@ -11,8 +11,7 @@ from gridpush_drake.planning.pregrasp.side_grasp import choose_varied, find_side
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.push_station import MakePushStation, make_style
-from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import read_scenario
+from gridpush_drake.station.scenario import PushScenario, read_scenario
 from gridpush_drake.systems.messages import GraspCommand, PushCommand
 
 TRIED = 20  # of the best grasps, that the arm is asked about

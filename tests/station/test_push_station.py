@@ -6,7 +6,7 @@ from gridpush_drake.errors import ScenarioError
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.push_station import ESTIMATE_OUTPUTS, IIWA_OUTPUTS, MakePushStation
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import MakeTruth
+from gridpush_drake.station.scene import MakeTruth
 from gridpush_drake.systems.messages import PushCommand
 
 

@@ -16,7 +16,7 @@ from gridpush_drake.station.identify_task import IdentifyTask
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scenario_file import MakeTruth
+from gridpush_drake.station.scene import MakeTruth
 from gridpush_drake.systems.messages import PushCommand
 
 RUNS = ((1, (0.55, 0.05, 0.3), 0.6), (2, (0.6, -0.05, -0.5), 0.4))

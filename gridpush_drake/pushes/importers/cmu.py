@@ -13,16 +13,20 @@ of tool rows and the rows (t x y z qw qx qy qz). Lengths are in mm, times in s (
 the sensor's frame.
 """
 
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import read_text
-from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+from gridpush_drake.geometry.se2 import compose, invert, rotate, transform_back
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.prior import PhysicalPrior
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog, nearest_turn
 
 POSE_FORM = "x y z (mm) qw qx qy qz"
@@ -204,56 +208,71 @@ def triangle_block(uniform_plate: bool = False) -> GridObject:
     return GridObject.from_outline(OUTLINE, max_cells=BLOCK_CELLS, name="triangle_block", prior=prior)
 
 
-def import_cmu(
-    path: Path | str,
-    *,
-    calibrate: bool = True,
-    shuffle: bool = True,
-    seed: int = 0,
-    uniform_plate: bool = False,
-) -> tuple[PushLog, GridObject]:
-    """Reads a file of CMU pushes.
+@dataclass(frozen=True)
+class CmuImporter:
+    """Pushes of a triangular block (Zhou, Paolini, Bagnell, Mason, ICRA 2016).
 
-    Args:
-        path: the text file.
+    Attributes:
         calibrate: whether to correct the logged tool point to the tip's center (TIP_OFFSET), to take the
             log's steps out of its straight path, and to let it travel on for TIP_EXTENSION; without, the
             logged point is taken as it is.
         shuffle: whether to put the pushes in random order, so that no two neighbors are known to be chained.
-        seed: of that order.
         uniform_plate: as in `triangle_block`.
-
-    Returns:
-        The pushes, named by their place in the log, each observed at its end only; and the block.
-
-    Raises:
-        PushLogError: the file cannot be read or is not of the format, or a push's tool does not move.
+        seed: of that order.
     """
-    path = Path(path)
-    logged = read_cmu(path)
-    order = np.random.default_rng(seed).permutation(len(logged)) if shuffle else np.arange(len(logged))
-    digits = len(str(len(logged)))
-    pushes = []
-    for place, i in enumerate(order, start=1):
-        if not _has_path(logged[i].tool):
-            raise PushLogError(f"{path}: push {i + 1}: the tool does not move; expected a path")
-        pushes.append(_observe(logged[i], f"push_{place:0{digits}}", calibrate))
-    return PushLog(tuple(pushes), str(path)), triangle_block(uniform_plate)
+
+    file: ClassVar[str] = "LOG.txt"
+    source: ClassVar[str] = "GitHub robinzhoucmu/MLab_EXP"
+
+    calibrate: bool = field(default=True, metadata={"help": "Correct the logged tool point to the tip's center."})
+    shuffle: bool = field(default=True, metadata={"help": "Put the pushes in random order."})
+    uniform_plate: bool = field(
+        default=False,
+        metadata={"help": "Take the block's center of mass as known to be at its centroid.", "name": "--uniform-plate"},
+    )
+    seed: int = field(default=0, metadata={"help": "Of everything random."})
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise PushLogError(f"seed is {self.seed}; expected 0 or more")
+
+    def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
+        """Reads a file of CMU pushes.
+
+        Args:
+            path: the text file.
+
+        Returns:
+            The pushes, named by their place in the log, each observed at its end only; and the block.
+
+        Raises:
+            PushLogError: the file cannot be read or is not of the format, or a push's tool does not move.
+        """
+        path = Path(path)
+        logged = read_cmu(path)
+        count, rng = len(logged), np.random.default_rng(self.seed)
+        order = rng.permutation(count) if self.shuffle else np.arange(count)
+        digits = len(str(count))
+        pushes = []
+        for place, i in enumerate(order, start=1):
+            if not _has_path(logged[i].tool):
+                raise PushLogError(f"{path}: push {i + 1}: the tool does not move; expected a path")
+            pushes.append(_observe(logged[i], f"push_{place:0{digits}}", self.calibrate))
+        return PushLog(tuple(pushes), str(path)), triangle_block(self.uniform_plate)
 
 
 def _observe(logged: CmuPush, name: str, calibrate: bool) -> ObservedPush:
     q_before, q_after = _centroid_pose(logged.before), _centroid_pose(logged.after)
     tool = _without_standstill(_in_time_order(logged.tool))
-    yaw = _yaw(tool[:, 4:])
+    yaw = _calc_yaw(tool[:, 4:])
     t, p = tool[:, 0] - tool[0, 0], tool[:, 1:3] * MM
     force = _force_on_object(logged.force, tool[:, 0], yaw)
     force_t = t
     if calibrate:
-        t, p = _travel_on(t, _straightened(p + _rotated(yaw, np.array(TIP_OFFSET))))
-    push = Push.along(t, _rotated(-q_before[2], p - q_before[:2]), TIP_RADIUS)
-    end = np.append(
-        _rotated(-q_before[2], q_after[:2] - q_before[:2]), nearest_turn(float(q_after[2] - q_before[2]), 0.0)
-    )
+        t, p = _travel_on(t, _straightened(p + rotate(yaw, TIP_OFFSET)))
+    push = Push.along(t, transform_back(q_before, p), TIP_RADIUS)
+    end = compose(invert(q_before), q_after)
+    end[2] = nearest_turn(float(end[2]), 0.0)
     return ObservedPush(
         name,
         push,
@@ -261,14 +280,14 @@ def _observe(logged: CmuPush, name: str, calibrate: bool) -> ObservedPush:
         np.array([push.duration]),
         end[None],
         force_t,
-        _rotated(-q_before[2], force),
+        rotate(-q_before[2], force),
     )
 
 
 def _centroid_pose(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     """Pose of B at the centroid, m and rad, from the logged pose (7,) of the corner, mm and quaternion."""
-    yaw = _yaw(pose[3:])
-    return np.append(pose[:2] * MM + _rotated(yaw, np.array(CENTROID)), yaw)
+    yaw = float(_calc_yaw(pose[3:]))
+    return compose([*pose[:2] * MM, yaw], [*CENTROID, 0.0])
 
 
 def _force_on_object(
@@ -277,7 +296,7 @@ def _force_on_object(
     """(K, 2) force on the object, robot's frame, N, at the tool's `times`: -R(yaw) R_tool (f - f_first)."""
     rows = _in_time_order(rows)
     f = np.column_stack([np.interp(times, rows[:, 0], rows[:, axis] - rows[0, axis]) for axis in (1, 2)])
-    return -_rotated(yaw, f @ np.array(SENSOR_AXES).T)
+    return -rotate(yaw, f @ np.array(SENSOR_AXES).T)
 
 
 def _straightened(p: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -293,10 +312,10 @@ def _straightened(p: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _travel_on(t: NDArray[np.float64], p: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Adds a sample TIP_EXTENSION further on the line from the first to the last, at the mean speed."""
-    way = p[-1] - p[0]
-    length = np.linalg.norm(way)
+    travel = p[-1] - p[0]
+    length = np.linalg.norm(travel)
     share = TIP_EXTENSION / length
-    return np.append(t, t[-1] + share * t[-1]), np.vstack([p, p[-1] + share * way])
+    return np.append(t, t[-1] + share * t[-1]), np.vstack([p, p[-1] + share * travel])
 
 
 def _has_path(tool: NDArray[np.float64]) -> bool:
@@ -317,14 +336,6 @@ def _without_standstill(tool: NDArray[np.float64]) -> NDArray[np.float64]:
     return tool[np.flatnonzero(left)[0] - 1 : np.flatnonzero(not_yet)[-1] + 2]
 
 
-def _yaw(q: NDArray[np.float64]) -> NDArray[np.float64]:
+def _calc_yaw(q: NDArray[np.float64]) -> NDArray[np.float64]:
     """Angle (...) about z, rad, of quaternions (..., 4), w x y z."""
-    w, x, y, z = np.moveaxis(q, -1, 0)
-    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
-
-
-def _rotated(angle: NDArray[np.float64] | float, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """R(angle) v for an angle (...), rad, and vectors (..., 2), one or both of them several."""
-    c, s = np.cos(angle), np.sin(angle)
-    x, y = vectors[..., 0], vectors[..., 1]
-    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
+    return np.asarray(Rotation.from_quat(q, scalar_first=True).as_euler("ZYX")[..., 0])

@@ -13,8 +13,9 @@ within 2.5 %.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,9 @@ from scipy.io import loadmat
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import MEGABYTE, open_file
-from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+from gridpush_drake.geometry.se2 import make_direction
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.prior import PhysicalPrior
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog, nearest_turn
 
 TRIANGLE_CORNER = (0.045, 0.045)
@@ -61,12 +64,11 @@ def _triangle(along_x: float, along_y: float) -> NDArray[np.float64]:
 
 def _ellipse(along_x: float, along_y: float) -> NDArray[np.float64]:
     angle = np.linspace(0, 2 * np.pi, ELLIPSE_VERTICES, endpoint=False)
-    return np.column_stack([np.cos(angle) * along_x / 2, np.sin(angle) * along_y / 2])
+    return make_direction(angle) * (along_x / 2, along_y / 2)
 
 
 def _hexagon() -> NDArray[np.float64]:
-    angle = np.arange(6) * np.pi / 3
-    return HEXAGON_RADIUS * np.column_stack([np.cos(angle), np.sin(angle)])
+    return HEXAGON_RADIUS * make_direction(np.arange(6) * np.pi / 3)
 
 
 def _butter() -> NDArray[np.float64]:
@@ -112,35 +114,51 @@ MODEL_ERRORS = ("avg_diff_disp", "avg_diff_angle")
 """The other model's mean errors in the file, m and rad."""
 
 
-def import_mit(
-    path: Path | str, *, shape: str | None = None, obj: GridObject | None = None
-) -> tuple[PushLog, GridObject]:
-    """Reads a file of MIT pushes.
+@dataclass(frozen=True)
+class MitImporter:
+    """Pushes of the MIT push data set (Yu, Bauza, Fazeli, Rodriguez, IROS 2016).
 
-    Args:
-        path: the MATLAB v5 file.
+    Attributes:
         shape: the object's name in MIT_SHAPES; where neither it nor `obj` is given, the last part of the
             file's name after an underscore if it is one, otherwise the file's own `shape_id`.
         obj: the object, for a shape that is not among them.
-
-    Returns:
-        The pushes, straight and at constant speed in the world frame as logged, each observed at its end
-        only; and the object.
-
-    Raises:
-        PushLogError: the file cannot be read, lacks a field or holds something else in it, a pusher does not
-            move, or the shape is not known.
     """
-    path = Path(path)
-    data = _read_mat(path)
-    obj = obj or _mit_object(path, shape, data)
-    speed = float(_numbers(path, "vel", data["vel"], 1)[0]) * MM if "vel" in data else SPEED
-    if speed <= 0:
-        raise PushLogError(f"{path}: vel is {data['vel']!r}; expected a positive number (mm/s)")
-    records = np.atleast_1d(_field(path, data, "record_all"))
-    digits = len(str(len(records)))
-    pushes = tuple(_observe(path, record, f"push_{i:0{digits}}", speed) for i, record in enumerate(records, start=1))
-    return PushLog(pushes, str(path)), obj
+
+    file: ClassVar[str] = "FILE.mat"
+    source: ClassVar[str] = "the MIT push data set, start and end"
+
+    shape: str | None = field(
+        default=None,
+        metadata={"help": "The shape's name, such as rect1; by default as the file's name or content says."},
+    )
+    obj: GridObject | None = field(
+        default=None, metadata={"help": "The object, where its shape is not known.", "name": "--object"}
+    )
+
+    def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
+        """Reads a file of MIT pushes.
+
+        Args:
+            path: the MATLAB v5 file.
+
+        Returns:
+            The pushes, straight and at constant speed in the world frame as logged, each observed at its end
+            only; and the object.
+
+        Raises:
+            PushLogError: the file cannot be read, lacks a field or holds something else in it, a pusher does not
+                move, or the shape is not known.
+        """
+        path = Path(path)
+        data = _read_mat(path)
+        obj = self.obj or _mit_object(path, self.shape, data)
+        speed = float(_numbers(path, "vel", data["vel"], 1)[0]) * MM if "vel" in data else SPEED
+        if speed <= 0:
+            raise PushLogError(f"{path}: vel is {data['vel']!r}; expected a positive number (mm/s)")
+        records = np.atleast_1d(_field(path, data, "record_all"))
+        digits = len(str(len(records)))
+        pushes = (_observe(path, record, f"push_{i:0{digits}}", speed) for i, record in enumerate(records, start=1))
+        return PushLog(tuple(pushes), str(path)), obj
 
 
 def read_model_errors(path: Path | str) -> tuple[float, float]:
@@ -163,15 +181,15 @@ def read_model_errors(path: Path | str) -> tuple[float, float]:
 
 def _observe(path: Path, record: Any, name: str, speed: float) -> ObservedPush:
     fields = {}
-    for field, size in RECORD_SIZES.items():
-        if not hasattr(record, field):
-            raise PushLogError(f"{path}: {name} of record_all has no {field}; expected {', '.join(RECORD_SIZES)}")
-        fields[field] = _numbers(path, f"{field} of {name}", getattr(record, field), size)
-    start, way = fields["init_tip_pt"], fields["final_tip_pt"] - fields["init_tip_pt"]
-    length = float(np.linalg.norm(way))
+    for key, size in RECORD_SIZES.items():
+        if not hasattr(record, key):
+            raise PushLogError(f"{path}: {name} of record_all has no {key}; expected {', '.join(RECORD_SIZES)}")
+        fields[key] = _numbers(path, f"{key} of {name}", getattr(record, key), size)
+    start, travel = fields["init_tip_pt"], fields["final_tip_pt"] - fields["init_tip_pt"]
+    length = float(np.linalg.norm(travel))
     if length == 0:
         raise PushLogError(f"{path}: {name}: the pusher ends where it starts; expected a path")
-    push = Push(start, way * (speed / length), length / speed, TIP_RADIUS)
+    push = Push(start, travel * (speed / length), length / speed, TIP_RADIUS)
     pose, end = fields["init_pose_gt"], fields["final_pose_gt"]
     end[2] = nearest_turn(float(end[2]), float(pose[2]))
     return ObservedPush(name, push, pose, np.array([push.duration]), end[None])

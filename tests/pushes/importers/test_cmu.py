@@ -5,7 +5,7 @@ import pytest
 
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.pushes.importers import cmu
-from gridpush_drake.pushes.importers.cmu import import_cmu, triangle_block
+from gridpush_drake.pushes.importers.cmu import CmuImporter, triangle_block
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.shared_data import shared_data
 from tests.pushes.gaps import gap, gaps
@@ -13,6 +13,10 @@ from tests.pushes.gaps import gap, gaps
 FILES = ["hardboard_wide", "hardboard_middle", "hardboard_patch", "plywood_wide", "plywood_middle"]
 EPOCH = 1439834932.25
 SPEED = 2.5  # mm/s
+
+
+def import_cmu(path, **options):
+    return CmuImporter(**options).read(path)
 
 
 def turned(angle, vector):

@@ -5,7 +5,7 @@ from shapely import Polygon
 
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.importers.mit import MIT_SHAPES, import_mit, read_model_errors
+from gridpush_drake.pushes.importers.mit import MIT_SHAPES, MitImporter, read_model_errors
 from tests.helpers.shared_data import shared_data
 from tests.pushes.gaps import gaps
 
@@ -25,6 +25,10 @@ PUBLISHED_MASSES = {
     "ellip1": 0.8937, "ellip2": 1.1104, "ellip3": 1.3338, "hex": 0.9827, "butter": 1.1974,
 }  # fmt: skip
 """kg, from mcubelab/push-est-public: plates of one thickness, so mass tells area."""
+
+
+def import_mit(path, **options):
+    return MitImporter(**options).read(path)
 
 
 def save(path, record=None, **changes):

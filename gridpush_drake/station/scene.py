@@ -1,12 +1,6 @@
-"""Scenario files: a `PushScenario` as YAML, read strictly and written whole.
+"""What a scenario names, made: the object, its truth and the scene's models; and whether it makes sense as a whole.
 
-Whether YAML data fits a scenario's schema, said in words a user can act on.
-
-`pydrake.common.yaml` refuses what does not fit, but names neither the place nor the nearest known key.
-
-What a scenario names, made: the object and the scene's models.
-
-Whether a scenario makes sense as a whole: the object lies on the table, the arm gets to it, the finger clears it.
+The object lies on the table, the arm gets to it, and the finger clears it.
 
 Of an iiwa whose tool points down, the wrist stands over the finger's tip; from the shoulder it is as
 far as the elbow lets it be:
@@ -16,21 +10,14 @@ far as the elbow lets it be:
 with upper arm a and forearm b. At a given height of the tip its distance from the robot's axis lies between two radii.
 """
 
-import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import replace
-from difflib import get_close_matches
 from math import cos, radians, sqrt
-from numbers import Integral, Real
 from pathlib import Path
-from types import UnionType
-from typing import Any, Union, get_args, get_origin
 
 import numpy as np
 import shapely
-import yaml
 from numpy.typing import NDArray
-from pydrake.common.yaml import yaml_dump_typed, yaml_load_data, yaml_load_typed
 from pydrake.geometry import SceneGraph, SceneGraphInspector, Sphere
 from pydrake.multibody.parsing import ModelDirectives, ModelInstanceInfo, Parser, ProcessModelDirectives
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
@@ -40,225 +27,14 @@ from shapely.affinity import affine_transform
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import ObjectError, ScenarioError
-from gridpush_drake.files import is_file, read_text, write_whole
+from gridpush_drake.files import is_file
 from gridpush_drake.multibody.contact_material import FindTableOutline
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.multibody.parser import MakeParser
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.station.scenario import CURRENT_VERSION, EXPECTED, PushScenario, TruthConfig
-from gridpush_drake.yaml_file import MAX_YAML_SIZE, NOT_YAML, check_yaml
-
-FORMS = {bool: "true or false", int: "a whole number", float: "a number", str: "some text"}
-
-MAX_SHOWN = 60
-"""Characters of a refused value that a message repeats."""
-
-
-def check_data(data: Any, schema: type, place: str = "") -> None:
-    """Checks that the keys and types of YAML data are those of a schema.
-
-    Args:
-        data: as YAML loads it.
-        schema: a dataclass, or a struct of Drake's.
-        place: of the data in its document, such as "camera".
-
-    Raises:
-        ScenarioError: a key is unknown, or a value of the wrong type; the message names its place and what is
-            expected there.
-    """
-    types = _types_of(schema)
-    if not isinstance(data, Mapping):
-        raise ScenarioError(f"{place or 'the scenario'} is {shorten(data)}; expected `key: value` lines")
-    for key in data:
-        if key not in types:
-            raise ScenarioError(f"{_join(place, key)}: unknown key{suggest(str(key), list(types))}")
-    for key, value in data.items():
-        _check_value(value, types[key], _join(place, key), _form_of(schema, key))
-
-
-def check_values(value: Any, place: str = "") -> None:
-    """Checks that each field of a dataclass, and of those within it, holds what its metadata asks for.
-
-    Args:
-        value: the dataclass's instance.
-        place: of it in its document.
-
-    Raises:
-        ScenarioError: a field does not; the message names its place and what is expected there.
-    """
-    for field in dataclasses.fields(value):
-        item, inner = getattr(value, field.name), _join(place, field.name)
-        expected = field.metadata.get(EXPECTED)
-        if expected is not None and not (_is_of(item, field.type) and expected.holds(item)):
-            raise ScenarioError(f"{inner} is {shorten(item)}; expected {expected.text}")
-        if isinstance(field.type, type) and dataclasses.is_dataclass(field.type):
-            if not isinstance(item, field.type):
-                raise ScenarioError(f"{inner} is {shorten(item)}; expected a {field.type.__name__}")
-            check_values(item, inner)
-        for at, part in enumerate(item) if isinstance(item, list) else ():
-            if dataclasses.is_dataclass(part):
-                check_values(part, f"{inner}[{at}]")
-
-
-def suggest(word: str, known: list[str]) -> str:
-    """The end of a message about an unknown word: the nearest known one, and all."""
-    near = get_close_matches(word, known, n=1)
-    guess = f"; did you mean {near[0]}?" if near else ";"
-    return f"{guess} expected one of {', '.join(known)}"
-
-
-def shorten(value: Any) -> str:
-    """A refused value for a message."""
-    text = "empty" if value is None else repr(value)
-    return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."
-
-
-def _form_of(schema: type, key: str) -> str | None:
-    """What a field is expected to hold, by its metadata; None where it does not say."""
-    if not dataclasses.is_dataclass(schema):
-        return None
-    field = next(field for field in dataclasses.fields(schema) if field.name == key)
-    return field.metadata[EXPECTED].text if EXPECTED in field.metadata else None
-
-
-def _types_of(schema: Any) -> dict[str, Any]:
-    fields = dataclasses.fields(schema) if dataclasses.is_dataclass(schema) else schema.__fields__
-    return {field.name: field.type for field in fields}
-
-
-def _join(place: str, key: Any) -> str:
-    return f"{place}.{key}" if place else str(key)
-
-
-def _check_value(value: Any, schema: Any, place: str, form: str | None) -> None:
-    origin, arguments = get_origin(schema), get_args(schema)
-    if origin in (Union, UnionType) and arguments[1:] == (type(None),):
-        if value is not None:
-            _check_value(value, arguments[0], place, form)
-    elif schema in FORMS:
-        if not _is_of(value, schema) and not (schema is float and _reads_as_number(value)):
-            raise ScenarioError(f"{place} is {shorten(value)}; expected {form or FORMS[schema]}")
-    elif origin is list:
-        if not isinstance(value, list):
-            raise ScenarioError(f"{place} is {shorten(value)}; expected {form or 'a list'}")
-        for at, item in enumerate(value):
-            _check_value(item, arguments[0], f"{place}[{at}]", None)
-    elif origin is dict:
-        if not isinstance(value, Mapping):
-            raise ScenarioError(f"{place} is {shorten(value)}; expected `key: value` lines")
-        for key, item in value.items():
-            _check_value(item, arguments[1], _join(place, key), None)
-    elif dataclasses.is_dataclass(schema) or hasattr(schema, "__fields__"):
-        check_data(value, schema, place)
-
-
-def _is_of(value: Any, schema: Any) -> bool:
-    """Whether a plain value, or a list of them, is of a type; whole numbers are numbers."""
-    if get_origin(schema) in (Union, UnionType):
-        return any(_is_of(value, choice) for choice in get_args(schema))
-    if get_origin(schema) is list:
-        (inner,) = get_args(schema)
-        return isinstance(value, list) and all(_is_of(item, inner) for item in value)
-    if schema in (int, float):
-        return isinstance(value, Integral if schema is int else Real) and not isinstance(value, bool)
-    return isinstance(value, schema)
-
-
-def _reads_as_number(value: Any) -> bool:
-    """Whether Drake will read a text as a number, such as 1e-3, which YAML 1.1 takes for one."""
-    try:
-        return isinstance(value, str) and float(value) is not None
-    except ValueError:
-        return False
-
-
-WHAT = "a scenario (object, base, directives, ...)"
-
-
-def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushScenario:
-    """Reads a scenario, or one of several in a file.
-
-    Args:
-        path: the YAML file.
-        child_name: key of the document's root under which the scenario stands; the root itself where None.
-
-    Returns:
-        The scenario. What the file does not say is as `PushScenario` has it; an object file it names is looked up
-        beside it and named in full.
-
-    Raises:
-        ScenarioError: the file cannot be read, is of another schema, has an unknown key or a value that will not do;
-            the message names the file, the field and the expected form. Whether the scene as a whole makes
-            sense is `check_scenario`'s to say.
-    """
-    path = Path(path)
-    text = read_text(path, WHAT, ScenarioError, MAX_YAML_SIZE)
-    data = _parse(path, text)
-    where = str(path)
-    if child_name is not None:
-        where, data = f"{path}, {child_name}", _pick_child(path, data, child_name)
-    try:
-        _check_version(data)
-        check_data(data, PushScenario)
-        scenario: PushScenario = yaml_load_typed(schema=PushScenario, data=text, child_name=child_name)
-        check_values(scenario)
-    except ScenarioError as error:
-        raise ScenarioError(f"{where}: {error}") from error
-    except (RuntimeError, TypeError, ValueError, AssertionError, AttributeError) as error:
-        raise ScenarioError(f"{where}: directives: {' '.join(str(error).split())}") from error
-    beside = path.parent / scenario.object
-    if beside.suffix or is_file(beside):
-        scenario.object = str(beside.resolve())
-    return scenario
-
-
-def write_scenario(path: Path | str, scenario: PushScenario, force: bool = False) -> None:
-    """Writes a scenario with every field, so that `read_scenario` gives it back.
-
-    Args:
-        path: the YAML file to be written.
-        scenario: to be written.
-        force: whether an existing file may be replaced.
-
-    Raises:
-        ScenarioError: a field holds what will not do.
-        OutputError: the file exists and `force` is not set, or it cannot be written.
-    """
-    check_values(scenario)
-    write_whole(path, yaml_dump_typed(scenario, schema=PushScenario), force)
-
-
-def _parse(path: Path, text: str) -> dict[str, Any]:
-    check_yaml(path, text, WHAT, ScenarioError)
-    try:
-        data = yaml_load_data(text, private=True)
-    except (yaml.YAMLError, *NOT_YAML) as error:
-        raise ScenarioError(f"{path}: is not valid YAML: {' '.join(str(error).split())}") from error
-    if data is None:
-        raise ScenarioError(f"{path}: is empty; expected {WHAT}")
-    if not isinstance(data, dict):
-        raise ScenarioError(f"{path}: is {shorten(data)} at its top level; expected {WHAT}: `key: value` lines")
-    for key in data:
-        if not isinstance(key, str):
-            raise ScenarioError(f"{path}: {key}: unknown key; expected {WHAT}")
-    return {key: value for key, value in data.items() if not key.startswith("_")}
-
-
-def _pick_child(path: Path, data: dict[str, Any], name: str) -> Any:
-    if name in data:
-        return data[name]
-    near = get_close_matches(name, map(str, data), n=1)
-    guess = f"; did you mean {near[0]}?" if near else ";"
-    raise ScenarioError(f"{path}: has no scenario {name}{guess} it has {', '.join(map(str, data))}")
-
-
-def _check_version(data: Any) -> None:
-    version = data.get("version", CURRENT_VERSION) if isinstance(data, dict) else CURRENT_VERSION
-    if isinstance(version, int) and version != CURRENT_VERSION:
-        age = "an older" if version < CURRENT_VERSION else "a newer"
-        raise ScenarioError(f"version is {version}, {age} schema; this release reads version {CURRENT_VERSION}")
+from gridpush_drake.station.scenario import PushScenario, TruthConfig
 
 
 def load_object(scenario: PushScenario) -> GridObject:
@@ -341,7 +117,7 @@ def check_scenario(scenario: PushScenario) -> None:
             finger cannot clear the object; the workspace or the object is out of the arm's reach; a directive cannot be
             carried out. The message names the field and the expected form.
     """
-    check_values(scenario)
+    scenario.check()
     obj = load_object(scenario)
     _check_truth(scenario, obj)
     _check_heights(scenario)
