@@ -83,11 +83,29 @@ def calc_identifiability(obj: GridObject, params: CellParameters, posterior: Pos
     )  # fmt: skip
 
 
+def calc_farthest_center(p: Array, mass_min: Array, mass_max: Array) -> Array:
+    """Farthest that the center of mass can be along an axis: max sum m_i p_i / sum m_i, mass_min <= m <= mass_max.
+
+    A linear-fractional program: every cell on the far side of a cut is as heavy, and on the near side as light, as can
+    be; the cut runs through the optimum itself, so that trying every cell's coordinate finds it.
+
+    Args:
+        p: (n,) the cells' coordinates along the axis, m.
+        mass_min: (S, n) the least masses of S sets, up to a scale.
+        mass_max: (S, n) the greatest.
+
+    Returns:
+        (S,) m.
+    """
+    order = np.argsort(p)
+    p, light, heavy = p[order], mass_min[:, order], mass_max[:, order]
+    mass = _sum_up(light) + _sum_down(heavy)
+    moment = _sum_up(light * p) + _sum_down(heavy * p)
+    return np.asarray((moment / mass).max(axis=1))
+
+
 def calc_center_of_mass_box(share: Array, obj: GridObject) -> Array:
     """Bounds of the center of mass over all m_i in [k_i/mu_max, k_i/mu_min], up to a common scale.
-
-    The extreme along an axis takes the light choice on one side of some line and the heavy one on the other; the line
-    runs through the center itself (a linear-fractional program), so that trying every cell's coordinate finds it.
 
     Args:
         share: (n,) k, summing to one.
@@ -96,16 +114,19 @@ def calc_center_of_mass_box(share: Array, obj: GridObject) -> Array:
     Returns:
         (2, 2) rows least and greatest, columns x and y, m, body frame.
     """
-    light, heavy = share / obj.prior.friction_max, share / obj.prior.friction_min
-    box = np.empty((2, 2))
-    for axis in (0, 1):
-        order = np.argsort(obj.p_BC[:, axis])
-        p, few, many = obj.p_BC[order, axis], light[order], heavy[order]
-        for row, (left, right, best) in enumerate(((many, few, np.min), (few, many, np.max))):
-            mass = np.append(0.0, np.cumsum(left)) + np.append(np.cumsum(right[::-1])[::-1], 0.0)
-            moment = np.append(0.0, np.cumsum(left * p)) + np.append(np.cumsum((right * p)[::-1])[::-1], 0.0)
-            box[row, axis] = best(moment / mass)
-    return box
+    light, heavy = share[None] / obj.prior.friction_max, share[None] / obj.prior.friction_min
+    farthest = [[sign * calc_farthest_center(sign * p, light, heavy)[0] for p in obj.p_BC.T] for sign in (-1.0, 1.0)]
+    return np.array(farthest)
+
+
+def _sum_up(values: Array) -> Array:
+    """(S, n+1) sums of the first 0..n values."""
+    return np.concatenate([np.zeros((len(values), 1)), np.cumsum(values, axis=1)], axis=1)
+
+
+def _sum_down(values: Array) -> Array:
+    """(S, n+1) sums of the last n..0 values."""
+    return _sum_up(values[:, ::-1])[:, ::-1]
 
 
 def _calc_mass_bounds(share: Array, total_mass: float, obj: GridObject) -> tuple[Array, Array]:

@@ -37,6 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from gridpush_drake.identification.posterior import calc_center_jacobian
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import FitStart
 from gridpush_drake.objects.grid_object import GridObject
@@ -127,9 +128,7 @@ class CenterOfMass:
         k = np.exp(z[:-1] - z[:-1].max())
         share = k / k.sum()
         center = share @ obj.p_BC
-        J = np.zeros((2, len(z)))
-        J[:, :-1] = (share[:, None] * (obj.p_BC - center)).T
-        return (center - np.asarray(self.at)) / self.std, J / self.std
+        return (center - np.asarray(self.at)) / self.std, calc_center_jacobian(share, obj.p_BC) / self.std
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from gridpush_drake.errors import GridPushError, IdentificationError
 from gridpush_drake.files import read_head, write_whole
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.posterior import Posterior
-from gridpush_drake.identification.result import HistoryEntry, Identification
+from gridpush_drake.identification.result import HistoryEntry, Identification, IdentificationStatus
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.yaml_file import read_mapping
@@ -110,7 +110,7 @@ class ModelSchema(_Schema):
     gridpush_model: Literal[1]
     method: str
     regime: Literal["quasi_static", "inertial"]
-    status: str
+    status: Annotated[IdentificationStatus, Strict(False)]
     message: str
     seed: int
     simulations: Annotated[int, Field(ge=0)]
@@ -372,3 +372,4 @@ def _represent_text(dumper: Any, value: str) -> Any:
 _Dumper.add_representer(list, _represent_list)
 _Dumper.add_representer(tuple, _represent_list)
 _Dumper.add_representer(str, _represent_text)
+_Dumper.add_representer(IdentificationStatus, lambda dumper, value: _represent_text(dumper, str(value)))
