@@ -1,4 +1,4 @@
-"""What pushes can tell, and what they cannot (`docs/theory/model.md`, section 7).
+"""What pushes can tell, and what they cannot (`docs/theory/identification.md`, section 2).
 
 Slow pushes observed by their poses see only the relative support friction k_i = mu_i m_i / sum(mu m), and of it only
 the combinations that the pushes excited. Mass and friction by themselves need a weight, a measured force, a fast push,
@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 
 KNOWN_SHARE = 0.5
 """A combination, or a cell, counts as learned where the pushes took away at least this share of its prior variance."""
+
+MM = 1e3
+"""Millimeters in a meter."""
 
 RANK_TOLERANCE = 1e-9
 """Relative size below which a direction counts as none."""
@@ -154,7 +157,7 @@ def _calc_null_space(prior: Array, after: Array) -> Array:
 def _describe(obj: GridObject, learned: int, learned_share: Array, center_std: Array, box: Array) -> tuple[str, ...]:
     total = "that they add up to the known total mass" if obj.prior.total_mass else "a total mass that was not measured"
     known_cells = int((learned_share >= KNOWN_SHARE).sum())
-    width, height = np.diff(box, axis=0)[0] * 1e3
+    width, height = np.diff(box, axis=0)[0] * MM
     low, high = obj.prior.friction_min, obj.prior.friction_max
     return (
         "Not identifiable from these data: the common scale of the friction. Slow pushes observed by their poses look "
@@ -164,7 +167,7 @@ def _describe(obj: GridObject, learned: int, learned_share: Array, center_std: A
         f"coefficient, and {total}.",
         f"The pushes determined {learned} of {obj.n} independent combinations of the cells' log-friction, and "
         f"{known_cells} of {obj.n} cells by themselves; the rest is the smoothness prior's.",
-        f"The center of friction is known to {1e3 * center_std[0]:.1f} mm in x and {1e3 * center_std[1]:.1f} mm in y "
+        f"The center of friction is known to {MM * center_std[0]:.1f} mm in x and {MM * center_std[1]:.1f} mm in y "
         "(one standard deviation).",
         f"With friction coefficients anywhere from {low:g} to {high:g}, the center of mass may lie anywhere in a box "
         f"of {width:.0f} mm by {height:.0f} mm; with equal coefficients it is at the center of friction.",

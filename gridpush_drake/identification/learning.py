@@ -24,7 +24,6 @@ from gridpush_drake.pushes.push_log import PushLog
 
 Array = NDArray[np.float64]
 
-
 METHODS = ("default", *SEARCH_METHODS)
 """Names that `identify` takes."""
 
@@ -32,6 +31,9 @@ REGIMES = ("auto", "quasi_static", "inertial")
 
 FAST_PUSH = 0.01
 """v²/(mu g rho) above which a log's pushes count as fast, and are simulated with inertia."""
+
+UNIFORM_WIDTH = 12.0**0.5
+"""Width of a uniform distribution, in its standard deviations."""
 
 MIN_CONTACT_FRICTION = 0.05
 """Below which a prior contact friction is taken for this one, whose logarithm is the unknown."""
@@ -200,7 +202,7 @@ def _make_result(
     params = CellParameters(mass, friction, float(np.exp(fit.z[-1])))
     relative_std = np.sqrt(np.maximum(np.diag(posterior.calc_share_covariance()), 0.0)) / share
     # Between its bounds, slow pushes say nothing of a friction coefficient by itself: uniform.
-    friction_std = (obj.prior.friction_max - obj.prior.friction_min) / np.sqrt(12.0)
+    friction_std = (obj.prior.friction_max - obj.prior.friction_min) / UNIFORM_WIDTH
     std = CellParameters(
         np.maximum(mass * relative_std, np.finfo(float).tiny),
         np.full(obj.n, friction_std),

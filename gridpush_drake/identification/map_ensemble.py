@@ -7,7 +7,7 @@
 3. Average them: z = sum_a w_a z_a.
 4. Push-wise cross-validation over the training pushes: mix the average with the uniform fit, with the smallest share of
    the average that predicts left-out pushes as well as any, give or take a fraction of the standard error. Where the
-   pushes do not favor what was learned, that is the uniform fit.
+   pushes do not favor what was learned, that is the uniform fit (`docs/theory/identification.md`, section 5).
 """
 
 from collections.abc import Callable
@@ -29,6 +29,9 @@ from gridpush_drake.identification.result import FitStart, HistoryEntry, Identif
 from gridpush_drake.objects.grid_object import GridObject
 
 Array = NDArray[np.float64]
+
+MM = 1e3
+"""Millimeters in a meter."""
 
 STAGE_FITTING, STAGE_CHECKING = "fitting", "cross-validating"
 
@@ -93,7 +96,7 @@ class MapEnsemble:
         report: Callable[[Array, str], None],
         starts: tuple[FitStart, ...] = (),
     ) -> MapEnsembleFit:
-        """Runs the four steps above.
+        """Takes the four steps above.
 
         Args:
             problem: the training pushes; at least one.
@@ -205,7 +208,7 @@ class MapEnsemble:
         """The status, and the same in a sentence."""
         checked = ""
         if errors:
-            uniform, learned = (f"{1e3 * error:.2f} mm" for error in errors)
+            uniform, learned = (f"{MM * error:.2f} mm" for error in errors)
             checked = f"left-out training pushes are predicted to {learned}, by uniform friction to {uniform}"
         if weights[0] >= self.favored:
             reason = checked or "the pushes do not speak against uniform friction"

@@ -1,13 +1,4 @@
-"""What an identification gives back.
-
-The center of mass of an identified object, and its spread.
-
-With z = (log k, log mu_c) and the cells' frictions mu_i held, m_i is proportional to k_i/mu_i = exp(z_i)/mu_i, and
-
-    c = sum_i a_i p_i,    a_i = m_i / sum m,    dc/dz_i = a_i (p_i - c),    Cov c = (dc/dz) Cov z (dc/dz)^T
-
-to first order. What the frictions themselves may be is left out: see `Identifiability.center_of_mass_box`.
-"""
+"""What an identification gives back: the model, its spread, and how the search for it went."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,6 +11,8 @@ from gridpush_drake.identification.identifiability import Identifiability
 from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+
+Array = NDArray[np.float64]
 
 
 class IdentificationStatus(StrEnum):
@@ -64,7 +57,7 @@ class FitStart:
         scale: of the noise.
     """
 
-    z: NDArray[np.float64]
+    z: Array
     scale: float
 
 
@@ -121,16 +114,15 @@ class Identification:
         return self.posterior.draw_parameters(self.params, k, seed)
 
     @property
-    def relative_friction(self) -> NDArray[np.float64]:
+    def relative_friction(self) -> Array:
         """(n,) k_i = mu_i m_i / sum(mu m), the estimate."""
         return self.params.relative_friction()
 
 
-Array = NDArray[np.float64]
-
-
 def calc_center_of_mass(found: Identification) -> tuple[Array, Array]:
-    """Calculates where the center of mass is held to be.
+    """Calculates where the center of mass is held to be: c = sum_i a_i p_i with a_i = m_i / sum m, to first order.
+
+    The cells' frictions are held; what they may be is left out: see `Identifiability.center_of_mass_box`.
 
     Args:
         found: the identification.

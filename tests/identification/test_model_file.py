@@ -61,6 +61,7 @@ def test_keeps_an_existing_file(model):
     [
         ("gridpush_model: 1", "gridpush_model: 2", ["gridpush_model", "1"]),
         ("method: default", "methods: default", ["method", "required"]),
+        ("status: learned", "status: lucky", ["status", "'learned'", "'budget_spent'"]),
         ("seed: 0", "seed: zero", ["seed", "integer"]),
         ("seed: 0", "seed: 0\ncolor: red", ["color", "not permitted"]),
         ("  mass: [0", "  mass: [-0", ["cells.mass.0", "greater than 0"]),

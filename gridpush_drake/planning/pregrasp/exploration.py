@@ -1,7 +1,7 @@
 """Which poke to make next: the one that is expected to tell most about what matters.
 
 What was learned is z = (log k_1 .. log k_n, log mu_c) ~ N(mean, S). A push whose end would be seen as the residual
-r = J z + noise, with J exact from its simulation and noise ~ N(0, R) (`identification.noise`), leaves
+r = J z + noise, with J exact from its simulation and noise ~ N(0, R) (`identification.map_fit.NoiseModel`), leaves
 
     S' = S - S J^T (J S J^T + R)^-1 J S
 
