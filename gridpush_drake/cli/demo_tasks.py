@@ -29,7 +29,7 @@ from gridpush_drake.multibody.recording_overlay import (
 )
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
-from gridpush_drake.planning.pregrasp.uncertainty import Belief
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.report.page import ReportSummary, make_report
 from gridpush_drake.report.plan_figures import GraspDrawn, PushDrawn, draw_pre_grasp, draw_push_run
@@ -391,7 +391,7 @@ class PreGraspDemo:
 
     def _make_report_summary(self, record: PreGraspRecord) -> ReportSummary:
         last = record.last
-        masses = Belief.of_identification(record.estimates[-1]).masses
+        masses = UncertainModel.of_identification(record.estimates[-1]).masses
         poses = [step.pose for step in record.steps if np.isfinite(step.pose).all() and not step.status.over]
         pushes = [
             PushDrawn(step.push.start, step.push.end, step.status.mode == PreGraspMode.EXPLORING)

@@ -20,7 +20,8 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.goal.push_plan import PushPlan
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlan, PreGraspPlanner
-from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, PlausibleMassSet, calc_support_polygon
+from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, calc_support_polygon
+from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.report.draw import (
     BEFORE,

@@ -62,7 +62,7 @@ def test_push_through_the_center_of_friction_does_not_turn(regime):
 
 
 def test_quasi_static_motion_knows_only_shares_of_friction():
-    """Scaling all masses and all frictions, and the pusher's speed, changes nothing (design note, section 6)."""
+    """Scaling all masses and all frictions, and the pusher's speed, changes nothing (`model.md`, section 7)."""
     for seed, shape in enumerate(SHAPES):
         rng = np.random.default_rng(seed)
         obj = make_shape(shape, 40)
