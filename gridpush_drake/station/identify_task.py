@@ -184,7 +184,7 @@ def _make_policy(station: PushStation) -> PokePolicy:
         distance=(pokes.distance[0], pokes.distance[1]),
         speed=pokes.speed,
         slant=pokes.slant,
-        tip_radius=scenario.finger.tip_radius,
+        tip_radius=station.robot.finger.tip_radius,
         clearance=pokes.clearance,
     )
     return PokePolicy(

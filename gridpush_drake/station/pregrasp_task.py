@@ -68,7 +68,7 @@ class GraspFinder:
     station: PushStation
     obj: GridObject
     surface: SupportSurface
-    gripper: SideGripper = field(default_factory=SideGripper)
+    gripper: SideGripper
 
     def find_grasp(self, pose: Array, center_of_mass: Array) -> SideGrasp | None:
         """How the gripper takes the object at `pose` (3,), as near its center of mass (2,), body frame, as it can."""
@@ -197,12 +197,12 @@ class PreGraspTask:
             MakePushStation(scenario, meshcat, show_object=False, learning=learning)
         )
         station = self.station
-        if station.gripper is None:
+        if station.robot.gripper is None:
             raise ScenarioError("directives: there is no model gripper; expected a scene that can grasp")
         self.surface = make_surface(station)
         self.obj = station.obj
-        self._finder = GraspFinder(station, self.obj, self.surface)
-        self.planner = PreGraspPlanner(self.obj, self.surface, make_options(scenario), limits=self._make_limits())
+        self._finder = GraspFinder(station, self.obj, self.surface, station.robot.gripper.make_side_gripper())
+        self.planner = PreGraspPlanner(self.obj, self.surface, make_options(station), limits=self._make_limits())
         self.controller = builder.AddNamedSystem("controller", self._make_controller())
         self.task = BuildTask(builder, station, self.controller, "pre_grasp_task", meshcat)
 
@@ -325,9 +325,10 @@ class _Watch:
         )
 
 
-def make_options(scenario: PushScenario) -> PreGraspOptions:
-    """The planner's options, by a scenario."""
-    pregrasp, radius, speed = scenario.pregrasp, scenario.finger.tip_radius, scenario.pokes.speed
+def make_options(station: PushStation) -> PreGraspOptions:
+    """The planner's options, by a station's scenario and robot."""
+    scenario = station.scenario
+    pregrasp, radius, speed = scenario.pregrasp, station.robot.finger.tip_radius, scenario.pokes.speed
     slide = SlideOptions()
     contact: ContactOptions = replace(slide.contact, radius=radius, speed=speed, clearance=CLEARANCE)
     return PreGraspOptions(

@@ -171,7 +171,7 @@ class PushTask:
             push_rule=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,
         )
         contact = ContactOptions(
-            scenario.finger.tip_radius, clearance, scenario.pokes.speed, (clearance + MIN_PUSH, MAX_PUSH)
+            station.robot.finger.tip_radius, clearance, scenario.pokes.speed, (clearance + MIN_PUSH, MAX_PUSH)
         )
         return GoalRules(constraints, contact, tolerance=scenario.goal.tolerance, max_pushes=scenario.goal.max_pushes)
 
