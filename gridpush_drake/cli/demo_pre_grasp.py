@@ -52,9 +52,9 @@ def run(scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> PreGr
     with count_progress("the robot", 1) as report:
 
         def show(status: PushStatus, logged: int) -> None:
-            now = task.task.read("status", task.controller)
+            now = task.read("status", task.controller)
             did = f"{_count(now.pokes, 'poke')} and {_count(now.slides, 'slide')}"
-            report(f"{now.mode}, {did}", describe_time(task.task.simulator), int(now.over))
+            report(f"{now.mode}, {did}", describe_time(task.simulator), int(now.over))
 
         meshcat.StartRecording(FRAMES_A_SECOND)
         return task.run(progress=show, realtime_rate=realtime_rate)

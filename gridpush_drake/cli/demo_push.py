@@ -41,7 +41,7 @@ def run(scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> PushT
 
         def show(status: PushStatus, logged: int) -> None:
             doing = f"push {status.executed + (not status.ready)}, {status.phase}"
-            report(doing, describe_time(task.task.simulator), status.executed)
+            report(doing, describe_time(task.simulator), status.executed)
 
         meshcat.StartRecording(FRAMES_A_SECOND)
         return task.run(progress=show, realtime_rate=realtime_rate)

@@ -123,12 +123,10 @@ class Learning:
 
     Attributes:
         max_pushes: the first so many; None for no limit.
-        memory: of those, the latest so many; None for no limit.
         admit: whether a push may be learned from; None admits all.
     """
 
     max_pushes: int | None = None
-    memory: int | None = None
     admit: Callable[[ObservedPush], bool] | None = None
 
 
@@ -141,9 +139,7 @@ def make_identifier(scenario: PushScenario, obj: GridObject, learning: Learning 
         engaged_below=scenario.object_height,
         pusher_radius=obj.prior.pusher_radius,
         max_learning_pushes=learning.max_pushes,
-        memory=learning.memory,
         admit=learning.admit,
-        seed=scenario.seed,
         warm_start=False,  # it gains little, and so `gridpush identify` finds the same from the log, bit for bit
         record=RecordOptions(pose_delay=1 / scenario.camera.rate),  # it sees the picture before the one being taken
     )
