@@ -145,7 +145,6 @@ class GridIdentifier(LeafSystem):
         segmenter: SegmenterOptions | None = None,
         record: RecordOptions | None = None,
         admit: Callable[[ObservedPush], bool] | None = None,
-        memory: int | None = None,
         progress: Callable[[HistoryEntry], None] | None = None,
     ) -> None:
         """Declares the system.
@@ -166,7 +165,6 @@ class GridIdentifier(LeafSystem):
             segmenter: other options of finding pushes; its `engaged_below` is replaced by the argument.
             record: options of writing them down; its `pose_delay` where the sensor's poses are old when they are read.
             admit: whether a push may be learned from, such as one that took place wholly on the table; None admits all.
-            memory: only the latest so many of those are learned from; None for no limit.
             progress: called now and then while learning.
 
         Raises:
@@ -180,15 +178,13 @@ class GridIdentifier(LeafSystem):
             raise IdentificationError(f"period is {period!r}; expected a positive number (s)")
         if max_learning_pushes is not None and max_learning_pushes < 0:
             raise IdentificationError(f"max_learning_pushes is {max_learning_pushes}; expected 0 or more")
-        if memory is not None and memory < 1:
-            raise IdentificationError(f"memory is {memory}; expected 1 or more")
         if pusher_radius is not None:
             obj = replace(obj, prior=replace(obj.prior, pusher_radius=pusher_radius))
         self.obj, self.max_learning_pushes, self.warm_start = obj, max_learning_pushes, warm_start
         self._radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
         self._segmenter = replace(segmenter or SegmenterOptions(), engaged_below=engaged_below)
         self._record = record or RecordOptions()
-        self._admit, self._memory = admit, memory
+        self._admit = admit
         self._learning: dict[str, Any] = {
             "method": method, "seed": seed, "regime": regime, "ensemble": ensemble, "progress": progress,
         }  # fmt: skip
@@ -206,8 +202,7 @@ class GridIdentifier(LeafSystem):
     def select(self, log: PushLog) -> PushLog:
         """The pushes of a log that are learned from."""
         first = log[: self.max_learning_pushes]
-        admitted = [i for i, seen in enumerate(first) if self._admit is None or self._admit(seen)]
-        return first.subset(admitted[-self._memory :] if self._memory is not None else admitted)
+        return first.subset([i for i, seen in enumerate(first) if self._admit is None or self._admit(seen)])
 
     def _declare_outputs(self) -> None:
         def declare(name: str, size: int, calc: Callable[[Estimate], Any]) -> None:

@@ -257,7 +257,7 @@ class PushDemo:
         def describe(status: PushStatus) -> tuple[str, int]:
             return f"push {status.executed + (not status.ready)}, {status.phase}", status.executed
 
-        with _recording(task, meshcat, task.task.simulator, scenario.goal.max_pushes, describe) as progress:
+        with _recording(task, meshcat, task.simulator, scenario.goal.max_pushes, describe) as progress:
             return task.run(progress=progress, realtime_rate=realtime_rate)
 
     def list_phases(self, record: PushTaskRecord) -> list[Phase]:
@@ -340,10 +340,10 @@ class PreGraspDemo:
         task = PreGraspTask(scenario, meshcat)
 
         def describe(_: PushStatus) -> tuple[str, int]:
-            now = task.task.read("status", task.controller)
+            now = task.read("status", task.controller)
             return f"{now.mode}, {_count(now.pokes, 'poke')} and {_count(now.slides, 'slide')}", int(now.over)
 
-        with _recording(task, meshcat, task.task.simulator, 1, describe) as progress:
+        with _recording(task, meshcat, task.simulator, 1, describe) as progress:
             return task.run(progress=progress, realtime_rate=realtime_rate)
 
     def list_phases(self, record: PreGraspRecord) -> list[Phase]:

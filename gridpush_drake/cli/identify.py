@@ -36,9 +36,6 @@ def identify(
     seed: options.Seed = 0,
     regime: options.Regime = "auto",
     budget: Annotated[int | None, typer.Option(min=1, help="Most pushes to simulate.")] = None,
-    latest: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Learn from the latest N pushes only.  [default: all]")
-    ] = None,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,
@@ -55,7 +52,7 @@ def identify(
             check_writable(path, force)
     obj = options.load_object(object_file, largest_piece)
     full = options.load_log(pushes, obj)
-    log = full.supported[-latest:] if latest is not None else full.supported
+    log = full.supported
     options.compile_kernels()
     with search_progress(f"identifying {obj.name}", budget) as progress:
         result = search(obj, log, method=method, seed=seed, regime=regime, budget=budget, progress=progress)

@@ -20,14 +20,9 @@ from pydrake.multibody.tree import JacobianWrtVariable
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.multibody.tool_motion import R_WP_DOWN, TURNING_RADIUS, calc_tool_rotation
+from gridpush_drake.station.robot import Robot
 
 Array = NDArray[np.float64]
-
-TIP_FRAME = "finger_tip"
-"""Name of the frame at the center of the finger's tip."""
-
-SEED_POSTURE = (0.0, 0.6, 0.0, -1.75, 0.0, 0.8, 0.0)
-"""Elbow up, hand down, about where a table is: a search begins here, rad."""
 
 POSITION_TOLERANCE = 1e-6
 """m and rad, of a pose that counts as reached."""
@@ -45,11 +40,11 @@ class ArmPosture:
         speed: (7,) rad/s.
     """
 
-    def __init__(self, control_plant: MultibodyPlant):
-        """Takes the plant that `MakeControlPlant` makes."""
+    def __init__(self, control_plant: MultibodyPlant, robot: Robot):
+        """Takes the plant that `MakeControlPlant` makes of a robot."""
         self._plant = control_plant
         self._context = control_plant.CreateDefaultContext()
-        self._tip, self._world = control_plant.GetFrameByName(TIP_FRAME), control_plant.world_frame()
+        self._tip, self._world = control_plant.GetFrameByName(robot.finger.tip_frame), control_plant.world_frame()
         self.lower, self.upper = control_plant.GetPositionLowerLimits(), control_plant.GetPositionUpperLimits()
         self.speed = control_plant.GetVelocityUpperLimits()
 
@@ -107,13 +102,13 @@ class ArmPosture:
         return None
 
 
-def CalcStartPosture(control_plant: MultibodyPlant, p_WP: ArrayLike, q_seed: ArrayLike = SEED_POSTURE) -> Array:
+def CalcStartPosture(control_plant: MultibodyPlant, robot: Robot, p_WP: ArrayLike) -> Array:
     """Calculates the posture in which the tool points down with its tip at p_WP.
 
     Args:
         control_plant: as `MakeControlPlant` makes it.
+        robot: the robot; the search begins at its `posture`.
         p_WP: (3,) m.
-        q_seed: (7,) of the search, rad.
 
     Returns:
         (7,) rad.
@@ -121,7 +116,7 @@ def CalcStartPosture(control_plant: MultibodyPlant, p_WP: ArrayLike, q_seed: Arr
     Raises:
         StationError: there is none within the joint limits.
     """
-    posture, seed = ArmPosture(control_plant), np.array(q_seed, float)
+    posture, seed = ArmPosture(control_plant, robot), np.array(robot.arm.posture)
     q = posture.solve(p_WP, seed, seed)
     if q is None or (q < posture.lower).any() or (q > posture.upper).any():
         where = np.round(np.asarray(p_WP, float), 3).tolist()
@@ -158,23 +153,22 @@ class ArmReach:
     def __init__(
         self,
         control_plant: MultibodyPlant,
+        robot: Robot,
         q_nominal: ArrayLike,
-        position_margin: float = 0.05,
-        speed_share: float = 0.9,
     ):
         """Makes the question.
 
         Args:
             control_plant: as `MakeControlPlant` makes it.
+            robot: the robot; its `control` says how far paths keep from the joints' limits.
             q_nominal: (7,) the posture that the arm is drawn to, rad.
-            position_margin: to keep from the joint limits, rad.
-            speed_share: of the joints' greatest speeds that may be used.
         """
-        self._posture = ArmPosture(control_plant)
+        self._posture = ArmPosture(control_plant, robot)
+        margin, share = robot.arm.control.path_limit_margin, robot.arm.control.path_speed_share
         self._nominal = np.array(q_nominal, float)
         self._p_WN = self._posture.calc_tip_pose(self._nominal).translation()
-        self._lower, self._upper = self._posture.lower + position_margin, self._posture.upper - position_margin
-        self._speed = speed_share * self._posture.speed
+        self._lower, self._upper = self._posture.lower + margin, self._posture.upper - margin
+        self._speed = share * self._posture.speed
 
     def __call__(self, way: ArrayLike, speeds: ArrayLike, yaws: ArrayLike | None = None) -> str | None:
         """None where the tip can go along `way`, else a sentence that says why not.

@@ -24,7 +24,7 @@ def MakeFingerRegion(station: PushStation, inset: float = 0.0) -> BaseGeometry:
     """
     workspace = station.scenario.workspace
     box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
-    axis, least, greatest = CalcTipReach(station.plant, station.scenario.finger.push_height)
+    axis, least, greatest = CalcTipReach(station.plant, station.robot, station.scenario.finger.push_height)
     return MakeRing(axis, least + inset, greatest - inset) & box.buffer(-inset)
 
 

@@ -6,7 +6,7 @@ Ports of a Diagram's parts, exported under a common prefix.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
@@ -17,8 +17,8 @@ from pydrake.systems.framework import DiagramBuilder, OutputPort, System
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
-from gridpush_drake.station.arm_kinematics import TIP_FRAME, ArmReach
-from gridpush_drake.station.iiwa import GRASP_FRAME, Arm
+from gridpush_drake.station.arm_kinematics import ArmReach
+from gridpush_drake.station.robot import GripperMeasures
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.systems.grasp_executor import GraspExecutor, GraspTrajectoryOptions
 from gridpush_drake.systems.messages import GraspCommand
@@ -39,7 +39,7 @@ class GraspClearance:
 
     table_top: BaseGeometry
     style: GraspTrajectoryOptions
-    gripper: SideGripper = field(default_factory=SideGripper)
+    gripper: SideGripper
     clearance: float = 0.001
 
     def __call__(self, command: GraspCommand) -> str | None:
@@ -65,29 +65,27 @@ def ExportOutputs(builder: DiagramBuilder, system: System, prefix: str, ports: S
         builder.ExportOutput(system.GetOutputPort(port), f"{prefix}.{port}")
 
 
-GRIPPER = "gripper"
-"""Name of the gripper's model instance; a scene need not have one."""
-
-
-def FindGripper(plant: MultibodyPlant) -> ModelInstanceIndex | None:
-    """The gripper's model instance in a plant; None where there is none."""
-    return plant.GetModelInstanceByName(GRIPPER) if plant.HasModelInstanceNamed(GRIPPER) else None
-
-
-def make_grasp_trajectory_options(scenario: PushScenario, control_plant: MultibodyPlant) -> GraspTrajectoryOptions:
+def make_grasp_trajectory_options(
+    scenario: PushScenario, control_plant: MultibodyPlant, gripper: GripperMeasures, tip_frame: str
+) -> GraspTrajectoryOptions:
     """How the scenario's gripper grasps, carried by the arm of a plant that `MakeControlPlant` made."""
-    grasp, tip = (control_plant.GetFrameByName(name) for name in (GRASP_FRAME, TIP_FRAME))
+    grasp, tip = (control_plant.GetFrameByName(name) for name in (gripper.grasp_frame, tip_frame))
     x, y, z = grasp.CalcPose(control_plant.CreateDefaultContext(), tip).translation().tolist()
     pregrasp = scenario.pregrasp
     return GraspTrajectoryOptions(
-        p_PG=(x, y, z), travel_height=scenario.finger.travel_height, force=pregrasp.force, hold_time=pregrasp.hold
+        p_PG=(x, y, z),
+        travel_height=scenario.finger.travel_height,
+        force=pregrasp.force,
+        opening=gripper.opening,
+        hold_time=pregrasp.hold,
     )
 
 
 def AddGrasping(
     builder: DiagramBuilder,
     plant: MultibodyPlant,
-    arm: Arm,
+    gripper: ModelInstanceIndex,
+    measures: GripperMeasures,
     executor: PushExecutor,
     reach: ArmReach,
     table_top: BaseGeometry,
@@ -98,7 +96,8 @@ def AddGrasping(
     Args:
         builder: the plant is in it.
         plant: has the arm with its gripper.
-        arm: the robot in the plant.
+        gripper: its model instance.
+        measures: the gripper's.
         executor: of pushes, whose pose is passed on where nothing is grasped.
         reach: of the arm.
         table_top: the table's, a polygon in W, m.
@@ -108,10 +107,10 @@ def AddGrasping(
         The executor of grasps, whose `tip_pose` is the tool's.
     """
     grasping: GraspExecutor = builder.AddNamedSystem(
-        "grasp_executor", GraspExecutor(reach, style, GraspClearance(table_top, style))
+        "grasp_executor", GraspExecutor(reach, style, GraspClearance(table_top, style, measures.make_side_gripper()))
     )
     controller = builder.AddNamedSystem("gripper_controller", SchunkWsgPositionController())
-    state: OutputPort = plant.get_state_output_port(arm.gripper)
+    state: OutputPort = plant.get_state_output_port(gripper)
     for source, target in (
         (executor.GetOutputPort("tip_pose"), grasping.GetInputPort("push_tip_pose")),
         (executor.GetOutputPort("status"), grasping.GetInputPort("push_status")),
@@ -119,7 +118,7 @@ def AddGrasping(
         (state, controller.get_state_input_port()),
         (grasping.GetOutputPort("gripper_position"), controller.get_desired_position_input_port()),
         (grasping.GetOutputPort("gripper_force_limit"), controller.get_force_limit_input_port()),
-        (controller.get_generalized_force_output_port(), plant.get_actuation_input_port(arm.gripper)),
+        (controller.get_generalized_force_output_port(), plant.get_actuation_input_port(gripper)),
     ):
         builder.Connect(source, target)
     return grasping
@@ -133,8 +132,10 @@ def AddPusherGate(builder: DiagramBuilder, tip: System, grasping: GraspExecutor)
     return gate
 
 
-def ExportGrasping(builder: DiagramBuilder, plant: MultibodyPlant, arm: Arm, grasping: GraspExecutor) -> None:
+def ExportGrasping(
+    builder: DiagramBuilder, plant: MultibodyPlant, gripper: ModelInstanceIndex, grasping: GraspExecutor
+) -> None:
     """Exports the ports that the station has only with a gripper."""
     builder.ExportInput(grasping.GetInputPort("grasp_command"), "grasp_command")
     ExportOutputs(builder, grasping, "grasp", ("status",))
-    builder.ExportOutput(plant.get_state_output_port(arm.gripper), "gripper.state")
+    builder.ExportOutput(plant.get_state_output_port(gripper), "gripper.state")

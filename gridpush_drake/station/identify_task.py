@@ -2,28 +2,15 @@
 
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
 from pydrake.geometry import Meshcat
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import Context, DiagramBuilder
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.push_station import MakePushStation, PushStation
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.task import (
-    GO_ON,
-    INTERRUPTED,
-    AimStationCamera,
-    BuildTask,
-    Judgment,
-    Progress,
-    Sight,
-    TaskRecord,
-    TaskStatus,
-)
+from gridpush_drake.station.task import GO_ON, Judgment, StationTask, TaskRecord, TaskStatus, Waiting
 from gridpush_drake.systems.messages import PushStatus
 from gridpush_drake.systems.poke_policy import PokePolicy, PokeRegion, RandomPokeOptions
 
@@ -37,19 +24,6 @@ MIDDLE_MARGIN = 0.09
 
 REFUSALS = 20
 """In a row, after which the experiment is stuck."""
-
-TIMEOUT = 10.0
-"""Simulated without a push being under way, after which it is stuck, s."""
-
-__all__ = [
-    "FINISHED",
-    "INTERRUPTED",
-    "OBJECT_LOST",
-    "STUCK",
-    "IdentifyTask",
-    "IdentifyTaskRecord",
-    "Progress",
-]  # fmt: skip
 
 
 @dataclass
@@ -75,14 +49,43 @@ class IdentifyTaskRecord(TaskRecord):
         return self.log[self.training :]
 
 
-class IdentifyTask:
-    """The station with a policy that pokes, to be run once or many times.
+@dataclass
+class PokeJudge:
+    """Decides when an experiment is over.
 
     Attributes:
-        station: the station.
-        diagram: of station, policy and, with Meshcat, the estimate's picture.
-        simulator: of the diagram.
+        pushes: to be carried out.
+        executed: when it last looked.
+        refused: up to the last push that was carried out.
     """
+
+    pushes: int
+    executed: int = 0
+    refused: int = 0
+
+    def judge(self, status: PushStatus, waiting: Waiting) -> Judgment:
+        """Status and message."""
+        if status.executed > self.executed:
+            self.executed, self.refused = status.executed, status.refused
+        if waiting.unseen > IdentifyTask.lost_after:
+            return OBJECT_LOST, f"The object left the table during push {status.executed + (not status.ready)}."
+        if status.executed >= self.pushes:
+            return FINISHED, f"All {self.pushes} pushes were carried out."
+        if status.refused - self.refused >= REFUSALS:
+            return STUCK, f"The last {REFUSALS} pushes were refused; the last one because {status.reason}."
+        if waiting.idle > IdentifyTask.timeout:
+            return STUCK, (
+                f"No push was found for {IdentifyTask.timeout:g} s: from where the object lies, the finger reaches no "
+                "place from which it could push; is the object within the workspace?"
+            )
+        return GO_ON
+
+
+class IdentifyTask(StationTask[IdentifyTaskRecord]):
+    """The station with a policy that pokes."""
+
+    lost_after = 0.5
+    timeout = 10.0
 
     def __init__(self, scenario: PushScenario, meshcat: Meshcat | None = None) -> None:
         """Makes the Diagram.
@@ -94,85 +97,36 @@ class IdentifyTask:
         Raises:
             ScenarioError, StationError: see `MakePushStation`.
         """
-        self._scenario = scenario
         builder = DiagramBuilder()
-        self.station: PushStation = builder.AddSystem(MakePushStation(scenario, meshcat, show_object=False))
-        self._policy = builder.AddNamedSystem("policy", _make_policy(self.station))
-        self._task = BuildTask(builder, self.station, self._policy, "push_experiment", meshcat)
-        self.diagram: Diagram = self._task.diagram
-        self.simulator: Simulator = self._task.simulator
+        station = builder.AddSystem(MakePushStation(scenario, meshcat, show_object=False))
+        self.controller = builder.AddNamedSystem("policy", _make_policy(station))
+        super().__init__(builder, station, self.controller, meshcat)
 
-    def AimCamera(self, meshcat: Meshcat) -> None:
-        """Points Meshcat's camera at the arm and the table."""
-        AimStationCamera(meshcat, self.station)
+    def prepare(self, context: Context, seed: int) -> None:
+        """Seeds the policy."""
+        self.controller.SetSeed(context, seed)
 
-    def run(
-        self, seed: int | None = None, progress: Progress | None = None, realtime_rate: float = 0.0
-    ) -> IdentifyTaskRecord:
-        """Runs the experiment from its beginning.
+    def make_record(self) -> IdentifyTaskRecord:
+        """An empty record."""
+        pokes = self.station.scenario.pokes
+        self._judge = PokeJudge(pokes.count + pokes.test_count)
+        return IdentifyTaskRecord(self.station.obj, self.station.truth, training=pokes.count)
 
-        Args:
-            seed: of everything random, instead of the scenario's.
-            progress, realtime_rate: see `TaskRun.run`.
+    def note(self, record: IdentifyTaskRecord, time: float) -> bool:
+        """Writes down what the executor began; something is new while a push is under way."""
+        status = self.read("executor.status")
+        if not record.phases or record.phases[-1][1] != status:
+            record.phases.append((time, status))
+        return not status.ready
 
-        Returns:
-            What came of it. Ctrl-C ends it early, with what there is by then.
+    def judge(self, record: IdentifyTaskRecord, waiting: Waiting) -> Judgment:
+        """Status and message."""
+        return self._judge.judge(self.read("executor.status"), waiting)
 
-        Raises:
-            StationError: not a single push could be carried out.
-        """
-        seed = self._scenario.seed if seed is None else seed
-        pokes = self._scenario.pokes
-        record = IdentifyTaskRecord(self.station.obj, self.station.truth, training=pokes.count)
-        watch = _Watch(pokes.count + pokes.test_count)
-
-        def judge(time: float) -> Judgment:
-            status = self._note(record)
-            if not record.phases or record.phases[-1][1] != status:
-                record.phases.append((time, status))
-            return watch.judge(time, status, self._task.read("object.pose"))
-
-        end = self._task.run(judge, seed, progress, realtime_rate, lambda context: self._policy.SetSeed(context, seed))
-        record.note_end(self._task, end)
+    def finish(self, record: IdentifyTaskRecord) -> None:
+        """Raises StationError where not a single push could be carried out."""
         if not len(record.log) and record.status == STUCK:
             raise StationError(record.message)
-        return record
-
-    def _note(self, record: IdentifyTaskRecord) -> PushStatus:
-        record.note_learned(self._task)
-        status: PushStatus = self._task.read("executor.status")
-        return status
-
-
-@dataclass
-class _Watch:
-    """Decides when an experiment is over."""
-
-    pushes: int
-    sight: Sight = field(default_factory=Sight)
-    last_busy: float = 0.0
-    executed: int = 0
-    refused: int = 0
-
-    def judge(self, time: float, status: PushStatus, pose: NDArray[np.float64]) -> Judgment:
-        """Status and message."""
-        lost = self.sight.is_lost(time, pose)
-        if not status.ready:
-            self.last_busy = time
-        if status.executed > self.executed:
-            self.executed, self.refused = status.executed, status.refused
-        if lost:
-            return OBJECT_LOST, f"The object left the table during push {status.executed + (not status.ready)}."
-        if status.executed >= self.pushes:
-            return FINISHED, f"All {self.pushes} pushes were carried out."
-        if status.refused - self.refused >= REFUSALS:
-            return STUCK, f"The last {REFUSALS} pushes were refused; the last one because {status.reason}."
-        if time - self.last_busy > TIMEOUT:
-            return STUCK, (
-                f"No push was found for {TIMEOUT:g} s: from where the object lies, the finger reaches no place from "
-                "which it could push; is the object within the workspace?"
-            )
-        return GO_ON
 
 
 def _make_policy(station: PushStation) -> PokePolicy:
@@ -184,7 +138,7 @@ def _make_policy(station: PushStation) -> PokePolicy:
         distance=(pokes.distance[0], pokes.distance[1]),
         speed=pokes.speed,
         slant=pokes.slant,
-        tip_radius=scenario.finger.tip_radius,
+        tip_radius=station.robot.finger.tip_radius,
         clearance=pokes.clearance,
     )
     return PokePolicy(

@@ -8,7 +8,6 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, EventStatus
 
-from gridpush_drake.station.arm_kinematics import TIP_FRAME
 from gridpush_drake.station.push_station import PushStation
 from gridpush_drake.systems.messages import GraspPhase, PushPhase
 
@@ -62,8 +61,8 @@ class LimitMonitor:
         self.limit_report = LimitReport()
         # a Simulator holds its monitor where the garbage collector does not see it
         self._station, self._period, self._next = ref(station), period, -np.inf
-        plant, iiwa = station.plant, station.arm.iiwa
-        joints = [plant.get_joint(index) for index in plant.GetJointIndices(iiwa)]
+        plant, arm, robot = station.plant, station.robot_in_plant.arm, station.robot
+        joints = [plant.get_joint(index) for index in plant.GetJointIndices(arm)]
         joints = [joint for joint in joints if joint.num_positions() == 1]
         lower, upper = (
             np.array([limits(joint)[0] for joint in joints])
@@ -72,11 +71,11 @@ class LimitMonitor:
         self._middle, self._half = (lower + upper) / 2, (upper - lower) / 2
         self._speed = np.array([joint.velocity_upper_limits()[0] for joint in joints])
         self._torque = np.array(
-            [plant.get_joint_actuator(index).effort_limit() for index in plant.GetJointActuatorIndices(iiwa)]
+            [plant.get_joint_actuator(index).effort_limit() for index in plant.GetJointActuatorIndices(arm)]
         )
         self._object = station.object_in_plant.body.index()
-        self._tip = plant.GetBodyByName(TIP_FRAME).index()
-        fingers = () if station.gripper is None else ("left_finger", "right_finger")
+        self._tip = plant.GetBodyByName(robot.finger.tip_frame).index()
+        fingers = () if robot.gripper is None else robot.gripper.fingers
         self._fingers = {plant.GetBodyByName(name, station.gripper).index() for name in fingers}
         inspector = station.scene_graph.model_inspector()
         self._table = {plant.GetBodyFromFrameId(inspector.GetFrameId(geometry)).index() for geometry in station.table}

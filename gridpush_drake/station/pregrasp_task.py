@@ -24,21 +24,11 @@ from gridpush_drake.planning.pregrasp.planner import ACCEPTED_SHARE, PreGraspOpt
 from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp, SideGripper, choose_varied, find_side_grasps
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
-from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import ObservedPush
 from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.push_station import Learning, MakePushStation, PushStation
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.task import (
-    GO_ON,
-    AimStationCamera,
-    BuildTask,
-    Judgment,
-    Progress,
-    Sight,
-    TaskRecord,
-    TaskStatus,
-    make_surface,
-)
+from gridpush_drake.station.task import GO_ON, Judgment, StationTask, TaskRecord, TaskStatus, Waiting, make_surface
 from gridpush_drake.systems.messages import GraspCommand, PreGraspMode, PreGraspStatus, PushCommand
 from gridpush_drake.systems.pregrasp_controller import PreGraspController
 
@@ -68,7 +58,7 @@ class GraspFinder:
     station: PushStation
     obj: GridObject
     surface: SupportSurface
-    gripper: SideGripper = field(default_factory=SideGripper)
+    gripper: SideGripper
 
     def find_grasp(self, pose: Array, center_of_mass: Array) -> SideGrasp | None:
         """How the gripper takes the object at `pose` (3,), as near its center of mass (2,), body frame, as it can."""
@@ -152,31 +142,24 @@ class PreGraspRecord(TaskRecord):
 HELD, DROPPED, FAILED = TaskStatus.HELD, TaskStatus.DROPPED, TaskStatus.FAILED
 LOST, STUCK = TaskStatus.LOST, TaskStatus.STUCK
 
-MEMORY = 14
-"""Pushes: the latest ones are learned from; the cost of learning grows with them, what they tell hardly does."""
-
 CLEARANCE = 0.006
 """Between finger and object where a push begins, m: it comes down beside an object seen to about a millimeter."""
 
 LIFTED_SHARE = 0.7
 """Of the lift, that the object's lowest point must truly have been raised by to count as held."""
 
-TIMEOUT = 60.0
-"""Simulated without anything new, after which the task is stuck, s."""
 
-LOST_AFTER = 10.0
-"""Simulated without the object being seen, after which it is not waited for any longer, s."""
-
-
-class PreGraspTask:
-    """The station with a controller that explores, slides, grasps and lifts; to be run once or many times.
+class PreGraspTask(StationTask[PreGraspRecord]):
+    """The station with a controller that explores, slides, grasps and lifts.
 
     Attributes:
-        station: the station.
+        obj: the object.
+        surface: the table.
         planner: what the controller decides with.
-        controller: the system.
-        task: runs its Diagram.
     """
+
+    lost_after = 10.0
+    timeout = 60.0
 
     def __init__(self, scenario: PushScenario, meshcat: Meshcat | None = None) -> None:
         """Makes the Diagram.
@@ -190,49 +173,72 @@ class PreGraspTask:
             StationError: see `MakePushStation`.
             PlanningError: the object has no graspable part, or the table is smaller than it.
         """
-        self._scenario = scenario
         builder = DiagramBuilder()
-        learning = Learning(max_pushes=None, memory=MEMORY, admit=self._admit)
+        learning = Learning(admit=self._admit)
         self.station: PushStation = builder.AddSystem(
             MakePushStation(scenario, meshcat, show_object=False, learning=learning)
         )
         station = self.station
-        if station.gripper is None:
+        if station.robot.gripper is None:
             raise ScenarioError("directives: there is no model gripper; expected a scene that can grasp")
         self.surface = make_surface(station)
         self.obj = station.obj
-        self._finder = GraspFinder(station, self.obj, self.surface)
-        self.planner = PreGraspPlanner(self.obj, self.surface, make_options(scenario), limits=self._make_limits())
+        self._finder = GraspFinder(station, self.obj, self.surface, station.robot.gripper.make_side_gripper())
+        self.planner = PreGraspPlanner(self.obj, self.surface, make_options(station), limits=self._make_limits())
         self.controller = builder.AddNamedSystem("controller", self._make_controller())
-        self.task = BuildTask(builder, station, self.controller, "pre_grasp_task", meshcat)
+        super().__init__(builder, station, self.controller, meshcat)
 
-    def AimCamera(self, meshcat: Meshcat) -> None:
-        """Points Meshcat's camera at the arm and the table."""
-        AimStationCamera(meshcat, self.station)
+    def make_record(self) -> PreGraspRecord:
+        """An empty record."""
+        return PreGraspRecord(self.obj, self.station.truth, self.surface)
 
-    def run(
-        self, seed: int | None = None, progress: Progress | None = None, realtime_rate: float = 0.0
-    ) -> PreGraspRecord:
-        """Runs the task from its beginning.
+    def note(self, record: PreGraspRecord, time: float) -> bool:
+        """Writes down how high the object is and what the controller does."""
+        record.raised = self.calc_raised()
+        status = self.read("status", self.controller)
+        if status is record.last:
+            return False
+        push = PushCommand.from_vector(self.read("push_command", self.controller))
+        grasp = GraspCommand.from_vector(self.read("grasp_command", self.controller))
+        pushing = status.mode in (PreGraspMode.EXPLORING, PreGraspMode.SLIDING)
+        record.steps.append(
+            PreGraspStep(
+                time,
+                status,
+                np.array(self.read("object.pose")),
+                push if pushing else None,
+                grasp if status.mode == PreGraspMode.GRASPING else None,
+                len(record.estimates[-1].push_names) if record.estimates else 0,
+            )
+        )
+        return True
 
-        Args:
-            seed: of everything random, instead of the scenario's.
-            progress, realtime_rate: see `TaskRun.run`.
+    def judge(self, record: PreGraspRecord, waiting: Waiting) -> Judgment:
+        """Status and message."""
+        status = record.last
+        if np.isnan(self.read("object.pose_true")).any():
+            return DROPPED, f"The object fell: {status.reason}"
+        if status.mode == PreGraspMode.HOLDING:
+            if record.raised >= LIFTED_SHARE * self.station.scenario.pregrasp.lift:
+                return HELD, f"The object was lifted and held, {1e3 * record.raised:.0f} mm above the table."
+            return DROPPED, f"The gripper holds something, but the object is not up: {1e3 * record.raised:.0f} mm."
+        if status.mode == PreGraspMode.FAILED:
+            return FAILED, status.reason
+        at_rest = self.read("executor.status").ready and self.read("grasp.status").ready
+        if waiting.unseen > self.lost_after and at_rest:
+            return LOST, f"The object has not been seen for {self.lost_after:g} s."
+        if waiting.idle > self.timeout:
+            return STUCK, f"Nothing happened for {self.timeout:g} s: {status.reason}"
+        return GO_ON
 
-        Returns:
-            What came of it. Ctrl-C ends it early, with what there is by then.
-        """
-        record = PreGraspRecord(self.obj, self.station.truth, self.surface)
-        watch = _Watch(self, record)
-        end = self.task.run(watch.judge, seed, progress, realtime_rate)
-        watch.note(end.duration)
-        record.note_end(self.task, end)
-        record.log = self._mark_overhang(record.log)
-        return record
+    def finish(self, record: PreGraspRecord) -> None:
+        """Says of each push in the log whether a part of the object hung over the table's edge."""
+        pushes = tuple(replace(seen, overhang=not self._admit(seen)) for seen in record.log)
+        record.log = replace(record.log, pushes=pushes)
 
     def calc_raised(self) -> float:
         """How far the lowest corner of the object is above the table now, m."""
-        X_WB = self.task.read("body_poses")[int(self.station.object_in_plant.body.index())]
+        X_WB = self.read("body_poses")[int(self.station.object_in_plant.body.index())]
         outline = np.asarray(self.obj.outline.exterior.coords)[:, :2]
         flat = np.column_stack([outline, np.zeros(len(outline))])
         return float((X_WB.rotation().matrix() @ flat.T)[2].min() + X_WB.translation()[2])
@@ -241,10 +247,6 @@ class PreGraspTask:
         """Whether the object was wholly on the table, as far as it was seen: the model knows no edge."""
         poses = np.vstack([seen.pose[None], seen.poses_observed])
         return bool(find_supported(self.obj, poses, self.surface).all())
-
-    def _mark_overhang(self, log: PushLog) -> PushLog:
-        """The log, saying of each push whether a part of the object hung over the table's edge."""
-        return replace(log, pushes=tuple(replace(seen, overhang=not self._admit(seen)) for seen in log))
 
     def _make_limits(self) -> ArmLimits:
         station = self.station
@@ -256,78 +258,20 @@ class PreGraspTask:
         )
 
     def _make_controller(self) -> PreGraspController:
-        pregrasp = self._scenario.pregrasp
+        pregrasp = self.station.scenario.pregrasp
         return PreGraspController(
             self.planner,
             self._finder.find_grasp,
-            grasp_height=self._scenario.object_height / 2,
+            grasp_height=self.station.scenario.object_height / 2,
             lift=pregrasp.lift,
-            seed=self._scenario.seed,
+            seed=self.station.scenario.seed,
         )
 
 
-@dataclass(eq=False)
-class _Watch:
-    """Follows a run: writes down what is done, and decides when it is over."""
-
-    run: PreGraspTask
-    record: PreGraspRecord
-    last_new: float = 0.0
-    sight: Sight = field(default_factory=lambda: Sight(LOST_AFTER))
-
-    def judge(self, time: float) -> Judgment:
-        """Status and message."""
-        self.note(time)
-        status, run = self.record.last, self.run
-        lost = self.sight.is_lost(time, run.task.read("object.pose"))
-        if np.isnan(run.task.read("object.pose_true")).any():
-            return DROPPED, f"The object fell: {status.reason}"
-        if status.mode == PreGraspMode.HOLDING:
-            wanted = LIFTED_SHARE * run._scenario.pregrasp.lift
-            if self.record.raised >= wanted:
-                return HELD, f"The object was lifted and held, {1e3 * self.record.raised:.0f} mm above the table."
-            return DROPPED, f"The gripper holds something, but the object is not up: {1e3 * self.record.raised:.0f} mm."
-        if status.mode == PreGraspMode.FAILED:
-            return FAILED, status.reason
-        if lost and self.at_rest:
-            return LOST, f"The object has not been seen for {LOST_AFTER:g} s."
-        if time - self.last_new > TIMEOUT:
-            return STUCK, f"Nothing happened for {TIMEOUT:g} s: {status.reason}"
-        return GO_ON
-
-    @property
-    def at_rest(self) -> bool:
-        """Whether the robot does nothing, its finger up."""
-        read = self.run.task.read
-        return bool(read("executor.status").ready and read("grasp.status").ready)
-
-    def note(self, time: float) -> None:
-        """Writes down what is new."""
-        record, read = self.record, self.run.task.read
-        record.note_learned(self.run.task)
-        record.raised = self.run.calc_raised()
-        status = read("status", self.run.controller)
-        if status is record.last:
-            return
-        self.last_new = time
-        push = PushCommand.from_vector(read("push_command", self.run.controller))
-        grasp = GraspCommand.from_vector(read("grasp_command", self.run.controller))
-        pushing = status.mode in (PreGraspMode.EXPLORING, PreGraspMode.SLIDING)
-        record.steps.append(
-            PreGraspStep(
-                time,
-                status,
-                np.array(read("object.pose")),
-                push if pushing else None,
-                grasp if status.mode == PreGraspMode.GRASPING else None,
-                len(record.estimates[-1].push_names) if record.estimates else 0,
-            )
-        )
-
-
-def make_options(scenario: PushScenario) -> PreGraspOptions:
-    """The planner's options, by a scenario."""
-    pregrasp, radius, speed = scenario.pregrasp, scenario.finger.tip_radius, scenario.pokes.speed
+def make_options(station: PushStation) -> PreGraspOptions:
+    """The planner's options, by a station's scenario and robot."""
+    scenario = station.scenario
+    pregrasp, radius, speed = scenario.pregrasp, station.robot.finger.tip_radius, scenario.pokes.speed
     slide = SlideOptions()
     contact: ContactOptions = replace(slide.contact, radius=radius, speed=speed, clearance=CLEARANCE)
     return PreGraspOptions(

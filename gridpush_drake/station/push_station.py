@@ -1,4 +1,4 @@
-"""`MakePushStation`: table, object, iiwa with a finger, camera, executor and identifier in one Diagram.
+"""`MakePushStation`: table, object, robot with a finger, camera, executor and identifier in one Diagram.
 
 The station knows the object's outline. What its cells weigh and how they rub, the truth, goes to the plant alone;
 everything else in the station sees the object through its camera.
@@ -30,18 +30,18 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush
 from gridpush_drake.pushes.segmentation import RecordOptions
-from gridpush_drake.station.arm_kinematics import TIP_FRAME, ArmReach, CalcStartPosture
+from gridpush_drake.station.arm_control import AddArmControl, ArmControl, MakeControlPlant, SetArmStart
+from gridpush_drake.station.arm_kinematics import ArmReach, CalcStartPosture
 from gridpush_drake.station.grasping import (
     AddGrasping,
     AddPusherGate,
     ExportGrasping,
     ExportOutputs,
-    FindGripper,
     make_grasp_trajectory_options,
 )
-from gridpush_drake.station.iiwa import AddIiwaControl, Arm, ArmControl, MakeControlPlant, SetArmStart
+from gridpush_drake.station.robot import GetRobotInPlant, Robot, RobotInPlant, find_robot
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scene import AddScene, MakeTruth, check_scenario, load_object
+from gridpush_drake.station.scene import AddScene, CalcBasePose, CalcHome, MakeTruth, check_scenario, load_object
 from gridpush_drake.systems.grasp_executor import GraspExecutor
 from gridpush_drake.systems.grid_identifier import GridIdentifier
 from gridpush_drake.systems.messages import GraspCommand, PushCommand
@@ -70,7 +70,11 @@ class Sensors:
 
 
 def AddSensors(
-    builder: DiagramBuilder, plant: MultibodyPlant, scenario: PushScenario, object_in_plant: GridObjectInPlant
+    builder: DiagramBuilder,
+    plant: MultibodyPlant,
+    scenario: PushScenario,
+    robot: Robot,
+    object_in_plant: GridObjectInPlant,
 ) -> Sensors:
     """Adds the sensors, and connects them to the plant."""
     camera, body = scenario.camera, object_in_plant.body.index()
@@ -87,7 +91,7 @@ def AddSensors(
             ),
         ),
         builder.AddNamedSystem("eye", PlanarPoseSensor(body, period=1 / camera.rate, lowest=LOST_BELOW)),
-        builder.AddNamedSystem("tip_sensor", PusherStateSensor(plant.GetBodyByName(TIP_FRAME).index())),
+        builder.AddNamedSystem("tip_sensor", PusherStateSensor(plant.GetBodyByName(robot.finger.tip_frame).index())),
     )
     tip = sensors.tip
     for sensor in (sensors.camera, sensors.eye, tip):
@@ -119,12 +123,10 @@ class Learning:
 
     Attributes:
         max_pushes: the first so many; None for no limit.
-        memory: of those, the latest so many; None for no limit.
         admit: whether a push may be learned from; None admits all.
     """
 
     max_pushes: int | None = None
-    memory: int | None = None
     admit: Callable[[ObservedPush], bool] | None = None
 
 
@@ -135,11 +137,9 @@ def make_identifier(scenario: PushScenario, obj: GridObject, learning: Learning 
         obj,
         period=1 / scenario.camera.rate,
         engaged_below=scenario.object_height,
-        pusher_radius=scenario.finger.tip_radius,
+        pusher_radius=obj.prior.pusher_radius,
         max_learning_pushes=learning.max_pushes,
-        memory=learning.memory,
         admit=learning.admit,
-        seed=scenario.seed,
         warm_start=False,  # it gains little, and so `gridpush identify` finds the same from the log, bit for bit
         record=RecordOptions(pose_delay=1 / scenario.camera.rate),  # it sees the picture before the one being taken
     )
@@ -147,13 +147,13 @@ def make_identifier(scenario: PushScenario, obj: GridObject, learning: Learning 
 
 def LoadPushedObject(scenario: PushScenario) -> GridObject:
     """Reads the scenario's object, with its finger as the pusher. Raises ScenarioError where there is none."""
-    obj = load_object(scenario)
-    return replace(obj, prior=replace(obj.prior, pusher_radius=scenario.finger.tip_radius))
+    obj, finger = load_object(scenario), find_robot(scenario.directives).finger
+    return replace(obj, prior=replace(obj.prior, pusher_radius=finger.tip_radius))
 
 
 def AddStationScene(
-    plant: MultibodyPlant, scene_graph: SceneGraph, scenario: PushScenario
-) -> tuple[Arm, tuple[GeometryId, ...]]:
+    plant: MultibodyPlant, scene_graph: SceneGraph, scenario: PushScenario, robot: Robot
+) -> tuple[RobotInPlant, tuple[GeometryId, ...]]:
     """Adds what the directives say; returns the robot and the table's collision geometries."""
     AddScene(MakeParser(plant), scenario)
     # a plant's own GetCollisionGeometriesForBody gives ids that keep it alive, unseen by the garbage collector
@@ -163,13 +163,10 @@ def AddStationScene(
         for body in plant.GetBodyIndices(plant.GetModelInstanceByName(TABLE))
         for geometry in inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(body), Role.kProximity)
     )
-    SetPartner(plant, scene_graph, [*table, *plant.GetCollisionGeometriesForBody(plant.GetBodyByName(TIP_FRAME))])
-    iiwa, finger = map(plant.GetModelInstanceByName, ("iiwa", "finger"))
-    return Arm(iiwa, finger, FindGripper(plant)), table
+    tip = plant.GetBodyByName(robot.finger.tip_frame)
+    SetPartner(plant, scene_graph, [*table, *plant.GetCollisionGeometriesForBody(tip)])
+    return GetRobotInPlant(plant, robot), table
 
-
-HOME = (0.5, 0.0, 0.2)
-"""p_WP of the tip at the beginning, m: above the middle of the table, where the arm's posture is comfortable."""
 
 IIWA_OUTPUTS = (
     "position_commanded",
@@ -185,10 +182,11 @@ IIWA_OUTPUTS = (
 
 @dataclass(frozen=True, eq=False)
 class StationParts:
-    """What a `PushStation` is made from; the first ten are its attributes.
+    """What a `PushStation` is made from; the first twelve are its attributes.
 
     Attributes:
-        scenario, obj, truth, plant, scene_graph, arm, object_in_plant, table, table_top, style: see `PushStation`.
+        scenario, obj, truth, plant, scene_graph, robot, robot_in_plant: see `PushStation`.
+        object_in_plant, table, table_top, style, home: likewise.
         reach: of the arm.
         control: of the arm.
         camera: sees the object, with noise.
@@ -201,11 +199,13 @@ class StationParts:
     truth: CellParameters
     plant: MultibodyPlant
     scene_graph: SceneGraph
-    arm: Arm
+    robot: Robot
+    robot_in_plant: RobotInPlant
     object_in_plant: GridObjectInPlant
     table: tuple[GeometryId, ...]
     table_top: BaseGeometry
     style: PushTrajectoryOptions
+    home: tuple[float, float, float]
     reach: ArmReach
     control: ArmControl
     camera: PlanarPoseSensor
@@ -254,11 +254,13 @@ class PushStation(Diagram):
         truth: what the plant's object really weighs and how it rubs in a fresh Context, by the scenario's seed.
         plant: the plant.
         scene_graph: of the plant.
-        arm: the robot in the plant.
+        robot: the robot's measures.
+        robot_in_plant: its model instances in the plant.
         object_in_plant: the object in the plant.
         table: the table's collision geometries.
         table_top: where on it things may lie, a polygon in W, m.
         style: how the executor pushes.
+        home: p_WP of the tip at the beginning, m.
         gripper: its model instance; None where the scene has none.
     """
 
@@ -268,16 +270,17 @@ class PushStation(Diagram):
         """Takes over a builder's systems; `MakePushStation` calls it."""
         super().__init__()
         self.scenario, self.obj, self.truth = parts.scenario, parts.obj, parts.truth
-        self.plant, self.scene_graph, self.arm = parts.plant, parts.scene_graph, parts.arm
+        self.plant, self.scene_graph, self.robot = parts.plant, parts.scene_graph, parts.robot
+        self.robot_in_plant, self.home = parts.robot_in_plant, parts.home
         self.object_in_plant, self.table, self.table_top = parts.object_in_plant, parts.table, parts.table_top
-        self.style, self.gripper = parts.style, parts.arm.gripper
+        self.style, self.gripper = parts.style, parts.robot_in_plant.gripper
         self._grasping, self._reach = parts.grasping, parts.reach
         self._control, self._camera, self._hidden = parts.control, parts.camera, parts.hidden
         builder.BuildInto(self)
 
     def FindObstacle(self, command: PushCommand) -> str | None:
         """Says why the arm cannot carry out a push, come from its home; None where it can."""
-        return plan_push(command, HOME, self.style, self._reach)[1]
+        return plan_push(command, self.home, self.style, self._reach)[1]
 
     def FindGraspObstacle(self, command: GraspCommand) -> str | None:
         """Says why the arm cannot carry out a grasp, come from its home; None where it can.
@@ -287,7 +290,7 @@ class PushStation(Diagram):
         """
         if self._grasping is None:
             raise StationError("the scene has no gripper; expected a model named gripper")
-        return self._grasping.plan(command, (*HOME, 0.0))[1] or None
+        return self._grasping.plan(command, (*self.home, 0.0))[1] or None
 
     def SetStart(self, root_context: Context, seed: int | None = None) -> None:
         """Puts arm and object where the scenario has them, at rest. Call it on every fresh Context.
@@ -296,7 +299,7 @@ class PushStation(Diagram):
             root_context: of the station, or of the Diagram it is part of.
             seed: of the hidden truth and the camera's noise, instead of the scenario's: one Diagram serves many runs.
         """
-        SetArmStart(self, root_context, self.plant, self.arm, self._control)
+        SetArmStart(self, root_context, self.plant, self.robot_in_plant.arm, self._control)
         plant_context = self.plant.GetMyMutableContextFromRoot(root_context)
         SetGridObjectPose(self.plant, plant_context, self.object_in_plant, self.scenario.object_pose)
         if seed is not None:
@@ -359,7 +362,8 @@ def MakePushStation(
     plant.set_name("plant")
     plant.set_stiction_tolerance(scenario.simulation.stiction_tolerance)
     scene_graph.set_name("scene_graph")
-    arm, table = AddStationScene(plant, scene_graph, scenario)
+    robot = find_robot(scenario.directives)
+    instances, table = AddStationScene(plant, scene_graph, scenario, robot)
     object_in_plant = AddGridObject(
         plant,
         scene_graph,
@@ -375,21 +379,23 @@ def MakePushStation(
         AddVisualMeshes(plant, scene_graph, drake_models)
     plant.Finalize()
 
-    control_plant = MakeControlPlant(gripper=arm.gripper is not None)
-    q_start = CalcStartPosture(control_plant, HOME)
-    control = AddIiwaControl(builder, plant, arm, control_plant, q_start)
-    reach, style = ArmReach(control_plant, q_start), make_style(scenario)
-    executor = builder.AddNamedSystem("executor", PushExecutor(HOME, obj.outline, reach, style))
-    sensors = AddSensors(builder, plant, scenario, object_in_plant)
+    home, control_plant = CalcHome(plant, robot), MakeControlPlant(robot, CalcBasePose(plant, robot))
+    q_start = CalcStartPosture(control_plant, robot, home)
+    control = AddArmControl(builder, plant, robot, instances.arm, control_plant, q_start)
+    reach, style = ArmReach(control_plant, robot, q_start), make_style(scenario, robot)
+    executor = builder.AddNamedSystem("executor", PushExecutor(home, obj.outline, reach, style))
+    sensors = AddSensors(builder, plant, scenario, robot, object_in_plant)
     camera, tip = sensors.camera, sensors.tip
     hidden = builder.AddNamedSystem("truth", TrueParameters(truth))
     identifier = builder.AddNamedSystem("identifier", make_identifier(scenario, obj, learning))
 
     table_top = FindTableOutline(plant, scene_graph.model_inspector())
     grasping = None
-    if arm.gripper is not None:
-        grasping_style = make_grasp_trajectory_options(scenario, control_plant)
-        grasping = AddGrasping(builder, plant, arm, executor, reach, table_top, grasping_style)
+    if robot.gripper is not None:
+        grasping_style = make_grasp_trajectory_options(scenario, control_plant, robot.gripper, robot.finger.tip_frame)
+        grasping = AddGrasping(
+            builder, plant, instances.gripper, robot.gripper, executor, reach, table_top, grasping_style
+        )
     desired = executor if grasping is None else grasping
     builder.Connect(desired.GetOutputPort("tip_pose"), control.tip_pose)
     for consumer in (executor, identifier):
@@ -411,23 +417,23 @@ def MakePushStation(
     builder.ExportOutput(plant.get_contact_results_output_port(), "contact_results")
     builder.ExportOutput(scene_graph.get_query_output_port(), "query_object")
     if grasping is not None:
-        ExportGrasping(builder, plant, arm, grasping)
+        ExportGrasping(builder, plant, instances.gripper, grasping)
     station = PushStation(
         builder,
         StationParts(
-            scenario, obj, truth, plant, scene_graph, arm, object_in_plant, table, table_top, style, reach, control,
-            camera, hidden, grasping,
+            scenario, obj, truth, plant, scene_graph, robot, instances, object_in_plant, table, table_top, style, home,
+            reach, control, camera, hidden, grasping,
         ),
     )  # fmt: skip
     station.set_name(name)
     return station
 
 
-def make_style(scenario: PushScenario) -> PushTrajectoryOptions:
+def make_style(scenario: PushScenario, robot: Robot) -> PushTrajectoryOptions:
     """How the scenario's finger pushes."""
     finger = scenario.finger
     return PushTrajectoryOptions(
-        travel_height=finger.travel_height, push_height=finger.push_height, tip_radius=finger.tip_radius
+        travel_height=finger.travel_height, push_height=finger.push_height, tip_radius=robot.finger.tip_radius
     )
 
 

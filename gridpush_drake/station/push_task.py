@@ -21,17 +21,7 @@ from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.station.finger_region import MakeFingerRegion
 from gridpush_drake.station.push_station import Learning, MakePushStation, PushStation
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.task import (
-    GO_ON,
-    AimStationCamera,
-    BuildTask,
-    Judgment,
-    Progress,
-    Sight,
-    TaskRecord,
-    TaskStatus,
-    make_surface,
-)
+from gridpush_drake.station.task import GO_ON, Judgment, StationTask, TaskRecord, TaskStatus, Waiting, make_surface
 from gridpush_drake.systems.contact_point_controller import ContactPointController
 from gridpush_drake.systems.messages import ContactPointMode, ContactPointStatus, PushCommand
 
@@ -103,9 +93,6 @@ class PushTaskRecord(TaskRecord):
 
 REACHED, FAILED, LOST, STUCK = TaskStatus.REACHED, TaskStatus.FAILED, TaskStatus.LOST, TaskStatus.STUCK
 
-MEMORY = 8
-"""Pushes: the latest ones are learned from; the cost of learning grows with them."""
-
 EDGE_MARGIN = 0.03
 """Between the object and the table's edge, m."""
 
@@ -115,25 +102,19 @@ MAX_PUSH = 0.25
 MIN_PUSH = 0.003
 """Of what is left of a push when the finger has come to the object, m."""
 
-LOST_AFTER = 5.0
-"""Simulated without the object being seen, after which it is not waited for any longer, s."""
-
-TIMEOUT = 15.0
-"""Simulated without anything new, after which the task is stuck, s."""
-
 GOAL_COLOR = Rgba(0.16, 0.55, 0.35)
 """Of the outline at the goal."""
 
 
-class PushTask:
-    """The station with a controller that pushes the object to a goal; to be run once or many times.
+class PushTask(StationTask[PushTaskRecord]):
+    """The station with a controller that pushes the object to a goal.
 
     Attributes:
-        station: the station.
-        controller: the system.
-        task: runs its Diagram.
         surface: the table.
     """
+
+    lost_after = 5.0
+    timeout = 15.0
 
     def __init__(self, scenario: PushScenario, meshcat: Meshcat | None = None) -> None:
         """Makes the Diagram.
@@ -146,101 +127,64 @@ class PushTask:
             ScenarioError: the scenario makes no sense.
             StationError: see `MakePushStation`.
         """
-        self._scenario = scenario
         builder = DiagramBuilder()
-        self.station: PushStation = builder.AddSystem(
-            MakePushStation(scenario, meshcat, show_object=False, learning=Learning(max_pushes=None, memory=MEMORY))
-        )
-        station = self.station
+        station = builder.AddSystem(MakePushStation(scenario, meshcat, show_object=False, learning=Learning()))
         self.surface = make_surface(station)
         goal = builder.AddNamedSystem("goal", ConstantVectorSource(np.array(scenario.goal.pose)))
-        self.controller = builder.AddNamedSystem("controller", ContactPointController(station.obj, self.make_rules()))
+        self.controller = builder.AddNamedSystem(
+            "controller", ContactPointController(station.obj, make_rules(station, self.surface))
+        )
         builder.Connect(goal.get_output_port(), self.controller.GetInputPort("goal_pose"))
-        self.task = BuildTask(builder, station, self.controller, "push_task", meshcat)
+        super().__init__(builder, station, self.controller, meshcat)
         if meshcat is not None:
             AddGoal(meshcat, station.obj, scenario.goal.pose, station.object_in_plant.height)
 
-    def make_rules(self) -> GoalRules:
-        """How the controller pushes, by the scenario."""
-        scenario, station = self._scenario, self.station
-        clearance = scenario.pokes.clearance
-        constraints = PushConstraints(
-            self.surface,
-            edge_margin=EDGE_MARGIN,
-            finger_region=MakeFingerRegion(station),
-            push_rule=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,
-        )
-        contact = ContactOptions(
-            scenario.finger.tip_radius, clearance, scenario.pokes.speed, (clearance + MIN_PUSH, MAX_PUSH)
-        )
-        return GoalRules(constraints, contact, tolerance=scenario.goal.tolerance, max_pushes=scenario.goal.max_pushes)
+    def make_record(self) -> PushTaskRecord:
+        """An empty record."""
+        station, goal = self.station, self.station.scenario.goal
+        return PushTaskRecord(station.obj, station.truth, self.surface, np.array(goal.pose), goal.tolerance)
 
-    def AimCamera(self, meshcat: Meshcat) -> None:
-        """Points Meshcat's camera at the arm and the table."""
-        AimStationCamera(meshcat, self.station)
+    def note(self, record: PushTaskRecord, time: float) -> bool:
+        """Writes down where the object is and what the controller says."""
+        record.pose = np.array(self.read("object.pose_true"))
+        record.error = float(calc_goal_error(record.obj, record.pose, record.goal))
+        status: ContactPointStatus = self.read("status", self.controller)
+        if status is record.last:
+            return not self.read("executor.status").ready
+        push = PushCommand.from_vector(self.read("push_command", self.controller))
+        pushing = status.mode == ContactPointMode.PUSHING
+        record.steps.append(PushTaskStep(time, status, np.array(self.read("object.pose")), push if pushing else None))
+        return True
 
-    def run(
-        self, seed: int | None = None, progress: Progress | None = None, realtime_rate: float = 0.0
-    ) -> PushTaskRecord:
-        """Runs the task from its beginning.
-
-        Args:
-            seed: of everything random, instead of the scenario's.
-            progress, realtime_rate: see `TaskRun.run`.
-
-        Returns:
-            What came of it. Ctrl-C ends it early, with what there is by then.
-        """
-        goal = self._scenario.goal
-        record = PushTaskRecord(self.station.obj, self.station.truth, self.surface, np.array(goal.pose), goal.tolerance)
-        end = self.task.run(_Watch(self, record).judge, seed, progress, realtime_rate)
-        record.note_end(self.task, end)
-        return record
-
-
-@dataclass(eq=False)
-class _Watch:
-    """Follows a run: writes down what is new, and decides when it is over."""
-
-    run: PushTask
-    record: PushTaskRecord
-    last_new: float = 0.0
-    sight: Sight = field(default_factory=lambda: Sight(LOST_AFTER))
-
-    def judge(self, time: float) -> Judgment:
+    def judge(self, record: PushTaskRecord, waiting: Waiting) -> Judgment:
         """Status and message."""
-        self._note(time)
-        status = self.record.last
-        if np.isnan(self.record.pose).any():
-            return (
-                LOST,
-                f"The object left the table during push {status.pushes + (status.mode == ContactPointMode.PUSHING)}.",
-            )
-        lost = self.sight.is_lost(time, self.run.task.read("object.pose"))
-        if lost and self.run.task.read("executor.status").ready:
-            return LOST, f"The object has not been seen for {LOST_AFTER:g} s."
+        status = record.last
+        if np.isnan(record.pose).any():
+            push = status.pushes + (status.mode == ContactPointMode.PUSHING)
+            return LOST, f"The object left the table during push {push}."
+        if waiting.unseen > self.lost_after and self.read("executor.status").ready:
+            return LOST, f"The object has not been seen for {self.lost_after:g} s."
         if status.mode in (ContactPointMode.REACHED, ContactPointMode.FAILED):
             return TaskStatus(status.mode), status.reason
-        if time - self.last_new > TIMEOUT:
-            return STUCK, f"Nothing happened for {TIMEOUT:g} s: {status.reason}"
+        if waiting.idle > self.timeout:
+            return STUCK, f"Nothing happened for {self.timeout:g} s: {status.reason}"
         return GO_ON
 
-    def _note(self, time: float) -> None:
-        record, read = self.record, self.run.task.read
-        record.note_learned(self.run.task)
-        record.pose = np.array(read("object.pose_true"))
-        record.error = float(calc_goal_error(record.obj, record.pose, record.goal))
-        status: ContactPointStatus = read("status", self.run.controller)
-        if not read("executor.status").ready:
-            self.last_new = time
-        if status is record.last:
-            return
-        self.last_new = time
-        push = PushCommand.from_vector(read("push_command", self.run.controller))
-        step = PushTaskStep(
-            time, status, np.array(read("object.pose")), push if status.mode == ContactPointMode.PUSHING else None
-        )
-        record.steps.append(step)
+
+def make_rules(station: PushStation, surface: SupportSurface) -> GoalRules:
+    """How the controller pushes, by a station's scenario."""
+    scenario = station.scenario
+    clearance = scenario.pokes.clearance
+    constraints = PushConstraints(
+        surface,
+        edge_margin=EDGE_MARGIN,
+        finger_region=MakeFingerRegion(station),
+        push_rule=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,
+    )
+    contact = ContactOptions(
+        station.robot.finger.tip_radius, clearance, scenario.pokes.speed, (clearance + MIN_PUSH, MAX_PUSH)
+    )
+    return GoalRules(constraints, contact, tolerance=scenario.goal.tolerance, max_pushes=scenario.goal.max_pushes)
 
 
 def AddGoal(meshcat: Meshcat, obj: GridObject, pose: Array | list[float], height: float, path: str = "goal") -> None:

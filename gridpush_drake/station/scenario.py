@@ -121,12 +121,10 @@ class FingerConfig(_Config):
     """The finger that pushes.
 
     Attributes:
-        tip_radius: of the sphere at its tip, m; as the scene's finger has it.
         push_height: of the tip's center while it pushes, m.
         travel_height: of the tip's center while it passes over the object, m.
     """
 
-    tip_radius: Annotated[Number, _positive("m")] = 0.008
     push_height: Annotated[Number, _positive("m")] = 0.012
     travel_height: Annotated[Number, _positive("m")] = 0.12
 
@@ -324,8 +322,8 @@ class PushScenario(_Config):
         goal: where to push the object to, where that is the task.
         pregrasp: how to slide it to the edge and grasp it, where that is the task; the scene has a `gripper`.
         seed: of everything random.
-        directives: what stands in the scene besides the object, as Drake's model directives: a model `iiwa` with a
-            body `iiwa_link_ee_kuka`, a model `finger` with a body `finger_tip`, and a model `table`.
+        directives: what stands in the scene besides the object, as Drake's model directives: a robot with a finger,
+            see `station.robot`, and a model `table`.
 
     Raises:
         ScenarioError: a field is unknown, or holds what will not do.
@@ -359,7 +357,7 @@ class PushScenario(_Config):
         try:
             super().__init__(**fields)
         except ValidationError as error:
-            raise ScenarioError(explain(error, EXPECTED)) from error
+            raise ScenarioError(explain(error, EXPECTED, RENAMED)) from error
 
     def check(self) -> None:
         """Checks the fields again, which may have been changed. Raises ScenarioError as the constructor does."""
@@ -368,6 +366,11 @@ class PushScenario(_Config):
 
 EXPECTED = list_expected(PushScenario)
 """What each field should hold, by its place."""
+
+RENAMED = {
+    "finger.tip_radius": "is no longer a scenario's; it stands as tip_radius in finger.yaml beside the finger's model"
+}
+"""What became of keys of old."""
 
 
 def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushScenario:

@@ -1,24 +1,17 @@
 """What a scenario names, made: the object, its truth and the scene's models; and whether it makes sense as a whole.
 
 The object lies on the table, the arm gets to it, and the finger clears it.
-
-Of an iiwa whose tool points down, the wrist stands over the finger's tip; from the shoulder it is as
-far as the elbow lets it be:
-
-    d^2 = a^2 + b^2 + 2 a b cos(q4),   |q4| <= 120 deg,
-
-with upper arm a and forearm b. At a given height of the tip its distance from the robot's axis lies between two radii.
 """
 
 from collections.abc import Iterable
 from dataclasses import replace
-from math import cos, radians, sqrt
 from pathlib import Path
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 from pydrake.geometry import SceneGraph, SceneGraphInspector, Sphere
+from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import ModelDirectives, ModelInstanceInfo, Parser, ProcessModelDirectives
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
@@ -34,6 +27,7 @@ from gridpush_drake.multibody.parser import MakeParser
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.station.robot import GetRobotInPlant, Robot, find_robot
 from gridpush_drake.station.scenario import PushScenario, TruthConfig
 
 
@@ -91,19 +85,8 @@ def _first_line(lines: Iterable[str]) -> str:
     return next((line.strip() for line in lines if line.strip()), "cannot be carried out")
 
 
-SHOULDER_HEIGHT = 0.36
-"""m above the robot's base."""
-
-UPPER_ARM, FOREARM = 0.42, 0.40
-"""m, shoulder to elbow and elbow to wrist."""
-
-ELBOW_LIMIT = radians(120)
-
-WRIST_TO_FLANGE = 0.126
-"""m."""
-
 TIP_TOLERANCE = 1e-6
-"""m, between the scenario's tip radius and the model's."""
+"""m, between the measured tip radius and the model's."""
 
 TURNS = 36
 """Headings that are tried where the object does not lie on the table, to say whether it could."""
@@ -120,45 +103,45 @@ def check_scenario(scenario: PushScenario) -> None:
     scenario.check()
     obj = load_object(scenario)
     _check_truth(scenario, obj)
-    _check_heights(scenario)
     plant, scene_graph = _parse_scene(scenario)
+    robot = find_robot(scenario.directives)
+    GetRobotInPlant(plant, robot)
+    _check_heights(scenario, robot.finger.tip_radius)
     inspector = scene_graph.model_inspector()
     _check_on_table(scenario, obj, FindTableOutline(plant, inspector))
-    _check_tip(scenario, plant, inspector)
-    _check_reach(scenario, plant)
+    _check_tip(robot, plant, inspector)
+    _check_reach(scenario, plant, robot)
 
 
-def calc_reach(tool_length: float, tip_height: float) -> tuple[float, float]:
-    """Calculates how far from the robot's axis the tip can be while the tool points down.
-
-    Args:
-        tool_length: from iiwa_link_ee_kuka to the tip's center, m.
-        tip_height: of the tip's center above the robot's base, m.
-
-    Returns:
-        Least and greatest distance, m; the greatest is 0 where the arm is nowhere long enough.
-    """
-    above_shoulder = tip_height + tool_length + WRIST_TO_FLANGE - SHOULDER_HEIGHT
-    folded = UPPER_ARM**2 + FOREARM**2 + 2 * UPPER_ARM * FOREARM * cos(ELBOW_LIMIT)
-    least, greatest = (max(0.0, d2 - above_shoulder**2) for d2 in (folded, (UPPER_ARM + FOREARM) ** 2))
-    return sqrt(least), sqrt(greatest)
-
-
-def CalcTipReach(plant: MultibodyPlant, tip_height: float) -> tuple[NDArray[np.float64], float, float]:
+def CalcTipReach(plant: MultibodyPlant, robot: Robot, tip_height: float) -> tuple[NDArray[np.float64], float, float]:
     """Calculates where the tip can be while the tool points down.
 
     Args:
-        plant: finalised, with robot and finger.
+        plant: finalised, with the robot.
+        robot: the robot.
         tip_height: of the tip's center, z in W, m.
 
     Returns:
-        The robot's axis (2,) in W, and the least and greatest distance from it, m, see `calc_reach`.
+        The robot's axis (2,) in W, and the least and greatest distance from it, m, see `ReachMeasures.calc_ring`.
     """
     context = plant.CreateDefaultContext()
-    base, flange, tip = (plant.GetFrameByName(name) for name in ("iiwa_link_0", "iiwa_link_ee_kuka", "finger_tip"))
-    p_WR = base.CalcPoseInWorld(context).translation()
+    flange, tip = (plant.GetFrameByName(name) for name in (robot.arm.flange_frame, robot.finger.tip_frame))
+    p_WR = CalcBasePose(plant, robot).translation()
     length = tip.CalcPose(context, flange).translation()[2]
-    return p_WR[:2].copy(), *calc_reach(length, tip_height - p_WR[2])
+    return p_WR[:2].copy(), *robot.arm.reach.calc_ring(length, tip_height - p_WR[2])
+
+
+def CalcBasePose(plant: MultibodyPlant, robot: Robot) -> RigidTransform:
+    """Calculates X_WR of the robot's base in a finalised plant with its scene."""
+    base = plant.GetFrameByName(robot.arm.base_frame)
+    return base.CalcPoseInWorld(plant.CreateDefaultContext())
+
+
+def CalcHome(plant: MultibodyPlant, robot: Robot) -> tuple[float, float, float]:
+    """Calculates p_WP of the tip at the beginning, m, in a finalised plant with the robot's scene."""
+    x, y, z = robot.arm.home
+    p_WR = CalcBasePose(plant, robot).translation()
+    return float(p_WR[0] + x), float(p_WR[1] + y), z
 
 
 def _parse_scene(scenario: PushScenario) -> tuple[MultibodyPlant, SceneGraph]:
@@ -166,10 +149,6 @@ def _parse_scene(scenario: PushScenario) -> tuple[MultibodyPlant, SceneGraph]:
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, scenario.simulation.time_step)
     AddScene(MakeParser(plant), scenario)
     plant.Finalize()
-    for model, body in (("iiwa", "iiwa_link_ee_kuka"), ("finger", "finger_tip")):
-        found = plant.HasModelInstanceNamed(model) and plant.HasBodyNamed(body, plant.GetModelInstanceByName(model))
-        if not found:
-            raise ScenarioError(f"directives: there is no body {model}::{body}; expected a robot with a finger")
     return plant, scene_graph
 
 
@@ -181,17 +160,17 @@ def _check_truth(scenario: PushScenario, obj: GridObject) -> None:
     MakeTruth(obj, scenario.truth, scenario.seed)
 
 
-def _check_heights(scenario: PushScenario) -> None:
+def _check_heights(scenario: PushScenario, tip_radius: float) -> None:
     finger, height = scenario.finger, scenario.object_height
-    if not finger.tip_radius < finger.push_height <= height:
+    if not tip_radius < finger.push_height <= height:
         raise ScenarioError(
             f"finger.push_height is {finger.push_height:g} m; expected more than the tip's radius, "
-            f"{finger.tip_radius:g} m, and at most the object's height, {height:g} m"
+            f"{tip_radius:g} m, and at most the object's height, {height:g} m"
         )
-    if finger.travel_height <= height + finger.tip_radius:
+    if finger.travel_height <= height + tip_radius:
         raise ScenarioError(
             f"finger.travel_height is {finger.travel_height:g} m; expected more than the object's height "
-            f"and the tip's radius, {height + finger.tip_radius:g} m"
+            f"and the tip's radius, {height + tip_radius:g} m"
         )
 
 
@@ -216,25 +195,26 @@ def _check_on_table(scenario: PushScenario, obj: GridObject, table: BaseGeometry
     )
 
 
-def _check_tip(scenario: PushScenario, plant: MultibodyPlant, inspector: SceneGraphInspector) -> None:
-    body = plant.GetBodyByName("finger_tip", plant.GetModelInstanceByName("finger"))
+def _check_tip(robot: Robot, plant: MultibodyPlant, inspector: SceneGraphInspector) -> None:
+    model, tip = robot.finger_model, robot.finger.tip_frame
+    body = plant.GetBodyByName(tip, plant.GetModelInstanceByName(model))
     shapes = [inspector.GetShape(geometry) for geometry in plant.GetCollisionGeometriesForBody(body)]
     radii = [shape.radius() for shape in shapes if isinstance(shape, Sphere)]
     if len(radii) != 1 or len(shapes) != 1:
-        raise ScenarioError("directives: body finger::finger_tip must have one sphere, and nothing else, to touch with")
-    if abs(radii[0] - scenario.finger.tip_radius) > TIP_TOLERANCE:
+        raise ScenarioError(f"directives: body {model}::{tip} must have one sphere, and nothing else, to touch with")
+    if abs(radii[0] - robot.finger.tip_radius) > TIP_TOLERANCE:
         raise ScenarioError(
-            f"finger.tip_radius is {scenario.finger.tip_radius:g} m; "
-            f"expected {radii[0]:g} m, as the scene's finger has it"
+            f"finger.yaml: tip_radius is {robot.finger.tip_radius:g} m; "
+            f"expected {radii[0]:g} m, as the finger's model has it"
         )
 
 
-def _check_reach(scenario: PushScenario, plant: MultibodyPlant) -> None:
-    p_WR, least, greatest = CalcTipReach(plant, scenario.finger.push_height)
-    workspace, robot = scenario.workspace, shapely.Point(p_WR)
+def _check_reach(scenario: PushScenario, plant: MultibodyPlant, robot: Robot) -> None:
+    p_WR, least, greatest = CalcTipReach(plant, robot, scenario.finger.push_height)
+    workspace, axis = scenario.workspace, shapely.Point(p_WR)
     box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
     reach = f"between {least:.2f} and {greatest:.2f} m from the robot's axis"
-    if box.distance(robot) >= greatest or box.hausdorff_distance(robot) <= least:
+    if box.distance(axis) >= greatest or box.hausdorff_distance(axis) <= least:
         raise ScenarioError(f"workspace is out of the arm's reach; expected a box with points {reach}")
     x, y = scenario.object_pose[:2]
     if not box.covers(shapely.Point(x, y)):

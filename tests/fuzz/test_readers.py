@@ -52,7 +52,7 @@ base: free
 directives:
   - add_directives: {file: package://gridpush_drake/scenes/iiwa_push.dmd.yaml}
   - add_frame: {name: eye, X_PF: {base_frame: world, rotation: !Rpy {deg: [0, 0, 90]}}}
-finger: {tip_radius: 0.008, push_height: 0.012, travel_height: 0.12}
+finger: {push_height: 0.012, travel_height: 0.12}
 pokes: {count: 8, test_count: 6, distance: [0.06, 0.1], speed: 0.03}
 camera: {<<: *base, angle_noise: 0.003}
 truth: {cell_mass: [0.1, 1.0], friction_by_part: false, parts: [{label: 1, cell_mass: null}]}

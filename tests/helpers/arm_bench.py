@@ -10,10 +10,14 @@ from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from gridpush_drake.station.arm_kinematics import TIP_FRAME, ArmReach, CalcStartPosture
-from gridpush_drake.station.iiwa import AddIiwa, AddIiwaControl, MakeControlPlant, SetArmStart
+from gridpush_drake.station.arm_control import AddArmControl, MakeControlPlant, SetArmStart
+from gridpush_drake.station.arm_kinematics import ArmReach, CalcStartPosture
+from gridpush_drake.station.robot import AddRobot, find_robot
+from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.systems.messages import PushCommand
 from gridpush_drake.systems.push_executor import PushExecutor, PushTrajectoryOptions
+
+ROBOT = find_robot(PushScenario().directives)
 
 HOME = (0.6, 0.0, 0.2)
 LONGEST = 60.0
@@ -51,17 +55,17 @@ class ArmBench:
         reach: bool = True,
         **options,
     ):
-        self.control_plant = MakeControlPlant()
-        q_start = CalcStartPosture(self.control_plant, HOME)
-        self.reach = ArmReach(self.control_plant, q_start)
+        self.control_plant = MakeControlPlant(ROBOT)
+        q_start = CalcStartPosture(self.control_plant, ROBOT, HOME)
+        self.reach = ArmReach(self.control_plant, ROBOT, q_start)
         builder = DiagramBuilder()
         self.plant, self.scene_graph = AddMultibodyPlantSceneGraph(builder, time_step)
-        self.arm = AddIiwa(self.plant)
+        self.arm = AddRobot(self.plant, ROBOT)
         add_table(self.plant)
         if dress is not None:
             dress(self.plant)
         self.plant.Finalize()
-        self.control = AddIiwaControl(builder, self.plant, self.arm, self.control_plant, q_start, **options)
+        self.control = AddArmControl(builder, self.plant, ROBOT, self.arm.arm, self.control_plant, q_start, **options)
         self.executor = builder.AddNamedSystem(
             "executor", PushExecutor(HOME, reach=self.reach if reach else None, style=style)
         )
@@ -76,7 +80,7 @@ class ArmBench:
         context = self.simulator.get_mutable_context()
         context.SetTime(0.0)
         self.diagram.SetDefaultContext(context)
-        SetArmStart(self.diagram, context, self.plant, self.arm, self.control)
+        SetArmStart(self.diagram, context, self.plant, self.arm.arm, self.control)
         self.command(PushCommand())
         self.simulator.Initialize()
 
@@ -107,15 +111,15 @@ class ArmBench:
         root = self.simulator.get_context()
         plant_context = self.plant.GetMyContextFromRoot(root)
         executor_context = self.executor.GetMyContextFromRoot(root)
-        X_WP = self.plant.GetFrameByName(TIP_FRAME).CalcPoseInWorld(plant_context)
+        X_WP = self.plant.GetFrameByName(ROBOT.finger.tip_frame).CalcPoseInWorld(plant_context)
         record.time.append(root.get_time())
         record.phase.append(self.status.phase)
         record.desired.append(self.executor.get_tip_pose_port().Eval(executor_context).translation().copy())
         record.tip.append(X_WP.translation().copy())
         record.down.append(X_WP.rotation().matrix()[:, 2].copy())
-        record.q.append(self.plant.GetPositions(plant_context, self.arm.iiwa))
-        record.v.append(self.plant.GetVelocities(plant_context, self.arm.iiwa))
-        record.torque.append(self.plant.get_net_actuation_output_port(self.arm.iiwa).Eval(plant_context))
+        record.q.append(self.plant.GetPositions(plant_context, self.arm.arm))
+        record.v.append(self.plant.GetVelocities(plant_context, self.arm.arm))
+        record.torque.append(self.plant.get_net_actuation_output_port(self.arm.arm).Eval(plant_context))
         results = self.plant.get_contact_results_output_port().Eval(plant_context)
         for i in range(results.num_point_pair_contacts()):
             info = results.point_pair_contact_info(i)

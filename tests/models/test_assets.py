@@ -23,6 +23,7 @@ FILES = sorted(path.relative_to(find_models()).as_posix() for path in find_model
 SCENES = [file for file in FILES if file.startswith("scenes/")]
 SCENARIOS = [file for file in FILES if file.startswith("scenarios/")]
 OBJECTS = [file for file in FILES if file.startswith("objects/")]
+MEASURES = [file for file in FILES if file.endswith(("/robot.yaml", "/finger.yaml", "/gripper.yaml"))]
 MODELS = [file for file in FILES if file.endswith((".sdf", ".urdf"))]
 TABLE_SCENES = [file for file in SCENES if "name: table" in (find_models() / file).read_text()]
 
@@ -50,7 +51,7 @@ def half_size(shape):
 
 
 def test_every_file_is_of_a_kind_that_is_tested():
-    known = {"package.xml", *SCENES, *SCENARIOS, *OBJECTS, *MODELS}
+    known = {"package.xml", *SCENES, *SCENARIOS, *OBJECTS, *MODELS, *MEASURES}
     assert set(FILES) == known
     assert all(file.endswith(".dmd.yaml") for file in SCENES)
     assert min(map(len, (SCENES, SCENARIOS, OBJECTS, MODELS))) > 1

@@ -7,14 +7,19 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake.errors import StationError
-from gridpush_drake.station.iiwa import TIP_RADIUS, AddIiwa, SetTipFriction
+from gridpush_drake.station.arm_control import SetTipFriction
+from gridpush_drake.station.robot import AddRobot, find_robot
+from gridpush_drake.station.scenario import PushScenario
+
+ROBOT = find_robot(PushScenario().directives)
+TIP_RADIUS = ROBOT.finger.tip_radius
 
 
 @pytest.fixture
 def station():
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 1e-3)
-    arm = AddIiwa(plant)
+    arm = AddRobot(plant, ROBOT)
     plant.Finalize()
     return plant, scene_graph, arm
 
@@ -50,7 +55,7 @@ def test_friction_can_be_set(station):
     plant, scene_graph, arm = station
     (tip,) = plant.GetCollisionGeometriesForBody(plant.GetBodyByName("finger_tip", arm.finger))
     for friction in (0.45, 0.0):
-        SetTipFriction(plant, scene_graph, arm.finger, friction)
+        SetTipFriction(plant, scene_graph, ROBOT, arm.finger, friction)
         found = scene_graph.model_inspector().GetProximityProperties(tip).GetProperty("material", "coulomb_friction")
         assert found.static_friction() == found.dynamic_friction() == friction
 
@@ -59,4 +64,4 @@ def test_friction_can_be_set(station):
 def test_friction_that_is_not_one_is_refused(station, friction):
     plant, scene_graph, arm = station
     with pytest.raises(StationError, match="friction of the tip"):
-        SetTipFriction(plant, scene_graph, arm.finger, friction)
+        SetTipFriction(plant, scene_graph, ROBOT, arm.finger, friction)

@@ -28,7 +28,7 @@ class Grip:
     def __init__(self, bar_mass=None, X_WB=CLOSING_DOWN):
         builder = DiagramBuilder()
         self.plant, _ = AddMultibodyPlantSceneGraph(builder, 0.002)
-        MakeParser(self.plant).AddModelsFromUrl("package://gridpush_drake/gripper/wsg_50.sdf")
+        MakeParser(self.plant).AddModelsFromUrl("package://gridpush_drake/grippers/wsg_50/wsg_50.sdf")
         self.gripper = self.plant.GetModelInstanceByName("gripper")
         self.plant.WeldFrames(self.plant.world_frame(), self.plant.GetFrameByName("body"), X_WB)
         if bar_mass is not None:

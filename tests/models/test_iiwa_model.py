@@ -10,7 +10,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake.multibody.parser import MakeParser
 
-URL = "package://gridpush_drake/iiwa/iiwa14_primitives.urdf"
+URL = "package://gridpush_drake/robots/iiwa14/iiwa14_primitives.urdf"
 
 # rpy and xyz of a joint in its parent's frame (rad, m), limit (rad), speed (rad/s), effort (N m), gear
 JOINTS = [

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import StationError
+from gridpush_drake.station.arm_control import MakeControlPlant
 from gridpush_drake.station.arm_kinematics import ArmPosture, CalcStartPosture
-from gridpush_drake.station.iiwa import MakeControlPlant
 from gridpush_drake.systems.messages import PushCommand
-from tests.helpers.arm_bench import HOME, ArmBench, add_box
+from tests.helpers.arm_bench import HOME, ROBOT, ArmBench, add_box
 
 ACCURACY = 1e-3  # m, of the tip's center at every time of a push
 CROSS_TRACK = 1e-4  # m
@@ -34,7 +34,7 @@ def bench():
 
 @pytest.fixture(scope="module")
 def posture():
-    return ArmPosture(MakeControlPlant())
+    return ArmPosture(MakeControlPlant(ROBOT), ROBOT)
 
 
 def calc_errors(record, command):
@@ -125,7 +125,7 @@ def test_driver_s_ports_are_those_of_drake_s_stations(bench):
 
 def test_start_posture_is_tool_down_at_the_tip(posture):
     for p_WP in (HOME, (0.5, -0.3, 0.1), (0.7, 0.2, 0.15)):
-        X_WP = posture.calc_tip_pose(CalcStartPosture(MakeControlPlant(), p_WP))
+        X_WP = posture.calc_tip_pose(CalcStartPosture(MakeControlPlant(ROBOT), ROBOT, p_WP))
         np.testing.assert_allclose(X_WP.translation(), p_WP, atol=1e-6)
         np.testing.assert_allclose(X_WP.rotation().matrix(), np.diag([-1.0, 1.0, -1.0]), atol=1e-6)
 
@@ -133,7 +133,7 @@ def test_start_posture_is_tool_down_at_the_tip(posture):
 @pytest.mark.parametrize("p_WP", [(1.5, 0.0, 0.2), (0.3, 0.0, 0.2), (0.0, 0.0, 3.0)])
 def test_start_out_of_reach_is_refused(p_WP):
     with pytest.raises(StationError, match="does not reach it"):
-        CalcStartPosture(MakeControlPlant(), p_WP)
+        CalcStartPosture(MakeControlPlant(ROBOT), ROBOT, p_WP)
 
 
 def test_moving_arm_comes_to_the_postures_that_reach_foresees(bench, posture):

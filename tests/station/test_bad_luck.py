@@ -8,7 +8,6 @@ import pytest
 from gridpush_drake.bench.grasp import GraspJob, make_score
 from gridpush_drake.cli.demo_tasks import PreGraspDemo
 from gridpush_drake.multibody.ground_truth import CalcPlanarPose, SetGridObjectPose
-from gridpush_drake.station import pregrasp_task as pre_grasp_task
 from gridpush_drake.station.pregrasp_task import HELD, LOST, PreGraspTask
 from gridpush_drake.systems.messages import PreGraspMode, PushCommand, PushPhase
 from gridpush_drake.systems.pregrasp_controller import ControllerOptions
@@ -25,11 +24,11 @@ class Stranger:
 
     @property
     def context(self):
-        return self.task.task.simulator.get_mutable_context()
+        return self.task.simulator.get_mutable_context()
 
     @property
     def mode(self):
-        return self.task.task.read("status", self.task.controller).mode
+        return self.task.read("status", self.task.controller).mode
 
     @property
     def pose(self):
@@ -37,7 +36,7 @@ class Stranger:
         return CalcPlanarPose(plant, plant.GetMyContextFromRoot(self.context), self.station.object_in_plant)
 
     def push_direction(self):
-        command = PushCommand.from_vector(self.task.task.read("push_command", self.task.controller))
+        command = PushCommand.from_vector(self.task.read("push_command", self.task.controller))
         return np.array([cos(command.direction), sin(command.direction), 0.0])
 
     def put(self, pose):
@@ -70,13 +69,13 @@ def test_an_object_out_of_sight_for_good_is_lost_and_the_finger_goes_up():
 
     record = task.run(progress=meddle)
     assert record.status == LOST
-    assert record.message == f"The object has not been seen for {pre_grasp_task.LOST_AFTER:g} s."
+    assert record.message == f"The object has not been seen for {PreGraspTask.lost_after:g} s."
     assert record.last.mode == PreGraspMode.LOST
     assert f"not been seen for {TIMEOUT:g} s" in record.last.reason
     assert record.last.pokes == 1
-    assert task.task.read("executor.status").ready
-    assert task.task.read("pusher.state")[2] == pytest.approx(task.station.style.travel_height, abs=2e-3)
-    assert np.abs(task.task.read("pusher.state")[3:]).max() < 1e-3
+    assert task.read("executor.status").ready
+    assert task.read("pusher.state")[2] == pytest.approx(task.station.style.travel_height, abs=2e-3)
+    assert np.abs(task.read("pusher.state")[3:]).max() < 1e-3
 
 
 @pytest.mark.slow

@@ -160,4 +160,4 @@ def test_a_scene_without_a_gripper_has_none():
     assert not station.HasInputPort("grasp_command")
     with pytest.raises(StationError, match="no gripper"):
         station.FindGraspObstacle(GraspCommand())
-    assert make_style(station.scenario) == station.style
+    assert make_style(station.scenario, station.robot) == station.style

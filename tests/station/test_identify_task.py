@@ -9,8 +9,9 @@ from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station.identify_task import FINISHED, OBJECT_LOST, STUCK, IdentifyTask, _Watch
+from gridpush_drake.station.identify_task import FINISHED, OBJECT_LOST, STUCK, IdentifyTask, PokeJudge
 from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.task import Waiting
 from gridpush_drake.systems.messages import PushCommand, PushPhase, PushStatus
 
 
@@ -98,9 +99,9 @@ def test_an_unknown_object_suggests_the_nearest():
 
 
 def test_gives_up_after_many_refusals():
-    watch, seen = _Watch(5), np.zeros(3)
-    assert watch.judge(0.1, PushStatus(), seen) == ("", "")
-    status, message = watch.judge(0.2, PushStatus(command_id=20, refused=20, reason="the arm sulks"), seen)
+    watch, waiting = PokeJudge(5), Waiting(0.0, 0.1)
+    assert watch.judge(PushStatus(), waiting) == ("", "")
+    status, message = watch.judge(PushStatus(command_id=20, refused=20, reason="the arm sulks"), waiting)
     assert status == STUCK
     assert "the arm sulks" in message
 

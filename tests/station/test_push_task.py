@@ -7,7 +7,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.station.push_task import FAILED, LOST, REACHED, PushTask
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.task import INTERRUPTED
+from gridpush_drake.station.task import TaskStatus
 
 
 def make_scenario(**fields) -> PushScenario:
@@ -19,7 +19,7 @@ def make_scenario(**fields) -> PushScenario:
 def put(task: PushTask, pose) -> None:
     """Somebody lays the object elsewhere."""
     station = task.station
-    context = station.plant.GetMyMutableContextFromRoot(task.task.simulator.get_mutable_context())
+    context = station.plant.GetMyMutableContextFromRoot(task.simulator.get_mutable_context())
     X_WB = RigidTransform(RotationMatrix.MakeZRotation(pose[2]), [pose[0], pose[1], 0.0])
     station.plant.SetFloatingBaseBodyPoseInWorldFrame(context, station.object_in_plant.body, X_WB)
 
@@ -72,7 +72,7 @@ def test_ends_when_the_object_falls_and_when_nobody_waits():
         raise KeyboardInterrupt
 
     record = task.run(progress=interrupt)
-    assert (record.status, record.pushes) == (INTERRUPTED, 0)
+    assert (record.status, record.pushes) == (TaskStatus.INTERRUPTED, 0)
 
 
 @pytest.mark.parametrize(

@@ -20,8 +20,9 @@ from gridpush_drake.multibody.parser import MakeParser, find_models
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import list_shipped_objects
 from gridpush_drake.station.push_station import LoadPushedObject
+from gridpush_drake.station.robot import find_robot
 from gridpush_drake.station.scenario import PartTruth, PushScenario, read_scenario, write_scenario
-from gridpush_drake.station.scene import AddScene, calc_reach, check_scenario, load_object
+from gridpush_drake.station.scene import AddScene, check_scenario, load_object
 from tests.helpers.shapes import rectangle
 
 ROUND = "package://gridpush_drake/scenes/iiwa_push_round.dmd.yaml"
@@ -125,6 +126,7 @@ def test_an_object_file_is_looked_up_beside_the_scenario(tmp_path, monkeypatch):
         ("directives: [{add_modle: {}}]", r"directives\[0\]\.add_modle: unknown key; did you mean add_model"),
         ("directives: [{add_model: {fil: x}}]", r"directives\[0\]\.add_model\.fil: unknown key; did you mean file"),
         ("1: 2", "1: unknown key"),
+        ("finger: {tip_radius: 0.01}", r"finger\.tip_radius: .*tip_radius in finger\.yaml beside the finger's model"),
         ("camera: {rate: fast}", r"camera\.rate is 'fast'; expected a positive number, in Hz"),
         ("camera: {rate: -1}", r"camera\.rate is -1; expected a positive number, in Hz"),
         ("camera: {rate: .nan}", r"camera\.rate is nan; expected a positive number"),
@@ -200,7 +202,7 @@ def directives(*files):
         ({"base": "fre"}, "base is 'fre'; expected one of free, planar"),
         ({"camera": None}, "camera is empty; expected `key: value` lines"),
         ({"seed": "1"}, "seed is '1'; expected a whole number"),
-        ({"directives": []}, "directives: there is no body iiwa::iiwa_link_ee_kuka"),
+        ({"directives": []}, "directives: there is no robot; expected a model"),
         (
             {"directives": directives(("x", "package://gridpush_drake/no.sdf"))},
             r"directives: .*no\.sdf",
@@ -215,7 +217,6 @@ def test_a_scenario_that_makes_no_sense_is_refused(changes, message):
 @pytest.mark.parametrize(
     ("place", "value", "message"),
     [
-        ("finger.tip_radius", 0.01, r"finger\.tip_radius is 0\.01 m; expected 0\.008 m"),
         ("workspace.x", [0.9, 1.2], r"workspace is out of the arm's reach; .*between 0\.41 and 0\.82 m"),
         ("workspace.x", [0.0, 0.1], "workspace does not contain the object's position"),
         ("workspace.y", [0.1, 0.2], r"workspace does not contain the object's position, \(0\.6, 0\) m"),
@@ -286,7 +287,7 @@ def test_reach_is_the_arms(height):
     plant = MultibodyPlant(0.001)
     AddScene(MakeParser(plant), PushScenario())
     plant.Finalize()
-    least, greatest = calc_reach(0.16, height)
+    least, greatest = find_robot(PushScenario().directives).arm.reach.calc_ring(0.16, height)
     reached = {
         radius: reaches(plant, [radius, 0.0, height])
         for radius in (least - 0.005, least + 0.005, greatest - 0.005, greatest + 0.005)
@@ -315,7 +316,7 @@ def test_the_scenarios_finger_is_the_models():
     (geometry,) = plant.GetCollisionGeometriesForBody(plant.GetBodyByName("finger_tip"))
     shape = scene_graph.model_inspector().GetShape(geometry)
     assert isinstance(shape, Sphere)
-    assert shape.radius() == PushScenario().finger.tip_radius
+    assert shape.radius() == find_robot(PushScenario().directives).finger.tip_radius
 
 
 def test_friction_is_what_object_file_and_scenario_both_allow(tmp_path):

@@ -50,7 +50,7 @@ STEP = 0.005
 
 @dataclass(frozen=True)
 class SideGripper:
-    """A parallel gripper seen from above while it reaches in from the side, m; as `models/gripper` has it.
+    """A parallel gripper seen from above while it reaches in from the side, m; as `models/grippers/wsg_50` has it.
 
     Attributes:
         opening: of the jaws, over and under the object.
