@@ -26,8 +26,8 @@ from gridpush_drake.multibody.meshcat_shapes import (
     AddCells,
     AddCenter,
     AddGhost,
-    ApplyTurn,
     MakePlanarTransform,
+    SwapVisible,
 )
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
@@ -147,7 +147,7 @@ class Canvas:
     def _Turn(self, group: str, count: int, time: float) -> None:
         """Shows a group's newest drawing instead of the one before it."""
         before = f"{self.path}/{group}/{count - 1}" if count > 1 else None
-        ApplyTurn(self.meshcat, f"{self.path}/{group}/{count}", before, time, self.period)
+        SwapVisible(self.meshcat, f"{self.path}/{group}/{count}", before, time, self.period)
 
 
 PUBLISH_PERIOD = 1 / 30

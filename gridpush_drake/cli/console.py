@@ -163,7 +163,7 @@ class PlainProgress:
         self._doing = self._said = ""
         self._said_at = float("-inf")
 
-    def tell(self, doing: str, detail: str = "") -> None:
+    def update(self, doing: str, detail: str = "") -> None:
         """Takes in what is being done, and a detail of it that may change all the time."""
         text = f"{doing}, {detail}" if detail else doing
         now = monotonic()
@@ -191,7 +191,7 @@ def _showing(what: str, total: int | None, period: float = PLAIN_PERIOD) -> Iter
     console = Console(stderr=True)
     if not console.is_terminal:
         plain = PlainProgress(period)
-        yield lambda doing, detail="", count=0, of=total: plain.tell(f"{what}: {doing}", detail)
+        yield lambda doing, detail="", count=0, of=total: plain.update(f"{what}: {doing}", detail)
         return
     columns = (
         SpinnerColumn(),

@@ -32,7 +32,7 @@ class ViewError(GridPushError):
 
 
 @dataclass(frozen=True)
-class Look:
+class ViewStyle:
     """How things are drawn: which of the cells' values gives their color, and the object's height, m."""
 
     shows: Literal["mass", "friction", "relative_friction"]
@@ -40,7 +40,7 @@ class Look:
 
 
 @dataclass(frozen=True)
-class Delivery:
+class ViewOutput:
     """Where the page goes: to a port, and the browser, or to the file `out`; and whether to say so in JSON."""
 
     port: int | None
@@ -91,14 +91,14 @@ def view(
         raise ViewError(f"--height: is {height}; expected a positive number (m)")
     if out is not None:
         check_writable(out, force)
-    look, delivery = Look(shows, height), Delivery(port, open_page, out, force, json)
+    style, output = ViewStyle(shows, height), ViewOutput(port, open_page, out, force, json)
     if kind in (".html", ".htm"):
         _play_recording(Path(source), open_page, json)
     elif kind == ".csv":
         target = _find_target(Path(source), object_file, model_file, largest_piece)
-        _view_pushes(Path(source), target, push, look, delivery)
+        _view_pushes(Path(source), target, push, style, output)
     else:
-        _view_model(source, look, largest_piece, delivery)
+        _view_model(source, style, largest_piece, output)
 
 
 def _check_options(kind: str, of_pushes: dict[str, Any], out: Path | None) -> None:
@@ -127,16 +127,16 @@ def _play_recording(path: Path, open_page: bool, json: bool) -> None:
         print_line(f"{'Opened' if opened else 'Open this in a browser:'} {address}")
 
 
-def _view_model(source: str, look: Look, largest_piece: bool, delivery: Delivery) -> None:
+def _view_model(source: str, style: ViewStyle, largest_piece: bool, output: ViewOutput) -> None:
     from gridpush_drake.cli.view_scene import AddModel, describe_colors, make_overlay
 
     target = options.load_target(source, largest_piece)
-    meshcat = _start(delivery)
-    AddModel(meshcat, target, look.shows, look.height)
-    lines = [f"{target.obj.name}: {target.obj.n} cells", describe_colors(look.shows)]
+    meshcat = _start(output)
+    AddModel(meshcat, target, style.shows, style.height)
+    lines = [f"{target.obj.name}: {target.obj.n} cells", describe_colors(style.shows)]
     kind = "model" if target.model else "object"
-    overlay = make_overlay(target, look.shows)
-    _deliver(meshcat, overlay, {"kind": kind, "object": target.obj.name}, lines, delivery)
+    overlay = make_overlay(target, style.shows)
+    _write_or_serve(meshcat, overlay, {"kind": kind, "object": target.obj.name}, lines, output)
 
 
 def _find_target(log: Path, object_file: str | None, model_file: Path | None, largest_piece: bool) -> "options.Target":
@@ -157,7 +157,9 @@ def _find_target(log: Path, object_file: str | None, model_file: Path | None, la
     return options.load_target(str(told), largest_piece)
 
 
-def _view_pushes(path: Path, target: "options.Target", names: list[str] | None, look: Look, delivery: Delivery) -> None:
+def _view_pushes(
+    path: Path, target: "options.Target", names: list[str] | None, style: ViewStyle, output: ViewOutput
+) -> None:
     from gridpush_drake.cli.view_scene import AddPushes, describe_colors, make_overlay
     from gridpush_drake.identification.prediction import summarize_errors
 
@@ -172,18 +174,18 @@ def _view_pushes(path: Path, target: "options.Target", names: list[str] | None, 
     judged = [prediction for prediction in predictions or [] if prediction.name not in overhanging]
     errors = summarize_errors(target.obj, judged, chosen.supported) if judged else []
 
-    meshcat = _start(delivery)
-    AddPushes(meshcat, target, chosen, predictions, look.shows, look.height)
+    meshcat = _start(output)
+    AddPushes(meshcat, target, chosen, predictions, style.shows, style.height)
     lines = [f"{target.obj.name}: {len(chosen)} push{'' if len(chosen) == 1 else 'es'}"]
     if predictions:
-        lines += ["Solid: as observed. Orange: as the model predicts it.", describe_colors(look.shows)]
+        lines += ["Solid: as observed. Orange: as the model predicts it.", describe_colors(style.shows)]
     cell = [error for error in errors if error.name == "cell"]
     lines += [f"Mean cell error of the final poses: {error.mean * error.scale:.1f} {error.unit}" for error in cell]
     if predictions and overhanging:
         lines.append(f"Of these errors, {options.describe_overhanging(overhanging)}")
     found = {"kind": "pushes", "object": target.obj.name, "pushes": [seen.name for seen in chosen]}
-    overlay = make_overlay(target, look.shows, chosen, predictions)
-    _deliver(meshcat, overlay, {**found, "errors": [vars(error) for error in errors]}, lines, delivery)
+    overlay = make_overlay(target, style.shows, chosen, predictions)
+    _write_or_serve(meshcat, overlay, {**found, "errors": [vars(error) for error in errors]}, lines, output)
 
 
 def _predict(target: "options.Target", log: "PushLog", chosen: "PushLog") -> "list[Prediction]":
@@ -194,32 +196,32 @@ def _predict(target: "options.Target", log: "PushLog", chosen: "PushLog") -> "li
     return predict(target.obj, target.params, chosen, target.resolve_regime("auto", choose_regime(target.obj, log)))
 
 
-def _start(delivery: Delivery) -> "Meshcat":
+def _start(output: ViewOutput) -> "Meshcat":
     from gridpush_drake.multibody.meshcat_server import StartMeshcatServer
 
-    return StartMeshcatServer(0 if delivery.out is not None else delivery.port)
+    return StartMeshcatServer(0 if output.out is not None else output.port)
 
 
-def _deliver(
-    meshcat: "Meshcat", overlay: "Overlay", found: dict[str, Any], lines: list[str], delivery: Delivery
+def _write_or_serve(
+    meshcat: "Meshcat", overlay: "Overlay", found: dict[str, Any], lines: list[str], output: ViewOutput
 ) -> None:
     """Writes the page, or serves it until told to stop."""
     from gridpush_drake.multibody.meshcat_server import PublishOnce, write_recording
 
-    out, url = delivery.out, meshcat.web_url()
+    out, url = output.out, meshcat.web_url()
     if out is None:
         PublishOnce(meshcat)
         found, last = {**found, "url": url, "written": []}, f"Meshcat shows it at {url} (Enter or Ctrl-C to end)"
     else:
-        write_recording(meshcat, out, delivery.force, overlay)
+        write_recording(meshcat, out, output.force, overlay)
         found, last = {**found, "written": [str(out)]}, f"Wrote {out}."
-    if delivery.json:
+    if output.json:
         print_json(found)
     else:
         for line in (*lines, last):
             print_line(line)
     if out is None:
-        if delivery.open_page:
+        if output.open_page:
             _open(url)
         _wait()
 

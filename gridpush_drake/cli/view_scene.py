@@ -18,8 +18,8 @@ from gridpush_drake.multibody.meshcat_shapes import (
     AddCells,
     AddCenter,
     AddGhost,
-    ApplyTurn,
     MakePlanarTransform,
+    SwapVisible,
 )
 from gridpush_drake.multibody.recording_overlay import (
     Mark,
@@ -159,7 +159,7 @@ def _AddPush(meshcat: Meshcat, seen: ObservedPush, i: int, begin: float, height:
     middle = FINGER_SHARE * height / 2
     end = begin + HOLD + push.duration + HOLD
     _RecordPoses(meshcat, f"{path}/{FINGER}", begin + HOLD + at, tips, begin, end, middle)
-    ApplyTurn(meshcat, path, f"{PUSHES}/{i - 1}" if i else None, begin, 1 / FRAMES_PER_SECOND)
+    SwapVisible(meshcat, path, f"{PUSHES}/{i - 1}" if i else None, begin, 1 / FRAMES_PER_SECOND)
 
 
 def _RecordPoses(

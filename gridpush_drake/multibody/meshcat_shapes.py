@@ -248,7 +248,7 @@ def AddArrow(meshcat: Meshcat, path: str, start: ArrayLike, end: ArrayLike, heig
     _AddMesh(meshcat, path, make_arrow(start, end, height, ARROW_WIDTH), PLAN_COLOR)
 
 
-def ApplyTurn(meshcat: Meshcat, shown: str | None, hidden: str | None, time: float, period: float) -> None:
+def SwapVisible(meshcat: Meshcat, shown: str | None, hidden: str | None, time: float, period: float) -> None:
     """Shows one path instead of another, from `time` on, live and in the recording where one is made.
 
     Args:

@@ -181,7 +181,7 @@ PIECE = Template("""
 #phase b { display: block; font-size: 20px; }
 #phase span { display: block; }
 #phase small { color: #5c6570; font-variant-numeric: tabular-nums; }
-#legend { bottom: 16px; width: 21rem; max-width: 60vw; }
+#legend { bottom: 16px; width: 24rem; max-width: 60vw; }
 #legend .bar { height: 12px; margin: 6px 12px 0; border-radius: 3px; }
 #legend .ticks { position: relative; height: 1.5em; margin: 0 12px; font-size: 12px; }
 #legend .ticks span { position: absolute; transform: translateX(-50%); white-space: nowrap; }

@@ -28,6 +28,7 @@ from gridpush_drake.report.draw import (
     PAGE_WIDTH,
     add_color_bar,
     add_scale_bar,
+    draw_arrow,
     draw_cells,
     draw_outline,
     draw_parts,
@@ -42,6 +43,9 @@ from gridpush_drake.report.draw import (
 Array = NDArray[np.float64]
 
 LEGEND_COLUMNS = 3
+
+ARROW_HEAD = 0.01
+"""Share of a path that its arrow's head is drawn along."""
 
 GHOSTS = 5
 """Faint outlines along a drawn motion, its two ends apart."""
@@ -176,10 +180,7 @@ def _draw_arrow(ax: Axes, path: Array, color: str, label: str | None) -> None:
     ahead = path[-1] - path[0]
     length = np.hypot(*ahead)
     if length > 0:
-        ax.annotate(
-            "", path[-1], path[-1] - 0.01 * ahead,
-            arrowprops={"arrowstyle": "-|>", "color": color, "linewidth": 1.4, "shrinkA": 0, "shrinkB": 0},
-        )  # fmt: skip
+        draw_arrow(ax, path[-1] - ARROW_HEAD * ahead, path[-1], color)
     ax.plot(*path[0], marker="o", markersize=3, color=color)
 
 

@@ -1,9 +1,4 @@
-"""The report: one self-contained HTML page about a learned model.
-
-The report's tables of numbers.
-
-What a robot did with an object stands at the head of a report.
-"""
+"""The report: one self-contained HTML page about a learned model, and about what a robot did, where one did."""
 
 import base64
 from collections.abc import Sequence
@@ -204,7 +199,7 @@ def make_report(
         text
     ).render(
         name=obj.name.replace("_", " "),
-        headline=_judge(identification, judged, fresh is judged) if summary is None else summary.headline,
+        headline=_make_headline(identification, judged, fresh is judged) if summary is None else summary.headline,
         message=identification.message,
         facts=_list_facts(identification, judged, log, held_out) if summary is None else summary.facts,
         summary=summary,
@@ -274,7 +269,7 @@ def _compare(result: Identification, log: PushLog, held_out: bool) -> _Compariso
     )
 
 
-def _judge(result: Identification, judged: _Comparison, held_out: bool) -> str:
+def _make_headline(result: Identification, judged: _Comparison, held_out: bool) -> str:
     """The first sentence: what came of it, in plain words."""
     before, after = judged.cell
     name = result.obj.name.replace("_", " ")

@@ -71,10 +71,10 @@ SHOWN = ("mass", "friction", "contact_friction", "center_of_mass", "center_of_ma
 """Estimates that are drawn."""
 
 
-CAMERA_SHARE = 0.78
+CAMERA_SHARE = 0.82
 """Distance of Meshcat's camera from what it looks at, in diagonals of the table and the robot's base."""
 
-CAMERA_HEIGHT = 0.25
+CAMERA_HEIGHT = 0.17
 """Of what it looks at above the table, m: a third of the arm."""
 
 CAMERA_AZIMUTH, CAMERA_ELEVATION = 0.75, 0.5

@@ -23,7 +23,7 @@ def test_plain_lines_tell_what_is_new_at_once_and_the_rest_now_and_then(clock, c
         ("sliding", "10 s", 12.2),
     ):
         clock[0] = at
-        progress.tell(doing, detail)
+        progress.update(doing, detail)
     printed = capsys.readouterr()
     assert printed.err.splitlines() == ["exploring, 1 s", "exploring, 9 s", "sliding, 9 s"]
     assert printed.out == ""

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
+from gridpush_drake.cli.demo import TaskName
 from gridpush_drake.cli.demo_tasks import TASKS
 from gridpush_drake.identification.model_file import read_model
 from gridpush_drake.multibody.cell_colors import CellColors
@@ -23,6 +24,13 @@ MIN_SEEN = 500
 """Pixels that a whole object takes at least."""
 
 SHORT = "object: {object}\npokes: {{count: {count}, test_count: {test_count}, speed: 0.06}}\n"
+
+
+def test_every_task_of_the_command_is_there_and_begins_its_files_with_a_report():
+    assert set(TASKS) == set(TaskName)
+    for task in TASKS.values():
+        assert task.files[0] == "report.html"
+        assert {"recording.html", "scenario.yaml", "truth.yaml"} <= set(task.files)
 
 
 def write_scenario(folder, object_name="open_book", count=2, test_count=1):
