@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from gridpush_drake.dynamics.push import ForcePush, Push
-    from gridpush_drake.dynamics.simulate import simulate, simulate_batch
+    from gridpush_drake.dynamics.simulation import simulate, simulate_batch
     from gridpush_drake.errors import GridPushError
-    from gridpush_drake.identification.identify import identify
+    from gridpush_drake.identification.learning import identify
     from gridpush_drake.identification.result import Identification
     from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
     from gridpush_drake.objects.parameters import CellParameters
@@ -41,9 +41,9 @@ _HOMES = {
     "PhysicalPrior": "objects.grid_object",
     "Push": "dynamics.push",
     "PushLog": "pushes.push_log",
-    "identify": "identification.identify",
-    "simulate": "dynamics.simulate",
-    "simulate_batch": "dynamics.simulate",
+    "identify": "identification.learning",
+    "simulate": "dynamics.simulation",
+    "simulate_batch": "dynamics.simulation",
 }
 
 

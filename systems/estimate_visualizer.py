@@ -17,7 +17,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, InputPort, LeafSystem, State
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulate import Regime, simulate
+from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.multibody.cell_colors import CellColors, Shown
 from gridpush_drake.multibody.meshcat_shapes import (

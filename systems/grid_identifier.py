@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, LeafSystem, State
 
-from gridpush_drake.dynamics.simulate import Regime
+from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import GridPushError, IdentificationError
-from gridpush_drake.identification.identify import METHODS, REGIMES, describe_prior, identify
-from gridpush_drake.identification.map_ensemble import MapEnsembleOptions
+from gridpush_drake.identification.learning import METHODS, REGIMES, describe_prior, identify
+from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import HistoryEntry, Identification, calc_center_of_mass
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
@@ -135,7 +135,7 @@ class GridIdentifier(LeafSystem):
         period: float = DEFAULT_PERIOD,
         engaged_below: float = SegmenterOptions.engaged_below,
         method: str = "default",
-        options: MapEnsembleOptions | None = None,
+        ensemble: MapEnsemble | None = None,
         max_learning_pushes: int | None = None,
         regime: Regime | Literal["auto"] = "auto",
         seed: int = 0,
@@ -155,7 +155,7 @@ class GridIdentifier(LeafSystem):
             period: between samples, s.
             engaged_below: height of the tip's center below which it can touch the object, m.
             method: one of `identify.METHODS`.
-            options: of the default method.
+            ensemble: the default method with its settings.
             max_learning_pushes: later pushes are logged, not learned from; None for no limit.
             regime: of the simulations, or "auto".
             seed: of everything random.
@@ -190,9 +190,9 @@ class GridIdentifier(LeafSystem):
         self._record = record or RecordOptions()
         self._admit, self._memory = admit, memory
         self._learning: dict[str, Any] = {
-            "method": method, "seed": seed, "regime": regime, "options": options, "progress": progress,
+            "method": method, "seed": seed, "regime": regime, "ensemble": ensemble, "progress": progress,
         }  # fmt: skip
-        self._prior = _make_estimate(describe_prior(obj, options, seed), None)
+        self._prior = _make_estimate(describe_prior(obj, ensemble, seed), None)
         self._state = self.DeclareAbstractState(AbstractValue.Make(IdentifierState()))
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
         self._pusher_state = self.DeclareVectorInputPort("pusher_state", 6)

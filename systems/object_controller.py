@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
-from gridpush_drake.identification.identify import describe_prior
+from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import PushLog

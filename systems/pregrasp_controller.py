@@ -31,7 +31,7 @@ from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.planning.pregrasp.planner import PreGraspDecision, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
 from gridpush_drake.planning.pregrasp.slides import TippingMonitor
-from gridpush_drake.planning.pregrasp.uncertainty import Belief
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.pushes.pose_filter import PoseFilter, PoseFilterOptions
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.systems.messages import (
@@ -234,30 +234,30 @@ class PreGraspController(ObjectController[ControllerState]):
 
     def _decide(self, now: ControllerState, pose: Array, found: Identification, log: PushLog) -> ControllerState:
         try:
-            belief = self._believe(found, log)
-            decision = self.planner.decide(pose, belief, now.status.pokes, now.status.slides)
+            model = self._believe(found, log)
+            decision = self.planner.decide(pose, model, now.status.pokes, now.status.slides)
         except GridPushError as error:
             return now.turn_to(PreGraspMode.FAILED, f"Nothing could be planned: {error}.", goal=None)
         told = {"goal": decision.goal, "margin": decision.margin, "expected_pose": None}
         if decision.action == "fail":
             return now.turn_to(PreGraspMode.FAILED, _sentence(decision.reason), **told)
         if decision.push is not None:
-            return self._command_push(now, pose, belief, decision, decision.push)
+            return self._command_push(now, pose, model, decision, decision.push)
         if now.status.mode != PreGraspMode.VERIFYING:
             return now.turn_to(PreGraspMode.VERIFYING, _sentence(decision.reason), **told)
-        assert belief is not None
-        return self._command_grasp(now, pose, belief, told)
+        assert model is not None
+        return self._command_grasp(now, pose, model, told)
 
-    def _believe(self, found: Identification, log: PushLog) -> Belief | None:
+    def _believe(self, found: Identification, log: PushLog) -> UncertainModel | None:
         if not found.push_names:
             return None
         used = log.subset([i for i, seen in enumerate(log) if seen.name in found.push_names])
-        return Belief.of_identification(found, seed=self.seed, log=used)
+        return UncertainModel.of_identification(found, seed=self.seed, log=used)
 
     def _command_push(
-        self, now: ControllerState, pose: Array, belief: Belief | None, decision: PreGraspDecision, push: Push
+        self, now: ControllerState, pose: Array, model: UncertainModel | None, decision: PreGraspDecision, push: Push
     ) -> ControllerState:
-        planner, known = self.planner, belief or Belief.of_prior(self.planner.obj)
+        planner, known = self.planner, model or UncertainModel.of_prior(self.planner.obj)
         guard = TippingMonitor.of_push(known.masses, planner.surface, pose, planner.options.slide, self.options.rest)
         poke = decision.action == "poke"
         command = PushCommand.from_push(now.push.number + 1, push)
@@ -273,9 +273,9 @@ class PreGraspController(ObjectController[ControllerState]):
         )
 
     def _command_grasp(
-        self, now: ControllerState, pose: Array, belief: Belief, told: dict[str, Any]
+        self, now: ControllerState, pose: Array, model: UncertainModel, told: dict[str, Any]
     ) -> ControllerState:
-        grasp = self._find_grasp(pose, belief.masses.center_of_mass_polygon.mean(axis=0))
+        grasp = self._find_grasp(pose, model.masses.center_of_mass_polygon.mean(axis=0))
         if grasp is None and told["goal"] is not None:
             grasp = self._find_grasp(pose, told["goal"].part.p_BG)  # what the plan found: farther off, but within reach
         if grasp is None:

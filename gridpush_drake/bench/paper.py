@@ -27,7 +27,7 @@ from gridpush_drake.bench.paper_protocol import (
 from gridpush_drake.bench.table import Table, Value, save_figure
 from gridpush_drake.bench.workers import QUIET, Execution, run_jobs
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.identification.identify import METHODS, identify
+from gridpush_drake.identification.learning import METHODS, identify
 from gridpush_drake.identification.prediction import calc_pose_error, predict
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog

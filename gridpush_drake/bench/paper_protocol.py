@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gridpush_drake.bench.public_data import find_masks, find_protocol
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.outline import OutlineEdges

@@ -36,7 +36,7 @@ from shapely import Point
 from gridpush_drake.bench.table import Table, Value
 from gridpush_drake.bench.workers import QUIET, Execution, run_jobs
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
 from gridpush_drake.multibody.contact_material import MakePartnerProperties
 from gridpush_drake.multibody.grid_object import AddGridObject, Base

@@ -39,7 +39,7 @@ from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, Gripper, find_grasp_parts
 from gridpush_drake.planning.pregrasp.planner import PreGraspOptions, PreGraspPlanner
-from gridpush_drake.planning.pregrasp.uncertainty import Belief
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
 
 MASK_OBJECT = "hammer"
@@ -370,7 +370,7 @@ def _make_learner(obj: GridObject, truth: CellParameters, method: str) -> Believ
         return Learner(obj)
     if method == UNBOUNDED:
         return PaperLearner(obj, NO_BOUND, PAPER_PUSHES)
-    granted = Belief.of_parameters(obj, truth if method == TRUE else CellParameters.uniform(obj))
+    granted = UncertainModel.of_parameters(obj, truth if method == TRUE else CellParameters.uniform(obj))
     return lambda log: granted
 
 

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.bench.pregrasp_world import see
-from gridpush_drake.dynamics.simulate import simulate
-from gridpush_drake.identification.identify import identify
+from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.identification.learning import identify
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.exploration import PokeOptions, choose_poke, make_center_functional, make_pokes
-from gridpush_drake.planning.pregrasp.uncertainty import LinearizedPosterior
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 Array = NDArray[np.float64]
@@ -108,15 +108,15 @@ def _run(
 ) -> Trace:
     """One run; `wanted` (1 or 2, 2) are the directions in which the center is."""
     center, found = wanted @ truth.center_of_mass(obj), None
-    knowledge, pose, log = LinearizedPosterior.of_prior(obj), np.zeros(3), list[ObservedPush]()
+    model, pose, log = UncertainModel.of_prior(obj), np.zeros(3), list[ObservedPush]()
     stds: list[float] = []
     errors: list[float] = []
     chi_square = np.nan
     while len(log) < MAX_POKES and not (stds and stds[-1] < WANTED_STD):
-        pokes = make_pokes(knowledge, pose, options)
+        pokes = make_pokes(model, pose, options)
         if active:
-            F = wanted @ make_center_functional(obj, knowledge.posterior)
-            push = choose_poke(knowledge, pose, pokes, F).push
+            F = wanted @ make_center_functional(model)
+            push = choose_poke(model, pose, pokes, F).push
         else:
             push = pokes[int(rng.integers(len(pokes)))]
         after = see(simulate(obj, truth, push, pose, regime="quasi_static").final_pose, rng)
@@ -124,7 +124,7 @@ def _run(
         pose = after
         seen = PushLog(tuple(log))
         found = identify(obj, seen, regime="quasi_static", start=found)
-        knowledge = LinearizedPosterior.of_identification(found, seen if active else None)
+        model = UncertainModel.of_identification(found, log=seen if active else None)
         covariance = wanted @ found.identifiability.center_of_friction_covariance @ wanted.T
         error = wanted @ found.identifiability.center_of_friction - center
         stds.append(float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])))

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.identification.identify import identify
+from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.edge_push import is_supported, simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
-from gridpush_drake.planning.pregrasp.uncertainty import Belief
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
@@ -91,7 +91,7 @@ class Outcome:
     arm: float = np.nan
 
 
-Believe = Callable[[PushLog], Belief | None]
+Believe = Callable[[PushLog], UncertainModel | None]
 """From the pushes seen so far to what is believed; None where more must be seen first."""
 
 
@@ -108,13 +108,13 @@ def run_pregrasp(world: EdgeWorld, planner: PreGraspPlanner, believe: Believe) -
     """
     log: list[ObservedPush] = []
     counts = {"poke": 0, "slide": 0}
-    belief, learned_from = believe(PushLog(())), 0
+    model, learned_from = believe(PushLog(())), 0
     while True:
         if len(log) != learned_from:
-            belief, learned_from = believe(PushLog(tuple(log[-MAX_LEARNED_FROM:]))), len(log)
+            model, learned_from = believe(PushLog(tuple(log[-MAX_LEARNED_FROM:]))), len(log)
         # looked at anew: since the last push somebody may have moved it, which says nothing of its masses
         pose = world.observe()
-        decision = planner.decide(pose, belief, counts["poke"], counts["slide"])
+        decision = planner.decide(pose, model, counts["poke"], counts["slide"])
         push = decision.push
         if push is None:
             break
@@ -144,12 +144,12 @@ class Learner:
     obj: GridObject
     found: Identification | None = None
 
-    def __call__(self, log: PushLog) -> Belief | None:
+    def __call__(self, log: PushLog) -> UncertainModel | None:
         """What is believed after pushes; None before the first."""
         if not len(log):
             return None
         self.found = identify(self.obj, log, regime="quasi_static", start=self.found)
-        return Belief.of_identification(self.found, log=log)
+        return UncertainModel.of_identification(self.found, log=log)
 
 
 @dataclass(eq=False)
@@ -171,14 +171,14 @@ class PaperLearner:
     def __post_init__(self) -> None:
         self.first = Learner(self.obj)
 
-    def __call__(self, log: PushLog) -> Belief | None:
+    def __call__(self, log: PushLog) -> UncertainModel | None:
         """What is believed after pushes; None before the first."""
         if len(log) < self.min_pokes or not len(log):
             return self.first(log)
         low, high = self.friction_range
         wide = replace(self.obj, prior=replace(self.obj.prior, friction_min=low, friction_max=high))
         found = identify(wide, log, method="paper", regime="quasi_static")
-        return Belief.of_parameters(self.obj, found.params)
+        return UncertainModel.of_parameters(self.obj, found.params)
 
 
 def _hangs_over(world: EdgeWorld, planner: PreGraspPlanner) -> bool:

@@ -24,7 +24,7 @@ from gridpush_drake.bench.simulated_pushes import describe_pushes, simulate_log
 from gridpush_drake.bench.table import Table, Value, save_figure
 from gridpush_drake.bench.workers import QUIET, Execution, run_jobs
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.identification.identify import identify
+from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.prediction import calc_pose_error, predict
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects

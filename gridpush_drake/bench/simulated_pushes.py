@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gridpush_drake.bench.plant import DISTANCE, SPEED, draw_push
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog

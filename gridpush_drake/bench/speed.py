@@ -21,7 +21,7 @@ from gridpush_drake.bench.pregrasp import find_mask
 from gridpush_drake.bench.table import Table, Value
 from gridpush_drake.bench.workers import Report, count_steps
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulate import Regime, simulate
+from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters

@@ -95,7 +95,7 @@ def paper(
 ) -> None:
     """Repeat the paper's simulated identification, every method beside the others."""
     from gridpush_drake.bench.paper import run
-    from gridpush_drake.identification.identify import METHODS
+    from gridpush_drake.identification.learning import METHODS
 
     _check((out, figure), force)
     settings = {

@@ -9,7 +9,7 @@ from pydrake.geometry import Meshcat
 
 from gridpush_drake.cli.recording_legend import describe_scale, list_estimate_marks
 from gridpush_drake.files import write_whole
-from gridpush_drake.identification.identify import describe_prior
+from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.model_file import write_model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.identification.result import Identification

@@ -12,7 +12,7 @@ from gridpush_drake.cli.demo_task import FRAMES_A_SECOND, DemoTask, describe_tim
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.multibody.recording_overlay import Phase
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.uncertainty import Belief
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.report.page import ReportSummary
 from gridpush_drake.report.pregrasp_figure import GraspDrawn, PushDrawn, draw_pre_grasp
 from gridpush_drake.station.pregrasp_task import HELD, PreGraspRecord, PreGraspStep, PreGraspTask
@@ -118,7 +118,7 @@ def tell(verdict: dict[str, Any], written: list[Path]) -> None:
 def make_report_summary(record: PreGraspRecord) -> ReportSummary:
     """The run for the report's head."""
     last = record.last
-    belief = Belief.of_identification(record.estimates[-1])
+    uncertain = UncertainModel.of_identification(record.estimates[-1])
     poses = [step.pose for step in record.steps if np.isfinite(step.pose).all() and not step.status.over]
     pushes = [
         PushDrawn(step.push.start, step.push.end, step.status.mode == PreGraspMode.EXPLORING)
@@ -135,7 +135,7 @@ def make_report_summary(record: PreGraspRecord) -> ReportSummary:
             ("simulated", f"{record.duration:.0f} s"),
             ("raised by", f"{record.raised * MM:.0f} mm"),
         ),
-        figure=draw_pre_grasp(record.obj, record.surface, poses, pushes, belief.masses, record.truth, drawn),
+        figure=draw_pre_grasp(record.obj, record.surface, poses, pushes, uncertain.masses, record.truth, drawn),
         caption="Left: pokes to learn, then slides to the table's edge. Right: as long as its center of mass is within "
         "what holds the object it stays put; it was judged on every place where the center of mass may still be.",
         heads=HEADS,

@@ -45,7 +45,7 @@ def identify(
     from gridpush_drake.cli.options import compile_kernels, load_log, load_object
     from gridpush_drake.errors import PushLogError
     from gridpush_drake.files import check_writable, write_whole
-    from gridpush_drake.identification.identify import identify as search
+    from gridpush_drake.identification.learning import identify as search
     from gridpush_drake.identification.model_file import write_model
     from gridpush_drake.pushes.plausibility import explain_no_contact
 

@@ -213,7 +213,7 @@ def compile_kernels() -> None:
     timer.start()
     try:
         from gridpush_drake.dynamics.push import Push
-        from gridpush_drake.dynamics.simulate import Regime, simulate
+        from gridpush_drake.dynamics.simulation import Regime, simulate
         from gridpush_drake.objects.grid_object import GridObject
         from gridpush_drake.objects.parameters import CellParameters
 

@@ -36,7 +36,7 @@ def predict(
     from gridpush_drake.dynamics.motion import MotionStatus
     from gridpush_drake.errors import PushLogError
     from gridpush_drake.files import check_writable, write_whole
-    from gridpush_drake.identification.identify import choose_regime
+    from gridpush_drake.identification.learning import choose_regime
     from gridpush_drake.identification.prediction import calc_final_errors, summarize_errors
     from gridpush_drake.identification.prediction import predict as predict_log
     from gridpush_drake.pushes.plausibility import explain_no_contact

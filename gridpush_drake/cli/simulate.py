@@ -42,7 +42,7 @@ def simulate(
 ) -> None:
     """Simulate one push of an object or of a learned model."""
     from gridpush_drake.cli.options import compile_kernels, load_target
-    from gridpush_drake.dynamics.simulate import simulate as simulate_push
+    from gridpush_drake.dynamics.simulation import simulate as simulate_push
     from gridpush_drake.files import check_writable, write_whole
     from gridpush_drake.objects.parameters import CellParameters
 

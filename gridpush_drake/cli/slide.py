@@ -58,7 +58,7 @@ def slide(
         plan_pregrasp,
     )
     from gridpush_drake.planning.pregrasp.slides import SlideOptions
-    from gridpush_drake.planning.pregrasp.uncertainty import Belief
+    from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 
     for path in (out, picture):
         if path is not None:
@@ -80,10 +80,10 @@ def slide(
         raise options.OptionError(f"--start: is {start}; expected a place on the table")
     compile_kernels()
     if target.model is None:
-        belief = Belief.of_prior(target.obj, bounds)
+        uncertain = UncertainModel.of_prior(target.obj, friction_range=bounds)
     else:
-        belief = Belief.of_identification(target.model, bounds)
-    plan = plan_pregrasp(planner, belief, pose)
+        uncertain = UncertainModel.of_identification(target.model, friction_range=bounds)
+    plan = plan_pregrasp(planner, uncertain, pose)
     found = _describe(planner, plan, "learned" if target.model else "prior")
     found["written"] = [str(path) for path in (out, picture) if path is not None]
     if out is not None:
@@ -92,7 +92,7 @@ def slide(
         from gridpush_drake.report.draw import to_png
         from gridpush_drake.report.slide_figure import draw_slide
 
-        write_whole(picture, to_png(draw_slide(planner, belief.masses, plan)), force)
+        write_whole(picture, to_png(draw_slide(planner, uncertain.masses, plan)), force)
     if json:
         print_json(found)
     else:

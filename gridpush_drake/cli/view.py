@@ -213,7 +213,7 @@ def _view_pushes(path: Path, target: "Target", names: list[str] | None, look: Lo
 
 def _predict(target: "Target", log: "PushLog", chosen: "PushLog") -> "list[Prediction]":
     from gridpush_drake.cli.options import compile_kernels
-    from gridpush_drake.identification.identify import choose_regime
+    from gridpush_drake.identification.learning import choose_regime
     from gridpush_drake.identification.prediction import predict
 
     compile_kernels()

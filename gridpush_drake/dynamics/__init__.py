@@ -2,7 +2,6 @@
 
 `kernels` has the compiled step and rollout, `reference` the paper's own, slow forms that they are tested against. The
 model is written out in `docs/theory/model.md`. The names below are imported on first use.
-`simulate` itself is in the module of that name, which a package cannot hold beside it; `gridpush_drake.simulate` is it.
 """
 
 from typing import TYPE_CHECKING
@@ -13,7 +12,7 @@ if TYPE_CHECKING:
     from gridpush_drake.dynamics.condensed_step import calc_step
     from gridpush_drake.dynamics.motion import Jacobian, Motion, MotionStatus
     from gridpush_drake.dynamics.push import ForcePush, Push
-    from gridpush_drake.dynamics.simulate import GRAVITY, Regime, simulate_batch
+    from gridpush_drake.dynamics.simulation import GRAVITY, Regime, simulate, simulate_batch
     from gridpush_drake.dynamics.time_grid import DEFAULT_DT, DEFAULT_TIP_STEP, make_path_times
 
 __all__ = [
@@ -28,22 +27,24 @@ __all__ = [
     "Regime",
     "calc_step",
     "make_path_times",
+    "simulate",
     "simulate_batch",
 ]
 
 _HOMES = {
     "DEFAULT_DT": "time_grid",
     "DEFAULT_TIP_STEP": "time_grid",
-    "GRAVITY": "simulate",
+    "GRAVITY": "simulation",
     "ForcePush": "push",
     "Jacobian": "motion",
     "Motion": "motion",
     "MotionStatus": "motion",
     "Push": "push",
-    "Regime": "simulate",
+    "Regime": "simulation",
     "calc_step": "condensed_step",
     "make_path_times": "time_grid",
-    "simulate_batch": "simulate",
+    "simulate": "simulation",
+    "simulate_batch": "simulation",
 }
 
 __getattr__ = make_lazy_names(globals(), _HOMES)

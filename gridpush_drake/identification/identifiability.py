@@ -1,4 +1,4 @@
-"""What pushes can tell, and what they cannot (`docs/theory/model.md`, section 7).
+"""What pushes can tell, and what they cannot (`docs/theory/identification.md`, section 2).
 
 Slow pushes observed by their poses see only the relative support friction k_i = mu_i m_i / sum(mu m), and of it only
 the combinations that the pushes excited. Mass and friction by themselves need a weight, a measured force, a fast push,
@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 
 KNOWN_SHARE = 0.5
 """A combination, or a cell, counts as learned where the pushes took away at least this share of its prior variance."""
+
+MM = 1e3
+"""Millimeters in a meter."""
 
 RANK_TOLERANCE = 1e-9
 """Relative size below which a direction counts as none."""
@@ -83,11 +86,29 @@ def calc_identifiability(obj: GridObject, params: CellParameters, posterior: Pos
     )  # fmt: skip
 
 
+def calc_farthest_center(p: Array, mass_min: Array, mass_max: Array) -> Array:
+    """Farthest that the center of mass can be along an axis: max sum m_i p_i / sum m_i, mass_min <= m <= mass_max.
+
+    A linear-fractional program: every cell on the far side of a cut is as heavy, and on the near side as light, as can
+    be; the cut runs through the optimum itself, so that trying every cell's coordinate finds it.
+
+    Args:
+        p: (n,) the cells' coordinates along the axis, m.
+        mass_min: (S, n) the least masses of S sets, up to a scale.
+        mass_max: (S, n) the greatest.
+
+    Returns:
+        (S,) m.
+    """
+    order = np.argsort(p)
+    p, light, heavy = p[order], mass_min[:, order], mass_max[:, order]
+    mass = _sum_up(light) + _sum_down(heavy)
+    moment = _sum_up(light * p) + _sum_down(heavy * p)
+    return np.asarray((moment / mass).max(axis=1))
+
+
 def calc_center_of_mass_box(share: Array, obj: GridObject) -> Array:
     """Bounds of the center of mass over all m_i in [k_i/mu_max, k_i/mu_min], up to a common scale.
-
-    The extreme along an axis takes the light choice on one side of some line and the heavy one on the other; the line
-    runs through the center itself (a linear-fractional program), so that trying every cell's coordinate finds it.
 
     Args:
         share: (n,) k, summing to one.
@@ -96,16 +117,19 @@ def calc_center_of_mass_box(share: Array, obj: GridObject) -> Array:
     Returns:
         (2, 2) rows least and greatest, columns x and y, m, body frame.
     """
-    light, heavy = share / obj.prior.friction_max, share / obj.prior.friction_min
-    box = np.empty((2, 2))
-    for axis in (0, 1):
-        order = np.argsort(obj.p_BC[:, axis])
-        p, few, many = obj.p_BC[order, axis], light[order], heavy[order]
-        for row, (left, right, best) in enumerate(((many, few, np.min), (few, many, np.max))):
-            mass = np.append(0.0, np.cumsum(left)) + np.append(np.cumsum(right[::-1])[::-1], 0.0)
-            moment = np.append(0.0, np.cumsum(left * p)) + np.append(np.cumsum((right * p)[::-1])[::-1], 0.0)
-            box[row, axis] = best(moment / mass)
-    return box
+    light, heavy = share[None] / obj.prior.friction_max, share[None] / obj.prior.friction_min
+    farthest = [[sign * calc_farthest_center(sign * p, light, heavy)[0] for p in obj.p_BC.T] for sign in (-1.0, 1.0)]
+    return np.array(farthest)
+
+
+def _sum_up(values: Array) -> Array:
+    """(S, n+1) sums of the first 0..n values."""
+    return np.concatenate([np.zeros((len(values), 1)), np.cumsum(values, axis=1)], axis=1)
+
+
+def _sum_down(values: Array) -> Array:
+    """(S, n+1) sums of the last n..0 values."""
+    return _sum_up(values[:, ::-1])[:, ::-1]
 
 
 def _calc_mass_bounds(share: Array, total_mass: float, obj: GridObject) -> tuple[Array, Array]:
@@ -133,7 +157,7 @@ def _calc_null_space(prior: Array, after: Array) -> Array:
 def _describe(obj: GridObject, learned: int, learned_share: Array, center_std: Array, box: Array) -> tuple[str, ...]:
     total = "that they add up to the known total mass" if obj.prior.total_mass else "a total mass that was not measured"
     known_cells = int((learned_share >= KNOWN_SHARE).sum())
-    width, height = np.diff(box, axis=0)[0] * 1e3
+    width, height = np.diff(box, axis=0)[0] * MM
     low, high = obj.prior.friction_min, obj.prior.friction_max
     return (
         "Not identifiable from these data: the common scale of the friction. Slow pushes observed by their poses look "
@@ -143,7 +167,7 @@ def _describe(obj: GridObject, learned: int, learned_share: Array, center_std: A
         f"coefficient, and {total}.",
         f"The pushes determined {learned} of {obj.n} independent combinations of the cells' log-friction, and "
         f"{known_cells} of {obj.n} cells by themselves; the rest is the smoothness prior's.",
-        f"The center of friction is known to {1e3 * center_std[0]:.1f} mm in x and {1e3 * center_std[1]:.1f} mm in y "
+        f"The center of friction is known to {MM * center_std[0]:.1f} mm in x and {MM * center_std[1]:.1f} mm in y "
         "(one standard deviation).",
         f"With friction coefficients anywhere from {low:g} to {high:g}, the center of mass may lie anywhere in a box "
         f"of {width:.0f} mm by {height:.0f} mm; with equal coefficients it is at the center of friction.",

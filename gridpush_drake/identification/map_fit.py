@@ -4,30 +4,9 @@ With z = z_0 + A u, A A^T the prior covariance of z, the unknown is u, a priori 
 
     1/2 |u|² + sum over pushes of Huber(W_p r_p(z)) + 1/2 |(c(k) - c_0)/sigma_c|²
 
-r_p the residuals of push p, W_p their whitening (`noise`), c the center of friction and c_0 the center of mass where
-one is given (equal to c where all cells rub alike). Whitening, Huber's weights and the noise scale s are renewed
-between runs of the trust-region solver. The evidence is Laplace's,
-
-    log p(data) ~ -loss - 1/2 log det H_u - 1/2 sum_p log det Sigma_p - log p(c_0)
-
-where c_0 is prior knowledge, not data: its own evidence is taken off again.
-
-What the model leaves unexplained, push by push.
-
-A push that is sensitive to where exactly it began says less than one that is not. The covariance of a push's residuals
-
-    Sigma = s² (sigma² K/K_eff I + sigma_tip² J_start J_start^T + sigma_mu² J_mu J_mu^T)
-
-has three sources: the poses' measurement, the pusher's place, and the contact friction's wandering from push to push.
-The last two come from the exact Jacobian. The scale s is learned from the data. K observations along one push share
-their errors; together they count as K_eff = sqrt(K).
-
-The smoothness prior: a Gaussian Markov random field on the logarithm of the cells' friction.
-
-    log k ~ N(log k_prior, a² C),      C^-1 proportional to (L + kappa² I)²,      kappa² = 8 / range²
-
-with L the graph Laplacian of neighboring cells: the Matérn field of smoothness one on a grid (Lindgren, Rue and
-Lindström 2011, section 2). C has unit mean variance; `a`, the amplitude, is the strength that identification chooses.
+r_p the residuals of push p, W_p their whitening by the noise's covariance, c the center of friction and c_0 the center
+of mass where one is given. Whitening, Huber's weights and the noise scale are renewed between runs of the trust-region
+solver (`docs/theory/identification.md`, sections 3 and 4).
 """
 
 from collections.abc import Callable, Sequence
@@ -37,11 +16,33 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from gridpush_drake.identification.posterior import calc_center_jacobian
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import FitStart
 from gridpush_drake.objects.grid_object import GridObject
 
 Array = NDArray[np.float64]
+
+RENEWALS = 4
+"""Times whitening, weights and noise scale are renewed."""
+
+WARM_RENEWALS = 2
+"""The same where a fit begins at one to nearly the same pushes."""
+
+EVALUATIONS = 8
+"""Most steps of the trust-region solver between renewals."""
+
+TOLERANCE = 1e-4
+"""Relative, of loss and step, at which the solver stops."""
+
+MAX_INFORMED_SHARE = 0.8
+"""Of the residuals, that parameters may use up; the rest speaks of the noise."""
+
+RANGE_CELLS = 4.0
+"""Distance, in cells, at which two cells' log-frictions are nearly independent."""
+
+KAPPA_RANGE = 8.0**0.5
+"""kappa times the range, of the Matérn field of smoothness one (Lindgren, Rue and Lindström 2011, section 2)."""
 
 
 @dataclass(frozen=True)
@@ -97,19 +98,6 @@ def _calc_size(whitened: Array) -> float:
     return float(np.sqrt(whitened @ whitened / calc_effective_count(len(whitened))))
 
 
-RENEWALS = 4
-"""Times whitening, weights and noise scale are renewed."""
-
-WARM_RENEWALS = 2
-"""The same where a fit begins at one to nearly the same pushes."""
-
-EVALUATIONS = 8
-"""Most steps of the trust-region solver between renewals."""
-
-TOLERANCE = 1e-4
-"""Relative, of loss and step, at which the solver stops."""
-
-
 @dataclass(frozen=True)
 class CenterOfMass:
     """Where the center of mass is held to be.
@@ -127,9 +115,7 @@ class CenterOfMass:
         k = np.exp(z[:-1] - z[:-1].max())
         share = k / k.sum()
         center = share @ obj.p_BC
-        J = np.zeros((2, len(z)))
-        J[:, :-1] = (share[:, None] * (obj.p_BC - center)).T
-        return (center - np.asarray(self.at)) / self.std, J / self.std
+        return (center - np.asarray(self.at)) / self.std, calc_center_jacobian(share, obj.p_BC) / self.std
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,10 +302,6 @@ class _Stage:
         self._stacked = np.concatenate(rows), np.concatenate(jacobians)
 
 
-MAX_INFORMED_SHARE = 0.8
-"""Of the residuals, that parameters may use up; the rest speaks of the noise."""
-
-
 def _calc_center_evidence(obj: GridObject, z0: Array, A: Array, center_of_mass: CenterOfMass) -> float:
     """Log p(c_0) under the smoothness prior alone, to first order about z0: knowledge, not data."""
     r, J = center_of_mass.linearize(obj, z0)
@@ -327,12 +309,8 @@ def _calc_center_evidence(obj: GridObject, z0: Array, A: Array, center_of_mass: 
     return float(-0.5 * r @ np.linalg.solve(spread, r) - 0.5 * np.linalg.slogdet(spread)[1])
 
 
-RANGE_CELLS = 4.0
-"""Distance, in cells, at which two cells' log-frictions are nearly independent."""
-
-
 def calc_smooth_covariance(obj: GridObject, range_cells: float = RANGE_CELLS) -> NDArray[np.float64]:
-    """Makes C (n, n), unit mean variance, of the field over the object's cells.
+    """Makes C (n, n), unit mean variance: C^-1 ~ (L + kappa² I)², L the graph Laplacian of neighboring cells.
 
     Args:
         obj: the object.
@@ -346,6 +324,6 @@ def calc_smooth_covariance(obj: GridObject, range_cells: float = RANGE_CELLS) ->
     np.add.at(L, (i, i), 1.0)
     np.add.at(L, (j, j), 1.0)
     L[i, j] = L[j, i] = -1.0
-    root = np.linalg.inv(L + 8.0 / range_cells**2 * np.eye(obj.n))
+    root = np.linalg.inv(L + KAPPA_RANGE**2 / range_cells**2 * np.eye(obj.n))
     C = root @ root
     return C / np.diag(C).mean()

@@ -18,7 +18,7 @@ from gridpush_drake.errors import GridPushError, IdentificationError
 from gridpush_drake.files import read_head, write_whole
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.posterior import Posterior
-from gridpush_drake.identification.result import HistoryEntry, Identification
+from gridpush_drake.identification.result import HistoryEntry, Identification, IdentificationStatus
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import RENAMED as OBJECT_RENAMED
 from gridpush_drake.objects.object_file import ObjectSchema, describe_object, make_cells
@@ -83,7 +83,7 @@ class ModelSchema(StrictSchema):
     gridpush_model: Literal[2] = Field(description="2, the form that this release reads")
     method: str
     regime: Literal["quasi_static", "inertial"]
-    status: str
+    status: Annotated[IdentificationStatus, Strict(False)]
     message: str
     seed: int
     simulations: Annotated[int, Field(ge=0)]
@@ -322,3 +322,4 @@ def _represent_text(dumper: Any, value: str) -> Any:
 _Dumper.add_representer(list, _represent_list)
 _Dumper.add_representer(tuple, _represent_list)
 _Dumper.add_representer(str, _represent_text)
+_Dumper.add_representer(IdentificationStatus, lambda dumper, value: _represent_text(dumper, str(value)))

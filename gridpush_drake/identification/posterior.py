@@ -1,64 +1,28 @@
-"""The spread of what was learned: a Gaussian on the logarithms of the cells' friction (Laplace's approximation).
+"""The spread of what was learned, and draws from it that agree with what the pushes showed.
 
-Draws from a posterior that agree with what the pushes showed, however little they showed of single cells.
+z = (log k_1 .. log k_n, log mu_c) ~ N(mean, S), Laplace's normal about the best fit. A draw dz = z - mean is moved, as
+little as can be in the prior's norm, until its shares x = k / sum k keep every combination a that the pushes fixed,
 
-What was learned is z = (log k_1 .. log k_n, log mu_c) ~ N(mean, S), a normal about the best fit. Pushes fix a few
-combinations a.dz of dz = z - mean and leave single cells unknown by factors: there dz is large, and what is known of
-a.dz is worth nothing for the draw's own k, whose center may be anywhere. But the balance of forces in a motion that was
-seen is linear in k, not in log k: with the shares x = k / sum k and x0 those at the mean, what a push fixes is
+    a.(x/x0 - 1) = a.dz,    x0 the shares at the mean
 
-    a.(x/x0 - 1) = a.dz,    dz the draw
-
-which for small dz is the same. Each draw is moved, as little as can be in the prior's norm, until that holds for every
-learned combination. Learned are those combinations whose variance the pushes cut to less than a share of the prior's:
-the generalized eigenvectors of S and the prior covariance. Nothing is moved where nothing was learned.
+which for small dz is the draw itself (`docs/theory/identification.md`, section 6).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from gridpush_drake.objects.parameters import CellParameters
 
 Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True, eq=False)
-class Posterior:
-    """z = (log k_1 .. log k_n, log mu_c) is normal.
-
-    Attributes:
-        mean: (n+1,) of z.
-        covariance: (n+1, n+1) of z.
-        prior_covariance: (n+1, n+1) before the pushes.
-    """
-
-    mean: Array
-    covariance: Array
-    prior_covariance: Array
-
-    def draw(self, count: int, seed: int = 0) -> tuple[Array, Array]:
-        """Draws relative support frictions (count, n), each summing to one, and contact frictions (count,)."""
-        values, vectors = np.linalg.eigh(self.covariance)
-        factor = vectors * np.sqrt(np.maximum(values, 0.0))
-        rng = np.random.default_rng(seed)
-        z = self.mean + rng.standard_normal((count, len(self.mean))) @ factor.T
-        k = np.exp(z[:, :-1] - z[:, :-1].max(axis=1, keepdims=True))
-        return k / k.sum(axis=1, keepdims=True), np.exp(z[:, -1])
-
-    def calc_share_covariance(self) -> Array:
-        """(n, n) covariance of the relative friction k / sum k, to first order."""
-        share = self.calc_share()
-        slope = np.diag(share) - np.outer(share, share)
-        return slope @ self.covariance[:-1, :-1] @ slope
-
-    def calc_share(self) -> Array:
-        """(n,) relative friction at the mean, summing to one."""
-        k = np.exp(self.mean[:-1] - self.mean[:-1].max())
-        return k / k.sum()
-
-
 LEARNED = 0.5
 """Share of the prior variance, below which a combination counts as learned."""
+
+MIN_SHARE = 1e-12
+"""Of the friction that a cell is given where a draw has none: masses must be positive."""
 
 STEPS = 25
 """Newton steps at most; the few draws that need more stay wider than they ought to be, which is safe."""
@@ -76,25 +40,87 @@ FARTHEST = 30.0
 """Of log k from the mean, against overflow."""
 
 
-def draw_consistent(posterior: Posterior, count: int, seed: int = 0) -> tuple[Array, Array]:
-    """Draws relative support frictions and contact frictions.
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """z = (log k_1 .. log k_n, log mu_c) is normal.
+
+    Attributes:
+        mean: (n+1,) of z.
+        covariance: (n+1, n+1) of z.
+        prior_covariance: (n+1, n+1) before the pushes.
+    """
+
+    mean: Array
+    covariance: Array
+    prior_covariance: Array
+
+    def draw(self, count: int, seed: int = 0) -> tuple[Array, Array]:
+        """Draws relative support frictions and contact frictions that agree with what the pushes showed.
+
+        Args:
+            count: how many draws.
+            seed: of the draws.
+
+        Returns:
+            (count, n) shares k / sum k, each positive and summing to one, but for MIN_SHARE; (count,) mu_c.
+        """
+        values, vectors = np.linalg.eigh(self.covariance)
+        factor = vectors * np.sqrt(np.maximum(values, 0.0))
+        rng = np.random.default_rng(seed)
+        dz = rng.standard_normal((count, len(self.mean))) @ factor.T
+        share = self.calc_share()
+        A, variances, root = _find_learned(self)
+        if len(A):
+            _correct(dz, share, A, np.sqrt(variances), root)
+        return np.maximum(_calc_shares(share, dz), MIN_SHARE), np.exp(self.mean[-1] + dz[:, -1])
+
+    @threadpool_limits.wrap(limits=1, user_api="blas")  # small matrices: threads only cost, and reorder sums
+    def draw_parameters(self, params: CellParameters, count: int, seed: int = 0) -> list[CellParameters]:
+        """Draws parameters that agree with the pushes; every cell's friction is that of `params`, its mass varies.
+
+        Args:
+            params: the estimate, whose sum of mu_i m_i the draws share.
+            count: how many draws.
+            seed: of the draws.
+
+        Returns:
+            The parameters.
+        """
+        if not count:
+            return []
+        shares, contact_friction = self.draw(count, seed)
+        total = float(params.mass @ params.friction)
+        friction = np.maximum(params.friction, np.finfo(float).tiny)
+        return [
+            CellParameters(total * share / friction, params.friction, float(mu_c))
+            for share, mu_c in zip(shares, contact_friction, strict=True)
+        ]
+
+    def calc_share(self) -> Array:
+        """(n,) relative friction at the mean, summing to one."""
+        k = np.exp(self.mean[:-1] - self.mean[:-1].max())
+        return k / k.sum()
+
+    def calc_share_covariance(self) -> Array:
+        """(n, n) covariance of the relative friction k / sum k, to first order."""
+        share = self.calc_share()
+        slope = np.diag(share) - np.outer(share, share)
+        return slope @ self.covariance[:-1, :-1] @ slope
+
+
+def calc_center_jacobian(share: Array, p_BC: Array) -> Array:
+    """Derivatives share_i (p_i - c) by z of the center c = sum_i share_i p_i.
 
     Args:
-        posterior: of z.
-        count: how many draws.
-        seed: of the draws.
+        share: (n,) weights proportional to exp z_i, summing to one: of friction or, with mu_i held, of mass.
+        p_BC: (n, 2) the cells' centers, body frame, m.
 
     Returns:
-        (count, n) shares, each summing to one; (count,) contact frictions.
+        (2, n+1) m; the last column, by log mu_c, is zero.
     """
-    values, vectors = np.linalg.eigh(posterior.covariance)
-    factor = vectors * np.sqrt(np.maximum(values, 0.0))
-    rng = np.random.default_rng(seed)
-    dz = rng.standard_normal((count, len(posterior.mean))) @ factor.T
-    A, variances, root = _find_learned(posterior)
-    if len(A):
-        _correct(dz, posterior.calc_share(), A, np.sqrt(variances), root)
-    return _calc_shares(posterior.calc_share(), dz), np.exp(posterior.mean[-1] + dz[:, -1])
+    J = np.zeros((2, len(share) + 1))
+    J[:, :-1] = (share[:, None] * (p_BC - share @ p_BC)).T
+    return J
 
 
 def _find_learned(posterior: Posterior) -> tuple[Array, Array, Array]:

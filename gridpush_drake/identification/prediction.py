@@ -1,7 +1,4 @@
-"""Predicting a log's pushes with a model, and how far off that is.
-
-Errors of predictions over a whole log, summed up.
-"""
+"""Predicting a log's pushes with a model, and how far off that is, push by push and over the whole log."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,8 +7,9 @@ from math import nan
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
+from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -81,7 +79,7 @@ def predict(obj: GridObject, params: CellParameters, log: PushLog, regime: str =
 def calc_pose_error(obj: GridObject, predicted: ArrayLike, observed: ArrayLike) -> PoseError:
     """Compares two poses (3,), x, y in m and theta in rad; the angle is taken the short way round."""
     difference = np.asarray(predicted, dtype=np.float64) - np.asarray(observed, dtype=np.float64)
-    angle = abs((difference[2] + np.pi) % (2 * np.pi) - np.pi)
+    angle = abs(wrap_angle(difference[2]))
     cells = obj.cells_at(predicted) - obj.cells_at(observed)
     return PoseError(
         float(np.hypot(difference[0], difference[1])), float(angle), float(np.linalg.norm(cells, axis=-1).mean())

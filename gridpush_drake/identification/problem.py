@@ -17,13 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.motion import Motion, MotionStatus
-from gridpush_drake.dynamics.simulate import Regime, simulate
+from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
+from gridpush_drake.geometry.se2 import rotate, transform, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 Array = NDArray[np.float64]
+
+FRICTION_FLOOR = 1e-6
+"""Least contact friction whose logarithm is taken."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +89,7 @@ class PushProblem:
 
     def unknowns(self, params: CellParameters) -> Array:
         """The unknowns z (n+1,) of some parameters."""
-        return np.append(np.log(params.mass * self.friction), np.log(max(params.contact_friction, 1e-6)))
+        return np.append(np.log(params.mass * self.friction), np.log(max(params.contact_friction, FRICTION_FLOOR)))
 
     def residuals(self, z: Array, pushes: Sequence[int] | None = None) -> list[Array]:
         """The residuals (3 K,) of each push (of those chosen), m."""
@@ -114,11 +118,8 @@ class PushProblem:
 
     def _cell_error(self, residual: Array) -> float:
         arm = self.obj.p_BC - self._centroid
-        theta = residual[:, 2:] / self._rho
-        cosine, sine = np.cos(theta) - 1.0, np.sin(theta)
-        dx = residual[:, :1] + cosine * arm[:, 0] - sine * arm[:, 1]
-        dy = residual[:, 1:2] + sine * arm[:, 0] + cosine * arm[:, 1]
-        return float(np.hypot(dx, dy).mean())
+        moved = residual[:, None, :2] + rotate(residual[:, 2:] / self._rho, arm) - arm
+        return float(np.linalg.norm(moved, axis=-1).mean())
 
     def _simulate(self, z: Array, pushes: Sequence[int] | None, gradients: bool) -> list[tuple[_TimedPush, Motion]]:
         params = self.params(z)
@@ -138,29 +139,19 @@ class PushProblem:
 
     def _residual(self, push: _TimedPush, simulation: Motion) -> Array:
         predicted, observed = simulation.poses[push.rows], push.observed.poses_observed
-        turn = (predicted[:, 2] - observed[:, 2] + np.pi) % (2 * np.pi) - np.pi
-        shift = self._centroid_at(predicted) - self._centroid_at(observed)
-        return np.column_stack([_in_body(observed, shift.T).T, self._rho * turn]).ravel()
+        shift = rotate(-observed[:, 2], self._centroid_at(predicted) - self._centroid_at(observed))
+        return np.column_stack([shift, self._rho * wrap_angle(predicted[:, 2] - observed[:, 2])]).ravel()
 
     def _centroid_at(self, poses: Array) -> Array:
-        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        x, y = self._centroid
-        return poses[:, :2] + np.column_stack([c * x - s * y, s * x + c * y])
+        return transform(poses, self._centroid[None])[:, 0]
 
     def _to_residual(self, push: _TimedPush, simulation: Motion, J: Array) -> Array:
         """Turns derivatives of the poses (K, 3, p) into those of the residual (3K, p)."""
         arm = self._centroid_at(simulation.poses[push.rows]) - simulation.poses[push.rows, :2]
         theta = J[:, 2]
-        shift = np.stack([J[:, 0] - arm[:, 1:] * theta, J[:, 1] + arm[:, :1] * theta])
-        along, across = _in_body(push.observed.poses_observed, shift)
-        return np.stack([along, across, self._rho * theta], axis=1).reshape(-1, J.shape[2])
-
-
-def _in_body(poses: Array, vectors: Array) -> Array:
-    """Turns vectors (2, K, ...) in W into the axes of bodies at poses (K, 3)."""
-    shape = (-1,) + (1,) * (vectors.ndim - 2)
-    c, s = np.cos(poses[:, 2]).reshape(shape), np.sin(poses[:, 2]).reshape(shape)
-    return np.stack([c * vectors[0] + s * vectors[1], -s * vectors[0] + c * vectors[1]])
+        shift = np.stack([J[:, 0] - arm[:, 1:] * theta, J[:, 1] + arm[:, :1] * theta], axis=-1)
+        shift = rotate(-push.observed.poses_observed[:, 2:], shift)
+        return np.stack([shift[..., 0], shift[..., 1], self._rho * theta], axis=1).reshape(-1, J.shape[2])
 
 
 def _time(observed: ObservedPush, regime: Regime) -> _TimedPush:

@@ -1,29 +1,32 @@
-"""What an identification gives back.
+"""What an identification gives back: the model, its spread, and how the search for it went."""
 
-The center of mass of an identified object, and its spread.
-
-With z = (log k, log mu_c) and the cells' frictions mu_i held, m_i is proportional to k_i/mu_i = exp(z_i)/mu_i, and
-
-    c = sum_i a_i p_i,    a_i = m_i / sum m,    dc/dz_i = a_i (p_i - c),    Cov c = (dc/dz) Cov z (dc/dz)^T
-
-to first order. What the frictions themselves may be is left out: see `Identifiability.center_of_mass_box`.
-"""
-
+from collections.abc import Callable
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.identification.identifiability import Identifiability
-from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-STATUS_LEARNED = "learned"
-STATUS_MIXTURE = "mixture"
-STATUS_PRIOR_KEPT = "prior_kept"
-STATUS_BUDGET_SPENT = "budget_spent"
-STATUS_NO_DATA = "no_usable_pushes"
+Array = NDArray[np.float64]
+
+
+class IdentificationStatus(StrEnum):
+    """How an identification ended."""
+
+    LEARNED = "learned"
+    MIXTURE = "mixture"
+    """Cross-validation over the training pushes favored leaning on the prior."""
+    PRIOR_KEPT = "prior_kept"
+    """It favored the prior."""
+    BUDGET_SPENT = "budget_spent"
+    """A search had to end before it was done."""
+    NO_DATA = "no_usable_pushes"
+    """No push touched the object."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,10 @@ class HistoryEntry:
     stage: str
 
 
+Progress = Callable[[HistoryEntry], None]
+"""Called now and then with what a search or fit has reached."""
+
+
 @dataclass(frozen=True, eq=False)
 class FitStart:
     """Where a fit ended, and so where one with more pushes may begin.
@@ -50,7 +57,7 @@ class FitStart:
         scale: of the noise.
     """
 
-    z: NDArray[np.float64]
+    z: Array
     scale: float
 
 
@@ -66,8 +73,7 @@ class Identification:
         identifiability: what these data say and what they cannot say.
         method: that found it.
         regime: of the simulations, "quasi_static" or "inertial".
-        status: "learned"; "mixture" or "prior_kept" where cross-validation over the training pushes favored leaning on
-            the prior; "budget_spent"; "no_usable_pushes" where no push touched the object.
+        status: how it ended.
         message: the status in a sentence.
         history: the best loss so far along the search, simulations increasing.
         simulations: pushes simulated in all.
@@ -85,7 +91,7 @@ class Identification:
     identifiability: Identifiability
     method: str
     regime: str
-    status: str
+    status: IdentificationStatus
     message: str
     history: tuple[HistoryEntry, ...]
     simulations: int
@@ -96,7 +102,7 @@ class Identification:
     starts: tuple[FitStart, ...] = ()
 
     def samples(self, k: int, seed: int = 0) -> list[CellParameters]:
-        """Draws k parameter sets from the posterior; every cell's friction is that of `params`, its mass varies.
+        """Draws k parameter sets that agree with the pushes; every cell's friction is the estimate's.
 
         Args:
             k: how many.
@@ -105,25 +111,18 @@ class Identification:
         Returns:
             The parameter sets.
         """
-        draws, contact_friction = self.posterior.draw(k, seed)
-        total = float(self.params.mass @ self.params.friction)
-        safe = np.maximum(self.params.friction, np.finfo(float).tiny)
-        return [
-            CellParameters(total * share / safe, self.params.friction, float(mu_c))
-            for share, mu_c in zip(draws, contact_friction, strict=True)
-        ]
+        return self.posterior.draw_parameters(self.params, k, seed)
 
     @property
-    def relative_friction(self) -> NDArray[np.float64]:
+    def relative_friction(self) -> Array:
         """(n,) k_i = mu_i m_i / sum(mu m), the estimate."""
         return self.params.relative_friction()
 
 
-Array = NDArray[np.float64]
-
-
 def calc_center_of_mass(found: Identification) -> tuple[Array, Array]:
-    """Calculates where the center of mass is held to be.
+    """Calculates where the center of mass is held to be: c = sum_i a_i p_i with a_i = m_i / sum m, to first order.
+
+    The cells' frictions are held; what they may be is left out: see `Identifiability.center_of_mass_box`.
 
     Args:
         found: the identification.
@@ -133,5 +132,5 @@ def calc_center_of_mass(found: Identification) -> tuple[Array, Array]:
     """
     center = found.params.center_of_mass(found.obj)
     share = found.params.mass / found.params.total_mass
-    J = (share[:, None] * (found.obj.p_BC - center)).T
-    return center, J @ found.posterior.covariance[:-1, :-1] @ J.T
+    J = calc_center_jacobian(share, found.obj.p_BC)
+    return center, J @ found.posterior.covariance @ J.T

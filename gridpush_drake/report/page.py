@@ -25,7 +25,7 @@ from gridpush_drake.identification.prediction import (
     predict,
     summarize_errors,
 )
-from gridpush_drake.identification.result import STATUS_BUDGET_SPENT, STATUS_NO_DATA, STATUS_PRIOR_KEPT, Identification
+from gridpush_drake.identification.result import Identification, IdentificationStatus
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.report.figures import draw_learning, draw_loss, draw_object_parts, draw_pushes
@@ -269,16 +269,16 @@ def _judge(result: Identification, judged: _Comparison, held_out: bool) -> str:
     """The first sentence: what came of it, in plain words."""
     before, after = judged.cell
     name = result.obj.name.replace("_", " ")
-    if result.status == STATUS_NO_DATA or not np.isfinite(after):
+    if result.status == IdentificationStatus.NO_DATA or not np.isfinite(after):
         return f"Nothing was learned about the {name}: the pusher touched it in none of the pushes."
     which = "pushes it had never seen" if held_out else "the pushes it learned from"
-    if result.status == STATUS_PRIOR_KEPT:
+    if result.status == IdentificationStatus.PRIOR_KEPT:
         return (
             f"These pushes gave no reason to leave the assumption of an even object: predictions of {which} are off by "
             f"{after * MM:.1f} mm on average."
         )
     count = len(result.push_names)
-    spent = "The search ended early, at its budget. " if result.status == STATUS_BUDGET_SPENT else ""
+    spent = "The search ended early, at its budget. " if result.status == IdentificationStatus.BUDGET_SPENT else ""
     learned = (
         f"{spent}After {count} push{'es' if count != 1 else ''}, the model predicts where {which} leave the {name}"
     )

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, PlausibleMassSet, calc_support_polygon
+from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, calc_support_polygon
+from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.report.draw import FONT, INK, draw_cells, draw_outline
 from gridpush_drake.report.maps import BEFORE, FAINT, LEARNED, PAGE_WIDTH, make_grid

@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlan, PreGraspPlanner
-from gridpush_drake.planning.pregrasp.stability import PlausibleMassSet, calc_support_polygon
+from gridpush_drake.planning.pregrasp.stability import calc_support_polygon
+from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.report.draw import FONT, INK, draw_cells, draw_outline
 from gridpush_drake.report.maps import BEFORE, FAINT, LEARNED, PAGE_WIDTH, make_grid
 

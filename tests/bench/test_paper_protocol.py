@@ -18,7 +18,7 @@ from gridpush_drake.bench.paper_protocol import (
     place_disc,
 )
 from gridpush_drake.bench.workers import Execution
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError, OutputError
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects

@@ -6,7 +6,7 @@ import pytest
 from gridpush_drake.bench.plant import OBJECTS, PlantJob, PlantPusher, calc_scores, draw_push, make_table, run_job
 from gridpush_drake.bench.workers import Execution
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import ObjectError, PushError
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import make_shape

@@ -6,7 +6,7 @@ import pytest
 from gridpush_drake.bench.mujoco_push import make_mujoco_push
 from gridpush_drake.bench.speed import load_hammer, make_bench_push, run
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.command_line import run_gridpush
 from tests.helpers.made_identifications import make_block

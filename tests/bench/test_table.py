@@ -9,7 +9,7 @@ from gridpush_drake.bench.pregrasp_exploration import AIMS, DISTANCES, Explorati
 from gridpush_drake.bench.pregrasp_world import Outcome
 from gridpush_drake.bench.speed import measure, one_core
 from gridpush_drake.bench.table import Table
-from gridpush_drake.identification.identify import METHODS
+from gridpush_drake.identification.learning import METHODS
 from gridpush_drake.objects.object_file import list_shipped_objects
 
 TABLE = Table("One push", ("what", "ms", "runs"), [["plain", 0.41234, 50], ["beside", 1344.8, None]], ["On one core."])

@@ -10,7 +10,7 @@ from typing import get_args
 import pytest
 
 from gridpush_drake.cli import identify as command
-from gridpush_drake.identification import identify as search
+from gridpush_drake.identification import learning as search
 from gridpush_drake.identification.model_file import read_model
 from gridpush_drake.pushes.push_log import PushLog
 

@@ -6,7 +6,7 @@ from shapely import Polygon
 from shapely.affinity import translate
 
 from gridpush_drake.dynamics.push import ForcePush, Push
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_objects import make_random_object, make_random_pose

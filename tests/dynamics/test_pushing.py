@@ -10,7 +10,7 @@ from gridpush_drake.dynamics.kernels.contact_modes import SEPARATE, SLIDE_MINUS,
 from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
 from gridpush_drake.dynamics.kernels.inputs import Load
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -62,7 +62,7 @@ def test_push_through_the_center_of_friction_does_not_turn(regime):
 
 
 def test_quasi_static_motion_knows_only_shares_of_friction():
-    """Scaling all masses and all frictions, and the pusher's speed, changes nothing (design note, section 6)."""
+    """Scaling all masses and all frictions, and the pusher's speed, changes nothing (`model.md`, section 7)."""
     for seed, shape in enumerate(SHAPES):
         rng = np.random.default_rng(seed)
         obj = make_shape(shape, 40)

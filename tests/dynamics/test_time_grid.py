@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics import DEFAULT_DT, DEFAULT_TIP_STEP, Push, make_path_times
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import make_shape
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.push import ForcePush, Push
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.dynamics.time_grid import MAX_STEPS
 from gridpush_drake.errors import GridPushError, ObjectError, OutputError, ParameterError, PushError, SimulationError
 from gridpush_drake.files import check_writable, make_folder, read_bytes, write_whole

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from PIL import Image
 
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError, PushLogWarning
 from gridpush_drake.identification.model_file import read_model, write_model
 from gridpush_drake.identification.prediction import predict

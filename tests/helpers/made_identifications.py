@@ -4,7 +4,7 @@ import numpy as np
 
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.posterior import Posterior
-from gridpush_drake.identification.result import STATUS_LEARNED, HistoryEntry, Identification
+from gridpush_drake.identification.result import HistoryEntry, Identification, IdentificationStatus
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -33,6 +33,6 @@ def make_identification(obj: GridObject | None = None, seed: int = 0) -> Identif
     history = tuple(HistoryEntry(10 * (i + 1), 0.01 * 0.7**i, "descent") for i in range(8))
     known = calc_identifiability(obj, params, posterior)
     return Identification(
-        obj, params, std, posterior, known, "default", "quasi_static", STATUS_LEARNED, "learned from 4 pushes.",
-        history, 80, 4e-4, seed, ("push_1", "push_2", "push_3", "push_4"), ("push_5",),
+        obj, params, std, posterior, known, "default", "quasi_static", IdentificationStatus.LEARNED,
+        "learned from 4 pushes.", history, 80, 4e-4, seed, ("push_1", "push_2", "push_3", "push_4"), ("push_5",),
     )  # fmt: skip

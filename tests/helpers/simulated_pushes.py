@@ -7,7 +7,7 @@ import numpy as np
 from shapely import Point
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters

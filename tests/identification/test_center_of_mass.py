@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gridpush_drake.identification.identify import identify
+from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.result import calc_center_of_mass
 from gridpush_drake.objects.parameters import CellParameters

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gridpush_drake.identification.map_ensemble import MapEnsembleOptions, _explains
+from gridpush_drake.identification.map_ensemble import MapEnsemble
 
 
 class Problem:
@@ -19,7 +19,7 @@ class Problem:
 
 
 def explained(scale):
-    return _explains(Problem(scale), np.zeros(4), np.ones(4), MapEnsembleOptions()).tolist()
+    return MapEnsemble()._explains(Problem(scale), np.zeros(4), np.ones(4)).tolist()
 
 
 def test_every_mixture_counts_where_all_explain_the_pushes():

@@ -62,6 +62,7 @@ def test_keeps_an_existing_file(model):
     [
         ("gridpush_model: 2", "gridpush_model: 1", ["gridpush_model is 1", "expected 2"]),
         ("method: default", "methods: default", ["methods: unknown key", "did you mean method?"]),
+        ("status: learned", "status: lucky", ["status", "'learned'", "'budget_spent'"]),
         ("seed: 0", "seed: zero", ["seed", "integer"]),
         ("seed: 0", "seed: 0\ncolor: red", ["color: unknown key", "expected one of gridpush_model, method"]),
         ("  mass: [0", "  mass: [-0", ["cells.mass[0]", "greater than 0"]),

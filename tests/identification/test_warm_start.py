@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.identification.identify import describe_prior, identify
-from gridpush_drake.identification.map_ensemble import MapEnsembleOptions, calc_prior_factor
+from gridpush_drake.identification.learning import describe_prior, identify
+from gridpush_drake.identification.map_ensemble import MapEnsemble, calc_prior_factor
 from gridpush_drake.identification.map_fit import NoiseModel, calc_smooth_covariance, fit_map
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import FitStart
@@ -89,5 +89,5 @@ def test_prior_is_what_a_log_without_contact_gives() -> None:
     prior = describe_prior(obj)
     assert prior.status == "no_usable_pushes" and prior.push_names == () and prior.simulations == 0
     np.testing.assert_allclose(prior.params.mass, 1.0 / obj.n)
-    widest = MapEnsembleOptions().amplitudes[-1]
+    widest = MapEnsemble().amplitudes[-1]
     np.testing.assert_allclose(np.diag(prior.posterior.covariance)[:-1].mean(), widest**2)

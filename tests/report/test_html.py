@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from gridpush_drake.identification.result import STATUS_NO_DATA, STATUS_PRIOR_KEPT
+from gridpush_drake.identification.result import IdentificationStatus
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.report.page import make_report
@@ -76,13 +76,13 @@ def test_needs_neither_truth_nor_held_out_pushes(experiment):
 
 def test_says_that_the_prior_was_kept(experiment):
     result, log, _, _ = experiment
-    assert "no reason to leave" in make_report(replace(result, status=STATUS_PRIOR_KEPT), log)
+    assert "no reason to leave" in make_report(replace(result, status=IdentificationStatus.PRIOR_KEPT), log)
 
 
 def test_says_that_nothing_was_learned(experiment):
     result, log, _, _ = experiment
     names = tuple(seen.name for seen in log)
-    nothing = replace(result, status=STATUS_NO_DATA, history=(), push_names=(), unused_pushes=names)
+    nothing = replace(result, status=IdentificationStatus.NO_DATA, history=(), push_names=(), unused_pushes=names)
     page = make_report(nothing, log)
     assert "Nothing was learned" in page
     assert len(figures_of(page)) == 4

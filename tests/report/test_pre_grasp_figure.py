@@ -7,7 +7,7 @@ import shapely
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.stability import PlausibleMassSet
+from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.report.pregrasp_figure import GraspDrawn, PushDrawn, draw_pre_grasp
 from gridpush_drake.report.slide_figure import CLOSE_UP

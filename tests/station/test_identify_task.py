@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import ScenarioError, StationError
-from gridpush_drake.identification.identify import identify
+from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog

@@ -13,7 +13,7 @@ from pydrake.solvers import Solve
 from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake.errors import OutputError, ScenarioError
-from gridpush_drake.identification.identify import describe_prior
+from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.model_file import read_model, write_model
 from gridpush_drake.multibody.contact_material import FindTableOutline
 from gridpush_drake.multibody.parser import MakeParser, find_models

@@ -9,7 +9,7 @@ from pydrake.systems.analysis import Simulator
 from shapely import box
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.identification.identify import describe_prior
+from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import ContactOptions
 from gridpush_drake.planning.contact.trial import calc_goal_error

@@ -11,7 +11,7 @@ from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.multibody.cell_colors import CellColors
 from gridpush_drake.multibody.meshcat_server import AimCamera, StartMeshcatServer, write_recording
 from gridpush_drake.multibody.meshcat_shapes import CENTER_COLOR, PLAN_COLOR

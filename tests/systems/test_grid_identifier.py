@@ -5,7 +5,7 @@ import pytest
 from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.identification.identify import describe_prior, identify
+from gridpush_drake.identification.learning import describe_prior, identify
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.objects.grid_object import GridObject

@@ -7,9 +7,9 @@ import pytest
 from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.identification.identify import describe_prior, identify
+from gridpush_drake.identification.learning import describe_prior, identify
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner

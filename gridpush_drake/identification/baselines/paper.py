@@ -16,34 +16,20 @@ taken back, which costs its simulations, and the next is shorter; one that does 
 take turns, each with its own step.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.motion import Motion
-from gridpush_drake.identification.baselines.search import (
-    STATUS_STALLED,
-    Bounds,
-    CellLoss,
-    Progress,
-    SearchResult,
-    run_search,
-)
+from gridpush_drake.dynamics.simulation import Regime
+from gridpush_drake.identification.baselines.search import CellLoss, Search, SearchStatus
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.push_log import PushLog
 
 Array = NDArray[np.float64]
 
 BLOCKS = ("mass", "friction")
-
-FIRST_STEP = 0.5
-"""Largest change of a cell's log mass or log friction in the first step."""
-
-LENGTHEN, SHORTEN = 1.5, 0.5
-"""Of the step, after a success and after a failure."""
-
-MIN_STEP = 1e-3
-"""The search has stalled when both steps are below."""
 
 MODEL = {"regime": "inertial", "friction": "lagged", "gradients": "paper"}
 """The paper's model, as arguments of `simulate`."""
@@ -52,13 +38,41 @@ MIN_MISS = 1e-12
 """m, below which a cell's distance has no direction."""
 
 
-def search_paper(
-    obj: GridObject, log: PushLog, start: CellParameters, bounds: Bounds, *, budget: int, seed: int = 0,
-    regime: str = "inertial", progress: Progress | None = None,
-) -> SearchResult:  # fmt: skip
-    """Runs Algorithm 1; see `search.SearchMethod`. Nothing in it is random, and its model is always inertial."""
-    loss = CellLoss(obj, log, start, budget=budget, regime="inertial", progress=progress)
-    return run_search(loss, lambda: _descend(loss, bounds.clip(start), bounds))
+@dataclass(frozen=True)
+class PaperDescent:
+    """Algorithm 1. Nothing in it is random, and its model is always inertial.
+
+    Attributes:
+        first_step: largest change of a cell's log mass or log friction in the first step.
+        lengthen: of the step, after a success.
+        shorten: of the step, after a failure.
+        min_step: the search has stalled when both steps are below.
+        regime: of its model.
+    """
+
+    first_step: float = 0.5
+    lengthen: float = 1.5
+    shorten: float = 0.5
+    min_step: float = 1e-3
+    regime: Regime | None = "inertial"
+
+    def run(self, search: Search) -> SearchStatus:
+        """Descends in M and mu by turns, with backtracking, until it stalls or the loss ends it."""
+        loss, bounds, params = search.loss, search.bounds, search.first
+        lowest, simulations = loss.evaluate(params, "start", **MODEL)
+        gradient = calc_paper_gradient_of_loss(loss, simulations)
+        steps = {block: self.first_step for block in BLOCKS if np.ptp(getattr(bounds, block)) > 0}
+        while max(steps.values(), default=0.0) > self.min_step:
+            for block in steps:
+                trial = bounds.clip(_step(params, block, gradient[block], steps[block]))
+                value, simulations = loss.evaluate(trial, f"descent in {block}", **MODEL)
+                if value < lowest:
+                    params, lowest = trial, value
+                    gradient = calc_paper_gradient_of_loss(loss, simulations)
+                    steps[block] *= self.lengthen
+                else:
+                    steps[block] *= self.shorten
+        return SearchStatus.STALLED
 
 
 def calc_paper_gradient_of_loss(loss: CellLoss, simulations: list[Motion]) -> dict[str, Array]:
@@ -79,24 +93,6 @@ def calc_paper_gradient_of_loss(loss: CellLoss, simulations: list[Motion]) -> di
         for block in BLOCKS:
             gradient[block] += np.einsum("tj,tjn->n", after, getattr(simulation.jacobian, block))
     return gradient
-
-
-def _descend(loss: CellLoss, params: CellParameters, bounds: Bounds) -> str:
-    """Block coordinate descent with backtracking, until it stalls or the loss ends it."""
-    lowest, simulations = loss.evaluate(params, "start", **MODEL)
-    gradient = calc_paper_gradient_of_loss(loss, simulations)
-    steps = {block: FIRST_STEP for block in BLOCKS if np.ptp(getattr(bounds, block)) > 0}
-    while max(steps.values(), default=0.0) > MIN_STEP:
-        for block in steps:
-            trial = bounds.clip(_step(params, block, gradient[block], steps[block]))
-            value, simulations = loss.evaluate(trial, f"descent in {block}", **MODEL)
-            if value < lowest:
-                params, lowest = trial, value
-                gradient = calc_paper_gradient_of_loss(loss, simulations)
-                steps[block] *= LENGTHEN
-            else:
-                steps[block] *= SHORTEN
-    return STATUS_STALLED
 
 
 def _step(params: CellParameters, block: str, gradient: Array, step: float) -> CellParameters:

@@ -1,29 +1,26 @@
 """What every search shares: bounds, the loss that it lowers, the budget that it may spend, and its result.
 
-A search is written as a body that works on a `Search`: a loss over points u of the unit cube, one coordinate for each
-free mass and friction, logarithmic between its bounds. `search_method` gives the body the interface of all searches:
-
-    search_x(obj, log, start, bounds, *, budget, seed, regime, progress) -> SearchResult
-
-What the parameters that a search tries lie between.
+A method (`SearchMethod`) works on a `Search`: a loss over points u of the unit cube, one coordinate for each free mass
+and friction, logarithmic between its bounds. `run_search` runs a method on a log.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import wraps
+from enum import StrEnum
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.motion import Motion
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.identification.result import STATUS_BUDGET_SPENT, HistoryEntry
+from gridpush_drake.identification.result import HistoryEntry, Progress
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+
+Array = NDArray[np.float64]
 
 MASS_SPREAD = 50.0
 """Ratio of the greatest to the least cell mass where nothing else is known: the paper's 5.0 kg to 0.1 kg."""
@@ -62,14 +59,18 @@ class Bounds:
         return CellParameters(mass, friction, params.contact_friction)
 
 
-Array = NDArray[np.float64]
-Progress = Callable[[HistoryEntry], None]
-
-STATUS_CONVERGED = "converged"
-STATUS_STALLED = "stalled"
-
 LOSS_THRESHOLD = 1e-4
 """m; a search is done when the mean cell error of its training pushes is below it."""
+
+
+class SearchStatus(StrEnum):
+    """How a search ended."""
+
+    CONVERGED = "converged"
+    """The loss is below LOSS_THRESHOLD."""
+    STALLED = "stalled"
+    """No step helps any more."""
+    BUDGET_SPENT = "budget_spent"
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,48 +81,19 @@ class SearchResult:
         params: the parameters of the lowest loss.
         history: the lowest loss so far, after each evaluation.
         simulations: pushes simulated.
-        status: "converged" (loss below the threshold), "stalled" (no step helps any more) or "budget_spent".
+        status: how it ended.
     """
 
     params: CellParameters
     history: tuple[HistoryEntry, ...]
     simulations: int
-    status: str
-
-
-class SearchMethod(Protocol):
-    """The interface of all searches."""
-
-    def __call__(
-        self, obj: GridObject, log: PushLog, start: CellParameters, bounds: Bounds, *, budget: int, seed: int = 0,
-        regime: str = "inertial", progress: Progress | None = None,
-    ) -> SearchResult:  # fmt: skip
-        """Searches.
-
-        Args:
-            obj: the object.
-            log: the training pushes, each with at least one later observation.
-            start: where to begin; its contact friction is kept.
-            bounds: what the cells' parameters lie between.
-            budget: most pushes to simulate.
-            seed: of everything random; the same seed gives the same result.
-            regime: "inertial" or "quasi_static".
-            progress: called after each evaluation.
-
-        Returns:
-            The result; its loss is never above the start's.
-
-        Raises:
-            IdentificationError: the budget does not reach for one simulation of each push, or a push has no
-                observation to compare with.
-        """
-        ...
+    status: SearchStatus
 
 
 class SearchStopped(Exception):  # noqa: N818 - a signal from the loss to the search's caller, not an error
     """The search is over: converged, or the budget is spent."""
 
-    def __init__(self, status: str) -> None:
+    def __init__(self, status: SearchStatus) -> None:
         super().__init__(status)
         self.status = status
 
@@ -139,10 +111,10 @@ class CellLoss:
     """
 
     def __init__(
-        self, obj: GridObject, log: PushLog, start: CellParameters, *, budget: int, regime: str = "inertial",
+        self, obj: GridObject, log: PushLog, start: CellParameters, *, budget: int, regime: Regime = "inertial",
         progress: Progress | None = None, threshold: float = LOSS_THRESHOLD,
     ) -> None:  # fmt: skip
-        """Prepares the log; nothing is simulated yet. The arguments are those of `SearchMethod`."""
+        """Prepares the log; nothing is simulated yet. The arguments are those of `run_search`."""
         if not len(log) or budget < len(log):
             raise IdentificationError(
                 f"budget is {budget} simulations for {len(log)} pushes; expected enough to simulate each push once"
@@ -184,7 +156,7 @@ class CellLoss:
             SearchStopped: another evaluation would exceed the budget, or this one is below the threshold.
         """
         if self.simulations + len(self) > self.budget:
-            raise SearchStopped(STATUS_BUDGET_SPENT)
+            raise SearchStopped(SearchStatus.BUDGET_SPENT)
         simulations = [
             simulate(self.obj, params, seen.push, seen.pose, times=times, **options)
             for seen, times in zip(self._pushes, self._times, strict=True)
@@ -214,27 +186,29 @@ class CellLoss:
         if self._progress:
             self._progress(self.history[-1])
         if self.best_loss < self._threshold:
-            raise SearchStopped(STATUS_CONVERGED)
+            raise SearchStopped(SearchStatus.CONVERGED)
 
 
 class Search:
-    """The loss on the unit cube, and a seeded generator: what the body of a search works with.
+    """The loss on the unit cube, and a seeded generator: what a method works with.
 
     Attributes:
         loss: on parameters.
-        start: (d,) the start's coordinates.
+        bounds: of the parameters.
+        first: the start's parameters, within the bounds.
+        start: (d,) their coordinates.
         rng: seeded.
     """
 
     def __init__(self, loss: CellLoss, start: CellParameters, bounds: Bounds, seed: int) -> None:
         """Sets the cube up; parameters whose bounds are equal have no coordinate."""
-        self.loss, self.rng = loss, np.random.default_rng(seed)
-        self._fixed = bounds.clip(start)
+        self.loss, self.bounds, self.rng = loss, bounds, np.random.default_rng(seed)
+        self.first = bounds.clip(start)
         n = start.n
         ranges = np.log([bounds.mass] * n + [bounds.friction] * n)
         self._low, self._width = ranges[:, 0], np.diff(ranges, axis=1)[:, 0]
         self._free = self._width > 0
-        values = np.log(np.concatenate([self._fixed.mass, self._fixed.friction]))
+        values = np.log(np.concatenate([self.first.mass, self.first.friction]))
         self.start: Array = ((values - self._low)[self._free] / self._width[self._free]).clip(0, 1)
 
     def __call__(self, u: Array, stage: str) -> float:
@@ -243,32 +217,57 @@ class Search:
 
     def params(self, u: Array) -> CellParameters:
         """The parameters at u (d,)."""
-        n = self._fixed.n
-        values = np.concatenate([self._fixed.mass, self._fixed.friction])
+        n = self.first.n
+        values = np.concatenate([self.first.mass, self.first.friction])
         low, width = self._low[self._free], self._width[self._free]
         values[self._free] = np.exp(low + width * np.clip(u, 0, 1))
-        return CellParameters(values[:n], values[n:], self._fixed.contact_friction)
+        return CellParameters(values[:n], values[n:], self.first.contact_friction)
 
 
-def search_method(body: Callable[[Search], str]) -> SearchMethod:
-    """Gives a search's body, which returns its status or runs until `SearchStopped`, the interface of all searches."""
+class SearchMethod(Protocol):
+    """A search method.
 
-    @wraps(body)
-    def search(
-        obj: GridObject, log: PushLog, start: CellParameters, bounds: Bounds, *, budget: int, seed: int = 0,
-        regime: str = "inertial", progress: Progress | None = None,
-    ) -> SearchResult:  # fmt: skip
-        loss = CellLoss(obj, log, start, budget=budget, regime=regime, progress=progress)
-        return run_search(loss, lambda: body(Search(loss, start, bounds, seed)))
+    Attributes:
+        regime: of the model that it descends; None for the one that is asked for.
+    """
 
-    del search.__wrapped__
-    return search
+    @property
+    def regime(self) -> Regime | None:
+        """Of the model that it descends; None for the one that is asked for."""
+        ...
+
+    def run(self, search: Search) -> SearchStatus:
+        """Searches until no step helps any more, or until `SearchStopped`."""
+        ...
 
 
-def run_search(loss: CellLoss, body: Callable[[], str]) -> SearchResult:
-    """Runs a search's body to its end and collects what the loss saw."""
+def run_search(
+    method: SearchMethod, obj: GridObject, log: PushLog, start: CellParameters, bounds: Bounds, *, budget: int,
+    seed: int = 0, regime: Regime = "inertial", progress: Progress | None = None,
+) -> SearchResult:  # fmt: skip
+    """Runs a method to its end and collects what the loss saw.
+
+    Args:
+        method: the method.
+        obj: the object.
+        log: the training pushes, each with at least one later observation.
+        start: where to begin; its contact friction is kept.
+        bounds: what the cells' parameters lie between.
+        budget: most pushes to simulate.
+        seed: of everything random; the same seed gives the same result.
+        regime: "inertial" or "quasi_static".
+        progress: called after each evaluation.
+
+    Returns:
+        The result; its loss is never above the start's.
+
+    Raises:
+        IdentificationError: the budget does not reach for one simulation of each push, or a push has no observation to
+            compare with.
+    """
+    loss = CellLoss(obj, log, start, budget=budget, regime=method.regime or regime, progress=progress)
     try:
-        status = body()
+        status = method.run(Search(loss, start, bounds, seed))
     except SearchStopped as stop:
         status = stop.status
     return SearchResult(loss.best, tuple(loss.history), loss.simulations, status)

@@ -1,6 +1,7 @@
-"""Contact-point optimization: where on the outline, in which direction and how far to push (`design/physics.md` 7.2).
+"""Contact-point optimization: where on the outline, in which direction and how far to push.
 
-The cost of a push is the mean distance of the cells' centers at its predicted end from where they are at the goal pose.
+The cost of a push is the mean distance of the cells' centers at its predicted end from where they are at the goal pose
+(`docs/theory/planning.md`, section 1).
 """
 
 from dataclasses import dataclass, field, replace
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
-from gridpush_drake.dynamics.simulate import Regime
+from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters

@@ -20,10 +20,10 @@ from numpy.typing import ArrayLike, NDArray
 from shapely import MultiPoint, Point
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulate import Regime, simulate
+from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.identification.identify import identify
+from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters

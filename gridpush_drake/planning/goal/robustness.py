@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject

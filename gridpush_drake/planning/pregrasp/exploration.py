@@ -1,7 +1,7 @@
 """Which poke to make next: the one that is expected to tell most about what matters.
 
 What was learned is z = (log k_1 .. log k_n, log mu_c) ~ N(mean, S). A push whose end would be seen as the residual
-r = J z + noise, with J exact from its simulation and noise ~ N(0, R) (`identification.noise`), leaves
+r = J z + noise, with J exact from its simulation and noise ~ N(0, R) (`identification.map_fit.NoiseModel`), leaves
 
     S' = S - S J^T (J S J^T + R)^-1 J S
 
@@ -20,13 +20,14 @@ from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.geometry.se2 import transform_back
+from gridpush_drake.identification.map_fit import NoiseModel
+from gridpush_drake.identification.posterior import calc_center_jacobian
 from gridpush_drake.identification.problem import PushProblem
-from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.reachable_outline import find_reachable_outline
-from gridpush_drake.planning.pregrasp.uncertainty import LinearizedPosterior, turn_back
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
@@ -84,7 +85,7 @@ class PokeChoice:
 
 
 def make_pokes(
-    knowledge: LinearizedPosterior,
+    model: UncertainModel,
     pose: ArrayLike,
     options: PokeOptions | None = None,
     constraints: PushConstraints | None = None,
@@ -92,7 +93,7 @@ def make_pokes(
     """Makes pokes to choose from: all places, with all angles, that are new, touch the object and break no rule.
 
     Args:
-        knowledge: what is known, and the pokes made before.
+        model: of the object, with the places of the pokes made before.
         pose: (3,) where it lies, X_WB, m and rad.
         options: places, angles, distance.
         constraints: that the predicted motion must keep to the end; none where None.
@@ -101,7 +102,7 @@ def make_pokes(
         The pokes; empty where none is allowed.
     """
     options = options or PokeOptions()
-    obj, params = knowledge.obj, knowledge.params
+    obj, params = model.obj, model.params
     q = np.asarray(pose, dtype=np.float64)
     reach = find_reachable_outline(obj, options.radius, options.clearance)
     checker = (constraints or PushConstraints()).start_at(obj, q, options.radius)
@@ -112,8 +113,8 @@ def make_pokes(
                 obj, float(s), angle, options.distance, radius=options.radius, speed=options.speed, pose=q,
                 clearance=options.clearance,
             )  # fmt: skip
-            begins = turn_back(push.start - q[:2], q[2])
-            if (np.linalg.norm(knowledge.made - begins, axis=1) < options.apart * reach.perimeter).any():
+            begins = transform_back(q, push.start[None])
+            if (np.linalg.norm(model.poke_starts - begins, axis=1) < options.apart * reach.perimeter).any():
                 continue
             motion = simulate(obj, params, push, q, regime="quasi_static")
             if motion.status == MotionStatus.OK and checker.count_allowed(motion.tip, motion.poses) == len(motion.tip):
@@ -122,11 +123,11 @@ def make_pokes(
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def choose_poke(knowledge: LinearizedPosterior, pose: ArrayLike, pokes: Sequence[Push], F: Array) -> PokeChoice:
+def choose_poke(model: UncertainModel, pose: ArrayLike, pokes: Sequence[Push], F: Array) -> PokeChoice:
     """Chooses the poke that is expected to leave the least variance of what matters, in the direction least known.
 
     Args:
-        knowledge: what is known.
+        model: of the object, with its posterior.
         pose: (3,) where the object lies, X_WB, m and rad.
         pokes: to choose from.
         F: (m, n+1) what matters, as derivatives by z.
@@ -139,10 +140,10 @@ def choose_poke(knowledge: LinearizedPosterior, pose: ArrayLike, pokes: Sequence
     """
     if not pokes:
         raise PlanningError("pokes: none; expected at least one to choose from")
-    S = knowledge.posterior.covariance
+    S = model.require_posterior().covariance
     stds = np.full(len(pokes), np.inf)
     for i, push in enumerate(pokes):
-        seen = calc_observation(knowledge, push, pose)
+        seen = calc_observation(model, push, pose)
         if seen is not None:
             stds[i] = calc_worst_std(calc_remaining(S, F, *seen))
     best = int(np.argmin(stds))
@@ -151,25 +152,25 @@ def choose_poke(knowledge: LinearizedPosterior, pose: ArrayLike, pokes: Sequence
     return PokeChoice(pokes[best], best, calc_worst_std(F @ S @ F.T), float(stds[best]), stds)
 
 
-def calc_observation(knowledge: LinearizedPosterior, push: Push, pose: ArrayLike) -> tuple[Array, Array] | None:
+def calc_observation(model: UncertainModel, push: Push, pose: ArrayLike) -> tuple[Array, Array] | None:
     """What the end of a push would show.
 
     Args:
-        knowledge: what is known.
+        model: of the object, with its posterior.
         push: the push.
         pose: (3,) where the object lies, X_WB, m and rad.
 
     Returns:
         J (3, n+1) of the residual by z, and R (3, 3) its noise, m²; None where the push does not touch the object.
     """
-    obj, q = knowledge.obj, np.asarray(pose, dtype=np.float64)
+    obj, q = model.obj, np.asarray(pose, dtype=np.float64)
     seen = ObservedPush("poke", push, q, np.array([push.duration]), q[None])
-    problem = PushProblem(obj, PushLog((seen,)), knowledge.params.friction, "quasi_static")
-    linear = problem.linearize(knowledge.posterior.mean)
+    problem = PushProblem(obj, PushLog((seen,)), model.params.friction, "quasi_static")
+    linear = problem.linearize(model.require_posterior().mean)
     J = linear.by_z[0]
     if not J.any():
         return None
-    factor = knowledge.noise.calc_factor(linear.by_inputs[0], knowledge.scale)
+    factor = NoiseModel().calc_factor(linear.by_inputs[0], model.noise_scale)
     return J, factor @ factor.T
 
 
@@ -192,38 +193,35 @@ def calc_worst_std(covariance: Array) -> float:
     return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
 
 
-def make_center_functional(obj: GridObject, posterior: Posterior, direction: ArrayLike | None = None) -> Array:
-    """The center of friction, m: its derivatives share_i (p_i - center) by z.
+def make_center_functional(model: UncertainModel, direction: ArrayLike | None = None) -> Array:
+    """The center of friction, m: its derivatives by z.
 
     Args:
-        obj: the object.
-        posterior: of z.
+        model: of the object, with its posterior.
         direction: (2,) unit vector in the body frame; both coordinates where None.
 
     Returns:
         (1, n+1) or (2, n+1).
     """
-    share = posterior.calc_share()
-    F = np.zeros((2, obj.n + 1))
-    F[:, :-1] = (share[:, None] * (obj.p_BC - share @ obj.p_BC)).T
+    F = calc_center_jacobian(model.require_posterior().calc_share(), model.obj.p_BC)
     return F if direction is None else np.asarray(direction, dtype=np.float64)[None] @ F
 
 
-def make_pose_functional(knowledge: LinearizedPosterior, pushes: Sequence[Push], poses: ArrayLike) -> Array:
+def make_pose_functional(model: UncertainModel, pushes: Sequence[Push], poses: ArrayLike) -> Array:
     """Where pushes are predicted to take the object: the residuals (x, y of the centroid, turn at rho), m, by z.
 
     Args:
-        knowledge: what is known.
+        model: of the object, with its posterior.
         pushes: N pushes; those that do not touch count nothing.
         poses: (N, 3) where the object lies before each, X_WB.
 
     Returns:
         (3 N, n+1).
     """
-    width = len(knowledge.posterior.mean)
+    width = model.obj.n + 1
     rows = [np.zeros((0, width))]
     for push, pose in zip(pushes, np.asarray(poses, dtype=np.float64), strict=True):
-        seen = calc_observation(knowledge, push, pose)
+        seen = calc_observation(model, push, pose)
         if seen is not None:
             rows.append(seen[0])
     return np.concatenate(rows)

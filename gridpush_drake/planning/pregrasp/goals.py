@@ -24,7 +24,8 @@ from gridpush_drake.geometry.convex import calc_margin_inside, find_weakest_dire
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart
-from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, PlausibleMassSet, calc_support_polygon
+from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, calc_support_polygon
+from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.push_constraints import PushRule
 from gridpush_drake.planning.support_surface import SupportSurface
 

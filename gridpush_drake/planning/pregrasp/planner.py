@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import PlanningError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.edge_push import simulate_near_edge
 from gridpush_drake.planning.pregrasp.exploration import (
@@ -42,7 +41,7 @@ from gridpush_drake.planning.pregrasp.goals import (
 )
 from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, Gripper, find_grasp_parts
 from gridpush_drake.planning.pregrasp.slides import Slide, SlideOptions, make_stability_rule, plan_slide
-from gridpush_drake.planning.pregrasp.uncertainty import Belief
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 
@@ -74,7 +73,7 @@ class PreGraspOptions:
         max_pokes: made before giving up.
         max_slides: made before giving up.
         poke_margin: how far inside the edge pokes keep every cell, m.
-        max_arm: farthest that a part may be from where the center of mass is believed, m: held farther off, the object
+        max_arm: farthest that a part may be from where the center of mass is estimated, m: held farther off, the object
             would turn in the gripper.
     """
 
@@ -147,12 +146,14 @@ class PreGraspPlanner:
         check_room(obj, self.parts, surface)
 
     @threadpool_limits.wrap(limits=1, user_api="blas")
-    def decide(self, pose: ArrayLike, belief: Belief | None, pokes: int = 0, slides: int = 0) -> PreGraspDecision:
+    def decide(
+        self, pose: ArrayLike, model: UncertainModel | None, pokes: int = 0, slides: int = 0
+    ) -> PreGraspDecision:
         """Decides what to do next.
 
         Args:
             pose: (3,) where the object is seen, X_WB, m and rad.
-            belief: what is believed of it; None before the first push.
+            model: of the object; None before the first push.
             pokes: made so far.
             slides: made so far.
 
@@ -160,63 +161,65 @@ class PreGraspPlanner:
             The decision.
         """
         q = np.asarray(pose, dtype=np.float64)
-        if belief is None:
-            return self._poke(q, Belief.of_prior(self.obj), None, pokes, "nothing is known of the object yet")
-        parts = self._find_parts_near(belief, self.options.max_arm)
-        here = find_grasp_at(belief.masses, parts, q, self.surface, self.options.goal, self.limits)
+        if model is None:
+            return self._poke(q, UncertainModel.of_prior(self.obj), None, pokes, "nothing is known of the object yet")
+        parts = self._find_parts_near(model, self.options.max_arm)
+        here = find_grasp_at(model.masses, parts, q, self.surface, self.options.goal, self.limits)
         if here is not None and here.margin >= ACCEPTED_SHARE * self.options.goal.margin:
             reason = f"a part hangs over, and the object stays put with {here.margin * MM:.0f} mm to spare"
             return PreGraspDecision("grasp", None, here, None, here.margin, reason)
-        if belief.knowledge is not None and pokes < self.options.min_pokes:
-            return self._poke(q, belief, None, pokes, "too little is known of the object yet")
-        goals = self._find_goals(q, belief, parts)
+        if model.posterior is not None and pokes < self.options.min_pokes:
+            return self._poke(q, model, None, pokes, "too little is known of the object yet")
+        goals = self._find_goals(q, model, parts)
         if not goals:
-            return self._poke_or_give_up(q, belief, parts, pokes)
+            return self._poke_or_give_up(q, model, parts, pokes)
         if goals[0].margin < self.options.goal.margin:
-            return self._poke(q, belief, goals[0], pokes, self._describe_lack(goals[0].margin))
+            return self._poke(q, model, goals[0], pokes, self._describe_lack(goals[0].margin))
         if slides >= self.options.max_slides:
             return _fail(f"not at the edge after {slides} slides", goals[0])
         slide = plan_slide(
-            belief.masses, belief.params, belief.draws, q, goals, self.surface, self.options.slide, self.limits
+            model.masses, model.params, model.samples, q, goals, self.surface, self.options.slide, self.limits
         )
         if slide is None:
-            return self._poke(q, belief, goals[0], pokes, "no push towards a goal is safe all the way")
+            return self._poke(q, model, goals[0], pokes, "no push towards a goal is safe all the way")
         return _slide(slide)
 
-    def _find_parts_near(self, belief: Belief, arm: float) -> tuple[GraspPart, ...]:
-        """The parts no farther than `arm` (m) from where the center of mass is believed."""
-        middle = belief.masses.center_of_mass_polygon.mean(axis=0)
+    def _find_parts_near(self, model: UncertainModel, arm: float) -> tuple[GraspPart, ...]:
+        """The parts no farther than `arm` (m) from where the center of mass is estimated."""
+        middle = model.masses.center_of_mass_polygon.mean(axis=0)
         return tuple(part for part in self.parts if np.linalg.norm(part.p_BG - middle) <= arm)
 
-    def _find_goals(self, pose: Array, belief: Belief, parts: tuple[GraspPart, ...]) -> list[PreGraspGoal]:
+    def _find_goals(self, pose: Array, model: UncertainModel, parts: tuple[GraspPart, ...]) -> list[PreGraspGoal]:
         if not parts:
             return []
-        return find_pregrasp_goals(belief.masses, parts, pose, self.surface, self.options.goal, self.limits)
+        return find_pregrasp_goals(model.masses, parts, pose, self.surface, self.options.goal, self.limits)
 
     def _poke_or_give_up(
-        self, pose: Array, belief: Belief, parts: tuple[GraspPart, ...], pokes: int
+        self, pose: Array, model: UncertainModel, parts: tuple[GraspPart, ...], pokes: int
     ) -> PreGraspDecision:
         """No goal with `parts`: a poke where the center of mass may still turn out to be near others that allow one."""
         arm = self.options.max_arm
         near = f" within {arm * MM:.0f} mm of the center of mass" if np.isfinite(arm) else ""
         why = f"no pose lets a graspable part{near} hang over the edge where the arm can take it"
-        hoped = self._find_parts_near(belief, arm + HOPE_SIGMAS * _calc_center_std(belief))
-        if len(hoped) == len(parts) or not self._find_goals(pose, belief, hoped):
+        hoped = self._find_parts_near(model, arm + HOPE_SIGMAS * _calc_center_std(model))
+        if len(hoped) == len(parts) or not self._find_goals(pose, model, hoped):
             return _fail(why, None)
-        return self._poke(pose, belief, None, pokes, why)
+        return self._poke(pose, model, None, pokes, why)
 
     def _describe_lack(self, margin: float) -> str:
         needed = f"{self.options.goal.margin * MM:.0f} mm are asked for"
         return f"the safest goal has a stability margin of {margin * MM:.0f} mm at the worst; {needed}"
 
-    def _poke(self, pose: Array, belief: Belief, best: PreGraspGoal | None, pokes: int, why: str) -> PreGraspDecision:
+    def _poke(
+        self, pose: Array, model: UncertainModel, best: PreGraspGoal | None, pokes: int, why: str
+    ) -> PreGraspDecision:
         """The poke that tells most about the center of mass, across the edge of the best goal; or failure."""
-        if belief.knowledge is None:
+        if model.posterior is None:
             return _fail(f"{why}, and pokes would not tell more", best)
         if pokes >= self.options.max_pokes:
             return _fail(f"{why}, after {pokes} pokes", best)
         direction = None if best is None else best.weakest
-        choice = suggest_poke(belief, pose, self.surface, direction, self.options, self.limits)
+        choice = suggest_poke(model, pose, self.surface, direction, self.options, self.limits)
         if choice is None:
             return _fail(f"{why}, and no poke keeps the object on the table", best)
         if best is not None and best.margin + HOPE_SIGMAS * choice.std < self.options.goal.margin:
@@ -230,7 +233,7 @@ class PreGraspPlanner:
 
 
 def suggest_poke(
-    belief: Belief,
+    model: UncertainModel,
     pose: ArrayLike,
     surface: SupportSurface,
     direction: ArrayLike | None = None,
@@ -240,7 +243,7 @@ def suggest_poke(
     """The poke that is expected to tell most about the center of mass.
 
     Args:
-        belief: what is believed of the object; its `knowledge` must not be None.
+        model: of the object; its `posterior` must not be None.
         pose: (3,) where the object lies, X_WB, m and rad.
         surface: the table, inside whose edge the object stays, or at least as far in and as stable as it is.
         direction: (2,) unit vector in the body frame along which the center matters; both where None.
@@ -251,12 +254,10 @@ def suggest_poke(
         The poke; None where none within the arm's reach keeps the object on the table.
 
     Raises:
-        PlanningError: the belief leaves nothing to learn.
+        PlanningError: the model leaves nothing to learn.
     """
-    options, knowledge = options or PreGraspOptions(), belief.knowledge
-    if knowledge is None:
-        raise PlanningError("belief: parameters taken for granted; expected knowledge that pokes can add to")
-    rule = make_stability_rule(belief.masses, pose, surface, options.slide.margin, options.slide.inset)
+    options = options or PreGraspOptions()
+    rule = make_stability_rule(model.masses, pose, surface, options.slide.margin, options.slide.inset)
     constraints = PushConstraints(
         surface,
         edge_margin=options.poke_margin,
@@ -264,11 +265,10 @@ def suggest_poke(
         finger_region=limits.finger_region,
         push_rule=limits.can_push,
     )
-    pokes = make_pokes(knowledge, pose, options.poke, constraints)
+    pokes = make_pokes(model, pose, options.poke, constraints)
     if not pokes:
         return None
-    F = make_center_functional(knowledge.obj, knowledge.posterior, direction)
-    choice = choose_poke(knowledge, pose, pokes, F)
+    choice = choose_poke(model, pose, pokes, make_center_functional(model, direction))
     for index in np.argsort(choice.expected_stds, kind="stable").tolist():
         expected = float(choice.expected_stds[index])
         if np.isfinite(expected) and constraints.allows_push(pokes[index]):
@@ -276,13 +276,12 @@ def suggest_poke(
     return None
 
 
-def _calc_center_std(belief: Belief) -> float:
+def _calc_center_std(model: UncertainModel) -> float:
     """Of the center of mass in the direction least known, m."""
-    if belief.knowledge is None:
+    if model.posterior is None:
         return 0.0
-    posterior = belief.knowledge.posterior
-    F = make_center_functional(belief.knowledge.obj, posterior)
-    return calc_worst_std(F @ posterior.covariance @ F.T)
+    F = make_center_functional(model)
+    return calc_worst_std(F @ model.posterior.covariance @ F.T)
 
 
 def _slide(slide: Slide) -> PreGraspDecision:
@@ -324,12 +323,12 @@ class PreGraspPlan:
     poke: Push | None
 
 
-def plan_pregrasp(planner: PreGraspPlanner, belief: Belief, pose: ArrayLike) -> PreGraspPlan:
+def plan_pregrasp(planner: PreGraspPlanner, model: UncertainModel, pose: ArrayLike) -> PreGraspPlan:
     """Plans a slide to the end.
 
     Args:
         planner: object, table and options.
-        belief: what is believed of the object. Motions are predicted with its `params`.
+        model: of the object. Motions are predicted with its `params`.
         pose: (3,) where the object lies, X_WB, m and rad.
 
     Returns:
@@ -337,12 +336,12 @@ def plan_pregrasp(planner: PreGraspPlanner, belief: Belief, pose: ArrayLike) -> 
     """
     poses, pushes = [np.array(pose, dtype=np.float64)], list[Push]()
     while True:
-        decision = planner.decide(poses[-1], belief, planner.options.min_pokes, len(pushes))
+        decision = planner.decide(poses[-1], model, planner.options.min_pokes, len(pushes))
         if decision.action != "slide" or decision.push is None:
             break
         pushes.append(decision.push)
         poses.append(
-            simulate_near_edge(planner.obj, belief.params, decision.push, poses[-1], planner.surface).final_pose
+            simulate_near_edge(planner.obj, model.params, decision.push, poses[-1], planner.surface).final_pose
         )
     status = {"grasp": STATUS_READY, "poke": STATUS_POKE_FIRST}.get(decision.action, STATUS_FAILED)
     poke = decision.push if decision.action == "poke" else None

@@ -30,12 +30,8 @@ from gridpush_drake.planning.contact.search import SearchOptions
 from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
 from gridpush_drake.planning.pregrasp.edge_push import simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, PreGraspGoal
-from gridpush_drake.planning.pregrasp.stability import (
-    SUPPORT_INSET,
-    PlausibleMassSet,
-    calc_stability_margin,
-    calc_stability_margins,
-)
+from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, calc_stability_margin, calc_stability_margins
+from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.push_constraints import PoseRule, PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 

@@ -1,22 +1,38 @@
-"""What is known of an object's cells, in the form that exploration takes: a normal z and what a push shows of it.
+"""What is known of an object, in the forms that pre-grasp decisions take: Identification -> UncertainModel.
 
-What is believed of an object, in the forms that pre-grasp decisions take.
+Poses under slow pushes show the relative support friction k_i = mu_i m_i alone (`identification.identifiability`). With
+friction coefficients between mu_min and mu_max every mass distribution
+
+    k_i / mu_max <= t m_i <= k_i / mu_min,    t > 0
+
+agrees with it. The farthest that its center of mass can be in a direction d is
+
+    h(d) = max sum m_i d.p_i / sum m_i
+
+(`calc_farthest_center`). k itself is known up to the posterior's spread: h is taken for many draws from it that agree
+with the pushes, and the value is kept that all but a small share of the draws stay below. The half-planes d.c <= h(d)
+over many d bound the center of mass by a polygon, from outside.
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+import shapely
+from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
-from gridpush_drake.identification.identify import MIN_CONTACT_FRICTION
-from gridpush_drake.identification.map_ensemble import MapEnsembleOptions, calc_prior_factor
-from gridpush_drake.identification.map_fit import NoiseModel, calc_smooth_covariance
-from gridpush_drake.identification.posterior import Posterior, draw_consistent
+from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.convex import bound_by_half_planes
+from gridpush_drake.geometry.se2 import transform_back
+from gridpush_drake.identification.identifiability import calc_farthest_center
+from gridpush_drake.identification.learning import describe_prior
+from gridpush_drake.identification.map_ensemble import MapEnsemble
+from gridpush_drake.identification.map_fit import NoiseModel
+from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.stability import MIN_SHARE, PlausibleMassSet
 from gridpush_drake.pushes.push_log import PushLog
 
 Array = NDArray[np.float64]
@@ -24,143 +40,210 @@ Array = NDArray[np.float64]
 PRIOR_AMPLITUDE = 1.0
 """Standard deviation of log k before the first poke: a half to twice, or so."""
 
+MASS_DRAWS = 300
+"""From the posterior, for the set of plausible masses."""
+
+CONFIDENCE = 0.99
+"""Share of the draws whose every mass distribution the bound holds for, by direction."""
+
+DIRECTIONS = 72
+"""Half-planes that bound the center of mass; every 5°."""
+
+PRIOR_SIGMAS = 3.0
+"""Standard deviations about a center of mass known beforehand that the set is cut down to."""
+
+SLIDE_SAMPLES = 4
+"""Models besides the estimate that a slide's pushes are tried on."""
+
 
 @dataclass(frozen=True, eq=False)
-class LinearizedPosterior:
-    """What is known of an object's cells.
+class PlausibleMassSet:
+    """Mass distributions held possible, up to a common scale.
 
     Attributes:
         obj: the object.
-        posterior: of z.
-        noise: of what is seen of a push.
-        scale: of the noise.
-        made: (K, 2) where the finger's center was as the pushes learned from began, body frame, m.
+        mass_min: (S, n) the least mass of each cell, one row for every draw of the relative friction.
+        mass_max: (S, n) the greatest.
+        confidence: share of the draws that a bound must hold for.
+
+    Raises:
+        PlanningError: shapes disagree, or the bounds are not positive and ordered.
     """
 
     obj: GridObject
-    posterior: Posterior
-    noise: NoiseModel = field(default_factory=NoiseModel)
-    scale: float = 1.0
-    made: Array = field(default_factory=lambda: np.empty((0, 2)))
+    mass_min: Array
+    mass_max: Array
+    confidence: float = 1.0
+
+    def __post_init__(self) -> None:
+        shape = self.mass_min.shape
+        if shape != self.mass_max.shape or len(shape) != 2 or shape[1] != self.obj.n:
+            raise PlanningError(
+                f"mass set: bounds of shapes {shape} and {self.mass_max.shape}; expected (S, {self.obj.n})"
+            )
+        if not ((self.mass_min > 0) & (self.mass_min <= self.mass_max) & np.isfinite(self.mass_max)).all():
+            raise PlanningError("mass set: expected 0 < mass_min <= mass_max")
+        if not 0 < self.confidence <= 1:
+            raise PlanningError(f"confidence is {self.confidence!r}; expected a share, over 0 and up to 1")
 
     @classmethod
-    def of_prior(cls, obj: GridObject, amplitude: float = PRIOR_AMPLITUDE) -> "LinearizedPosterior":
-        """Before any push: the smoothness prior about uniform friction.
+    def from_posterior(
+        cls,
+        obj: GridObject,
+        posterior: Posterior,
+        friction_range: tuple[float, float] | None = None,
+        *,
+        draws: int = MASS_DRAWS,
+        confidence: float = CONFIDENCE,
+        seed: int = 0,
+    ) -> "PlausibleMassSet":
+        """All masses that agree with what was learned.
 
         Args:
             obj: the object.
-            amplitude: standard deviation of log k.
-        """
-        options = MapEnsembleOptions()
-        mu_c = max(obj.prior.contact_friction, MIN_CONTACT_FRICTION)
-        C = calc_smooth_covariance(obj, options.range_cells)
-        A = calc_prior_factor(C, amplitude, obj.prior.contact_friction_std / mu_c)
-        start = CellParameters.uniform(obj)
-        z = np.append(np.log(start.mass * start.friction), np.log(mu_c))
-        return cls(obj, Posterior(z, A @ A.T, A @ A.T), options.noise)
-
-    @classmethod
-    def of_identification(
-        cls, found: Identification, log: PushLog | None = None, noise: NoiseModel | None = None
-    ) -> "LinearizedPosterior":
-        """After pushes; the noise is as large as they said.
-
-        Args:
-            found: the model with its posterior.
-            log: the pushes, so that they are not repeated.
-            noise: that it was learned with.
-        """
-        noise = noise or NoiseModel()
-        made = [turn_back(seen.push.start - seen.pose[:2], seen.pose[2]) for seen in log or ()]
-        return cls(found.obj, found.posterior, noise, found.noise_std / noise.pose, np.array(made).reshape(-1, 2))
-
-    @property
-    def params(self) -> CellParameters:
-        """The cells' parameters at the mean, every friction that of the prior."""
-        z, mu = self.posterior.mean, self.obj.prior.friction
-        return CellParameters(np.exp(z[:-1]) / mu, np.full(self.obj.n, mu), float(np.exp(z[-1])))
-
-
-def turn_back(vector: Array, angle: float) -> Array:
-    """A vector (2,) in W as a body at the angle (rad) sees it."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([c * vector[0] + s * vector[1], -s * vector[0] + c * vector[1]])
-
-
-DRAWS = 4
-"""Models besides the mean that a slide's pushes are tried on."""
-
-
-@dataclass(frozen=True, eq=False)
-class Belief:
-    """What is believed of the object, in the forms that the decisions take.
-
-    Attributes:
-        params: the model that motions are predicted with.
-        masses: the set that stability is judged on.
-        draws: further models that slides are tried on.
-        knowledge: that pokes are chosen by; None where nothing is left to learn.
-    """
-
-    params: CellParameters
-    masses: PlausibleMassSet
-    draws: tuple[CellParameters, ...] = ()
-    knowledge: LinearizedPosterior | None = None
-
-    @classmethod
-    @threadpool_limits.wrap(limits=1, user_api="blas")
-    def of_identification(
-        cls,
-        found: Identification,
-        friction_range: tuple[float, float] | None = None,
-        *,
-        draws: int = DRAWS,
-        seed: int = 0,
-        log: PushLog | None = None,
-    ) -> "Belief":
-        """What pushes said.
-
-        Args:
-            found: the model with its posterior.
+            posterior: of its relative friction.
             friction_range: least and greatest friction coefficient of any cell; the object's own bounds where None.
-            draws: further models to try slides on.
-            seed: of all draws.
-            log: the pushes, so that pokes are not repeated.
+            draws: from the posterior.
+            confidence: share of them that a bound must hold for.
+            seed: of the draws.
 
         Returns:
-            The belief.
+            The set.
 
         Raises:
             PlanningError: the range is not positive and increasing.
         """
+        low, high = friction_range or (obj.prior.friction_min, obj.prior.friction_max)
+        if not 0 < low <= high < np.inf:
+            raise PlanningError(f"friction_range is {(low, high)!r}; expected 0 < least <= greatest")
+        share, _ = posterior.draw(draws, seed)
+        return cls(obj, share / high, share / low, confidence)
+
+    @classmethod
+    def of_masses(cls, obj: GridObject, params: CellParameters) -> "PlausibleMassSet":
+        """One mass distribution, taken as known."""
+        mass = params.mass[None]
+        return cls(obj, mass, mass)
+
+    def calc_support(self, directions: ArrayLike) -> Array:
+        """How far the center of mass can be in directions, the greatest over the set.
+
+        Args:
+            directions: (D, 2) unit vectors, body frame.
+
+        Returns:
+            (D,) h, m.
+        """
+        p = self.obj.p_BC
+        far = [calc_farthest_center(p @ d, self.mass_min, self.mass_max) for d in np.asarray(directions, np.float64)]
+        return np.array([np.quantile(values, self.confidence, method="higher") for values in far])
+
+    @cached_property
+    def center_of_mass_polygon(self) -> Array:
+        """(V, 2) corners of a convex polygon that the center of mass is in, body frame, m; counterclockwise.
+
+        A center of mass known beforehand (`obj.prior.center_of_mass`) cuts it down to a square about that.
+        """
+        angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+        directions = np.column_stack([np.cos(angle), np.sin(angle)])
+        corners = bound_by_half_planes(directions, self.calc_support(directions))
+        at = self.obj.prior.center_of_mass
+        if at is None:
+            return corners
+        reach = PRIOR_SIGMAS * self.obj.prior.center_of_mass_std
+        known = shapely.box(at[0] - reach, at[1] - reach, at[0] + reach, at[1] + reach)
+        both = shapely.MultiPoint(corners).convex_hull.intersection(known)
+        kept = both if isinstance(both, shapely.Polygon) and not both.is_empty else known
+        return np.asarray(shapely.geometry.polygon.orient(kept).exterior.coords)[:-1]
+
+
+@dataclass(frozen=True, eq=False)
+class UncertainModel:
+    """A model of an object and how far it may be wrong.
+
+    Attributes:
+        obj: the object.
+        params: the estimate, which motions are predicted with.
+        posterior: of z; None where the parameters are taken for granted.
+        noise_scale: of `NoiseModel()`, as large as the pushes said.
+        friction_range: least and greatest friction coefficient of any cell; the object's own bounds where None.
+        sample_count: further models that slides are tried on.
+        seed: of all draws.
+        poke_starts: (K, 2) where the finger's center was as the pushes learned from began, body frame, m.
+    """
+
+    obj: GridObject
+    params: CellParameters
+    posterior: Posterior | None = None
+    noise_scale: float = 1.0
+    friction_range: tuple[float, float] | None = None
+    sample_count: int = 0
+    seed: int = 0
+    poke_starts: Array = field(default_factory=lambda: np.empty((0, 2)))
+
+    @classmethod
+    def of_identification(
+        cls,
+        found: Identification,
+        *,
+        friction_range: tuple[float, float] | None = None,
+        sample_count: int = SLIDE_SAMPLES,
+        seed: int = 0,
+        log: PushLog | None = None,
+    ) -> "UncertainModel":
+        """Takes what pushes said, with the noise that they showed.
+
+        Args:
+            found: the model with its posterior.
+            friction_range: least and greatest friction coefficient of any cell; the object's own bounds where None.
+            sample_count: further models to try slides on.
+            seed: of all draws.
+            log: the pushes, so that pokes are not repeated.
+        """
+        starts = [transform_back(seen.pose, seen.push.start[None])[0] for seen in log or ()]
         return cls(
-            found.params,
-            PlausibleMassSet.from_posterior(found.obj, found.posterior, friction_range, seed=seed),
-            _draw_models(found, draws, seed),
-            LinearizedPosterior.of_identification(found, log),
-        )
+            found.obj, found.params, found.posterior, found.noise_std / NoiseModel().pose, friction_range, sample_count,
+            seed, np.array(starts).reshape(-1, 2),
+        )  # fmt: skip
 
     @classmethod
-    def of_prior(cls, obj: GridObject, friction_range: tuple[float, float] | None = None, *, seed: int = 0) -> "Belief":
-        """What is believed before any push."""
-        knowledge = LinearizedPosterior.of_prior(obj)
-        masses = PlausibleMassSet.from_posterior(obj, knowledge.posterior, friction_range, seed=seed)
-        return cls(knowledge.params, masses, (), knowledge)
+    def of_prior(
+        cls, obj: GridObject, *, friction_range: tuple[float, float] | None = None, seed: int = 0
+    ) -> "UncertainModel":
+        """Takes what is held before any push: the smoothness prior about uniform friction."""
+        prior = describe_prior(obj, MapEnsemble(amplitudes=(PRIOR_AMPLITUDE,)))
+        return cls.of_identification(prior, friction_range=friction_range, sample_count=0, seed=seed)
 
     @classmethod
-    def of_parameters(cls, obj: GridObject, params: CellParameters) -> "Belief":
-        """Parameters taken for granted, without doubt."""
-        return cls(params, PlausibleMassSet.of_masses(obj, params))
+    def of_parameters(cls, obj: GridObject, params: CellParameters) -> "UncertainModel":
+        """Takes parameters for granted."""
+        return cls(obj, params)
 
+    @cached_property
+    def masses(self) -> PlausibleMassSet:
+        """The set of masses that stability is judged on.
 
-def _draw_models(found: Identification, count: int, seed: int) -> tuple[CellParameters, ...]:
-    """Models that agree with the pushes; every cell's friction is the found one, its mass varies."""
-    if not count:
-        return ()
-    shares, contact_frictions = draw_consistent(found.posterior, count, seed)
-    friction = found.params.friction
-    total = float(found.params.mass @ friction)
-    return tuple(
-        CellParameters(total * np.maximum(share, MIN_SHARE) / friction, friction, float(mu_c))
-        for share, mu_c in zip(shares, contact_frictions, strict=True)
-    )
+        Raises:
+            PlanningError: the friction range is not positive and increasing.
+        """
+        if self.posterior is None:
+            return PlausibleMassSet.of_masses(self.obj, self.params)
+        with threadpool_limits(limits=1, user_api="blas"):
+            return PlausibleMassSet.from_posterior(self.obj, self.posterior, self.friction_range, seed=self.seed)
+
+    @cached_property
+    def samples(self) -> tuple[CellParameters, ...]:
+        """Further models that agree with the pushes, which slides are tried on."""
+        if self.posterior is None:
+            return ()
+        return tuple(self.posterior.draw_parameters(self.params, self.sample_count, self.seed))
+
+    def require_posterior(self) -> Posterior:
+        """Returns the posterior, which a poke can narrow.
+
+        Raises:
+            PlanningError: the parameters are taken for granted.
+        """
+        if self.posterior is None:
+            raise PlanningError("model: parameters taken for granted; expected a posterior that pokes can narrow")
+        return self.posterior

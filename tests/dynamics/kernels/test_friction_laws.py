@@ -7,7 +7,7 @@ import pytest
 from gridpush_drake.dynamics.kernels import friction
 from gridpush_drake.dynamics.kernels.friction import LAWS
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.finite_difference import check_jacobian

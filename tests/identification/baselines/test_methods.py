@@ -2,32 +2,31 @@ import numpy as np
 import pytest
 
 from gridpush_drake.identification.baselines.methods import (
-    search_cma_es,
-    search_finite_difference,
-    search_nelder_mead,
-    search_random,
-    search_weighted,
+    CmaEs,
+    FiniteDifference,
+    NelderMead,
+    RandomSearch,
+    WeightedSampling,
 )
-from gridpush_drake.identification.baselines.search import STATUS_STALLED, Bounds
-from gridpush_drake.identification.result import STATUS_BUDGET_SPENT
+from gridpush_drake.identification.baselines.search import Bounds, SearchStatus, run_search
 from tests.helpers.made_logs import make_pushed_block
 
 BLOCK = make_pushed_block()
 BOUNDS = Bounds((0.005, 0.5), (0.1, 0.8))
-SEARCHES = [search_random, search_weighted, search_finite_difference, search_cma_es, search_nelder_mead]
-RANDOM = [search_random, search_weighted, search_finite_difference, search_cma_es]
+SEARCHES = [RandomSearch(), WeightedSampling(), FiniteDifference(), CmaEs(), NelderMead()]
+RANDOM = SEARCHES[:4]
 
 
 def run(search, evaluations=40, seed=0, bounds=BOUNDS, extra=0, **options):
     budget = evaluations * len(BLOCK.log) + extra
-    return search(BLOCK.obj, BLOCK.log, BLOCK.start, bounds, budget=budget, seed=seed, **options)
+    return run_search(search, BLOCK.obj, BLOCK.log, BLOCK.start, bounds, budget=budget, seed=seed, **options)
 
 
 @pytest.mark.parametrize("search", SEARCHES)
 def test_spends_its_budget_and_no_more(search):
     result = run(search, evaluations=40, extra=len(BLOCK.log) - 1)
     assert result.simulations == 40 * len(BLOCK.log)
-    assert result.status == STATUS_BUDGET_SPENT
+    assert result.status == SearchStatus.BUDGET_SPENT
     assert [entry.simulations for entry in result.history] == [3 * (i + 1) for i in range(40)]
 
 
@@ -71,16 +70,16 @@ def test_learns(search):
 
 
 def test_quasi_static_too():
-    assert run(search_random, regime="quasi_static").history != run(search_random).history
+    assert run(RandomSearch(), regime="quasi_static").history != run(RandomSearch()).history
 
 
 def test_tells_its_progress():
     told = []
-    result = run(search_weighted, evaluations=15, progress=told.append)
+    result = run(WeightedSampling(), evaluations=15, progress=told.append)
     assert tuple(told) == result.history
     assert {entry.stage for entry in told} == {"start", "uniform", "normal"}
 
 
 def test_finite_differences_stall():
     slim = Bounds((BLOCK.start.mass[0], BLOCK.start.mass[0] * 1.0001), (0.4, 0.4))
-    assert run(search_finite_difference, evaluations=2000, bounds=slim).status == STATUS_STALLED
+    assert run(FiniteDifference(), evaluations=2000, bounds=slim).status == SearchStatus.STALLED

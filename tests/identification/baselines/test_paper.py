@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.motion import Jacobian
-from gridpush_drake.identification.baselines.paper import MODEL, calc_paper_gradient_of_loss, search_paper
-from gridpush_drake.identification.baselines.search import Bounds, CellLoss
-from gridpush_drake.identification.result import STATUS_BUDGET_SPENT
+from gridpush_drake.identification.baselines.paper import MODEL, PaperDescent, calc_paper_gradient_of_loss
+from gridpush_drake.identification.baselines.search import Bounds, CellLoss, SearchStatus, run_search
 from tests.helpers.finite_difference import calc_finite_difference, check_jacobian
 from tests.helpers.made_logs import make_pushed_block
 
@@ -19,8 +18,8 @@ def make_loss(budget=10**6):
 
 
 def run(evaluations, **options):
-    budget = evaluations * len(BLOCK.log)
-    return search_paper(BLOCK.obj, BLOCK.log, BLOCK.start, **{"bounds": BOUNDS, "budget": budget} | options)
+    options = {"bounds": BOUNDS, "budget": evaluations * len(BLOCK.log)} | options
+    return run_search(PaperDescent(), BLOCK.obj, BLOCK.log, BLOCK.start, **options)
 
 
 def with_jacobian(simulation, mass):
@@ -79,7 +78,7 @@ def test_learns_within_few_steps():
 def test_spends_no_more_than_the_budget():
     result = run(evaluations=4, budget=4 * len(BLOCK.log) + 1)
     assert result.simulations == 4 * len(BLOCK.log)
-    assert result.status == STATUS_BUDGET_SPENT
+    assert result.status == SearchStatus.BUDGET_SPENT
     assert [entry.stage for entry in result.history] == [
         "start", "descent in mass", "descent in friction", "descent in mass",
     ]  # fmt: skip

@@ -4,15 +4,14 @@ import pytest
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification.baselines.search import (
     MASS_SPREAD,
-    STATUS_CONVERGED,
     Bounds,
     CellLoss,
     Search,
+    SearchStatus,
     SearchStopped,
     run_search,
 )
 from gridpush_drake.identification.prediction import calc_pose_error, predict
-from gridpush_drake.identification.result import STATUS_BUDGET_SPENT
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from tests.helpers.made_logs import make_pushed_block
@@ -61,10 +60,19 @@ def test_loss_is_the_mean_cell_distance_over_observed_times():
     assert make_loss()(params, "here") == pytest.approx(np.mean(means), rel=1e-9)
 
 
+class TruthTold:
+    """A method that knows the answer."""
+
+    regime = None
+
+    def run(self, search):
+        search.loss(BLOCK.truth, "truth")
+        return SearchStatus.STALLED
+
+
 def test_truth_converges_at_once():
-    loss = make_loss()
-    result = run_search(loss, lambda: loss(BLOCK.truth, "truth"))
-    assert result.status == STATUS_CONVERGED
+    result = run_search(TruthTold(), BLOCK.obj, BLOCK.log, BLOCK.start, BOUNDS, budget=10**6)
+    assert result.status == SearchStatus.CONVERGED
     assert result.params is BLOCK.truth
     assert result.simulations == len(BLOCK.log)
     assert result.history[-1].loss < 1e-9
@@ -76,7 +84,7 @@ def test_spends_no_more_than_the_budget():
         loss(BLOCK.start, "again")
     with pytest.raises(SearchStopped) as stop:
         loss(BLOCK.start, "once more")
-    assert stop.value.status == STATUS_BUDGET_SPENT
+    assert stop.value.status == SearchStatus.BUDGET_SPENT
     assert loss.simulations == 3 * len(BLOCK.log)
     assert 0 < loss.spent < 1
 

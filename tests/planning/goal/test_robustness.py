@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.dynamics.simulate import simulate
-from gridpush_drake.identification.identify import identify
+from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.identification.learning import identify
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import ContactOptions, optimize_contact
 from gridpush_drake.planning.goal.push_to_goal import SimulatedWorld

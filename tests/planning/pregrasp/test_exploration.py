@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulate import simulate
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.identification.identify import identify
+from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -17,7 +17,7 @@ from gridpush_drake.planning.pregrasp.exploration import (
     make_pokes,
     make_pose_functional,
 )
-from gridpush_drake.planning.pregrasp.uncertainty import LinearizedPosterior
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -32,13 +32,13 @@ def hammer():
 
 
 @pytest.fixture(scope="module")
-def knowledge(hammer):
-    return LinearizedPosterior.of_prior(hammer)
+def model(hammer):
+    return UncertainModel.of_prior(hammer)
 
 
 @pytest.fixture(scope="module")
-def pokes(knowledge):
-    return make_pokes(knowledge, HERE, PokeOptions(places=12))
+def pokes(model):
+    return make_pokes(model, HERE, PokeOptions(places=12))
 
 
 def test_what_remains_is_what_bayes_rule_leaves():
@@ -50,13 +50,13 @@ def test_what_remains_is_what_bayes_rule_leaves():
         np.testing.assert_allclose(calc_remaining(S, F, J, R), F @ after @ F.T, rtol=1e-8)
 
 
-def test_the_choice_is_the_best_by_brute_force(knowledge, pokes):
-    F = make_center_functional(knowledge.obj, knowledge.posterior)
-    choice = choose_poke(knowledge, HERE, pokes, F)
+def test_the_choice_is_the_best_by_brute_force(model, pokes):
+    F = make_center_functional(model)
+    choice = choose_poke(model, HERE, pokes, F)
     left = []
     for push in pokes:
-        J, R = calc_observation(knowledge, push, HERE)
-        information = np.linalg.inv(knowledge.posterior.covariance) + J.T @ np.linalg.inv(R) @ J
+        J, R = calc_observation(model, push, HERE)
+        information = np.linalg.inv(model.posterior.covariance) + J.T @ np.linalg.inv(R) @ J
         left.append(np.sqrt(np.linalg.eigvalsh(F @ np.linalg.inv(information) @ F.T)[-1]))
     assert choice.index == int(np.argmin(left))
     assert choice.push is pokes[choice.index]
@@ -64,10 +64,10 @@ def test_the_choice_is_the_best_by_brute_force(knowledge, pokes):
     assert choice.expected_std < 0.5 * choice.std
 
 
-def test_what_a_push_would_show_is_the_derivative_of_where_it_ends(knowledge, pokes):
-    obj, mean = knowledge.obj, knowledge.posterior.mean
+def test_what_a_push_would_show_is_the_derivative_of_where_it_ends(model, pokes):
+    obj, mean = model.obj, model.posterior.mean
     push, step = pokes[5], 1e-5
-    J, R = calc_observation(knowledge, push, HERE)
+    J, R = calc_observation(model, push, HERE)
 
     def end(z):
         mu = obj.prior.friction
@@ -90,55 +90,56 @@ def test_what_a_push_would_show_is_the_derivative_of_where_it_ends(knowledge, po
 def test_the_center_s_derivatives_agree_with_differences(hammer):
     rng = np.random.default_rng(1)
     posterior = Posterior(rng.normal(size=hammer.n + 1), np.eye(hammer.n + 1), np.eye(hammer.n + 1))
-    F, step = make_center_functional(hammer, posterior), 1e-6
+    model = UncertainModel(hammer, CellParameters.uniform(hammer), posterior)
+    F, step = make_center_functional(model), 1e-6
     for i in (0, 11, hammer.n):
         dz = step * np.eye(hammer.n + 1)[i]
         shares = [Posterior(posterior.mean + sign * dz, np.eye(1), np.eye(1)).calc_share() for sign in (1, -1)]
         np.testing.assert_allclose(F[:, i], (shares[0] - shares[1]) @ hammer.p_BC / (2 * step), atol=1e-9)
-    np.testing.assert_allclose(make_center_functional(hammer, posterior, [0.6, 0.8]), [[0.6, 0.8]] @ F)
+    np.testing.assert_allclose(make_center_functional(model, [0.6, 0.8]), [[0.6, 0.8]] @ F)
 
 
-def test_a_poke_tells_most_about_its_own_end(knowledge, pokes):
-    F = make_pose_functional(knowledge, [pokes[3]], HERE[None])
-    stds = choose_poke(knowledge, HERE, pokes, F).expected_stds
-    assert stds[3] < 0.5 * np.sqrt(np.linalg.eigvalsh(F @ knowledge.posterior.covariance @ F.T)[-1])
+def test_a_poke_tells_most_about_its_own_end(model, pokes):
+    F = make_pose_functional(model, [pokes[3]], HERE[None])
+    stds = choose_poke(model, HERE, pokes, F).expected_stds
+    assert stds[3] < 0.5 * np.sqrt(np.linalg.eigvalsh(F @ model.posterior.covariance @ F.T)[-1])
     assert stds[3] < np.median(stds)
 
 
-def test_pokes_keep_the_object_on_the_table_and_the_places_apart(knowledge):
+def test_pokes_keep_the_object_on_the_table_and_the_places_apart(model):
     table = SupportSurface.rectangle((0.0, 0.0), (0.5, 0.4))
     pose = np.array([0.02, -0.13, 0.0])
     options = PokeOptions(places=12, apart=0.1)
-    kept = make_pokes(knowledge, pose, options, PushConstraints(table, edge_margin=0.01))
-    free = make_pokes(knowledge, pose, options)
+    kept = make_pokes(model, pose, options, PushConstraints(table, edge_margin=0.01))
+    free = make_pokes(model, pose, options)
     assert 0 < len(kept) < len(free)
     for push in kept:
-        motion = simulate(knowledge.obj, knowledge.params, push, pose, regime="quasi_static")
-        assert table.contains_cells(knowledge.obj, motion.poses, 0.009).all()
+        motion = simulate(model.obj, model.params, push, pose, regime="quasi_static")
+        assert table.contains_cells(model.obj, motion.poses, 0.009).all()
     log = PushLog((ObservedPush("poke", free[0], pose, np.array([free[0].duration]), pose[None]),))
-    found = identify(knowledge.obj, log, regime="quasi_static")
-    rest = make_pokes(LinearizedPosterior.of_identification(found, log), pose, options)
-    perimeter = knowledge.obj.edges.perimeter
+    found = identify(model.obj, log, regime="quasi_static")
+    rest = make_pokes(UncertainModel.of_identification(found, log=log), pose, options)
+    perimeter = model.obj.edges.perimeter
     assert 0 < len(rest) < len(free)
     assert min(np.linalg.norm(push.start - free[0].start) for push in rest) > 0.09 * perimeter
 
 
-def test_refuses_to_choose_from_nothing_or_from_what_does_not_touch(knowledge):
-    F = make_center_functional(knowledge.obj, knowledge.posterior)
+def test_refuses_to_choose_from_nothing_or_from_what_does_not_touch(model):
+    F = make_center_functional(model)
     with pytest.raises(PlanningError, match="none; expected"):
-        choose_poke(knowledge, HERE, [], F)
+        choose_poke(model, HERE, [], F)
     with pytest.raises(PlanningError, match="touches"):
-        choose_poke(knowledge, HERE, [Push((1.0, 1.0), (0.03, 0.0), 1.0, 0.008)], F)
+        choose_poke(model, HERE, [Push((1.0, 1.0), (0.03, 0.0), 1.0, 0.008)], F)
     with pytest.raises(PlanningError, match="distance"):
         PokeOptions(distance=0.0)
 
 
 def poke_until_known(obj, truth, active, rng, std=0.005, most=16):
-    knowledge, pose, log = LinearizedPosterior.of_prior(obj), HERE, []
+    model, pose, log = UncertainModel.of_prior(obj), HERE, []
     while len(log) < most:
-        pokes = make_pokes(knowledge, pose)
+        pokes = make_pokes(model, pose)
         if active:
-            push = choose_poke(knowledge, pose, pokes, make_center_functional(obj, knowledge.posterior)).push
+            push = choose_poke(model, pose, pokes, make_center_functional(model)).push
         else:
             push = pokes[int(rng.integers(len(pokes)))]
         noise = rng.normal(size=3) * (0.0005, 0.0005, 0.003)
@@ -146,7 +147,7 @@ def poke_until_known(obj, truth, active, rng, std=0.005, most=16):
         log.append(ObservedPush(f"poke_{len(log)}", push, pose, np.array([push.duration]), after[None]))
         pose = after
         found = identify(obj, PushLog(tuple(log)), regime="quasi_static")
-        knowledge = LinearizedPosterior.of_identification(found, PushLog(tuple(log)) if active else None)
+        model = UncertainModel.of_identification(found, log=PushLog(tuple(log)) if active else None)
         known = found.identifiability
         if np.linalg.eigvalsh(known.center_of_friction_covariance)[-1] < std**2:
             break

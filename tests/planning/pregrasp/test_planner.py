@@ -26,8 +26,8 @@ from gridpush_drake.planning.pregrasp.planner import (
     plan_pregrasp,
 )
 from gridpush_drake.planning.pregrasp.slides import make_stability_rule, plan_slide
-from gridpush_drake.planning.pregrasp.stability import PlausibleMassSet, calc_stability_margin, calc_stability_margins
-from gridpush_drake.planning.pregrasp.uncertainty import Belief, LinearizedPosterior
+from gridpush_drake.planning.pregrasp.stability import calc_stability_margin, calc_stability_margins
+from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
 from tests.helpers.shapes import rectangle, regular_polygon
 
@@ -163,10 +163,10 @@ def test_what_hangs_over_already_is_grasped_and_only_if_it_stays(pan, parts, hea
     assert here is not None
     assert here.margin > 0.01
     planner = PreGraspPlanner(pan, TABLE, parts=parts)
-    assert planner.decide(pose, Belief.of_parameters(pan, heavy_plate)).action == "grasp"
+    assert planner.decide(pose, UncertainModel.of_parameters(pan, heavy_plate)).action == "grasp"
     heavy_handle = CellParameters.by_part(pan, {1: 0.5, 2: 0.005}, 0.35)
     assert not is_supported(pan, heavy_handle, (0.38, 0.0, 0.0), TABLE)
-    assert planner.decide((0.38, 0.0, 0.0), Belief.of_parameters(pan, heavy_handle)).action != "grasp"
+    assert planner.decide((0.38, 0.0, 0.0), UncertainModel.of_parameters(pan, heavy_handle)).action != "grasp"
 
 
 def test_the_rule_of_the_way_is_the_margin(pan, heavy_plate):
@@ -203,7 +203,7 @@ def test_nothing_known_asks_for_a_poke_and_says_what_it_is_worth(pan, parts):
     assert decision.push is not None
     assert "standard deviation" in decision.reason
     careful = PreGraspPlanner(pan, TABLE, PreGraspOptions(goal=GoalOptions(margin=0.06), max_pokes=5), parts)
-    prior = Belief.of_prior(pan)
+    prior = UncertainModel.of_prior(pan)
     asks = careful.decide((0.0, 0.0, 0.0), prior, pokes=4)
     assert asks.action == "poke"
     assert "across the edge" in asks.reason
@@ -214,11 +214,10 @@ def test_nothing_known_asks_for_a_poke_and_says_what_it_is_worth(pan, parts):
 
 def test_what_no_poke_can_tell_is_not_poked_for(pan, parts):
     planner = PreGraspPlanner(pan, TABLE, parts=parts)
-    prior = LinearizedPosterior.of_prior(pan)
+    prior = UncertainModel.of_prior(pan)
     sure = Posterior(prior.posterior.mean, 1e-6 * prior.posterior.covariance, prior.posterior.prior_covariance)
-    masses = PlausibleMassSet.from_posterior(pan, sure, (0.001, 1.0))
-    belief = Belief(prior.params, masses, (), LinearizedPosterior(pan, sure))
-    decision = planner.decide((0.0, 0.0, 0.0), belief, pokes=3)
+    model = UncertainModel(pan, prior.params, sure, friction_range=(0.001, 1.0))
+    decision = planner.decide((0.0, 0.0, 0.0), model, pokes=3)
     assert decision.action == "fail"
     assert "closer friction bounds" in decision.reason
 
@@ -226,9 +225,9 @@ def test_what_no_poke_can_tell_is_not_poked_for(pan, parts):
 def test_where_no_pose_can_be_grasped_at_pokes_are_not_wasted(pan, parts):
     clumsy = ArmLimits(can_grasp=lambda goal: False)
     planner = PreGraspPlanner(pan, TABLE, PreGraspOptions(max_arm=0.1), parts, clumsy)
-    asks = planner.decide((0.0, 0.0, 0.0), Belief.of_prior(pan), pokes=2)
+    asks = planner.decide((0.0, 0.0, 0.0), UncertainModel.of_prior(pan), pokes=2)
     assert asks.action == "poke"
-    ends = planner.decide((0.0, 0.0, 0.0), Belief.of_prior(pan), pokes=3)
+    ends = planner.decide((0.0, 0.0, 0.0), UncertainModel.of_prior(pan), pokes=3)
     assert (ends.action, ends.goal) == ("fail", None)
     assert "within 100 mm of the center of mass" in ends.reason
     assert "arm can take it" in ends.reason
@@ -237,18 +236,18 @@ def test_where_no_pose_can_be_grasped_at_pokes_are_not_wasted(pan, parts):
 def test_a_part_too_far_off_is_hoped_for_while_the_center_may_be_nearer(pan, parts, heavy_plate):
     far = tuple(part for part in parts if part.p_BG[0] > 0.15)
     planner = PreGraspPlanner(pan, TABLE, PreGraspOptions(max_arm=0.1), far)
-    asks = planner.decide((0.0, 0.0, 0.0), Belief.of_prior(pan), pokes=3)
+    asks = planner.decide((0.0, 0.0, 0.0), UncertainModel.of_prior(pan), pokes=3)
     assert asks.action == "poke"
     assert "no pose lets" in asks.reason
-    ends = planner.decide((0.0, 0.0, 0.0), Belief.of_parameters(pan, heavy_plate), pokes=3)
+    ends = planner.decide((0.0, 0.0, 0.0), UncertainModel.of_parameters(pan, heavy_plate), pokes=3)
     assert ends.action == "fail"
 
 
 def test_a_decision_forgets_where_the_object_was(pan, parts, heavy_plate):
-    planner, belief = PreGraspPlanner(pan, TABLE, parts=parts), Belief.of_parameters(pan, heavy_plate)
-    first = planner.decide((0.1, 0.0, 0.3), belief)
-    planner.decide((-0.2, 0.1, 2.0), belief)
-    again = planner.decide((0.1, 0.0, 0.3), belief)
+    planner, model = PreGraspPlanner(pan, TABLE, parts=parts), UncertainModel.of_parameters(pan, heavy_plate)
+    first = planner.decide((0.1, 0.0, 0.3), model)
+    planner.decide((-0.2, 0.1, 2.0), model)
+    again = planner.decide((0.1, 0.0, 0.3), model)
     np.testing.assert_array_equal(first.push.xy, again.push.xy)
 
 
@@ -256,7 +255,7 @@ def test_a_decision_forgets_where_the_object_was(pan, parts, heavy_plate):
 def test_a_plan_ends_with_something_to_grasp(pan, parts, heavy_plate, surface):
     planner = PreGraspPlanner(pan, surface, parts=parts)
     middle = surface.polygon.centroid
-    plan = plan_pregrasp(planner, Belief.of_parameters(pan, heavy_plate), (middle.x, middle.y, 2.0))
+    plan = plan_pregrasp(planner, UncertainModel.of_parameters(pan, heavy_plate), (middle.x, middle.y, 2.0))
     assert plan.status == STATUS_READY, plan.message
     assert 1 <= len(plan.pushes) == len(plan.poses) - 1
     assert calc_overhangs(parts, plan.poses[-1], surface).max() > 0
@@ -266,10 +265,10 @@ def test_a_plan_ends_with_something_to_grasp(pan, parts, heavy_plate, surface):
 def test_a_plan_without_a_safe_goal_says_so(pan, parts):
     options = PreGraspOptions(goal=GoalOptions(margin=0.065))
     planner = PreGraspPlanner(pan, TABLE, options, parts)
-    plan = plan_pregrasp(planner, Belief.of_prior(pan), (0.0, 0.0, 0.0))
+    plan = plan_pregrasp(planner, UncertainModel.of_prior(pan), (0.0, 0.0, 0.0))
     assert plan.status == STATUS_POKE_FIRST
     assert plan.poke is not None
-    certain = Belief.of_parameters(pan, CellParameters.uniform(pan))
+    certain = UncertainModel.of_parameters(pan, CellParameters.uniform(pan))
     assert plan_pregrasp(planner, certain, (0.0, 0.0, 0.0)).status == STATUS_FAILED
 
 

@@ -10,12 +10,11 @@ from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.edge_push import calc_load_distribution, is_supported, simulate_near_edge
 from gridpush_drake.planning.pregrasp.stability import (
-    PlausibleMassSet,
     calc_stability_margin,
     calc_stability_margins,
     calc_support_polygon,
 )
-from gridpush_drake.planning.pregrasp.uncertainty import LinearizedPosterior
+from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
 from tests.helpers.random_objects import make_random_object
 from tests.helpers.shapes import claw_hammer, rectangle
@@ -96,7 +95,7 @@ def test_masses_known_for_certain_leave_one_point(hammer):
 
 
 def test_what_was_learned_narrows_the_set_and_friction_widens_it(hammer):
-    prior = LinearizedPosterior.of_prior(hammer).posterior
+    prior = UncertainModel.of_prior(hammer).posterior
     sure = type(prior)(prior.mean, 1e-4 * prior.covariance, prior.prior_covariance)
     area = {
         (name, high): shapely.Polygon(
@@ -112,7 +111,7 @@ def test_what_was_learned_narrows_the_set_and_friction_widens_it(hammer):
 def test_a_known_center_of_mass_cuts_the_set_down():
     prior = PhysicalPrior(center_of_mass=(-0.02, 0.0), center_of_mass_std=0.001)
     obj = GridObject.from_outline(claw_hammer(), max_cells=60, prior=prior)
-    corners = PlausibleMassSet.from_posterior(obj, LinearizedPosterior.of_prior(obj).posterior).center_of_mass_polygon
+    corners = PlausibleMassSet.from_posterior(obj, UncertainModel.of_prior(obj).posterior).center_of_mass_polygon
     assert np.abs(corners - (-0.02, 0.0)).max() <= 0.003 + 1e-12
 
 
@@ -213,7 +212,7 @@ def test_a_push_over_the_edge_drops_the_rod_when_it_tips(rod):
 
 
 def test_a_push_that_stays_on_the_table_is_the_plain_one(hammer):
-    from gridpush_drake.dynamics.simulate import simulate
+    from gridpush_drake.dynamics.simulation import simulate
 
     params = CellParameters.random(hammer, 1)
     push = Push.on_outline(hammer, 0.3, 0.2, 0.05, radius=0.008, speed=0.03)
@@ -238,10 +237,10 @@ def test_an_overhanging_rod_pushed_at_its_center_of_mass_hardly_turns(rod):
     ("make", "says"),
     [
         (lambda obj: PlausibleMassSet(obj, np.ones((1, 3)), np.ones((1, 3))), "shapes"),
-        (lambda obj: PlausibleMassSet(obj, 2 * np.ones((1, obj.n)), np.ones((1, obj.n))), "least <= most"),
+        (lambda obj: PlausibleMassSet(obj, 2 * np.ones((1, obj.n)), np.ones((1, obj.n))), "mass_min <= mass_max"),
         (lambda obj: PlausibleMassSet(obj, np.ones((1, obj.n)), np.ones((1, obj.n)), 0.0), "confidence"),
         (
-            lambda obj: PlausibleMassSet.from_posterior(obj, LinearizedPosterior.of_prior(obj).posterior, (0.5, 0.2)),
+            lambda obj: PlausibleMassSet.from_posterior(obj, UncertainModel.of_prior(obj).posterior, (0.5, 0.2)),
             "friction_range",
         ),
     ],

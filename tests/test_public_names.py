@@ -1,4 +1,4 @@
-"""What the packages of `dynamics` promise to export, whatever was imported before."""
+"""What the packages promise to export, whatever was imported before."""
 
 import subprocess
 import sys
@@ -6,7 +6,12 @@ from importlib import import_module
 
 import pytest
 
-PACKAGES = ["gridpush_drake.dynamics", "gridpush_drake.dynamics.kernels", "gridpush_drake.dynamics.reference"]
+PACKAGES = [
+    "gridpush_drake.dynamics",
+    "gridpush_drake.dynamics.kernels",
+    "gridpush_drake.dynamics.reference",
+    "gridpush_drake.identification",
+]
 
 
 @pytest.mark.parametrize("name", PACKAGES)

@@ -1,9 +1,5 @@
-"""`identify`: from a push log to a model.
+"""`identify`: from a push log to a model (`docs/theory/identification.md`)."""
 
-A search's result in the form of a fit: its parameters, with Laplace's spread about them.
-"""
-
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
@@ -11,84 +7,22 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from gridpush_drake.dynamics.simulate import GRAVITY, Regime
+from gridpush_drake.dynamics.simulation import GRAVITY, Regime
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification.baselines.methods import DEFAULT_BUDGET_PER_PUSH, SEARCH_METHODS
-from gridpush_drake.identification.baselines.search import Bounds, SearchMethod
+from gridpush_drake.identification.baselines.search import Bounds, SearchMethod, SearchStatus, run_search
 from gridpush_drake.identification.identifiability import calc_identifiability
-from gridpush_drake.identification.map_ensemble import (
-    MapEnsembleFit,
-    MapEnsembleOptions,
-    Tracker,
-    calc_prior_factor,
-    fit_map_ensemble,
-    fit_prior,
-)
-from gridpush_drake.identification.map_fit import CenterOfMass, calc_laplace, calc_smooth_covariance
+from gridpush_drake.identification.map_ensemble import MapEnsemble, MapEnsembleFit, Tracker
+from gridpush_drake.identification.map_fit import CenterOfMass, calc_laplace
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.problem import PushProblem
-from gridpush_drake.identification.result import (
-    STATUS_BUDGET_SPENT,
-    STATUS_LEARNED,
-    FitStart,
-    HistoryEntry,
-    Identification,
-)
+from gridpush_drake.identification.result import FitStart, Identification, IdentificationStatus, Progress
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
 from gridpush_drake.pushes.plausibility import check_plausible
 from gridpush_drake.pushes.push_log import PushLog
 
 Array = NDArray[np.float64]
-
-
-def fit_by_search(
-    problem: PushProblem,
-    log: PushLog,
-    search: SearchMethod,
-    start: CellParameters,
-    bounds: Bounds,
-    log_contact_friction_std: float,
-    options: MapEnsembleOptions,
-    budget: int | None,
-    seed: int,
-    tracker: Tracker,
-) -> tuple[MapEnsembleFit, Array]:
-    """Runs a search.
-
-    Args:
-        problem: the training pushes, for the spread.
-        log: the same.
-        search: which.
-        start: where to begin.
-        bounds: of the parameters.
-        log_contact_friction_std: prior standard deviation of log mu_c, which no search moves.
-        options: whose widest prior and noise give the spread.
-        budget: most pushes to simulate, or None.
-        seed: of the search.
-        tracker: of its history.
-
-    Returns:
-        The fit, and the cells' friction coefficients (n,).
-    """
-    found = search(
-        problem.obj, log, start, bounds, budget=budget or DEFAULT_BUDGET_PER_PUSH * len(log), seed=seed,
-        regime=problem.regime, progress=tracker.add,
-    )  # fmt: skip
-    final = PushProblem(problem.obj, log, found.params.friction, problem.regime)
-    z = final.unknowns(found.params)
-    C = calc_smooth_covariance(problem.obj, options.range_cells)
-    A = calc_prior_factor(C, options.amplitudes[-1], log_contact_friction_std)
-    covariance, scale = calc_laplace(final, z, A, options.noise)
-    status = STATUS_BUDGET_SPENT if found.status == STATUS_BUDGET_SPENT else STATUS_LEARNED
-    message = f"The search ended after {found.simulations} simulations: {found.status.replace('_', ' ')}."
-    return (
-        MapEnsembleFit(z, covariance, A @ A.T, options.noise.pose * scale, status, message),
-        found.params.friction,
-    )
-
-
-Progress = Callable[[HistoryEntry], None]
 
 METHODS = ("default", *SEARCH_METHODS)
 """Names that `identify` takes."""
@@ -97,6 +31,9 @@ REGIMES = ("auto", "quasi_static", "inertial")
 
 FAST_PUSH = 0.01
 """v²/(mu g rho) above which a log's pushes count as fast, and are simulated with inertia."""
+
+UNIFORM_WIDTH = 12.0**0.5
+"""Width of a uniform distribution, in its standard deviations."""
 
 MIN_CONTACT_FRICTION = 0.05
 """Below which a prior contact friction is taken for this one, whose logarithm is the unknown."""
@@ -112,7 +49,7 @@ def identify(
     *,
     regime: Regime | Literal["auto"] = "auto",
     budget: int | None = None,
-    options: MapEnsembleOptions | None = None,
+    ensemble: MapEnsemble | None = None,
     progress: Progress | None = None,
     start: Identification | None = None,
 ) -> Identification:
@@ -126,10 +63,10 @@ def identify(
         method: one of METHODS: "default", the paper's, or a baseline.
         seed: of everything random.
         regime: "quasi_static", "inertial", or "auto": see `choose_regime`.
-        budget: most pushes to be simulated; searches only (`search_methods.DEFAULT_BUDGET_PER_PUSH` each by default).
-        options: of the default method.
+        budget: most pushes to be simulated; searches only (DEFAULT_BUDGET_PER_PUSH times the pushes by default).
+        ensemble: the default method with its settings, whose widest prior a search takes for its spread, too.
         progress: called now and then with what was reached.
-        start: of the same object from fewer pushes, to begin with (default method only); it changes the way, not the
+        start: of the same object from fewer pushes, to begin with (default method only); it changes the path, not the
             answer.
 
     Returns:
@@ -155,30 +92,29 @@ def identify(
     log = log.subset(np.flatnonzero(touched))
     problem = PushProblem(obj, log, friction, used_regime)
     tracker = Tracker(problem, progress)
-    options = options or MapEnsembleOptions()
+    ensemble = ensemble or MapEnsemble()
     log_contact_friction_std = obj.prior.contact_friction_std / uniform.contact_friction
     if not len(log):
-        fit = fit_prior(obj, z0, log_contact_friction_std, options)
+        fit = ensemble.fit_prior(obj, z0, log_contact_friction_std)
     elif method == "default":
         at = obj.prior.center_of_mass
         center = None if at is None else CenterOfMass(at, obj.prior.center_of_mass_std)
-        starts = _choose_starts(obj, start, options)
-        fit = fit_map_ensemble(problem, z0, log_contact_friction_std, center, options, seed, tracker.report, starts)
+        starts = _choose_starts(obj, start, ensemble)
+        fit = ensemble.fit(problem, z0, log_contact_friction_std, center, seed, tracker.report, starts)
     else:
         search = SEARCH_METHODS[method]
-        fit, friction = fit_by_search(
-            problem, log, search, uniform, Bounds.around(obj, uniform), log_contact_friction_std, options, budget, seed,
-            tracker,
-        )  # fmt: skip
+        fit, friction = _fit_by_search(
+            problem, log, search, uniform, log_contact_friction_std, ensemble, budget, seed, tracker
+        )
     return _make_result(obj, log, fit, friction, method, tracker, used_regime, seed, unused)
 
 
-def describe_prior(obj: GridObject, options: MapEnsembleOptions | None = None, seed: int = 0) -> Identification:
+def describe_prior(obj: GridObject, ensemble: MapEnsemble | None = None, seed: int = 0) -> Identification:
     """What is held of an object before any push, in the form of an identification.
 
     Args:
         obj: the object.
-        options: of the default method, whose widest prior gives the spread.
+        ensemble: the default method, whose widest prior gives the spread.
         seed: to be noted.
 
     Returns:
@@ -188,7 +124,7 @@ def describe_prior(obj: GridObject, options: MapEnsembleOptions | None = None, s
     regime: Regime = "quasi_static"
     problem = PushProblem(obj, PushLog(()), uniform.friction, regime)
     log_contact_friction_std = obj.prior.contact_friction_std / uniform.contact_friction
-    fit = fit_prior(obj, problem.unknowns(uniform), log_contact_friction_std, options or MapEnsembleOptions())
+    fit = (ensemble or MapEnsemble()).fit_prior(obj, problem.unknowns(uniform), log_contact_friction_std)
     return _make_result(obj, PushLog(()), fit, uniform.friction, "default", Tracker(problem, None), regime, seed, ())
 
 
@@ -199,20 +135,40 @@ def choose_regime(obj: GridObject, log: PushLog) -> Regime:
     return "inertial" if fastest**2 / scale > FAST_PUSH else "quasi_static"
 
 
+def _fit_by_search(
+    problem: PushProblem, log: PushLog, method: SearchMethod, start: CellParameters, log_contact_friction_std: float,
+    ensemble: MapEnsemble, budget: int | None, seed: int, tracker: Tracker,
+) -> tuple[MapEnsembleFit, Array]:  # fmt: skip
+    """Runs a search; gives a fit with Laplace's spread under the widest prior, and the frictions (n,)."""
+    found = run_search(
+        method, problem.obj, log, start, Bounds.around(problem.obj, start),
+        budget=budget or DEFAULT_BUDGET_PER_PUSH * len(log), seed=seed, regime=problem.regime, progress=tracker.add,
+    )  # fmt: skip
+    final = PushProblem(problem.obj, log, found.params.friction, problem.regime)
+    z = final.unknowns(found.params)
+    A = ensemble.make_widest_factor(problem.obj, log_contact_friction_std)
+    covariance, scale = calc_laplace(final, z, A, ensemble.noise)
+    spent = found.status == SearchStatus.BUDGET_SPENT
+    status = IdentificationStatus.BUDGET_SPENT if spent else IdentificationStatus.LEARNED
+    message = f"The search ended after {found.simulations} simulations: {found.status.replace('_', ' ')}."
+    fit = MapEnsembleFit(z, covariance, A @ A.T, ensemble.noise.pose * scale, status, message)
+    return fit, found.params.friction
+
+
 def _make_uniform(obj: GridObject) -> CellParameters:
     """The prior's parameters; the logarithm of the contact friction is an unknown, so that it must not be nil."""
     return CellParameters.uniform(obj, contact_friction=max(obj.prior.contact_friction, MIN_CONTACT_FRICTION))
 
 
-def _choose_starts(obj: GridObject, start: Identification | None, options: MapEnsembleOptions) -> tuple[FitStart, ...]:
+def _choose_starts(obj: GridObject, start: Identification | None, ensemble: MapEnsemble) -> tuple[FitStart, ...]:
     """One start an amplitude, or none."""
     if start is None:
         return ()
     if start.obj.n != obj.n:
         raise IdentificationError(f"start: an object of {start.obj.n} cells; expected {obj.n}, as {obj.name} has")
-    if len(start.starts) == len(options.amplitudes):
+    if len(start.starts) == len(ensemble.amplitudes):
         return start.starts
-    return (FitStart(start.posterior.mean, 1.0),) * len(options.amplitudes)
+    return (FitStart(start.posterior.mean, 1.0),) * len(ensemble.amplitudes)
 
 
 def _check_log(obj: GridObject, log: PushLog) -> PushLog:
@@ -246,7 +202,7 @@ def _make_result(
     params = CellParameters(mass, friction, float(np.exp(fit.z[-1])))
     relative_std = np.sqrt(np.maximum(np.diag(posterior.calc_share_covariance()), 0.0)) / share
     # Between its bounds, slow pushes say nothing of a friction coefficient by itself: uniform.
-    friction_std = (obj.prior.friction_max - obj.prior.friction_min) / np.sqrt(12.0)
+    friction_std = (obj.prior.friction_max - obj.prior.friction_min) / UNIFORM_WIDTH
     std = CellParameters(
         np.maximum(mass * relative_std, np.finfo(float).tiny),
         np.full(obj.n, friction_std),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.identification.identify import METHODS, choose_regime, identify
+from gridpush_drake.identification.learning import METHODS, choose_regime, identify
 from gridpush_drake.identification.prediction import calc_pose_error, predict
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
