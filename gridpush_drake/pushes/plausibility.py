@@ -14,15 +14,13 @@ import shapely
 from numpy.typing import NDArray
 from shapely import LineString, Point
 
+from gridpush_drake.dynamics import GRAVITY
 from gridpush_drake.errors import PushLogError, PushLogWarning
 from gridpush_drake.geometry.se2 import transform_back
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 Array = NDArray[np.float64]
-
-GRAVITY = 9.81
-"""m/s²."""
 
 TRAVEL_FACTOR = 2.0
 """Times the pusher's path that the centroid, or a point at the radius of gyration as the body turns, may move."""

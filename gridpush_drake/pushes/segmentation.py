@@ -1,18 +1,16 @@
-"""Where a push begins and ends, seen from the pusher's state alone.
+"""A stream of observations cut into pushes: where each begins and ends, and its entry in a push log.
 
 A push is going on while the tip is down (below `engaged_below`) and moves over the table; it is over when the tip has
-stopped and then lifts, moves on, or simply stands. The object moves only when pushed, so that the poses seen between
-two pushes are many looks at one pose.
+stopped and then lifts, moves on, or simply stands. The object moves only when pushed, so that what is observed between
+two pushes is one pose, many times.
 
     waiting --- down and moving ---> moving --- slow, or lifted ---> settling --- lifted, `settle` over ---> waiting
                                        ^  (shorter stops than `pause`) |  moving again: the next push
                                        +-------------------------------+
 
-From what was seen during a push to the entry of a push log.
-
-The first pose is the mean of the looks at the object at rest before it, the last one that of the looks after it;
-between them a few single looks are kept, evenly spread along the tip's way. The tip's path is as measured, without the
-samples that straight lines between the others replace to within `path_tolerance`.
+Of a push's entry, the first pose is the mean of the observations of the object at rest before it, the last one that of
+those after it; between them a few single observations are kept, evenly spread along the tip's path. That path is as
+measured, without the samples that straight lines between the others replace to within `path_tolerance`.
 """
 
 from dataclasses import dataclass, replace
@@ -29,6 +27,7 @@ from gridpush_drake.geometry.se2 import transform_back, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush, nearest_turn
 
+Array = NDArray[np.float64]
 Numbers = tuple[float, float, float]
 
 
@@ -56,8 +55,8 @@ class SegmenterOptions:
         engaged_below: height of the tip's center below which it can touch the object, m.
         moving_above: horizontal speed from which on the tip moves, m/s.
         pause: a shorter stop does not end a push, s.
-        look: after lifting, a push is not over sooner than this after its stop, s: its last pose wants to be seen
-            several times.
+        settle_lifted: after lifting, a push is not over sooner than this after its stop, s: its last pose is to be
+            observed several times.
         settle: so long after the stop a push is over though the tip stays down, s.
         lift: the tip is lifted when it rises by this from its lowest place in the push, m.
         rest_window: longest time for which poses at rest are kept, s.
@@ -66,7 +65,7 @@ class SegmenterOptions:
     engaged_below: float = 0.05
     moving_above: float = 0.005
     pause: float = 0.2
-    look: float = 0.6
+    settle_lifted: float = 0.6
     settle: float = 1.0
     lift: float = 0.003
     rest_window: float = 3.0
@@ -77,7 +76,7 @@ class Episode:
     """A motion of the tip that may be a push.
 
     Attributes:
-        before: looks at the object before it, at rest.
+        before: observations of the object before it, at rest.
         path: while the tip was down, the first with the tip about to move.
         after: from the stop on.
     """
@@ -92,7 +91,7 @@ class SegmenterState:
     """What the segmenter remembers.
 
     Attributes:
-        rest: looks at the object since it last came to rest.
+        rest: observations of the object since it last came to rest.
         path: the present push while the tip is down; empty where there is none.
         after: from its stop on, lifted or not; empty while it moves.
         lifted: whether it has ended by lifting.
@@ -129,7 +128,7 @@ def advance(state: SegmenterState, sample: Sample, options: SegmenterOptions) ->
     state = replace(
         state, lifted=lifted, after=(*state.after, sample), path=state.path if lifted else (*state.path, sample)
     )
-    if stopped_for >= (options.look if lifted else options.settle):
+    if stopped_for >= (options.settle_lifted if lifted else options.settle):
         return SegmenterState(rest=state.after), Episode(state.rest, state.path, state.after)
     return state, None
 
@@ -154,13 +153,11 @@ def _find_lift_height(path: tuple[Sample, ...], options: SegmenterOptions) -> fl
     return min(options.engaged_below, min(sample.tip[2] for sample in path) + options.lift)
 
 
-Array = NDArray[np.float64]
-
 SAME_TIME = 1e-6
 """s; times that differ by less are one."""
 
 LATEST = 5
-"""Looks at the end whose median tells where the object rests."""
+"""Observations at the end whose median tells where the object rests."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +171,7 @@ class RecordOptions:
         path_tolerance: by which the thinned path may differ from the measured one, m.
         still: the tip has not yet, or no longer, moved within this of its first, or last, place, m.
         coast: how long the object may slide on after the tip's stop, s.
-        rest_tolerance: looks further than this from where the object rests are not of that rest, m.
+        rest_tolerance: observations further than this from where the object rests are not of that rest, m.
         rest_angle_tolerance: likewise, rad.
         pose_delay: how old a pose is when it is read, s.
     """
@@ -210,16 +207,16 @@ def make_observed_push(
     t, xy = _trim(episode.path, options.still)
     if pose is None or len(t) < 2:
         return None
-    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
-    if way[-1] < options.min_distance or _calc_distance(obj, pose, xy) > radius + options.reach:
+    traveled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
+    if traveled[-1] < options.min_distance or _calc_distance(obj, pose, xy) > radius + options.reach:
         return None
     end, t, xy = _add_coast(episode, t, xy, options.coast)
-    way = np.append(way, np.full(len(t) - len(way), way[-1]))
-    settled = [look for look in episode.after if look.t - options.pose_delay >= t[-1]]
+    traveled = np.append(traveled, np.full(len(t) - len(traveled), traveled[-1]))
+    settled = [sample for sample in episode.after if sample.t - options.pose_delay >= t[-1]]
     last = calc_rest_pose(settled, options)
-    seen = _choose_looks(episode.path, t, way, end, options, up_to_end=last is None)
+    seen = _choose_observations(episode.path, t, traveled, end, options, up_to_end=last is None)
     if last is not None:
-        seen = [(time, look) for time, look in seen if time < t[-1]] + [(float(t[-1]), last)]
+        seen = [(time, q) for time, q in seen if time < t[-1]] + [(float(t[-1]), last)]
     if not seen:
         return None
     times = np.array([time for time, _ in seen])
@@ -227,13 +224,13 @@ def make_observed_push(
     return ObservedPush(name, Push.along(t - t[0], xy, radius), pose, times - t[0], _continue_turns(pose, seen))
 
 
-def calc_rest_pose(looks: tuple[Sample, ...] | list[Sample], options: RecordOptions) -> Array | None:
-    """Mean of the latest looks at one pose; None where the object was not seen.
+def calc_rest_pose(observations: tuple[Sample, ...] | list[Sample], options: RecordOptions) -> Array | None:
+    """Mean of the latest observations of one pose; None where the object was not seen.
 
-    Starting from the last look, all within the tolerance of the last few's median count, up to the first two in a row
-    that do not: before them the object lay elsewhere. A single one is a bad look.
+    Starting from the last one, all within the tolerance of the last few's median count, up to the first two in a row
+    that do not: before them the object lay elsewhere. A single one is an outlier.
     """
-    poses = np.array([look.pose for look in looks if np.isfinite(look.pose).all()])
+    poses = np.array([seen.pose for seen in observations if np.isfinite(seen.pose).all()])
     if not len(poses):
         return None
     theta = poses[-1, 2]
@@ -248,7 +245,7 @@ def calc_rest_pose(looks: tuple[Sample, ...] | list[Sample], options: RecordOpti
 
 
 def thin_path(t: Array, xy: Array, keep: Array, tolerance: float) -> tuple[Array, Array]:
-    """Leaves out samples that linear interpolation in time replaces (Ramer, Douglas and Peucker's way).
+    """Leaves out samples that linear interpolation in time replaces (the algorithm of Ramer, Douglas and Peucker).
 
     Args:
         t: (K,) times, s, increasing.
@@ -280,7 +277,7 @@ def thin_path(t: Array, xy: Array, keep: Array, tolerance: float) -> tuple[Array
 
 def _trim(path: tuple[Sample, ...], still: float) -> tuple[Array, Array]:
     """Times and places of the tip from its last moment at rest to its first."""
-    t, xy = np.array([look.t for look in path]), np.array([look.tip[:2] for look in path])
+    t, xy = np.array([sample.t for sample in path]), np.array([sample.tip[:2] for sample in path])
     moved = np.flatnonzero(np.linalg.norm(xy - xy[0], axis=1) > still)
     moving = np.flatnonzero(np.linalg.norm(xy - xy[-1], axis=1) > still)
     if not len(moved) or not len(moving):
@@ -296,19 +293,21 @@ def _add_coast(episode: Episode, t: Array, xy: Array, coast: float) -> tuple[flo
     return (end, np.append(t, end + stood), np.vstack([xy, xy[-1:]])) if stood > 0 else (end, t, xy)
 
 
-def _choose_looks(
-    path: tuple[Sample, ...], t: Array, way: Array, end: float, options: RecordOptions, up_to_end: bool
+def _choose_observations(
+    path: tuple[Sample, ...], t: Array, traveled: Array, end: float, options: RecordOptions, up_to_end: bool
 ) -> list[tuple[float, Array]]:
-    """Times and poses of the looks nearest to even shares of the tip's way."""
-    looks = [
-        (_snap(look.t - options.pose_delay, t), np.array(look.pose)) for look in path if np.isfinite(look.pose).all()
+    """Times and poses of the observations nearest to even shares of the tip's path, `traveled` (K,) m by t (K,) s."""
+    seen = [
+        (_snap(sample.t - options.pose_delay, t), np.array(sample.pose))
+        for sample in path
+        if np.isfinite(sample.pose).all()
     ]
-    looks = [(time, pose) for time, pose in looks if t[0] < time <= end]
-    if not looks:
+    seen = [(time, pose) for time, pose in seen if t[0] < time <= end]
+    if not seen:
         return []
-    passed = np.interp([time for time, _ in looks], t, way)
-    wanted = way[-1] * np.arange(1, options.observations + up_to_end) / options.observations
-    return [looks[i] for i in sorted({int(np.argmin(np.abs(passed - share))) for share in wanted})]
+    traveled_then = np.interp([time for time, _ in seen], t, traveled)
+    wanted = traveled[-1] * np.arange(1, options.observations + up_to_end) / options.observations
+    return [seen[i] for i in sorted({int(np.argmin(np.abs(traveled_then - share))) for share in wanted})]
 
 
 def _snap(time: float, t: Array) -> float:
@@ -325,7 +324,7 @@ def _calc_distance(obj: GridObject, pose: Array, xy: Array) -> float:
 def _continue_turns(pose: Array, seen: list[tuple[float, Array]]) -> Array:
     """The poses (K, 3), theta without jumps from the first pose on."""
     poses, before = [], float(pose[2])
-    for _, look in seen:
-        before = nearest_turn(float(look[2]), before)
-        poses.append([look[0], look[1], before])
+    for _, q in seen:
+        before = nearest_turn(float(q[2]), before)
+        poses.append([q[0], q[1], before])
     return np.array(poses)

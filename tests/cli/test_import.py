@@ -1,9 +1,11 @@
+import dataclasses
 import json
 
 import pytest
 
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.importers.cmu import triangle_block
+from gridpush_drake.pushes.importers.registry import IMPORTERS, find_importer
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.shared_data import shared_data
 
@@ -41,3 +43,11 @@ def test_refuses(refuses, tmp_path, kind):
     refuses("import", kind, path, "--out-dir", path, says=[path, "folder"])
     (tmp_path / "a.csv").write_text("mine")
     refuses("import", kind, path, *outputs, says=["a.csv", "--force"])
+
+
+@pytest.mark.parametrize("name", IMPORTERS)
+def test_its_options_are_those_of_the_command(name, gridpush):
+    outcome = gridpush("import", name, "--help")
+    assert outcome.code == 0
+    for field in dataclasses.fields(find_importer(name)):
+        assert field.metadata.get("name", "--" + field.name.replace("_", "-")) in outcome.out

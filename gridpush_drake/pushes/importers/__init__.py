@@ -1,1 +1,1 @@
-"""Importers of public data sets."""
+"""Importers of public data sets, a file each; `registry` lists them and says what an importer is."""

@@ -27,7 +27,7 @@ from gridpush_drake.files import read_text
 from gridpush_drake.geometry.se2 import compose, invert, rotate, transform_back
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.prior import PhysicalPrior
-from gridpush_drake.pushes.push_log import ObservedPush, PushLog, nearest_turn
+from gridpush_drake.pushes.push_log import MAX_NUMBER, MAX_SHOWN, ObservedPush, PushLog, nearest_turn
 
 POSE_FORM = "x y z (mm) qw qx qy qz"
 FORCE_FORM = "t (s) fx fy (N)"
@@ -42,12 +42,6 @@ QUATERNION_TOLERANCE = 1e-3
 
 MAX_DIGITS = 9
 """Of a count."""
-
-MAX_NUMBER = 1e12
-"""Magnitude of a number, beyond which it is none that was logged."""
-
-SHOWN = 60
-"""Most characters of a bad line that a message repeats."""
 
 
 class CmuPush(NamedTuple):
@@ -144,7 +138,7 @@ class _Lines:
 
     def _fail(self, number: int, words: list[str], what: str) -> None:
         shown = " ".join(words)
-        raise PushLogError(f"{self._path}, line {number}: is {shown[:SHOWN]!r}; expected {what}")
+        raise PushLogError(f"{self._path}, line {number}: is {shown[:MAX_SHOWN]!r}; expected {what}")
 
 
 MM = 1e-3
