@@ -125,7 +125,7 @@ def _read_protocol(path: Path, drawn: PlanningProtocol) -> PlanningProtocol:
         planning = content["planning"]
         pairs = np.stack([np.array(planning[end], dtype=np.float64) for end in ("start", "goal")], axis=1)
         table = planning["table"]
-        surface = SupportSurface.round(table["center"], float(table["radius"]))
+        surface = SupportSurface.round(table["centre"], float(table["radius"]))
         masses = {str(name): tuple(map(tuple, sets)) for name, sets in content["masses_by_label"].items()}
         known = {name: masses.get(name, sets) for name, sets in drawn.masses.items()}
         scale = float(content["meters_per_pixel"]["real_and_planning"])

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from gridpush_drake.pushes.pose_filter import PoseFilter, PoseFilterOptions
+from gridpush_drake.planning.closed_loop import LoopOptions, PoseFilter
 
-OPTIONS = PoseFilterOptions(looks=4, rest=0.004, rest_angle=0.04, timeout=1.0)
+OPTIONS = LoopOptions(observations=4, rest=0.004, rest_angle=0.04, timeout=1.0)
 
 
 def look(poses, looks=None):
