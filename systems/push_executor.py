@@ -166,8 +166,8 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
 
     * push_command: vector of 6, see `PushCommand`: command_id, x, y (m), direction (rad), distance (m), and
       speed (m/s).
-    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; read when a command is taken up, which waits
-      while they are NaN (the object is not seen). Need not be connected where there is no outline.
+    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; read when a command is taken up, which
+      waits while they are NaN (the object is not seen). Need not be connected where there is no outline.
     * tip_pose: abstract `RigidTransform`, X_WP desired: P at the tip's center, its z axis pointing down, m.
     * status: abstract `PushStatus`.
 
