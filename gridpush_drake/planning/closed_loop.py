@@ -15,8 +15,7 @@ and their mean says where the object lies. A pose that differs from the last one
 """
 
 from dataclasses import dataclass, field, fields, replace
-from enum import StrEnum
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -180,26 +179,12 @@ class Observation:
         return bool(np.isfinite(self.pose).all())
 
 
-class LoopStatus(Protocol):
-    """What every loop's status says."""
-
-    @property
-    def mode(self) -> StrEnum:
-        """What the loop is doing."""
-        ...
-
-    @property
-    def reason(self) -> str:
-        """The mode in a sentence."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class LoopState:
     """All that a loop remembers; never changed, only replaced.
 
     Attributes:
-        status: what it says of itself.
+        status: what it says of itself: frozen, with a `mode`, a `reason` in a sentence and an `expected_pose`.
         filter: poses seen since everything came to rest.
         push: the last one asked for; None before the first, and where it was withdrawn.
         push_id: of the last one asked for, counted from 1; an id is never used again.

@@ -1,8 +1,15 @@
-"""Looks at an object that comes to rest, moves on, and goes out of sight."""
+"""An object that comes to rest, moves on, and goes out of sight; and loops stepped by hand, as a robot would."""
+
+import copy
 
 import numpy as np
+import pytest
 
-from gridpush_drake.planning.closed_loop import LoopOptions, PoseFilter
+from gridpush_drake.planning.closed_loop import LoopOptions, Observation, PoseFilter, RobotReport
+from gridpush_drake.planning.goal.next_push import GoalRules
+from gridpush_drake.planning.goal.push_to_goal import PushToGoalLoop, PushToGoalOptions
+from gridpush_drake.pushes.push_log import PushLog
+from tests.helpers.made_identifications import make_block
 
 OPTIONS = LoopOptions(observations=4, rest=0.004, rest_angle=0.04, timeout=1.0)
 
@@ -44,3 +51,72 @@ def test_while_the_robot_works_only_whether_it_was_seen_counts():
     looks = look([(0.0, 0.0, 0.0)])
     assert looks.wait(3.0, np.zeros(3)) == PoseFilter(last_seen=3.0)
     assert looks.wait(3.0, np.full(3, np.nan)) == PoseFilter()
+
+
+GOAL = np.array([0.15, 0.1, 1.0])
+UNSEEN = np.full(3, np.nan)
+
+
+class Stepper:
+    """Steps a loop with what a robot says, every 0.05 s."""
+
+    def __init__(self, **options):
+        self.loop = PushToGoalLoop(make_block(12), GoalRules(), options=PushToGoalOptions(**options))
+        self.state, self.time = self.loop.begin(), 0.0
+
+    def observe(self, pose, robot):
+        return Observation(self.time, np.array(pose, float), robot, PushLog(()), goal=GOAL)
+
+    def step(self, pose=(0.0, 0.0, 0.0), robot=None, count=1):
+        for _ in range(count):
+            self.time += self.loop.options.period
+            self.state = self.loop.step(self.state, self.observe(pose, robot or RobotReport()))
+        return self.state
+
+
+def test_asks_once_the_object_was_seen_at_rest_and_waits_until_the_push_is_taken_up():
+    stepper = Stepper(observations=3)
+    assert stepper.step(count=2).push is None
+    asked = stepper.step()
+    assert (asked.push_id, asked.status.mode) == (1, "pushing")
+    assert stepper.step(count=20).push is asked.push
+    assert stepper.step(robot=RobotReport(1, ready=False, pushing=True), count=20).push is asked.push
+    after = stepper.step(robot=RobotReport(1), count=3)
+    assert (after.push_id, after.status.pushes) == (2, 1)
+
+
+def test_a_step_changes_neither_the_state_nor_its_outcome():
+    stepper = Stepper(observations=1)
+    before = stepper.step(UNSEEN)
+    held = dict(vars(before))
+    shown = stepper.observe((0.0, 0.0, 0.0), RobotReport())
+    first, second = (stepper.loop.step(before, shown) for _ in range(2))
+    assert dict(vars(before)) == held
+    np.testing.assert_array_equal(first.push.xy, second.push.xy)
+    assert first.status == second.status
+    assert copy.deepcopy(first) is first
+
+
+def test_a_push_taken_up_as_it_is_withdrawn_holds_nothing_up():
+    stepper = Stepper(observations=1)
+    stepper.step()
+    withdrawn = stepper.step(UNSEEN)
+    assert (withdrawn.push, withdrawn.push_id, withdrawn.status.mode) == (None, 1, "waiting")
+    stepper.step(robot=RobotReport(1, ready=False, pushing=True), count=5)
+    again = stepper.step(robot=RobotReport(1))
+    assert (again.push_id, again.status.pushes) == (2, 0)
+    assert again.push is not None
+
+
+@pytest.mark.parametrize("max_refusals", [1, 4])
+def test_refused_pushes_are_not_tried_again_and_given_up(max_refusals):
+    stepper, asked = Stepper(observations=1, max_refusals=max_refusals), []
+    for number in range(1, max_refusals + 1):
+        asked.append(stepper.step(robot=RobotReport(number - 1, refusal="it sulks" if number > 1 else "")).push)
+    state = stepper.step(robot=RobotReport(max_refusals, refusal="it sulks"))
+    assert (state.status.mode, state.status.cause, state.status.refused) == ("failed", "refused", max_refusals)
+    assert "it sulks" in state.status.reason
+    for i, one in enumerate(asked):
+        for other in asked[:i]:
+            cosine = one.velocity @ other.velocity / np.linalg.norm(one.velocity) / np.linalg.norm(other.velocity)
+            assert np.linalg.norm(one.start - other.start) >= 0.01 or cosine <= np.cos(0.2)
