@@ -164,25 +164,26 @@ class EstimateVisualizer(LeafSystem):
 
     .. pydrake_system::
 
-      name: EstimateVisualizer
-      input_ports:
-      - object_pose
-      - mass
-      - friction
-      - contact_friction
-      - center_of_mass
-      - center_of_mass_covariance
-      - push_command
-      - body_poses
+        name: EstimateVisualizer
+        input_ports:
+        - object_pose
+        - mass
+        - friction
+        - contact_friction
+        - center_of_mass
+        - center_of_mass_covariance
+        - push_command
+        - body_poses
 
-    - object_pose: vector (3), X_WB as x, y, theta, m and rad.
-    - mass: vector (n), the cells' estimated masses, kg.
-    - friction: vector (n), the cells' estimated friction coefficients.
-    - contact_friction: vector (1), the finger's estimated friction coefficient; need not be connected.
-    - center_of_mass: vector (2), in B, m; need not be connected.
-    - center_of_mass_covariance: vector (4), row by row, m²; need not be connected.
-    - push_command: vector (6), see `PushCommand`; need not be connected.
-    - body_poses: abstract `list[RigidTransform]`, as a MultibodyPlant gives it; need not be connected. Where it is, and
+    * object_pose: vector of 3, (x, y, theta) of B in W, m and rad.
+    * mass: vector of n, estimated mass of each cell, kg.
+    * friction: vector of n, estimated friction coefficient of each cell against the support.
+    * contact_friction: vector of 1, estimated friction coefficient of the tip against the object; need not be
+      connected.
+    * center_of_mass: vector of 2, estimated p_BBcm in B, m; need not be connected.
+    * center_of_mass_covariance: vector of 4, its covariance in B, row-major, m²; need not be connected.
+    * push_command: vector of 6, see `PushCommand`; need not be connected.
+    * body_poses: abstract `list[RigidTransform]`, as a MultibodyPlant gives it; need not be connected. Where it is, and
       `body` is given, the object is drawn where that body is, lifted and tipped as it may be.
 
     Initializing a Simulator wipes what is below `path` and begins anew.

@@ -273,16 +273,17 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
         - gripper_force_limit
         - status
 
-    Ports:
-        push_tip_pose: abstract `RigidTransform`, X_WP that the push executor desires; at rest while that is idle.
-        push_status: abstract `PushStatus`.
-        grasp_command: vector of 6, see `GraspCommand`: command_id, x, y, z (m), approach (rad), lift (m). Need not be
-            connected where nothing is grasped.
-        gripper_state: vector of 4, the fingers' positions, left and right, m, and velocities, m/s.
-        tip_pose: abstract `RigidTransform`, X_WP desired.
-        gripper_position: vector of 1, the opening asked for, m.
-        gripper_force_limit: vector of 1, N.
-        status: abstract `GraspStatus`.
+    * push_tip_pose: abstract `RigidTransform`, X_WP that the push executor desires, m; at rest while that is idle.
+    * push_status: abstract `PushStatus` of the push executor.
+    * grasp_command: vector of 6, see `GraspCommand`: command_id, x, y, z (m), approach (rad), lift (m). Need not be
+      connected where nothing is grasped.
+    * gripper_state: vector of 4, the fingers' positions, left and right, m, and velocities, m/s.
+    * tip_pose: abstract `RigidTransform`, X_WP desired, m.
+    * gripper_position: vector of 1, the opening asked for, m.
+    * gripper_force_limit: vector of 1, the largest force of a finger, N.
+    * status: abstract `GraspStatus`.
+
+    Abstract state: one `GraspState`.
     """
 
     __slots__ = NO_SLOTS

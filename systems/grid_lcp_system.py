@@ -77,7 +77,7 @@ class GridLcpSystem(LeafSystem):
     * contact_force: vector of 2, force of the pusher on the object in W during the last step, N.
     * step_jacobian: abstract `dynamics.motion.Jacobian` with one row: the derivatives of the pose at the end of the
       step that begins now by mass, friction, contact friction, pose, and the pusher's place (`start`), direction and
-      way (`length`) during it; the velocity at the beginning is held. Depends on the inputs directly.
+      path (`length`) during it; the velocity at the beginning is held. Depends on the inputs directly.
     * unsolved_steps: vector of 1, how many steps the solver did not solve to tolerance (as in `simulate`, the motion
       goes on from what it had).
 

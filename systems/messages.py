@@ -6,20 +6,22 @@ What a grasp command is on a port: a vector of six numbers.
 
 What a grasp executor says of itself on its port.
 
-What a contact-point controller says of itself on its port.
-
-What a pre-grasp controller says of itself on its port.
+What controllers say of themselves is the status of their loops: `planning.goal.push_to_goal`,
+`planning.pregrasp.pregrasp_loop`.
 """
 
 from dataclasses import dataclass
 from enum import StrEnum
-from math import atan2, cos, isfinite, nan, sin
+from math import atan2, cos, isfinite, sin
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
+from gridpush_drake.planning.goal.push_to_goal import ContactPointMode as ContactPointMode
+from gridpush_drake.planning.goal.push_to_goal import ContactPointStatus as ContactPointStatus
+from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspMode as PreGraspMode
+from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspStatus as PreGraspStatus
 
 PUSH_COMMAND_SIZE = 6
 
@@ -65,8 +67,10 @@ class PushCommand:
         return cls(round(command_id) if isfinite(command_id) else 0, *rest)
 
     @classmethod
-    def from_push(cls, command_id: int, push: Push) -> "PushCommand":
-        """The command for a straight push."""
+    def from_push(cls, command_id: int, push: Push | None) -> "PushCommand":
+        """The command for a straight push; no command for None."""
+        if push is None:
+            return cls()
         x, y = push.start.tolist()
         direction = atan2(push.velocity[1], push.velocity[0])
         return cls(command_id, x, y, direction, push.length, push.length / push.duration)
@@ -195,88 +199,3 @@ class GraspStatus:
     def ready(self) -> bool:
         """Whether a new command is taken up."""
         return self.phase == GraspPhase.IDLE
-
-
-class ContactPointMode(StrEnum):
-    """What a contact-point controller is doing."""
-
-    WAITING = "waiting"
-    PUSHING = "pushing"
-    REACHED = "reached"
-    FAILED = "failed"
-    LOST = "lost"
-
-
-@dataclass(frozen=True)
-class ContactPointStatus:
-    """Where a contact-point controller stands.
-
-    Attributes:
-        mode: "waiting" for a goal, for the robot, or for the object to be seen at rest; "pushing"; "reached" the goal;
-            "failed"; or "lost" the object out of sight.
-        reason: the mode in a sentence.
-        cause: of "reached" or "failed": a key of `planning.push_plan.REASONS`, "refused" or "error"; else empty.
-        pushes: commanded towards this goal and carried out.
-        refused: commanded in a row and refused.
-        error: mean cell error to the goal where the object was last seen at rest, m; NaN before.
-        expected_pose: (x, y, theta) in which the push under way is predicted to leave the object, W, m and rad.
-        expected_error: mean cell error to the goal there, m; NaN where no push is under way.
-        prediction_error: mean cell distance of where the last push left the object from where it was predicted to, m;
-            NaN before.
-    """
-
-    mode: ContactPointMode = ContactPointMode.WAITING
-    reason: str = "Nothing was seen yet."
-    cause: str = ""
-    pushes: int = 0
-    refused: int = 0
-    error: float = nan
-    expected_pose: tuple[float, float, float] | None = None
-    expected_error: float = nan
-    prediction_error: float = nan
-
-
-class PreGraspMode(StrEnum):
-    """What a pre-grasp controller is doing."""
-
-    WAITING = "waiting"
-    EXPLORING = "exploring"
-    SLIDING = "sliding"
-    STOPPING = "stopping"
-    VERIFYING = "verifying"
-    GRASPING = "grasping"
-    HOLDING = "holding"
-    LOST = "lost"
-    FAILED = "failed"
-
-
-@dataclass(frozen=True, eq=False)
-class PreGraspStatus:
-    """Where a controller stands.
-
-    Attributes:
-        mode: "waiting" (to see the object at rest), "exploring", "sliding", "stopping" (a push that is broken off),
-            "verifying" (that it can be grasped where it lies), "grasping" (until it is lifted), "holding", "lost" (from
-            sight) or "failed".
-        reason: for the mode, in a sentence.
-        pokes: commanded so far.
-        slides: likewise.
-        grasps: likewise.
-        goal: that it slides to or grasps at; None where there is none.
-        expected_pose: (x, y, theta) where the push under way is expected to leave the object, m and rad; None without.
-        margin: stability margin of the goal at the worst, m; NaN without one.
-    """
-
-    mode: PreGraspMode = PreGraspMode.WAITING
-    reason: str = "The object was not looked at yet."
-    pokes: int = 0
-    slides: int = 0
-    grasps: int = 0
-    goal: PreGraspGoal | None = None
-    expected_pose: tuple[float, float, float] | None = None
-    margin: float = float("nan")
-
-    @property
-    def over(self) -> bool:
-        """Whether nothing more is done."""
-        return self.mode in (PreGraspMode.HOLDING, PreGraspMode.FAILED)

@@ -1,10 +1,10 @@
 """`AbstractStateSystem`: a system that remembers one thing, never changed but replaced, now and then.
 
-`ObjectController`: what systems share that push an object about by what is seen and learned of it.
+`ObjectController`: what systems share that step a closed loop over an object.
 """
 
 from collections.abc import Callable
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,12 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
 from gridpush_drake.identification.learning import describe_prior
+from gridpush_drake.identification.result import Identification
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.closed_loop import ClosedLoop, L, Observation, RobotReport
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.systems.messages import PushStatus
+from gridpush_drake.systems.messages import PushPhase, PushStatus
 
 S = TypeVar("S")
 
@@ -57,8 +59,8 @@ class AbstractStateSystem(LeafSystem, Generic[S]):
 Array = NDArray[np.float64]
 
 
-class ObjectController(AbstractStateSystem[S]):
-    """Base of controllers: a state that is replaced at every look, and ports that show parts of it.
+class ObjectController(AbstractStateSystem[L]):
+    """Base of controllers: steps a closed loop (`planning.closed_loop`) with what is on its ports.
 
     .. pydrake_system::
 
@@ -72,30 +74,31 @@ class ObjectController(AbstractStateSystem[S]):
         - status
 
     * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object was not seen.
-    * identification: abstract `Identification`; without `push_names` before the first push.
-    * push_log: abstract `PushLog`, all pushes so far.
+    * identification: abstract `Identification`; without `push_names` before anything was learned.
+    * push_log: abstract `PushLog`, all pushes so far; need not be connected.
     * push_status: abstract `PushStatus` of the push executor.
-    * status: abstract, the state's `status`.
+    * status: abstract, the loop's status.
 
-    Abstract state: one S, which has a `status`.
+    Abstract state: the loop's.
     """
 
     __slots__ = NO_SLOTS
 
-    def __init__(self, obj: GridObject, begin: S, period: float) -> None:
+    def __init__(self, obj: GridObject, loop: ClosedLoop[L]) -> None:
         """Declares the ports.
 
         Args:
             obj: the object.
-            begin: the state at the beginning.
-            period: between two looks, s.
+            loop: decides.
         """
-        super().__init__(begin, period)
+        begin = loop.begin()
+        super().__init__(begin, loop.options.period)
+        self.obj, self.loop = obj, loop
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
         self._identification = self.DeclareAbstractInputPort("identification", AbstractValue.Make(describe_prior(obj)))
         self._push_log = self.DeclareAbstractInputPort("push_log", AbstractValue.Make(PushLog(())))
         self._push_status = self.DeclareAbstractInputPort("push_status", AbstractValue.Make(PushStatus()))
-        status: Any = begin.status  # type: ignore[attr-defined]
+        status = begin.status
         self.DeclareAbstractOutputPort(
             "status",
             lambda: AbstractValue.Make(type(status)()),
@@ -103,7 +106,22 @@ class ObjectController(AbstractStateSystem[S]):
             {self._remembered},
         )
 
-    def _declare_command(self, name: str, size: int, show: Callable[[S], Array]) -> None:
+    def _go_on(self, context: Context, now: L) -> L:
+        return self.loop.step(now, self._observe(context))
+
+    def _observe(self, context: Context) -> Observation:
+        """What is on the ports."""
+        status: PushStatus = self._push_status.Eval(context)
+        found: Identification = self._identification.Eval(context)
+        return Observation(
+            context.get_time(),
+            self._object_pose.Eval(context),
+            RobotReport(status.command_id, status.ready, status.phase == PushPhase.PUSHING, status.reason),
+            self._push_log.Eval(context) if self._push_log.HasValue(context) else PushLog(()),
+            found if found.push_names else None,
+        )
+
+    def _declare_command(self, name: str, size: int, show: Callable[[L], Array]) -> None:
         """Declares an output port for a vector that a state shows."""
         self.DeclareVectorOutputPort(
             name,
@@ -113,7 +131,7 @@ class ObjectController(AbstractStateSystem[S]):
         )
 
     def _calc_status(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._get_state(context).status)  # type: ignore[attr-defined]
+        output.set_value(self._get_state(context).status)
 
-    def _calc_command(self, context: Context, output: BasicVector, show: Callable[[S], Array]) -> None:
+    def _calc_command(self, context: Context, output: BasicVector, show: Callable[[L], Array]) -> None:
         output.SetFromVector(show(self._get_state(context)))

@@ -26,9 +26,9 @@ class PlanarPoseSensor(LeafSystem):
         output_ports:
         - object_pose
 
-    - ``body_poses``: abstract ``list[RigidTransform]``, as a MultibodyPlant gives it.
-    - ``object_pose``: (3,) x and y of the body's origin in W, m, and its yaw, rad, as last seen; continuous: the yaw
-      counts whole turns. NaN where the body is lost from sight, or its pose is not finite.
+    * body_poses: abstract `list[RigidTransform]`, as a MultibodyPlant gives it.
+    * object_pose: vector of 3, x and y of the body's origin in W, m, and its yaw, rad, as last seen; the yaw is
+      continuous, it counts whole turns. NaN where the body is lost from sight, or its pose is not finite.
 
     The noise of the k-th picture depends on k and the seed alone, which is numeric parameter 0: a Context and its clone
     see the same. The body is lost from sight where its origin lies lower than `lowest` above z = 0, and while the lens

@@ -164,12 +164,14 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         - tip_pose
         - status
 
-    Ports:
-        push_command: vector of 6, see `PushCommand`: command_id, x, y (m), direction (rad), distance (m), speed (m/s).
-        object_pose: vector of 3: measured (x, y, theta) of B in W, m and rad; read when a command is taken up, which
-            waits while they are NaN (the object is not seen). Need not be connected where there is no outline.
-        tip_pose: abstract `RigidTransform`, X_WP desired: P at the tip's center, its z axis pointing down, m.
-        status: abstract `PushStatus`.
+    * push_command: vector of 6, see `PushCommand`: command_id, x, y (m), direction (rad), distance (m), and
+      speed (m/s).
+    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; read when a command is taken up, which
+      waits while they are NaN (the object is not seen). Need not be connected where there is no outline.
+    * tip_pose: abstract `RigidTransform`, X_WP desired: P at the tip's center, its z axis pointing down, m.
+    * status: abstract `PushStatus`.
+
+    Abstract state: one `ExecutorState`.
     """
 
     __slots__ = NO_SLOTS

@@ -22,9 +22,9 @@ class PusherGate(LeafSystem):
         output_ports:
         - pusher_state
 
-    - ``pusher_state`` (input): (6,) p_WP, m, and v_WP, m/s.
-    - ``grasp_status``: abstract `GraspStatus`.
-    - ``pusher_state`` (output): (6,) the same while the grasp executor is idle, else NaN.
+    * pusher_state (input): vector of 6, the tip's center p_WP, m, and its velocity v_WP, m/s, in W.
+    * grasp_status: abstract `GraspStatus` of the grasp executor.
+    * pusher_state (output): vector of 6, the same while the grasp executor is idle, else NaN.
     """
 
     __slots__ = NO_SLOTS

@@ -22,9 +22,9 @@ class PusherStateSensor(LeafSystem):
         output_ports:
         - pusher_state
 
-    - ``body_poses``: abstract ``list[RigidTransform]``, as a MultibodyPlant gives it.
-    - ``body_spatial_velocities``: abstract ``list[SpatialVelocity]``, likewise.
-    - ``pusher_state``: (6,) p_WP, m, and v_WP, m/s, of the tip's center P.
+    * body_poses: abstract `list[RigidTransform]`, as a MultibodyPlant gives it.
+    * body_spatial_velocities: abstract `list[SpatialVelocity]`, as a MultibodyPlant gives it.
+    * pusher_state: vector of 6, the tip's center p_WP, m, and its velocity v_WP, m/s, in W.
     """
 
     __slots__ = NO_SLOTS

@@ -10,6 +10,10 @@ from gridpush_drake.objects.parameters import CellParameters
 class TrueParameters(LeafSystem):
     """Remembers the hidden truth of a run, for judgment; it has no ports.
 
+    .. pydrake_system::
+
+        name: TrueParameters
+
     A plant knows the truth as an inertia and as contact properties, from which the cells' masses cannot be read back.
 
     Abstract parameter: one `CellParameters`.

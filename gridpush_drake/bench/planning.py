@@ -4,7 +4,7 @@ The tables of `gridpush bench planning`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -23,11 +23,12 @@ from gridpush_drake.bench.planning_protocol import (
 from gridpush_drake.bench.table import Table, Value
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.contact.optimization import ContactOptions, optimize_contact, with_search
-from gridpush_drake.planning.contact.trial import calc_goal_error
-from gridpush_drake.planning.goal.next_push import HorizonOptions
-from gridpush_drake.planning.goal.push_to_goal import LearningOptions, PushStep, SimulatedWorld, push_to_goal
+from gridpush_drake.planning.contact.optimization import optimize_contact
+from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_error
+from gridpush_drake.planning.goal.next_push import GoalRules
+from gridpush_drake.planning.goal.push_to_goal import PushStep, push_to_goal
 from gridpush_drake.planning.goal.robustness import RobustnessOptions
+from gridpush_drake.planning.simulated_world import Learner, SimulatedWorld
 
 LEARNING, UNIFORM, TRUE, LOOK_AHEAD = "learning", "uniform", "true", "true, two ahead"
 """Which model pushes are planned with: learned on the way, uniform throughout, the truth; that looking two ahead."""
@@ -118,7 +119,8 @@ def tabulate_decisions(decisions: Sequence[Decision], names: Sequence[str]) -> T
         "One push towards the goal, the masses drawn by part. A simulation with its exact Jacobian counts as one; one "
         "simulation of a straight push tells the best distance along it too, in every method.",
         "The gradient method's starts are ranked by the ellipsoidal limit surface: no simulation, but counted in ms.",
-        "Gap: mean cell error at the push's end above the exhaustive search's; negative is better than its grid.",
+        "Gap: mean cell error at the push's end above the exhaustive search's, a grid walked on from its best nodes; "
+        "negative is better.",
         "f. d.: finite differences, the paper's walk along the outline. Times are medians of wall clock.",
     ]
     return Table("Choosing a contact point", columns, rows, notes)
@@ -301,7 +303,7 @@ def _decide(job: Job) -> list[Decision]:
         best = optimize_contact(obj, params, start, goal, method="exhaustive", options=options)
         plans = [best]
         for method, budget in METHOD_BUDGETS.items():
-            chosen = with_search(options, budget=budget, seed=job.seed)
+            chosen = replace(options, budget=budget, seed=job.seed)
             plans.append(optimize_contact(obj, params, start, goal, method=method, options=chosen))
         decisions += [
             Decision(job.name, plan.method, plan.simulations, plan.cost - best.cost, plan.seconds) for plan in plans
@@ -323,13 +325,12 @@ def _push(job: Job) -> list[Run]:
             )  # fmt: skip
             done = push_to_goal(
                 world, plain, goal,
+                GoalRules(
+                    protocol.constraints, ContactOptions(radius=FINGER_RADIUS), 2 if mode == LOOK_AHEAD else 1,
+                    None if mode in (TRUE, LOOK_AHEAD) else RobustnessOptions(seed=job.seed), TOLERANCE, MAX_PUSHES,
+                ),
                 params=hidden if mode in (TRUE, LOOK_AHEAD) else None,
-                learning=LearningOptions(seed=job.seed) if mode == LEARNING else None,
-                constraints=protocol.constraints,
-                options=ContactOptions(radius=FINGER_RADIUS),
-                caution=None if mode in (TRUE, LOOK_AHEAD) else RobustnessOptions(seed=job.seed),
-                horizons=HorizonOptions(horizon=2 if mode == LOOK_AHEAD else 1),
-                tolerance=TOLERANCE, max_pushes=MAX_PUSHES,
+                learner=Learner(seed=job.seed) if mode == LEARNING else None,
             )  # fmt: skip
             error = float(calc_goal_error(obj, world.true_pose, goal))
             runs.append(

@@ -29,7 +29,7 @@ from gridpush_drake.bench.pregrasp_exploration import (
     Trace,
     explore,
 )
-from gridpush_drake.bench.pregrasp_world import Believe, EdgeWorld, Learner, Outcome, PaperLearner, run_pregrasp
+from gridpush_drake.bench.pregrasp_world import EdgeWorld, Outcome, PaperLearner, run_pregrasp
 from gridpush_drake.bench.public_data import find_masks
 from gridpush_drake.bench.table import Table
 from gridpush_drake.errors import GridPushError
@@ -361,17 +361,19 @@ def run_job(job: Job) -> SlideScore | ExplorationScore:
     options = PreGraspOptions(min_pokes=_min_pokes(job.method), max_arm=arm)
     planner = PreGraspPlanner(obj, surface, options, parts)
 
-    outcome = run_pregrasp(world, planner, _make_learner(obj, truth, job.method))
+    outcome = _run(world, planner, job.method)
     return SlideScore(job.name, job.method, outcome, near=outcome.arm <= arm + ARM_SLACK)
 
 
-def _make_learner(obj: GridObject, truth: CellParameters, method: str) -> Believe:
+def _run(world: EdgeWorld, planner: PreGraspPlanner, method: str) -> Outcome:
     if method in (LEARNED, WIDE):
-        return Learner(obj)
+        return run_pregrasp(world, planner)
     if method == UNBOUNDED:
-        return PaperLearner(obj, NO_BOUND, PAPER_PUSHES)
-    granted = UncertainModel.of_parameters(obj, truth if method == TRUE else CellParameters.uniform(obj))
-    return lambda log: granted
+        paper = PaperLearner(NO_BOUND, PAPER_PUSHES)
+        return run_pregrasp(world, planner, paper.learn, paper.make_believe(world.obj))
+    params = world.hidden if method == TRUE else CellParameters.uniform(world.obj)
+    granted = UncertainModel.of_parameters(world.obj, params)
+    return run_pregrasp(world, planner, None, lambda found, log: granted)
 
 
 def make_truth(obj: GridObject, mass_set: int) -> CellParameters:

@@ -1,14 +1,13 @@
 """The world of the pre-grasp benchmark: a hidden object on a table with an edge.
 
-The truth is the quasi-static LCP with loads that follow what still lies on the table (`planning.edge_push`); poses are
-seen with noise.
+The truth is the quasi-static LCP with loads that follow what still lies on the table
+(`planning.pregrasp.edge_push`); poses are seen with noise. The loop is `planning.pregrasp.pregrasp_loop`.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.identification.learning import identify
@@ -18,7 +17,15 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.edge_push import is_supported, simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
+from gridpush_drake.planning.pregrasp.pregrasp_loop import (
+    Believe,
+    PreGraspLoop,
+    PreGraspLoopOptions,
+    PreGraspMode,
+    PreGraspState,
+)
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
+from gridpush_drake.planning.simulated_world import Learn, Learner, SimulatedWorld, run_loop
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
@@ -30,8 +37,11 @@ POSITION_NOISE = 0.0005
 ANGLE_NOISE = 0.003
 """rad."""
 
-MAX_LEARNED_FROM = 14
-"""Pushes: the latest ones; the cost of learning grows with them, and what they tell hardly does."""
+LEARNER = Learner(memory=14)
+"""The default method, from the latest pushes: the cost of learning grows with them, and what they tell hardly does."""
+
+ONE_OBSERVATION = PreGraspLoopOptions(observations=1)
+"""Nothing moves between two pushes: the object is decided on as it is first seen."""
 
 
 def see(pose: Array, rng: np.random.Generator) -> Array:
@@ -39,35 +49,37 @@ def see(pose: Array, rng: np.random.Generator) -> Array:
     return pose + np.array([POSITION_NOISE, POSITION_NOISE, ANGLE_NOISE]) * rng.standard_normal(3)
 
 
-@dataclass(eq=False)
-class EdgeWorld:
-    """A hidden object on a table.
+class EdgeWorld(SimulatedWorld):
+    """A hidden object on a table, whose support presses as much as what lies on it bears; seen anew at every look."""
 
-    Attributes:
-        obj: the object.
-        truth: its hidden parameters.
-        surface: the table.
-        pose: (3,) where it is.
-        rng: of the noise.
-        dropped: whether it fell.
-    """
-
-    obj: GridObject
-    truth: CellParameters
     surface: SupportSurface
-    pose: Array
-    rng: np.random.Generator
-    dropped: bool = False
 
-    def observe(self) -> Array:
-        """The pose with noise, (3,)."""
-        return see(self.pose, self.rng)
+    def __init__(
+        self, obj: GridObject, hidden: CellParameters, surface: SupportSurface, pose: ArrayLike,
+        rng: np.random.Generator,
+    ) -> None:  # fmt: skip
+        """Puts the object down at a pose (3,); `rng` draws the noise."""
+        super().__init__(
+            obj, hidden, pose, surface, position_std=POSITION_NOISE, angle_std=ANGLE_NOISE, seed=rng, observations=1
+        )
 
-    def push(self, push: Push) -> bool:
-        """Makes a push; returns whether the object was on the table with all its cells throughout."""
-        motion = simulate_near_edge(self.obj, self.truth, push, self.pose, self.surface)
-        self.pose, self.dropped = motion.final_pose, self.dropped or motion.fell
-        return bool(find_supported(self.obj, motion.poses, self.surface).all())
+    @property
+    def pose(self) -> Array | None:
+        """(3,) q_W as it is seen now; None once the object has fallen."""
+        # since the last push somebody may have moved it, which says nothing of its masses
+        self._seen = self.observe()
+        return None if self.fallen else self._seen
+
+    def execute(self, push: Push) -> ObservedPush:
+        """Pushes; what is seen is noisy, and says whether a part of the object hung over the edge."""
+        self._on_table = True
+        seen = super().execute(push)
+        return replace(seen, overhang=not self._on_table)
+
+    def _move(self, push: Push, times: Array) -> tuple[Array, bool]:
+        motion = simulate_near_edge(self.obj, self.hidden, push, self.true_pose, self.surface)
+        self._on_table = bool(find_supported(self.obj, motion.poses, self.surface).all())
+        return motion.poses, motion.fell
 
 
 @dataclass(frozen=True)
@@ -79,7 +91,7 @@ class Outcome:
         dropped: whether the object fell.
         pokes: made.
         slides: made.
-        reason: the last decision's.
+        reason: the loop's last one.
         arm: m from the true center of mass to the middle of the part to be grasped; NaN where there is none.
     """
 
@@ -91,96 +103,73 @@ class Outcome:
     arm: float = np.nan
 
 
-Believe = Callable[[PushLog], UncertainModel | None]
-"""From the pushes seen so far to what is believed; None where more must be seen first."""
-
-
-def run_pregrasp(world: EdgeWorld, planner: PreGraspPlanner, believe: Believe) -> Outcome:
-    """Runs the task to its end.
+def run_pregrasp(
+    world: EdgeWorld, planner: PreGraspPlanner, learn: Learn | None = LEARNER, believe: Believe | None = None
+) -> Outcome:
+    """Runs the task until a part can be grasped, or to its end.
 
     Args:
         world: the hidden object.
         planner: decides.
-        believe: learns.
+        learn: learns after every push; None never.
+        believe: says what is held possible; by default what the identification's posterior says.
 
     Returns:
         The outcome.
     """
-    log: list[ObservedPush] = []
-    counts = {"poke": 0, "slide": 0}
-    model, learned_from = believe(PushLog(())), 0
-    while True:
-        if len(log) != learned_from:
-            model, learned_from = believe(PushLog(tuple(log[-MAX_LEARNED_FROM:]))), len(log)
-        # looked at anew: since the last push somebody may have moved it, which says nothing of its masses
-        pose = world.observe()
-        decision = planner.decide(pose, model, counts["poke"], counts["slide"])
-        push = decision.push
-        if push is None:
-            break
-        counts[decision.action] += 1
-        on_table = world.push(push)
-        if world.dropped:
-            return Outcome(False, True, counts["poke"], counts["slide"], "fell during a push: " + decision.reason)
-        if on_table:
-            seen = world.observe()
-            log.append(ObservedPush(f"push_{len(log)}", push, pose, np.array([push.duration]), seen[None]))
-    grasped = decision.action == "grasp" and _hangs_over(world, planner)
-    arm = np.nan
-    if decision.action == "grasp" and decision.goal is not None:
-        arm = float(np.linalg.norm(decision.goal.part.p_BG - world.truth.center_of_mass(world.obj)))
-    return Outcome(grasped, False, counts["poke"], counts["slide"], decision.reason, arm)
+    loop = PreGraspLoop(planner, lambda pose, center_of_mass: None, believe=believe, options=ONE_OBSERVATION)
+    state = run_loop(loop, planner.obj, world, _is_over, learn=learn).state
+    status = state.status
+    if world.fallen:
+        return Outcome(False, True, status.pokes, status.slides, status.reason)
+    grasped, arm = status.mode == PreGraspMode.VERIFYING, np.nan
+    if grasped and status.goal is not None:
+        arm = float(np.linalg.norm(status.goal.part.p_BG - world.hidden.center_of_mass(world.obj)))
+    grasped = grasped and _hangs_over(world, planner)
+    return Outcome(grasped, False, status.pokes, status.slides, status.reason, arm)
 
 
-@dataclass(eq=False)
-class Learner:
-    """What the default method learns, with its spread; each time it begins where it ended the last time.
-
-    Attributes:
-        obj: the object.
-        found: the last time.
-    """
-
-    obj: GridObject
-    found: Identification | None = None
-
-    def __call__(self, log: PushLog) -> UncertainModel | None:
-        """What is believed after pushes; None before the first."""
-        if not len(log):
-            return None
-        self.found = identify(self.obj, log, regime="quasi_static", start=self.found)
-        return UncertainModel.of_identification(self.found, log=log)
+def _is_over(state: PreGraspState) -> bool:
+    return state.status.over or state.status.mode in (PreGraspMode.VERIFYING, PreGraspMode.LOST)
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True)
 class PaperLearner:
     """What the paper's method learns: masses and frictions within a range, taken for granted.
 
     Attributes:
-        obj: the object.
         friction_range: that frictions are sought in.
         min_pokes: the first pushes, chosen, as the default method's are, by what that one learned.
-        first: what learns from those.
     """
 
-    obj: GridObject
     friction_range: tuple[float, float]
     min_pokes: int
-    first: Learner = field(init=False)
 
-    def __post_init__(self) -> None:
-        self.first = Learner(self.obj)
-
-    def __call__(self, log: PushLog) -> UncertainModel | None:
-        """What is believed after pushes; None before the first."""
-        if len(log) < self.min_pokes or not len(log):
-            return self.first(log)
+    def learn(self, obj: GridObject, log: PushLog, before: Identification | None) -> Identification | None:
+        """What the pushes say."""
+        chosen = LEARNER.select(log)
+        if len(chosen) < self.min_pokes:
+            return LEARNER(obj, log, before)
+        if chosen[-1] is not log[-1]:
+            return before
         low, high = self.friction_range
-        wide = replace(self.obj, prior=replace(self.obj.prior, friction_min=low, friction_max=high))
-        found = identify(wide, log, method="paper", regime="quasi_static")
-        return UncertainModel.of_parameters(self.obj, found.params)
+        wide = replace(obj, prior=replace(obj.prior, friction_min=low, friction_max=high))
+        return identify(wide, chosen, method="paper", regime="quasi_static")
+
+    def make_believe(self, obj: GridObject) -> Believe:
+        """What is held possible: what the posterior says of the first pokes, then the parameters as they are."""
+
+        def believe(found: Identification | None, log: PushLog) -> UncertainModel | None:
+            if found is None:
+                return None
+            if len(LEARNER.select(log)) < self.min_pokes:
+                used = log.subset([i for i, seen in enumerate(log) if seen.name in found.push_names])
+                return UncertainModel.of_identification(found, log=used)
+            return UncertainModel.of_parameters(obj, found.params)
+
+        return believe
 
 
 def _hangs_over(world: EdgeWorld, planner: PreGraspPlanner) -> bool:
-    overhangs = calc_overhangs(planner.parts, world.pose, world.surface)
-    return bool(overhangs.max() >= 0) and is_supported(world.obj, world.truth, world.pose, world.surface)
+    overhangs = calc_overhangs(planner.parts, world.true_pose, world.surface)
+    return bool(overhangs.max() >= 0) and is_supported(world.obj, world.hidden, world.true_pose, world.surface)

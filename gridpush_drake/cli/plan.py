@@ -46,8 +46,8 @@ def plan(
 ) -> None:
     """Plan pushes that bring an object, or a learned model, to a goal pose."""
     from gridpush_drake.files import check_writable, write_whole
-    from gridpush_drake.planning.contact.optimization import DEFAULT_RADIUS, ContactOptions
-    from gridpush_drake.planning.goal.next_push import HorizonOptions
+    from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS, ContactOptions
+    from gridpush_drake.planning.goal.next_push import GoalRules
     from gridpush_drake.planning.goal.push_plan import describe_plan, plan_pushes, write_plan
     from gridpush_drake.planning.push_constraints import PushConstraints
 
@@ -61,13 +61,15 @@ def plan(
     obstacles = [read_shape("--obstacle", text).polygon for text in obstacle or ()]
     target = options.load_target(model, largest_piece)
     finger = target.obj.prior.pusher_radius or DEFAULT_RADIUS if radius is None else radius
-    chosen = ContactOptions(radius=finger, speed=speed)
-    rules = PushConstraints(surface, tuple(obstacles), edge_margin=-overhang)
+    rules = GoalRules(
+        PushConstraints(surface, tuple(obstacles), edge_margin=-overhang),
+        ContactOptions(radius=finger, speed=speed),
+        horizon=horizon,
+        tolerance=tolerance,
+        max_pushes=max_pushes,
+    )
     options.compile_kernels()
-    found = plan_pushes(
-        target.obj, target.params, pose, aim, constraints=rules, options=chosen,
-        horizons=HorizonOptions(horizon=horizon), tolerance=tolerance, max_pushes=max_pushes,
-    )  # fmt: skip
+    found = plan_pushes(target.obj, target.params, pose, aim, rules)
     _refuse_bad_ends(found)
     if out is not None:
         write_plan(out, found, target.obj.name, finger, force)

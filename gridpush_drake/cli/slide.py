@@ -47,7 +47,7 @@ def slide(
 ) -> None:
     """Plan a slide to the table's edge, where a part hangs over for the gripper and the object stays put."""
     from gridpush_drake.files import check_writable, write_whole
-    from gridpush_drake.planning.contact.optimization import DEFAULT_RADIUS
+    from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
     from gridpush_drake.planning.pregrasp.exploration import PokeOptions
     from gridpush_drake.planning.pregrasp.goals import GoalOptions
     from gridpush_drake.planning.pregrasp.grasp_parts import Gripper

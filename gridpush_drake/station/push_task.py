@@ -13,9 +13,8 @@ from pydrake.systems.primitives import ConstantVectorSource
 
 from gridpush_drake.multibody.meshcat_shapes import AddGhost, MakePlanarTransform
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.planning.contact.optimization import ContactOptions
-from gridpush_drake.planning.contact.trial import calc_goal_error
-from gridpush_drake.planning.goal.push_to_goal import GoalRules
+from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_error
+from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.station.finger_region import MakeFingerRegion

@@ -39,17 +39,19 @@ def test_the_world_drops_what_is_pushed_off():
     obj = load_bench_object("toothpaste_tube", pregrasp.FRICTION_RANGE)
     rng = np.random.default_rng(0)
     world = EdgeWorld(obj, pregrasp.make_truth(obj, 0), make_table(0), np.array([0.3, 0.0, 0.0]), rng)
-    assert np.abs(world.observe() - world.pose).max() < 0.02
-    assert world.push(Push((0.19, 0.0), (0.03, 0.0), 1.0, 0.008))
-    assert not world.dropped
-    assert world.pose[0] > 0.31
+    assert np.abs(world.pose - world.true_pose).max() < 0.02
+    assert not world.execute(Push((0.19, 0.0), (0.03, 0.0), 1.0, 0.008)).overhang
+    assert not world.fallen
+    assert world.true_pose[0] > 0.31
     for _ in range(12):
-        start = world.pose[:2] - 0.108 * np.array([np.cos(world.pose[2]), np.sin(world.pose[2])])
-        on_table = world.push(Push(start, (0.03, 0.0), 1.0, 0.008))
-        if world.dropped:
+        x, y, theta = world.true_pose
+        start = np.array([x, y]) - 0.108 * np.array([np.cos(theta), np.sin(theta)])
+        seen = world.execute(Push(start, (0.03, 0.0), 1.0, 0.008))
+        if world.fallen:
             break
-    assert world.dropped
-    assert not on_table
+    assert world.fallen
+    assert world.pose is None
+    assert seen.overhang
 
 
 def test_noise_is_as_large_as_it_says():

@@ -50,11 +50,11 @@ def test_goes_round_an_obstacle(gridpush, block):
     assert max(abs(push["pose"][1]) for push in document["pushes"]) > 0.05
 
 
-def test_says_that_there_is_no_way(gridpush, block, tmp_path):
+def test_says_that_there_is_no_path(gridpush, block, tmp_path):
     out = tmp_path / "plan.yaml"
     outcome = gridpush("plan", block, "--goal", "0.25,0,0", *TABLE, "--obstacle", "rectangle:0.02x1@0.12,0", "-o", out)
     assert outcome.code == 1
-    assert "no_way" in outcome.out
+    assert "no_path" in outcome.out
     assert yaml.safe_load(out.read_text())["pushes"] == []
 
 

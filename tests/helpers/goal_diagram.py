@@ -11,7 +11,7 @@ from pydrake.systems.primitives import ConstantVectorSource
 
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.goal.push_to_goal import GoalRules
+from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.pushes.segmentation import RecordOptions
 from gridpush_drake.systems.contact_point_controller import ContactPointController
 from gridpush_drake.systems.grid_identifier import DEFAULT_PERIOD, GridIdentifier

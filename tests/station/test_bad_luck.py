@@ -8,11 +8,11 @@ import pytest
 from gridpush_drake.bench.grasp import GraspJob, make_score
 from gridpush_drake.cli.demo_tasks import PreGraspDemo
 from gridpush_drake.multibody.ground_truth import CalcPlanarPose, SetGridObjectPose
+from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoopOptions
 from gridpush_drake.station.pregrasp_task import HELD, LOST, PreGraspTask
 from gridpush_drake.systems.messages import PreGraspMode, PushCommand, PushPhase
-from gridpush_drake.systems.pregrasp_controller import ControllerOptions
 
-TIMEOUT = ControllerOptions().timeout
+TIMEOUT = PreGraspLoopOptions().timeout
 """s."""
 
 
@@ -122,8 +122,8 @@ def test_a_slide_in_which_the_object_is_shoved_over_the_edge_is_broken_off():
         if shoved or status.phase != PushPhase.PUSHING or stranger.mode != PreGraspMode.SLIDING:
             return
         context = task.controller.GetMyContextFromRoot(stranger.context)
-        guard = task.controller._get_state(context).guard
-        far = next(far for far in np.arange(0.0, 0.2, 0.002) if guard.find_fault(stranger.pose + far * outwards))
+        monitor = task.controller._get_state(context).monitor
+        far = next(far for far in np.arange(0.0, 0.2, 0.002) if monitor.find_fault(stranger.pose + far * outwards))
         shoved.append(far)
         stranger.put(stranger.pose + (far + 0.002) * outwards)
 

@@ -11,12 +11,12 @@ from shapely import box
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.contact.optimization import ContactOptions
-from gridpush_drake.planning.contact.trial import calc_goal_error
-from gridpush_drake.planning.goal.push_to_goal import GoalRules
+from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_error
+from gridpush_drake.planning.goal.next_push import GoalRules
+from gridpush_drake.planning.goal.push_to_goal import PushToGoalOptions
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.systems.contact_point_controller import ContactPointController, ControllerOptions
+from gridpush_drake.systems.contact_point_controller import ContactPointController
 from gridpush_drake.systems.messages import ContactPointMode, PushCommand, PushStatus
 from tests.helpers.goal_diagram import make_run
 from tests.helpers.made_identifications import make_block
@@ -100,7 +100,7 @@ def test_another_goal_begins_anew():
         ((0.2, 0.2, 0.0), {"obstacles": (box(0.15, 0.15, 0.25, 0.25),)}, "goal_blocked"),
         ((0.35, 0.0, 0.0), {"finger_region": box(-0.2, -0.2, 0.2, 0.2)}, "goal_out_of_reach"),
         ((0.2, 0.0, 0.0), {"push_rule": lambda push: False}, "stuck"),
-        ((0.3, 0.3, 0.0), {"obstacles": (box(0.18, -0.5, 0.2, 0.19), box(-0.5, 0.17, 0.2, 0.19))}, "no_way"),
+        ((0.3, 0.3, 0.0), {"obstacles": (box(0.18, -0.5, 0.2, 0.19), box(-0.5, 0.17, 0.2, 0.19))}, "no_path"),
     ],
 )  # fmt: skip
 def test_says_why_a_goal_cannot_be_reached(goal, changes, cause):
@@ -143,7 +143,7 @@ def test_a_refused_push_is_not_tried_again():
         begin, end = way[-4], way[-3]
         return "the arm sulks" if end[0] - begin[0] > 0.02 else None
 
-    run = make_run(OBJ, TRUTH, (0.15, 0.1, 1.0), RULES, reach=reach, options=ControllerOptions(max_refusals=6))
+    run = make_run(OBJ, TRUTH, (0.15, 0.1, 1.0), RULES, reach=reach, options=PushToGoalOptions(max_refusals=6))
     refused = []
 
     def note(status):
@@ -162,7 +162,7 @@ def test_a_refused_push_is_not_tried_again():
 
 def test_gives_up_when_everything_is_refused():
     run = make_run(
-        OBJ, TRUTH, GOAL, RULES, reach=lambda way, speeds: "the arm sulks", options=ControllerOptions(max_refusals=3)
+        OBJ, TRUTH, GOAL, RULES, reach=lambda way, speeds: "the arm sulks", options=PushToGoalOptions(max_refusals=3)
     )
     status = run.go_on_until(over, 10.0)
     assert (status.mode, status.cause, status.refused, status.pushes) == (ContactPointMode.FAILED, "refused", 3, 0)
@@ -238,7 +238,7 @@ def test_bad_numbers_are_refused():
         GoalRules(tolerance=0.0)
     with pytest.raises(PlanningError, match="max_pushes"):
         GoalRules(max_pushes=-1)
-    with pytest.raises(PlanningError, match="looks"):
-        ControllerOptions(looks=0)
+    with pytest.raises(PlanningError, match="observations"):
+        PushToGoalOptions(observations=0)
     with pytest.raises(PlanningError, match="timeout"):
-        ControllerOptions(timeout=-1.0)
+        PushToGoalOptions(timeout=-1.0)

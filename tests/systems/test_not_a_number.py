@@ -12,8 +12,8 @@ from pydrake.systems.framework import PortDataType
 
 from gridpush_drake.multibody.tool_motion import make_transform
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.contact.optimization import ContactOptions
-from gridpush_drake.planning.goal.push_to_goal import GoalRules
+from gridpush_drake.planning.contact.trial import ContactOptions
+from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface

@@ -13,11 +13,12 @@ from gridpush_drake.identification.learning import describe_prior, identify
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
+from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoopOptions
 from gridpush_drake.planning.pregrasp.side_grasp import SideGripper, find_side_grasps
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from gridpush_drake.systems.messages import GraspCommand, GraspOutcome, GraspStatus, PushCommand, PushPhase, PushStatus
-from gridpush_drake.systems.pregrasp_controller import ControllerOptions, PreGraspController
+from gridpush_drake.systems.pregrasp_controller import PreGraspController
 
 TABLE = SupportSurface.rectangle((0.0, 0.0), (0.8, 0.6))
 
@@ -38,7 +39,7 @@ class Robot:
 
     def __init__(self, pose, **options):
         planner = PreGraspPlanner(BAR, TABLE)
-        self.controller = PreGraspController(planner, self.find_grasp, options=ControllerOptions(**options))
+        self.controller = PreGraspController(planner, self.find_grasp, options=PreGraspLoopOptions(**options))
         self.simulator = Simulator(self.controller)
         self.context = self.simulator.get_mutable_context()
         self.log, self.found = PushLog(()), describe_prior(BAR)
@@ -90,7 +91,9 @@ class Robot:
             belief = (
                 None
                 if not seen
-                else self.controller._believe(identify(BAR, PushLog(tuple(seen))), PushLog(tuple(seen)))
+                else self.controller.loop.believe_identification(
+                    identify(BAR, PushLog(tuple(seen))), PushLog(tuple(seen))
+                )
             )
             push = planner.decide(poses[-1], belief, 0).push
             end = simulate(BAR, TRUTH, push, poses[-1], regime="quasi_static").final_pose
@@ -173,7 +176,7 @@ def test_a_push_not_taken_up_when_the_object_goes_out_of_sight_is_taken_back(lea
     assert robot.wait().mode == "lost"
     robot.see((0.1, 0.05, 0.5))
     assert robot.wait().mode == "exploring"
-    assert (robot.push.command_id, robot.status.pokes) == (1, 1)
+    assert (robot.push.command_id, robot.status.pokes) == (2, 1)  # an id is never used again
     assert np.linalg.norm(robot.push.start - first.start) > 0.02
 
 
@@ -243,7 +246,7 @@ def test_a_clone_of_the_context_goes_the_same_way(learned):
     )
 
 
-@pytest.mark.parametrize("options", [{"period": 0.0}, {"looks": 0}, {"timeout": np.nan}])
+@pytest.mark.parametrize("options", [{"period": 0.0}, {"observations": 0}, {"timeout": np.nan}])
 def test_refuses_options_out_of_range(options):
     with pytest.raises(PlanningError, match=next(iter(options))):
-        ControllerOptions(**options)
+        PreGraspLoopOptions(**options)

@@ -4,7 +4,7 @@ The cost of a push is the mean distance of the cells' centers at its predicted e
 (`docs/theory/planning.md`, section 1).
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from time import perf_counter
 from typing import Literal
 
@@ -12,61 +12,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
-from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.reachable_outline import find_reachable_outline
-from gridpush_drake.planning.contact.search import METHODS, SearchOptions
-from gridpush_drake.planning.contact.trial import PlannedPush, TrialRunner, calc_goal_error
+from gridpush_drake.planning.contact.search import METHODS
+from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush, TrialRunner, calc_goal_error
 from gridpush_drake.planning.push_constraints import PushConstraints
 
 Array = NDArray[np.float64]
 ContactMethod = Literal["gradient", "finite_difference", "exhaustive"]
-
-DEFAULT_RADIUS = 0.008
-"""Of the finger, m."""
 
 STATUS_OK = "ok"
 STATUS_NO_CONTACT = "no_reachable_contact"
 STATUS_NO_IMPROVEMENT = "no_improvement"
 
 REACH_FACTOR = 1.25
-"""The longest push tried is this times the longest way a cell has to go, unless the range ends before."""
-
-
-@dataclass(frozen=True)
-class ContactOptions:
-    """What pushes may be chosen from, and how.
-
-    Attributes:
-        radius: of the finger, a disc, m.
-        clearance: gap between finger and object at the beginning, m.
-        speed: of the finger, m/s.
-        distance_range: least and greatest distance, m.
-        regime: of the simulations.
-        search: how to search.
-    """
-
-    radius: float = DEFAULT_RADIUS
-    clearance: float = 0.002
-    speed: float = 0.03
-    distance_range: tuple[float, float] = (0.005, 0.3)
-    regime: Regime = "quasi_static"
-    search: SearchOptions = field(default_factory=SearchOptions)
-
-    def __post_init__(self) -> None:
-        low, high = self.distance_range
-        if not 0 < low <= high < np.inf:
-            raise PlanningError(f"distance_range is {self.distance_range!r}; expected 0 < least <= greatest (m)")
-        low, high = self.search.angle_range
-        if not -np.pi / 2 < low <= high < np.pi / 2:
-            raise PlanningError(f"angle_range is {(low, high)!r}; expected -pi/2 < least <= greatest < pi/2 (rad)")
-        if not (np.isfinite(self.speed) and self.speed > 0):
-            raise PlanningError(f"speed is {self.speed!r}; expected a positive number (m/s)")
-        for name in ("starts", "budget", "places", "angles"):
-            if getattr(self.search, name) < 1:
-                raise PlanningError(f"{name} is {getattr(self.search, name)!r}; expected at least 1")
+"""The longest push tried is this times the farthest that a cell has to go, unless the range ends before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +97,7 @@ def optimize_contact(
     options = options or ContactOptions()
     q, aim = check_pose("pose", pose), check_pose("goal", goal)
     runner = make_runner(obj, params, q, aim, constraints, options)
-    trials = METHODS[method](runner, options.search)[:MAX_CANDIDATES]
+    trials = METHODS[method](runner)[:MAX_CANDIDATES]
     found = tuple(runner.finish(trial, runner.simulations) for trial in trials)
     start_cost = float(calc_goal_error(obj, q, aim))
     status = STATUS_NO_CONTACT if not found else STATUS_OK if found[0].cost < start_cost else STATUS_NO_IMPROVEMENT
@@ -163,7 +125,7 @@ def calc_gap(
         goal: (3,) where it should.
         planned: the plan.
         constraints: as it was planned with.
-        options: as it was planned with; `search.places` and `search.angles` set the yardstick's grid.
+        options: as it was planned with; `places` and `angles` set the yardstick's grid.
 
     Returns:
         Difference of the costs (mean cell error at the push's end).
@@ -184,10 +146,7 @@ def make_runner(
     low, high = options.distance_range
     high = max(low, min(high, REACH_FACTOR * longest + options.clearance + low))
     checker = (constraints or PushConstraints()).start_at(obj, pose, options.radius)
-    return TrialRunner(
-        obj, params, pose, goal, reach, checker, options.radius, options.clearance, options.speed, (low, high),
-        options.regime,
-    )  # fmt: skip
+    return TrialRunner(obj, params, pose, goal, reach, checker, options, (low, high))
 
 
 def check_pose(name: str, pose: ArrayLike) -> Array:
@@ -196,8 +155,3 @@ def check_pose(name: str, pose: ArrayLike) -> Array:
     if q.shape != (3,) or not np.isfinite(q).all():
         raise PlanningError(f"{name} is {pose!r}; expected three finite numbers (x, y, theta)")
     return q
-
-
-def with_search(options: ContactOptions, **changes: object) -> ContactOptions:
-    """The options with fields of their search changed."""
-    return replace(options, search=replace(options.search, **changes))  # type: ignore[arg-type]

@@ -9,7 +9,8 @@ the new edge's normal kept within its range. Starts are taken up best first: the
 lowest cost, and the search ends when no start promises to do better than the best.
 
 "finite_difference" is the paper's: from places spread along the outline it walks along it, and turns, by the sign of
-finite differences, with steps that halve. "exhaustive" tries every place with every direction: the yardstick.
+finite differences, with steps that halve. "exhaustive" tries every place with every direction of a grid, and walks on
+in the same manner from the best of its nodes: the yardstick.
 
 Where a contact search should begin: places and directions ranked without a simulation.
 
@@ -24,6 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gridpush_drake.geometry.se2 import compose, rotate, transform
 from gridpush_drake.planning.contact.limit_surface import predict_roughly
 from gridpush_drake.planning.contact.trial import Trial, TrialRunner
 
@@ -53,49 +55,44 @@ class Screening:
     rough_cost: Array
 
 
-def screen(runner: TrialRunner, angle_range: tuple[float, float], count: int) -> Screening:
+def screen(runner: TrialRunner) -> Screening:
     """Ranks pushes from the runner's pose towards its goal.
 
     Args:
-        runner: pose, goal, outline and rules.
-        angle_range: least and greatest angle from the inward normal, rad.
-        count: how many are wanted.
+        runner: pose, goal, outline, rules, and how many are wanted.
 
     Returns:
-        At most as many; fewer where the rules forbid the others, or they are near one another.
+        At most as many as there are starts; fewer where the rules forbid the others, or they are near one another.
     """
+    options = runner.options
     s, piece = runner.reach.spread(runner.reach.length / PLACES)
-    angles = np.linspace(*angle_range, ANGLES)
+    angles = np.linspace(*options.angle_range, ANGLES)
     s, piece, angle = np.repeat(s, ANGLES), np.repeat(piece, ANGLES), np.tile(angles, len(s))
     normal = runner.reach.normal[piece]
-    start = runner.reach.point(s, piece) + (runner.radius + runner.clearance) * normal
-    c, w = np.cos(angle), np.sin(angle)
-    direction = -np.column_stack([c * normal[:, 0] - w * normal[:, 1], w * normal[:, 0] + c * normal[:, 1]])
-    keep = runner.checker.allows_finger(_to_world(start, runner.pose))
+    start = runner.reach.point(s, piece) + (options.radius + options.clearance) * normal
+    direction = -rotate(angle, normal)
+    keep = runner.checker.allows_finger(transform(runner.pose, start))
     s, piece, angle, start, direction = s[keep], piece[keep], angle[keep], start[keep], direction[keep]
     if not len(s):
         return Screening(s, piece, angle, np.empty(0))
     longest = runner.distance_range[1]
-    poses = predict_roughly(runner.obj, runner.params, start, direction, longest, runner.radius)
+    poses = predict_roughly(runner.obj, runner.params, start, direction, longest, options.radius)
     costs = _calc_rough_costs(runner, poses)
 
     def count_allowed(i: int) -> int:
         return _count_allowed(runner, poses[:, i], start[i], direction[i])
 
-    chosen, cost = _pick_apart(runner, s, angle, costs, count_allowed, count)
+    chosen, cost = _pick_apart(runner, s, angle, costs, count_allowed, options.starts)
     return Screening(s[chosen], piece[chosen], angle[chosen], cost)
 
 
 def _calc_rough_costs(runner: TrialRunner, poses: Array) -> Array:
     """(steps, N) root mean square distance of the cells from the goal's: |dc|² + 2 (1 - cos dtheta) rho²."""
     centroid, rho = runner.obj.p_BC.mean(axis=0), runner.obj.radius_of_gyration
-    x, y, theta = runner.pose
-    goal = runner.goal
-    at = _turned(centroid, poses[..., 2]) + poses[..., :2]
-    world = np.array([x, y]) + _turn(at, theta)
-    aim = goal[:2] + _turn(centroid, goal[2])
-    turn = poses[..., 2] + theta - goal[2]
-    return np.sqrt(((world - aim) ** 2).sum(axis=-1) + 2 * (1 - np.cos(turn)) * rho**2)
+    world = compose(runner.pose, poses)
+    at, aim = transform(world, centroid[None])[..., 0, :], transform(runner.goal, centroid[None])[0]
+    turn = world[..., 2] - runner.goal[2]
+    return np.sqrt(((at - aim) ** 2).sum(axis=-1) + 2 * (1 - np.cos(turn)) * rho**2)
 
 
 def _count_allowed(runner: TrialRunner, poses: Array, start: Array, direction: Array) -> int:
@@ -104,9 +101,8 @@ def _count_allowed(runner: TrialRunner, poses: Array, start: Array, direction: A
     if runner.checker.constraints.is_free:
         return steps
     traveled = runner.distance_range[1] * np.arange(1, steps + 1) / steps
-    tip = _to_world(start + traveled[:, None] * direction, runner.pose)
-    world = np.column_stack([_to_world(poses[:, :2], runner.pose), poses[:, 2] + runner.pose[2]])
-    fine = runner.checker.allows_finger(tip) & runner.checker.allows_poses(world)
+    tip = transform(runner.pose, start + traveled[:, None] * direction)
+    fine = runner.checker.allows_finger(tip) & runner.checker.allows_poses(compose(runner.pose, poses))
     return steps if fine.all() else int(np.argmin(fine))
 
 
@@ -150,45 +146,8 @@ def _pick_apart(
     return np.array(chosen, dtype=np.int64), np.array(kept)
 
 
-def _turned(p: Array, theta: Array) -> Array:
-    c, s = np.cos(theta), np.sin(theta)
-    return np.stack([c * p[0] - s * p[1], s * p[0] + c * p[1]], axis=-1)
-
-
-def _turn(p: Array, theta: float) -> Array:
-    c, s = np.cos(theta), np.sin(theta)
-    return p @ np.array([[c, s], [-s, c]])
-
-
-def _to_world(p_BP: Array, pose: Array) -> Array:
-    return pose[:2] + _turn(p_BP, pose[2])
-
-
-Search = Callable[[TrialRunner, "SearchOptions"], list[Trial]]
-
-
-@dataclass(frozen=True)
-class SearchOptions:
-    """How to search.
-
-    Attributes:
-        angle_range: least and greatest angle of the motion from the inward normal, rad.
-        starts: of the gradient and the finite-difference search.
-        budget: most simulations of the gradient and the finite-difference search.
-        tolerance: improvement that is not worth a simulation, m.
-        places: of the exhaustive search, along the outline.
-        angles: of the exhaustive search, at each place.
-        seed: of the finite-difference search's first place.
-    """
-
-    angle_range: tuple[float, float] = (-0.8, 0.8)
-    starts: int = 12
-    budget: int = 44
-    tolerance: float = 2e-4
-    places: int = 60
-    angles: int = 7
-    seed: int = 0
-
+Search = Callable[[TrialRunner], list[Trial]]
+"""From what simulates pushes to the trials found, best first."""
 
 FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 0.03, 1e-3, 30.0
 """lambda at first, and between what it stays; above, a start has come to its end."""
@@ -211,6 +170,10 @@ DIFFERENCE_PLACE, DIFFERENCE_TURN = 0.04, 0.25
 HALVINGS = 4
 """After so many the walk ends."""
 
+REFINEMENTS = 6
+"""Halvings of the exhaustive search's steps from the best nodes of its grid, half the grid's at first: of a long push a
+millimeter along the outline may move the end by centimeters, which no grid resolves."""
+
 
 @dataclass(eq=False)
 class _Walk:
@@ -226,24 +189,24 @@ class _Walk:
         return self.trial.cost - HOPE * self.promise
 
 
-def search_by_gradient(runner: TrialRunner, options: SearchOptions) -> list[Trial]:
+def search_by_gradient(runner: TrialRunner) -> list[Trial]:
     """Descends from screened starts; one trial a start, best first."""
-    beginnings = screen(runner, options.angle_range, options.starts)
-    walks = []
+    beginnings = screen(runner)
+    walks, options = [], runner.options
     for s, piece, angle in zip(beginnings.arc_length, beginnings.piece, beginnings.angle, strict=True):
         walk = _Walk(runner.run(float(s), int(piece), float(angle), gradient=True))
         if np.isfinite(walk.trial.cost):
-            _plan_step(walk, runner, options)
+            _plan_step(walk, runner)
             walks.append(walk)
     while walks and runner.simulations < options.budget:
         best = min(walk.trial.cost for walk in walks)
         walk = min(walks, key=lambda walk: walk.hoped_cost if walk.step is not None else np.inf)
-        if walk.step is None or walk.hoped_cost > best - options.tolerance:
+        if walk.step is None or walk.hoped_cost > best - options.min_improvement:
             break
         if any(_has_run_into(walk, other, runner) for other in walks):
             walk.step, walk.promise = None, 0.0
             continue
-        _advance(walk, runner, options)
+        _advance(walk, runner)
     return sorted((walk.trial for walk in walks), key=lambda trial: trial.cost)
 
 
@@ -256,12 +219,12 @@ def _has_run_into(walk: _Walk, other: _Walk, runner: TrialRunner) -> bool:
     return near and abs(walk.trial.angle - other.trial.angle) < SAME_TURN
 
 
-def _plan_step(walk: _Walk, runner: TrialRunner, options: SearchOptions) -> None:
+def _plan_step(walk: _Walk, runner: TrialRunner) -> None:
     """Solves for the next step and what it promises; none where it is not worth a simulation."""
     slope, H = walk.trial.slope, walk.trial.curvature
     assert slope is not None and H is not None
     free = np.ones(3, dtype=bool)
-    low, high = options.angle_range
+    low, high = runner.options.angle_range
     if (walk.trial.angle <= low and slope[1] > 0) or (walk.trial.angle >= high and slope[1] < 0):
         free[1] = False
     limit = np.array([MAX_STEP * runner.reach.perimeter, MAX_TURN, np.inf])
@@ -272,26 +235,24 @@ def _plan_step(walk: _Walk, runner: TrialRunner, options: SearchOptions) -> None
         x *= min(1.0, float(np.min(limit / np.maximum(np.abs(x), 1e-12))))
         walk.step, walk.promise = x, float(-(slope @ x + x @ H @ x / 2))
         break
-    if walk.damping > MAX_DAMPING or walk.promise * HOPE < options.tolerance:
+    if walk.damping > MAX_DAMPING or walk.promise * HOPE < runner.options.min_improvement:
         walk.step, walk.promise = None, 0.0
 
 
-def _advance(walk: _Walk, runner: TrialRunner, options: SearchOptions) -> None:
+def _advance(walk: _Walk, runner: TrialRunner) -> None:
     """Tries the step; keeps it where it helps."""
     assert walk.step is not None
-    s, piece, angle = move(runner, walk.trial, walk.step[0], walk.step[1], options.angle_range)
+    s, piece, angle = move(runner, walk.trial, walk.step[0], walk.step[1])
     same_place = abs(s - walk.trial.arc_length) < 1e-6 and abs(angle - walk.trial.angle) < 1e-6
     trial = walk.trial if same_place else runner.run(s, piece, angle, gradient=True)
     if trial.cost < walk.trial.cost:
         walk.trial, walk.damping = trial, max(MIN_DAMPING, walk.damping * LOOSEN)
     else:
         walk.damping *= TIGHTEN
-    _plan_step(walk, runner, options)
+    _plan_step(walk, runner)
 
 
-def move(
-    runner: TrialRunner, trial: Trial, by: float, turn: float, angle_range: tuple[float, float]
-) -> tuple[float, int, float]:
+def move(runner: TrialRunner, trial: Trial, by: float, turn: float) -> tuple[float, int, float]:
     """Moves a trial along the outline and turns it, its direction held in the body frame.
 
     Args:
@@ -299,7 +260,6 @@ def move(
         trial: from which.
         by: m, counterclockwise.
         turn: rad.
-        angle_range: what the new angle is kept within, rad.
 
     Returns:
         The nearest reachable arc length, m, its piece, and the angle from the normal there, rad.
@@ -308,32 +268,36 @@ def move(
     piece = int(pieces)
     old, new = runner.reach.tangent[trial.piece], runner.reach.tangent[piece]
     bend = float(np.arctan2(old[0] * new[1] - old[1] * new[0], old @ new))
-    return float(places), piece, float(np.clip(trial.angle + turn - bend, *angle_range))
+    return float(places), piece, float(np.clip(trial.angle + turn - bend, *runner.options.angle_range))
 
 
-def search_by_differences(runner: TrialRunner, options: SearchOptions) -> list[Trial]:
+def search_by_differences(runner: TrialRunner) -> list[Trial]:
     """The paper's walk along the outline; one trial a start, best first."""
+    options = runner.options
     spacing = runner.reach.perimeter / options.starts
     first = np.random.default_rng(options.seed).uniform(0, spacing)
     places, pieces = runner.reach.find_nearest(first + spacing * np.arange(options.starts))
     middle = float(np.mean(options.angle_range))
     trials = [runner.run(float(s), int(piece), middle) for s, piece in zip(places, pieces, strict=True)]
     trials = sorted((trial for trial in trials if np.isfinite(trial.cost)), key=lambda trial: trial.cost)
+    first_step = DIFFERENCE_PLACE * runner.reach.perimeter
     for i, trial in enumerate(trials):
-        trials[i] = _walk_along(runner, options, trial)
+        trials[i] = _walk_along(runner, trial, first_step, DIFFERENCE_TURN, HALVINGS, options.budget)
     return sorted(trials, key=lambda trial: trial.cost)
 
 
-def _walk_along(runner: TrialRunner, options: SearchOptions, trial: Trial) -> Trial:
-    place, turn = DIFFERENCE_PLACE * runner.reach.perimeter, DIFFERENCE_TURN
-    for _ in range(HALVINGS):
+def _walk_along(
+    runner: TrialRunner, trial: Trial, place: float, turn: float, halvings: int, budget: float = np.inf
+) -> Trial:
+    """Walks to better neighbors, `place` (m) along the outline or `turn` (rad) away, with steps that halve."""
+    for _ in range(halvings):
         moved = True
-        while moved and runner.simulations < options.budget:
+        while moved and runner.simulations < budget:
             moved = False
             for by, angle in ((place, 0.0), (-place, 0.0), (0.0, turn), (0.0, -turn)):
-                if runner.simulations >= options.budget:
+                if runner.simulations >= budget:
                     break
-                other = runner.run(*move(runner, trial, by, angle, options.angle_range))
+                other = runner.run(*move(runner, trial, by, angle))
                 if other.cost < trial.cost:
                     trial, moved = other, True
                     break
@@ -341,16 +305,22 @@ def _walk_along(runner: TrialRunner, options: SearchOptions, trial: Trial) -> Tr
     return trial
 
 
-def search_exhaustively(runner: TrialRunner, options: SearchOptions) -> list[Trial]:
-    """Every place with every direction, best first."""
-    places, pieces = runner.reach.spread(runner.reach.length / options.places)
+def search_exhaustively(runner: TrialRunner) -> list[Trial]:
+    """Every place with every direction of a grid, the best of them walked on between its nodes, best first."""
+    options = runner.options
+    spacing = runner.reach.length / options.places
+    places, pieces = runner.reach.spread(spacing)
     angles = np.linspace(*options.angle_range, options.angles)
     trials = [
         runner.run(float(s), int(piece), float(angle))
         for s, piece in zip(places, pieces, strict=True)
         for angle in angles
     ]
-    return sorted((trial for trial in trials if np.isfinite(trial.cost)), key=lambda trial: trial.cost)
+    trials = sorted((trial for trial in trials if np.isfinite(trial.cost)), key=lambda trial: trial.cost)
+    turn = float(np.ptp(angles)) / max(options.angles - 1, 1) / 2
+    walked = [_walk_along(runner, trial, spacing / 2, turn, REFINEMENTS) for trial in trials[: options.refined]]
+    trials[: options.refined] = walked
+    return sorted(trials, key=lambda trial: trial.cost)
 
 
 METHODS: dict[str, Search] = {

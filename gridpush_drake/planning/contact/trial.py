@@ -1,7 +1,7 @@
-"""One simulated push of a contact search: how near it comes to the goal, and which way is better.
+"""One simulated push of a contact search: how near it comes to the goal, and where a better one is.
 
 A straight push at one place and in one direction passes through all its shorter selves, so that a single simulation
-tells the best distance too: the cost at (arc length s, direction phi) is that of the best allowed pose on the way,
+tells the best distance too: the cost at (arc length s, direction phi) is that of the best allowed pose of the motion,
 
     f(s, phi) = min_d C(q(s, phi, d)),   C(q) = 1/n sum_i |p_i(q) - p_i(goal)|.
 
@@ -21,6 +21,7 @@ from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
+from gridpush_drake.errors import PlanningError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.reachable_outline import ReachableOutline
@@ -56,6 +57,61 @@ def calc_goal_error(obj: GridObject, pose: ArrayLike, goal: ArrayLike) -> Array:
     """Mean distance of the cells' centers between poses (..., 3) and one goal pose (3,), (...,) m (the paper's ADD)."""
     difference = obj.cells_at(pose) - obj.cells_at(goal)
     return np.asarray(np.hypot(difference[..., 0], difference[..., 1]).mean(axis=-1))
+
+
+DEFAULT_RADIUS = 0.008
+"""Of the finger, m."""
+
+
+@dataclass(frozen=True)
+class ContactOptions:
+    """What pushes may be chosen from, and how they are searched for.
+
+    Attributes:
+        radius: of the finger, a disc, m.
+        clearance: gap between finger and object at the beginning, m.
+        speed: of the finger, m/s.
+        distance_range: least and greatest distance, m.
+        regime: of the simulations.
+        angle_range: least and greatest angle of the motion from the inward normal, rad.
+        starts: of the gradient and the finite-difference search.
+        budget: most simulations of the gradient and the finite-difference search.
+        min_improvement: of the cost that is worth a simulation, m.
+        places: of the exhaustive search's grid, along the outline.
+        angles: of the exhaustive search's grid, at each place.
+        refined: best nodes of that grid that are walked on from.
+        seed: of the finite-difference search's first place.
+
+    Raises:
+        PlanningError: a value is out of range.
+    """
+
+    radius: float = DEFAULT_RADIUS
+    clearance: float = 0.002
+    speed: float = 0.03
+    distance_range: tuple[float, float] = (0.005, 0.3)
+    regime: Regime = "quasi_static"
+    angle_range: tuple[float, float] = (-0.8, 0.8)
+    starts: int = 12
+    budget: int = 44
+    min_improvement: float = 2e-4
+    places: int = 60
+    angles: int = 7
+    refined: int = 16
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        low, high = self.distance_range
+        if not 0 < low <= high < np.inf:
+            raise PlanningError(f"distance_range is {self.distance_range!r}; expected 0 < least <= greatest (m)")
+        low, high = self.angle_range
+        if not -np.pi / 2 < low <= high < np.pi / 2:
+            raise PlanningError(f"angle_range is {(low, high)!r}; expected -pi/2 < least <= greatest < pi/2 (rad)")
+        if not (np.isfinite(self.speed) and self.speed > 0):
+            raise PlanningError(f"speed is {self.speed!r}; expected a positive number (m/s)")
+        for name in ("starts", "budget", "places", "angles"):
+            if getattr(self, name) < 1:
+                raise PlanningError(f"{name} is {getattr(self, name)!r}; expected at least 1")
 
 
 RECORD_EVERY = 4
@@ -101,11 +157,8 @@ class TrialRunner:
         goal: (3,) where it should.
         reach: where the disc can touch.
         checker: the rules.
-        radius: of the disc, m.
-        clearance: gap at the beginning, m.
-        speed: m/s.
-        distance_range: least and greatest distance, m.
-        regime: of the simulation.
+        options: what pushes may be chosen from.
+        distance_range: least and greatest distance that are tried, m.
         simulations: run so far.
     """
 
@@ -115,18 +168,15 @@ class TrialRunner:
     goal: Array
     reach: ReachableOutline
     checker: PushChecker
-    radius: float
-    clearance: float
-    speed: float
+    options: ContactOptions
     distance_range: tuple[float, float]
-    regime: Regime = "quasi_static"
     simulations: int = 0
 
     def make_push(self, arc_length: float, angle: float, distance: float) -> Push:
         """The push with these parameters."""
         return Push.on_outline(
-            self.obj, arc_length, angle, distance, radius=self.radius, speed=self.speed, pose=self.pose,
-            clearance=self.clearance,
+            self.obj, arc_length, angle, distance, radius=self.options.radius, speed=self.options.speed,
+            pose=self.pose, clearance=self.options.clearance,
         )  # fmt: skip
 
     def run(self, arc_length: float, piece: int, angle: float, gradient: bool = False) -> Trial:
@@ -135,16 +185,16 @@ class TrialRunner:
         failed = Trial(arc_length, piece, angle, self.distance_range[1], self.pose, np.inf)
         if not self.checker.allows_finger(push.start[None])[0]:
             return failed
-        times = make_path_times(push, self.regime)
+        times = make_path_times(push, self.options.regime)
         record = np.unique(np.append(np.arange(0, len(times), RECORD_EVERY), len(times) - 1))
         motion = simulate(
-            self.obj, self.params, push, self.pose, times=times, regime=self.regime, gradients=gradient,
+            self.obj, self.params, push, self.pose, times=times, regime=self.options.regime, gradients=gradient,
             record=record if gradient else None,
         )  # fmt: skip
         self.simulations += 1
         if motion.status in (MotionStatus.STARTED_OVERLAPPING, MotionStatus.NOT_CONVERGED):
             return failed
-        traveled = self.speed * times
+        traveled = self.options.speed * times
         usable = self.checker.count_allowed(motion.tip, motion.poses)
         first = int(np.searchsorted(traveled, self.distance_range[0] - 1e-9))
         if usable <= first:

@@ -2,11 +2,11 @@
 
 Where nothing is in between, the cost of a pose is the mean cell error to the goal. Where something is, the poses are
 cut into a lattice (position of the cells' centroid and angle), those that the rules forbid are left out, and the
-shortest ways from the goal are found by Dijkstra's algorithm. A step of the lattice is as long as the cells move, about
+shortest paths from the goal found by Dijkstra's algorithm. A step of the lattice is as long as the cells move, about
 
     sqrt(dx² + dy² + rho² dtheta²),   rho the radius of gyration.
 
-The way is a slid object's, not a pushed one's: it says where to go next, and pushes are then searched for.
+The path is a slid object's, not a pushed one's: it says where to go next, and pushes are then searched for.
 """
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
+from gridpush_drake.geometry.se2 import rotate, transform, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.push_constraints import PushChecker
@@ -28,10 +29,10 @@ TURNS = 24
 """Angles of the lattice, in a whole turn."""
 
 ROOM = 0.25
-"""m about start, goal and obstacles within which ways are looked for, where there is no table."""
+"""m about start, goal and obstacles within which paths are searched for, where there is no table."""
 
 LINE_STEP = 0.01
-"""m between poses that are checked along a straight way, as their cells move."""
+"""m between poses that are checked along a straight path, as their cells move."""
 
 NEIGHBORS = np.array(
     [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, -1, 0), (1, 0, 1), (1, 0, -1), (0, 1, 1), (0, 1, -1)]
@@ -58,30 +59,31 @@ class CostToGo:
             self._build(start)
 
     def calc_cost(self, pose: Array) -> float:
-        """The way still to go from a pose (3,), m; infinite where there is none."""
+        """The cost-to-go of a pose (3,), m; infinite where no path leads to the goal."""
         if self.direct or self.is_clear(pose, self.goal):
             return float(calc_goal_error(self.obj, pose, self.goal))
         return self._enter(pose)[1]
 
     def find_subgoals(self, pose: Array) -> list[Array]:
-        """Poses (3,) to aim for: the goal where nothing is in between, else places along the way; none if no way."""
+        """Poses (3,) to aim for: the goal where nothing is in between, else places along the path; none without one."""
         if self.direct or self.is_clear(pose, self.goal):
             return [self.goal]
         node, cost = self._enter(pose)
         if not np.isfinite(cost):
             return []
-        way = [self._poses[node]]
+        path = [self._poses[node]]
         while self._next[node] >= 0:
             node = int(self._next[node])
-            way.append(self._poses[node])
-        way.append(self.goal)
-        seen = [i for i, at in enumerate(way) if self.is_clear(pose, at)]
+            path.append(self._poses[node])
+        path.append(self.goal)
+        seen = [i for i, at in enumerate(path) if self.is_clear(pose, at)]
         furthest = seen[-1] if seen else 0
-        return [way[i] for i in sorted({furthest, (furthest + 1) // 2, min(furthest + 2, len(way) - 1)}, reverse=True)]
+        chosen = {furthest, (furthest + 1) // 2, min(furthest + 2, len(path) - 1)}
+        return [path[i] for i in sorted(chosen, reverse=True)]
 
     def is_clear(self, a: Array, b: Array) -> bool:
         """Whether the object can be moved and turned straight from pose a (3,) to pose b (3,)."""
-        turn = (b[2] - a[2] + np.pi) % (2 * np.pi) - np.pi
+        turn = float(wrap_angle(b[2] - a[2]))
         length = float(np.abs(self.obj.cells_at(a) - self.obj.cells_at(b)).max()) + abs(turn) * self._radius
         share = np.linspace(0.0, 1.0, 2 + int(length / LINE_STEP))[:, None]
         center = (1 - share) * self._center(a) + share * self._center(b)
@@ -93,14 +95,10 @@ class CostToGo:
         return float(np.linalg.norm(self.obj.p_BC - self._centroid, axis=1).max())
 
     def _center(self, pose: Array) -> Array:
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        x, y = self._centroid
-        return pose[:2] + np.array([c * x - s * y, s * x + c * y])
+        return transform(pose, self._centroid[None])[0]
 
     def _from_center(self, center: Array, theta: Array) -> Array:
-        c, s = np.cos(theta), np.sin(theta)
-        x, y = self._centroid
-        return np.column_stack([center[..., 0] - c * x + s * y, center[..., 1] - s * x - c * y, theta])
+        return np.column_stack([center - rotate(theta, self._centroid), theta])
 
     def _build(self, start: Array) -> None:
         low, high = self.checker.bounds(np.array([self._center(start), self._center(self.goal)]), ROOM)
@@ -110,14 +108,14 @@ class CostToGo:
         self._low, self._step, self._counts = low, step, counts
         self._poses = self._from_center(low + step * index[:, :2], 2 * np.pi / TURNS * index[:, 2])
         self._free = self.checker.allows_geometry(self._poses)
-        numbers = np.arange(len(index)).reshape(counts)
+        nodes = np.arange(len(index)).reshape(counts)
         rho = self.obj.radius_of_gyration
         rows, columns, weights = [], [], []
         for hop in NEIGHBORS:
             other = index + hop
             inside = ((other[:, :2] >= 0) & (other[:, :2] < counts[:2])).all(axis=1)
             a = np.flatnonzero(inside)
-            b = numbers[other[a, 0], other[a, 1], other[a, 2] % TURNS]
+            b = nodes[other[a, 0], other[a, 1], other[a, 2] % TURNS]
             free = self._free[a] & self._free[b]
             rows.append(a[free])
             columns.append(b[free])
@@ -148,7 +146,7 @@ class CostToGo:
         return nodes
 
     def _enter(self, pose: Array) -> tuple[int, float]:
-        """The lattice pose by which the way leads from a pose, and its whole cost, m."""
+        """The lattice pose by which the path leads from a pose, and its whole cost, m."""
         nodes = [node for node in self._near(pose) if np.isfinite(self._cost[node])]
         if not nodes:
             return -1, np.inf

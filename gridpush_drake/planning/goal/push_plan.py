@@ -13,14 +13,13 @@ import yaml
 from numpy.typing import ArrayLike, NDArray
 from shapely import Point
 
-from gridpush_drake.errors import PlanningError
 from gridpush_drake.files import write_whole
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.contact.optimization import ContactOptions, check_pose
+from gridpush_drake.planning.contact.optimization import check_pose
 from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
-from gridpush_drake.planning.goal.next_push import HorizonOptions, choose_push
+from gridpush_drake.planning.goal.next_push import GoalRules, choose_push
 from gridpush_drake.planning.push_constraints import PushConstraints
 
 Array = NDArray[np.float64]
@@ -29,7 +28,7 @@ REACHED = "reached"
 GOAL_OFF_TABLE, START_OFF_TABLE = "goal_off_table", "start_off_table"
 GOAL_BLOCKED, START_BLOCKED = "goal_blocked", "start_blocked"
 GOAL_OUT_OF_REACH = "goal_out_of_reach"
-NO_WAY, STUCK, TOO_MANY_PUSHES = "no_way", "stuck", "too_many_pushes"
+NO_PATH, STUCK, TOO_MANY_PUSHES = "no_path", "stuck", "too_many_pushes"
 
 REASONS = {
     REACHED: "The object is at the goal, within the tolerance.",
@@ -38,16 +37,14 @@ REASONS = {
     GOAL_BLOCKED: "At the goal pose the object touches an obstacle, or is nearer to one than it may be.",
     GOAL_OUT_OF_REACH: "At the goal pose the finger does not come to the object.",
     START_BLOCKED: "Where the object lies, it overlaps an obstacle.",
-    NO_WAY: "There is no way to the goal for the object between the obstacles and the table's edges.",
+    NO_PATH: "There is no path to the goal for the object between the obstacles and the table's edges.",
     STUCK: "No push that the finger can make brings the object nearer to the goal.",
     TOO_MANY_PUSHES: "The goal was not reached within the pushes that were allowed.",
 }
 """What each status means, in a sentence."""
 
-DEFAULT_TOLERANCE = 0.02
-"""Mean cell error at which a goal counts as reached, m: the paper's."""
-
-DEFAULT_MAX_PUSHES = 25
+LOOK_AHEAD = GoalRules(horizon=2)
+"""Rules of a plan that trusts its model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,12 +89,7 @@ def plan_pushes(
     params: CellParameters,
     pose: ArrayLike,
     goal: ArrayLike,
-    *,
-    constraints: PushConstraints | None = None,
-    options: ContactOptions | None = None,
-    horizons: HorizonOptions | None = None,
-    tolerance: float = DEFAULT_TOLERANCE,
-    max_pushes: int = DEFAULT_MAX_PUSHES,
+    rules: GoalRules = LOOK_AHEAD,
 ) -> PushPlan:
     """Plans pushes that bring an object to a goal pose, trusting the model.
 
@@ -106,11 +98,7 @@ def plan_pushes(
         params: its model.
         pose: (3,) q_W where it lies, m and rad.
         goal: (3,) where it should.
-        constraints: table, obstacles and further rules; none by default.
-        options: what pushes may be chosen from.
-        horizons: how far ahead to look.
-        tolerance: mean cell error at which the goal counts as reached, m.
-        max_pushes: most pushes.
+        rules: how to push; their robustness is not asked for.
 
     Returns:
         The plan; its `status` says whether it gets there, and if not why.
@@ -119,19 +107,16 @@ def plan_pushes(
         PlanningError: an argument is out of range.
     """
     begin = perf_counter()
-    constraints, options = constraints or PushConstraints(), options or ContactOptions()
-    horizons = horizons or HorizonOptions()
     q, aim = check_pose("pose", pose), check_pose("goal", goal)
-    check_tolerance(tolerance, max_pushes)
     pushes: list[PlannedPush] = []
     simulations, start = 0, q
-    status = check_ends(obj, q, aim, constraints, options.radius)
-    way = CostToGo(obj, q, aim, constraints.start_at(obj, q, options.radius)) if status is None else None
-    while status is None and way is not None:
-        status = judge(obj, q, way, len(pushes), tolerance, max_pushes)
+    status = check_ends(obj, q, aim, rules.constraints, rules.contact.radius)
+    cost_to_go = CostToGo(obj, q, aim, rules.constraints.start_at(obj, q, rules.contact.radius)) if not status else None
+    while status is None and cost_to_go is not None:
+        status = find_stop_reason(obj, q, cost_to_go, len(pushes), rules)
         if status is not None:
             break
-        decision = choose_push(obj, params, q, way, tolerance, constraints, options, horizons)
+        decision = choose_push(obj, params, q, cost_to_go, rules)
         simulations += decision.simulations
         if decision.push is None:
             status = STUCK
@@ -146,13 +131,13 @@ def plan_pushes(
     )  # fmt: skip
 
 
-def judge(obj: GridObject, pose: Array, way: CostToGo, made: int, tolerance: float, max_pushes: int) -> str | None:
+def find_stop_reason(obj: GridObject, pose: Array, cost_to_go: CostToGo, made: int, rules: GoalRules) -> str | None:
     """Why a sequence should end at `pose` after `made` pushes; None where it should go on."""
-    if float(calc_goal_error(obj, pose, way.goal)) <= tolerance:
+    if float(calc_goal_error(obj, pose, cost_to_go.goal)) <= rules.tolerance:
         return REACHED
-    if made >= max_pushes:
+    if made >= rules.max_pushes:
         return TOO_MANY_PUSHES
-    return None if np.isfinite(way.calc_cost(pose)) else NO_WAY
+    return None if np.isfinite(cost_to_go.calc_cost(pose)) else NO_PATH
 
 
 def check_ends(obj: GridObject, start: Array, goal: Array, constraints: PushConstraints, radius: float) -> str | None:
@@ -173,14 +158,6 @@ def check_ends(obj: GridObject, start: Array, goal: Array, constraints: PushCons
     if region is not None and region.distance(checker.place(goal[None])[0]) > radius:
         return GOAL_OUT_OF_REACH
     return None
-
-
-def check_tolerance(tolerance: float, max_pushes: int) -> None:
-    """Raises PlanningError where the tolerance is not positive, or the pushes are fewer than none."""
-    if not (np.isfinite(tolerance) and tolerance > 0):
-        raise PlanningError(f"tolerance is {tolerance!r}; expected a positive number (m)")
-    if max_pushes < 0:
-        raise PlanningError(f"max_pushes is {max_pushes!r}; expected 0 or more")
 
 
 FORMAT_VERSION = 1

@@ -1,81 +1,54 @@
-"""One decision of pushing to a goal: whether to go on, and with which push.
+"""Pushing an object to a goal pose, push by push: one closed loop, for controllers and simulated worlds alike.
 
-Whoever pushes (`push_to_goal` in a simulated world, a controller in a station) looks, asks here, and does as told.
+    waiting ---- at rest, and seen ----> pushing ----> waiting      a push, then a new observation
+       |
+       +--> reached, failed       until there is another goal, or somebody moves the object
 
-Pushing to a goal pose in a world that is not the model: look, choose a push, make it, learn from it, look again.
-
-The model of a driver that pushes: learned anew as its pushes come in, where that may pay.
-
-The world in which pushes are carried out: what a driver asks of it, and one made of the project's own simulator.
+Whenever the robot is ready, the object is observed until it lies still; then `decide_push` says where and how to push,
+by what was learned so far. So an object that slipped, or was moved by somebody, is pushed from where it lies.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from time import perf_counter
-from typing import Protocol
+from enum import StrEnum
+from math import nan
+from typing import Any
 
 import numpy as np
-import shapely
 from numpy.typing import ArrayLike, NDArray
-from shapely import MultiPoint, Point
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulation import Regime, simulate
-from gridpush_drake.dynamics.time_grid import make_path_times
-from gridpush_drake.errors import PlanningError
-from gridpush_drake.identification.learning import identify
+from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.contact.optimization import ContactOptions, check_pose
+from gridpush_drake.planning.closed_loop import (
+    FAILED,
+    LOST,
+    WAITING,
+    ClosedLoop,
+    LoopOptions,
+    LoopState,
+    Observation,
+    Pose,
+)
+from gridpush_drake.planning.contact.optimization import check_pose
 from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
-from gridpush_drake.planning.goal.next_push import HorizonOptions, NextPush, choose_push
+from gridpush_drake.planning.goal.next_push import GoalRules, NextPush, choose_push
 from gridpush_drake.planning.goal.push_plan import (
-    DEFAULT_MAX_PUSHES,
-    DEFAULT_TOLERANCE,
+    REACHED,
     REASONS,
     STUCK,
+    TOO_MANY_PUSHES,
     check_ends,
-    check_tolerance,
-    judge,
+    find_stop_reason,
 )
-from gridpush_drake.planning.goal.robustness import Robustness, RobustnessOptions, draw_model_samples
-from gridpush_drake.planning.push_constraints import PushConstraints, make_body, place_points
-from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.planning.goal.robustness import Robustness, draw_model_samples
+from gridpush_drake.planning.simulated_world import Learner, PushWorld, run_loop
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 Array = NDArray[np.float64]
-
-DEFAULT_ROBUSTNESS = RobustnessOptions()
-"""How much is doubted, where nothing else is said."""
-
-
-@dataclass(frozen=True, eq=False)
-class GoalRules:
-    """How an object is pushed to a goal.
-
-    Attributes:
-        constraints: table, obstacles and further rules.
-        contact: what pushes may be chosen from.
-        horizons: how far ahead to look; one push by default, for the second says little of a model not yet learned.
-        caution: how far pushes must be safe though the model may be wrong; None trusts the model.
-        tolerance: mean cell error at which the goal counts as reached, m.
-        max_pushes: most pushes.
-
-    Raises:
-        PlanningError: the tolerance is not positive, or the pushes are fewer than none.
-    """
-
-    constraints: PushConstraints = field(default_factory=PushConstraints)
-    contact: ContactOptions = field(default_factory=ContactOptions)
-    horizons: HorizonOptions = field(default_factory=lambda: HorizonOptions(horizon=1))
-    caution: RobustnessOptions | None = DEFAULT_ROBUSTNESS
-    tolerance: float = DEFAULT_TOLERANCE
-    max_pushes: int = DEFAULT_MAX_PUSHES
-
-    def __post_init__(self) -> None:
-        check_tolerance(self.tolerance, self.max_pushes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,14 +58,14 @@ class PushDecision:
     Attributes:
         status: why to end, see `push_plan.REASONS`; None where a push should be made.
         error: mean cell error to the goal now, m.
-        chosen: the next push; None where there should be none, or none was looked for.
-        way: to the goal, to be given to the next decision; None where the question did not come up.
+        chosen: the next push; None where there should be none, or none was searched for.
+        cost_to_go: to the goal, to be given to the next decision; None where it was not needed.
     """
 
     status: str | None
     error: float
     chosen: NextPush | None = None
-    way: CostToGo | None = None
+    cost_to_go: CostToGo | None = None
 
 
 def decide_push(
@@ -103,7 +76,7 @@ def decide_push(
     params: CellParameters,
     identification: Identification | None,
     rules: GoalRules,
-    way: CostToGo | None = None,
+    cost_to_go: CostToGo | None = None,
 ) -> PushDecision:
     """Decides on the next push.
 
@@ -115,7 +88,7 @@ def decide_push(
         params: the model.
         identification: that the model comes from; None where nothing was learned.
         rules: how to push.
-        way: of the decision before, to the same goal by the same rules; None where there was none.
+        cost_to_go: of the decision before, to the same goal by the same rules; None where there was none.
 
     Returns:
         The decision.
@@ -127,28 +100,26 @@ def decide_push(
     bad = check_ends(obj, pose, goal, rules.constraints, rules.contact.radius)
     if bad is not None:
         return PushDecision(bad, error)
-    # what was looked for from where the object lay before may not say how to go on from where somebody put it
-    if way is None or way.direct or not np.isfinite(way.calc_cost(pose)):
-        way = CostToGo(obj, pose, goal, rules.constraints.start_at(obj, pose, rules.contact.radius))
-    status = judge(obj, pose, way, made, rules.tolerance, rules.max_pushes)
+    # a lattice made for where the object lay before may not say how to go on from where somebody put it
+    if cost_to_go is None or cost_to_go.direct or not np.isfinite(cost_to_go.calc_cost(pose)):
+        cost_to_go = CostToGo(obj, pose, goal, rules.constraints.start_at(obj, pose, rules.contact.radius))
+    status = find_stop_reason(obj, pose, cost_to_go, made, rules)
     if status is not None:
-        return PushDecision(status, error, way=way)
-    caution = None
-    if rules.caution is not None:
-        doubts = draw_model_samples(obj, params, identification, rules.caution)
-        caution = Robustness(obj, [params, *doubts], rules.constraints, rules.contact, rules.caution)
-    chosen = choose_push(
-        obj, params, pose, way, rules.tolerance, rules.constraints, rules.contact, rules.horizons, caution
-    )
-    return PushDecision(STUCK if chosen.push is None else None, error, chosen, way)
+        return PushDecision(status, error, cost_to_go=cost_to_go)
+    robustness = None
+    if rules.robustness is not None:
+        samples = draw_model_samples(obj, params, identification, rules.robustness)
+        robustness = Robustness(obj, [params, *samples], rules.constraints, rules.contact, rules.robustness)
+    chosen = choose_push(obj, params, pose, cost_to_go, rules, robustness)
+    return PushDecision(STUCK if chosen.push is None else None, error, chosen, cost_to_go)
 
 
-def forbid(rules: GoalRules, refused: tuple[Array, ...], apart: float, turned: float) -> GoalRules:
+def forbid(rules: GoalRules, refused: tuple[Push, ...], apart: float, turned: float) -> GoalRules:
     """The rules without pushes like some that were refused.
 
     Args:
         rules: the rules.
-        refused: of each such push (4,): where it began, W, m, and its unit direction.
+        refused: the pushes.
         apart: m between the beginnings of pushes that are not alike.
         turned: rad between their directions.
 
@@ -160,224 +131,209 @@ def forbid(rules: GoalRules, refused: tuple[Array, ...], apart: float, turned: f
     before = rules.constraints
 
     def allow(push: Push) -> bool:
-        towards = push.velocity / np.linalg.norm(push.velocity)
+        direction = _calc_direction(push)
         alike = any(
-            np.linalg.norm(push.start - one[:2]) < apart and towards @ one[2:] > np.cos(turned) for one in refused
+            np.linalg.norm(push.start - one.start) < apart and direction @ _calc_direction(one) > np.cos(turned)
+            for one in refused
         )
         return not alike and before.allows_push(push)
 
     return replace(rules, constraints=replace(before, push_rule=allow))
 
 
+def _calc_direction(push: Push) -> Array:
+    return np.asarray(push.velocity / np.linalg.norm(push.velocity))
+
+
+class ContactPointMode(StrEnum):
+    """What the loop is doing."""
+
+    WAITING = "waiting"
+    PUSHING = "pushing"
+    REACHED = "reached"
+    FAILED = "failed"
+    LOST = "lost"
+
+
+REFUSED, ERROR = "refused", "error"
+"""Causes of a failure that planning does not know of."""
+
+
 @dataclass(frozen=True)
-class LearningOptions:
-    """When to learn, and from what.
+class ContactPointStatus:
+    """Where the loop stands.
 
     Attributes:
-        first: after each of the first so many pushes.
-        min_error: and later, where the prediction was off by more, m (mean cell error),
-        relative_error: and by more than this share of how far the cells moved.
-        memory: most pushes, the last, that are learned from.
-        seed: of the identification.
+        mode: "waiting" for a goal, for the robot, or for the object to be seen at rest; "pushing"; "reached" the goal;
+            "failed"; or "lost" the object out of sight.
+        reason: the mode in a sentence.
+        cause: of "reached" or "failed": a key of `planning.goal.push_plan.REASONS`, "refused" or "error"; else empty.
+        pushes: asked for towards this goal and carried out.
+        refused: asked for in a row and refused.
+        error: mean cell error to the goal where the object was last seen at rest, m; NaN before.
+        expected_pose: (x, y, theta) in which the push under way is predicted to leave the object, W, m and rad.
+        expected_error: mean cell error to the goal there, m; NaN where no push is under way.
+        prediction_error: mean cell distance of where the last push left the object from where it was predicted to, m;
+            NaN before.
     """
 
-    first: int = 3
-    min_error: float = 0.004
-    relative_error: float = 0.1
-    memory: int = 8
-    seed: int = 0
+    mode: ContactPointMode = ContactPointMode.WAITING
+    reason: str = "Nothing was seen yet."
+    cause: str = ""
+    pushes: int = 0
+    refused: int = 0
+    error: float = nan
+    expected_pose: Pose | None = None
+    expected_error: float = nan
+    prediction_error: float = nan
 
 
-@dataclass(eq=False)
-class Learner:
-    """The model, and the pushes that it comes from.
+@dataclass(frozen=True)
+class PushToGoalOptions(LoopOptions):
+    """How the loop goes about it.
 
     Attributes:
-        obj: the object.
-        params: the model.
-        options: when to learn; None never.
-        identification: that the model comes from; None before the first.
-        seconds: wall-clock time spent on learning.
-        seen: all pushes.
+        apart: pushes that begin nearer to a refused one than this, m,
+        turned: in a direction less different than this, rad, are like it, and not tried.
+        moved: mean cell distance by which somebody must have moved an object for a new attempt after the end, m.
     """
 
-    obj: GridObject
-    params: CellParameters
-    options: LearningOptions | None
-    identification: Identification | None = None
-    seconds: float = 0.0
-    seen: list[ObservedPush] = field(default_factory=list)
-
-    def take(self, seen: ObservedPush, error: float) -> bool:
-        """Takes a push in.
-
-        Args:
-            seen: the push.
-            error: of its prediction, mean cell distance, m.
-
-        Returns:
-            Whether the model was learned anew.
-        """
-        self.seen.append(seen)
-        options = self.options
-        if options is None or not len(seen.t_observed):
-            return False
-        moved = float(calc_goal_error(self.obj, seen.pose, seen.final_pose))
-        surprised = error > max(options.min_error, options.relative_error * moved)
-        if len(self.seen) > options.first and not surprised:
-            return False
-        begin = perf_counter()
-        log = PushLog(tuple(self.seen[-options.memory :]))
-        self.identification = identify(
-            self.obj, log, seed=options.seed, regime="quasi_static", start=self.identification
-        )
-        self.params = self.identification.params
-        self.seconds += perf_counter() - begin
-        return True
+    apart: float = 0.01
+    turned: float = 0.2
+    moved: float = 0.01
 
 
-OBSERVATIONS = 4
-"""Poses that are seen during a push, after the first, its end among them."""
+@dataclass(frozen=True, eq=False)
+class PushToGoalState(LoopState):
+    """All that the loop remembers; never changed, only replaced.
 
-FALL_CHECKS = 40
-"""Poses of a push at which it is looked whether the object falls."""
+    Attributes:
+        status: a `ContactPointStatus`.
+        begun: whether a goal, or that there is none, was heeded.
+        goal: that is pushed to; None where there is none.
+        decided_at: (3,) where the object lay at the last decision.
+        planned: the push under way, or the last one, as planned.
+        cost_to_go: to the goal.
+        logged: pushes in the log when the last push was asked for.
+        simulations: of the planner, towards this goal.
+    """
+
+    status: ContactPointStatus = field(default_factory=ContactPointStatus)
+    begun: bool = False
+    goal: Pose | None = None
+    decided_at: Array | None = None
+    planned: PlannedPush | None = None
+    cost_to_go: CostToGo | None = None
+    logged: int = 0
+    simulations: int = 0
+
+    def turn_to(self, mode: str, reason: str, **others: Any) -> "PushToGoalState":
+        """In another mode, with nothing seen yet, and neither a push under way nor a cause unless `others` says so."""
+        return super().turn_to(mode, reason, **{"cause": "", "expected_error": nan, **others})
 
 
-class PushWorld(Protocol):
-    """Where an object lies and can be pushed: a simulation, or a station with a robot."""
+class PushToGoalLoop(ClosedLoop[PushToGoalState]):
+    """Pushes an object to the goal that it is shown.
 
-    @property
-    def pose(self) -> Array | None:
-        """(3,) q_W of the object as it is seen now, m and rad; None while it is not seen, or has fallen."""
-        ...
-
-    def execute(self, push: Push) -> ObservedPush:
-        """Carries out a push, and says what was seen of the object."""
-        ...
-
-
-class SimulatedWorld:
-    """An object with hidden masses and frictions on a table, moved by `simulate`.
-
-    The support presses as if there were no edge: an object that hangs over rubs like one that does not. It falls where
-    its center of mass leaves the convex hull of what lies on the table.
+    One push at a time is asked for, when the robot is ready and the object lies still. A refused push is not tried
+    again, but another one is chosen. With another goal everything begins anew, after the push under way.
 
     Attributes:
         obj: the object.
-        surface: the table; None for one without end.
-        fallen: whether the object has fallen off.
-        true_pose: (3,) q_W without noise.
-        pushes: how many were made.
+        rules: how to push.
+        params: the model before anything was learned.
     """
+
+    pushing_modes = (ContactPointMode.PUSHING,)
 
     def __init__(
         self,
         obj: GridObject,
-        hidden: CellParameters,
-        pose: ArrayLike,
-        surface: SupportSurface | None = None,
-        *,
-        position_std: float = 0.0,
-        angle_std: float = 0.0,
-        seed: int = 0,
-        observations: int = OBSERVATIONS,
-        regime: Regime = "quasi_static",
+        rules: GoalRules | None = None,
+        params: CellParameters | None = None,
+        options: PushToGoalOptions | None = None,
     ) -> None:
-        """Puts the object down.
+        """Takes what never changes; the model is the prior's by default."""
+        self.obj, self.rules = obj, rules or GoalRules()
+        self.params = CellParameters.uniform(obj) if params is None else params
+        self.options: PushToGoalOptions = options or PushToGoalOptions()
 
-        Args:
-            obj: the object.
-            hidden: its true masses and frictions.
-            pose: (3,) where it lies, m and rad.
-            surface: the table; None for one without end.
-            position_std: standard deviation of seen positions, per axis, m.
-            angle_std: of seen angles, rad.
-            seed: of the noise.
-            observations: poses that are seen during a push, after the first.
-            regime: of the simulation.
+    def begin(self) -> PushToGoalState:
+        """The state before the first observation."""
+        return PushToGoalState()
 
-        Raises:
-            PlanningError: a number is out of range.
-        """
-        if not (position_std >= 0 and angle_std >= 0 and observations >= 1):
-            raise PlanningError("position_std and angle_std must be >= 0, and observations at least 1")
-        self.obj, self.surface, self.fallen, self.pushes = obj, surface, False, 0
-        self.true_pose = np.array(pose, dtype=np.float64)
-        self._hidden, self._observations, self._regime = hidden, observations, regime
-        self._std = np.array([position_std, position_std, angle_std])
-        self._rng = np.random.default_rng(seed)
-        self._body = np.array(make_body(obj).exterior.coords)[:-1]
-        self._center_of_mass = hidden.center_of_mass(obj)
-        self._seen = self._look(self.true_pose)
+    def is_idle(self, now: PushToGoalState) -> bool:
+        """Whether there is no goal."""
+        return now.goal is None
 
-    @property
-    def pose(self) -> Array | None:
-        """(3,) q_W as it is seen; None once the object has fallen."""
-        return None if self.fallen else self._seen
+    def _count_made(self, now: PushToGoalState, seen: Observation) -> dict[str, Any]:
+        status, log, off = now.status, seen.log, nan
+        if len(log) > now.logged and status.expected_pose is not None and len(log[-1].t_observed):
+            off = float(calc_goal_error(self.obj, log[-1].final_pose, status.expected_pose))
+        return {"pushes": status.pushes + 1, "refused": 0, "prediction_error": off}
 
-    def execute(self, push: Push) -> ObservedPush:
-        """Pushes; what is seen is noisy, the motion is not."""
-        times = make_path_times(push, self._regime)
-        motion = simulate(self.obj, self._hidden, push, self.true_pose, times=times, regime=self._regime)
-        steps = len(times) - 1
-        rows = np.unique(np.rint(np.linspace(0, steps, min(self._observations, steps) + 1)).astype(int))[1:]
-        begin = self._seen
-        self.fallen = self.fallen or self._falls(motion.poses)
-        self.true_pose = motion.final_pose.copy()
-        seen = np.array([self._look(pose) for pose in motion.poses[rows]])
-        self._seen = seen[-1]
-        self.pushes += 1
-        return ObservedPush(f"push_{self.pushes}", push, begin, times[rows], seen)
+    def _count_refused(self, now: PushToGoalState) -> dict[str, Any]:
+        count = len(now.refused)
+        return {"refused": count, "cause": REFUSED if count >= self.options.max_refusals else ""}
 
-    def _look(self, pose: Array) -> Array:
-        return pose + self._std * self._rng.standard_normal(3)
+    def _prepare(self, now: PushToGoalState, seen: Observation) -> PushToGoalState:
+        """Begins anew where another goal is given."""
+        x, y, theta = seen.goal.tolist()
+        wanted = (x, y, theta) if np.isfinite(seen.goal).all() else None
+        if wanted == now.goal and now.begun:
+            return now
+        reason = "No goal is given." if wanted is None else "Looking at the object."
+        begun = PushToGoalState(begun=True, goal=wanted, push=now.push, push_id=now.push_id, filter=now.filter)
+        return begun.turn_to(WAITING, reason)
 
-    def _falls(self, poses: Array) -> bool:
-        if self.surface is None:
-            return False
-        rows = np.unique(np.linspace(0, len(poses) - 1, FALL_CHECKS).astype(int))
-        return any(not self._is_supported(pose) for pose in poses[rows])
+    def _decide(self, now: PushToGoalState, seen: Observation) -> PushToGoalState:
+        pose, goal, found = now.filter.calc_mean(), np.array(now.goal), seen.identification
+        if now.status.mode in (REACHED, FAILED):
+            since = np.inf if now.decided_at is None else calc_goal_error(self.obj, pose, now.decided_at)
+            if since < self.options.moved or now.status.cause == TOO_MANY_PUSHES:
+                return now
+            now = replace(now, refused=()).turn_to(WAITING, "Somebody moved the object.", refused=0)
+        now = replace(now, decided_at=pose)
+        params = self.params if found is None else found.params
+        rules = forbid(self.rules, now.refused, self.options.apart, self.options.turned)
+        try:
+            decision = decide_push(self.obj, pose, goal, now.status.pushes, params, found, rules, now.cost_to_go)
+        except GridPushError as error:
+            return now.turn_to(FAILED, f"No push could be planned: {error}.", cause=ERROR)
+        chosen = decision.chosen
+        now = replace(
+            now, cost_to_go=decision.cost_to_go, simulations=now.simulations + (chosen.simulations if chosen else 0)
+        )
+        if chosen is not None and chosen.push is not None:
+            return self._push(now, decision.error, chosen.push, len(seen.log))
+        mode, cause = REACHED if decision.status == REACHED else FAILED, str(decision.status)
+        return now.turn_to(mode, REASONS[cause], cause=cause, error=decision.error)
 
-    def _is_supported(self, pose: Array) -> bool:
-        assert self.surface is not None
-        table = self.surface.polygon
-        points = place_points(self._body, pose[None])[0]
-        if shapely.contains_xy(table, points[:, 0], points[:, 1]).all() and table.convex_hull.equals(table):
-            return True
-        lying = shapely.intersection(table, shapely.Polygon(points))
-        center = Point(place_points(self._center_of_mass[None], pose[None])[0, 0])
-        return bool(MultiPoint(shapely.get_coordinates(lying)).convex_hull.covers(center)) if lying.area > 0 else False
-
-
-Progress = Callable[["PushStep"], None]
-
-DEFAULT_LEARNING = LearningOptions()
-"""When to learn, where nothing else is said."""
-
-LOST = "lost"
-LOST_REASON = "The object is not seen any more: it has fallen, or something hides it."
+    def _push(self, now: PushToGoalState, error: float, planned: PlannedPush, logged: int) -> PushToGoalState:
+        x, y, theta = planned.pose.tolist()
+        expected = float(calc_goal_error(self.obj, planned.pose, np.array(now.goal)))
+        return replace(now, planned=planned, logged=logged).ask(
+            planned.push, ContactPointMode.PUSHING, f"Push {now.status.pushes + 1} is under way.", error=error,
+            expected_pose=(x, y, theta), expected_error=expected,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class PushStep:
-    """One round: what was planned, what happened, and what it was learned with.
+    """One round: what was planned, what happened, and whether it was learned from.
 
     Attributes:
         planned: the push with its predicted end.
         seen: what happened.
-        way: what was expected to be left to go after it, m.
         prediction_error: mean cell distance between predicted and seen end, m.
         goal_error: mean cell error to the goal at the seen end, m.
-        horizon: of the search that the push came from.
         learned: whether the model was learned anew after it.
     """
 
     planned: PlannedPush
     seen: ObservedPush
-    way: float
     prediction_error: float
     goal_error: float
-    horizon: int
     learned: bool
 
 
@@ -388,9 +344,9 @@ class PushRun:
     Attributes:
         goal: (3,).
         steps: the rounds, in order.
-        status: "reached", "lost", or why it ended: see `push_plan.REASONS`.
+        status: "reached", "lost", or why it ended: see `push_plan.REASONS`; "error" where no push could be planned.
         reason: the same in a sentence.
-        error: mean cell error at the last seen pose, m; NaN where none was seen.
+        error: mean cell error where the object was last seen at rest, m; NaN where it never was.
         params: the last model.
         identification: it came from; None where nothing was learned.
         simulations: pushes simulated by the planner.
@@ -415,37 +371,31 @@ class PushRun:
         return PushLog(tuple(step.seen for step in self.steps), source="pushing to a goal")
 
 
+ONE_OBSERVATION = PushToGoalOptions(observations=1, timeout=0.15)
+"""For a world in which nothing moves between two pushes: the object is decided on as it is first seen."""
+
+
 def push_to_goal(
     world: PushWorld,
     obj: GridObject,
     goal: ArrayLike,
+    rules: GoalRules | None = None,
     *,
     params: CellParameters | None = None,
-    learning: LearningOptions | None = DEFAULT_LEARNING,
-    constraints: PushConstraints | None = None,
-    options: ContactOptions | None = None,
-    horizons: HorizonOptions | None = None,
-    caution: RobustnessOptions | None = DEFAULT_ROBUSTNESS,
-    tolerance: float = DEFAULT_TOLERANCE,
-    max_pushes: int = DEFAULT_MAX_PUSHES,
-    timeout: int = 3,
-    progress: Progress | None = None,
+    learner: Learner | None = Learner(),  # noqa: B008
+    options: PushToGoalOptions = ONE_OBSERVATION,
+    progress: Callable[[PushStep], None] | None = None,
 ) -> PushRun:
-    """Pushes an object to a goal pose, looking after every push, and learning on the way.
+    """Pushes an object to a goal pose in a world, observing it after every push, and learning on the way.
 
     Args:
         world: that carries out pushes.
         obj: the object.
         goal: (3,) where it should lie, m and rad.
+        rules: how to push.
         params: the model to begin with; uniform by the object's prior where None.
-        learning: when to learn; None never.
-        constraints: table, obstacles and further rules; none by default.
-        options: what pushes may be chosen from.
-        horizons: how far ahead to look; one push where None, for the second says little of a model not yet learned.
-        caution: how far pushes must be safe though the model may be wrong; None trusts the model.
-        tolerance: mean cell error at which the goal counts as reached, m.
-        max_pushes: most pushes.
-        timeout: how often in a row to look for an object that is not seen before it counts as lost.
+        learner: learns after every push that does not reach the goal; None never.
+        options: how the object is observed.
         progress: called after every push.
 
     Returns:
@@ -454,79 +404,32 @@ def push_to_goal(
     Raises:
         PlanningError: an argument is out of range.
     """
-    if timeout < 1:
-        raise PlanningError(f"timeout is {timeout!r}; expected at least 1")
-    rules = GoalRules(
-        constraints or PushConstraints(), options or ContactOptions(), horizons or HorizonOptions(horizon=1), caution,
-        tolerance, max_pushes,
-    )  # fmt: skip
-    learner = Learner(obj, params or CellParameters.uniform(obj), learning)
-    drive = _Drive(world, obj, check_pose("goal", goal), learner, rules, timeout)
-    status: str | None = None
-    while status is None:
-        made = len(drive.steps)
-        status = drive.go_on()
-        if progress is not None and len(drive.steps) > made:
-            progress(drive.steps[-1])
-    return drive.finish(status)
+    aim, steps = check_pose("goal", goal), list[PushStep]()
+    loop = PushToGoalLoop(obj, rules, params, options)
 
+    def learn(obj: GridObject, log: PushLog, before: Identification | None) -> Identification | None:
+        seen = log[-1]
+        reached = len(seen.t_observed) and calc_goal_error(obj, seen.final_pose, aim) <= loop.rules.tolerance
+        return before if learner is None or reached else learner(obj, log, before)
 
-@dataclass(eq=False)
-class _Drive:
-    """Pushing to a goal, round by round; see `push_to_goal` for what it is made of."""
-
-    world: PushWorld
-    obj: GridObject
-    goal: Array
-    learner: Learner
-    rules: GoalRules
-    timeout: int
-    steps: list[PushStep] = field(default_factory=list)
-    simulations: int = 0
-    seconds: float = 0.0
-    error: float = float("nan")
-    way: CostToGo | None = None
-
-    def go_on(self) -> str | None:
-        """Looks, and where the goal is not reached makes one more push; why it ended, or None where it goes on."""
-        q = _look(self.world, self.timeout)
-        if q is None:
-            return LOST
-        begin = perf_counter()
-        decision = decide_push(
-            self.obj, q, self.goal, len(self.steps), self.learner.params, self.learner.identification, self.rules,
-            self.way,
-        )  # fmt: skip
-        self.seconds += perf_counter() - begin
-        self.error, self.way = decision.error, decision.way
-        if decision.chosen is not None:
-            self.simulations += decision.chosen.simulations
-        if decision.chosen is not None and decision.chosen.push is not None:
-            self._make(decision.chosen, decision.chosen.push)
-        return decision.status
-
-    def _make(self, decision: NextPush, planned: PlannedPush) -> None:
-        """Makes a push, and learns from it unless the goal is reached."""
-        seen = self.world.execute(planned.push)
-        off = after = float("nan")
+    def note(state: PushToGoalState, seen: ObservedPush, learned: bool) -> None:
+        assert state.planned is not None
+        off = after = nan
         if len(seen.t_observed):
-            off = float(calc_goal_error(self.obj, seen.final_pose, planned.pose))
-            after = float(calc_goal_error(self.obj, seen.final_pose, self.goal))
-        learned = not after <= self.rules.tolerance and self.learner.take(seen, off)
-        self.steps.append(PushStep(planned, seen, decision.way, off, after, decision.horizon, learned))
+            off = float(calc_goal_error(obj, seen.final_pose, state.planned.pose))
+            after = float(calc_goal_error(obj, seen.final_pose, aim))
+        steps.append(PushStep(state.planned, seen, off, after, learned))
+        if progress is not None:
+            progress(steps[-1])
 
-    def finish(self, status: str) -> PushRun:
-        """What came of it."""
-        reason = LOST_REASON if status == LOST else REASONS[status]
-        return PushRun(
-            self.goal, tuple(self.steps), status, reason, self.error, self.learner.params, self.learner.identification,
-            self.simulations, self.seconds, self.learner.seconds,
-        )  # fmt: skip
+    run = run_loop(loop, obj, world, _is_over, learn=learn, goal=aim, progress=note)
+    status, found = run.state.status, run.identification
+    return PushRun(
+        aim, tuple(steps), status.cause or status.mode.value, status.reason, status.error,
+        loop.params if found is None else found.params, found, run.state.simulations, run.planning_seconds,
+        run.learning_seconds,
+    )  # fmt: skip
 
 
-def _look(world: PushWorld, timeout: int) -> Array | None:
-    for _ in range(timeout):
-        q = world.pose
-        if q is not None:
-            return check_pose("pose", q)
-    return None
+def _is_over(state: PushToGoalState) -> bool:
+    return state.status.mode in (REACHED, FAILED, LOST)

@@ -1,12 +1,12 @@
 """Pushes that are safe though the model may be wrong.
 
-A push is made only as far as it keeps the rules, with some leeway, not just by the model but by every doubt: other
-models that may be the true one. By each of them its own center of friction must also stay over the table. Doubts are
+A push is made only as far as it keeps the rules, with some leeway, not just by the model but by every sample: other
+models that may be the true one. By each of them its own center of friction must also stay over the table. Samples are
 drawn from the posterior; before anything was learned they are objects heavier towards one side,
 
     k_i ~ exp(a u · (p_i - c) / r),   u all around,   r the farthest cell's distance from the cells' centroid c,
 
-little (a small) and much: where a push turns an object one way or the other, the worst is often in between.
+little (a small) and much: where a push turns an object to either side, the worst is often in between.
 """
 
 from collections.abc import Sequence
@@ -21,8 +21,7 @@ from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.contact.optimization import ContactOptions
-from gridpush_drake.planning.contact.trial import PlannedPush
+from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush
 from gridpush_drake.planning.push_constraints import PushConstraints, place_points
 
 Array = NDArray[np.float64]
@@ -30,18 +29,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RobustnessOptions:
-    """How much is doubted, and what must hold all the same.
+    """How many other models may be the true one, and what must hold by all of them.
 
     Attributes:
-        doubts: draws from the posterior that a push is tried with.
+        samples: from the posterior that a push is tried with.
         tilts: a above: how uneven an object may be of which nothing is known.
         sides: directions u of each.
-        leeway: m by which cells may hang over further by a doubt than by the model.
+        leeway: m by which cells may hang over further by a sample than by the model.
         center_margin: m by which the center of friction must stay over the table.
         seed: of the draws.
     """
 
-    doubts: int = 6
+    samples: int = 6
     tilts: tuple[float, ...] = (1.0, 2.0)
     sides: int = 4
     leeway: float = 0.03
@@ -64,7 +63,7 @@ def draw_model_samples(
         The models.
     """
     if identification is not None:
-        return identification.samples(options.doubts, options.seed)
+        return identification.samples(options.samples, options.seed)
     arm = obj.p_BC - obj.p_BC.mean(axis=0)
     farthest = max(float(np.linalg.norm(arm, axis=1).max()), obj.cell_size)
     # along the object's longest axis first, where unevenness matters most
@@ -84,7 +83,7 @@ class Robustness:
 
     Attributes:
         obj: the object.
-        models: the model first, then the doubts.
+        models: the model first, then the samples.
         constraints: the rules.
         contact: what pushes are made like.
         options: what must hold.
@@ -113,7 +112,7 @@ class Robustness:
             self.simulations += 1
             nominal = motion.poses if nominal is None else nominal
             usable = min(
-                usable, checker.count_allowed(motion.tip, motion.poses), self._count_held(params, motion.poses)
+                usable, checker.count_allowed(motion.tip, motion.poses), self._count_supported(params, motion.poses)
             )
         distance = self.contact.speed * times[usable - 1] if usable else 0.0
         if nominal is None or distance < self.contact.distance_range[0]:
@@ -126,7 +125,7 @@ class Robustness:
         )
         return replace(planned, distance=float(distance), push=push, pose=nominal[usable - 1].copy())
 
-    def _count_held(self, params: CellParameters, poses: Array) -> int:
+    def _count_supported(self, params: CellParameters, poses: Array) -> int:
         """How many of the poses, from the first on, keep the model's center of friction over the table."""
         surface = self.constraints.surface
         if surface is None:

@@ -25,9 +25,8 @@ from numpy.typing import ArrayLike, NDArray
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.geometry.convex import calc_margin_inside, hull_of
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.contact.optimization import ContactOptions, optimize_contact
-from gridpush_drake.planning.contact.search import SearchOptions
-from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
+from gridpush_drake.planning.contact.optimization import optimize_contact
+from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush, calc_goal_error
 from gridpush_drake.planning.pregrasp.edge_push import simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, PreGraspGoal
 from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, calc_stability_margin, calc_stability_margins
@@ -65,7 +64,7 @@ class SlideOptions:
     min_gain: float = 0.0005
     finger_overhang: float = 0.03
     contact: ContactOptions = field(
-        default_factory=lambda: ContactOptions(distance_range=(0.004, 0.15), search=SearchOptions(starts=6, budget=24))
+        default_factory=lambda: ContactOptions(distance_range=(0.004, 0.15), starts=6, budget=24)
     )
 
 
@@ -236,7 +235,7 @@ class TippingMonitor:
     def of_push(
         cls, masses: PlausibleMassSet, surface: SupportSurface, pose: Array, options: SlideOptions, error: float
     ) -> "TippingMonitor":
-        """The guard of a push from `pose` (3,), planned with `options`; `error` is that of a look, m."""
+        """The monitor of a push from `pose` (3,), planned with `options`; `error` is that of a look, m."""
         margin = calc_kept_margin(masses, pose, surface, options.margin, options.inset)
         return cls(masses, surface, margin, options.inset, error)
 

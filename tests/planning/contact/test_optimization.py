@@ -10,15 +10,13 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.limit_surface import predict_roughly
 from gridpush_drake.planning.contact.optimization import (
-    ContactOptions,
     calc_gap,
     make_runner,
     optimize_contact,
-    with_search,
 )
 from gridpush_drake.planning.contact.reachable_outline import find_reachable_outline
 from gridpush_drake.planning.contact.search import screen
-from gridpush_drake.planning.contact.trial import calc_cost_derivatives, calc_goal_error
+from gridpush_drake.planning.contact.trial import ContactOptions, calc_cost_derivatives, calc_goal_error
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from tests.helpers.finite_difference import check_jacobian
@@ -100,13 +98,13 @@ def test_the_gradient_finds_what_the_exhaustive_search_finds(shape, seed):
     assert plan.status == "ok"
     assert plan.cost < 0.6 * plan.start_cost
     assert calc_gap(obj, params, POSE, GOAL, plan) < 0.001
-    assert plan.simulations <= ContactOptions().search.budget
+    assert plan.simulations <= ContactOptions().budget
 
 
 @pytest.mark.parametrize("method", ["gradient", "finite_difference", "exhaustive"])
 def test_every_method_predicts_what_the_simulation_does(hammer, method):
     params = make_params(hammer)
-    options = with_search(ContactOptions(), places=20, angles=3)
+    options = ContactOptions(places=20, angles=3, refined=0)
     plan = optimize_contact(hammer, params, POSE, GOAL, method=method, options=options)
     push = plan.push
     motion = simulate(hammer, params, push.push, POSE, regime="quasi_static")
@@ -255,8 +253,9 @@ def test_the_limit_surface_ranks_pushes(hammer):
 
 
 def test_screening_keeps_its_starts_apart(hammer):
-    runner = make_runner(hammer, make_params(hammer), np.array(POSE), np.array(GOAL), None, ContactOptions())
-    found = screen(runner, (-0.8, 0.8), 10)
+    options = ContactOptions(starts=10)
+    runner = make_runner(hammer, make_params(hammer), np.array(POSE), np.array(GOAL), None, options)
+    found = screen(runner)
     assert runner.simulations == 0
     assert len(found.arc_length) == 10
     assert (np.diff(found.rough_cost) >= 0).all()
@@ -286,8 +285,8 @@ def test_refuses(hammer, arguments, says):
     [
         (lambda: ContactOptions(distance_range=(0.1, 0.05)), "distance_range"),
         (lambda: ContactOptions(speed=0.0), "speed"),
-        (lambda: with_search(ContactOptions(), angle_range=(-2.0, 0.0)), "angle_range"),
-        (lambda: with_search(ContactOptions(), starts=0), "starts"),
+        (lambda: ContactOptions(angle_range=(-2.0, 0.0)), "angle_range"),
+        (lambda: ContactOptions(starts=0), "starts"),
         (lambda: PushConstraints(edge_margin=np.nan), "edge_margin"),
         (lambda: PushConstraints(obstacle_margin=-0.1), "obstacle_margin"),
         (lambda: PushConstraints(obstacles=(Polygon(),)), "obstacles"),

@@ -9,10 +9,11 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
-from gridpush_drake.planning.goal.next_push import HorizonOptions
+from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_plan import plan_pushes
-from gridpush_drake.planning.goal.push_to_goal import SimulatedWorld, push_to_goal
+from gridpush_drake.planning.goal.push_to_goal import PushToGoalOptions, push_to_goal
 from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.simulated_world import SimulatedWorld
 from gridpush_drake.planning.support_surface import SupportSurface
 from tests.helpers.made_identifications import make_block
 from tests.helpers.shapes import make_shape
@@ -52,10 +53,7 @@ def place(obj, pose):
 
 @pytest.mark.parametrize("horizon", [1, 2])
 def test_a_plan_ends_at_the_goal(block, hidden, horizon):
-    plan = plan_pushes(
-        block, hidden, START, GOAL, constraints=PushConstraints(TABLE), horizons=HorizonOptions(horizon=horizon),
-        tolerance=0.005,
-    )  # fmt: skip
+    plan = plan_pushes(block, hidden, START, GOAL, GoalRules(PushConstraints(TABLE), horizon=horizon, tolerance=0.005))
     assert (plan.status, plan.reached) == ("reached", True)
     assert 2 <= len(plan.pushes) <= 6
     assert plan.error <= 0.005
@@ -71,7 +69,7 @@ def test_nothing_to_do(block, hidden):
 def test_a_plan_goes_round_an_obstacle(block, hidden):
     start, goal = (-0.15, 0.0, 0.0), (0.15, 0.0, 0.0)
     rules = PushConstraints(SupportSurface.rectangle((0.0, 0.0), (0.8, 0.6)), (WALL,))
-    plan = plan_pushes(block, hidden, start, goal, constraints=rules)
+    plan = plan_pushes(block, hidden, start, goal, GoalRules(rules, horizon=2))
     assert plan.status == "reached"
     assert plan.poses[:, 1].max() > 0.12
     for planned, motion in zip(plan.pushes, check_plan(block, hidden, plan), strict=True):
@@ -86,12 +84,12 @@ def test_a_plan_goes_round_an_obstacle(block, hidden):
         ((0.6, 0.0, 0.0), GOAL, PushConstraints(TABLE), "start_off_table"),
         (START, (0.01, 0.0, 0.0), PushConstraints(TABLE, (WALL,)), "goal_blocked"),
         ((0.01, 0.0, 0.0), GOAL, PushConstraints(TABLE, (WALL,)), "start_blocked"),
-        (START, GOAL, PushConstraints(TABLE, (box(-0.02, -0.6, 0.02, 0.6),)), "no_way"),
+        (START, GOAL, PushConstraints(TABLE, (box(-0.02, -0.6, 0.02, 0.6),)), "no_path"),
         (START, GOAL, PushConstraints(TABLE, pose_rule=lambda poses: abs(poses - START).max(axis=1) < 1e-3), "stuck"),
     ],
 )
 def test_says_why_not(block, hidden, start, goal, rules, status):
-    plan = plan_pushes(block, hidden, start, goal, constraints=rules, max_pushes=2, tolerance=0.001)
+    plan = plan_pushes(block, hidden, start, goal, GoalRules(rules, horizon=2, max_pushes=2, tolerance=0.001))
     assert plan.status == status
     assert len(plan.pushes) == 0 or status == "stuck"
     assert plan.reason.endswith(".")
@@ -99,30 +97,30 @@ def test_says_why_not(block, hidden, start, goal, rules, status):
 
 
 def test_counts_its_pushes(block, hidden):
-    plan = plan_pushes(block, hidden, START, GOAL, max_pushes=1, tolerance=0.001)
+    plan = plan_pushes(block, hidden, START, GOAL, GoalRules(horizon=2, max_pushes=1, tolerance=0.001))
     assert (plan.status, len(plan.pushes)) == ("too_many_pushes", 1)
 
 
-def test_the_way_is_as_long_as_the_cells_go(block):
+def test_the_path_is_as_long_as_the_cells_go(block):
     rules = PushConstraints(SupportSurface.rectangle((0.0, 0.0), (0.8, 0.6)), (WALL,))
     goal, start = np.array([0.15, 0.0, 0.0]), np.array([-0.15, 0.0, 0.0])
-    way = CostToGo(block, start, goal, rules.start_at(block, start, 0.008))
+    path = CostToGo(block, start, goal, rules.start_at(block, start, 0.008))
     # over the wall's end, half the block's width and the obstacle's margin above it
     height = 0.12 + 0.03 + 0.005
     shortest = 2 * (np.hypot(0.15 - 0.02, height) + 0.02)
-    assert shortest - 0.08 < way.calc_cost(start) < 1.35 * shortest
+    assert shortest - 0.08 < path.calc_cost(start) < 1.35 * shortest
     beside = np.array([0.15, 0.1, 0.0])
-    assert way.calc_cost(beside) == pytest.approx(0.1, abs=1e-12)
-    assert len(way.find_subgoals(start)) >= 1
-    assert all(way.calc_cost(subgoal) < way.calc_cost(start) for subgoal in way.find_subgoals(start))
+    assert path.calc_cost(beside) == pytest.approx(0.1, abs=1e-12)
+    assert len(path.find_subgoals(start)) >= 1
+    assert all(path.calc_cost(subgoal) < path.calc_cost(start) for subgoal in path.find_subgoals(start))
 
 
 @pytest.mark.parametrize("known", [True, False])
 def test_reaches_the_goal_with_hidden_masses(block, hidden, known):
     world = SimulatedWorld(block, hidden, START, TABLE, position_std=0.0005, angle_std=0.003, seed=1)
     run = push_to_goal(
-        world, make_block(24), GOAL, params=hidden if known else None, learning=None, tolerance=0.015,
-        constraints=PushConstraints(TABLE),
+        world, make_block(24), GOAL, GoalRules(PushConstraints(TABLE), tolerance=0.015),
+        params=hidden if known else None, learner=None,
     )  # fmt: skip
     assert run.status == "reached"
     assert calc_goal_error(block, world.true_pose, GOAL) < 0.02
@@ -134,7 +132,7 @@ def test_reaches_the_goal_with_hidden_masses(block, hidden, known):
 def test_learns_on_the_way(block, hidden):
     world = SimulatedWorld(block, hidden, START, TABLE)
     seen = []
-    run = push_to_goal(world, make_block(24), GOAL, constraints=PushConstraints(TABLE), progress=seen.append)
+    run = push_to_goal(world, make_block(24), GOAL, GoalRules(PushConstraints(TABLE)), progress=seen.append)
     assert run.status == "reached"
     assert seen == list(run.steps)
     assert [step.learned for step in run.steps[:-1]][:2] == [True] * min(2, len(run.steps) - 1)
@@ -166,7 +164,7 @@ class MeddledWorld(SimulatedWorld):
 
 def test_goes_on_where_a_stranger_left_the_object(block, hidden):
     world = MeddledWorld(block, hidden, START, TABLE)
-    run = push_to_goal(world, block, GOAL, params=hidden, learning=None, constraints=PushConstraints(TABLE))
+    run = push_to_goal(world, block, GOAL, GoalRules(PushConstraints(TABLE)), params=hidden, learner=None)
     assert run.status == "reached"
     assert calc_goal_error(block, run.steps[1].seen.pose, run.steps[0].seen.final_pose) > 0.05
     np.testing.assert_allclose(run.steps[1].prediction_error, 0.0, atol=1e-9)
@@ -174,7 +172,9 @@ def test_goes_on_where_a_stranger_left_the_object(block, hidden):
 
 def test_gives_up_on_an_object_that_is_not_seen(block, hidden):
     world = MeddledWorld(block, hidden, START, TABLE)
-    run = push_to_goal(world, block, GOAL, params=hidden, learning=None, timeout=2)
+    run = push_to_goal(
+        world, block, GOAL, params=hidden, learner=None, options=PushToGoalOptions(observations=1, timeout=0.07)
+    )
     assert (run.status, len(run.steps)) == ("lost", 1)
     assert "seen" in run.reason
 
@@ -196,7 +196,7 @@ def test_an_object_falls_where_its_center_of_mass_does(block, hidden):
 def test_a_fallen_object_is_lost(block, hidden):
     world = SimulatedWorld(block, hidden, (0.3, 0.0, 0.0), SupportSurface.rectangle((0.0, 0.0), (0.4, 0.4)))
     world.execute(Push((0.3, -0.1), (0.0, 0.03), 2.0, 0.008))
-    run = push_to_goal(world, block, GOAL, params=hidden, learning=None)
+    run = push_to_goal(world, block, GOAL, params=hidden, learner=None)
     assert (run.status, len(run.steps)) == ("lost", 0)
     assert np.isnan(run.error)
 
@@ -213,12 +213,17 @@ def test_noise_follows_its_seed(block, hidden):
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
-    [({"tolerance": 0.0}, "tolerance"), ({"max_pushes": -1}, "max_pushes"), ({"timeout": 0}, "timeout")],
+    ("make", "says"),
+    [
+        (lambda: GoalRules(tolerance=0.0), "tolerance"),
+        (lambda: GoalRules(max_pushes=-1), "max_pushes"),
+        (lambda: GoalRules(horizon=3), "horizon"),
+        (lambda: PushToGoalOptions(timeout=0), "timeout"),
+    ],
 )
-def test_refuses(block, hidden, options, says):
+def test_refuses(make, says):
     with pytest.raises(PlanningError, match=says):
-        push_to_goal(SimulatedWorld(block, hidden, START), block, GOAL, **options)
+        make()
 
 
 @pytest.mark.slow
@@ -229,8 +234,8 @@ def test_learning_predicts_better_than_not(block):
         masses = CellParameters(np.where(obj.p_BC[:, 0] > 0.02, 4.0, 0.4 + 0.1 * seed), np.full(obj.n, 0.4))
         for learns in later:
             world = SimulatedWorld(obj, masses, START, TABLE, seed=seed)
-            options = {} if learns else {"learning": None}
-            run = push_to_goal(world, obj, GOAL, constraints=PushConstraints(TABLE, edge_margin=-0.05), **options)
+            options = {} if learns else {"learner": None}
+            run = push_to_goal(world, obj, GOAL, GoalRules(PushConstraints(TABLE, edge_margin=-0.05)), **options)
             assert run.status == "reached"
             later[learns] += [step.prediction_error for step in run.steps[1:]]
     assert np.mean(later[True]) < 0.6 * np.mean(later[False])

@@ -4,10 +4,11 @@ import pytest
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.contact.optimization import ContactOptions, optimize_contact
-from gridpush_drake.planning.goal.push_to_goal import SimulatedWorld
+from gridpush_drake.planning.contact.optimization import optimize_contact
+from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.goal.robustness import Robustness, RobustnessOptions, draw_model_samples
 from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.simulated_world import SimulatedWorld
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.shapes import make_shape
@@ -28,21 +29,21 @@ def even(bar):
     return CellParameters.uniform(bar)
 
 
-def make_caution(bar, even, doubts=None, rules=RULES):
-    doubts = draw_model_samples(bar, even, None, OPTIONS) if doubts is None else doubts
-    return Robustness(bar, [even, *doubts], rules, ContactOptions(), OPTIONS)
+def make_robustness(bar, even, samples=None, rules=RULES):
+    samples = draw_model_samples(bar, even, None, OPTIONS) if samples is None else samples
+    return Robustness(bar, [even, *samples], rules, ContactOptions(), OPTIONS)
 
 
-def test_doubts_lean_to_every_side(bar, even):
-    doubts = draw_model_samples(bar, even, None, OPTIONS)
-    assert len(doubts) == len(OPTIONS.tilts) * OPTIONS.sides
-    centers = np.array([doubt.relative_friction() @ bar.p_BC for doubt in doubts])
+def test_samples_lean_to_every_side(bar, even):
+    samples = draw_model_samples(bar, even, None, OPTIONS)
+    assert len(samples) == len(OPTIONS.tilts) * OPTIONS.sides
+    centers = np.array([sample.relative_friction() @ bar.p_BC for sample in samples])
     assert centers[:, 0].max() > 0.03
     assert centers[:, 0].min() < -0.03
     np.testing.assert_allclose(centers.mean(axis=0), 0.0, atol=1e-9)
 
 
-def test_learning_narrows_the_doubts(bar):
+def test_learning_narrows_the_samples(bar):
     hidden = CellParameters(np.where(bar.p_BC[:, 0] > 0.05, 0.4, 0.05), np.full(bar.n, 0.4))
     world = SimulatedWorld(bar, hidden, POSE)
     seen = []
@@ -53,8 +54,8 @@ def test_learning_narrows_the_doubts(bar):
     spread = [
         np.std(
             [
-                doubt.relative_friction() @ bar.p_BC[:, 0]
-                for doubt in draw_model_samples(bar, found.params, given, OPTIONS)
+                sample.relative_friction() @ bar.p_BC[:, 0]
+                for sample in draw_model_samples(bar, found.params, given, OPTIONS)
             ]
         )
         for given in (None, found)
@@ -62,11 +63,11 @@ def test_learning_narrows_the_doubts(bar):
     assert spread[1] < 0.3 * spread[0]
 
 
-def test_a_push_goes_only_as_far_as_every_doubt_allows(bar, even):
-    caution = make_caution(bar, even)
+def test_a_push_goes_only_as_far_as_every_sample_allows(bar, even):
+    robustness = make_robustness(bar, even)
     plan = optimize_contact(bar, even, POSE, GOAL, constraints=RULES)
-    cuts = [caution.cut(np.array(POSE), push) for push in plan.candidates]
-    assert caution.simulations == len(cuts) * (1 + OPTIONS.sides * len(OPTIONS.tilts))
+    cuts = [robustness.cut(np.array(POSE), push) for push in plan.candidates]
+    assert robustness.simulations == len(cuts) * (1 + OPTIONS.sides * len(OPTIONS.tilts))
     shorter = [
         (whole, cut) for whole, cut in zip(plan.candidates, cuts, strict=True) if cut is not None and cut is not whole
     ]
@@ -79,7 +80,7 @@ def test_a_push_goes_only_as_far_as_every_doubt_allows(bar, even):
             simulate(bar, even, cut.push, POSE, regime="quasi_static").final_pose, cut.pose, atol=1e-4
         )
     for cut in cuts:
-        for params in caution.models if cut is not None else ():
+        for params in robustness.models if cut is not None else ():
             motion = simulate(bar, params, cut.push, POSE, regime="quasi_static")
             assert TABLE.contains_cells(bar, motion.poses, -OPTIONS.leeway - 1e-3).all()
             world = SimulatedWorld(bar, params, POSE, TABLE)
@@ -88,12 +89,12 @@ def test_a_push_goes_only_as_far_as_every_doubt_allows(bar, even):
 
 
 def test_without_edges_nothing_is_cut(bar, even):
-    caution = make_caution(bar, even, rules=PushConstraints())
+    robustness = make_robustness(bar, even, rules=PushConstraints())
     plan = optimize_contact(bar, even, POSE, GOAL)
-    assert caution.cut(np.array(POSE), plan.push) is plan.push
-    assert caution.simulations == 0
+    assert robustness.cut(np.array(POSE), plan.push) is plan.push
+    assert robustness.simulations == 0
 
 
-def test_without_doubts_a_push_that_keeps_the_rules_stays_whole(bar, even):
+def test_without_samples_a_push_that_keeps_the_rules_stays_whole(bar, even):
     plan = optimize_contact(bar, even, POSE, GOAL, constraints=RULES)
-    assert make_caution(bar, even, doubts=[]).cut(np.array(POSE), plan.push) is plan.push
+    assert make_robustness(bar, even, samples=[]).cut(np.array(POSE), plan.push) is plan.push

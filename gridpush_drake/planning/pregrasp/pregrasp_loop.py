@@ -1,0 +1,278 @@
+"""Getting an object to the table's edge and grasping it there: one closed loop, the paper's Algorithm 3, made safe.
+
+    waiting ----> exploring, sliding ----> waiting        a push, then a new observation
+       |                  |                   ^
+       |                  +--> stopping ------+           broken off, as the object might fall
+       |                                      ^
+       +--> verifying --> grasping -----------+           what was missed or slipped is observed anew
+                             |
+                             +--> holding
+
+Whenever robot and object are at rest the object is observed for a while, and the planner decides what to do next;
+nothing is done on an old observation. What is decided depends on that, on what was learned and on how often something
+was tried: an object that slipped or was moved by somebody is simply dealt with where it lies.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from math import nan
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.identification.result import Identification
+from gridpush_drake.planning.closed_loop import (
+    FAILED,
+    LOST,
+    WAITING,
+    ClosedLoop,
+    GraspReport,
+    LoopOptions,
+    LoopState,
+    Observation,
+    Pose,
+)
+from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
+from gridpush_drake.planning.pregrasp.planner import PreGraspDecision, PreGraspPlanner
+from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
+from gridpush_drake.planning.pregrasp.slides import TippingMonitor
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
+from gridpush_drake.pushes.push_log import PushLog
+
+Array = NDArray[np.float64]
+
+FindGrasp = Callable[[Array, Array], SideGrasp | None]
+"""From the object's pose (3,) in W and its estimated center of mass (2,) in B to the grasp to take; None for none."""
+
+Believe = Callable[[Identification | None, PushLog], UncertainModel | None]
+"""From what was learned, and the pushes so far, to what is held possible; None where more must be seen first."""
+
+HELD = "held"
+"""The outcome of a grasp that holds."""
+
+
+class PreGraspMode(StrEnum):
+    """What the loop is doing."""
+
+    WAITING = "waiting"
+    EXPLORING = "exploring"
+    SLIDING = "sliding"
+    STOPPING = "stopping"
+    VERIFYING = "verifying"
+    GRASPING = "grasping"
+    HOLDING = "holding"
+    LOST = "lost"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, eq=False)
+class PreGraspStatus:
+    """Where the loop stands.
+
+    Attributes:
+        mode: "waiting" (to see the object at rest), "exploring", "sliding", "stopping" (a push that is broken off),
+            "verifying" (that it can be grasped where it lies), "grasping" (until it is lifted), "holding", "lost" (from
+            sight) or "failed".
+        reason: for the mode, in a sentence.
+        pokes: asked for so far, those refused aside.
+        slides: likewise.
+        grasps: asked for so far.
+        goal: that it slides to or grasps at; None where there is none.
+        expected_pose: (x, y, theta) where the push under way is expected to leave the object, m and rad; None without.
+        margin: stability margin of the goal at the worst, m; NaN without one.
+    """
+
+    mode: PreGraspMode = PreGraspMode.WAITING
+    reason: str = "The object was not looked at yet."
+    pokes: int = 0
+    slides: int = 0
+    grasps: int = 0
+    goal: PreGraspGoal | None = None
+    expected_pose: Pose | None = None
+    margin: float = nan
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing more is done."""
+        return self.mode in (PreGraspMode.HOLDING, PreGraspMode.FAILED)
+
+
+@dataclass(frozen=True)
+class PreGraspLoopOptions(LoopOptions):
+    """How the loop goes about it.
+
+    Attributes:
+        max_grasps: grasps before it is given up.
+    """
+
+    observations: int = 8
+    timeout: float = 2.0
+    max_refusals: int = 5
+    max_grasps: int = 3
+
+
+NO_PUSH = (PreGraspMode.STOPPING, PreGraspMode.VERIFYING, PreGraspMode.GRASPING, PreGraspMode.HOLDING)
+"""Modes in which no push is asked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class PreGraspState(LoopState):
+    """All that the loop remembers; never changed, only replaced.
+
+    Attributes:
+        status: a `PreGraspStatus`.
+        monitor: of the push under way, or the last one.
+        grasp: the last one asked for; None before the first.
+        grasp_id: of that grasp, counted from 1.
+    """
+
+    status: PreGraspStatus = field(default_factory=PreGraspStatus)
+    monitor: TippingMonitor | None = None
+    grasp: SideGrasp | None = None
+    grasp_id: int = 0
+
+    @property
+    def shown_push(self) -> Push | None:
+        """The push that is asked for: none while one is broken off, and once the object is grasped."""
+        return None if self.status.mode in NO_PUSH else self.push
+
+    def turn_to(self, mode: str, reason: str, **others: Any) -> "PreGraspState":
+        """In another mode, as `LoopState` does; lost, without a goal."""
+        return super().turn_to(mode, reason, **{**({"goal": None} if mode == LOST else {}), **others})
+
+
+class PreGraspLoop(ClosedLoop[PreGraspState]):
+    """Explores, slides, verifies, grasps and lifts.
+
+    Attributes:
+        planner: decides, for one object on one table.
+        seed: of the draws from what is held possible.
+    """
+
+    pushing_modes = (PreGraspMode.EXPLORING, PreGraspMode.SLIDING, PreGraspMode.STOPPING)
+
+    def __init__(
+        self,
+        planner: PreGraspPlanner,
+        find_grasp: FindGrasp,
+        *,
+        believe: Believe | None = None,
+        seed: int = 0,
+        options: PreGraspLoopOptions | None = None,
+    ) -> None:
+        """Takes what never changes.
+
+        Args:
+            planner: decides, for one object on one table.
+            find_grasp: finds how to take the object where it lies.
+            believe: says what is held possible; by default what the identification's posterior says.
+            seed: of the draws from that.
+            options: how to go about it.
+        """
+        self.planner, self.seed, self._find_grasp = planner, seed, find_grasp
+        self.options: PreGraspLoopOptions = options or PreGraspLoopOptions()
+        self._believe = believe or self.believe_identification
+
+    def begin(self) -> PreGraspState:
+        """The state before the first observation."""
+        return PreGraspState()
+
+    def believe_identification(self, found: Identification | None, log: PushLog) -> UncertainModel | None:
+        """What the posterior says; None before anything was learned."""
+        if found is None:
+            return None
+        used = log.subset([i for i, seen in enumerate(log) if seen.name in found.push_names])
+        return UncertainModel.of_identification(found, seed=self.seed, log=used)
+
+    def is_idle(self, now: PreGraspState) -> bool:
+        """Whether nothing more is done."""
+        return now.status.over
+
+    def step(self, now: PreGraspState, seen: Observation) -> PreGraspState:
+        """The state after an observation; `now` itself where nothing is new."""
+        if now.status.over:
+            return now
+        if now.status.mode == PreGraspMode.GRASPING:
+            return self._follow_grasp(replace(now, filter=now.filter.wait(seen.time, seen.pose)), seen.gripper)
+        return super().step(now, seen)
+
+    def _wait(self, now: PreGraspState, seen: Observation) -> PreGraspState:
+        """While the robot is at work; breaks a push off in which the object might fall."""
+        now = super()._wait(now, seen)
+        if not (seen.robot.pushing and seen.seen) or now.monitor is None or now.status.mode == PreGraspMode.STOPPING:
+            return now
+        fault = now.monitor.find_fault(seen.pose)
+        if fault is None:
+            return now
+        reason = f"The push is broken off: {fault}."
+        return now.turn_to(PreGraspMode.STOPPING, reason, expected_pose=now.status.expected_pose)
+
+    def _count_made(self, now: PreGraspState, seen: Observation) -> dict[str, Any]:
+        return {"reason": "A push was broken off."} if now.status.mode == PreGraspMode.STOPPING else {}
+
+    def _count_refused(self, now: PreGraspState) -> dict[str, Any]:
+        poke = now.status.mode == PreGraspMode.EXPLORING
+        return {"pokes": now.status.pokes - poke, "slides": now.status.slides - (not poke)}
+
+    def _decide(self, now: PreGraspState, seen: Observation) -> PreGraspState:
+        pose = now.filter.calc_mean()
+        try:
+            uncertain = self._believe(seen.identification, seen.log)
+            decision = self.planner.decide(pose, uncertain, now.status.pokes, now.status.slides)
+        except GridPushError as error:
+            return now.turn_to(FAILED, f"Nothing could be planned: {error}.", goal=None)
+        reason, said = _sentence(decision.reason), {"goal": decision.goal, "margin": decision.margin}
+        if decision.action == "fail":
+            return now.turn_to(FAILED, reason, **said)
+        if decision.push is not None:
+            return self._push(now, pose, uncertain, decision, decision.push)
+        if now.status.mode != PreGraspMode.VERIFYING:
+            return now.turn_to(PreGraspMode.VERIFYING, reason, **said)
+        assert uncertain is not None
+        return self._grasp(now, pose, uncertain, said)
+
+    def _push(
+        self, now: PreGraspState, pose: Array, uncertain: UncertainModel | None, decision: PreGraspDecision, push: Push
+    ) -> PreGraspState:
+        planner, known = self.planner, uncertain or UncertainModel.of_prior(self.planner.obj)
+        monitor = TippingMonitor.of_push(known.masses, planner.surface, pose, planner.options.slide, self.options.rest)
+        poke = decision.action == "poke"
+        return replace(now, monitor=monitor).ask(
+            push,
+            PreGraspMode.EXPLORING if poke else PreGraspMode.SLIDING,
+            _sentence(decision.reason),
+            pokes=now.status.pokes + poke,
+            slides=now.status.slides + (not poke),
+            goal=decision.goal,
+            margin=decision.margin,
+            expected_pose=None if decision.expected_pose is None else tuple(decision.expected_pose.tolist()),
+        )
+
+    def _grasp(self, now: PreGraspState, pose: Array, uncertain: UncertainModel, said: dict[str, Any]) -> PreGraspState:
+        grasp = self._find_grasp(pose, uncertain.masses.center_of_mass_polygon.mean(axis=0))
+        if grasp is None and said["goal"] is not None:
+            grasp = self._find_grasp(pose, said["goal"].part.p_BG)  # what the plan found: farther off, but within reach
+        if grasp is None:
+            return now.turn_to(FAILED, "The gripper reaches no part that hangs over.", **said)
+        return replace(now, grasp=grasp, grasp_id=now.grasp_id + 1).turn_to(
+            PreGraspMode.GRASPING, "A part that hangs over is taken.", grasps=now.status.grasps + 1, **said
+        )
+
+    def _follow_grasp(self, now: PreGraspState, gripper: GraspReport) -> PreGraspState:
+        """While a grasp is under way, and after it."""
+        if gripper.command_id != now.grasp_id or not gripper.outcome:
+            return now
+        if gripper.outcome == HELD:
+            return now.turn_to(PreGraspMode.HOLDING, "The object is lifted and held.")
+        if not gripper.ready:
+            return now  # it retreats
+        what = f"The grasp was {gripper.outcome}: {gripper.reason}."
+        return now.turn_to(FAILED if now.status.grasps >= self.options.max_grasps else WAITING, what, goal=None)
+
+
+def _sentence(words: str) -> str:
+    return words[:1].upper() + words[1:] + "."
