@@ -1,1 +1,5 @@
 """Drake LeafSystems, one a file: the LCP model, the identifier, and what pushes and shows."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,5 @@
 """Planar geometry: rigid motions, convex polygons, outlines, and contours of rasters."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

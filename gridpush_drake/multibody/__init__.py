@@ -1,1 +1,5 @@
 """From objects and YAML to a MultibodyPlant: parser, schemas, grid objects, SDFormat."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

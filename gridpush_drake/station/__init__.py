@@ -1,1 +1,5 @@
 """The whole cell in one Diagram: plant, iiwa, controllers, identifier and Meshcat."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

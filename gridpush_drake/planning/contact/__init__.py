@@ -1,1 +1,5 @@
 """Contact-point optimization: where on the outline, in which direction and how far to push."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

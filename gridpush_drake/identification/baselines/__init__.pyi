@@ -1,0 +1,9 @@
+from .methods import SEARCH_METHODS as SEARCH_METHODS
+from .paper import PaperDescent as PaperDescent
+from .search import Bounds as Bounds
+from .search import CellLoss as CellLoss
+from .search import Search as Search
+from .search import SearchMethod as SearchMethod
+from .search import SearchResult as SearchResult
+from .search import SearchStatus as SearchStatus
+from .search import run_search as run_search

@@ -1,0 +1,13 @@
+from .draw import draw_cells as draw_cells
+from .draw import draw_outline as draw_outline
+from .draw import draw_parts as draw_parts
+from .draw import to_png as to_png
+from .draw import to_svg as to_svg
+from .figures import draw_model as draw_model
+from .figures import draw_motion as draw_motion
+from .figures import draw_object as draw_object
+from .figures import draw_pushes as draw_pushes
+from .page import ReportSummary as ReportSummary
+from .page import make_report as make_report
+from .plan_figures import draw_plan as draw_plan
+from .plan_figures import draw_slide as draw_slide
