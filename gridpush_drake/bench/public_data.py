@@ -3,8 +3,8 @@
 | what | found anywhere below the folder by | public source |
 |---|---|---|
 | the paper's object masks | `NAME_label.pgm`; beside them, where there is one, `protocol.json` | PAPER_SOURCE |
-| CMU's pushes | text files of that form, see `pushes.cmu_format` | CMU_SOURCE |
-| the MIT's pushes | MATLAB files with `record_all`, see `pushes.mit` | MIT_SOURCE |
+| CMU's pushes | text files of that form, see `pushes.importers.cmu` | CMU_SOURCE |
+| the MIT's pushes | MATLAB files with `record_all`, see `pushes.importers.mit` | MIT_SOURCE |
 """
 
 from pathlib import Path

@@ -3,12 +3,11 @@
 Positions are in the world frame W, in m; angles in rad; times in s from the push's own beginning; forces, N,
 are the pusher's on the object.
 
-The push log as one tidy CSV file: a row a sample, SI units, radians, world frame.
-
-Columns: push (any text, rows of one push together), t, tip_x, tip_y (the disc's center), object_x, object_y,
-object_theta (on a push's first row, and wherever else it was observed; empty elsewhere), where it was measured,
-force_x, force_y on the object and, where it happened, overhang: 1 while a part of the object hung over the table's
-edge, 0 or empty otherwise; one such row marks the push. Times are counted from each push's first row.
+A push log is one tidy CSV file: a row a sample. Its columns: push (any text, rows of one push together), t, tip_x,
+tip_y (the disc's center), object_x, object_y, object_theta (on a push's first row, and wherever else it was observed;
+empty elsewhere), where it was measured, force_x, force_y on the object and, where it happened, overhang: 1 while a part
+of the object hung over the table's edge, 0 or empty otherwise; one such row marks the push. Times are counted from each
+push's first row.
 """
 
 import csv
@@ -30,6 +29,33 @@ from gridpush_drake.files import check_writable, read_text, write_whole
 
 DEFAULT_PUSHER_RADIUS = 0.005
 """The disc's radius where neither the reader's caller nor the object's file gives one, m."""
+
+TIP = ("tip_x", "tip_y")
+POSE = ("object_x", "object_y", "object_theta")
+FORCE = ("force_x", "force_y")
+REQUIRED = ("push", "t", *TIP, *POSE)
+OVERHANG = "overhang"
+COLUMNS = (*REQUIRED, *FORCE, OVERHANG)
+
+FLAGS = {"": False, "0": False, "1": True}
+"""What may stand in a column that says yes or no."""
+
+WHAT = "a push log (CSV)"
+
+UNITS = {"t": "s", "object_theta": "rad", "force_x": "N", "force_y": "N"}
+"""Unit of each column; m where not listed."""
+
+SUGGESTION_CUTOFF = 0.5
+"""Similarity (0 to 1) from which a known column is suggested for an unknown one."""
+
+MAX_SHOWN = 60
+"""Characters of a refused value that a message repeats."""
+
+MAX_NUMBER = 1e12
+"""Magnitude of a number in a log, beyond which it is none that was measured."""
+
+MIN_TIME_STEP = 1e-9
+"""s between two rows of a push."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,35 +236,6 @@ def nearest_turn(theta: float, reference: float) -> float:
     """`theta`, rad, by as many whole turns as bring it within pi of `reference`; none where it is already."""
     turns = round((reference - theta) / math.tau)
     return theta + turns * math.tau if turns else theta
-
-
-TIP = ("tip_x", "tip_y")
-POSE = ("object_x", "object_y", "object_theta")
-FORCE = ("force_x", "force_y")
-REQUIRED = ("push", "t", *TIP, *POSE)
-OVERHANG = "overhang"
-COLUMNS = (*REQUIRED, *FORCE, OVERHANG)
-
-FLAGS = {"": False, "0": False, "1": True}
-"""What may stand in a column that says yes or no."""
-
-WHAT = "a push log (CSV)"
-
-UNITS = {"t": "s", "object_theta": "rad", "force_x": "N", "force_y": "N"}
-"""Unit of each column; m where not listed."""
-
-SUGGESTION_CUTOFF = 0.5
-"""Similarity (0 to 1) from which a known column is suggested for an unknown one."""
-
-
-MAX_SHOWN = 60
-"""Characters of a refused value that a message repeats."""
-
-MAX_NUMBER = 1e12
-"""Magnitude of a number in a log, beyond which it is none that was measured."""
-
-MIN_TIME_STEP = 1e-9
-"""s between two rows of a push."""
 
 
 class _Row(NamedTuple):
