@@ -45,8 +45,8 @@ class PokeOptions:
         clearance: gap between finger and object at the beginning, m.
         places: along the outline.
         angles: of the motion from the inward normal, rad.
-        apart: share of the outline's length that a poke begins away from every poke made before: what the model
-            gets wrong it would get wrong again.
+        min_separation: share of the outline's length that a poke begins away from every poke made before: what the
+            model gets wrong it would get wrong again.
     """
 
     radius: float = 0.008
@@ -55,7 +55,7 @@ class PokeOptions:
     clearance: float = 0.002
     places: int = 36
     angles: tuple[float, ...] = (-0.4, 0.0, 0.4)
-    apart: float = 0.04
+    min_separation: float = 0.04
 
     def __post_init__(self) -> None:
         for name in ("radius", "speed", "distance"):
@@ -114,7 +114,7 @@ def make_pokes(
                 clearance=options.clearance,
             )  # fmt: skip
             begins = transform_back(q, push.start[None])
-            if (np.linalg.norm(model.poke_starts - begins, axis=1) < options.apart * reach.perimeter).any():
+            if (np.linalg.norm(model.poke_starts - begins, axis=1) < options.min_separation * reach.perimeter).any():
                 continue
             motion = simulate(obj, params, push, q, regime="quasi_static")
             if motion.status == MotionStatus.OK and checker.count_allowed(motion.tip, motion.poses) == len(motion.tip):
