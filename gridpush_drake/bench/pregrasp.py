@@ -28,7 +28,7 @@ from gridpush_drake.bench.pregrasp_exploration import (
     Trace,
     explore,
 )
-from gridpush_drake.bench.pregrasp_world import Believe, EdgeWorld, Learner, Outcome, PaperLearner, run_pregrasp
+from gridpush_drake.bench.pregrasp_world import EdgeWorld, Learn, Learner, Outcome, PaperLearner, run_pregrasp
 from gridpush_drake.bench.public_data import find_masks
 from gridpush_drake.bench.table import Table
 from gridpush_drake.bench.workers import QUIET, Execution, run_jobs
@@ -122,7 +122,7 @@ class SlideScore:
 
     Attributes:
         name: of the object.
-        method: of what is believed.
+        method: that learns.
         outcome: the end.
         near: whether the part to be grasped is as near to the true center of mass as asked.
     """
@@ -249,7 +249,7 @@ CONTACT_FRICTION_RANGE = (0.35, 0.65)
 """Of the finger on the object."""
 
 NO_BOUND = (0.01, 10.0)
-"""Frictions that the unbounded ablation may believe in."""
+"""Frictions that the unbounded ablation may learn."""
 
 MASS_RANGE = (0.1, 5.0)
 """kg a cell, log-uniform by part, as the paper's."""
@@ -258,7 +258,7 @@ DEPTH = 0.03
 """m of a part that must hang over: the fingers' depth."""
 
 MAX_ARM = 0.06
-"""m that the grasp may be from where the center of mass is believed: held farther off, the object turns in the gripper.
+"""m that the grasp may be from the estimated center of mass: held farther off, the object turns in the gripper.
 Anywhere at the end of a handle, no mass distribution tips the object, and all methods do as well. So near, the object
 must come close to tipping; the true masses still leave a grasp in every case."""
 
@@ -365,7 +365,7 @@ def run_job(job: Job) -> SlideScore | ExplorationScore:
     return SlideScore(job.name, job.method, outcome, near=outcome.arm <= arm + ARM_SLACK)
 
 
-def _make_learner(obj: GridObject, truth: CellParameters, method: str) -> Believe:
+def _make_learner(obj: GridObject, truth: CellParameters, method: str) -> Learn:
     if method in (LEARNED, WIDE):
         return Learner(obj)
     if method == UNBOUNDED:

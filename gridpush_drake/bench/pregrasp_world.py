@@ -91,27 +91,27 @@ class Outcome:
     arm: float = np.nan
 
 
-Believe = Callable[[PushLog], UncertainModel | None]
-"""From the pushes seen so far to what is believed; None where more must be seen first."""
+Learn = Callable[[PushLog], UncertainModel | None]
+"""From the pushes seen so far to a model; None where more must be seen first."""
 
 
-def run_pregrasp(world: EdgeWorld, planner: PreGraspPlanner, believe: Believe) -> Outcome:
+def run_pregrasp(world: EdgeWorld, planner: PreGraspPlanner, learn: Learn) -> Outcome:
     """Runs the task to its end.
 
     Args:
         world: the hidden object.
         planner: decides.
-        believe: learns.
+        learn: learns.
 
     Returns:
         The outcome.
     """
     log: list[ObservedPush] = []
     counts = {"poke": 0, "slide": 0}
-    model, learned_from = believe(PushLog(())), 0
+    model, learned_from = learn(PushLog(())), 0
     while True:
         if len(log) != learned_from:
-            model, learned_from = believe(PushLog(tuple(log[-MAX_LEARNED_FROM:]))), len(log)
+            model, learned_from = learn(PushLog(tuple(log[-MAX_LEARNED_FROM:]))), len(log)
         # looked at anew: since the last push somebody may have moved it, which says nothing of its masses
         pose = world.observe()
         decision = planner.decide(pose, model, counts["poke"], counts["slide"])
@@ -145,7 +145,7 @@ class Learner:
     found: Identification | None = None
 
     def __call__(self, log: PushLog) -> UncertainModel | None:
-        """What is believed after pushes; None before the first."""
+        """Learns from pushes; None before the first."""
         if not len(log):
             return None
         self.found = identify(self.obj, log, regime="quasi_static", start=self.found)
@@ -172,7 +172,7 @@ class PaperLearner:
         self.first = Learner(self.obj)
 
     def __call__(self, log: PushLog) -> UncertainModel | None:
-        """What is believed after pushes; None before the first."""
+        """Learns from pushes; None before the first."""
         if len(log) < self.min_pokes or not len(log):
             return self.first(log)
         low, high = self.friction_range

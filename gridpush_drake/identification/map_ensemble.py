@@ -2,7 +2,7 @@
 
 1. For each amplitude of the smoothness prior, weakest variation first, fit z by trust-region Gauss-Newton (`map_fit`),
    each fit starting where the last one ended: coarse to fine.
-2. Weigh the fits by their evidence. The first, all but uniform, is believed beforehand by `prior_odds` to one against
+2. Weigh the fits by their evidence. The first, all but uniform, has prior odds of `prior_odds` to one against
    each of the others, so that a few noisy pushes do not talk the model out of it.
 3. Average them: z = sum_a w_a z_a.
 4. Push-wise cross-validation over the training pushes: mix the average with the uniform fit, with the smallest share of

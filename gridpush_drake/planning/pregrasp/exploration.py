@@ -8,7 +8,8 @@ r = J z + noise, with J exact from its simulation and noise ~ N(0, R) (`identifi
 whatever will be seen. What matters is linear in z near the mean, f = F z: the center of friction, which is the center
 of mass where all cells rub alike, along one direction or both; or the poses that other pushes are predicted to end in.
 The poke is chosen that makes the largest eigenvalue of F S' F^T least, the variance of what is then known least
-(Bayesian linear design by its worst direction: Chaloner and Verdinelli 1995, section 2).
+(Bayesian linear design by its worst direction: Chaloner and Verdinelli 1995, section 2;
+`docs/theory/identification.md`, section 7).
 """
 
 from collections.abc import Sequence
