@@ -285,7 +285,7 @@ def _make_estimate(found: Identification, log: PushLog | None) -> Estimate:
     loss = np.nan
     if log is not None and found.push_names:
         used = log.subset([i for i, seen in enumerate(log) if seen.name in found.push_names])
-        problem = PushProblem(found.obj, used, found.params.friction, found.regime)  # type: ignore[arg-type]
+        problem = PushProblem(found.obj, used, found.params.friction, found.regime)
         residuals = problem.residuals(problem.unknowns(found.params))
         loss = float(problem.calc_cell_errors(residuals).mean())
     return Estimate(found, *calc_center_of_mass(found), loss)

@@ -28,6 +28,7 @@ from gridpush_drake.bench.paper_protocol import (
     make_protocol,
 )
 from gridpush_drake.bench.table import Table, Value, check_figure, save_figure
+from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import METHODS, identify
 from gridpush_drake.identification.prediction import calc_pose_error, predict
@@ -168,7 +169,7 @@ def _describe_truth() -> str:
     )
 
 
-TRUTH_REGIME = "inertial"
+TRUTH_REGIME: Regime = "inertial"
 TRAINING_PUSHES = 5
 BUDGET = 1500
 """Simulated pushes a search may spend; the default method decides itself, and takes about two thirds of it."""
@@ -254,7 +255,7 @@ def run_job(job: Job) -> list[Score]:
     split = protocol.splits[job.training][job.mass_set]
     train, test = case.log.subset(split.train), case.log.subset(split.test)
 
-    def score(method: str, budget: int, simulations: int, params: CellParameters, regime: str) -> Score:
+    def score(method: str, budget: int, simulations: int, params: CellParameters, regime: Regime) -> Score:
         error = calc_test_error(case, params, test, regime)
         return Score(job.name, job.mass_set, job.training, method, budget, simulations, error)
 
@@ -269,7 +270,7 @@ def run_job(job: Job) -> list[Score]:
     return scores
 
 
-def calc_test_error(case: Case, params: CellParameters, test: PushLog, regime: str) -> float:
+def calc_test_error(case: Case, params: CellParameters, test: PushLog, regime: Regime) -> float:
     """Mean over pushes of the mean distance of the cells between predicted and observed final poses, m."""
     pairs = zip(predict(case.obj, params, test, regime), test, strict=True)
     return float(np.mean([calc_pose_error(case.obj, made.poses[-1], seen.final_pose).cell for made, seen in pairs]))

@@ -17,6 +17,7 @@ from gridpush_drake.files import exists
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from gridpush_drake.dynamics.simulation import Regime as SimulatedRegime
     from gridpush_drake.identification.result import Identification
     from gridpush_drake.objects.grid_object import GridObject
     from gridpush_drake.objects.parameters import CellParameters
@@ -143,7 +144,7 @@ class Target:
     params: "CellParameters"
     model: "Identification | None" = None
 
-    def resolve_regime(self, regime: str, default: str) -> str:
+    def resolve_regime(self, regime: "Regime", default: "SimulatedRegime") -> "SimulatedRegime":
         """`regime`, or, where it is "auto", the model's, or else `default`."""
         if regime != "auto":
             return regime

@@ -57,7 +57,7 @@ def simulate(
     params = loaded.params if mass_seed is None else CellParameters.random(loaded.obj, mass_seed)
     chosen = loaded.resolve_regime(regime, "inertial")
     options.compile_kernels()
-    motion = simulate_push(loaded.obj, params, push, pose_W, regime=chosen)  # type: ignore[arg-type]
+    motion = simulate_push(loaded.obj, params, push, pose_W, regime=chosen)
     if out is not None:
         _make_log(push, motion, samples).write_csv(out, force)
     if picture is not None:

@@ -2,9 +2,11 @@ from .identifiability import Identifiability as Identifiability
 from .learning import METHODS as METHODS
 from .learning import describe_prior as describe_prior
 from .learning import identify as identify
+from .map_ensemble import MapEnsemble as MapEnsemble
 from .map_fit import NoiseModel as NoiseModel
 from .model_file import read_model as read_model
 from .model_file import write_model as write_model
 from .posterior import Posterior as Posterior
 from .prediction import predict as predict
 from .result import Identification as Identification
+from .result import IdentificationStatus as IdentificationStatus

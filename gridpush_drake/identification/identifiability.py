@@ -10,14 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.identification.posterior import LEARNED_SHARE, Posterior, compare_covariances
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
 Array = NDArray[np.float64]
-
-KNOWN_SHARE = 0.5
-"""A combination, or a cell, counts as learned where the pushes took away at least this share of its prior variance."""
 
 MM = 1e3
 """Millimeters in a meter."""
@@ -141,13 +138,10 @@ def _calc_mass_bounds(share: Array, total_mass: float, obj: GridObject) -> tuple
 
 
 def _calc_null_space(prior: Array, after: Array) -> Array:
-    """Directions of log k whose prior variance the pushes did not reduce by KNOWN_SHARE, the common scale first."""
+    """Directions of log k whose prior variance the pushes did not reduce by LEARNED_SHARE, the common scale first."""
     n = len(prior)
-    values, vectors = np.linalg.eigh(prior)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    inverse_root = vectors / np.sqrt(np.maximum(values, np.finfo(float).tiny))
-    ratio, directions = np.linalg.eigh(inverse_root.T @ after @ inverse_root)
-    unknown = (root @ directions[:, ratio > 1 - KNOWN_SHARE]).T
+    ratio, directions, root, _ = compare_covariances(prior, after)
+    unknown = (root @ directions[:, ratio > 1 - LEARNED_SHARE]).T
     scale = np.full((1, n), 1 / np.sqrt(n))
     basis, triangle = np.linalg.qr(np.concatenate([scale, unknown]).T)
     keep = np.abs(np.diag(triangle)) > RANK_TOLERANCE * np.abs(triangle).max()
@@ -156,7 +150,7 @@ def _calc_null_space(prior: Array, after: Array) -> Array:
 
 def _describe(obj: GridObject, learned: int, learned_share: Array, center_std: Array, box: Array) -> tuple[str, ...]:
     total = "that they add up to the known total mass" if obj.prior.total_mass else "a total mass that was not measured"
-    known_cells = int((learned_share >= KNOWN_SHARE).sum())
+    known_cells = int((learned_share >= LEARNED_SHARE).sum())
     width, height = np.diff(box, axis=0)[0] * MM
     low, high = obj.prior.friction_min, obj.prior.friction_max
     return (

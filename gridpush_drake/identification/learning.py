@@ -190,7 +190,7 @@ def _check_log(obj: GridObject, log: PushLog) -> PushLog:
 
 
 def _make_result(
-    obj: GridObject, log: PushLog, fit: MapEnsembleFit, friction: Array, method: str, tracker: Tracker, regime: str,
+    obj: GridObject, log: PushLog, fit: MapEnsembleFit, friction: Array, method: str, tracker: Tracker, regime: Regime,
     seed: int, unused: tuple[str, ...],
 ) -> Identification:  # fmt: skip
     """Turns z and its covariance into masses, frictions and their standard deviations."""

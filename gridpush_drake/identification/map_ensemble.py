@@ -2,7 +2,7 @@
 
 1. For each amplitude of the smoothness prior, weakest variation first, fit z by trust-region Gauss-Newton (`map_fit`),
    each fit starting where the last one ended: coarse to fine.
-2. Weigh the fits by their evidence. The first, all but uniform, is believed beforehand by `prior_odds` to one against
+2. Weigh the fits by their evidence. The first, all but uniform, has prior odds of `prior_odds` to one against
    each of the others, so that a few noisy pushes do not talk the model out of it.
 3. Average them: z = sum_a w_a z_a.
 4. Push-wise cross-validation over the training pushes: mix the average with the uniform fit, with the smallest share of
@@ -71,9 +71,10 @@ class MapEnsemble:
         folds: most parts that the pushes are cut into for cross-validation.
         shares: of the learned model in the mixtures that cross-validation compares, increasing from 0 to 1.
         standard_errors: that a smaller share may be worse than the best and be taken for it.
-        favored: weight of the first amplitude above which the prior counts as kept.
-        gross: mean cell error of the training pushes, in standard deviations of a pose, above which (and above twice
-            the learned model's) a mixture does not explain the pushes at all.
+        kept_weight: weight of the first amplitude above which the prior counts as kept.
+        max_mixture_error: mean cell error of the training pushes, in standard deviations of a pose, above which (and
+            above `max_mixture_ratio` times the learned model's) a mixture does not explain the pushes at all.
+        max_mixture_ratio: see there.
     """
 
     amplitudes: tuple[float, ...] = (0.05, 0.3, 0.7, 1.5, 3.0)
@@ -83,8 +84,9 @@ class MapEnsemble:
     folds: int = 5
     shares: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.0)
     standard_errors: float = 0.6
-    favored: float = 0.95
-    gross: float = 8.0
+    kept_weight: float = 0.95
+    max_mixture_error: float = 8.0
+    max_mixture_ratio: float = 2.0
 
     def fit(
         self,
@@ -118,7 +120,7 @@ class MapEnsemble:
             fits.append(
                 fit_map(
                     problem, z0, A, self.noise, center_of_mass, start=fits[-1].z if fits else z0,
-                    scale=fits[-1].scale if fits else 1.0, rival=starts[i] if starts else None,
+                    scale=fits[-1].scale if fits else 1.0, warm_start=starts[i] if starts else None,
                     on_renewal=lambda z: report(z, STAGE_FITTING),
                 )
             )  # fmt: skip
@@ -200,7 +202,7 @@ class MapEnsemble:
         """
         mixtures = [(1 - share) * uniform + share * learned for share in self.shares]
         errors = np.array([problem.calc_cell_errors(problem.residuals(z)).mean() for z in mixtures])
-        return errors <= max(2 * errors[-1], self.gross * self.noise.pose)
+        return errors <= max(self.max_mixture_ratio * errors[-1], self.max_mixture_error * self.noise.pose)
 
     def _describe(
         self, weights: Array, learned_share: float, errors: tuple[float, float] | None
@@ -210,11 +212,11 @@ class MapEnsemble:
         if errors:
             uniform, learned = (f"{MM * error:.2f} mm" for error in errors)
             checked = f"left-out training pushes are predicted to {learned}, by uniform friction to {uniform}"
-        if weights[0] >= self.favored:
+        if weights[0] >= self.kept_weight:
             reason = checked or "the pushes do not speak against uniform friction"
             message = f"The friction was left uniform: {reason}. The contact friction was fitted."
             return IdentificationStatus.PRIOR_KEPT, message
-        if weights[0] > 1 - self.favored:
+        if weights[0] > 1 - self.kept_weight:
             reason = f" ({checked})" if checked else ""
             share = f"{100 * (1 - weights[0]):.0f} % learned and the rest uniform"
             return IdentificationStatus.MIXTURE, f"{share}: the pushes favor neither alone{reason}."

@@ -47,13 +47,13 @@ KAPPA_RANGE = 8.0**0.5
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Standard deviations at scale one, and how firmly the scale is believed.
+    """Standard deviations at scale one, and the prior on their scale.
 
     Attributes:
         pose: of a residual (a coordinate of the centroid, or the turn at the radius of gyration), m.
         tip: of the pusher's place per axis, m.
         log_contact_friction: of log mu_c from push to push.
-        prior_weight: how many residuals the belief in scale one is worth.
+        prior_weight: how many residuals the prior on scale one is worth.
         outlier: a push whose whitened residual is this many standard deviations counts less from there on (Huber).
     """
 
@@ -147,7 +147,7 @@ def fit_map(
     pushes: Sequence[int] | None = None,
     start: Array | None = None,
     scale: float = 1.0,
-    rival: FitStart | None = None,
+    warm_start: FitStart | None = None,
     on_renewal: Callable[[Array], None] | None = None,
 ) -> MapFit:
     """Fits z.
@@ -161,7 +161,7 @@ def fit_map(
         pushes: those to use; all by default.
         start: (n+1,) where to begin; z0 by default.
         scale: of the noise, to begin with.
-        rival: where a fit to fewer pushes ended; it is taken instead where it is the more probable beginning, and
+        warm_start: where a fit to fewer pushes ended; it is taken instead where it is the more probable beginning, and
             then WARM_RENEWALS do.
         on_renewal: called with z after every run of the solver.
 
@@ -171,11 +171,10 @@ def fit_map(
     u = np.asarray(np.linalg.solve(A, (z0 if start is None else start) - z0), dtype=np.float64)
     chosen = range(len(problem)) if pushes is None else pushes
     renewals = RENEWALS
-    if rival is not None:
-        other = np.asarray(np.linalg.solve(A, rival.z - z0), dtype=np.float64)
-        stages = [
-            _Stage(problem, z0, A, noise, center_of_mass, chosen, v, s) for v, s in ((u, scale), (other, rival.scale))
-        ]
+    if warm_start is not None:
+        other = np.asarray(np.linalg.solve(A, warm_start.z - z0), dtype=np.float64)
+        beginnings = ((u, scale), (other, warm_start.scale))
+        stages = [_Stage(problem, z0, A, noise, center_of_mass, chosen, v, s) for v, s in beginnings]
         best = min(stages, key=_Stage.objective)
         u, scale = best.start, best.scale
         if best is stages[1]:
@@ -243,8 +242,8 @@ class _Stage:
 
     def objective(self) -> float:
         """Negative log posterior at the start, the normalization of the noise included."""
-        belief = self.noise.prior_weight * (np.log(self.scale) + 0.5 * self.scale**-2)
-        return self.loss(self.start) + self.log_normalizer + belief
+        scale_prior = self.noise.prior_weight * (np.log(self.scale) + 0.5 * self.scale**-2)
+        return self.loss(self.start) + self.log_normalizer + scale_prior
 
     def solve(self, u: Array) -> Array:
         """Runs the trust-region solver from u."""

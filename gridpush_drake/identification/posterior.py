@@ -18,8 +18,8 @@ from gridpush_drake.objects.parameters import CellParameters
 
 Array = NDArray[np.float64]
 
-LEARNED = 0.5
-"""Share of the prior variance, below which a combination counts as learned."""
+LEARNED_SHARE = 0.5
+"""A combination, or a cell, counts as learned where the pushes took away this share of its prior variance."""
 
 MIN_SHARE = 1e-12
 """Of the friction that a cell is given where a draw has none: masses must be positive."""
@@ -123,14 +123,28 @@ def calc_center_jacobian(share: Array, p_BC: Array) -> Array:
     return J
 
 
+def compare_covariances(prior: Array, after: Array) -> tuple[Array, Array, Array, Array]:
+    """Finds the combinations of z whose variance the pushes cut most: generalized eigenvectors of two covariances.
+
+    Args:
+        prior: (n, n) before the pushes.
+        after: (n, n) after them.
+
+    Returns:
+        Ratios (n,) of the variances after to before, increasing; the columns (n, n) of their directions in coordinates
+        u, z = root u, in which the prior is the identity; root (n, n), and its inverse.
+    """
+    values, vectors = np.linalg.eigh(prior)
+    size = np.sqrt(np.maximum(values, np.finfo(float).eps * values[-1]))
+    inverse = (vectors / size).T
+    ratio, directions = np.linalg.eigh(inverse @ after @ inverse.T)
+    return ratio, directions, vectors * size, inverse
+
+
 def _find_learned(posterior: Posterior) -> tuple[Array, Array, Array]:
     """Learned combinations A (m, n+1), each of prior variance one, their variances (m,), and the prior's root."""
-    values, vectors = np.linalg.eigh(posterior.prior_covariance)
-    size = np.sqrt(np.maximum(values, np.finfo(float).eps * values[-1]))
-    root = vectors * size
-    inverse = (vectors / size).T
-    ratio, directions = np.linalg.eigh(inverse @ posterior.covariance @ inverse.T)
-    learned = ratio < LEARNED
+    ratio, directions, root, inverse = compare_covariances(posterior.prior_covariance, posterior.covariance)
+    learned = ratio < 1 - LEARNED_SHARE
     A = directions[:, learned].T @ inverse
     A[:, :-1] -= A[:, :-1].mean(axis=1, keepdims=True)  # no push shows the common scale, nor do shares
     return A, np.maximum(ratio[learned], np.finfo(float).tiny), root

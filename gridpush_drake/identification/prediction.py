@@ -7,9 +7,9 @@ from math import nan
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.dynamics.time_grid import make_path_times
+from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.geometry.se2 import wrap_angle
+from gridpush_drake.identification.problem import TimedPush
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -17,6 +17,12 @@ from gridpush_drake.pushes.plausibility import check_plausible
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 Array = NDArray[np.float64]
+
+MM, DEGREES = 1e3, 180 / np.pi
+"""Millimeters in a meter, degrees in a radian."""
+
+P90 = 0.9
+"""Share of the errors that are below the last figure of a summary."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +63,7 @@ class PoseError:
         return self.position + radius * self.angle
 
 
-def predict(obj: GridObject, params: CellParameters, log: PushLog, regime: str = "quasi_static") -> list[Prediction]:
+def predict(obj: GridObject, params: CellParameters, log: PushLog, regime: Regime = "quasi_static") -> list[Prediction]:
     """Predicts every push of a log from its first observed pose.
 
     Args:
@@ -86,11 +92,10 @@ def calc_pose_error(obj: GridObject, predicted: ArrayLike, observed: ArrayLike) 
     )
 
 
-def _predict_push(obj: GridObject, params: CellParameters, push: ObservedPush, regime: str) -> Prediction:
-    grid = np.union1d(make_path_times(push.push, regime), push.t_observed)
-    simulation = simulate(obj, params, push.push, push.pose, times=grid, regime=regime)  # type: ignore[arg-type]
-    at = np.searchsorted(grid, push.t_observed)
-    return Prediction(push.name, simulation.times, simulation.poses, simulation.poses[at], simulation.status)
+def _predict_push(obj: GridObject, params: CellParameters, push: ObservedPush, regime: Regime) -> Prediction:
+    timed = TimedPush.of(push, regime)
+    motion = timed.simulate(obj, params, regime=regime)
+    return Prediction(push.name, motion.times, motion.poses, motion.poses[timed.rows], motion.status)
 
 
 @dataclass(frozen=True)
@@ -138,14 +143,14 @@ def summarize_errors(obj: GridObject, predictions: Sequence[Prediction], log: Pu
     errors = [error for error in calc_final_errors(obj, predictions, log) if error is not None]
     rho = obj.radius_of_gyration
     kinds = {
-        "position": ([error.position for error in errors], "mm", 1e3),
-        "angle": ([error.angle for error in errors], "°", 180 / np.pi),
-        "cell": ([error.cell for error in errors], "mm", 1e3),
-        f"combined, rho {rho * 1e3:.1f} mm": ([error.combined(rho) for error in errors], "mm", 1e3),
+        "position": ([error.position for error in errors], "mm", MM),
+        "angle": ([error.angle for error in errors], "°", DEGREES),
+        "cell": ([error.cell for error in errors], "mm", MM),
+        f"combined, rho {rho * MM:.1f} mm": ([error.combined(rho) for error in errors], "mm", MM),
     }
     return [
         ErrorSummary(
-            name, float(np.mean(values)), float(np.median(values)), float(np.quantile(values, 0.9)), len(values),
+            name, float(np.mean(values)), float(np.median(values)), float(np.quantile(values, P90)), len(values),
             unit, scale,
         )
         for name, (values, unit, scale) in kinds.items()
@@ -163,7 +168,7 @@ def calc_training_errors(result: Identification, log: PushLog) -> tuple[float, f
     return before, after
 
 
-def calc_mean_cell_error(obj: GridObject, params: CellParameters, log: PushLog, regime: str) -> float:
+def calc_mean_cell_error(obj: GridObject, params: CellParameters, log: PushLog, regime: Regime) -> float:
     """Mean cell error of a log's final poses, m; NaN where it has no push."""
     errors = calc_final_errors(obj, predict(obj, params, log, regime), log)
     return float(np.mean([error.cell for error in errors if error is not None])) if len(log) else nan

@@ -12,6 +12,7 @@ frictions mu_i stay those of the prior and the masses follow, m_i = k_i / mu_i; 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,12 +32,28 @@ FRICTION_FLOOR = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class _TimedPush:
-    """A push with the simulation times that include its observations."""
+class TimedPush:
+    """A push with the simulation times that include its observations.
+
+    Attributes:
+        observed: the push.
+        times: (T+1,) s from its beginning.
+        rows: (K,) the observations' among them.
+    """
 
     observed: ObservedPush
     times: Array
     rows: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, observed: ObservedPush, regime: Regime) -> "TimedPush":
+        """Cuts the time at every observation."""
+        times = np.union1d(make_path_times(observed.push, regime), observed.t_observed)
+        return cls(observed, times, np.searchsorted(times, observed.t_observed))
+
+    def simulate(self, obj: GridObject, params: CellParameters, **options: Any) -> Motion:
+        """Simulates the push from its first observed pose, with `options` of `dynamics.simulate`."""
+        return simulate(obj, params, self.observed.push, self.observed.pose, times=self.times, **options)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +87,7 @@ class PushProblem:
         self.friction = np.asarray(friction, dtype=np.float64)
         self.regime = regime
         self.simulations = 0
-        self._pushes = [_time(push, regime) for push in log]
+        self._pushes = [TimedPush.of(push, regime) for push in log]
         self._centroid = obj.p_BC.mean(axis=0)
         self._rho = obj.radius_of_gyration
 
@@ -121,23 +138,16 @@ class PushProblem:
         moved = residual[:, None, :2] + rotate(residual[:, 2:] / self._rho, arm) - arm
         return float(np.linalg.norm(moved, axis=-1).mean())
 
-    def _simulate(self, z: Array, pushes: Sequence[int] | None, gradients: bool) -> list[tuple[_TimedPush, Motion]]:
+    def _simulate(self, z: Array, pushes: Sequence[int] | None, gradients: bool) -> list[tuple[TimedPush, Motion]]:
         params = self.params(z)
         chosen = self._pushes if pushes is None else [self._pushes[i] for i in pushes]
         self.simulations += len(chosen)
-
         return [
-            (
-                push,
-                simulate(
-                    self.obj, params, push.observed.push, push.observed.pose, times=push.times, regime=self.regime,
-                    gradients=gradients, record=push.rows,
-                ),
-            )
+            (push, push.simulate(self.obj, params, regime=self.regime, gradients=gradients, record=push.rows))
             for push in chosen
-        ]  # fmt: skip
+        ]
 
-    def _residual(self, push: _TimedPush, simulation: Motion) -> Array:
+    def _residual(self, push: TimedPush, simulation: Motion) -> Array:
         predicted, observed = simulation.poses[push.rows], push.observed.poses_observed
         shift = rotate(-observed[:, 2], self._centroid_at(predicted) - self._centroid_at(observed))
         return np.column_stack([shift, self._rho * wrap_angle(predicted[:, 2] - observed[:, 2])]).ravel()
@@ -145,16 +155,10 @@ class PushProblem:
     def _centroid_at(self, poses: Array) -> Array:
         return transform(poses, self._centroid[None])[:, 0]
 
-    def _to_residual(self, push: _TimedPush, simulation: Motion, J: Array) -> Array:
+    def _to_residual(self, push: TimedPush, simulation: Motion, J: Array) -> Array:
         """Turns derivatives of the poses (K, 3, p) into those of the residual (3K, p)."""
         arm = self._centroid_at(simulation.poses[push.rows]) - simulation.poses[push.rows, :2]
         theta = J[:, 2]
         shift = np.stack([J[:, 0] - arm[:, 1:] * theta, J[:, 1] + arm[:, :1] * theta], axis=-1)
         shift = rotate(-push.observed.poses_observed[:, 2:], shift)
         return np.stack([shift[..., 0], shift[..., 1], self._rho * theta], axis=1).reshape(-1, J.shape[2])
-
-
-def _time(observed: ObservedPush, regime: Regime) -> _TimedPush:
-    """Cuts the time at every observation."""
-    times = np.union1d(make_path_times(observed.push, regime), observed.t_observed)
-    return _TimedPush(observed, times, np.searchsorted(times, observed.t_observed))

@@ -7,6 +7,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.identification.identifiability import Identifiability
 from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
 from gridpush_drake.objects.grid_object import GridObject
@@ -90,7 +91,7 @@ class Identification:
     posterior: Posterior
     identifiability: Identifiability
     method: str
-    regime: str
+    regime: Regime
     status: IdentificationStatus
     message: str
     history: tuple[HistoryEntry, ...]

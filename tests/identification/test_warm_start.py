@@ -79,7 +79,7 @@ def test_fit_that_begins_at_its_own_end_costs_less() -> None:
     A = calc_prior_factor(calc_smooth_covariance(obj), 1.5, 0.3)
     cold = fit_map(problem, z0, A, NoiseModel())
     spent = problem.simulations
-    warm = fit_map(problem, z0, A, NoiseModel(), rival=FitStart(cold.z, cold.scale))
+    warm = fit_map(problem, z0, A, NoiseModel(), warm_start=FitStart(cold.z, cold.scale))
     assert problem.simulations - spent < 0.8 * spent
     assert warm.log_evidence == pytest.approx(cold.log_evidence, abs=0.5)
 

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.motion import Motion
-from gridpush_drake.dynamics.simulation import Regime, simulate
-from gridpush_drake.dynamics.time_grid import make_path_times
+from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import IdentificationError
+from gridpush_drake.identification.problem import TimedPush
 from gridpush_drake.identification.result import HistoryEntry, Progress
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -123,9 +123,7 @@ class CellLoss:
         self.simulations, self.best, self.best_loss = 0, start, np.inf
         self.history: list[HistoryEntry] = []
         self._progress, self._threshold = progress, threshold
-        self._pushes = list(log)
-        self._times = [np.union1d(make_path_times(seen.push, regime), seen.t_observed) for seen in log]
-        self._rows = [np.searchsorted(times, seen.t_observed) for times, seen in zip(self._times, log, strict=True)]
+        self._pushes = [TimedPush.of(seen, regime) for seen in log]
         self._cells = [_observed_cells(obj, seen) for seen in log]
 
     def __len__(self) -> int:
@@ -157,10 +155,7 @@ class CellLoss:
         """
         if self.simulations + len(self) > self.budget:
             raise SearchStopped(SearchStatus.BUDGET_SPENT)
-        simulations = [
-            simulate(self.obj, params, seen.push, seen.pose, times=times, **options)
-            for seen, times in zip(self._pushes, self._times, strict=True)
-        ]
+        simulations = [push.simulate(self.obj, params, **options) for push in self._pushes]
         self.simulations += len(self)
         loss = float(np.mean([np.linalg.norm(miss, axis=-1).mean() for miss in self.misses(simulations)]))
         loss = loss if np.isfinite(loss) else np.inf
@@ -173,13 +168,13 @@ class CellLoss:
         """Predicted minus observed cell centers (K, n, 2), m, of each push."""
         return [
             self.obj.cells_at(simulation.poses[rows]) - cells
-            for simulation, rows, cells in zip(simulations, self._rows, self._cells, strict=True)
+            for simulation, rows, cells in zip(simulations, self.rows, self._cells, strict=True)
         ]
 
     @property
     def rows(self) -> list[NDArray[np.int64]]:
         """(K,) the observed poses among the simulated ones, for each push."""
-        return self._rows
+        return [push.rows for push in self._pushes]
 
     def _record(self, stage: str) -> None:
         self.history.append(HistoryEntry(self.simulations, self.best_loss, stage))

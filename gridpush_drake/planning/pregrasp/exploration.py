@@ -8,7 +8,8 @@ r = J z + noise, with J exact from its simulation and noise ~ N(0, R) (`identifi
 whatever will be seen. What matters is linear in z near the mean, f = F z: the center of friction, which is the center
 of mass where all cells rub alike, along one direction or both; or the poses that other pushes are predicted to end in.
 The poke is chosen that makes the largest eigenvalue of F S' F^T least, the variance of what is then known least
-(Bayesian linear design by its worst direction: Chaloner and Verdinelli 1995, section 2).
+(Bayesian linear design by its worst direction: Chaloner and Verdinelli 1995, section 2;
+`docs/theory/identification.md`, section 7).
 """
 
 from collections.abc import Sequence
@@ -45,8 +46,8 @@ class PokeOptions:
         clearance: gap between finger and object at the beginning, m.
         places: along the outline.
         angles: of the motion from the inward normal, rad.
-        apart: share of the outline's length that a poke begins away from every poke made before: what the model
-            gets wrong it would get wrong again.
+        min_separation: share of the outline's length that a poke begins away from every poke made before: what the
+            model gets wrong it would get wrong again.
     """
 
     radius: float = 0.008
@@ -55,7 +56,7 @@ class PokeOptions:
     clearance: float = 0.002
     places: int = 36
     angles: tuple[float, ...] = (-0.4, 0.0, 0.4)
-    apart: float = 0.04
+    min_separation: float = 0.04
 
     def __post_init__(self) -> None:
         for name in ("radius", "speed", "distance"):
@@ -114,7 +115,7 @@ def make_pokes(
                 clearance=options.clearance,
             )  # fmt: skip
             begins = transform_back(q, push.start[None])
-            if (np.linalg.norm(model.poke_starts - begins, axis=1) < options.apart * reach.perimeter).any():
+            if (np.linalg.norm(model.poke_starts - begins, axis=1) < options.min_separation * reach.perimeter).any():
                 continue
             motion = simulate(obj, params, push, q, regime="quasi_static")
             if motion.status == MotionStatus.OK and checker.count_allowed(motion.tip, motion.poses) == len(motion.tip):

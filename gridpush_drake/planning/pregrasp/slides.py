@@ -1,7 +1,7 @@
 """The next push of a slide to the table's edge: towards one of several goals, safe all the way.
 
 Contact-point optimization proposes pushes towards each goal, forbidden to pass poses whose stability margin is too
-thin. The proposals are then tried on several draws from what is believed of the object, with the loads that an
+thin. The proposals are then tried on several samples of the model, with the loads that an
 overhanging object has (`edge_push`), and cut short before the first pose in which any draw's margin is too thin. Taken
 is the proposal that, so cut, ends nearest to its goal on the average of the draws.
 

@@ -16,7 +16,7 @@ from gridpush_drake.planning.support_surface import SupportSurface, find_support
 Array = NDArray[np.float64]
 
 SUPPORT_INSET = 0.002
-"""m inside the edge that a cell's center must be to count as held: what a pose may be wrong by."""
+"""m inside the edge that a cell's center must be to count as supported: what a pose may be wrong by."""
 
 
 def calc_support_polygon(
@@ -42,7 +42,7 @@ def calc_stability_margins(
     """How far the center of mass at its worst stays inside what holds the object, at many poses.
 
     Args:
-        masses: the masses held possible.
+        masses: the plausible masses.
         poses: (K, 3) X_WB, m and rad.
         surface: the table.
         inset: m inside the edge that a cell's center must be to hold.
@@ -53,9 +53,9 @@ def calc_stability_margins(
     obj = masses.obj
     q = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
     order = np.lexsort((obj.p_BC[:, 1], obj.p_BC[:, 0]))
-    held = find_supported(obj, q, surface, inset)[:, order]
+    supported = find_supported(obj, q, surface, inset)[:, order]
     margins = np.empty(len(q))
-    calc_margins(obj.p_BC[order], np.ascontiguousarray(held), masses.center_of_mass_polygon, margins)
+    calc_margins(obj.p_BC[order], np.ascontiguousarray(supported), masses.center_of_mass_polygon, margins)
     return margins
 
 

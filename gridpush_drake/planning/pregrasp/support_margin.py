@@ -1,7 +1,7 @@
 """Compiled: how far points stay inside the convex hull of what holds an object, for many poses at once.
 
-The hull of the held points is found by the monotone chain (Andrew 1979), for which they must be sorted by x, then y;
-the order is the body frame's, the same at every pose.
+The hull of the supported points is found by the monotone chain (Andrew 1979), for which they must be sorted by x, then
+y; the order is the body frame's, the same at every pose.
 """
 
 from math import sqrt
@@ -14,19 +14,19 @@ _EMPTY = -np.inf
 
 
 @kernel()
-def calc_margins(points, held, inner, margins):
+def calc_margins(points, supported, inner, margins):
     """Calculates margins.
 
     Args:
         points: (n, 2) in order of x, then y, m.
-        held: (K, n) which of them hold, pose by pose.
+        supported: (K, n) which of them are on the table, pose by pose.
         inner: (V, 2) points that must stay inside the hull of those, m.
         margins: (K,) out: the least distance of `inner` inside the hull's edges, m; -inf where three do not hold.
     """
     n = points.shape[0]
     hull = np.empty((2 * n + 2, 2))
-    for row in range(held.shape[0]):
-        size = _chain(points, held[row], hull)
+    for row in range(supported.shape[0]):
+        size = _chain(points, supported[row], hull)
         if size < 3:
             margins[row] = _EMPTY
             continue
@@ -42,16 +42,16 @@ def calc_margins(points, held, inner, margins):
 
 
 @kernel()
-def _chain(points, held, hull):
+def _chain(points, supported, hull):
     """The hull's corners, counterclockwise, in `hull`; returns how many."""
     n = points.shape[0]
     size = 0
     for i in range(n):
-        if held[i]:
+        if supported[i]:
             size = _append(points[i], hull, size, 0)
     lower = size
     for i in range(n - 1, -1, -1):
-        if held[i] and not (hull[size - 1, 0] == points[i, 0] and hull[size - 1, 1] == points[i, 1]):
+        if supported[i] and not (hull[size - 1, 0] == points[i, 0] and hull[size - 1, 1] == points[i, 1]):
             size = _append(points[i], hull, size, lower - 1)
     return size - 1
 

@@ -109,7 +109,7 @@ def test_a_poke_tells_most_about_its_own_end(model, pokes):
 def test_pokes_keep_the_object_on_the_table_and_the_places_apart(model):
     table = SupportSurface.rectangle((0.0, 0.0), (0.5, 0.4))
     pose = np.array([0.02, -0.13, 0.0])
-    options = PokeOptions(places=12, apart=0.1)
+    options = PokeOptions(places=12, min_separation=0.1)
     kept = make_pokes(model, pose, options, PushConstraints(table, edge_margin=0.01))
     free = make_pokes(model, pose, options)
     assert 0 < len(kept) < len(free)
