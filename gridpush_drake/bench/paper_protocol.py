@@ -157,12 +157,12 @@ def _read_protocol(path: Path, drawn: Protocol) -> Protocol:
             for count, splits in content["splits"].items()
         }
         known = {name: masses.get(name, sets) for name, sets in drawn.masses.items()}
-        return Protocol(drawn.masks, known, splits, float(content["meters_per_pixel"]["simulated"]))
+        return Protocol(drawn.masks, known, splits, float(content["metres_per_pixel"]["simulated"]))
     except OSError as error:
         raise GridPushError(f"{path}: cannot be read: {error.strerror}; expected the paper's numbers") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise GridPushError(
-            f"{path}: expected JSON with masses_by_label, splits and meters_per_pixel.simulated ({error!r})"
+            f"{path}: expected JSON with masses_by_label, splits and metres_per_pixel.simulated ({error!r})"
         ) from error
 
 

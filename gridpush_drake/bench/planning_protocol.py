@@ -128,13 +128,13 @@ def _read_protocol(path: Path, drawn: PlanningProtocol) -> PlanningProtocol:
         surface = SupportSurface.round(table["centre"], float(table["radius"]))
         masses = {str(name): tuple(map(tuple, sets)) for name, sets in content["masses_by_label"].items()}
         known = {name: masses.get(name, sets) for name, sets in drawn.masses.items()}
-        scale = float(content["meters_per_pixel"]["real_and_planning"])
+        scale = float(content["metres_per_pixel"]["real_and_planning"])
         return PlanningProtocol(drawn.seed, drawn.masks, known, pairs, surface, scale)
     except OSError as error:
         raise GridPushError(f"{path}: cannot be read: {error.strerror}; expected the paper's numbers") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise GridPushError(
-            f"{path}: expected JSON with masses_by_label, planning and meters_per_pixel ({error!r})"
+            f"{path}: expected JSON with masses_by_label, planning and metres_per_pixel ({error!r})"
         ) from error
 
 

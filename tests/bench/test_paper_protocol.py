@@ -42,7 +42,7 @@ def made_folder(tmp_path):
     content = {
         "masses_by_label": {"ell": [[1.0, 3.0], [4.0, 0.5]]},
         "splits": splits,
-        "meters_per_pixel": {"simulated": 0.002},
+        "metres_per_pixel": {"simulated": 0.002},
     }
     (tmp_path / "protocol.json").write_text(json.dumps(content))
     return tmp_path
