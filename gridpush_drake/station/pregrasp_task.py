@@ -25,8 +25,7 @@ from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp, SideGripper, 
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
 from gridpush_drake.pushes.push_log import ObservedPush
-from gridpush_drake.station.finger_region import MakeFingerRegion
-from gridpush_drake.station.push_station import Learning, MakePushStation, PushStation
+from gridpush_drake.station.push_station import Learning, MakeFingerRegion, MakePushStation, PushStation
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.task import GO_ON, Judgment, StationTask, TaskRecord, TaskStatus, Waiting, make_surface
 from gridpush_drake.systems.messages import GraspCommand, PreGraspMode, PreGraspStatus, PushCommand
