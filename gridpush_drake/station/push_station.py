@@ -14,6 +14,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import cast
 
+import numpy as np
+import shapely
+from numpy.typing import NDArray
 from pydrake.geometry import GeometryId, Meshcat, MeshcatVisualizer, MeshcatVisualizerParams, Role, SceneGraph
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
@@ -41,7 +44,15 @@ from gridpush_drake.station.grasping import (
 )
 from gridpush_drake.station.robot import GetRobotInPlant, Robot, RobotInPlant, find_robot
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scene import AddScene, CalcBasePose, CalcHome, MakeTruth, check_scenario, load_object
+from gridpush_drake.station.scene import (
+    AddScene,
+    CalcBasePose,
+    CalcHome,
+    CalcTipReach,
+    MakeTruth,
+    check_scenario,
+    load_object,
+)
 from gridpush_drake.systems.grasp_executor import GraspExecutor
 from gridpush_drake.systems.grid_identifier import GridIdentifier
 from gridpush_drake.systems.messages import GraspCommand, PushCommand
@@ -60,12 +71,12 @@ class Sensors:
 
     Attributes:
         camera: sees the object, with noise.
-        eye: sees it as it is, for display and judgment.
+        ground_truth: sees it as it is, for display and judgment.
         tip: knows where the tip is and how it moves.
     """
 
     camera: PlanarPoseSensor
-    eye: PlanarPoseSensor
+    ground_truth: PlanarPoseSensor
     tip: PusherStateSensor
 
 
@@ -90,11 +101,13 @@ def AddSensors(
                 seed=scenario.seed,
             ),
         ),
-        builder.AddNamedSystem("eye", PlanarPoseSensor(body, period=1 / camera.rate, lowest=LOST_BELOW)),
+        builder.AddNamedSystem(
+            "ground_truth_sensor", PlanarPoseSensor(body, period=1 / camera.rate, lowest=LOST_BELOW)
+        ),
         builder.AddNamedSystem("tip_sensor", PusherStateSensor(plant.GetBodyByName(robot.finger.tip_frame).index())),
     )
     tip = sensors.tip
-    for sensor in (sensors.camera, sensors.eye, tip):
+    for sensor in (sensors.camera, sensors.ground_truth, tip):
         builder.Connect(plant.get_body_poses_output_port(), sensor.GetInputPort("body_poses"))
     builder.Connect(plant.get_body_spatial_velocities_output_port(), tip.GetInputPort("body_spatial_velocities"))
     return sensors
@@ -190,7 +203,7 @@ class StationParts:
         reach: of the arm.
         control: of the arm.
         camera: sees the object, with noise.
-        hidden: remembers the truth.
+        true_parameters: remembers the truth.
         grasping: carries out grasps; None where the scene has no gripper.
     """
 
@@ -209,7 +222,7 @@ class StationParts:
     reach: ArmReach
     control: ArmControl
     camera: PlanarPoseSensor
-    hidden: TrueParameters
+    true_parameters: TrueParameters
     grasping: GraspExecutor | None
 
 
@@ -275,7 +288,7 @@ class PushStation(Diagram):
         self.object_in_plant, self.table, self.table_top = parts.object_in_plant, parts.table, parts.table_top
         self.style, self.gripper = parts.style, parts.robot_in_plant.gripper
         self._grasping, self._reach = parts.grasping, parts.reach
-        self._control, self._camera, self._hidden = parts.control, parts.camera, parts.hidden
+        self._control, self._camera, self._true_parameters = parts.control, parts.camera, parts.true_parameters
         builder.BuildInto(self)
 
     def FindObstacle(self, command: PushCommand) -> str | None:
@@ -305,7 +318,7 @@ class PushStation(Diagram):
         if seed is not None:
             truth = MakeTruth(self.obj, self.scenario.truth, seed)
             SetGridObjectParameters(self.plant, self.scene_graph, root_context, self.object_in_plant, truth)
-            self._hidden.SetParameters(root_context, truth)
+            self._true_parameters.SetParameters(root_context, truth)
             self._camera.SetSeed(root_context, seed)
 
     def GetTruth(self, root_context: Context) -> CellParameters:
@@ -314,7 +327,7 @@ class PushStation(Diagram):
         Args:
             root_context: of the station, or of the Diagram it is part of.
         """
-        return self._hidden.GetParameters(root_context)
+        return self._true_parameters.GetParameters(root_context)
 
     def CoverCamera(self, root_context: Context, covered: bool = True) -> None:
         """Covers the camera, which then sees no object, or uncovers it."""
@@ -333,11 +346,11 @@ def MakePushStation(
 
     Building one takes far longer than to begin anew: for many runs build it once, and give every run a fresh Context
     (`CreateDefaultContext`, then `SetStart`), or `Simulator.reset_context` with one. All that differs between two runs
-    is in the Context; two runs of one station may be interleaved. A station without a gripper that nobody holds any
-    more is freed by Python's garbage collector (`gc.collect()`) but for 1 MB or less that stays with Drake; one with a
-    gripper in a `PreGraspTask` is not yet freed. Whoever keeps a `RigidBody`, a `Joint`, a `Frame` or the ids of
-    `GetCollisionGeometriesForBody` of its plant as a part of the station, or of what it is connected to, keeps all of
-    it for good: keep their indices instead.
+    is in the Context; two runs of one station may be interleaved. A station that nobody holds any more is freed by
+    Python's garbage collector (`gc.collect()`) but for 1 MB or less that stays with Drake. Whoever keeps a `RigidBody`,
+    a `Joint`, a `Frame` or the ids of `GetCollisionGeometriesForBody` of its plant as a part of the station, or of what
+    it is connected to, keeps all of it for good: keep their indices instead. So does whoever gives the station a
+    function that holds it, such as `learning.admit`.
 
     Args:
         scenario: what stands where.
@@ -386,7 +399,7 @@ def MakePushStation(
     executor = builder.AddNamedSystem("executor", PushExecutor(home, obj.outline, reach, style))
     sensors = AddSensors(builder, plant, scenario, robot, object_in_plant)
     camera, tip = sensors.camera, sensors.tip
-    hidden = builder.AddNamedSystem("truth", TrueParameters(truth))
+    true_parameters = builder.AddNamedSystem("truth", TrueParameters(truth))
     identifier = builder.AddNamedSystem("identifier", make_identifier(scenario, obj, learning))
 
     table_top = FindTableOutline(plant, scene_graph.model_inspector())
@@ -410,7 +423,7 @@ def MakePushStation(
     ExportOutputs(builder, desired, "executor", ("tip_pose",))
     builder.ExportOutput(tip.GetOutputPort("pusher_state"), "pusher.state")
     builder.ExportOutput(camera.GetOutputPort("object_pose"), "object.pose")
-    builder.ExportOutput(sensors.eye.GetOutputPort("object_pose"), "object.pose_true")
+    builder.ExportOutput(sensors.ground_truth.GetOutputPort("object_pose"), "object.pose_true")
     ExportOutputs(builder, identifier, "estimate", ESTIMATE_OUTPUTS)
     ExportOutputs(builder, control.driver, "iiwa", IIWA_OUTPUTS)
     builder.ExportOutput(plant.get_body_poses_output_port(), "body_poses")
@@ -422,7 +435,7 @@ def MakePushStation(
         builder,
         StationParts(
             scenario, obj, truth, plant, scene_graph, robot, instances, object_in_plant, table, table_top, style, home,
-            reach, control, camera, hidden, grasping,
+            reach, control, camera, true_parameters, grasping,
         ),
     )  # fmt: skip
     station.set_name(name)
@@ -443,3 +456,29 @@ def AddMeshcat(
     """Shows the illustration geometry, and nothing else, below the path `prefix`."""
     params = MeshcatVisualizerParams(role=Role.kIllustration, prefix=prefix)
     return MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, params)
+
+
+RING_SEGMENTS = 32
+"""A quarter turn, of the polygon for a ring."""
+
+
+def MakeFingerRegion(station: PushStation, inset: float = 0.0) -> BaseGeometry:
+    """Makes the region in which the tip's center may be while it pushes.
+
+    Args:
+        station: the station.
+        inset: least distance from the region's edge, m.
+
+    Returns:
+        The region, W, m: the ring that the arm reaches, and in it the workspace; it may be empty.
+    """
+    workspace = station.scenario.workspace
+    box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
+    axis, least, greatest = CalcTipReach(station.plant, station.robot, station.scenario.finger.push_height)
+    return MakeRing(axis, least + inset, greatest - inset) & box.buffer(-inset)
+
+
+def MakeRing(axis: NDArray[np.float64], least: float, greatest: float) -> shapely.Polygon:
+    """The places about the robot's axis (2,) between two distances, m."""
+    outer, inner = (shapely.Point(axis).buffer(radius, RING_SEGMENTS) for radius in (greatest, least))
+    return outer - inner

@@ -17,8 +17,7 @@ from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_erro
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.station.finger_region import MakeFingerRegion
-from gridpush_drake.station.push_station import Learning, MakePushStation, PushStation
+from gridpush_drake.station.push_station import Learning, MakeFingerRegion, MakePushStation, PushStation
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.task import GO_ON, Judgment, StationTask, TaskRecord, TaskStatus, Waiting, make_surface
 from gridpush_drake.systems.contact_point_controller import ContactPointController

@@ -44,7 +44,7 @@ class TaskStatus(StrEnum):
 
 
 ADVANCE = 0.1
-"""Simulated between two looks at how far a task is, s."""
+"""Simulated between two observations of how far a task is, s."""
 
 Judgment = tuple[TaskStatus, str]
 """A task's status, and a sentence about it."""
@@ -212,11 +212,11 @@ class StationTask(Generic[R]):
             simulator.Initialize()
             while not record.status:
                 simulator.AdvanceTo(context.get_time() + ADVANCE)
-                self._look(record)
+                self._observe(record)
                 if progress is not None:
                     progress(self.read("executor.status"), len(record.log))
         except KeyboardInterrupt:
-            self._look(record)
+            self._observe(record)
             if not record.status:
                 message = f"Interrupted after {len(record.log)} pushes."
                 record.status, record.message = TaskStatus.INTERRUPTED, message
@@ -236,7 +236,7 @@ class StationTask(Generic[R]):
         distance = CAMERA_SHARE * float(np.hypot(x1 - x0, y1 - y0))
         AimCamera(meshcat, (x, y, CAMERA_HEIGHT), distance, CAMERA_AZIMUTH, CAMERA_ELEVATION)
 
-    def _look(self, record: R) -> None:
+    def _observe(self, record: R) -> None:
         """Writes down what there is by now, and lets the judge speak."""
         time = record.duration = self.simulator.get_context().get_time()
         record.log = self.read("estimate.push_log")

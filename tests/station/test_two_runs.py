@@ -12,10 +12,12 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake.multibody.ground_truth import SetGridObjectPose, SetGridObjectVelocity
+from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.station.identify_task import IdentifyTask
 from gridpush_drake.station.limit_monitor import LimitMonitor
+from gridpush_drake.station.pregrasp_task import PreGraspTask
 from gridpush_drake.station.push_station import MakePushStation
-from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario import PushScenario, read_scenario
 from gridpush_drake.station.scene import MakeTruth
 from gridpush_drake.systems.messages import PushCommand
 
@@ -138,6 +140,15 @@ def test_a_station_that_is_dropped_is_freed():
     simulator.AdvanceTo(0.02)
     parts = [ref(part) for part in (experiment, simulator, station, station.plant, station.scene_graph)]
     del experiment, simulator, station
+    gc.collect()
+    assert [part() for part in parts] == [None] * len(parts)
+
+
+def test_a_task_with_a_gripper_that_is_dropped_is_freed():
+    task = PreGraspTask(read_scenario(find_models() / "scenarios/grasp.yaml"))
+    station = task.station
+    parts = [ref(part) for part in (task, task.simulator, task.controller, station, station.plant, station.scene_graph)]
+    del task, station
     gc.collect()
     assert [part() for part in parts] == [None] * len(parts)
 
