@@ -62,11 +62,11 @@ def StartMeshcatServer(port: int | None = None, host: str = "localhost", *, show
         raise StationError(_explain(port, host)) from error
     finally:
         log.setLevel(level)
-    ApplyLook(meshcat)
+    ApplySceneStyle(meshcat)
     return meshcat
 
 
-def ApplyLook(meshcat: Meshcat) -> None:
+def ApplySceneStyle(meshcat: Meshcat) -> None:
     """Gives a scene a light background and even light, and takes its grid and axes away."""
     for light, intensity in LIGHTS.items():
         meshcat.SetProperty(f"/Lights/{light}/<object>", "intensity", intensity)

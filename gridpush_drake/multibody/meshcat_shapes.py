@@ -34,6 +34,9 @@ CIRCLE_SIDES = 48
 MIN_HALF_AXIS = 1e-5
 """Of a drawn ellipse, m; one that is narrower has no area to speak of."""
 
+MIN_LENGTH = 1e-5
+"""Of a drawn arrow, m."""
+
 
 def make_cell_prisms(obj: GridObject, height: float, share: float = CELL_SHARE) -> Trimesh:
     """Makes a prism a cell, standing on the plane z = 0 of the body frame, open below.
@@ -215,10 +218,12 @@ def AddCenter(meshcat: Meshcat, path: str, center: ArrayLike, covariance: ArrayL
     Args:
         meshcat: where to draw.
         path: a dot is drawn at `path`/dot, the ellipse and its edge at `path`/ellipse and `path`/edge.
-        center: (2,) body frame, m.
+        center: (2,) body frame, m; nothing is drawn where it is not finite.
         covariance: (2, 2) m²; nothing but the dot is drawn where it is not finite.
         height: m.
     """
+    if not np.isfinite(center).all():
+        return
     dot = make_disc(CENTER_RADIUS**2 * np.eye(2), center, height + 2 * LAYER)
     _AddMesh(meshcat, f"{path}/dot", dot, CENTER_COLOR)
     spread = SIGMAS**2 * np.asarray(covariance, dtype=np.float64)
@@ -244,7 +249,12 @@ def AddGhost(meshcat: Meshcat, path: str, obj: GridObject, height: float, color:
 
 
 def AddArrow(meshcat: Meshcat, path: str, start: ArrayLike, end: ArrayLike, height: float) -> None:
-    """Draws a push from `start` (2,) to `end` (2,), world frame, m, as a flat arrow at z = `height`, m."""
+    """Draws a push from `start` (2,) to `end` (2,), world frame, m, as a flat arrow at z = `height`, m.
+
+    Nothing is drawn of one that is not finite, or too short to be seen.
+    """
+    if not np.linalg.norm(np.subtract(end, start)) > MIN_LENGTH:
+        return
     _AddMesh(meshcat, path, make_arrow(start, end, height, ARROW_WIDTH), PLAN_COLOR)
 
 

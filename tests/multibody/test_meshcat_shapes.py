@@ -1,7 +1,10 @@
 import numpy as np
 import pytest
 
+from gridpush_drake.multibody.meshcat_server import StartMeshcatServer
 from gridpush_drake.multibody.meshcat_shapes import (
+    AddArrow,
+    AddCenter,
     make_arrow,
     make_cell_prisms,
     make_disc,
@@ -72,3 +75,21 @@ def test_an_arrow_reaches_from_its_start_to_its_end(length):
     arrow = make_arrow(start, start + length * along, HEIGHT, 0.005)
     reach = (arrow.vertices[:, :2] - start) @ along
     assert (reach.min(), reach.max()) == pytest.approx((0.0, length), abs=1e-15)
+
+
+@pytest.mark.parametrize("center", [(np.nan, 0.0), (0.0, np.inf)])
+def test_draws_nothing_of_a_center_that_is_not_finite(center):
+    meshcat = StartMeshcatServer(0)
+    AddCenter(meshcat, "center", center, 1e-4 * np.eye(2), HEIGHT)
+    assert not meshcat.HasPath("center")
+    AddCenter(meshcat, "center", (0.0, 0.0), np.full((2, 2), np.nan), HEIGHT)
+    assert meshcat.HasPath("center/dot") and not meshcat.HasPath("center/ellipse")
+
+
+@pytest.mark.parametrize("end", [(0.1, 0.2), (0.1, 0.2 + 1e-9), (np.nan, 0.2)])
+def test_draws_nothing_of_an_arrow_without_length(end):
+    meshcat = StartMeshcatServer(0)
+    AddArrow(meshcat, "arrow", (0.1, 0.2), end, HEIGHT)
+    assert not meshcat.HasPath("arrow")
+    AddArrow(meshcat, "arrow", (0.1, 0.2), (0.1, 0.2001), HEIGHT)
+    assert meshcat.HasPath("arrow")
