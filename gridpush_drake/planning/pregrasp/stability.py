@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.convex import bound_by_half_planes, hull_of
+from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.identification.posterior import Posterior, draw_consistent
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -154,7 +155,7 @@ class PlausibleMassSet:
         A center of mass known beforehand (`obj.prior.center_of_mass`) cuts it down to a square about that.
         """
         angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-        directions = np.column_stack([np.cos(angle), np.sin(angle)])
+        directions = make_direction(angle)
         corners = bound_by_half_planes(directions, self.calc_support(directions))
         at = self.obj.prior.center_of_mass
         if at is None:
