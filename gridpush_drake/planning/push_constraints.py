@@ -15,6 +15,7 @@ from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.support_surface import SupportSurface
 
@@ -93,7 +94,7 @@ class PushConstraints:
             Whether all cells are as far from the table's edge as they must, and whether an obstacle is in the way.
         """
         q = np.asarray(pose, dtype=np.float64)
-        body = shapely.polygons(place_points(np.array(make_body(obj).exterior.coords)[:-1], q[None]))[0]
+        body = shapely.polygons(transform(q[None], np.array(make_body(obj).exterior.coords)[:-1]))[0]
         on_table, blocked = True, False
         if self.surface is not None:
             on_table = bool(shapely.covers(self.surface.polygon.buffer(-self.edge_margin + SLACK), body))
@@ -143,7 +144,7 @@ class PushChecker:
 
     def place(self, poses: Array) -> NDArray[np.object_]:
         """The body as polygons (K,) at poses (K, 3), world frame; without its holes."""
-        return np.asarray(shapely.polygons(place_points(self._vertices, poses)))
+        return np.asarray(shapely.polygons(transform(poses, self._vertices)))
 
     def allows_finger(self, p_WP: Array) -> NDArray[np.bool_]:
         """Whether the disc's center may be at p_WP (..., 2)."""
@@ -190,7 +191,7 @@ class PushChecker:
         """Whether edge and obstacles let the object be at poses (K, 3)."""
         allowed = np.ones(len(poses), dtype=bool)
         if self._table is not None:
-            points = place_points(self._hull, poses)
+            points = transform(poses, self._hull)
             allowed &= shapely.contains_xy(self._table, points[..., 0], points[..., 1]).all(axis=1)
             if self._hull is self._vertices:
                 allowed &= shapely.covers(self._table, self.place(poses))
@@ -219,7 +220,7 @@ class PushChecker:
         return int(rows[first - 1]) + 1 if first else 0
 
     def _measure_overhang(self, pose: Array, table: BaseGeometry) -> float:
-        points = place_points(self._hull, pose[None])[0]
+        points = transform(pose[None], self._hull)[0]
         return float(shapely.distance(shapely.points(points), table).max()) if not table.is_empty else 0.0
 
 
@@ -233,10 +234,3 @@ def make_body(obj: GridObject) -> Polygon:
         cached = Polygon(max(getattr(union, "geoms", [union]), key=lambda piece: piece.area).exterior)
         obj.__dict__["_swept_body"] = cached
     return cached
-
-
-def place_points(p_BP: Array, poses: Array) -> Array:
-    """Points (V, 2) of the body at poses (K, 3): (K, V, 2), m."""
-    c, s = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
-    x, y = p_BP.T
-    return np.stack([poses[:, 0, None] + c * x - s * y, poses[:, 1, None] + s * x + c * y], axis=-1)

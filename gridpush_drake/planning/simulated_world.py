@@ -17,12 +17,13 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.closed_loop import ClosedLoop, L, Observation, RobotReport
-from gridpush_drake.planning.push_constraints import make_body, place_points
+from gridpush_drake.planning.push_constraints import make_body
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
@@ -141,11 +142,11 @@ class SimulatedWorld:
     def _is_supported(self, pose: Array) -> bool:
         assert self.surface is not None
         table = self.surface.polygon
-        points = place_points(self._body, pose[None])[0]
+        points = transform(pose[None], self._body)[0]
         if shapely.contains_xy(table, points[:, 0], points[:, 1]).all() and table.convex_hull.equals(table):
             return True
         lying = shapely.intersection(table, shapely.Polygon(points))
-        center = Point(place_points(self._center_of_mass[None], pose[None])[0, 0])
+        center = Point(transform(pose[None], self._center_of_mass[None])[0, 0])
         return bool(MultiPoint(shapely.get_coordinates(lying)).convex_hull.covers(center)) if lying.area > 0 else False
 
 

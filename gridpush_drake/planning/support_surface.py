@@ -23,6 +23,7 @@ from shapely import Polygon
 from shapely.geometry.polygon import orient
 
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import make_direction, rotate
 from gridpush_drake.objects.grid_object import GridObject
 
 Array = NDArray[np.float64]
@@ -95,7 +96,7 @@ class SupportSurface:
         if not (np.isfinite(radius) and radius > 0):
             raise PlanningError(f"table: radius is {radius!r}; expected a positive number (m)")
         angle = 2 * np.pi * np.arange(ROUND_SIDES) / ROUND_SIDES
-        return cls(Polygon(p + radius * np.column_stack([np.cos(angle), np.sin(angle)])))
+        return cls(Polygon(p + radius * make_direction(angle)))
 
     @classmethod
     def from_polygon(cls, points: ArrayLike | Sequence[Sequence[float]]) -> "SupportSurface":
@@ -214,10 +215,8 @@ class SupportSurface:
         half = obj.cell_size / 2
         if not self.is_convex:
             return self.signed_distances(centers) - half * np.sqrt(2)
-        c, s = np.cos(q[..., 2]), np.sin(q[..., 2])
         # a square's support function: half times the 1-norm of the normal seen from the body
-        x, y = self.edge_normals.T
-        across = np.abs(c[..., None] * x + s[..., None] * y) + np.abs(-s[..., None] * x + c[..., None] * y)
+        across = np.abs(rotate(-q[..., 2, None], self.edge_normals)).sum(axis=-1)
         gaps = self.edge_offsets - centers @ self.edge_normals.T - half * across[..., None, :]
         return np.asarray(gaps.min(axis=-1))
 
@@ -247,8 +246,7 @@ class SupportSurface:
         table = self if self.is_convex else SupportSurface(self.polygon.convex_hull)
         offsets = table.edge_offsets
         for angle in 2 * np.pi * np.arange(FIT_ANGLES) / FIT_ANGLES:
-            c, s = np.cos(angle), np.sin(angle)
-            turned = np.asarray(body, dtype=np.float64) @ np.array([[c, s], [-s, c]])
+            turned = rotate(angle, body)
             if _have_common_point(table.edge_normals, offsets - (turned @ table.edge_normals.T).max(axis=0)):
                 return True
         return False

@@ -20,6 +20,7 @@ import shapely
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
+from gridpush_drake.geometry.se2 import rotate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -100,24 +101,13 @@ def predict_roughly(
     center, theta = np.tile(c, (len(start), 1)), np.zeros(len(start))
     poses = np.empty((steps, len(start), 3))
     for step in range(steps):
-        cos, sin = np.cos(theta), np.sin(theta)
-        tip = start + h * step * direction - center
-        p_tip = np.column_stack([cos * tip[:, 0] + sin * tip[:, 1], -sin * tip[:, 0] + cos * tip[:, 1]])
-        u = h * np.column_stack(
-            [cos * direction[:, 0] + sin * direction[:, 1], -sin * direction[:, 0] + cos * direction[:, 1]]
-        )
+        p_tip = rotate(-theta, start + h * step * direction - center)
+        u = h * rotate(-theta, direction)
         away, outward = table.lookup(p_tip + c)
         twist = _calc_twist(p_tip - away[:, None] * outward, -outward, u, away - radius, inverse, mu)
-        half = theta + twist[:, 2] / 2
-        cos, sin = np.cos(half), np.sin(half)
-        center = center + np.column_stack(
-            [cos * twist[:, 0] - sin * twist[:, 1], sin * twist[:, 0] + cos * twist[:, 1]]
-        )
+        center = center + rotate(theta + twist[:, 2] / 2, twist[:, :2])
         theta = theta + twist[:, 2]
-        cos, sin = np.cos(theta), np.sin(theta)
-        poses[step, :, 0] = center[:, 0] - (cos * c[0] - sin * c[1])
-        poses[step, :, 1] = center[:, 1] - (sin * c[0] + cos * c[1])
-        poses[step, :, 2] = theta
+        poses[step] = np.column_stack([center - rotate(theta, c), theta])
     return poses
 
 

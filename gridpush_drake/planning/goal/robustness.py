@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
+from gridpush_drake.geometry.se2 import make_direction, transform
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush
-from gridpush_drake.planning.push_constraints import PushConstraints, place_points
+from gridpush_drake.planning.push_constraints import PushConstraints
 
 Array = NDArray[np.float64]
 
@@ -69,7 +70,7 @@ def draw_model_samples(
     # along the object's longest axis first, where unevenness matters most
     axis = np.linalg.eigh(arm.T @ arm)[1][:, -1]
     turns = np.arctan2(axis[1], axis[0]) + 2 * np.pi * np.arange(options.sides) / options.sides
-    slopes = np.stack([np.cos(turns), np.sin(turns)], axis=1) @ arm.T / farthest
+    slopes = make_direction(turns) @ arm.T / farthest
     return [
         CellParameters(params.mass * np.exp(tilt * slope), params.friction, params.contact_friction)
         for tilt in options.tilts
@@ -131,6 +132,6 @@ class Robustness:
         if surface is None:
             return len(poses)
         center = (params.relative_friction() @ self.obj.p_BC)[None]
-        room = surface.signed_distances(place_points(center, poses)[:, 0])
+        room = surface.signed_distances(transform(poses, center)[:, 0])
         held = room >= min(self.options.center_margin, float(room[0])) - 1e-9
         return len(poses) if held.all() else int(np.argmin(held))

@@ -21,6 +21,7 @@ from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.convex import calc_margin_inside, find_weakest_direction, hull_of
+from gridpush_drake.geometry.se2 import make_direction, rotate, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart
@@ -122,12 +123,12 @@ class PreGraspGoal:
     @property
     def p_WG(self) -> Array:
         """(2,) middle of the part in W, m."""
-        return _rotation(self.pose[2]) @ self.part.p_BG + self.pose[:2]
+        return transform(self.pose, self.part.p_BG[None])[0]
 
     @property
     def closing_W(self) -> Array:
         """(2,) unit vector along which the jaws close, in W."""
-        return _rotation(self.pose[2]) @ self.part.closing
+        return rotate(self.pose[2], self.part.closing)
 
 
 def calc_overhangs(parts: Sequence[GraspPart], pose: ArrayLike, surface: SupportSurface) -> Array:
@@ -143,7 +144,7 @@ def calc_overhangs(parts: Sequence[GraspPart], pose: ArrayLike, surface: Support
         of one edge, and so a little too small beyond a corner.
     """
     q = np.asarray(pose, dtype=np.float64)
-    corners = np.array([part.footprint for part in parts]).reshape(-1, 4, 2) @ _rotation(q[2]).T + q[:2]
+    corners = transform(q, np.array([part.footprint for part in parts]).reshape(-1, 4, 2))
     if surface.is_convex:
         return np.asarray((corners @ surface.edge_normals.T - surface.edge_offsets).min(axis=1).max(axis=1))
     prints = shapely.polygons(corners)
@@ -283,7 +284,7 @@ def _propose(
         edge = [(point, normal) for point, normal in edge if shapely.contains_xy(limits.edge_region, *point)]
     found: list[tuple[float, float, Array, GraspPart]] = []
     for angle in angles:
-        w = np.array([np.cos(angle), np.sin(angle)])
+        w = make_direction(angle)
         reach = (feet @ w).min(axis=1)
         best = int(np.argmax(reach))
         b = float(reach[best]) - options.overhang
@@ -292,7 +293,7 @@ def _propose(
         for point, normal in edge:
             theta = float(np.arctan2(normal[1], normal[0])) - angle
             theta += 2 * np.pi * np.round((pose[2] - theta) / (2 * np.pi))
-            goal = np.append(point - _rotation(theta) @ p_BR, theta)
+            goal = np.append(point - rotate(theta, p_BR), theta)
             cost = float(calc_goal_error(obj, pose, goal)) + options.charge * max(options.comfort - margin, 0.0)
             found.append((margin, cost, goal, parts[best]))
     promising = sorted((f for f in found if f[0] >= options.margin), key=lambda f: f[1])
@@ -307,8 +308,3 @@ def _judge(masses: PlausibleMassSet, pose: Array, surface: SupportSurface, inset
     return calc_margin_inside(masses.center_of_mass_polygon, hull), find_weakest_direction(
         masses.center_of_mass_polygon, hull
     )
-
-
-def _rotation(angle: float) -> Array:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s], [s, c]])

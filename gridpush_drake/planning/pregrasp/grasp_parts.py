@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from shapely import Polygon, affinity
 
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import make_rotation
 from gridpush_drake.objects.grid_object import GridObject
 
 Array = NDArray[np.float64]
@@ -120,8 +121,7 @@ def _find_along(obj: GridObject, gripper: Gripper, angle: float, step: float) ->
     if spare < -(1 - PIECE_SHARE) * gripper.depth:
         return
     count = max(int(np.ceil(spare / step)), 0) + 1
-    c, s = np.cos(angle), np.sin(angle)
-    R = np.array([[c, -s], [s, c]])
+    R = make_rotation(angle)
     for y in np.linspace(bottom, max(top - gripper.depth, bottom), count):
         strip = outline.intersection(shapely.box(left - 1.0, y, right + 1.0, y + gripper.depth))
         pieces = [piece for piece in getattr(strip, "geoms", [strip]) if isinstance(piece, Polygon)]

@@ -18,6 +18,8 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
+from gridpush_drake.geometry.se2 import make_rotation
+
 Array = NDArray[np.float64]
 
 TOUCH = 1e-6
@@ -130,8 +132,7 @@ def find_places(
         (k, 2) points, m, and (k,) headings, rad.
     """
     headings = np.array([heading for heading, _ in tries])
-    c, s = np.cos(headings), np.sin(headings)
-    R = np.stack([c, -s, s, c], axis=-1).reshape(-1, 2, 2)
+    R = make_rotation(headings)
     y_aim = aim @ R[:, :, 1].T
     across = pads.edges.reshape(-1, 2) @ R[:, :, 1].T
     half = pads.width / 2

@@ -23,6 +23,7 @@ from shapely.affinity import affine_transform
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import make_rotation, transform, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.pad_placement import TOUCH, Handle, Walls, find_handles, find_places, get_edges
 from gridpush_drake.planning.support_surface import SupportSurface
@@ -159,8 +160,7 @@ def find_side_grasps(
             f"{gripper.opening - 2 * gripper.height_clearance:g} m"
         )
     outline = _place(obj.outline, q)
-    c, s = np.cos(q[2]), np.sin(q[2])
-    R = np.array([[c, -s], [s, c]])
+    R = make_rotation(q[2])
     points, angles = _propose(outline, surface, gripper, R @ target + q[:2], step, headings)
     kept = _filter(outline, points, angles, surface, gripper)
     points, angles = points[kept], angles[kept]
@@ -262,11 +262,8 @@ def _lower_jaw(gripper: SideGripper) -> tuple[float, float, float]:
 
 def _make_rectangles(points: Array, angles: Array, back: float, front: float, width: float) -> NDArray[np.object_]:
     """Rectangles from `back` to `front` along the headings, seen from the points, m."""
-    c, s = np.cos(angles), np.sin(angles)
     corners = np.array([(back, -width / 2), (front, -width / 2), (front, width / 2), (back, width / 2)])
-    x = points[:, :1] + np.outer(c, corners[:, 0]) - np.outer(s, corners[:, 1])
-    y = points[:, 1:] + np.outer(s, corners[:, 0]) + np.outer(c, corners[:, 1])
-    return shapely.polygons(np.stack([x, y], axis=-1))
+    return shapely.polygons(transform(np.column_stack([points, angles]), corners))
 
 
 def _place(outline: shapely.Polygon, q: Array) -> shapely.Polygon:
@@ -309,6 +306,6 @@ def choose_varied(
         best, left = left[0], left[1:]
         chosen.append(grasps[best])
         off = np.linalg.norm(p_WG[left] - p_WG[best], axis=1)
-        angle = np.abs((approach[left] - approach[best] + np.pi) % (2 * np.pi) - np.pi)
+        angle = np.abs(wrap_angle(approach[left] - approach[best]))
         left = left[(off >= apart) | (angle >= turned)]
     return chosen
