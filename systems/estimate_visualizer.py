@@ -1,9 +1,7 @@
-"""What an `EstimateVisualizer` has drawn, as part of its Context, and how that comes into Meshcat.
+"""`EstimateVisualizer`: what is believed of an object, drawn over it in Meshcat while it is learned.
 
-Each new estimate and each new push is drawn at a path with a number of its own (see `meshcat_drawing`), once: what is
-there already is not sent again.
-
-`EstimateVisualizer`: what is believed of an object, drawn over it in Meshcat while it is learned.
+What has been drawn is part of the Context. Each new estimate and each new push is drawn at a path with a number of its
+own (see `meshcat_shapes`), once: what is there already is not sent again.
 """
 
 from dataclasses import dataclass, replace

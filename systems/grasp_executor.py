@@ -1,12 +1,11 @@
-"""The way of the tool in a grasp from beyond the table's edge, and back.
+"""`GraspExecutor`: from a grasp command to the tool's desired pose and the gripper's opening.
 
-Up from the pushing finger's rest, over to above the standoff while the tool turns, down beyond the edge, in, close, up.
+The tool takes the object from beyond the table's edge, and goes back: up from the pushing finger's rest, over to
+above the standoff while the tool turns, down beyond the edge, in, close, up.
 
 The gripper's grasp frame G is fixed to the tip's frame P. The fingers point along P's x axis, which is W's -x at yaw 0:
 
     yaw = approach - pi,   p_WP = p_WG - R_WP(yaw) p_PG
-
-`GraspExecutor`: from a grasp command to the tool's desired pose and the gripper's opening.
 """
 
 from collections.abc import Callable

@@ -1,6 +1,6 @@
 """The identifier as a Drake system: watches pushes, keeps their log, and learns when one ends.
 
-Every `period` it looks at the object and the tip; `push_segmenter` finds the pushes, `push_record` writes them down,
+Every `period` it looks at the object and the tip; `pushes.segmentation` finds the pushes and writes them down,
 and `identify` learns from the log when a push has ended. The estimate is that of `identify` on the log it keeps.
 """
 
@@ -116,7 +116,7 @@ class GridIdentifier(LeafSystem):
     * friction_std: vector of n, standard deviation of `friction`.
     * contact_friction: vector of 1, estimated friction coefficient of the tip against the object.
     * center_of_mass: vector of 2, estimated p_BBcm in B, m.
-    * center_of_mass_covariance: vector of 4, its covariance in B, row-major, m²; see `identification.center_of_mass`.
+    * center_of_mass_covariance: vector of 4, its covariance in B, row-major, m²; see `calc_center_of_mass`.
     * loss: vector of 1, mean cell error of the pushes learned from, m; NaN before the first.
     * num_pushes: vector of 1, pushes in the log.
     * identification: abstract `Identification`; while nothing was learned the prior's, whose `push_names` are empty.

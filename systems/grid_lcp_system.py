@@ -1,4 +1,4 @@
-"""The grid object under a pusher, as a Drake system: `dynamics.simulate`, one step at a time.
+"""The grid object under a pusher, as a Drake system: `simulate`, one step at a time.
 
 With q = (x, y, theta) the pose X_WB and nu = (vx, vy, w) the velocity of B's origin,
 

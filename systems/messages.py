@@ -1,10 +1,4 @@
-"""What a push command is on a port: a vector of six numbers.
-
-What a push executor says of itself on its port.
-
-What a grasp command is on a port: a vector of six numbers.
-
-What a grasp executor says of itself on its port.
+"""What systems say to each other on their ports: commands, as vectors, and what becomes of them, as abstract values.
 
 What controllers say of themselves is the status of their loops: `planning.goal.push_to_goal`,
 `planning.pregrasp.pregrasp_loop`.

@@ -1,9 +1,8 @@
-"""Choosing the next exploratory push: random places of the outline where the tip fits and the object stays in bounds.
+"""Which push comes next, as a Drake system: random pokes, one whenever the executor is ready for it.
 
-The k-th candidate of a push is drawn from (seed, command_id, k) alone: neither the pushes before it nor how
-many candidates they took change it.
-
-Which push comes next, as a Drake system: random pokes, one whenever the executor is ready for it.
+A poke begins at a random place of the outline where the tip fits and the object stays in bounds. The k-th candidate of
+a push is drawn from (seed, command_id, k) alone: neither the pushes before it nor how many candidates they took change
+it.
 """
 
 from collections.abc import Callable
@@ -206,7 +205,7 @@ class PokePolicyState:
 
 
 class PokePolicy(LeafSystem):
-    """Commands one exploratory push after another, see `poke_choice`.
+    """Commands one exploratory push after another, see `choose_poke`.
 
     .. pydrake_system::
 

@@ -1,6 +1,6 @@
-"""The way of the finger's tip in a push: over the object, down beside it, along, a pause, and up again.
+"""`PushExecutor`: from a push command to the finger's desired pose.
 
-`PushExecutor`: from a push command to the finger's desired pose.
+The tip goes over the object, down beside it, along, pauses, and goes up again.
 """
 
 from collections.abc import Callable

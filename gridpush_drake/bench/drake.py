@@ -1,7 +1,4 @@
-"""The whole station: an iiwa pokes objects with hidden masses, learns, and is judged by pushes held out.
-
-How fast `GridLcpSystem` runs in a Drake Simulator.
-"""
+"""What runs in Drake: the whole station learning, judged by pushes held out, and the speed of `GridLcpSystem`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,9 +1,8 @@
 """Runs jobs in worker processes, which end with this one, and keeps what each of them found.
 
-Results of finished jobs, kept in a file from which an interrupted run goes on.
-
-The file is JSON lines: first the settings, then a line for each finished job. Each line is written at once and whole; a
-last line that was cut off is dropped when the file is read.
+An interrupted run goes on from the file in which the results of finished jobs are kept. It is JSON lines: first the
+settings, then a line for each finished job. Each line is written at once and whole; a last line that was cut off is
+dropped when the file is read.
 """
 
 import hashlib

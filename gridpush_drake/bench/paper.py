@@ -1,6 +1,6 @@
 """`gridpush bench paper`: every method on the paper's simulated protocol, over the same number of simulations.
 
-The scores of `bench.paper` as tables, with bootstrap confidence intervals over mass sets and their splits.
+The scores are given as tables, with bootstrap confidence intervals over mass sets and their splits.
 
 Error against the number of simulations, as in the paper's Fig. 4.
 """

@@ -1,7 +1,4 @@
-"""`gridpush bench planning`: choosing contact points, and pushing objects to goal poses in closed loop.
-
-The tables of `gridpush bench planning`.
-"""
+"""`gridpush bench planning`: choosing contact points, and pushing objects to goal poses in closed loop."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

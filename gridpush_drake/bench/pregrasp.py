@@ -5,10 +5,6 @@ Two experiments in the quasi-static LCP world with a table's edge (`bench.pregra
     sliding     every object with hidden masses and frictions is explored, slid to the edge and grasped there, by the
                 method, by the paper's two ablations, and with the true parameters
     exploring   pokes chosen by design, or at random, until the center of mass's standard deviation is small
-
-The objects and tables of the pre-grasp benchmark.
-
-The tables of the pre-grasp benchmark.
 """
 
 from collections.abc import Sequence

@@ -7,7 +7,7 @@ CMU (Zhou et al. 2016): 25 of a file's 50 pushes are held out, 1 to 25 of the ot
 |dxy| + rho |dtheta|, rho = 0.05 sqrt 2 m. MIT (Yu et al. 2016): a fifth of a file's pushes trains, the rest are held
 out. The standard error of one CMU split's mean is 0.15 mm: smaller differences say nothing.
 
-The error on the CMU pushes against the number of training pushes.
+A figure shows the error on the CMU pushes against the number of training pushes.
 
 Simulated pushes of a shipped object that stand in for a real robot's, where those are not at hand.
 

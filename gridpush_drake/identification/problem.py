@@ -52,7 +52,7 @@ class TimedPush:
         return cls(observed, times, np.searchsorted(times, observed.t_observed))
 
     def simulate(self, obj: GridObject, params: CellParameters, **options: Any) -> Motion:
-        """Simulates the push from its first observed pose, with `options` of `dynamics.simulate`."""
+        """Simulates the push from its first observed pose, with `options` of `simulate`."""
         return simulate(obj, params, self.observed.push, self.observed.pose, times=self.times, **options)
 
 
@@ -94,11 +94,6 @@ class PushProblem:
     def __len__(self) -> int:
         """Number of pushes."""
         return len(self._pushes)
-
-    @property
-    def rows_per_push(self) -> list[int]:
-        """Number of residuals of each push."""
-        return [3 * len(push.rows) for push in self._pushes]
 
     def params(self, z: Array) -> CellParameters:
         """The cells' parameters at z (n+1,)."""

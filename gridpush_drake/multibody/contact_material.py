@@ -8,7 +8,8 @@ partner* of friction mu_b = 1 and stiffness k_b >> k_a, the contact has friction
 So whatever touches a grid object (the table under its spheres, the pusher's tip at its side) is made a stiff partner,
 and the object alone carries the parameters of the contact.
 
-Where on the table's top things may lie, read from the table's model, which alone says how large it is.
+`FindTableOutline`: where on the table's top things may lie, read from the table's model, which alone says how large
+it is.
 """
 
 from collections.abc import Iterable

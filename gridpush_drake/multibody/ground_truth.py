@@ -1,6 +1,6 @@
 """What an object weighs and how it rubs, drawn at random and hidden from whoever is to find out.
 
-The pose and the hidden truth of a grid object, in a Context: one Diagram serves for many runs.
+Its pose and its hidden truth are set in a Context: one Diagram serves for many runs.
 """
 
 from typing import Any

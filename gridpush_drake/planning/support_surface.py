@@ -5,7 +5,7 @@ Signed distances are positive inside:
 
     d(p) = +- min over edges |p - edge|
 
-Which cells are on the table.
+`find_supported`: which cells are on the table.
 
 The same as `SupportSurface.contains` of the cells' centers, but quicker: of a convex table only those edges are looked
 at that the object reaches, at any of the poses.

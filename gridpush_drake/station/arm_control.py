@@ -1,6 +1,6 @@
 """What moves the arm: differential inverse kinematics before Drake's iiwa driver, which drives any arm.
 
-The friction of the finger's tip, replaced after the model was parsed.
+`SetTipFriction` replaces the friction of the finger's tip after the model was parsed.
 """
 
 from dataclasses import dataclass

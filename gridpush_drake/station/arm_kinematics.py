@@ -149,7 +149,7 @@ ARRIVED = 1e-5
 class ArmReach:
     """Leads the arm along a path in steps and says what stops it.
 
-    It is what a `PushExecutor` and a `GraspExecutor` take as `reach`. The postures are those of `arm_posture`, to which
+    It is what a `PushExecutor` and a `GraspExecutor` take as `reach`. The postures are those of `ArmPosture`, to which
     the moving arm is drawn.
     """
 

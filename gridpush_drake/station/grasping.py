@@ -1,6 +1,6 @@
 """What the station has where its scene has a gripper: what grasps, what moves the gripper, and their ports.
 
-Whether a grasp from the side keeps clear of the table: the gripper reaches in below the table's top.
+`GraspClearance`: whether a grasp from the side keeps clear of the table: the gripper reaches in below the table's top.
 
 Ports of a Diagram's parts, exported under a common prefix.
 """

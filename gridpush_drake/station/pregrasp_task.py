@@ -1,8 +1,7 @@
-"""`GraspFinder`: how, and where on the table's edge, the station's gripper can take an object.
+"""The whole story: poke an unknown object, learn it, slide it to the table's edge, grasp what hangs over, lift it.
 
-What came of exploring, sliding and grasping in the station.
-
-The whole story: poke an unknown object, learn it, slide it to the table's edge, grasp what hangs over, lift it.
+`GraspFinder` says how, and where on the table's edge, the station's gripper can take the object; `PreGraspRecord` what
+came of exploring, sliding and grasping.
 """
 
 from dataclasses import dataclass, field, replace

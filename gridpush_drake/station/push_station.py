@@ -1,13 +1,7 @@
 """`MakePushStation`: table, object, robot with a finger, camera, executor and identifier in one Diagram.
 
 The station knows the object's outline. What its cells weigh and how they rub, the truth, goes to the plant alone;
-everything else in the station sees the object through its camera.
-
-What the station senses: where the object lies, by a camera, and where the finger's tip is, by the joints.
-
-What the station learns from the pushes it sees: its identifier, by a scenario.
-
-What stands in the station's plant besides the object, and the object that is pushed, by a scenario.
+everything else in the station sees the object through its camera, and the finger's tip through the joints.
 """
 
 from collections.abc import Callable

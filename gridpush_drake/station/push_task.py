@@ -1,6 +1,6 @@
-"""What came of pushing an object to a goal in the station.
+"""Pushing an unknown object to a goal pose: the station learns it from the very pushes that bring it there.
 
-Pushing an unknown object to a goal pose: the station learns it from the very pushes that bring it there.
+`PushTaskRecord` says what came of it.
 """
 
 from dataclasses import dataclass, field

@@ -12,7 +12,7 @@ lowest cost, and the search ends when no start promises to do better than the be
 finite differences, with steps that halve. "exhaustive" tries every place with every direction of a grid, and walks on
 in the same manner from the best of its nodes: the yardstick.
 
-Where a contact search should begin: places and directions ranked without a simulation.
+`screen`: where a search should begin, places and directions ranked without a simulation.
 
 All places along the reachable outline, with some directions each, are followed by the ellipsoidal limit surface
 (`limit_surface`), and the best of them taken that are not near a better one.

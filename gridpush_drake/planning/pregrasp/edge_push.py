@@ -1,10 +1,10 @@
 """A push near the table's edge: the loads that the cells bear follow what still lies on the table.
 
 While all of the object is on the table this is `simulate`, quasi-static. Once some of it hangs over, the push is cut
-into short pieces; before each, the loads are calculated anew (`edge_loads`), and with them the friction of every cell.
-The object falls where no loads can hold it.
+into short pieces; before each, the loads are calculated anew (`calc_load_distribution`), and with them the friction
+of every cell. The object falls where no loads can hold it.
 
-What each cell bears of an object's weight when some of it hangs over the table's edge.
+`calc_load_distribution`: what each cell bears of the weight when some of the object hangs over the edge.
 
 A cell is a foot at its center, as stiff as it is heavy (as the plant's contact spheres): on the table altogether, every
 foot bears its own cell's weight. Pressed in by a rigid body that sinks and tilts, foot i bears

@@ -7,7 +7,7 @@ least w.p is greatest, asks for the least overhang; it is tried along the whole 
 
 Goals are ranked by how far the object has to be slid (mean distance of its cells), with a charge for a thin margin.
 
-What a robot's arm can do, as far as pre-grasp decisions need to know it.
+`ArmLimits`: what a robot's arm can do, as far as pre-grasp decisions need to know it.
 """
 
 from collections.abc import Callable, Sequence

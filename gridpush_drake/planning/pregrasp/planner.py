@@ -8,7 +8,7 @@ Each decision depends on what is seen and known now and on how many pushes were 
 slipped, or was moved by somebody, is simply decided on anew. Whatever cannot be done safely is not done, and the
 decision says why.
 
-A whole pre-grasp slide as one model predicts it: the decisions of `pregrasp`, made on predicted poses.
+`plan_pregrasp`: a whole pre-grasp slide as one model predicts it, the same decisions made on predicted poses.
 """
 
 from collections.abc import Sequence

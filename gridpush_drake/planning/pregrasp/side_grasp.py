@@ -7,10 +7,10 @@ fingers point, the gripper is made of rectangles:
     jaws       [-body_front, jaw_reach] x jaw_width        the lower one clear of the table
     the rest   [-body_back, -body_front] x body_width      clear of the object, and of the table
 
-For each of many headings the places where the pads and the lower jaw may be are found by `pad_places`, exactly; what is
-left is looked at one by one.
+For each of many headings the places where the pads and the lower jaw may be are found by `pad_placement`, exactly;
+what is left is looked at one by one.
 
-A few grasps that differ, of many that are near copies: what an arm is asked about, which takes time.
+`choose_varied`: a few grasps that differ, of many that are near copies: asking an arm about each takes time.
 """
 
 from collections.abc import Sequence

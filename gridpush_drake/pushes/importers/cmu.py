@@ -5,12 +5,10 @@ pushes are chained (where one ends, the next begins), each is given in its own i
 imported push's world frame is the object's body frame at that push's beginning, so that the initial pose is
 zero.
 
-The text format of the CMU pushes (Zhou, Paolini, Bagnell, Mason, ICRA 2016), as numbers and no more.
-
-One record a line, blanks between numbers: the number of pushes; then for each push the object's pose before
-and its pose after (x y z, quaternion w x y z), the number of force rows and the rows (t fx fy), the number
-of tool rows and the rows (t x y z qw qx qy qz). Lengths are in mm, times in s (absolute), forces in N and in
-the sensor's frame.
+The text format: one record a line, blanks between numbers: the number of pushes; then for each push the object's pose
+before and its pose after (x y z, quaternion w x y z), the number of force rows and the rows (t fx fy), the number of
+tool rows and the rows (t x y z qw qx qy qz). Lengths are in mm, times in s (absolute), forces in N and in the
+sensor's frame.
 """
 
 from dataclasses import dataclass, field
