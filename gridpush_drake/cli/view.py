@@ -209,21 +209,27 @@ def _write_or_serve(
     from gridpush_drake.multibody.meshcat_server import PublishOnce, write_recording
 
     out, url = output.out, meshcat.web_url()
-    if out is None:
-        PublishOnce(meshcat)
-        found, last = {**found, "url": url, "written": []}, f"Meshcat shows it at {url} (Enter or Ctrl-C to end)"
-    else:
+    if out is not None:
         write_recording(meshcat, out, output.force, overlay)
-        found, last = {**found, "written": [str(out)]}, f"Wrote {out}."
-    if output.json:
-        print_json(found)
-    else:
-        for line in (*lines, last):
-            print_line(line)
-    if out is None:
+        _print_found({**found, "written": [str(out)]}, [*lines, f"Wrote {out}."], output.json)
+        return
+    try:  # from the first line on: who reads the address may interrupt at once
+        PublishOnce(meshcat)
+        last = f"Meshcat shows it at {url} (Enter or Ctrl-C to end)"
+        _print_found({**found, "url": url, "written": []}, [*lines, last], output.json)
         if output.open_page:
             _open(url)
         _wait()
+    except KeyboardInterrupt:
+        pass
+
+
+def _print_found(found: dict[str, Any], lines: list[str], as_json: bool) -> None:
+    if as_json:
+        print_json(found)
+    else:
+        for line in lines:
+            print_line(line)
 
 
 def _open(address: str) -> bool:
@@ -239,14 +245,11 @@ def _open(address: str) -> bool:
 
 
 def _wait() -> None:
-    """Returns on Enter at a terminal, or on Ctrl-C."""
+    """Returns on Enter at a terminal; elsewhere never."""
     import sys
     from threading import Event
 
-    try:
-        if sys.stdin is not None and sys.stdin.isatty():
-            sys.stdin.readline()
-        else:
-            Event().wait()
-    except KeyboardInterrupt:
-        pass
+    if sys.stdin is not None and sys.stdin.isatty():
+        sys.stdin.readline()
+    else:
+        Event().wait()
