@@ -1,7 +1,7 @@
 """The world of the pre-grasp benchmark: a hidden object on a table with an edge.
 
-The truth is the quasi-static LCP with loads that follow what still lies on the table
-(`planning.pregrasp.edge_push`); poses are seen with noise. The loop is `planning.pregrasp.pregrasp_loop`.
+The truth is the quasi-static LCP with loads that follow what still lies on the table; poses are seen with noise. The
+loop is `planning.pregrasp.pregrasp_loop`.
 """
 
 from dataclasses import dataclass, replace
@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.bench.protocol import ANGLE_STD, POSITION_STD
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulation import calc_loads
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.edge_push import is_supported, simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import (
@@ -25,6 +25,7 @@ from gridpush_drake.planning.pregrasp.pregrasp_loop import (
     PreGraspMode,
     PreGraspState,
 )
+from gridpush_drake.planning.pregrasp.slides import simulate_near_edge
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.simulated_world import Learn, Learner, SimulatedWorld, run_loop
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
@@ -167,4 +168,6 @@ class PaperLearner:
 
 def _hangs_over(world: EdgeWorld, planner: PreGraspPlanner) -> bool:
     overhangs = calc_overhangs(planner.parts, world.true_pose, world.surface)
-    return bool(overhangs.max() >= 0) and is_supported(world.obj, world.hidden, world.true_pose, world.surface)
+    return (
+        bool(overhangs.max() >= 0) and calc_loads(world.obj, world.hidden, world.true_pose, world.surface) is not None
+    )

@@ -74,7 +74,8 @@ class Motion:
         gaps: (T+1,) distance from the disc's edge to the outline, m; negative where they overlap, infinite where far.
         status: how it went; compares equal to its string, "ok" for instance.
         load_centers: (T, 2) where the table bears the object at each step, on average, m; NaN where every cell bears
-            its own weight. Outside of what is on the table the object `tips`.
+            its own weight.
+        tips: (T,) whether no loads can hold the object: their center would be beyond what is on the table.
         iterations: (T,) Newton iterations of each step.
         jacobian: derivatives of the poses, where asked for.
     """
@@ -89,6 +90,7 @@ class Motion:
     gaps: Array
     status: MotionStatus
     load_centers: Array
+    tips: NDArray[np.bool_]
     iterations: NDArray[np.int64]
     _jacobian: "Jacobian | RawJacobian | None" = field(default=None, repr=False)
 

@@ -9,7 +9,7 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.dynamics.arguments import check_number, check_record, check_regime, check_vector
-from gridpush_drake.dynamics.kernels.call import make_method, run_kernel, shifts_loads
+from gridpush_drake.dynamics.kernels.call import find_rest_loads, make_method, run_kernel, shifts_loads
 from gridpush_drake.dynamics.kernels.forward_sensitivity import OTHER
 from gridpush_drake.dynamics.kernels.inputs import Load, Steps
 from gridpush_drake.dynamics.kernels.step import CONVERGED
@@ -117,7 +117,10 @@ def simulate(
     rows = np.arange(steps + 1) if record is None else check_record(record, steps)
     row_of_step = np.full(steps + 1, -1)
     row_of_step[rows] = np.arange(len(rows))
-    edges = None if table is None else _make_table_edges(table, obj, q)
+    edges = None if table is None else _get_edges(table)
+    if table is not None and not shapely.contains_xy(shapely.Polygon(table.corners), *obj.cells_at(q).T).any():
+        where = ", ".join(f"{value:g}" for value in q)
+        raise SimulationError(f"table: no cell of {obj.name} is on it at the pose ({where}); expected an object on it")
     shifted = shifts_loads(params, edges)
     if shifted and gradients == "paper":
         raise SimulationError("gradients: 'paper' knows no shifting loads; expected a push_height of 0 and no table")
@@ -139,8 +142,34 @@ def simulate(
     return Motion(
         times, result.poses, result.velocities, load.tip if has_pusher else np.full_like(load.tip, np.nan),
         result.contact_forces, result.contact_points, result.modes, result.gaps, _find_status(has_pusher, result),
-        result.load_centers, result.statuses[:, 1], jacobian,
+        result.load_centers, result.tips, result.statuses[:, 1], jacobian,
     )  # fmt: skip
+
+
+def calc_loads(
+    obj: GridObject,
+    params: CellParameters,
+    pose: ArrayLike = (0.0, 0.0, 0.0),
+    table: Table | None = None,
+    gravity: float = GRAVITY,
+) -> Array | None:
+    """Calculates what the cells of an object at rest bear (`docs/theory/model.md`, section 8).
+
+    Args:
+        obj: the object.
+        params: its cells' masses.
+        pose: (3,) q where it lies, m and rad.
+        table: that it lies on; endless by default.
+        gravity: m/s².
+
+    Returns:
+        (n,) N, whose center is the center of mass; None where the object tips.
+
+    Raises:
+        SimulationError: an argument is out of range.
+    """
+    edges = None if table is None else _get_edges(table)
+    return find_rest_loads(obj, params, gravity, check_vector("pose", pose), edges)
 
 
 def simulate_batch(
@@ -188,12 +217,9 @@ def simulate_batch(
         return list(pool.map(lambda job: simulate(obj, job[0], job[1], job[2], **options), jobs))
 
 
-def _make_table_edges(table: Table, obj: GridObject, pose: Array) -> Array:
-    """(K, 4) edges (ax, ay, bx, by) in W, m."""
+def _get_edges(table: Table) -> Array:
+    """(K, 4) edges (ax, ay, bx, by) of a table in W, m."""
     corners = np.asarray(table.corners, dtype=np.float64)
-    if not shapely.contains_xy(shapely.Polygon(corners), *obj.cells_at(pose).T).any():
-        where = ", ".join(f"{value:g}" for value in pose)
-        raise SimulationError(f"table: no cell of {obj.name} is on it at the pose ({where}); expected an object on it")
     return np.column_stack([corners, np.roll(corners, -1, axis=0)])
 
 

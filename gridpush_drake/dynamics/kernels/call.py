@@ -11,7 +11,8 @@ from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
 from gridpush_drake.dynamics.kernels.inputs import Array, Body, Load, Scheme, Steps
 from gridpush_drake.dynamics.kernels.rollout import rollout
 from gridpush_drake.dynamics.kernels.step_memory import make_memory
-from gridpush_drake.dynamics.kernels.support_loads import Support
+from gridpush_drake.dynamics.kernels.step_start import make_state
+from gridpush_drake.dynamics.kernels.support_loads import Support, find_loads, make_loads
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -123,6 +124,19 @@ def make_support(obj: GridObject, params: CellParameters, gravity: float, table:
     return Support(
         True, params.mass.copy(), params.friction.copy(), float(gravity), com_x, com_y, params.push_height, reach, edges
     )
+
+
+def find_rest_loads(
+    obj: GridObject, params: CellParameters, gravity: float, q: Array, table: Array | None
+) -> Array | None:
+    """The loads (n,), N, of a body at rest at q (3,); None where there are none. `table` as in `run_kernel`."""
+    cells, _ = _outline_arrays(obj)
+    support = make_support(obj, params, gravity, np.empty((0, 4)) if table is None else table)
+    loads = make_loads(obj.n)
+    held = find_loads(
+        support, cells, float(obj.cell_size), make_state(q, np.zeros(3), 0.0, 0.0), loads, np.empty(obj.n)
+    )
+    return params.total_mass * gravity * params.mass * loads.share if held else None
 
 
 def _outline_arrays(obj: GridObject) -> tuple[Array, Any]:

@@ -10,13 +10,14 @@ are an exponential tilt, N_i = W w_i with
 
     w_i = m_i sigma_i exp(b·p_i) / S,    S = sum_j m_j sigma_j exp(b·p_j),    sum_i w_i p_i + delta(b) = p*
 
-A cell is a square s: exp(b·p) within it moves its own load by delta, and so the loads can be centered up to the edges
-of the outermost squares, with L(x) = coth x - 1/x,
+where delta, nothing to speak of while a cell s is small against 1/|b|, lets the center come up to the edges of the
+outermost squares, and not only to their middles:
 
-    delta_a = s/2 L(b_a s/2),    p_bar = sum_i w_i p_i,    A = sum_i w_i (p_i - p_bar)(p_i - p_bar)^T + diag(s²/4 L')
+    delta_a = s/2 phi(b_a s/2),    phi(x) = eps x / sqrt(1 + x²) + (1 - eps) x⁵ / (1 + |x|⁵)
+    p_bar = sum_i w_i p_i,    A = sum_i w_i (p_i - p_bar)(p_i - p_bar)^T + diag(s²/4 phi'(b_a s/2))
 
-Newton's method on the convex log S - b·p* + log of the squares' part finds b. Where p* is outside what bears, there is
-none: the body tips. F is the friction of the step before: in the same step it would be the same but for O(dt).
+The left side is the gradient of a convex function of b, so Newton's method finds it. Where p* is outside what bears,
+there is none: the body tips. F is the friction of the step before: in the same step it would be the same but for O(dt).
 
 With k_i = mu_i W w_i what the cell's friction carries, f_i = dg/dk_i and G0 = sum f_i k_i, G1 = sum f_i k_i (p_i -
 p_bar)^T, the friction's force varies at a given twist by
@@ -26,7 +27,7 @@ p_bar)^T, the friction's force varies at a given twist by
     dp* = dc + h dF / W + F dh / W - (p* - c) dlog W
 """
 
-from math import cosh, exp, sinh, sqrt
+from math import exp, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,7 +38,7 @@ _NEWTON_LIMIT = 60
 _TOLERANCE = 1e-13  # of the cells' reach: the center of the loads against p*
 _LONGEST_STEP = 2.0  # of b times the cells' reach: exp(b·p) then stays in proportion
 _STEEPEST = 200.0  # of b times the cells' reach, beyond which no loads are looked for
-_SERIES = 1e-2  # |x| below which L is its series
+_SHARE = 0.01  # eps: keeps A regular where the cells are in a line
 
 
 class Support(NamedTuple):
@@ -224,8 +225,8 @@ def _find_tilt(cells, cell_size, reach, mass, covered, center, tilt, mean, inver
             sxy += w * x * y
             syy += w * y * y
         sx, sy = sx / S, sy / S
-        delta_x, bend_x = _langevin(b0 * half)
-        delta_y, bend_y = _langevin(b1 * half)
+        delta_x, bend_x = _reach_out(b0 * half)
+        delta_y, bend_y = _reach_out(b1 * half)
         xx = sxx / S - sx * sx + half * half * bend_x
         yy = syy / S - sy * sy + half * half * bend_y
         xy = sxy / S - sx * sy
@@ -249,12 +250,13 @@ def _find_tilt(cells, cell_size, reach, mass, covered, center, tilt, mean, inver
 
 
 @kernel(allocates=False)
-def _langevin(x):
-    """L(x) = coth x - 1/x and its derivative 1/x² - 1/sinh² x."""
-    if abs(x) < _SERIES:
-        return x / 3.0 - x * x * x / 45.0, 1.0 / 3.0 - x * x / 15.0 + 2.0 * x * x * x * x / 189.0
-    s = sinh(x)
-    return cosh(x) / s - 1.0 / x, 1.0 / (x * x) - 1.0 / (s * s)
+def _reach_out(x):
+    """phi(x) and its derivative."""
+    root, fourth = sqrt(1.0 + x * x), x * x * x * x
+    whole = 1.0 + abs(x) * fourth
+    value = _SHARE * x / root + (1.0 - _SHARE) * x * fourth / whole
+    slope = _SHARE / (root * root * root) + (1.0 - _SHARE) * 5.0 * fourth / (whole * whole)
+    return value, slope
 
 
 @kernel(allocates=False)

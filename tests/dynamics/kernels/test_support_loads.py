@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize, root
+from scipy.optimize import minimize
 
 from gridpush_drake.dynamics.kernels.call import make_support
 from gridpush_drake.dynamics.kernels.step_start import make_state
@@ -16,7 +16,6 @@ from tests.helpers.push_cases import make_random_case, make_table_edge
 from tests.helpers.shapes import make_shape
 
 GRAVITY = 9.81
-FINE = 12  # sub-squares along a cell's side
 
 
 def run_kernel_loads(obj, params, friction, table=None, pose=(0.0, 0.0, 0.0)):
@@ -31,65 +30,34 @@ def run_kernel_loads(obj, params, friction, table=None, pose=(0.0, 0.0, 0.0)):
     return params.total_mass * GRAVITY * params.mass * loads.share if held else None
 
 
-def calc_tilted(obj, params, friction, covered):
-    """The same by splitting every cell into small squares, and a root finder."""
-    offsets = (np.arange(FINE) + 0.5) / FINE - 0.5
-    inner = obj.cell_size * np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
-    points = obj.p_BC[:, None] + inner
-    weight = params.total_mass * GRAVITY
-    center = params.center_of_mass(obj) + params.push_height * np.asarray(friction) / weight
-    at_rest = (params.mass * covered)[:, None] * np.ones(len(inner)) / len(inner)
-
-    def spread(b):
-        w = at_rest * np.exp((points - center) @ b)
-        return w / w.sum()
-
-    b = root(lambda b: np.einsum("ij,ijk->k", spread(b), points) - center, np.zeros(2), tol=1e-13).x
-    return weight * spread(b).sum(axis=1)
-
-
-@pytest.mark.parametrize("shape", ["square", "l_bracket", "claw_hammer", "wrench"])
-@pytest.mark.parametrize("overhang", [0.0, 0.25])
-def test_loads_are_the_exponential_tilt(shape, overhang):
-    rng = np.random.default_rng(7)
-    obj = make_shape(shape, 40)
-    params = CellParameters(rng.uniform(0.01, 0.03, obj.n), rng.uniform(0.2, 0.5, obj.n), push_height=0.006)
-    friction = 0.3 * params.total_mass * GRAVITY * np.array([0.6, -0.8])
-    covered, table = np.ones(obj.n), None
-    if overhang:
-        table = make_table_edge(obj, (0.0, 0.0, 0.0), 2.5, overhang)
-        depth = table.signed_distances(obj.p_BC)
-        covered = np.clip(0.5 + depth / obj.cell_size, 0.0, 1.0)
-    loads = run_kernel_loads(obj, params, friction, table)
-    assert loads.sum() == pytest.approx(params.total_mass * GRAVITY, rel=1e-12)
-    np.testing.assert_allclose(loads, calc_tilted(obj, params, friction, covered), rtol=2e-3, atol=1e-6)
-
-
-def test_loads_are_the_nearest_in_equilibrium():
+@pytest.mark.parametrize("shape", ["square", "l_bracket", "claw_hammer"])
+@pytest.mark.parametrize("overhang", [0.0, 0.15])
+def test_loads_are_the_nearest_in_equilibrium(shape, overhang):
     """The problem of least relative entropy itself, by a general optimizer."""
-    rng = np.random.default_rng(3)
-    obj = make_shape("square", 9)
-    mass = rng.uniform(0.02, 0.05, obj.n)
-    params = CellParameters(mass, np.full(obj.n, 0.3), push_height=0.004)
-    friction = 0.3 * mass.sum() * GRAVITY * np.array([1.0, 0.0])
-    weight = mass.sum() * GRAVITY
-    loads = run_kernel_loads(obj, params, friction)
-    # the squares bear a part of the moment themselves: what they leave is what the loads' centers must give
-    mean = loads @ obj.p_BC / weight
+    rng = np.random.default_rng(7)
+    obj = make_shape(shape, 60)
+    params = CellParameters(rng.uniform(0.01, 0.03, obj.n), rng.uniform(0.2, 0.5, obj.n), push_height=0.006)
+    weight = params.total_mass * GRAVITY
+    friction = 0.3 * weight * np.array([0.6, -0.8])
+    table = make_table_edge(obj, (0.0, 0.0, 0.0), 2.5, overhang) if overhang else None
+    depth = np.full(obj.n, np.inf) if table is None else table.signed_distances(obj.p_BC)
+    at_rest = params.mass * np.clip(0.5 + depth / obj.cell_size, 0.0, 1.0)
+    held = at_rest > 0
+    at_rest, p = at_rest[held] / at_rest.sum(), obj.p_BC[held] / obj.cell_size
+    center = (params.center_of_mass(obj) + params.push_height * friction / weight) / obj.cell_size
     nearest = minimize(
-        lambda x: (x * np.log(x / (mass / mass.sum()))).sum(),
-        mass / mass.sum(),
-        jac=lambda x: np.log(x / (mass / mass.sum())) + 1,
-        constraints=[
-            {"type": "eq", "fun": lambda x: x.sum() - 1},
-            {"type": "eq", "fun": lambda x: (x @ obj.p_BC - mean) / obj.cell_size},
-        ],
-        bounds=[(1e-9, 1.0)] * obj.n,
+        lambda x: (x * np.log(x / at_rest)).sum(),
+        at_rest,
+        jac=lambda x: np.log(x / at_rest) + 1,
+        constraints=[{"type": "eq", "fun": lambda x: [x.sum() - 1, *(x @ p - center)]}],
+        bounds=[(1e-9, 1.0)] * len(at_rest),
         method="SLSQP",
-        options={"ftol": 1e-15, "maxiter": 500},
+        options={"ftol": 1e-14, "maxiter": 500},
     )
     assert nearest.success
-    np.testing.assert_allclose(loads / weight, nearest.x, rtol=1e-4)
+    loads = run_kernel_loads(obj, params, friction, table)
+    assert not loads[~held].any()
+    np.testing.assert_allclose(loads[held] / weight, nearest.x, rtol=0.01, atol=1e-5)
 
 
 def test_three_feet_bear_what_statics_says():
@@ -104,7 +72,7 @@ def test_three_feet_bear_what_statics_says():
     loads = run_kernel_loads(obj, params, friction)
     center = params.center_of_mass(obj) + params.push_height * friction / weight
     statics = np.linalg.solve(np.vstack([obj.p_BC[feet].T, np.ones(3)]), [*(weight * center), weight])
-    np.testing.assert_allclose(loads[feet], statics, rtol=0.02)
+    np.testing.assert_allclose(loads[feet], statics, rtol=1e-3)
 
 
 def test_nothing_shifts_without_friction_or_edge():
