@@ -169,5 +169,6 @@ class PaperLearner:
 def _hangs_over(world: EdgeWorld, planner: PreGraspPlanner) -> bool:
     overhangs = calc_overhangs(planner.parts, world.true_pose, world.surface)
     return (
-        bool(overhangs.max() >= 0) and calc_loads(world.obj, world.hidden, world.true_pose, world.surface) is not None
+        bool(overhangs.max() >= 0)
+        and calc_loads(world.obj, world.hidden, world.true_pose, world.surface.corners) is not None
     )

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 import shapely
@@ -22,15 +22,6 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
 Array = NDArray[np.float64]
-
-
-class Table(Protocol):
-    """A table's top, such as `SupportSurface`."""
-
-    @property
-    def corners(self) -> Array:
-        """(K, 2) of a polygon in W, counterclockwise, m."""
-
 
 Regime = Literal["inertial", "quasi_static"]
 
@@ -66,7 +57,7 @@ def simulate(
     times: ArrayLike | None = None,
     record: ArrayLike | None = None,
     stiction_tolerance: float = STICTION_TOLERANCE,
-    table: Table | None = None,
+    table: ArrayLike | None = None,
 ) -> Motion:
     """Simulates one push of a grid object (`docs/theory/model.md`, sections 3-6).
 
@@ -92,8 +83,9 @@ def simulate(
         times: (T+1,) the steps' times, s from the push's beginning, instead of `dt`.
         record: indices into the T+1 poses whose Jacobian is wanted, negative ones from the end; all by default.
         stiction_tolerance: speed below which friction is smoothed, m/s; inertial regime only.
-        table: where the object lies; cells beyond its edge bear nothing, and the others more. Endless by default. With
-            it, or where `params.push_height` is not zero, loads shift (`docs/theory/model.md`, section 8).
+        table: (K, 2) corners in W of the table's top, such as `SupportSurface.corners`, m: cells beyond its edge bear
+            nothing, and the others more. Endless by default. With it, or
+            where `params.push_height` is not zero, loads shift (`docs/theory/model.md`, section 8).
 
     Returns:
         The motion. Its `status` says whether the pusher touched and every step was solved.
@@ -118,7 +110,7 @@ def simulate(
     row_of_step = np.full(steps + 1, -1)
     row_of_step[rows] = np.arange(len(rows))
     edges = None if table is None else _get_edges(table)
-    if table is not None and not shapely.contains_xy(shapely.Polygon(table.corners), *obj.cells_at(q).T).any():
+    if edges is not None and not shapely.contains_xy(shapely.Polygon(edges[:, :2]), *obj.cells_at(q).T).any():
         where = ", ".join(f"{value:g}" for value in q)
         raise SimulationError(f"table: no cell of {obj.name} is on it at the pose ({where}); expected an object on it")
     shifted = shifts_loads(params, edges)
@@ -150,7 +142,7 @@ def calc_loads(
     obj: GridObject,
     params: CellParameters,
     pose: ArrayLike = (0.0, 0.0, 0.0),
-    table: Table | None = None,
+    table: ArrayLike | None = None,
     gravity: float = GRAVITY,
 ) -> Array | None:
     """Calculates what the cells of an object at rest bear (`docs/theory/model.md`, section 8).
@@ -159,7 +151,7 @@ def calc_loads(
         obj: the object.
         params: its cells' masses.
         pose: (3,) q where it lies, m and rad.
-        table: that it lies on; endless by default.
+        table: (K, 2) corners in W of the table's top, m; endless by default.
         gravity: m/s².
 
     Returns:
@@ -217,9 +209,11 @@ def simulate_batch(
         return list(pool.map(lambda job: simulate(obj, job[0], job[1], job[2], **options), jobs))
 
 
-def _get_edges(table: Table) -> Array:
-    """(K, 4) edges (ax, ay, bx, by) of a table in W, m."""
-    corners = np.asarray(table.corners, dtype=np.float64)
+def _get_edges(table: ArrayLike) -> Array:
+    """(K, 4) edges (ax, ay, bx, by) of a table by its corners, m."""
+    corners = np.asarray(table, dtype=np.float64)
+    if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(corners).all():
+        raise SimulationError(f"table: corners of shape {corners.shape}; expected (K, 2) finite numbers, K >= 3 (m)")
     return np.column_stack([corners, np.roll(corners, -1, axis=0)])
 
 

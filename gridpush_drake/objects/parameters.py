@@ -81,6 +81,7 @@ class CellParameters:
             np.full(obj.n, total_mass / obj.n),
             np.full(obj.n, obj.prior.friction if friction is None else friction),
             obj.prior.contact_friction if contact_friction is None else contact_friction,
+            obj.prior.push_height or 0.0,
         )
 
     @classmethod
@@ -110,6 +111,7 @@ class CellParameters:
             _spread(obj, "mass", mass),
             _spread(obj, "friction", friction) if isinstance(friction, Mapping) else np.full(obj.n, float(friction)),
             obj.prior.contact_friction if contact_friction is None else contact_friction,
+            obj.prior.push_height or 0.0,
         )
 
     @classmethod
@@ -144,11 +146,12 @@ class CellParameters:
         group = np.unique(obj.labels, return_inverse=True)[1] if by == "part" else np.arange(obj.n)
         groups = int(group.max()) + 1
         mass = np.exp(rng.uniform(np.log(mass_range[0]), np.log(mass_range[1]), groups))[group]
+        height = obj.prior.push_height or 0.0
         if friction_range is None:
-            return cls(mass, np.full(obj.n, obj.prior.friction), obj.prior.contact_friction)
+            return cls(mass, np.full(obj.n, obj.prior.friction), obj.prior.contact_friction, height)
         if not 0 <= friction_range[0] <= friction_range[1] < np.inf:
             raise ParameterError(f"friction_range is {friction_range!r}; expected 0 <= least <= greatest")
-        return cls(mass, rng.uniform(*friction_range, groups)[group], obj.prior.contact_friction)
+        return cls(mass, rng.uniform(*friction_range, groups)[group], obj.prior.contact_friction, height)
 
     @property
     def n(self) -> int:

@@ -81,13 +81,13 @@ def simulate_near_edge(
         The motion.
     """
     q = np.asarray(pose, dtype=np.float64)
-    if calc_loads(obj, params, q, surface) is None:
+    if calc_loads(obj, params, q, surface.corners) is None:
         return EdgeMotion(q[None].copy(), np.zeros(1), True)
     times = make_path_times(push, "quasi_static")
     traveled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(push.tip_at(times), axis=0), axis=1)))
-    motion = simulate(obj, params, push, q, times=times, regime="quasi_static", table=surface)
+    motion = simulate(obj, params, push, q, times=times, regime="quasi_static", table=surface.corners)
     fell = bool(motion.tips.any())
-    if not fell and calc_loads(obj, params, motion.final_pose, surface) is None:
+    if not fell and calc_loads(obj, params, motion.final_pose, surface.corners) is None:
         return EdgeMotion(motion.poses, traveled, True)
     count = int(np.argmax(motion.tips)) + 1 if fell else len(times)
     return EdgeMotion(motion.poses[:count], traveled[:count], fell)

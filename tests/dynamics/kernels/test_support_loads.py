@@ -20,7 +20,7 @@ GRAVITY = 9.81
 
 def run_kernel_loads(obj, params, friction, table=None, pose=(0.0, 0.0, 0.0)):
     """The kernel's loads, N, at a pose, with a friction F (2,) of the step before; None where the object tips."""
-    edges = None if table is None else np.column_stack([table.corners, np.roll(table.corners, -1, axis=0)])
+    edges = None if table is None else np.column_stack([table, np.roll(table, -1, axis=0)])
     support = make_support(obj, params, GRAVITY, edges)
     loads, k = make_loads(obj.n), np.empty(obj.n)
     loads.friction[:] = friction
@@ -40,7 +40,7 @@ def test_loads_are_the_nearest_in_equilibrium(shape, overhang):
     weight = params.total_mass * GRAVITY
     friction = 0.3 * weight * np.array([0.6, -0.8])
     table = make_table_edge(obj, (0.0, 0.0, 0.0), 2.5, overhang) if overhang else None
-    depth = np.full(obj.n, np.inf) if table is None else table.signed_distances(obj.p_BC)
+    depth = np.full(obj.n, np.inf) if table is None else SupportSurface.from_polygon(table).signed_distances(obj.p_BC)
     at_rest = params.mass * np.clip(0.5 + depth / obj.cell_size, 0.0, 1.0)
     held = at_rest > 0
     at_rest, p = at_rest[held] / at_rest.sum(), obj.p_BC[held] / obj.cell_size
@@ -80,7 +80,7 @@ def test_nothing_shifts_without_friction_or_edge():
     obj = make_shape("wrench", 40)
     params = CellParameters(rng.uniform(0.01, 0.03, obj.n), rng.uniform(0.2, 0.5, obj.n), push_height=0.01)
     np.testing.assert_allclose(run_kernel_loads(obj, params, (0.0, 0.0)), params.mass * GRAVITY, rtol=1e-12)
-    wide = SupportSurface.rectangle((0.0, 0.0), (4.0, 4.0))
+    wide = SupportSurface.rectangle((0.0, 0.0), (4.0, 4.0)).corners
     push = Push.on_outline(obj, 0.05, 0.2, 0.03, radius=0.005, speed=0.05)
     bare = CellParameters(params.mass, params.friction)
     np.testing.assert_allclose(simulate(obj, bare, push, table=wide).poses, simulate(obj, bare, push).poses, atol=1e-12)
@@ -116,7 +116,7 @@ def test_tips_when_the_center_of_mass_passes_the_edge(inside, status):
     obj = make_shape("bar", 60)
     params = CellParameters.uniform(obj)
     center = params.center_of_mass(obj)
-    table = SupportSurface.rectangle((center[0] + inside - 1.0, 0.0), (2.0, 2.0))
+    table = SupportSurface.rectangle((center[0] + inside - 1.0, 0.0), (2.0, 2.0)).corners
     rest = ForcePush((0.0, 0.0), (0.0, 0.0), 0.1)
     assert simulate(obj, params, rest, table=table).status == status
 
@@ -134,13 +134,15 @@ def test_refuses_what_makes_no_sense():
     obj = make_shape("square", 16)
     params = CellParameters.uniform(obj)
     push = Push((-0.1, 0.0), (0.05, 0.0), 0.5, 0.005)
-    far = SupportSurface.rectangle((5.0, 0.0), (1.0, 1.0))
+    far = SupportSurface.rectangle((5.0, 0.0), (1.0, 1.0)).corners
     with pytest.raises(SimulationError, match=r"no cell of .* is on it at the pose"):
         simulate(obj, params, push, table=far)
+    with pytest.raises(SimulationError, match="corners of shape"):
+        simulate(obj, params, push, table=[(0, 0), (1, 0)])
     with pytest.raises(ParameterError, match="push_height is -1"):
         CellParameters(params.mass, params.friction, push_height=-1.0)
     with pytest.raises(SimulationError, match="knows no shifting loads"):
-        simulate(obj, params, push, table=SupportSurface.rectangle((0, 0), (1, 1)), gradients="paper")
+        simulate(obj, params, push, table=SupportSurface.rectangle((0, 0), (1, 1)).corners, gradients="paper")
 
 
 def test_an_endless_table_is_the_paper_s_model():
