@@ -57,9 +57,6 @@ def MakeContactProperties(friction: float, stiffness: float, dissipation: float 
         friction: its own coefficient, static and dynamic.
         stiffness: of its point contacts, N/m.
         dissipation: Hunt-Crossley, s/m.
-
-    Returns:
-        New properties.
     """
     properties = ProximityProperties()
     properties.AddProperty("material", "coulomb_friction", CoulombFriction(friction, friction))
@@ -78,7 +75,6 @@ def SetPartner(plant: MultibodyPlant, scene_graph: SceneGraph, geometries: Itera
 
     Args:
         plant: whose geometries they are; before a Context is made.
-        scene_graph: where they are registered.
         geometries: collision geometries of the plant.
     """
     source = plant.get_source_id()
@@ -111,7 +107,6 @@ def FindTableTops(
 
     Args:
         plant: finalised, the table fixed to its world.
-        inspector: of the scene graph that the plant is registered with.
         instance: name of the table's model instance.
 
     Returns:

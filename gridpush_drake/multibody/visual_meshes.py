@@ -68,7 +68,6 @@ def AddVisualMeshes(
 
     Args:
         plant: with the models, not finalised.
-        scene_graph: that the plant is registered with.
         folder: of drake_models, see `find_drake_models`; None adds nothing.
         models: names of the model instances to be changed; those that the plant has not are passed over.
 

@@ -82,7 +82,6 @@ class SimulatedWorld:
         """Puts the object down.
 
         Args:
-            obj: the object.
             hidden: its true masses and frictions.
             pose: (3,) where it lies, m and rad.
             surface: the table; None for one without end.
@@ -90,7 +89,6 @@ class SimulatedWorld:
             angle_std: of seen angles, rad.
             seed: of the noise, or what draws it.
             observations: poses that are seen during a push, after the first.
-            regime: of the simulation.
 
         Raises:
             PlanningError: a number is out of range.
@@ -212,9 +210,7 @@ def run_loop(
     """Steps a loop in a world until it is over.
 
     Args:
-        loop: decides.
         obj: the object, as whoever learns sees it.
-        world: carries out its pushes.
         is_over: whether a state is the last one.
         learn: learns after every push; None never.
         goal: (3,) that the loop is shown; none where None.

@@ -92,8 +92,6 @@ def find_grasp_parts(
     """Finds where the gripper can take the object.
 
     Args:
-        obj: the object.
-        gripper: its measures.
         step: between stretches tried in one closing direction, m.
         angles: closing directions tried over half a turn.
 
