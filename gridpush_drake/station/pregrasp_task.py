@@ -187,7 +187,7 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             meshcat: to show it in; None for none.
 
         Raises:
-            ScenarioError: the scenario makes no sense, or its scene has no gripper.
+            ScenarioError: the scenario makes no sense, has other objects, or its scene has no gripper.
             StationError: see `MakePushStation`.
             PlanningError: the object has no graspable part, or the table is smaller than it.
         """
@@ -198,6 +198,8 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             MakePushStation(scenario, meshcat, show_object=False, learning=learning)
         )
         station = self.station
+        if station.others:
+            raise ScenarioError("others: the slide to the table's edge knows of none; expected an empty list")
         if station.robot.gripper is None:
             raise ScenarioError("directives: there is no model gripper; expected a scene that can grasp")
         self.surface = make_surface(station)

@@ -17,6 +17,7 @@ from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_erro
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.station.others import place_others
 from gridpush_drake.station.push_station import Learning, MakeFingerRegion, MakePushStation, PushStation
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.task import GO_ON, Judgment, StationTask, TaskRecord, TaskStatus, Waiting, make_surface
@@ -175,6 +176,7 @@ def make_rules(station: PushStation, surface: SupportSurface) -> GoalRules:
     clearance = scenario.pokes.clearance
     constraints = PushConstraints(
         surface,
+        place_others(station.others),
         edge_margin=EDGE_MARGIN,
         finger_region=MakeFingerRegion(station),
         push_rule=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,
