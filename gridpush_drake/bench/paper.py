@@ -79,14 +79,14 @@ class Interval:
     high: float
 
 
-def calc_interval(values: Sequence[float], seed: int = 0) -> Interval:
+def calc_interval(values: Sequence[float]) -> Interval:
     """Mean and its 95 % bootstrap interval (percentiles)."""
     sample = np.asarray(values, dtype=np.float64)
     if len(sample) < 2:
         return Interval(float(sample.mean()), np.nan, np.nan)
     ends = bootstrap(
         (sample,), np.mean, confidence_level=CONFIDENCE, n_resamples=RESAMPLES, method="percentile",
-        random_state=np.random.default_rng(seed),
+        random_state=np.random.default_rng(0),
     ).confidence_interval  # fmt: skip
     return Interval(float(sample.mean()), float(ends.low), float(ends.high))
 

@@ -283,17 +283,16 @@ class PlantPusher:
         params: its masses and frictions, until a push brings others.
         radius: of the pusher, m.
         base: "planar" or "free".
-        dt: the plant's time step, s; by default TIME_STEP of the base.
         push_height: of the pusher's center above the table, m.
         options: passed on to `AddGridObject`.
     """
 
     def __init__(
-        self, obj: GridObject, params: CellParameters, radius: float, base: Base = "planar", dt: float | None = None,
+        self, obj: GridObject, params: CellParameters, radius: float, base: Base = "planar",
         push_height: float = PUSH_HEIGHT, **options: Any,
     ) -> None:  # fmt: skip
         builder = DiagramBuilder()
-        self.radius, self.dt = radius, TIME_STEP[base] if dt is None else dt
+        self.radius, self.dt = radius, TIME_STEP[base]
         self.plant, self.scene_graph = AddMultibodyPlantSceneGraph(builder, self.dt)
         self.plant.set_stiction_tolerance(STICTION_TOLERANCE)
         table = self.plant.RegisterCollisionGeometry(

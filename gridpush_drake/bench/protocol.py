@@ -170,10 +170,10 @@ def draw_masses(name: str, labels: NDArray[Any], seed: int) -> tuple[tuple[float
     return tuple(map(tuple, rng.uniform(*MASS_RANGE, (MASS_SETS, int(labels.max()))).tolist()))
 
 
-def draw_splits(seed: int, counts: Sequence[int] = TRAINING) -> dict[int, tuple[Split, ...]]:
+def draw_splits(seed: int) -> dict[int, tuple[Split, ...]]:
     """Draws a split for each mass set and number of pushes to learn from."""
-    rng = np.random.default_rng([seed, len(counts)])
-    orders = {count: [rng.permutation(2 * PUSHES_PER_SIDE).tolist() for _ in range(MASS_SETS)] for count in counts}
+    rng = np.random.default_rng([seed, len(TRAINING)])
+    orders = {count: [rng.permutation(2 * PUSHES_PER_SIDE).tolist() for _ in range(MASS_SETS)] for count in TRAINING}
     return {
         count: tuple(Split(tuple(order[:count]), tuple(sorted(order[count:]))) for order in some)
         for count, some in orders.items()
