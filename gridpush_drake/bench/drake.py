@@ -66,12 +66,7 @@ def run(
     """Runs the experiments.
 
     Args:
-        objects: shipped objects' names.
         seeds: of the experiments with each.
-        execution: how the jobs are run.
-
-    Returns:
-        One table, a row an experiment.
 
     Raises:
         ObjectError: an object is not shipped.
@@ -137,15 +132,16 @@ def _figures(score: StationScore) -> list[float]:
 
 LCP_OBJECTS = ("claw_hammer", "toolbox")
 LCP_REGIMES = ("inertial", "quasi_static")
+LCP_RUNS = 10
+"""Of each push."""
 
 MS = 1e3
 
 
-def run_lcp_system(repetitions: int = 10, report: Report | None = None) -> list[Table]:
+def run_lcp_system(report: Report | None = None) -> list[Table]:
     """Times the push of the speed benchmark in a Simulator.
 
     Args:
-        repetitions: of each push.
         report: called with what begins, as of jobs.
 
     Returns:
@@ -157,17 +153,17 @@ def run_lcp_system(repetitions: int = 10, report: Report | None = None) -> list[
         for regime in LCP_REGIMES:
             tell(f"{name}, {regime}")
             obj = GridObject.from_yaml(find_shipped_object(name))
-            times = np.sort(_time_pushes(obj, regime, repetitions))
+            times = np.sort(_time_pushes(obj, regime))
             median = float(np.median(times))
             rows.append([f"{name}, {regime}", obj.n, median * MS, float(times[0]) * MS, DURATION / median])
     notes = [
-        f"A push of {DURATION:g} s in steps of {DT * MS:g} ms, {repetitions} runs, with Drake's Simulator and logging."
+        f"A push of {DURATION:g} s in steps of {DT * MS:g} ms, {LCP_RUNS} runs, with Drake's Simulator and logging."
     ]
     columns = ("object, regime", "cells", "median, ms", "least, ms", "times real time")
     return [Table("GridLcpSystem in a Simulator", columns, rows, notes)]
 
 
-def _time_pushes(obj: GridObject, regime: str, repetitions: int) -> list[float]:
+def _time_pushes(obj: GridObject, regime: str) -> list[float]:
 
     push = make_bench_push(obj)
     builder = DiagramBuilder()
@@ -179,7 +175,7 @@ def _time_pushes(obj: GridObject, regime: str, repetitions: int) -> list[float]:
     builder.Connect(source.get_output_port(), lcp.GetInputPort("pusher_state"))
     diagram = builder.Build()
     times = []
-    for _ in range(repetitions + 1):
+    for _ in range(LCP_RUNS + 1):
         simulator = Simulator(diagram)
         simulator.Initialize()
         begin = perf_counter()

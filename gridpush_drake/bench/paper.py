@@ -79,14 +79,14 @@ class Interval:
     high: float
 
 
-def calc_interval(values: Sequence[float], seed: int = 0) -> Interval:
+def calc_interval(values: Sequence[float]) -> Interval:
     """Mean and its 95 % bootstrap interval (percentiles)."""
     sample = np.asarray(values, dtype=np.float64)
     if len(sample) < 2:
         return Interval(float(sample.mean()), np.nan, np.nan)
     ends = bootstrap(
         (sample,), np.mean, confidence_level=CONFIDENCE, n_resamples=RESAMPLES, method="percentile",
-        random_state=np.random.default_rng(seed),
+        random_state=np.random.default_rng(0),
     ).confidence_interval  # fmt: skip
     return Interval(float(sample.mean()), float(ends.low), float(ends.high))
 
@@ -215,11 +215,8 @@ def run(
         objects: their names; all where None: the shipped ones, and those of the data.
         methods: of `identify`.
         budget: most simulated pushes of a search; the default method decides itself.
-        seed: of everything random.
-        execution: how the jobs are run.
         quick: only `QUICK_MASS_SETS` mass sets.
         figure: file for the curve of the error against the number of simulations, by its ending (PNG, PDF, SVG).
-        force: whether an existing figure may be replaced.
 
     Returns:
         Test cell error by method and object; by number of training pushes for the default method; and, with

@@ -122,11 +122,9 @@ def run(
     """Compares the two.
 
     Args:
-        objects: shipped objects' names.
         pushes: how many of each.
         bases: how the plant holds the object.
         seed: the first push's; the others' follow.
-        execution: how the jobs are run.
 
     Returns:
         One table: a row for each object, base and spin model, and one over all objects.
@@ -181,9 +179,6 @@ def draw_push(obj: GridObject, params: CellParameters, seed: int, radius: float)
     """Draws a pose of the object and a push that moves it.
 
     Args:
-        obj: the object.
-        params: its masses and frictions.
-        seed: of the draw.
         radius: of the pusher, m.
 
     Returns:
@@ -288,17 +283,16 @@ class PlantPusher:
         params: its masses and frictions, until a push brings others.
         radius: of the pusher, m.
         base: "planar" or "free".
-        dt: the plant's time step, s; by default TIME_STEP of the base.
         push_height: of the pusher's center above the table, m.
         options: passed on to `AddGridObject`.
     """
 
     def __init__(
-        self, obj: GridObject, params: CellParameters, radius: float, base: Base = "planar", dt: float | None = None,
+        self, obj: GridObject, params: CellParameters, radius: float, base: Base = "planar",
         push_height: float = PUSH_HEIGHT, **options: Any,
     ) -> None:  # fmt: skip
         builder = DiagramBuilder()
-        self.radius, self.dt = radius, TIME_STEP[base] if dt is None else dt
+        self.radius, self.dt = radius, TIME_STEP[base]
         self.plant, self.scene_graph = AddMultibodyPlantSceneGraph(builder, self.dt)
         self.plant.set_stiction_tolerance(STICTION_TOLERANCE)
         table = self.plant.RegisterCollisionGeometry(
@@ -318,12 +312,8 @@ class PlantPusher:
         """Pushes the object from rest.
 
         Args:
-            params: the object's masses and frictions.
             push: of a pusher of this one's radius.
             pose: (3,) of the object at the beginning, m and rad.
-
-        Returns:
-            The motion.
 
         Raises:
             PushError: the pusher's radius is another.

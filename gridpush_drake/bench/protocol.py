@@ -140,10 +140,6 @@ def make_protocol(data: Path | None = None, seed: int = 0) -> Protocol:
 
     Args:
         data: folder of the paper's masks, with or without `protocol.json` beside them; None for the shipped objects.
-        seed: of what is drawn.
-
-    Returns:
-        The protocol.
 
     Raises:
         GridPushError: there is no such folder, no mask in it, or `protocol.json` is not of its form.
@@ -166,7 +162,6 @@ def draw_masses(name: str, labels: NDArray[Any], seed: int) -> tuple[tuple[float
     Args:
         name: of the object; it changes what is drawn.
         labels: of its cells or pixels; 0 is no part.
-        seed: of the draw.
 
     Returns:
         `MASS_SETS` times the mass of a cell of each label 1, 2, ..., kg.
@@ -175,10 +170,10 @@ def draw_masses(name: str, labels: NDArray[Any], seed: int) -> tuple[tuple[float
     return tuple(map(tuple, rng.uniform(*MASS_RANGE, (MASS_SETS, int(labels.max()))).tolist()))
 
 
-def draw_splits(seed: int, counts: Sequence[int] = TRAINING) -> dict[int, tuple[Split, ...]]:
+def draw_splits(seed: int) -> dict[int, tuple[Split, ...]]:
     """Draws a split for each mass set and number of pushes to learn from."""
-    rng = np.random.default_rng([seed, len(counts)])
-    orders = {count: [rng.permutation(2 * PUSHES_PER_SIDE).tolist() for _ in range(MASS_SETS)] for count in counts}
+    rng = np.random.default_rng([seed, len(TRAINING)])
+    orders = {count: [rng.permutation(2 * PUSHES_PER_SIDE).tolist() for _ in range(MASS_SETS)] for count in TRAINING}
     return {
         count: tuple(Split(tuple(order[:count]), tuple(sorted(order[count:]))) for order in some)
         for count, some in orders.items()
@@ -216,11 +211,6 @@ def _read_document(path: Path, expected: str, read: Callable[[Any], Part]) -> Pa
 def make_case(protocol: Protocol, name: str, mass_set: int) -> Case:
     """Simulates the ten pushes of an object with hidden masses.
 
-    Args:
-        protocol: the protocol.
-        name: of the object.
-        mass_set: number of the mass set.
-
     Returns:
         The observed pushes, and the object without its labels.
 
@@ -249,7 +239,6 @@ def make_pushes(obj: GridObject, columns: int) -> list[Push]:
     """The ten pushes, for an object at the pose (0, 0, 0): along -y onto the upper side, then along +y onto the lower.
 
     Args:
-        obj: the object.
         columns: of its image, from its first to its last pixel.
 
     Returns:
@@ -336,10 +325,6 @@ def make_planning_protocol(data: Path | None = None, seed: int = 0) -> PlanningP
 
     Args:
         data: folder of the paper's masks, with or without `protocol.json` beside them; None for the shipped objects.
-        seed: of what is drawn.
-
-    Returns:
-        The protocol.
 
     Raises:
         GridPushError: there is no such folder, no mask in it, or `protocol.json` is not of its form.

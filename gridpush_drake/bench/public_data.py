@@ -27,9 +27,6 @@ RECORDS = "record_all"
 def find_masks(data: Path) -> dict[str, Path]:
     """Finds the paper's masks.
 
-    Args:
-        data: a folder.
-
     Returns:
         Their files by the objects' names.
 
@@ -58,7 +55,6 @@ def find_push_logs(data: Path, min_pushes: int) -> list[tuple[str, Path]]:
     """Finds real robots' push logs.
 
     Args:
-        data: a folder.
         min_pushes: of a CMU file; others are passed over.
 
     Returns:

@@ -42,12 +42,7 @@ def measure(work: Callable[[], object], repetitions: int, warm_up: int = 1) -> T
     """Times `work`.
 
     Args:
-        work: what is timed.
-        repetitions: how often.
         warm_up: runs before, not counted.
-
-    Returns:
-        Median and quartiles.
     """
     for _ in range(warm_up):
         work()
@@ -92,6 +87,9 @@ SIZES = (10, 30, 100, 300, 1000, 3000, 10000)
 LINEAR_FROM = 300
 """Cells from which on the slope is fitted: below, the work that does not depend on n shows."""
 
+START_UPS = 7
+"""Of each command that starts Python."""
+
 MS = 1e3
 
 Tell = Callable[[str], None]
@@ -108,14 +106,10 @@ def run(
     """Measures everything, on one core.
 
     Args:
-        obj: to push.
         repetitions: of each simulation.
         sizes: numbers of cells for the cost against n.
         with_mujoco: whether to run MuJoCo beside, where it is installed.
         report: called with what begins, as of jobs.
-
-    Returns:
-        The tables: one push, cost against n, start-up.
     """
     tell = count_steps(report, len(_simulations(obj)) + int(with_mujoco) + len(sizes) + 1)
     with one_core() as pinned:
@@ -223,7 +217,7 @@ def _describe_slopes(medians: np.ndarray) -> str:
     return f"Log-log slope from {LINEAR_FROM} cells: simulation {plain:.2f}, with Jacobian {jacobian:.2f}; 1 is linear."
 
 
-def _measure_start_up(repetitions: int = 7) -> Table:
+def _measure_start_up() -> Table:
     commands = {
         "python -c pass": ["-c", "pass"],
         "import gridpush_drake": ["-c", "import gridpush_drake"],
@@ -235,12 +229,10 @@ def _measure_start_up(repetitions: int = 7) -> Table:
             lambda arguments=arguments: subprocess.run(  # type: ignore[misc]
                 [sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL
             ),
-            repetitions,
+            START_UPS,
         )
         rows.append([name, timing.median, timing.low, timing.high])
-    return Table(
-        "Start-up", ("what", "median, s", "25 %, s", "75 %, s"), rows, [f"Processes, {repetitions} runs each."]
-    )
+    return Table("Start-up", ("what", "median, s", "25 %, s", "75 %, s"), rows, [f"Processes, {START_UPS} runs each."])
 
 
 def _row(name: str, timing: Timing, ratio: float) -> list[Value]:

@@ -102,8 +102,8 @@ class GridObject:
         if height * least >= width / 2:
             most = width / 2 / least
             raise ObjectError(
-                f"{self.name}: pusher.height is {height:g} m; expected less than {most:.3g} m, where an object {width:.3g} m "
-                f"wide tips even with friction {least:g}"
+                f"{self.name}: pusher.height is {height:g} m; expected less than {most:.3g} m, from where on an object "
+                f"{width:.3g} m wide tips even with friction {least:g}"
             )
 
     @classmethod

@@ -125,16 +125,12 @@ def draw_cells(
 
     Args:
         ax: where to draw, world frame, m; its aspect is made equal.
-        obj: the object.
         values: (n,) one number per cell; None draws them all pale.
         cmap: name of a color map.
         label: adds a color bar with this title ("friction", "mass, g"); None adds none.
         limits: (low, high) ends of the color map; the values' own where None.
         pose: (x, y, theta) X_WB, m and rad.
         alpha: opacity, 0 to 1.
-
-    Returns:
-        The cells.
 
     Raises:
         ObjectError: `values` is not one number per cell.
@@ -157,24 +153,19 @@ def draw_cells(
     return cells
 
 
-def draw_parts(ax: Axes, obj: GridObject, *, pose: ArrayLike = (0.0, 0.0, 0.0)) -> PolyCollection:
+def draw_parts(ax: Axes, obj: GridObject) -> PolyCollection:
     """Draws the cells in the colors of their parts, with a legend that counts them.
 
     Args:
-        ax: where to draw, world frame, m; its aspect is made equal.
-        obj: the object.
-        pose: (x, y, theta) X_WB, m and rad.
-
-    Returns:
-        The cells.
+        ax: where to draw, body frame, m; its aspect is made equal.
     """
     labels, index, counts = np.unique(obj.labels, return_inverse=True, return_counts=True)
     colors = [PART_COLORS[i % len(PART_COLORS)] for i in range(len(labels))]
     cells = PolyCollection(
-        _squares(obj, pose), facecolors=[colors[i] for i in index], edgecolors="white", linewidths=CELL_LINE
+        _squares(obj, np.zeros(3)), facecolors=[colors[i] for i in index], edgecolors="white", linewidths=CELL_LINE
     )
     ax.add_collection(cells)
-    draw_outline(ax, obj, pose=pose)
+    draw_outline(ax, obj)
     _frame(ax)
     handles = [
         Patch(facecolor=color, label=f"part {part}: {count} cell{'' if count == 1 else 's'}")
@@ -197,14 +188,9 @@ def draw_outline(
 
     Args:
         ax: where to draw, world frame, m.
-        obj: the object.
         pose: (x, y, theta) X_WB, m and rad.
-        color: of the line.
         linestyle: as matplotlib names it.
         alpha: opacity, 0 to 1.
-
-    Returns:
-        The outline.
     """
     outline = orient(obj.outline)
     rings = [transform(pose, np.array(ring.coords)[:, :2]) for ring in (outline.exterior, *outline.interiors)]
@@ -283,9 +269,6 @@ def make_panels(
     """Makes a grid of panels, each of the object's proportions.
 
     Args:
-        obj: the object.
-        rows: of panels.
-        columns: of panels.
         width: of the whole, inches.
         max_height: of a panel, inches.
 

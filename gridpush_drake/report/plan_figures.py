@@ -73,13 +73,8 @@ def draw_plan(
     """Draws a plan.
 
     Args:
-        obj: the object.
         plan: its pushes; where there are none, start and goal alone are drawn.
         surface: the table; None for one without end.
-        obstacles: what is in the way.
-
-    Returns:
-        The figure.
     """
     poses, pushes = plan.poses, [planned.push for planned in plan.pushes]
     shapes = [np.array(obstacle.exterior.coords)[:, :2] for obstacle in obstacles]
@@ -112,16 +107,12 @@ def draw_push_run(
     """Draws a run: on the left the path to the goal, on the right how far the object was from it.
 
     Args:
-        obj: the object.
         poses: (3,) where it was seen at rest, X_WB, m and rad: before the first push, and after each.
         pushes: as they were made; as many as poses, less one.
         goal: (3,) where it should lie.
         surface: the table; None for one without end.
         expected: of each push, the mean cell error to the goal that was expected after it, m; empty for unknown.
         tolerance: mean cell error at which the goal counts as reached, m; None is not drawn.
-
-    Returns:
-        The figure.
     """
     figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
     rest, aim = np.array([np.asarray(pose, dtype=np.float64) for pose in poses]), np.asarray(goal, dtype=np.float64)
@@ -143,11 +134,7 @@ def _draw_pushes(
     end: str,
 ) -> None:
     """The object from its first pose to its last, which the legend calls `end`, the numbered pushes, and the goal."""
-    if surface is not None:
-        draw_table(ax, surface.corners)
-    for pose in poses[1:-1]:
-        draw_outline(ax, obj, pose=pose, color=FAINT)
-    draw_outline(ax, obj, pose=poses[0], color=INK, linestyle="dashed")
+    _draw_outlines(ax, obj, poses, surface)
     if len(poses) > 1:
         draw_cells(ax, obj, pose=poses[-1], alpha=0.7)
     draw_outline(ax, obj, pose=goal, color=BEFORE, linestyle="dotted").set_zorder(4)
@@ -161,6 +148,15 @@ def _draw_pushes(
         Line2D([], [], color=LEARNED, marker="o", markerfacecolor="white", label="pushes"),
     ]
     add_legend_below(ax, handles, 3)
+
+
+def _draw_outlines(ax: Axes, obj: GridObject, poses: Sequence[Array] | Array, surface: SupportSurface | None) -> None:
+    """The table, and the object's outline at all its poses but the last: the first one dashed, the others faint."""
+    if surface is not None:
+        draw_table(ax, surface.corners)
+    for pose in poses[1:-1]:
+        draw_outline(ax, obj, pose=pose, color=FAINT)
+    draw_outline(ax, obj, pose=poses[0], color=INK, linestyle="dashed")
 
 
 def _draw_push(ax: Axes, push: Push, count: int) -> None:
@@ -203,9 +199,6 @@ def draw_slide(planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGras
         planner: object, table and options.
         masses: the masses that stability was judged on.
         plan: the plan; where nothing is safe, its safest goal is drawn.
-
-    Returns:
-        The figure.
     """
     figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
     _draw_slides(axes[0, 0], planner, plan)
@@ -214,10 +207,7 @@ def draw_slide(planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGras
 
 
 def _draw_slides(ax: Axes, planner: PreGraspPlanner, plan: PreGraspPlan) -> None:
-    draw_table(ax, planner.surface.corners)
-    for pose in plan.poses[:-1]:
-        draw_outline(ax, planner.obj, pose=pose, color=FAINT)
-    draw_outline(ax, planner.obj, pose=plan.poses[0], color=INK, linestyle="dashed")
+    _draw_outlines(ax, planner.obj, plan.poses, planner.surface)
     draw_cells(ax, planner.obj, pose=plan.poses[-1])
     for push in plan.pushes:
         _draw_tips(ax, push, LEARNED)
@@ -301,16 +291,10 @@ def draw_pre_grasp(
     """Draws a run: on the left the object's path, on the right the object as it lay at the end.
 
     Args:
-        obj: the object.
-        surface: the table.
         poses: (3,) of the object at rest, in order, the last one where it was grasped, or given up.
         pushes: in order.
         masses: the masses held possible at the end.
-        truth: what the object really weighs, where that is known.
         grasp: as it was made; None where there was none.
-
-    Returns:
-        The figure.
     """
     figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
     _draw_trajectory(axes[0, 0], obj, surface, poses, pushes)
@@ -321,10 +305,7 @@ def draw_pre_grasp(
 def _draw_trajectory(
     ax: Axes, obj: GridObject, surface: SupportSurface, poses: Sequence[Array], pushes: Sequence[PushDrawn]
 ) -> None:
-    draw_table(ax, surface.corners)
-    for pose in poses[1:-1]:
-        draw_outline(ax, obj, pose=pose, color=FAINT)
-    draw_outline(ax, obj, pose=poses[0], color=INK, linestyle="dashed")
+    _draw_outlines(ax, obj, poses, surface)
     draw_cells(ax, obj, pose=poses[-1])
     for push in pushes:
         draw_arrow(ax, push.start, push.end, BEFORE if push.poke else LEARNED)

@@ -42,6 +42,9 @@ POSITION_TOLERANCE = 1e-6
 CENTERING_TOLERANCE = 1e-6
 """rad, of the last step."""
 
+MAX_STEPS = 200
+"""Of the search for one posture from another that may be far off."""
+
 
 class ArmPosture:
     """The tip's kinematics and their inverse.
@@ -88,24 +91,20 @@ class ArmPosture:
         away = q_nominal - q
         return J_plus @ e + away - J_plus @ (J @ away), float(np.linalg.norm(e))
 
-    def solve(
-        self, p_WP: ArrayLike, q_nominal: Array, q_seed: Array, iterations: int = 200, yaw: float = 0.0
-    ) -> Array | None:
+    def solve(self, p_WP: ArrayLike, q_nominal: Array, q_seed: Array) -> Array | None:
         """Finds the posture with the tool down and its tip at p_WP.
 
         Args:
             p_WP: (3,) m.
             q_nominal: (7,) posture to stay near to, rad.
             q_seed: (7,) where the search begins, rad.
-            iterations: at most.
-            yaw: of the tool, rad.
 
         Returns:
             (7,) rad, or None where the search does not arrive. Joint limits are not looked at.
         """
-        q, target, R_WP = q_seed, np.asarray(p_WP, float), calc_tool_rotation(yaw)
-        for _ in range(iterations):
-            dq, error = self.calc_step(q, target, q_nominal, R_WP)
+        q, target = q_seed, np.asarray(p_WP, float)
+        for _ in range(MAX_STEPS):
+            dq, error = self.calc_step(q, target, q_nominal)
             q = q + dq
             if error < POSITION_TOLERANCE and np.abs(dq).max() < CENTERING_TOLERANCE:
                 return q
@@ -118,7 +117,6 @@ def CalcStartPosture(control_plant: MultibodyPlant, robot: Robot, p_WP: ArrayLik
     """Calculates the posture in which the tool points down with its tip at p_WP.
 
     Args:
-        control_plant: as `MakeControlPlant` makes it.
         robot: the robot; the search begins at its `posture`.
         p_WP: (3,) m.
 
@@ -171,7 +169,6 @@ class ArmReach:
         """Makes the question.
 
         Args:
-            control_plant: as `MakeControlPlant` makes it.
             robot: the robot; its `control` says how far paths keep from the joints' limits.
             q_nominal: (7,) the posture that the arm is drawn to, rad.
         """
@@ -245,20 +242,14 @@ class ArmControl:
     q_start: Array
 
 
-def MakeControlPlant(
-    robot: Robot, X_WB: RigidTransform | None = None, gravity: ArrayLike | None = None
-) -> MultibodyPlant:
+def MakeControlPlant(robot: Robot, X_WB: RigidTransform | None = None) -> MultibodyPlant:
     """Makes the plant that the controllers know: the robot, its gripper rigid, and nothing else.
 
     Args:
-        robot: the robot.
         X_WB: of its base; identity by default.
-        gravity: (3,) of the plant to be controlled, m/s²; Drake's by default.
     """
     plant = MultibodyPlant(time_step=0.0)
     AddRobot(plant, robot, X_WB)
-    if gravity is not None:
-        plant.mutable_gravity_field().set_gravity_vector(np.asarray(gravity, float))
     plant.Finalize()
     plant.set_name("control_plant")
     return plant
@@ -271,29 +262,19 @@ def AddArmControl(
     arm: ModelInstanceIndex,
     control_plant: MultibodyPlant,
     q_start: ArrayLike,
-    stiffness: float | None = None,
 ) -> ArmControl:
     """Adds the arm's driver and inverse kinematics. Call it after Finalize.
 
     The builder keeps the control plant alive.
 
     Args:
-        builder: the plant is in it.
-        plant: has the arm.
-        robot: the robot.
-        arm: its arm's model instance.
-        control_plant: as `MakeControlPlant` makes it.
         q_start: (n,) the posture at the beginning, which is also the one that the arm is drawn to, rad.
-        stiffness: instead of the robot's own, 1/s².
-
-    Returns:
-        The systems and the port to be connected.
     """
     SharedPointerSystem.AddToBuilder(builder, control_plant)
     control = robot.arm.control
     q = np.array(q_start, float)
     plant.SetDefaultPositions(arm, q)
-    gains = np.full(plant.num_positions(arm), stiffness or control.stiffness)
+    gains = np.full(plant.num_positions(arm), control.stiffness)
     config = IiwaDriver(control_mode="position_only", desired_kp_gains=gains)
     driver = SimIiwaDriver.AddToBuilder(builder, plant, arm, config, control_plant)
     kinematics = builder.AddNamedSystem(

@@ -42,6 +42,7 @@ from gridpush_drake.station.grasping import (
     ExportOutputs,
     make_grasp_trajectory_options,
 )
+from gridpush_drake.station.others import AddOtherCameras, AddOthers, OtherObject, SetOthersStart, leave_out
 from gridpush_drake.station.robot import GetRobotInPlant, Robot, RobotInPlant, find_robot
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import (
@@ -205,6 +206,8 @@ class StationParts:
         camera: sees the object, with noise.
         true_parameters: remembers the truth.
         grasping: carries out grasps; None where the scene has no gripper.
+        others: see `PushStation`.
+        other_cameras: see the others, with noise.
     """
 
     scenario: PushScenario
@@ -224,6 +227,8 @@ class StationParts:
     camera: PlanarPoseSensor
     true_parameters: TrueParameters
     grasping: GraspExecutor | None
+    others: tuple[OtherObject, ...]
+    other_cameras: tuple[PlanarPoseSensor, ...]
 
 
 class PushStation(Diagram):
@@ -251,6 +256,8 @@ class PushStation(Diagram):
         - query_object
         - grasp.status
         - gripper.state
+        - other_0.pose
+        - ...
 
     - ``push_command``: (6,) see `systems.push_command`.
     - ``executor.status``: abstract `PushStatus`; ``executor.tip_pose``: abstract `RigidTransform`, X_WP desired.
@@ -260,6 +267,7 @@ class PushStation(Diagram):
     - Where the scene has a gripper: ``grasp_command``: (6,) see `systems.grasp_command`, need not be connected;
       ``grasp.status``: abstract `GraspStatus`; ``gripper.state``: (4,) the fingers' positions, left and right, m, and
       velocities, m/s. ``executor.tip_pose`` is then what push and grasp executor together desire.
+    - ``other_0.pose`` and so on: (3,) of each of the scenario's other objects, as ``object.pose``.
 
     Attributes:
         scenario: what it was made from.
@@ -275,6 +283,7 @@ class PushStation(Diagram):
         style: how the executor pushes.
         home: p_WP of the tip at the beginning, m.
         gripper: its model instance; None where the scene has none.
+        others: further objects on the table.
     """
 
     __slots__ = NO_SLOTS
@@ -289,6 +298,7 @@ class PushStation(Diagram):
         self.style, self.gripper = parts.style, parts.robot_in_plant.gripper
         self._grasping, self._reach = parts.grasping, parts.reach
         self._control, self._camera, self._true_parameters = parts.control, parts.camera, parts.true_parameters
+        self.others, self._other_cameras = parts.others, parts.other_cameras
         builder.BuildInto(self)
 
     def FindObstacle(self, command: PushCommand) -> str | None:
@@ -315,6 +325,10 @@ class PushStation(Diagram):
         SetArmStart(self, root_context, self.plant, self.robot_in_plant.arm, self._control)
         plant_context = self.plant.GetMyMutableContextFromRoot(root_context)
         SetGridObjectPose(self.plant, plant_context, self.object_in_plant, self.scenario.object_pose)
+        SetOthersStart(
+            self.plant, self.scene_graph, root_context, self.scenario, self.others, self._other_cameras,
+            self.scenario.seed if seed is None else seed,
+        )  # fmt: skip
         if seed is not None:
             truth = MakeTruth(self.obj, self.scenario.truth, seed)
             SetGridObjectParameters(self.plant, self.scene_graph, root_context, self.object_in_plant, truth)
@@ -387,6 +401,7 @@ def MakePushStation(
         height=scenario.object_height,
         visual=show_object,
     )
+    others = AddOthers(plant, scene_graph, scenario, table, object_in_plant)
     drake_models = find_drake_models() if meshcat is not None else None
     if drake_models is not None:
         AddVisualMeshes(plant, scene_graph, drake_models)
@@ -399,6 +414,7 @@ def MakePushStation(
     executor = builder.AddNamedSystem("executor", PushExecutor(home, obj.outline, reach, style))
     sensors = AddSensors(builder, plant, scenario, robot, object_in_plant)
     camera, tip = sensors.camera, sensors.tip
+    other_cameras = AddOtherCameras(builder, plant, scenario, others, LOST_BELOW)
     true_parameters = builder.AddNamedSystem("truth", TrueParameters(truth))
     identifier = builder.AddNamedSystem("identifier", make_identifier(scenario, obj, learning))
 
@@ -435,7 +451,7 @@ def MakePushStation(
         builder,
         StationParts(
             scenario, obj, truth, plant, scene_graph, robot, instances, object_in_plant, table, table_top, style, home,
-            reach, control, camera, true_parameters, grasping,
+            reach, control, camera, true_parameters, grasping, others, other_cameras,
         ),
     )  # fmt: skip
     station.set_name(name)
@@ -470,12 +486,14 @@ def MakeFingerRegion(station: PushStation, inset: float = 0.0) -> BaseGeometry:
         inset: least distance from the region's edge, m.
 
     Returns:
-        The region, W, m: the ring that the arm reaches, and in it the workspace; it may be empty.
+        The region, W, m: the ring that the arm reaches, and in it the workspace, without the places where the tip would
+        touch another object; it may be empty.
     """
     workspace = station.scenario.workspace
     box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
     axis, least, greatest = CalcTipReach(station.plant, station.robot, station.scenario.finger.push_height)
-    return MakeRing(axis, least + inset, greatest - inset) & box.buffer(-inset)
+    region = MakeRing(axis, least + inset, greatest - inset) & box.buffer(-inset)
+    return leave_out(region, station.others, station.robot.finger.tip_radius + inset)
 
 
 def MakeRing(axis: NDArray[np.float64], least: float, greatest: float) -> shapely.Polygon:
