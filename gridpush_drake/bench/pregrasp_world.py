@@ -105,8 +105,13 @@ def run_pregrasp(
     """Runs the task until a part can be grasped, or to its end.
 
     Args:
+        world: the hidden object.
+        planner: decides.
         learn: learns after every push; None never.
         believe: says what is held possible; by default what the identification's posterior says.
+
+    Returns:
+        The outcome.
     """
     loop = PreGraspLoop(planner, lambda pose, center_of_mass: None, believe=believe, options=ONE_OBSERVATION)
     state = run_loop(loop, planner.obj, world, _is_over, learn=learn).state

@@ -136,6 +136,9 @@ class PreGraspPlanner:
         """Finds the graspable parts.
 
         Args:
+            obj: the object.
+            surface: the table.
+            options: how far to go, and how carefully.
             parts: the graspable parts, where they are known already.
             limits: of the arm that is to do it.
 
@@ -158,6 +161,9 @@ class PreGraspPlanner:
             model: of the object; None before the first push.
             pokes: made so far.
             slides: made so far.
+
+        Returns:
+            The decision.
         """
         q = np.asarray(pose, dtype=np.float64)
         if model is None:
@@ -246,6 +252,7 @@ def suggest_poke(
         pose: (3,) where the object lies, X_WB, m and rad.
         surface: the table, inside whose edge the object stays, or at least as far in and as stable as it is.
         direction: (2,) unit vector in the body frame along which the center matters; both where None.
+        options: what pokes may be chosen from.
         limits: of the arm that is to poke.
 
     Returns:
@@ -328,6 +335,9 @@ def plan_pregrasp(planner: PreGraspPlanner, model: UncertainModel, pose: ArrayLi
         planner: object, table and options.
         model: of the object. Motions are predicted with its `params`.
         pose: (3,) where the object lies, X_WB, m and rad.
+
+    Returns:
+        The plan.
     """
     poses, pushes = [np.array(pose, dtype=np.float64)], list[Push]()
     while True:

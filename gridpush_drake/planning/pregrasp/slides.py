@@ -178,9 +178,13 @@ def plan_slide(
     """Chooses the next push.
 
     Args:
+        masses: the masses held possible.
+        params: the model.
         draws: further models to try the pushes on; the model itself is always tried.
         pose: (3,) where the object lies, X_WB, m and rad.
         goals: best first.
+        surface: the table.
+        options: how to choose.
         limits: of the arm that is to push.
 
     Returns:
