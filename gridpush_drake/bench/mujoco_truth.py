@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import GRAVITY
+from gridpush_drake.errors import GridPushError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -152,9 +153,12 @@ class TruthWorld:
             edge: x of the table's edge in W, m: the table is where x is less; None for one without edge.
 
         Raises:
-            ImportError: MuJoCo is not installed (`pip install 'gridpush-drake[bench]'`).
+            GridPushError: MuJoCo is not installed.
         """
-        import mujoco
+        try:
+            import mujoco
+        except ImportError as error:
+            raise GridPushError("mujoco: is not installed; expected pip install 'gridpush-drake[bench]'") from error
 
         self.body, self.radius, self._mujoco = body, radius, mujoco
         self._model = mujoco.MjModel.from_xml_string(_describe(body, radius, edge))

@@ -1,239 +1,270 @@
-"""Sets of pushes of bodies that do not obey the model, and how well it learns from them."""
+"""`gridpush bench truth`: how well bodies are learned that do not obey the model (`bench.truth_sets`).
 
-import json
-from dataclasses import dataclass, replace
+Each hidden body is learned from the first few of its pushes by the default method, and judged by its held-out pushes,
+its true center of mass, and whether both are where the identification says.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-from zlib import crc32
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
-from shapely import Point, Polygon
 
-from gridpush_drake.bench.mujoco_truth import (
-    BODY_HEIGHT,
-    RIGID_SINKAGE,
-    RIGID_TIME_STEP,
-    SINKAGE,
-    TruthBody,
-    TruthWorld,
-)
-from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulation import GRAVITY
+from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
+from gridpush_drake.bench.paper import calc_interval
+from gridpush_drake.bench.table import Table, Value
+from gridpush_drake.bench.truth_sets import KINDS, OUTLINES, TRAINING, TruthSet, make_set, read_set, write_set
+from gridpush_drake.dynamics.simulation import Regime, simulate_batch
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.files import write_whole
+from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.prediction import predict
+from gridpush_drake.identification.result import Identification, calc_center_of_mass
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.object_file import find_shipped_object
-from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import PushLog
 
 Array = NDArray[np.float64]
 
-OUTLINES = ("claw_hammer", "combination_wrench", "open_book", "toolbox", "spray_bottle")
-"""Shipped objects."""
+SETS, QUICK_SETS = 3, 1
+"""Seeds of each outline."""
 
-OWN_WEIGHT, HALF_HEIGHT, FOUNDATION = "own_weight", "half_height", "foundation"
-VERTICES, THREE_FEET = "vertices", "three_feet"
-KINDS = (OWN_WEIGHT, HALF_HEIGHT, FOUNDATION, VERTICES, THREE_FEET)
+COUNTS, QUICK_COUNTS = (3, 5, 8, 18), (5,)
+"""Pushes to learn from."""
 
-MASS_RATIO = (3.0, 10.0)
-"""Of a cell of the heavy part to one of the rest; log-uniform."""
+UNIFORM, MASSES, LOADS, LEARNED = "uniform", "true masses", "true loads", "learned"
+"""Models: nothing learned; the masses as loads; the loads at rest; and what was learned."""
 
-FRICTION_RANGE = (0.3, 0.4)
-"""What a body's friction, one for all feet, is drawn from; whoever learns knows as much."""
+CHI_SQUARE = 5.991
+"""What 95 % of chi squares of two degrees of freedom stay below."""
 
-CONTACT_FRICTION_RANGE = (0.35, 0.65)
+DRAWS = 40
+"""From the posterior, for the spread of predicted poses."""
 
-CONTACT_FRICTION, CONTACT_FRICTION_STD = 0.5, 0.15
-"""What is known of it."""
+PREDICTED_SHARE = 0.9
+"""Of the draws' final poses, within the predicted distance."""
 
-TRAINING, HELD_OUT = 18, 10
-"""Pushes of a set."""
+MIN_LOAD = 1e-6
+"""N of a cell that bears nothing: a mass must be positive."""
 
-DISTANCE, SPEED_RANGE = 0.1, (0.02, 0.05)
-"""m and m/s."""
-
-SLANT = np.radians(30)
-"""Furthest from the outline's normal."""
-
-CLEARANCE = 5e-4
-"""m between pusher and outline at the beginning."""
-
-REACH = 0.1
-"""m, at most, of the body from the world's origin at a push's beginning, per axis."""
-
-MIN_MOTION = 0.01
-"""m, mean over the cells; pushes that move a body less are drawn again."""
-
-OBSERVATIONS = 10
-"""Poses seen during a push, evenly spaced, its end among them."""
-
-UNEVENNESS = 3e-4
-"""m, at most, by which a vertex is higher than others."""
-
-BEARING_FEET = 3
-"""By which a rigid body's weight is shared out, to say how stiff its feet are."""
-
-TRIANGLE_SLACK = 0.002
-"""m that the center of mass lies within the feet's triangle, beside what a push at half height takes away."""
-
-TRIES = 20000
+MM, PERCENT = 1e3, 100.0
 
 
-@dataclass(frozen=True, eq=False)
-class TruthSet:
-    """Pushes of one hidden body.
+@dataclass(frozen=True)
+class Job:
+    """One hidden body, learned from several numbers of pushes.
 
     Attributes:
-        kind: of KINDS.
+        kind: of truth.
         name: of the outline.
-        seed: of all that was drawn.
-        obj: as whoever learns sees it: one part, total mass and friction interval.
-        body: the truth.
-        loads: (n,) of the body's cells at rest, N.
-        training: pushes to learn from.
-        held_out: others.
+        seed: of the body and its pushes.
+        counts: pushes to learn from.
+        out: folder of sets, where this one is looked up, and left if it has to be made; None keeps none.
+        anew: whether to make it even so.
     """
 
     kind: str
     name: str
     seed: int
-    obj: GridObject
-    body: TruthBody
-    loads: Array
-    training: PushLog
-    held_out: PushLog
-
-    @property
-    def center_of_mass(self) -> Array:
-        """p_BBcm (2,), m."""
-        return self.body.params.center_of_mass(self.obj)
+    counts: tuple[int, ...]
+    out: Path | None = None
+    anew: bool = False
 
 
-def make_set(kind: str, name: str, seed: int, training: int = TRAINING, held_out: int = HELD_OUT) -> TruthSet:
-    """Draws a hidden body and pushes it.
+@dataclass(frozen=True)
+class TruthScore:
+    """How one model of one hidden body did; what only an identification says is None for others.
+
+    Attributes:
+        kind: of truth.
+        name: of the outline.
+        seed: of the body.
+        model: UNIFORM, MASSES, LOADS or LEARNED.
+        pushes: learned from.
+        error: mean final cell error of the held-out pushes, m.
+        center_error: distance from the true center of mass, m.
+        covered: whether the true center is within the 95 % region.
+        within: share of the held-out pushes whose final pose is as near to the predicted one as said.
+        region: radius of a circle as large as the 95 % region, m.
+    """
+
+    kind: str
+    name: str
+    seed: int
+    model: str
+    pushes: int
+    error: float
+    center_error: float
+    covered: bool | None = None
+    within: float | None = None
+    region: float | None = None
+
+
+def run(
+    kinds: Sequence[str] = KINDS,
+    objects: Sequence[str] | None = None,
+    sets: int = SETS,
+    pushes: Sequence[int] = COUNTS,
+    seed: int = 0,
+    execution: Execution = QUIET,
+    *,
+    quick: bool = False,
+    out: Path | None = None,
+    force: bool = False,
+) -> list[Table]:
+    """Measures the default method on hidden bodies.
 
     Args:
-        kind: of KINDS.
-        name: of OUTLINES, or of any shipped object.
-        seed: of all that is drawn; masses are the same for every kind.
-        training: pushes to learn from.
-        held_out: others.
+        kinds: of truth.
+        objects: shipped objects whose outlines the bodies have; five by default.
+        sets: bodies of each kind and outline.
+        pushes: numbers of pushes to learn from.
+        seed: of the first body; the others' follow.
+        execution: how the jobs are run.
+        quick: only `QUICK_SETS` bodies and `QUICK_COUNTS` pushes.
+        out: folder of sets, each in KIND/OUTLINE_SEED; those that are there are read, others are made and left there.
+        force: whether those that are there are made anew, and replaced.
 
     Returns:
-        The set.
+        One table: a row for each kind and model.
 
     Raises:
-        GridPushError: the kind is not known, or hardly any push moves the body.
-        ObjectError: no shipped object has this name.
-        ImportError: MuJoCo is not installed.
+        GridPushError: an argument is out of range, or a set cannot be read or made.
+        ObjectError: an object is not shipped.
+        OutputError: a file exists and may not be replaced, or cannot be written.
     """
-    rng = np.random.default_rng([seed, crc32(name.encode())])
-    obj, params = draw_masses(name, rng)
-    body = make_body(kind, obj, params, rng)
-    radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
-    world = TruthWorld(body, radius)
-    pushes = [draw_push(world, f"push_{i + 1}", rng) for i in range(training + held_out)]
-    logs = (PushLog(tuple(pushes[:training])), PushLog(tuple(pushes[training:])))
-    return TruthSet(kind, name, seed, obj, body, world.loads, *logs)
+    sets, counts = (min(sets, QUICK_SETS), QUICK_COUNTS) if quick else (sets, tuple(sorted(set(pushes))))
+    _check(kinds, sets, counts)
+    names = OUTLINES if objects is None else tuple(objects)
+    jobs = [Job(kind, name, seed + i, counts, out, force) for kind in kinds for i in range(sets) for name in names]
+    results = run_jobs(run_job, jobs, lambda job: f"{job.kind}, {job.name} {job.seed}", execution)
+    return [tabulate([score for scores in results for score in scores])]
 
 
-def draw_masses(name: str, rng: np.random.Generator) -> tuple[GridObject, CellParameters]:
-    """Draws what a shipped object's parts weigh, one of them heavy, and how it rubs; gives it as if unknown, too."""
-    shipped = GridObject.from_yaml(find_shipped_object(name))
-    heavy, ratio = rng.choice(np.unique(shipped.labels)), np.exp(rng.uniform(*np.log(MASS_RATIO)))
-    low, high = FRICTION_RANGE
-    prior = replace(
-        shipped.prior, friction=(low + high) / 2, friction_min=low, friction_max=high,
-        contact_friction=CONTACT_FRICTION, contact_friction_std=CONTACT_FRICTION_STD,
-    )  # fmt: skip
-    obj = replace(shipped, labels=np.ones(shipped.n, dtype=np.int64), prior=prior)
-    mass = np.where(shipped.labels == heavy, ratio, 1.0)
-    mass *= (prior.total_mass or DEFAULT_TOTAL_MASS) / mass.sum()
-    friction = np.full(obj.n, rng.uniform(*FRICTION_RANGE))
-    return obj, CellParameters(mass, friction, rng.uniform(*CONTACT_FRICTION_RANGE))
-
-
-def make_body(kind: str, obj: GridObject, params: CellParameters, rng: np.random.Generator) -> TruthBody:
-    """Puts an object of given masses on feet. Raises GridPushError where the kind is not known."""
-    cells, weight = np.arange(obj.n), params.total_mass * GRAVITY
-    height = 0.0 if kind == OWN_WEIGHT else BODY_HEIGHT / 2
-    if kind in (OWN_WEIGHT, HALF_HEIGHT):
-        return TruthBody(obj, params, obj.p_BC, cells, params.mass * GRAVITY, SINKAGE, np.zeros(obj.n), height)
-    if kind == FOUNDATION:
-        even = np.full(obj.n, weight / obj.n)
-        return TruthBody(obj, params, obj.p_BC, cells, even, SINKAGE, np.zeros(obj.n), height)
-    if kind == VERTICES:
-        feet = shapely.get_coordinates(obj.outline.convex_hull)[:-1]
-        cell = np.linalg.norm(feet[:, None] - obj.p_BC, axis=2).argmin(axis=1)
-        gap = rng.uniform(0, UNEVENNESS, len(feet))
-    elif kind == THREE_FEET:
-        cell = draw_feet(obj, params, height, rng)
-        feet, gap = obj.p_BC[cell], np.zeros(len(cell))
+def run_job(job: Job) -> list[TruthScore]:
+    """Makes or reads one set, and learns from it."""
+    folder = None if job.out is None else job.out / job.kind / f"{job.name}_{job.seed}"
+    if folder is not None and folder.exists() and not job.anew:
+        made = read_set(folder)
     else:
-        raise GridPushError(f"kind: {kind!r}; expected one of {', '.join(KINDS)}")
-    load = np.full(len(feet), weight / BEARING_FEET)
-    return TruthBody(obj, params, feet, cell, load, RIGID_SINKAGE, gap, height, RIGID_TIME_STEP)
+        made = make_set(job.kind, job.name, job.seed)
+        if folder is not None:
+            write_set(made, folder, force=job.anew)
+    if len(made.training) < job.counts[-1]:
+        raise GridPushError(f"{folder}: holds {len(made.training)} pushes; expected {job.counts[-1]} to learn from")
+    friction, contact = made.params.friction, made.params.contact_friction
+    loads = CellParameters(np.maximum(made.loads, MIN_LOAD), friction, contact)
+    known = {UNIFORM: CellParameters.uniform(made.obj), MASSES: made.params, LOADS: loads}
+    scores = [_score(made, model, 0, params) for model, params in known.items()]
+    for count in job.counts:
+        found = identify(made.obj, made.training[:count])
+        scores.append(_score(made, LEARNED, count, found.params, found))
+    return scores
 
 
-def draw_feet(obj: GridObject, params: CellParameters, height: float, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Draws three cells such that a body on feet below them stands, also while it is pushed at a height, m."""
-    center = Point(params.center_of_mass(obj))
-    margin = float(params.friction.max()) * height + TRIANGLE_SLACK
-    for _ in range(TRIES):
-        cells = rng.choice(obj.n, 3, replace=False)
-        triangle = Polygon(obj.p_BC[cells])
-        if triangle.covers(center) and triangle.exterior.distance(center) >= margin:
-            return np.asarray(cells, dtype=np.int64)
-    raise GridPushError(f"{obj.name}: found no three feet about the center of mass, {margin:g} m from every side")
+def _score(
+    made: TruthSet, model: str, pushes: int, params: CellParameters, found: Identification | None = None
+) -> TruthScore:
+    regime: Regime = "quasi_static" if found is None else found.regime
+    poses = np.array([each.poses[-1] for each in predict(made.obj, params, made.held_out, regime)])
+    errors = calc_distances(made.obj, poses, np.array([seen.final_pose for seen in made.held_out]))
+    off = params.center_of_mass(made.obj) - made.center_of_mass
+    key = (made.kind, made.name, made.seed, model, pushes, float(errors.mean()), float(np.linalg.norm(off)))
+    if found is None:
+        return TruthScore(*key)
+    chi_square, radius = calc_center_region(found, made.center_of_mass)
+    within = errors <= calc_predicted_distances(found, made.held_out, poses)
+    return TruthScore(*key, chi_square <= CHI_SQUARE, float(within.mean()), radius)
 
 
-def draw_push(world: TruthWorld, name: str, rng: np.random.Generator) -> ObservedPush:
-    """Draws a pose of the body and a push that moves it. Raises GridPushError where hardly any does."""
-    obj, radius = world.body.obj, world.radius
-    for _ in range(TRIES):
-        pose = np.array([*rng.uniform(-REACH, REACH, 2), rng.uniform(-np.pi, np.pi)])
-        place, angle, speed = rng.uniform(0, obj.edges.perimeter), rng.uniform(-SLANT, SLANT), rng.uniform(*SPEED_RANGE)
-        point, _, normal = obj.edges.at(place)
-        if obj.outline.distance(Point(point + normal * (radius + CLEARANCE))) < radius:
-            continue
-        push = Push.on_outline(
-            obj, place, angle, DISTANCE, radius=radius, speed=speed, pose=pose, clearance=CLEARANCE
-        )  # fmt: skip
-        world.put(pose)
-        motion = world.push(push)
-        begin, end = obj.cells_at(motion.poses[[0, -1]])
-        if np.linalg.norm(end - begin, axis=1).mean() >= MIN_MOTION:
-            rows = np.rint(np.linspace(0, len(motion.times) - 1, OBSERVATIONS + 1)).astype(int)[1:]
-            times = np.minimum(motion.times[rows], push.duration)
-            return ObservedPush(name, push, motion.poses[0], times, motion.poses[rows])
-    raise GridPushError(f"{obj.name}: none of {TRIES} random pushes moves it by {MIN_MOTION:g} m")
+def calc_distances(obj: GridObject, a: Array, b: Array) -> Array:
+    """Mean distances of the cells (...,), m, at poses (..., 3) and (..., 3)."""
+    return np.asarray(np.linalg.norm(obj.cells_at(a) - obj.cells_at(b), axis=-1).mean(axis=-1))
 
 
-def write_set(made: TruthSet, folder: Path, force: bool = False) -> None:
-    """Writes object.yaml, pushes.csv, heldout.csv, truth.json. Raises OutputError where one may not be written."""
-    folder.mkdir(parents=True, exist_ok=True)
-    made.obj.write_yaml(folder / "object.yaml", force)
-    made.training.write_csv(folder / "pushes.csv", force)
-    made.held_out.write_csv(folder / "heldout.csv", force)
-    write_whole(folder / "truth.json", json.dumps(describe_set(made), indent=1) + "\n", force)
+def calc_center_region(found: Identification, center: Array) -> tuple[float, float]:
+    """Where the center of mass is held to be.
+
+    Args:
+        found: the identification.
+        center: (2,) the true one, m, body frame.
+
+    Returns:
+        Chi square of the true center, and the radius of a circle as large as the 95 % ellipse, m.
+    """
+    believed, covariance = calc_center_of_mass(found)
+    off = center - believed
+    radius = np.sqrt(CHI_SQUARE * np.sqrt(np.linalg.det(covariance)))
+    return float(off @ np.linalg.solve(covariance, off)), float(radius)
 
 
-def describe_set(made: TruthSet) -> dict[str, Any]:
-    """The truth, in SI units."""
-    body = made.body
-    return {
-        "kind": made.kind,
-        "outline": made.name,
-        "seed": made.seed,
-        "center_of_mass": made.center_of_mass.tolist(),
-        "loads": made.loads.tolist(),
-        "mass": body.params.mass.tolist(),
-        "friction": body.params.friction.tolist(),
-        "contact_friction": body.params.contact_friction,
-        "push_height": body.push_height,
-        "object_height": BODY_HEIGHT,
-        "feet": body.feet.tolist(),
-        "feet_cells": body.cell.tolist(),
-    }
+def calc_predicted_distances(found: Identification, log: PushLog, poses: Array, seed: int = 0) -> Array:
+    """How far from its prediction each push's final pose is held to end, with PREDICTED_SHARE probability.
+
+    Parameters are drawn from the posterior, and what the model leaves unexplained is added to each draw's pose.
+
+    Args:
+        found: the identification.
+        log: the L pushes.
+        poses: (L, 3) final poses that its estimate predicts, m and rad.
+        seed: of the draws.
+
+    Returns:
+        (L,) mean distances of the cells, m.
+    """
+    drawn, rng = found.samples(DRAWS, seed), np.random.default_rng([seed, 1])
+    distances = []
+    for seen, pose in zip(log, poses, strict=True):
+        motions = simulate_batch(found.obj, drawn, seen.push, seen.pose, regime=found.regime, workers=1)
+        ends = np.array([motion.final_pose for motion in motions])
+        ends[:, :2] += found.noise_std * rng.standard_normal((DRAWS, 2))
+        distances.append(np.quantile(calc_distances(found.obj, ends, pose), PREDICTED_SHARE))
+    return np.array(distances)
+
+
+def tabulate(scores: Sequence[TruthScore]) -> Table:
+    """Sums up scores by kind and model."""
+    rows: list[list[Value]] = []
+    for kind in dict.fromkeys(score.kind for score in scores):
+        models = sorted({(score.pushes, score.model) for score in scores}, key=lambda each: (each[0], ORDER[each[1]]))
+        for pushes, model in models:
+            chosen = [s for s in scores if (s.kind, s.model, s.pushes) == (kind, model, pushes)]
+            rows.append([kind, model if model != LEARNED else f"{pushes} pushes", *_sum_up(chosen)])
+    notes = (
+        "Mean final cell error of held-out pushes, and the 95 % bootstrap interval of its mean over the bodies.",
+        "True masses, true loads: what the model does when it is given each cell's mass, or its load at rest.",
+        "Center: mean distance from the true center of mass; within: bodies whose center is in the 95 % region;",
+        "region: median radius of a circle as large as that region.",
+        f"Held-out within: pushes that end as near to the prediction as is said of {PREDICTED_SHARE:.0%} of them.",
+    )
+    columns = (
+        "truth", "model", "bodies", "held-out, mm", "from", "to", "center, mm", "within, %", "region, mm",
+        "held-out within, %",
+    )  # fmt: skip
+    return Table("Bodies that do not obey the model, in MuJoCo", columns, rows, notes, keys=2)
+
+
+ORDER = {UNIFORM: 0, MASSES: 1, LOADS: 2, LEARNED: 3}
+"""Of models in the table."""
+
+
+def _sum_up(scores: Sequence[TruthScore]) -> list[Value]:
+    error = calc_interval([score.error for score in scores])
+    row: list[Value] = [len(scores), *(MM * value for value in (error.mean, error.low, error.high))]
+    row.append(MM * float(np.mean([score.center_error for score in scores])))
+    covered = [score.covered for score in scores if score.covered is not None]
+    if not covered:
+        return [*row, None, None, None]
+    region = MM * float(np.median([score.region for score in scores if score.region is not None]))
+    within = PERCENT * float(np.mean([score.within for score in scores if score.within is not None]))
+    return [*row, PERCENT * float(np.mean(covered)), region, within]
+
+
+def _check(kinds: Sequence[str], sets: int, counts: Sequence[int]) -> None:
+    unknown = [kind for kind in kinds if kind not in KINDS]
+    if unknown or not kinds:
+        raise GridPushError(f"kind: {', '.join(unknown) or 'none'}; expected some of {', '.join(KINDS)}")
+    if sets < 1:
+        raise GridPushError(f"sets: {sets}; expected at least 1")
+    if not counts or not 1 <= counts[0] <= counts[-1] <= TRAINING:
+        raise GridPushError(f"pushes: {', '.join(map(str, counts)) or 'none'}; expected 1 to {TRAINING}")

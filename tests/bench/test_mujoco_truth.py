@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 from shapely import LineString
 
-from gridpush_drake.bench.truth import KINDS, draw_masses, make_body, make_set, write_set
+from gridpush_drake.bench.truth_sets import KINDS, draw_masses, make_body, make_set, read_set, write_set
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import GRAVITY, simulate
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.geometry.se2 import rotate
 
 pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
 
@@ -33,12 +31,11 @@ def calc_shift(world, push):
     """How far the load's center is from the center of mass at the push's end, along the push."""
     world.put((0, 0, 0))
     world.push(push)
-    x, y, theta = world.read_pose()
+    theta = world.read_pose()[2]
     loads = world.read_loads()
     center = world.body.feet.T @ loads / loads.sum() - world.body.params.center_of_mass(world.body.obj)
     ahead = np.asarray(push.velocity) / np.linalg.norm(push.velocity)
-    return float(ahead @ [np.cos(theta) * center[0] - np.sin(theta) * center[1],
-                          np.sin(theta) * center[0] + np.cos(theta) * center[1]])  # fmt: skip
+    return float(ahead @ rotate(theta, center))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -104,11 +101,15 @@ def test_a_set_is_reproducible_and_written_whole(tmp_path):
     assert made.training[0].name == "push_1"
     np.testing.assert_array_equal(made.held_out[0].final_pose, again.held_out[0].final_pose)
     write_set(made, tmp_path / "set")
-    obj = GridObject.from_yaml(tmp_path / "set" / "object.yaml")
-    assert (obj.labels == 1).all()
-    log = PushLog.read_csv(tmp_path / "set" / "heldout.csv", RADIUS)
-    np.testing.assert_array_equal(log[0].final_pose, made.held_out[0].final_pose)
-    assert CellParameters.uniform(obj).n == made.obj.n
+    read = read_set(tmp_path / "set")
+    assert (read.obj.labels == 1).all()
+    assert (read.kind, read.name, read.seed, read.push_height) == ("three_feet", "claw_hammer", 1, BODY_HEIGHT / 2)
+    np.testing.assert_array_equal(read.held_out[0].final_pose, made.held_out[0].final_pose)
+    np.testing.assert_array_equal(read.loads, made.loads)
+    np.testing.assert_array_equal(read.center_of_mass, made.center_of_mass)
+    (tmp_path / "set" / "truth.json").write_text("{}")
+    with pytest.raises(GridPushError, match=r"truth\.json: expected a truth"):
+        read_set(tmp_path / "set")
 
 
 def test_refuses_an_unknown_kind():

@@ -13,7 +13,7 @@ from gridpush_drake.cli.options import OptionError, parse_numbers
 COMMANDS = [
     (), ("demo",), ("identify",), ("predict",), ("simulate",), ("show",), ("import",), ("import", "cmu"),
     ("import", "mit"), ("bench",), ("bench", "speed"), ("bench", "paper"), ("bench", "real"),
-    ("bench", "drake"), ("bench", "planning"), ("bench", "pregrasp"), ("bench", "grasp"), ("export",), ("view",),
+    ("bench", "drake"), ("bench", "planning"), ("bench", "pregrasp"), ("bench", "grasp"), ("bench", "truth"), ("export",), ("view",),
     ("plan",), ("slide",),
 ]  # fmt: skip
 
