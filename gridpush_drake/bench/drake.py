@@ -10,7 +10,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from gridpush_drake.bench.jobs import QUIET, Execution, Report, count_steps, run_jobs
+from gridpush_drake.bench.jobs import QUIET, Execution, ObjectJob, Report, count_steps, run_jobs
 from gridpush_drake.bench.speed import DT, DURATION, RADIUS, make_bench_push
 from gridpush_drake.bench.table import Table, Value
 from gridpush_drake.identification.prediction import calc_mean_cell_error
@@ -25,14 +25,6 @@ OBJECTS = ("claw_hammer", "combination_wrench", "spray_bottle")
 SEEDS = (0, 1, 2)
 
 MM = 1e3
-
-
-@dataclass(frozen=True)
-class StationJob:
-    """One experiment: an object, and the seed of its hidden truth, of the pokes and of the camera's noise."""
-
-    name: str
-    seed: int
 
 
 @dataclass(frozen=True)
@@ -95,11 +87,11 @@ def calc_scores(
     """As `run`, experiment by experiment."""
     for name in objects:
         find_shipped_object(name)
-    jobs = [StationJob(name, seed) for name in objects for seed in seeds]
-    return run_jobs(run_job, jobs, lambda job: f"{job.name}, seed {job.seed}", execution)
+    jobs = [ObjectJob(name, seed) for name in objects for seed in seeds]
+    return run_jobs(run_job, jobs, ObjectJob.describe, execution)
 
 
-def run_job(job: StationJob) -> StationScore:
+def run_job(job: ObjectJob) -> StationScore:
     """Runs one experiment with the default scenario."""
     record = IdentifyTask(PushScenario(object=job.name, seed=job.seed)).run()
     obj, truth, limits, held_out = record.obj, record.truth, record.limit_report, record.held_out_log

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridpush_drake.bench.protocol import ANGLE_STD, POSITION_STD
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.result import Identification
@@ -31,12 +32,6 @@ from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 Array = NDArray[np.float64]
 
-POSITION_NOISE = 0.0005
-"""m per axis, standard deviation of a pose seen."""
-
-ANGLE_NOISE = 0.003
-"""rad."""
-
 LEARNER = Learner(memory=14)
 """The default method, from the latest pushes: the cost of learning grows with them, and what they tell hardly does."""
 
@@ -46,7 +41,7 @@ ONE_OBSERVATION = PreGraspLoopOptions(observations=1)
 
 def see(pose: Array, rng: np.random.Generator) -> Array:
     """A pose (3,) with noise."""
-    return pose + np.array([POSITION_NOISE, POSITION_NOISE, ANGLE_NOISE]) * rng.standard_normal(3)
+    return pose + np.array([POSITION_STD, POSITION_STD, ANGLE_STD]) * rng.standard_normal(3)
 
 
 class EdgeWorld(SimulatedWorld):
@@ -60,7 +55,7 @@ class EdgeWorld(SimulatedWorld):
     ) -> None:  # fmt: skip
         """Puts the object down at a pose (3,); `rng` draws the noise."""
         super().__init__(
-            obj, hidden, pose, surface, position_std=POSITION_NOISE, angle_std=ANGLE_NOISE, seed=rng, observations=1
+            obj, hidden, pose, surface, position_std=POSITION_STD, angle_std=ANGLE_STD, seed=rng, observations=1
         )
 
     @property

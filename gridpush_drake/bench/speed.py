@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from gridpush_drake.bench.jobs import Report, count_steps
 from gridpush_drake.bench.pregrasp import find_mask
+from gridpush_drake.bench.protocol import METERS_PER_PIXEL
 from gridpush_drake.bench.table import Table, Value
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import Regime, simulate
@@ -76,9 +77,6 @@ def one_core() -> Iterator[bool]:
 
 PAPER_SIMULATION, PAPER_GRADIENT = 1.3448, 0.0069
 """s a simulated push, and s a gradient (Song and Boularias, RSS 2020)."""
-
-METERS_PER_PIXEL = 0.001
-"""Of the paper's masks in its simulations."""
 
 DURATION, SPEED, RADIUS, DT = 2.0, 0.1, 0.015, 0.01
 """The paper's push, s and m/s, a disc in place of its finger, m, and the step, s."""

@@ -21,6 +21,8 @@ class CellParameters:
         mass: (n,) kg, positive.
         friction: (n,) friction coefficient of each cell against the support, >= 0.
         contact_friction: friction coefficient of the pusher against the object's outline, >= 0.
+        push_height: height above the table at which pushers act, m: the higher, the more load they shift forward (see
+            `dynamics.kernels.support_loads`). 0 leaves every cell its own weight, as in the paper.
 
     Raises:
         ParameterError: shapes disagree or a value is out of range.
@@ -29,6 +31,7 @@ class CellParameters:
     mass: NDArray[np.float64]
     friction: NDArray[np.float64]
     contact_friction: float = 0.5
+    push_height: float = 0.0
 
     def __post_init__(self) -> None:
         mass, friction = (np.array(value, dtype=np.float64) for value in (self.mass, self.friction))
@@ -42,10 +45,13 @@ class CellParameters:
             raise ParameterError("friction: expected finite numbers >= 0")
         if not (np.isfinite(self.contact_friction) and self.contact_friction >= 0):
             raise ParameterError(f"contact_friction is {self.contact_friction!r}; expected a number >= 0")
+        if not (np.isfinite(self.push_height) and self.push_height >= 0):
+            raise ParameterError(f"push_height is {self.push_height!r}; expected a number >= 0 (m)")
         for name, value in (("mass", mass), ("friction", friction)):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         object.__setattr__(self, "contact_friction", float(self.contact_friction))
+        object.__setattr__(self, "push_height", float(self.push_height))
 
     @classmethod
     def uniform(

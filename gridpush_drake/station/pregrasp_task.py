@@ -106,7 +106,6 @@ class PreGraspStep:
         pose: (3,) where the object was seen, X_WB, m and rad; NaN where it was not.
         push: the command, where it was a push.
         grasp: the command, where it was a grasp.
-        pushes_learned_from: by then.
     """
 
     time: float
@@ -114,7 +113,6 @@ class PreGraspStep:
     pose: Array
     push: PushCommand | None = None
     grasp: GraspCommand | None = None
-    pushes_learned_from: int = 0
 
 
 @dataclass
@@ -231,7 +229,6 @@ class PreGraspTask(StationTask[PreGraspRecord]):
                 np.array(self.read("object.pose")),
                 push if pushing else None,
                 grasp if status.mode == PreGraspMode.GRASPING else None,
-                len(record.estimates[-1].push_names) if record.estimates else 0,
             )
         )
         return True

@@ -27,8 +27,14 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush
 from gridpush_drake.pushes.segmentation import RecordOptions
-from gridpush_drake.station.arm_control import AddArmControl, ArmControl, MakeControlPlant, SetArmStart
-from gridpush_drake.station.arm_kinematics import ArmReach, CalcStartPosture
+from gridpush_drake.station.arm import (
+    AddArmControl,
+    ArmControl,
+    ArmReach,
+    CalcStartPosture,
+    MakeControlPlant,
+    SetArmStart,
+)
 from gridpush_drake.station.grasping import (
     AddGrasping,
     AddPusherGate,

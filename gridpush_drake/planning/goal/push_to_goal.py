@@ -326,14 +326,12 @@ class PushStep:
         planned: the push with its predicted end.
         seen: what happened.
         prediction_error: mean cell distance between predicted and seen end, m.
-        goal_error: mean cell error to the goal at the seen end, m.
         learned: whether the model was learned anew after it.
     """
 
     planned: PlannedPush
     seen: ObservedPush
     prediction_error: float
-    goal_error: float
     learned: bool
 
 
@@ -414,11 +412,10 @@ def push_to_goal(
 
     def note(state: PushToGoalState, seen: ObservedPush, learned: bool) -> None:
         assert state.planned is not None
-        off = after = nan
+        off = nan
         if len(seen.t_observed):
             off = float(calc_goal_error(obj, seen.final_pose, state.planned.pose))
-            after = float(calc_goal_error(obj, seen.final_pose, aim))
-        steps.append(PushStep(state.planned, seen, off, after, learned))
+        steps.append(PushStep(state.planned, seen, off, learned))
         if progress is not None:
             progress(steps[-1])
 
