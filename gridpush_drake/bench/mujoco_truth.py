@@ -23,7 +23,7 @@ damped with (`solreffriction`), R f is the body's weight on the foot as accelera
 so R f, here REGULARIZATION, is to be large, which a small impedance gives, and `impratio` very large.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,13 +32,12 @@ from numpy.typing import ArrayLike, NDArray
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import GRAVITY
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
 if TYPE_CHECKING:
     import mujoco
-
-Array = NDArray[np.float64]
 
 TIME_STEP, RIGID_TIME_STEP = 1e-3, 5e-4
 """s, of bodies on compliant and on rigid feet."""
@@ -87,8 +86,27 @@ PUSHER_SINKAGE = 1e-4
 SETTLE_TIME = 1.0
 """s that a body is given to come to rest on its feet."""
 
+Bounds = tuple[float, float, float, float]
+"""Least x and y, greatest x and y, m."""
+
 TABLE_HALF = 5.0
-"""m, half the side of the table where it has no edge."""
+ENDLESS: Bounds = (-TABLE_HALF, -TABLE_HALF, TABLE_HALF, TABLE_HALF)
+"""A table that nothing comes to the end of."""
+
+EDGE_RADIUS = 0.003
+"""m, of the rounded edge; its highest line is the edge."""
+
+EDGE_GAP = 5e-4
+"""m of a compliant body's flat bottom above the feet's ends: they alone bear it until it all but tips."""
+
+EDGE_SINKAGE, EDGE_TIME_STEP = 5e-5, 2.5e-4
+"""m and s, of compliant bodies at an edge: the few feet that bear most there sink several times as deep."""
+
+EDGE_BEARING = 10
+"""Places of the bottom by which a weight on the edge is shared out, to say how stiff they are."""
+
+PLATE_HALF = 0.005
+"""m, half the thickness of the plates that the bottom is made of, one a cell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +121,8 @@ class TruthBody:
         load: (F,) that makes a foot sink by `sinkage`, N.
         sinkage: m.
         gap: (F,) how much shorter a foot is than the longest, m.
-        push_height: of the pusher's contact above the body's bottom, m.
+        push_height: of the pusher's contact above the feet's ends, m.
+        bottom: height of the flat bottom, which a table's edge touches, above the longest feet's ends, m.
         time_step: s.
     """
 
@@ -115,7 +134,12 @@ class TruthBody:
     sinkage: float
     gap: Array
     push_height: float
+    bottom: float = EDGE_GAP
     time_step: float = TIME_STEP
+
+    def harden(self) -> "TruthBody":
+        """The same body for a table with an edge, where it must not sink far before it tips."""
+        return self if self.sinkage <= EDGE_SINKAGE else replace(self, sinkage=EDGE_SINKAGE, time_step=EDGE_TIME_STEP)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,13 +168,13 @@ class TruthWorld:
         loads: (n,) that the feet of each cell bear at rest, wholly on the table, N.
     """
 
-    def __init__(self, body: TruthBody, radius: float, edge: float | None = None) -> None:
+    def __init__(self, body: TruthBody, radius: float, table: Bounds = ENDLESS) -> None:
         """Finds how the body rests.
 
         Args:
             body: what is pushed.
             radius: of the pusher, m.
-            edge: x of the table's edge in W, m: the table is where x is less; None for one without edge.
+            table: its sides in W, m.
 
         Raises:
             GridPushError: MuJoCo is not installed.
@@ -161,37 +185,38 @@ class TruthWorld:
             raise GridPushError("mujoco: is not installed; expected pip install 'gridpush-drake[bench]'") from error
 
         self.body, self.radius, self._mujoco = body, radius, mujoco
-        self._model = mujoco.MjModel.from_xml_string(_describe(body, radius, edge))
+        self._model = mujoco.MjModel.from_xml_string(_describe(body, radius, table))
         self._data = mujoco.MjData(self._model)
         _set_contacts(self._model, body)
-        self._settle()
+        self._settle((table[0] + table[2]) / 2, (table[1] + table[3]) / 2)
 
-    def _settle(self) -> None:
-        """Finds how the body rests on a table without edge: height, tilt, and loads."""
-        mujoco, model, data = self._mujoco, self._model, self._data
-        mujoco.mj_resetData(model, data)
-        far = np.array([-TABLE_HALF, 0.0])
-        data.qpos[:2] = far
-        data.qpos[7:9] = far + [0, 2.0]
-        for _ in range(round(SETTLE_TIME / self.body.time_step)):
-            mujoco.mj_step(model, data)
-        self._rest_quaternion, self._rest_height = data.qpos[3:7].copy(), float(data.qpos[2])
+    def _settle(self, x: float, y: float) -> None:
+        """Finds how the body rests wholly on the table, at x, y: height, tilt, and loads."""
+        self._data.qpos[:2] = x, y
+        self.wait(SETTLE_TIME)
+        self._rest_quaternion, self._rest_height = self._data.qpos[3:7].copy(), float(self._data.qpos[2])
         self.foot_loads = self.read_loads()
         self.loads = np.bincount(self.body.cell, self.foot_loads, self.body.obj.n).astype(np.float64)
 
     def read_loads(self) -> Array:
         """(F,) normal forces of the feet, N."""
         loads, force = np.zeros(len(self.body.feet)), np.zeros(6)
+        table, first = self._model.geom("table").id, self._model.geom("f0").id
         for i in range(self._data.ncon):
             contact = self._data.contact[i]
-            foot = max(contact.geom1, contact.geom2) - FIRST_FOOT
-            if min(contact.geom1, contact.geom2) == TABLE and contact.efc_address >= 0:
+            if table in (contact.geom1, contact.geom2) and contact.efc_address >= 0:
                 self._mujoco.mj_contactForce(self._model, self._data, i, force)
-                loads[foot] += force[0]
+                loads[max(contact.geom1, contact.geom2) - first] += force[0]
         return loads
 
+    def wait(self, seconds: float) -> None:
+        """Lets time pass while the pusher is far away."""
+        self._data.qpos[7:9], self._data.qvel[6:9] = FAR, 0
+        for _ in range(round(seconds / self.body.time_step)):
+            self._mujoco.mj_step(self._model, self._data)
+
     def put(self, pose: ArrayLike) -> None:
-        """Puts the body down, at rest, at a pose (3,), m and rad."""
+        """Puts the body down at a pose (3,), m and rad, as it rests wholly on the table."""
         x, y, theta = np.asarray(pose, dtype=np.float64)
         data, turned = self._data, np.zeros(4)
         self._mujoco.mj_resetData(self._model, data)
@@ -208,12 +233,11 @@ class TruthWorld:
         _, x, y, _ = self._data.qpos[3:7]
         return float(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)))
 
-    def push(self, push: Push, rest: float = 0.0) -> TruthMotion:
-        """Pushes the body from where it is.
+    def push(self, push: Push) -> TruthMotion:
+        """Pushes the body from where it is, at rest.
 
         Args:
             push: of a disc of this world's radius.
-            rest: s that are waited, the pusher far away, after the push.
 
         Returns:
             The motion during the push; theta is continuous.
@@ -231,24 +255,17 @@ class TruthWorld:
             if i < count:
                 data.qpos[7:9], data.qvel[6:8] = path[i], speed[i]
                 step(model, data)
-        data.qpos[7:9], data.qvel[6:9] = FAR, 0
-        for _ in range(round(rest / dt)):
-            step(model, data)
         seen[:, 2] = np.unwrap(seen[:, 2])
         return TruthMotion(times, seen[:, :3], seen[:, 3], seen[:, 4])
 
-
-TABLE, FIRST_FOOT = 0, 1
-"""Numbers of geoms."""
 
 FAR = (0.0, 50.0)
 """m, where the pusher is while it does not push."""
 
 
-def _describe(body: TruthBody, radius: float, edge: float | None) -> str:
+def _describe(body: TruthBody, radius: float, table: Bounds) -> str:
     """The scene in MJCF; all contacts are between pairs that are named."""
-    obj, z = body.obj, body.push_height
-    right = TABLE_HALF if edge is None else edge
+    obj, z, (left, low, right, high) = body.obj, body.push_height, table
     p, w = obj.p_BC, body.params.mass
     center = body.params.center_of_mass(obj)
     arm = p - center
@@ -264,13 +281,32 @@ def _describe(body: TruthBody, radius: float, edge: float | None) -> str:
         f'<geom name="w{i}" type="capsule" size="{WALL_RADIUS}" fromto="{a[0]} {a[1]} {z} {b[0]} {b[1]} {z}"/>'
         for i, (a, b) in enumerate(zip(obj.edges.start, obj.edges.end, strict=True))
     )
+    corners = [(left, low), (right, low), (right, high), (left, high)]
+    edges = [
+        (a, b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
+        if max(abs((a[i] + b[i]) / 2) for i in (0, 1)) < TABLE_HALF
+    ]  # fmt: skip
+    rims = "".join(
+        f'<geom name="e{i}" type="capsule" size="{EDGE_RADIUS}" '
+        f'fromto="{a[0]} {a[1]} {-EDGE_RADIUS} {b[0]} {b[1]} {-EDGE_RADIUS}"/>'
+        for i, (a, b) in enumerate(edges)
+    )
+    half = obj.cell_size / 2
+    plates = "".join(
+        f'<geom name="p{i}" type="box" size="{half} {half} {PLATE_HALF}" pos="{x} {y} {body.bottom + PLATE_HALF}"/>'
+        for i, (x, y) in enumerate(p)
+    )
     mu_c, friction = body.params.contact_friction, body.params.friction[body.cell]
     pairs = "".join(
-        f'<pair geom1="table" geom2="f{i}" condim="3" friction="{mu} {mu} 0 0 0"/>' for i, mu in enumerate(friction)
+        f'<pair name="foot{i}" geom1="table" geom2="f{i}" condim="3" friction="{mu} {mu} 0 0 0"/>'
+        for i, mu in enumerate(friction)
     ) + "".join(
-        f'<pair geom1="pusher" geom2="w{i}" condim="3" friction="{mu_c} {mu_c} 0 0 0"/>'
+        f'<pair name="wall{i}" geom1="pusher" geom2="w{i}" condim="3" friction="{mu_c} {mu_c} 0 0 0"/>'
         for i in range(len(obj.edges.start))
-    )
+    ) + "".join(
+        f'<pair name="edge{e}_{i}" geom1="e{e}" geom2="p{i}" condim="3" friction="{mu} {mu} 0 0 0"/>'
+        for e in range(len(edges)) for i, mu in enumerate(body.params.friction)
+    )  # fmt: skip
     return f"""
 <mujoco>
   <compiler inertiafromgeom="false"/>
@@ -278,12 +314,14 @@ def _describe(body: TruthBody, radius: float, edge: float | None) -> str:
    gravity="0 0 {-GRAVITY}"/>
   <default><geom contype="0" conaffinity="0" mass="0"/></default>
   <worldbody>
-    <geom name="table" type="box" pos="{right - 2 * TABLE_HALF} 0 -0.5" size="{2 * TABLE_HALF} {2 * TABLE_HALF} 0.5"/>
+    <geom name="table" type="box" pos="{(left + right) / 2} {(low + high) / 2} -0.5"
+     size="{(right - left) / 2} {(high - low) / 2} 0.5"/>
     <body>
       <freejoint/>
       <inertial pos="{center[0]} {center[1]} {BODY_HEIGHT / 2}" mass="{body.params.total_mass}"
-       fullinertia="{ixx} {iyy} {izz} {ixy} 0 0"/>{feet}{walls}
+       fullinertia="{ixx} {iyy} {izz} {ixy} 0 0"/>{feet}{walls}{plates}
     </body>
+    {rims}
     <body pos="0 0 0" gravcomp="1">
       <inertial pos="0 0 0" mass="{PUSHER_MASS}" diaginertia="1 1 1"/>
       <joint type="slide" axis="1 0 0" armature="{PUSHER_INERTIA}"/>
@@ -297,14 +335,18 @@ def _describe(body: TruthBody, radius: float, edge: float | None) -> str:
 
 
 def _set_contacts(model: "mujoco.MjModel", body: TruthBody) -> None:
-    """Gives feet and walls their stiffness."""
+    """Gives feet, walls and edges their stiffness."""
     weight = np.array([body.params.total_mass * GRAVITY])
     foot, pusher = (float(value) for value in model.body_invweight0[1:, 0])
-    _set_springs(model, slice(0, len(body.load)), body.load, body.sinkage, foot)
-    _set_springs(model, slice(len(body.load), None), weight, PUSHER_SINKAGE, foot + pusher)
+    names = [model.pair(i).name for i in range(model.npair)]  # MuJoCo sorts them
+    feet = [names.index(f"foot{i}") for i in range(len(body.load))]
+    walls, edges = ([i for i, name in enumerate(names) if name.startswith(kind)] for kind in ("wall", "edge"))
+    _set_springs(model, feet, body.load, body.sinkage, foot)
+    _set_springs(model, walls, weight, PUSHER_SINKAGE, foot + pusher)
+    _set_springs(model, edges, weight / EDGE_BEARING, body.sinkage, foot)
 
 
-def _set_springs(model: "mujoco.MjModel", rows: slice, load: Array, sinkage: float, inverse: float) -> None:
+def _set_springs(model: "mujoco.MjModel", rows: list[int], load: Array, sinkage: float, inverse: float) -> None:
     """Lets pairs of geoms give way by `sinkage` under a load; `inverse` is the inertia that MuJoCo takes for granted.
 
     The force is stiffness times depth, at any depth, as the impedance does not vary with it.

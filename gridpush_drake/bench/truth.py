@@ -5,26 +5,26 @@ its true center of mass, and whether both are where the identification says.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gridpush_drake.bench import truth_overhang
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.paper import calc_interval
 from gridpush_drake.bench.table import Table, Value
+from gridpush_drake.bench.truth_overhang import OVERHANG, TIPPED_BODIES
 from gridpush_drake.bench.truth_sets import KINDS, OUTLINES, TRAINING, TruthSet, make_set, read_set, write_set
 from gridpush_drake.dynamics.simulation import Regime, simulate_batch
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.prediction import predict
 from gridpush_drake.identification.result import Identification, calc_center_of_mass
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
-
-Array = NDArray[np.float64]
 
 SETS, QUICK_SETS = 3, 1
 """Seeds of each outline."""
@@ -33,7 +33,9 @@ COUNTS, QUICK_COUNTS = (3, 5, 8, 18), (5,)
 """Pushes to learn from."""
 
 UNIFORM, MASSES, LOADS, LEARNED = "uniform", "true masses", "true loads", "learned"
-"""Models: nothing learned; the masses as loads; the loads at rest; and what was learned."""
+SHIFTING = "true loads, shifting"
+"""Models: nothing learned; the masses as loads; the loads at rest, which may shift with the pusher's force and height;
+and what was learned."""
 
 CHI_SQUARE = 5.991
 """What 95 % of chi squares of two degrees of freedom stay below."""
@@ -79,7 +81,7 @@ class TruthScore:
         kind: of truth.
         name: of the outline.
         seed: of the body.
-        model: UNIFORM, MASSES, LOADS or LEARNED.
+        model: one of ORDER.
         pushes: learned from.
         error: mean final cell error of the held-out pushes, m.
         center_error: distance from the true center of mass, m.
@@ -115,7 +117,7 @@ def run(
     """Measures the default method on hidden bodies.
 
     Args:
-        kinds: of truth.
+        kinds: of truth; OVERHANG is measured by itself, see `bench.truth_overhang`.
         objects: shipped objects whose outlines the bodies have; five by default.
         sets: bodies of each kind and outline.
         pushes: numbers of pushes to learn from.
@@ -126,7 +128,7 @@ def run(
         force: whether those that are there are made anew, and replaced.
 
     Returns:
-        One table: a row for each kind and model.
+        A row for each kind and model; of OVERHANG, the pushes' errors and the limit.
 
     Raises:
         GridPushError: an argument is out of range, or a set cannot be read or made.
@@ -136,9 +138,13 @@ def run(
     sets, counts = (min(sets, QUICK_SETS), QUICK_COUNTS) if quick else (sets, tuple(sorted(set(pushes))))
     _check(kinds, sets, counts)
     names = OUTLINES if objects is None else tuple(objects)
-    jobs = [Job(kind, name, seed + i, counts, out, force) for kind in kinds for i in range(sets) for name in names]
+    flat = [kind for kind in kinds if kind != OVERHANG]
+    jobs = [Job(kind, name, seed + i, counts, out, force) for kind in flat for i in range(sets) for name in names]
     results = run_jobs(run_job, jobs, lambda job: f"{job.kind}, {job.name} {job.seed}", execution)
-    return [tabulate([score for scores in results for score in scores])]
+    tables = [tabulate([score for scores in results for score in scores])] if flat else []
+    if OVERHANG in kinds:
+        tables += truth_overhang.run(names, sets, seed, execution, QUICK_SETS if quick else TIPPED_BODIES)
+    return tables
 
 
 def run_job(job: Job) -> list[TruthScore]:
@@ -155,6 +161,7 @@ def run_job(job: Job) -> list[TruthScore]:
     friction, contact = made.params.friction, made.params.contact_friction
     loads = CellParameters(np.maximum(made.loads, MIN_LOAD), friction, contact)
     known = {UNIFORM: CellParameters.uniform(made.obj), MASSES: made.params, LOADS: loads}
+    known[SHIFTING] = replace(loads, push_height=made.push_height)
     scores = [_score(made, model, 0, params) for model, params in known.items()]
     for count in job.counts:
         found = identify(made.obj, made.training[:count])
@@ -232,7 +239,7 @@ def tabulate(scores: Sequence[TruthScore]) -> Table:
             rows.append([kind, model if model != LEARNED else f"{pushes} pushes", *_sum_up(chosen)])
     notes = (
         "Mean final cell error of held-out pushes, and the 95 % bootstrap interval of its mean over the bodies.",
-        "True masses, true loads: what the model does when it is given each cell's mass, or its load at rest.",
+        "True masses, true loads: what the model does when it is given each cell's mass, or its load at rest, N/g.",
         "Center: mean distance from the true center of mass; within: bodies whose center is in the 95 % region;",
         "region: median radius of a circle as large as that region.",
         f"Held-out within: pushes that end as near to the prediction as is said of {PREDICTED_SHARE:.0%} of them.",
@@ -244,7 +251,7 @@ def tabulate(scores: Sequence[TruthScore]) -> Table:
     return Table("Bodies that do not obey the model, in MuJoCo", columns, rows, notes, keys=2)
 
 
-ORDER = {UNIFORM: 0, MASSES: 1, LOADS: 2, LEARNED: 3}
+ORDER = {UNIFORM: 0, MASSES: 1, LOADS: 2, SHIFTING: 3, LEARNED: 4}
 """Of models in the table."""
 
 
@@ -261,9 +268,10 @@ def _sum_up(scores: Sequence[TruthScore]) -> list[Value]:
 
 
 def _check(kinds: Sequence[str], sets: int, counts: Sequence[int]) -> None:
-    unknown = [kind for kind in kinds if kind not in KINDS]
+    known = (*KINDS, OVERHANG)
+    unknown = [kind for kind in kinds if kind not in known]
     if unknown or not kinds:
-        raise GridPushError(f"kind: {', '.join(unknown) or 'none'}; expected some of {', '.join(KINDS)}")
+        raise GridPushError(f"kind: {', '.join(unknown) or 'none'}; expected some of {', '.join(known)}")
     if sets < 1:
         raise GridPushError(f"sets: {sets}; expected at least 1")
     if not counts or not 1 <= counts[0] <= counts[-1] <= TRAINING:

@@ -22,12 +22,11 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import GRAVITY
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import read_text, write_whole
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
-
-Array = NDArray[np.float64]
 
 OUTLINES = ("claw_hammer", "combination_wrench", "open_book", "toolbox", "spray_bottle")
 """Shipped objects."""
@@ -70,6 +69,9 @@ OBSERVATIONS = 10
 
 UNEVENNESS = 3e-4
 """m, at most, by which a vertex is higher than others."""
+
+FOOT_HEIGHT = 1e-3
+"""m of rigid feet: what the flat bottom is above the table. It touches only where feet are over the edge."""
 
 BEARING_FEET = 3
 """By which a rigid body's weight is shared out, to say how stiff its feet are."""
@@ -169,17 +171,20 @@ def make_body(kind: str, obj: GridObject, params: CellParameters, rng: np.random
     if kind == FOUNDATION:
         even = np.full(obj.n, weight / obj.n)
         return TruthBody(obj, params, obj.p_BC, cells, even, SINKAGE, np.zeros(obj.n), height)
+    rim = shapely.get_coordinates(obj.outline.convex_hull)[:-1]
+    rim_cell = np.linalg.norm(rim[:, None] - obj.p_BC, axis=2).argmin(axis=1)
     if kind == VERTICES:
-        feet = shapely.get_coordinates(obj.outline.convex_hull)[:-1]
-        cell = np.linalg.norm(feet[:, None] - obj.p_BC, axis=2).argmin(axis=1)
-        gap = rng.uniform(0, UNEVENNESS, len(feet))
+        feet, cell, gap = rim, rim_cell, rng.uniform(0, UNEVENNESS, len(rim))
     elif kind == THREE_FEET:
-        cell = draw_feet(obj, params, height, rng)
-        feet, gap = obj.p_BC[cell], np.zeros(len(cell))
+        three = draw_feet(obj, params, height, rng)
+        feet, cell = np.concatenate([obj.p_BC[three], rim]), np.concatenate([three, rim_cell])
+        gap = np.concatenate([np.zeros(len(three)), np.full(len(rim), FOOT_HEIGHT)])
     else:
         raise GridPushError(f"kind: {kind!r}; expected one of {', '.join(KINDS)}")
     load = np.full(len(feet), weight / BEARING_FEET)
-    return TruthBody(obj, params, feet, cell, load, RIGID_SINKAGE, gap, height, RIGID_TIME_STEP)
+    return TruthBody(
+        obj, params, feet, cell, load, RIGID_SINKAGE, gap, height, bottom=FOOT_HEIGHT, time_step=RIGID_TIME_STEP
+    )
 
 
 def draw_feet(obj: GridObject, params: CellParameters, height: float, rng: np.random.Generator) -> NDArray[np.int64]:

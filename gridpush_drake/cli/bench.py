@@ -240,8 +240,8 @@ def truth(
         typer.Option(
             "--kind",
             metavar="KIND",
-            help="own_weight, half_height, foundation, vertices or three_feet; may be repeated.",
-            show_default="all",
+            help="own_weight, half_height, foundation, vertices, three_feet or overhang; may be repeated.",
+            show_default="all but overhang",
         ),
     ] = None,
     objects: Objects = None,

@@ -12,6 +12,7 @@ from gridpush_drake.bench.truth import (
     LEARNED,
     LOADS,
     MASSES,
+    SHIFTING,
     UNIFORM,
     TruthScore,
     calc_center_region,
@@ -45,9 +46,10 @@ def test_learns_from_a_set_that_is_there(folder, capsys):
     assert done.code == 0, done.err
     (table,) = json.loads(done.out)["tables"]
     error = {row[1]: row[3] for row in table["rows"]}
-    assert list(error) == [UNIFORM, MASSES, LOADS, "3 pushes"]
+    assert list(error) == [UNIFORM, MASSES, LOADS, SHIFTING, "3 pushes"]
     assert error[LOADS] < 0.5 * error[UNIFORM]
     assert error[LOADS] < 0.5 * error[MASSES]
+    assert error[SHIFTING] < error[LOADS]
     assert error["3 pushes"] < error[UNIFORM]
 
 
