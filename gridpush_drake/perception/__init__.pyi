@@ -1,0 +1,15 @@
+from .camera import Camera as Camera
+from .detection import DetectedObject as DetectedObject
+from .detection import DetectorOptions as DetectorOptions
+from .detection import detect_object as detect_object
+from .frames import Frame as Frame
+from .frames import read_color as read_color
+from .frames import read_depth as read_depth
+from .frames import read_frames as read_frames
+from .tags import DetectedTag as DetectedTag
+from .tags import detect_tags as detect_tags
+from .tags import solve_tag_to_body as solve_tag_to_body
+from .tracking import PoseTracker as PoseTracker
+from .tracking import TrackedPose as TrackedPose
+from .tracking import TrackerOptions as TrackerOptions
+from .tracking import TrackerState as TrackerState
