@@ -6,6 +6,7 @@ from .frames import Frame as Frame
 from .frames import read_color as read_color
 from .frames import read_depth as read_depth
 from .frames import read_frames as read_frames
+from .frames import write_picture as write_picture
 from .tags import DetectedTag as DetectedTag
 from .tags import detect_tags as detect_tags
 from .tags import solve_tag_to_body as solve_tag_to_body
