@@ -68,8 +68,8 @@ SMOOTHING = 1.2
 OPENING, CLOSING = 3, 5
 """Widths, pixels, of what is too thin to be object, or a gap."""
 
-MIN_HOLE, HOLE_SCORE = 50, -4.0
-"""A hole is filled where it has fewer pixels, or where its mean score is above this."""
+MIN_HOLE, HOLE_SCORE, HOLE_SHARE = 50, -1.0, 0.5
+"""A hole is filled where it has fewer pixels, or where less than this share of it has a score below that."""
 
 BAND = 6
 """Pixels about the first boundary within which the final one lies."""
@@ -119,15 +119,15 @@ def find_foreground(color: Color, plane: TablePlane | None, cues: Cues = "both")
     high = find_high(plane) if plane is not None else None
     lab = to_lab(color)
     if cues == "depth":
-        return _find(np.zeros_like(lab), np.zeros(3), plane, high, cues)
+        return score_pixels(np.zeros_like(lab), np.zeros(3), plane, high, cues)
     if high is None:
         table, order = _make_rim(color.shape[:2]), RIM_ORDER
     else:
-        table, order = ~_dilate(high, NEAR_OBJECT), ORDER
+        table, order = ~dilate(high, NEAR_OBJECT), ORDER
     for generosity in GENEROSITY:
         difference, deviation = fit_table_color(lab, table, order)
-        found = _find(difference, generosity * deviation, plane, high, cues)
-        table, order = ~_dilate(found.mask, NEAR_OBJECT), ORDER
+        found = score_pixels(difference, generosity * deviation, plane, high, cues)
+        table, order = ~dilate(found.mask, NEAR_OBJECT), ORDER
     return found
 
 
@@ -174,12 +174,49 @@ FIT_SIDE = 140
 """The fit looks at about this many pixels squared."""
 
 
-def refine_boundary(mask: Mask, found: Foreground) -> tuple[Mask, Image]:
+def score_pixels(
+    difference: Image, deviation: Array, plane: TablePlane | None, high: Mask | None, cues: Cues = "both"
+) -> Foreground:
+    """Adds up what color and height say of each pixel.
+
+    Args:
+        difference: (height, width, 3) color less the table's, CIE L*a*b*.
+        deviation: (3,) of the table's color.
+        plane: the table with the heights above it; None without depth.
+        high: where `find_high` says so; None without depth.
+        cues: what is looked at.
+
+    Returns:
+        The foreground, in one piece or several.
+    """
+    score = np.zeros(difference.shape[:2])
+    heights = np.zeros_like(score)
+    if cues != "depth":
+        L, a, b = np.moveaxis(difference, -1, 0)
+        distance = (a / deviation[1]) ** 2 + (b / deviation[2]) ** 2
+        distance += (L / np.where(L < 0, np.maximum(SHADOW, deviation[0]), deviation[0])) ** 2
+        score += np.clip((distance - COLOR_BIAS) / 2, MIN_COLOR_SCORE, MAX_COLOR_SCORE)
+    if plane is not None and high is not None:
+        says = HEIGHT_SLOPE * (np.nan_to_num(plane.heights / plane.deviation, nan=HEIGHT_BIAS) - HEIGHT_BIAS)
+        says = np.clip(says, -MAX_HEIGHT_SCORE, MAX_HEIGHT_SCORE)
+        heights = HEIGHT_SAYS * np.clip(says / MAX_HEIGHT_SCORE, -1, 1)
+        if cues == "both":
+            band = dilate(high, EDGE_BAND) & ~_erode(high, EDGE_BAND)
+            says = np.where(band, EDGE_WEIGHT * says, says)
+        score += says
+    smooth = _blur(score, SMOOTHING)
+    mask = _morph(smooth > 0, cv2.MORPH_OPEN, OPENING)
+    mask = fill_holes(_morph(mask, cv2.MORPH_CLOSE, CLOSING), smooth)
+    return Foreground(mask, smooth, difference, deviation, heights.astype(np.float32))
+
+
+def refine_boundary(mask: Mask, found: Foreground, covered: Mask | None = None) -> tuple[Mask, Image]:
     """Draws one object's boundary where the color is half way between the object's and the table's nearby.
 
     Args:
-        mask: of the object.
+        mask: of the object; in one piece, unless something covers it.
         found: of the picture.
+        covered: pixels which show something else, such as the arm, and say nothing; None where there are none.
 
     Returns:
         The mask, and (height, width) how much of each pixel is object, 0 to 1.
@@ -188,15 +225,16 @@ def refine_boundary(mask: Mask, found: Foreground) -> tuple[Mask, Image]:
         return mask, _blur(mask, BOUNDARY_SMOOTHING)
     colors = found.difference * np.array([LIGHT_WEIGHT, 1, 1], dtype=np.float32)
     level = np.zeros(mask.shape, dtype=np.float32)
+    shown = np.ones_like(mask) if covered is None else ~covered
     for _ in range(BOUNDARY_ROUNDS):
-        band = _dilate(mask, 2 * BAND + 1) & ~_erode(mask, 2 * BAND + 1)
-        inside = _calc_nearby_mean(colors, _erode(mask, MEAN_GAP))
-        outside = _calc_nearby_mean(colors, ~_dilate(mask, MEAN_GAP))
+        band = dilate(mask, 2 * BAND + 1) & ~_erode(mask, 2 * BAND + 1)
+        inside = _calc_nearby_mean(colors, _erode(mask, MEAN_GAP) & shown)
+        outside = _calc_nearby_mean(colors, ~dilate(mask, MEAN_GAP) & shown)
         step = inside - outside
         along = ((colors - (inside + outside) / 2) * step).sum(axis=-1) / ((step**2).sum(axis=-1) + MIN_CONTRAST)
         level = _blur(along + found.heights, BOUNDARY_SMOOTHING)
         level = np.where(band, level, np.where(mask, 1, -1)).astype(np.float32)
-        mask = keep_largest(level > 0)
+        mask = keep_largest(level > 0) if covered is None else level > 0
     mask = fill_holes(mask, found.score)
     return mask, np.where(mask == (level > 0), np.clip(level + 0.5, 0, 1), mask).astype(np.float32)
 
@@ -212,32 +250,10 @@ def fill_holes(mask: Mask, score: Image) -> Mask:
     count, labels, stats, _ = cv2.connectedComponentsWithStats((~mask).astype(np.uint8), connectivity=4)
     rim = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     area = stats[:, cv2.CC_STAT_AREA]
-    mean = np.bincount(labels.ravel(), score.ravel(), count) / np.maximum(area, 1)
-    filled = (area < MIN_HOLE) | (mean > HOLE_SCORE)
+    plain = np.bincount(labels[score < HOLE_SCORE], minlength=count)
+    filled = (area < MIN_HOLE) | (plain < HOLE_SHARE * area)
     filled[rim] = False
     return mask | filled[labels]
-
-
-def _find(difference: Image, deviation: Array, plane: TablePlane | None, high: Mask | None, cues: Cues) -> Foreground:
-    score = np.zeros(difference.shape[:2])
-    heights = np.zeros_like(score)
-    if cues != "depth":
-        L, a, b = np.moveaxis(difference, -1, 0)
-        distance = (a / deviation[1]) ** 2 + (b / deviation[2]) ** 2
-        distance += (L / np.where(L < 0, np.maximum(SHADOW, deviation[0]), deviation[0])) ** 2
-        score += np.clip((distance - COLOR_BIAS) / 2, MIN_COLOR_SCORE, MAX_COLOR_SCORE)
-    if plane is not None and high is not None:
-        says = HEIGHT_SLOPE * (np.nan_to_num(plane.heights / plane.deviation, nan=HEIGHT_BIAS) - HEIGHT_BIAS)
-        says = np.clip(says, -MAX_HEIGHT_SCORE, MAX_HEIGHT_SCORE)
-        heights = HEIGHT_SAYS * np.clip(says / MAX_HEIGHT_SCORE, -1, 1)
-        if cues == "both":
-            band = _dilate(high, EDGE_BAND) & ~_erode(high, EDGE_BAND)
-            says = np.where(band, EDGE_WEIGHT * says, says)
-        score += says
-    smooth = _blur(score, SMOOTHING)
-    mask = _morph(smooth > 0, cv2.MORPH_OPEN, OPENING)
-    mask = fill_holes(_morph(mask, cv2.MORPH_CLOSE, CLOSING), smooth)
-    return Foreground(mask, smooth, difference, deviation, heights.astype(np.float32))
 
 
 def _make_rim(shape: tuple[int, ...]) -> Mask:
@@ -256,7 +272,8 @@ def _blur(image: NDArray[Any], deviation: float) -> Image:
     return np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), deviation), dtype=np.float32)
 
 
-def _dilate(mask: Mask, width: int) -> Mask:
+def dilate(mask: Mask, width: int) -> Mask:
+    """Widens a mask by half of `width` pixels all around."""
     return _morph(mask, cv2.MORPH_DILATE, width)
 
 
