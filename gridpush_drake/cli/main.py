@@ -8,7 +8,20 @@ from typing import Annotated, Any
 
 import typer
 
-from gridpush_drake.cli import bench, demo, export, identify, import_logs, plan, predict, show, simulate, slide, view
+from gridpush_drake.cli import (
+    bench,
+    demo,
+    export,
+    identify,
+    import_logs,
+    plan,
+    predict,
+    record,
+    show,
+    simulate,
+    slide,
+    view,
+)
 from gridpush_drake.cli.interrupts import say_interrupted, watch_interrupts
 from gridpush_drake.errors import GridPushError, PushLogWarning
 
@@ -37,6 +50,7 @@ app.command("plan")(plan.plan)
 app.command("export")(export.export)
 app.command("view")(view.view)
 app.command("slide")(slide.slide)
+app.command("record")(record.record)
 app.add_typer(import_logs.app, name="import")
 app.add_typer(bench.app, name="bench")
 
