@@ -16,6 +16,7 @@ from gridpush_drake.cli import (
     import_logs,
     plan,
     predict,
+    record,
     show,
     simulate,
     slide,
@@ -51,6 +52,7 @@ app.command("export")(export.export)
 app.command("view")(view.view)
 app.command("slide")(slide.slide)
 app.command("object")(object_from_photo.make_object)
+app.command("record")(record.record)
 app.add_typer(import_logs.app, name="import")
 app.add_typer(bench.app, name="bench")
 
