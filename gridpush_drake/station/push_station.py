@@ -12,7 +12,8 @@ import shapely
 from numpy.typing import NDArray
 from pydrake.geometry import GeometryId, Meshcat, MeshcatVisualizer, MeshcatVisualizerParams, Role, SceneGraph
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
+from pydrake.systems.primitives import LogVectorOutput
 from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
@@ -26,7 +27,8 @@ from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.pushes.segmentation import RecordOptions
+from gridpush_drake.pushes.segmentation import RecordOptions, Sample
+from gridpush_drake.pushes.stream import make_samples
 from gridpush_drake.station.arm import (
     AddArmControl,
     ArmControl,
@@ -168,6 +170,16 @@ def make_identifier(
         warm_start=False,  # it gains little, and so `gridpush identify` finds the same from the log, bit for bit
         record=RecordOptions(pose_delay=1 / scenario.camera.rate),  # it sees the picture before the one being taken
     )
+
+
+PUSHER_LOG, POSE_LOG = "pusher_log", "pose_log"
+"""Names of the systems that log all that the identifier sees."""
+
+
+def AddStreamLog(builder: DiagramBuilder, pusher: OutputPort, pose: OutputPort, period: float) -> None:
+    """Logs what the identifier sees when it looks: Drake publishes what was before the updates of the same time."""
+    for name, port in ((PUSHER_LOG, pusher), (POSE_LOG, pose)):
+        LogVectorOutput(port, builder, period).set_name(name)
 
 
 def LoadPushedObject(scenario: PushScenario) -> GridObject:
@@ -354,6 +366,17 @@ class PushStation(Diagram):
         """
         return self._true_parameters.GetParameters(root_context)
 
+    def FindStream(self, root_context: Context) -> list[Sample]:
+        """All that the identifier has seen in a Context: the stream that its pushes were cut from.
+
+        Args:
+            root_context: of the station, or of the Diagram it is part of.
+        """
+        # held as attributes, the logs would keep the station alive, unseen by the garbage collector
+        pusher, pose = (self.GetSubsystemByName(name).FindLog(root_context) for name in (PUSHER_LOG, POSE_LOG))
+        tip = pusher.data().T
+        return make_samples(pusher.sample_times(), tip[:, :3], tip[:, 3:], pose.data().T)
+
     def CoverCamera(self, root_context: Context, covered: bool = True) -> None:
         """Covers the camera, which then sees no object, or uncovers it."""
         self._camera.SetCovered(root_context, covered)
@@ -441,6 +464,9 @@ def MakePushStation(
         builder.Connect(camera.GetOutputPort("object_pose"), consumer.GetInputPort("object_pose"))
     pusher = tip if grasping is None else AddPusherGate(builder, tip, grasping)
     builder.Connect(pusher.GetOutputPort("pusher_state"), identifier.GetInputPort("pusher_state"))
+    AddStreamLog(
+        builder, pusher.GetOutputPort("pusher_state"), camera.GetOutputPort("object_pose"), 1 / scenario.camera.rate
+    )
     if meshcat is not None:
         AddMeshcat(builder, scene_graph, meshcat, name)
 
