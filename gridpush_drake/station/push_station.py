@@ -50,6 +50,7 @@ from gridpush_drake.station.scene import (
     CalcBasePose,
     CalcHome,
     CalcTipReach,
+    MakeSupport,
     MakeTruth,
     check_scenario,
     load_object,
@@ -331,7 +332,8 @@ class PushStation(Diagram):
         )  # fmt: skip
         if seed is not None:
             truth = MakeTruth(self.obj, self.scenario.truth, seed)
-            SetGridObjectParameters(self.plant, self.scene_graph, root_context, self.object_in_plant, truth)
+            support = MakeSupport(self.obj, truth, self.scenario, seed)
+            SetGridObjectParameters(self.plant, self.scene_graph, root_context, self.object_in_plant, truth, support)
             self._true_parameters.SetParameters(root_context, truth)
             self._camera.SetSeed(root_context, seed)
 
@@ -399,6 +401,7 @@ def MakePushStation(
         cast(Base, scenario.base),
         table=table,
         height=scenario.object_height,
+        support=MakeSupport(obj, truth, scenario, scenario.seed),
         visual=show_object,
     )
     others = AddOthers(plant, scene_graph, scenario, table, object_in_plant)
