@@ -16,13 +16,13 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder, System
 
-from gridpush_drake.errors import ScenarioError
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.multibody.meshcat_server import AimCamera
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.pushes.segmentation import Sample
 from gridpush_drake.station.limit_monitor import LimitMonitor, LimitReport
 from gridpush_drake.station.push_station import PushStation
 from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
@@ -82,10 +82,6 @@ CAMERA_AZIMUTH, CAMERA_ELEVATION = 0.75, 0.5
 """Where it stands, rad: opposite the robot, to its left, beyond the edge that things are slid to."""
 
 
-EDGE_DETAIL = 5e-4
-"""m by which the edge may be simplified: of a round table to a polygon of few corners."""
-
-
 @dataclass
 class TaskRecord:
     """What came of a run; filled while it runs.
@@ -94,6 +90,7 @@ class TaskRecord:
         obj: the object.
         truth: what it really weighs and how it rubs.
         log: all pushes, in order.
+        stream: all that the identifier saw, of which the pushes were cut.
         estimates: the identification after each push learned from.
         status: how it ended.
         message: the status in a sentence.
@@ -104,6 +101,7 @@ class TaskRecord:
     obj: GridObject
     truth: CellParameters
     log: PushLog = field(default_factory=lambda: PushLog(()), kw_only=True)
+    stream: list[Sample] = field(default_factory=list, kw_only=True)
     estimates: list[Identification] = field(default_factory=list, kw_only=True)
     status: TaskStatus = field(default=TaskStatus.RUNNING, kw_only=True)
     message: str = field(default="", kw_only=True)
@@ -258,6 +256,7 @@ class StationTask(Generic[R]):
             if not record.status:
                 message = f"Interrupted after {len(record.log)} pushes."
                 record.status, record.message = TaskStatus.INTERRUPTED, message
+        record.stream = station.FindStream(context)
         self.finish(record)
         return record
 
@@ -326,11 +325,3 @@ def AddEstimateVisualizer(
         builder.Connect(station.GetOutputPort(f"estimate.{port}"), visualizer.GetInputPort(port))
     builder.Connect(controller.GetOutputPort("push_command"), visualizer.GetInputPort("push_command"))
     return visualizer
-
-
-def make_surface(station: PushStation) -> SupportSurface:
-    """The table's top. Raises ScenarioError where it is in several pieces."""
-    top = station.table_top
-    if not isinstance(top, shapely.Polygon):
-        raise ScenarioError("directives: the table's top is in several pieces; expected one")
-    return SupportSurface(shapely.simplify(top, EDGE_DETAIL))
