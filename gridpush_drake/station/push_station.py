@@ -64,6 +64,7 @@ from gridpush_drake.station.scene import (
     CalcBasePose,
     CalcHome,
     CalcTipReach,
+    MakeSupport,
     MakeTruth,
     check_scenario,
     load_object,
@@ -414,7 +415,8 @@ class PushStation(Diagram):
         if seed is not None:
             true_obj = self.object_in_plant.obj
             truth = MakeTruth(true_obj, self.scenario.truth, seed)
-            SetGridObjectParameters(self.plant, self.scene_graph, root_context, self.object_in_plant, truth)
+            support = MakeSupport(true_obj, truth, self.scenario, seed)
+            SetGridObjectParameters(self.plant, self.scene_graph, root_context, self.object_in_plant, truth, support)
             self._true_parameters.SetParameters(root_context, resample_parameters(true_obj, truth, self.obj))
             self._camera.SetSeed(root_context, seed)
 
@@ -517,6 +519,7 @@ def MakePushStation(
         cast(Base, scenario.base),
         table=table,
         height=scenario.object_height,
+        support=MakeSupport(obj, truth, scenario, scenario.seed),
         visual=show_object,
     )
     others = AddOthers(plant, scene_graph, scenario, table, object_in_plant)
