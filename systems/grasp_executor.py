@@ -18,6 +18,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context
 
+from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.multibody.tool_motion import (
     ToolPose,
     ToolTrajectorySegment,
@@ -162,7 +163,7 @@ def make_retreat_trajectory(
         speed_scale: share of the speeds at which the tool travels.
     """
     x1, y1, z, yaw = pose
-    x0, y0 = (np.array([x1, y1]) - style.standoff * np.array([np.cos(approach), np.sin(approach)])).tolist()
+    x0, y0 = (np.array([x1, y1]) - style.standoff * make_direction(approach)).tolist()
     outside = (x0, y0, z, yaw)
     opened, phase = (style.opening, style.opening), GraspPhase.RETREATING
     return (

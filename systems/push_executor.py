@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context
-from shapely.affinity import affine_transform
 
+from gridpush_drake.geometry.se2 import transform_shape
 from gridpush_drake.multibody.tool_motion import R_WP_DOWN, Point, TrajectorySegment
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
@@ -268,9 +268,8 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
 
     def _find_overlap(self, command: PushCommand, pose: Array) -> str | None:
         """Why the tip cannot start where it is told to, with the object at `pose` (3,)."""
-        x, y, theta = pose
-        c, s = np.cos(theta), np.sin(theta)
-        outline_W = affine_transform(self._outline, [c, -s, s, c, x, y])
+        assert self._outline is not None
+        outline_W = transform_shape(pose, self._outline)
         start = shapely.Point(command.start)
         where = f"({command.x:.3f}, {command.y:.3f}) m"
         if outline_W.contains(start):

@@ -249,6 +249,13 @@ def run_jobs(
     return [done[i] for i in range(len(jobs))]
 
 
+def check_known(what: str, given: Sequence[str], known: Sequence[str]) -> None:
+    """Raises GridPushError where none is given, or one that is not known."""
+    unknown = [name for name in given if name not in known]
+    if unknown or not given:
+        raise GridPushError(f"{what}: {', '.join(unknown) or 'none'}; expected some of {', '.join(known)}")
+
+
 def count_steps(report: Report | None, total: int) -> Callable[[str], None]:
     """What to call at the beginning of each of `total` steps, where they are no jobs."""
     done = count()

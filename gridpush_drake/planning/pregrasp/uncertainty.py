@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.convex import bound_by_half_planes
-from gridpush_drake.geometry.se2 import transform_back
+from gridpush_drake.geometry.se2 import make_direction, transform_back
 from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.map_ensemble import MapEnsemble
@@ -135,7 +135,7 @@ class PlausibleMassSet:
         A center of mass known beforehand (`obj.prior.center_of_mass`) cuts it down to a square about that.
         """
         angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-        directions = np.column_stack([np.cos(angle), np.sin(angle)])
+        directions = make_direction(angle)
         corners = bound_by_half_planes(directions, self.calc_support(directions))
         at = self.obj.prior.center_of_mass
         if at is None:
