@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
@@ -17,6 +16,7 @@ from pydrake.systems.framework import Context, EventStatus, InputPort, State
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.cell_colors import CellColors, Shown
 from gridpush_drake.multibody.meshcat_shapes import (
     LAYER,
@@ -33,8 +33,6 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, PushCommand
 from gridpush_drake.systems.object_controller import AbstractStateSystem
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

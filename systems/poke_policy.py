@@ -11,7 +11,7 @@ from math import atan2, isfinite, pi, radians
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context
 from shapely import Point, Polygon
@@ -19,7 +19,7 @@ from shapely import Point, Polygon
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
-from gridpush_drake.geometry.se2 import transform_shape
+from gridpush_drake.geometry.se2 import Array, transform_shape
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -27,7 +27,6 @@ from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
 from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, PushCommand, PushStatus
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 
-Array = NDArray[np.float64]
 Reach = Callable[[PushCommand], bool]
 """Whether the arm can carry out a command."""
 
@@ -44,7 +43,7 @@ class RandomPokeOptions:
         speed: of the tip, m/s.
         slant: furthest from the outline's normal, rad.
         tip_radius: m.
-        clearance: gap between tip and outline at the beginning, m; the way through it comes on top of the distance.
+        clearance: gap between tip and outline at the beginning, m; the path through it comes on top of the distance.
         min_motion: of the cells, mean, as predicted, m; a push that moves the object less is drawn again.
         candidates: most draws before a push that takes the object out of its region is taken for want of a better one.
 

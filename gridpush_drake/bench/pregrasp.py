@@ -347,7 +347,7 @@ def _run(world: EdgeWorld, planner: PreGraspPlanner, method: str) -> Outcome:
         return run_pregrasp(world, planner)
     if method == UNBOUNDED:
         paper = PaperLearner(NO_BOUND, PAPER_PUSHES)
-        return run_pregrasp(world, planner, paper.learn, paper.make_believe(world.obj))
+        return run_pregrasp(world, planner, paper.learn, paper.make_inference(world.obj))
     params = world.hidden if method == TRUE else CellParameters.uniform(world.obj)
     granted = UncertainModel.of_parameters(world.obj, params)
     return run_pregrasp(world, planner, None, lambda found, log: granted)

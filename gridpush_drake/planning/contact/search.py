@@ -1,6 +1,6 @@
 """Three ways to search for the push that comes nearest to a goal pose.
 
-"gradient" minimizes f(s, phi) (see `push_trial`) by Levenberg-Marquardt steps
+"gradient" minimizes f(s, phi) (see `trial`) by Levenberg-Marquardt steps
 
     (H + lambda diag H) dx = -grad C,   x = (s, phi, d),
 
@@ -25,11 +25,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.geometry.se2 import compose, rotate, transform
+from gridpush_drake.geometry.se2 import Array, compose, rotate, transform
 from gridpush_drake.planning.contact.limit_surface import predict_roughly
 from gridpush_drake.planning.contact.trial import Trial, TrialRunner
-
-Array = NDArray[np.float64]
 
 PLACES, ANGLES = 96, 9
 """Places along the outline and directions at each that are ranked."""

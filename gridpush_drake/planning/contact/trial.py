@@ -15,19 +15,18 @@ A push that was chosen, and what the model expects of it.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.reachable_outline import ReachableOutline
 from gridpush_drake.planning.push_constraints import PushChecker
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,10 +16,11 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.edge_push import simulate_near_edge
 from gridpush_drake.planning.pregrasp.exploration import (
@@ -45,7 +46,6 @@ from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 
-Array = NDArray[np.float64]
 Action = Literal["poke", "slide", "grasp", "fail"]
 
 MM = 1e3

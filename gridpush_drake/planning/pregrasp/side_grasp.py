@@ -22,12 +22,10 @@ from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import make_rotation, transform, transform_shape, wrap_angle
+from gridpush_drake.geometry.se2 import Array, make_rotation, transform, transform_shape, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.pad_placement import TOUCH, Handle, Walls, find_handles, find_places, get_edges
 from gridpush_drake.planning.support_surface import SupportSurface
-
-Array = NDArray[np.float64]
 
 HEADINGS = 72
 """Tried over a full turn, beside those of narrow handles."""
