@@ -29,6 +29,7 @@ def open_file(path: Path | str, what: str, error: type[GridPushError], max_size:
     """Opens a regular file for reading.
 
     Args:
+        path: the file.
         what: what it should hold, for messages ("an object file").
         error: raised where it cannot be read.
         max_size: most bytes it may have.
@@ -98,6 +99,13 @@ def exists(path: Path | str) -> bool:
 def check_writable(path: Path | str, force: bool = False) -> Path:
     """Checks, before long work begins, that `path` may be written at its end.
 
+    Args:
+        path: the file to be written.
+        force: whether an existing file may be replaced.
+
+    Returns:
+        `path` as a Path.
+
     Raises:
         OutputError: the file exists and `force` is not set, its name is none, or its folder is missing or read-only.
     """
@@ -130,7 +138,9 @@ def write_whole(path: Path | str, content: str | bytes, force: bool = False) -> 
     """Writes `content` to `path` by way of a temporary file beside it, so that no half file is ever seen.
 
     Args:
+        path: the file to be written.
         content: text (written as UTF-8) or bytes.
+        force: whether an existing file may be replaced.
 
     Raises:
         OutputError: as `check_writable`, or the disk refuses.

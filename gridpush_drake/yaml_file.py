@@ -82,7 +82,11 @@ def read_mapping(path: Path, what: str) -> dict[str, Any]:
     """Reads a YAML file whose top level is `key: value` lines.
 
     Args:
+        path: the file.
         what: what it should hold, for messages ("an object file").
+
+    Returns:
+        The mapping.
 
     Raises:
         ObjectError: the file cannot be read, is not YAML, is too large, is empty, or is something else than a mapping.
@@ -100,6 +104,7 @@ def parse_yaml(path: Path, text: str, what: str, error: type[GridPushError]) -> 
 
     Args:
         path: of the file, for messages.
+        text: of the document.
         what: what it should hold, for messages.
         error: raised where it does not.
 
@@ -132,8 +137,12 @@ def check_mapping(
     Args:
         path: of the file, for messages.
         data: as `read_mapping` gives it.
+        schema: what it should hold.
         error: raised where it does not.
         renamed: the present names of keys that had others before, see `explain`.
+
+    Returns:
+        The content, checked.
 
     Raises:
         GridPushError: `error`: a key is missing, unknown or renamed, or a value is of the wrong form; the message names
@@ -165,6 +174,7 @@ def explain(error: ValidationError, expected: Mapping[str, str], renamed: Mappin
     """Says the first thing that is wrong, with the field's place and what is expected there.
 
     Args:
+        error: pydantic's.
         expected: what each field should hold, by its place without indices, see `list_expected`.
         renamed: what to say of keys that were once known, likewise by place.
 

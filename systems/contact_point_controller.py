@@ -58,8 +58,10 @@ class ContactPointController(ObjectController[PushToGoalState]):
         """Declares the system.
 
         Args:
+            obj: the object.
             rules: table, obstacles, finger, arm, how near to the goal, and how pushes are chosen.
             params: the model before anything was learned; the prior's by default.
+            options: how to go about it.
         """
         super().__init__(obj, PushToGoalLoop(obj, rules, params, options))
         self._goal_pose = self.DeclareVectorInputPort("goal_pose", 3)

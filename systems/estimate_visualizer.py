@@ -97,6 +97,7 @@ class Canvas:
         """Brings the scene up to date.
 
         Args:
+            drawing: what is to be seen.
             pose: (3,) of the object, x, y, theta, m and rad; with NaN where it is not seen, and stays where it was.
             time: of the Context, s; what is recorded, is recorded for this time.
             X_WB: of the object where it is known to be, lifted or tipped, instead of `pose`.
@@ -205,6 +206,8 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
         """Declares ports, state and events.
 
         Args:
+            obj: the object.
+            meshcat: where to draw.
             height: of the object, m.
             path: in Meshcat, below which everything is drawn.
             shows: which of the cells' values gives their color, see `CellColors`.

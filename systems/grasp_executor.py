@@ -106,9 +106,14 @@ def make_grasp_trajectory(
     """Makes the trajectory of a grasp: up, over, down, in, close, lift, hold.
 
     Args:
+        command: the grasp.
         rest: where the tool is.
+        style: heights, speeds and times.
         yaw: of the tool in the grasp, rad.
         speed_scale: share of the speeds at which the tool travels.
+
+    Returns:
+        The segments.
     """
     x, y, z, turn = rest
     high = style.travel_height
@@ -157,7 +162,11 @@ def make_retreat_trajectory(
         opening: of the gripper, m.
         rest: where the tool is to go.
         approach: heading in which the fingers point, rad.
+        style: heights, speeds and times.
         speed_scale: share of the speeds at which the tool travels.
+
+    Returns:
+        The segments.
     """
     x1, y1, z, yaw = pose
     x0, y0 = (np.array([x1, y1]) - style.standoff * make_direction(approach)).tolist()
@@ -286,6 +295,7 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
 
         Args:
             reach: whether the arm can follow a path; None trusts it.
+            style: measures, heights, speeds and times.
             validator: what else speaks against a command; None for nothing.
         """
         self.style = style or GraspTrajectoryOptions()
@@ -457,7 +467,9 @@ def plan_grasp(
     """Plans the trajectory of a grasp, as fast as the arm can follow.
 
     Args:
+        command: the grasp.
         rest: where the tool is.
+        style: measures, heights, speeds and times.
         reach: whether the arm can follow a path; None trusts it.
 
     Returns:

@@ -104,6 +104,7 @@ class GridLcpSystem(LeafSystem):
         """Declares the system.
 
         Args:
+            obj: the object.
             params: default masses and frictions; the prior's by default.
             dt: step, s. At 0.01 s a pusher of 0.1 m/s moves 1 mm a step.
             regime: "inertial" or "quasi_static", see `simulate`.

@@ -29,6 +29,7 @@ class AbstractStateSystem(LeafSystem, Generic[S]):
         """Declares the state.
 
         Args:
+            begin: the state at the beginning.
             period: between two updates, s.
         """
         super().__init__()
@@ -79,7 +80,12 @@ class ObjectController(AbstractStateSystem[L]):
     __slots__ = NO_SLOTS
 
     def __init__(self, obj: GridObject, loop: ClosedLoop[L]) -> None:
-        """Declares the ports."""
+        """Declares the ports.
+
+        Args:
+            obj: the object.
+            loop: decides.
+        """
         begin = loop.begin()
         super().__init__(begin, loop.options.period)
         self.obj, self.loop = obj, loop

@@ -55,6 +55,7 @@ class PlanarPoseSensor(LeafSystem):
             position_noise: standard deviation per axis, m.
             angle_noise: standard deviation, rad.
             lowest: z in W below which the body's origin is out of sight, m.
+            seed: of the noise.
         """
         super().__init__()
         self._body = int(body)

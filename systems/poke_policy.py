@@ -117,8 +117,13 @@ def choose_poke(
     none, the fitting one that ends nearest to the region's center is taken, of those that keep the object in if any do.
 
     Args:
+        obj: the object.
         params: by which its motion is predicted.
         pose: (3,) where it lies, m and rad.
+        command_id: of the command.
+        seed: of the draws.
+        style: how to push.
+        region: where.
         reach: whether the arm can carry out a command; None trusts it.
         first: candidates to pass over.
 
@@ -235,8 +240,11 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
         """Declares the system.
 
         Args:
+            obj: the object.
             region: where the tip may be, and the object must stay.
+            seed: of the draws.
             num_pushes: to be executed.
+            style: how to push.
             params: by which the object's motion is predicted; the prior's by default.
             reach: whether the arm can carry out a command; None trusts it.
             test_pushes: to be executed after that.

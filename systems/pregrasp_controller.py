@@ -76,6 +76,7 @@ class PreGraspController(ObjectController[PreGraspState]):
             grasp_height: z of the grasp point in W: half the object's thickness, m.
             lift: how high to lift, m.
             seed: of the draws from what is held possible.
+            options: how to go about it.
         """
         self.planner = planner
         super().__init__(planner.obj, PreGraspLoop(planner, find_grasp, seed=seed, options=options))

@@ -58,7 +58,9 @@ def make_push_trajectory(
     """Makes the trajectory of a push from and back to rest: up if need be, over, down, along, pause, up.
 
     Args:
+        command: the push.
         rest: (3,) p_WP where the tip is, m.
+        style: heights, speeds and times.
         speed_scale: share of the speeds before and after the push.
 
     Returns:
@@ -189,6 +191,7 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
             home: (3,) p_WP where the tip is at the beginning, m.
             outline: of the object in B, m; None asks no questions about the object.
             reach: whether the arm can follow a path; None trusts it.
+            style: heights, speeds and times.
         """
         self.style = style or PushTrajectoryOptions()
         x, y, z = np.asarray(home, float).tolist()
@@ -287,7 +290,9 @@ def plan_push(
     """Plans the trajectory of a push, as fast as the arm can follow.
 
     Args:
+        command: the push.
         rest: p_WP where the tip is, m.
+        style: heights, speeds and times.
         reach: whether the arm can follow a path; None trusts it.
 
     Returns:

@@ -66,7 +66,12 @@ def run(
     """Runs the experiments.
 
     Args:
+        objects: shipped objects' names.
         seeds: of the experiments with each.
+        execution: how the jobs are run.
+
+    Returns:
+        One table, a row an experiment.
 
     Raises:
         ObjectError: an object is not shipped.

@@ -75,8 +75,10 @@ def run(
     """Runs the whole story with every object and seed.
 
     Args:
+        objects: shipped objects' names.
         seeds: of the runs with each.
         quick: only the first object and the first seed.
+        execution: how the jobs are run.
 
     Returns:
         One table, a row an object and one of all.

@@ -105,6 +105,8 @@ def open_results(path: Path | str | None, bench: str, settings: dict[str, Any], 
     Args:
         path: of the file; None for one in FOLDER, another for every choice of settings and every change of the
             program.
+        bench: the bench's name.
+        settings: all that was chosen.
         force: whether to begin anew.
 
     Returns:
@@ -223,7 +225,9 @@ def run_jobs(
 
     Args:
         function: of a job; importable, as is the job, a dataclass; its result's type is annotated.
+        jobs: what to do.
         describe: a job in a few words.
+        execution: how.
 
     Returns:
         The results in the jobs' order, which does not depend on the workers.

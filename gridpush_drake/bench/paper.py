@@ -215,8 +215,11 @@ def run(
         objects: their names; all where None: the shipped ones, and those of the data.
         methods: of `identify`.
         budget: most simulated pushes of a search; the default method decides itself.
+        seed: of everything random.
+        execution: how the jobs are run.
         quick: only `QUICK_MASS_SETS` mass sets.
         figure: file for the curve of the error against the number of simulations, by its ending (PNG, PDF, SVG).
+        force: whether an existing figure may be replaced.
 
     Returns:
         Test cell error by method and object; by number of training pushes for the default method; and, with

@@ -240,6 +240,8 @@ def run(
             masks and `PUSHED_SHIPPED`.
         modes: of the pushing: which model it plans with.
         parts: "contact" and "push", or one of them.
+        seed: of everything random.
+        execution: how the jobs are run.
         quick: one set, and three pairs of poses.
 
     Returns:

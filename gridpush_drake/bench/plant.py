@@ -122,9 +122,11 @@ def run(
     """Compares the two.
 
     Args:
+        objects: shipped objects' names.
         pushes: how many of each.
         bases: how the plant holds the object.
         seed: the first push's; the others' follow.
+        execution: how the jobs are run.
 
     Returns:
         One table: a row for each object, base and spin model, and one over all objects.
@@ -179,6 +181,9 @@ def draw_push(obj: GridObject, params: CellParameters, seed: int, radius: float)
     """Draws a pose of the object and a push that moves it.
 
     Args:
+        obj: the object.
+        params: its masses and frictions.
+        seed: of the draw.
         radius: of the pusher, m.
 
     Returns:
@@ -312,8 +317,12 @@ class PlantPusher:
         """Pushes the object from rest.
 
         Args:
+            params: the object's masses and frictions.
             push: of a pusher of this one's radius.
             pose: (3,) of the object at the beginning, m and rad.
+
+        Returns:
+            The motion.
 
         Raises:
             PushError: the pusher's radius is another.

@@ -286,6 +286,8 @@ def run(
         mass_sets: hidden sets of masses and frictions an object.
         seeds: tables, starts and noises a mass set; the table takes turns with both.
         methods: of METHODS.
+        seed: of everything random.
+        execution: how the jobs are run.
         depth: of the gripper's fingers, m; the deeper, the nearer the object comes to tipping.
         experiment: of EXPERIMENTS.
         quick: only `QUICK_MASS_SETS` mass sets and `QUICK_SEEDS` seeds.

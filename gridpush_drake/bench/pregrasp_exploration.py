@@ -74,12 +74,17 @@ def explore(
     """Pokes an object both ways, from the same hidden truth.
 
     Args:
+        obj: the object.
         truth: its hidden parameters. All its cells are made to rub alike: only then is the center of friction the
             center of mass.
+        name: of the object.
         mass_set: number of the hidden set.
         seed: of noise and random pokes.
         aim: of AIMS.
         distance: of the pokes, m.
+
+    Returns:
+        The two runs.
     """
     alike = CellParameters(truth.mass, np.full(obj.n, obj.prior.friction), truth.contact_friction)
     long = np.linalg.svd(obj.p_BC - obj.p_BC.mean(axis=0))[2][0]

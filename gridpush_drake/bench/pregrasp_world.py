@@ -1,7 +1,7 @@
 """The world of the pre-grasp benchmark: a hidden object on a table with an edge.
 
-The truth is the quasi-static LCP with loads that follow what still lies on the table
-(`planning.pregrasp.edge_push`); poses are seen with noise. The loop is `planning.pregrasp.pregrasp_loop`.
+The truth is the quasi-static LCP with loads that follow what still lies on the table; poses are seen with noise. The
+loop is `planning.pregrasp.pregrasp_loop`.
 """
 
 from dataclasses import dataclass, replace
@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike
 
 from gridpush_drake.bench.protocol import ANGLE_STD, POSITION_STD
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulation import calc_loads
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.edge_push import is_supported, simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import (
@@ -26,6 +26,7 @@ from gridpush_drake.planning.pregrasp.pregrasp_loop import (
     PreGraspMode,
     PreGraspState,
 )
+from gridpush_drake.planning.pregrasp.slides import simulate_near_edge
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.simulated_world import Learn, Learner, SimulatedWorld, run_loop
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
@@ -103,8 +104,13 @@ def run_pregrasp(
     """Runs the task until a part can be grasped, or to its end.
 
     Args:
+        world: the hidden object.
+        planner: decides.
         learn: learns after every push; None never.
         infer: says what is held possible; by default what the identification's posterior says.
+
+    Returns:
+        The outcome.
     """
     loop = PreGraspLoop(planner, lambda pose, center_of_mass: None, infer=infer, options=ONE_OBSERVATION)
     state = run_loop(loop, planner.obj, world, _is_over, learn=learn).state
@@ -161,4 +167,7 @@ class PaperLearner:
 
 def _hangs_over(world: EdgeWorld, planner: PreGraspPlanner) -> bool:
     overhangs = calc_overhangs(planner.parts, world.true_pose, world.surface)
-    return bool(overhangs.max() >= 0) and is_supported(world.obj, world.hidden, world.true_pose, world.surface)
+    return (
+        bool(overhangs.max() >= 0)
+        and calc_loads(world.obj, world.hidden, world.true_pose, world.surface.corners) is not None
+    )

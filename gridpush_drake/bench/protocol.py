@@ -138,6 +138,10 @@ def make_protocol(data: Path | None = None, seed: int = 0) -> Protocol:
 
     Args:
         data: folder of the paper's masks, with or without `protocol.json` beside them; None for the shipped objects.
+        seed: of what is drawn.
+
+    Returns:
+        The protocol.
 
     Raises:
         GridPushError: there is no such folder, no mask in it, or `protocol.json` is not of its form.
@@ -160,6 +164,7 @@ def draw_masses(name: str, labels: NDArray[Any], seed: int) -> tuple[tuple[float
     Args:
         name: of the object; it changes what is drawn.
         labels: of its cells or pixels; 0 is no part.
+        seed: of the draw.
 
     Returns:
         `MASS_SETS` times the mass of a cell of each label 1, 2, ..., kg.
@@ -209,6 +214,11 @@ def _read_document(path: Path, expected: str, read: Callable[[Any], Part]) -> Pa
 def make_case(protocol: Protocol, name: str, mass_set: int) -> Case:
     """Simulates the ten pushes of an object with hidden masses.
 
+    Args:
+        protocol: the protocol.
+        name: of the object.
+        mass_set: number of the mass set.
+
     Returns:
         The observed pushes, and the object without its labels.
 
@@ -237,6 +247,7 @@ def make_pushes(obj: GridObject, columns: int) -> list[Push]:
     """The ten pushes, for an object at the pose (0, 0, 0): along -y onto the upper side, then along +y onto the lower.
 
     Args:
+        obj: the object.
         columns: of its image, from its first to its last pixel.
 
     Returns:
@@ -323,6 +334,10 @@ def make_planning_protocol(data: Path | None = None, seed: int = 0) -> PlanningP
 
     Args:
         data: folder of the paper's masks, with or without `protocol.json` beside them; None for the shipped objects.
+        seed: of what is drawn.
+
+    Returns:
+        The protocol.
 
     Raises:
         GridPushError: there is no such folder, no mask in it, or `protocol.json` is not of its form.

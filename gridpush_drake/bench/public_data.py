@@ -27,6 +27,9 @@ RECORDS = "record_all"
 def find_masks(data: Path) -> dict[str, Path]:
     """Finds the paper's masks.
 
+    Args:
+        data: a folder.
+
     Returns:
         Their files by the objects' names.
 
@@ -55,6 +58,7 @@ def find_push_logs(data: Path, min_pushes: int) -> list[tuple[str, Path]]:
     """Finds real robots' push logs.
 
     Args:
+        data: a folder.
         min_pushes: of a CMU file; others are passed over.
 
     Returns:

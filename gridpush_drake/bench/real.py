@@ -49,6 +49,7 @@ def simulate_log(path: Path, seed: int, number: int) -> tuple[PushLog, GridObjec
 
     Args:
         path: of the object.
+        seed: of everything random.
         number: of the log; the hidden parameters, pushes and noise of each are its own.
 
     Returns:
@@ -160,6 +161,8 @@ def run(
         seed: of the splits and of the identification.
         quick: only `QUICK_SPLITS` splits, with 5 and 25 pushes.
         figure: file for the curve of the error against the number of training pushes.
+        force: whether an existing figure may be replaced.
+        execution: how the jobs are run.
 
     Returns:
         The CMU files at 5 and 25 training pushes; the curve; and the MIT files. Without data, the simulated pushes.

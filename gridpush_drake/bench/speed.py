@@ -42,7 +42,12 @@ def measure(work: Callable[[], object], repetitions: int, warm_up: int = 1) -> T
     """Times `work`.
 
     Args:
+        work: what is timed.
+        repetitions: how often.
         warm_up: runs before, not counted.
+
+    Returns:
+        Median and quartiles.
     """
     for _ in range(warm_up):
         work()
@@ -106,10 +111,14 @@ def run(
     """Measures everything, on one core.
 
     Args:
+        obj: to push.
         repetitions: of each simulation.
         sizes: numbers of cells for the cost against n.
         with_mujoco: whether to run MuJoCo beside, where it is installed.
         report: called with what begins, as of jobs.
+
+    Returns:
+        The tables: one push, cost against n, start-up.
     """
     tell = count_steps(report, len(_simulations(obj)) + int(with_mujoco) + len(sizes) + 1)
     with one_core() as pinned:

@@ -164,8 +164,10 @@ def write_panels(
     Args:
         path: PNG, PDF or SVG.
         titles: a panel each.
+        columns: of panels.
         labels: of the x and y axes, which all share.
         draw: draws the panel of a title.
+        force: whether an existing file may be replaced.
         from_zero: whether the y axes begin there.
 
     Raises:

@@ -94,6 +94,7 @@ def count_progress(what: str, total: int) -> Iterator[Callable[..., None]]:
     """Shows how far a count has come, and what is being done, on standard error.
 
     Args:
+        what: the work.
         total: to count to.
 
     Yields:
@@ -107,6 +108,9 @@ def count_progress(what: str, total: int) -> Iterator[Callable[..., None]]:
 @contextmanager
 def work_progress(what: str) -> Iterator[Callable[[str, int, int], None]]:
     """Shows how much of some work is done: a bar on a terminal's standard error, elsewhere a plain line now and then.
+
+    Args:
+        what: the work.
 
     Yields:
         What the work calls, as often as it likes, with what it is at or did last, how many steps are done, and how many
@@ -152,6 +156,7 @@ def _showing(what: str, total: int | None, period: float = PLAIN_PERIOD) -> Iter
     """Shows work on standard error: a bar on a terminal, else plain lines.
 
     Args:
+        what: the work.
         total: to count to; None where it is not known beforehand.
         period: between two plain lines about the same thing, s.
 

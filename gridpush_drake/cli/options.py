@@ -104,6 +104,9 @@ def parse_shape(option: str, text: str) -> "SupportSurface":
         text: `rectangle:0.8x0.6@0,0` (sides along x and y, then the center), `round:0.5@0.6,0` (radius, then the
             center) or `polygon:0,0;1,0;0,1` (corners), m; a center left out is the world's origin.
 
+    Returns:
+        The table.
+
     Raises:
         OptionError: the text is of no such form.
         PlanningError: a side or radius is not positive, or the polygon crosses itself.

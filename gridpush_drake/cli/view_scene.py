@@ -69,6 +69,7 @@ def AddModel(meshcat: Meshcat, target: Target, shows: Shown, height: float) -> N
     """Draws a model at rest in its body frame: its cells in their colors, the center of mass and its ellipse.
 
     Args:
+        meshcat: where to draw.
         target: the model, or an object with its prior.
         shows: what the colors stand for.
         height: of the object, m.
@@ -111,6 +112,7 @@ def AddPushes(
     Args:
         meshcat: where to draw; its recording is begun here and left for the caller to publish.
         target: the model that predicts, or the object alone.
+        log: the pushes.
         predictions: one a push; None for none.
         shows: what the cells' colors stand for.
         height: of the object, m.

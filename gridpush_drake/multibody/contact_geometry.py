@@ -56,6 +56,7 @@ class ContactSphereLayout:
         """Lays out the spheres of an object.
 
         Args:
+            obj: the object.
             spheres_per_cell: 1, or 4 to support it out to its edge.
 
         Returns:
@@ -75,8 +76,12 @@ class ContactSphereLayout:
         """Makes the spheres's contact properties.
 
         Args:
+            params: what the cells weigh and how they rub.
             delta: how far the spheres are pressed in, m.
             gravity: m/s².
+
+        Returns:
+            Properties of the f spheres.
 
         Raises:
             ParameterError: a friction is 2 or more, which Drake's combination cannot give.

@@ -57,6 +57,9 @@ def MakeContactProperties(friction: float, stiffness: float, dissipation: float 
         friction: its own coefficient, static and dynamic.
         stiffness: of its point contacts, N/m.
         dissipation: Hunt-Crossley, s/m.
+
+    Returns:
+        New properties.
     """
     properties = ProximityProperties()
     properties.AddProperty("material", "coulomb_friction", CoulombFriction(friction, friction))
@@ -75,6 +78,7 @@ def SetPartner(plant: MultibodyPlant, scene_graph: SceneGraph, geometries: Itera
 
     Args:
         plant: whose geometries they are; before a Context is made.
+        scene_graph: where they are registered.
         geometries: collision geometries of the plant.
     """
     source = plant.get_source_id()
@@ -105,6 +109,7 @@ def FindTableTops(plant: MultibodyPlant, inspector: SceneGraphInspector) -> dict
 
     Args:
         plant: finalised, the table fixed to its world.
+        inspector: of the scene graph that the plant is registered with.
 
     Returns:
         The outline in W, m, of each box and upright cylinder of the table that ends at z = 0.

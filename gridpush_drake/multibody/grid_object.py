@@ -148,6 +148,8 @@ def AddGridObject(
 
     Args:
         plant: discrete; its gravity field is the one that the spheres are made for.
+        scene_graph: of the plant.
+        obj: the object.
         params: the true masses and frictions.
         base: how it is held, see above.
         table: collision geometries that the spheres stand on; top at z = 0.
@@ -159,6 +161,9 @@ def AddGridObject(
         side_stiffness: of the outline's contacts, N/m.
         visual: whether it has illustration geometry.
         color: red, green, blue and opacity of that.
+
+    Returns:
+        The parts.
 
     Raises:
         ObjectError: `base` is neither, a size is not positive, there is no table, or a model of that name.
@@ -195,6 +200,8 @@ def MakeSpatialInertia(obj: GridObject, params: CellParameters, height: float = 
     """Sums up the cells' inertia, each a homogeneous square prism.
 
     Args:
+        obj: the object.
+        params: its cells' masses.
         height: of the prisms, m.
 
     Returns:
@@ -241,6 +248,9 @@ def ApplyGridObjectFilters(
     """Lets the spheres touch the table alone, and the sides everything but the table, of what is in the plant by now.
 
     Args:
+        plant: the plant.
+        scene_graph: of the plant.
+        handle: the object.
         table: collision geometries that the spheres stand on.
     """
     table = list(table)

@@ -39,11 +39,16 @@ def sample_ground_truth(
     """Draws what the parts weigh and how they rub; the total mass is the object's, or DEFAULT_TOTAL_MASS.
 
     Args:
+        obj: the object.
+        seed: of the draw.
         cell_mass_range: of a cell's mass before all are scaled to the total, kg; log-uniform, one draw a part.
         friction_range: of the coefficient against the support.
         contact_friction_range: of the coefficient against the pusher.
         friction_by_part: whether every part has a friction of its own. Slow pushes cannot tell mass and friction apart,
             and the center of mass can only be learned where they do not vary both.
+
+    Returns:
+        The truth.
     """
     drawn = CellParameters.random(obj, seed, cell_mass_range, friction_range if friction_by_part else None)
     total = obj.prior.total_mass or DEFAULT_TOTAL_MASS
@@ -83,6 +88,9 @@ def SetGridObjectPose(
     """Puts an object down on the table, at rest.
 
     Args:
+        plant: the plant.
+        plant_context: its Context.
+        handle: the object.
         pose: (3,) q = (x, y, theta) of B in W, m and rad.
 
     Raises:
@@ -105,6 +113,9 @@ def SetGridObjectVelocity(
     """Sets an object's planar velocity.
 
     Args:
+        plant: the plant.
+        plant_context: its Context.
+        handle: the object.
         velocity: (3,) (vx, vy, w) of B's origin in W, m/s and rad/s.
     """
     vx, vy, w = np.asarray(velocity, dtype=np.float64)
@@ -134,8 +145,11 @@ def SetGridObjectParameters(
     """Changes the truth: inertia, what each sphere bears and how it rubs, the friction of the sides.
 
     Args:
+        plant: the plant.
+        scene_graph: of the plant.
         context: of the Diagram that holds both; `Simulator.reset_context` and `Diagram.CreateDefaultContext` bring back
             the parameters that the object was added with.
+        handle: the object.
         params: the new masses and frictions.
 
     Raises:

@@ -71,6 +71,8 @@ def make_sdf(
     """Makes the model's text.
 
     Args:
+        obj: the object.
+        params: what its cells weigh and how they rub.
         base: "free", or "planar": held by a planar joint to a frame `delta` below the world's z = 0.
         height: of the object, m; more than SIDE_LIFT.
         delta: m the spheres are pressed in; by default as `AddGridObject`.
@@ -123,6 +125,10 @@ def WriteSdf(
     """Writes the model to a file.
 
     Args:
+        obj: the object.
+        params: what its cells weigh and how they rub.
+        path: the file.
+        force: whether an existing file may be replaced.
         base: as `make_sdf`.
         height: as `make_sdf`, m.
         spheres_per_cell: as `make_sdf`.

@@ -67,6 +67,7 @@ def AddVisualMeshes(
 
     Args:
         plant: with the models, not finalised.
+        scene_graph: that the plant is registered with.
         folder: of drake_models, see `find_drake_models`; None adds nothing.
 
     Returns:

@@ -82,7 +82,10 @@ class SimulatedWorld:
         """Puts the object down.
 
         Args:
+            obj: the object.
+            hidden: its true masses and frictions.
             pose: (3,) where it lies, m and rad.
+            surface: the table; None for one without end.
             position_std: standard deviation of seen positions, per axis, m.
             angle_std: of seen angles, rad.
             seed: of the noise, or what draws it.
@@ -208,7 +211,9 @@ def run_loop(
     """Steps a loop in a world until it is over.
 
     Args:
+        loop: decides.
         obj: the object, as whoever learns sees it.
+        world: carries out its pushes.
         is_over: whether a state is the last one.
         learn: learns after every push; None never.
         goal: (3,) that the loop is shown; none where None.

@@ -125,12 +125,16 @@ def draw_cells(
 
     Args:
         ax: where to draw, world frame, m; its aspect is made equal.
+        obj: the object.
         values: (n,) one number per cell; None draws them all pale.
         cmap: name of a color map.
         label: adds a color bar with this title ("friction", "mass, g"); None adds none.
         limits: (low, high) ends of the color map; the values' own where None.
         pose: (x, y, theta) X_WB, m and rad.
         alpha: opacity, 0 to 1.
+
+    Returns:
+        The cells.
 
     Raises:
         ObjectError: `values` is not one number per cell.
@@ -158,6 +162,10 @@ def draw_parts(ax: Axes, obj: GridObject) -> PolyCollection:
 
     Args:
         ax: where to draw, body frame, m; its aspect is made equal.
+        obj: the object.
+
+    Returns:
+        The cells.
     """
     labels, index, counts = np.unique(obj.labels, return_inverse=True, return_counts=True)
     colors = [PART_COLORS[i % len(PART_COLORS)] for i in range(len(labels))]
@@ -188,9 +196,14 @@ def draw_outline(
 
     Args:
         ax: where to draw, world frame, m.
+        obj: the object.
         pose: (x, y, theta) X_WB, m and rad.
+        color: of the line.
         linestyle: as matplotlib names it.
         alpha: opacity, 0 to 1.
+
+    Returns:
+        The outline.
     """
     outline = orient(obj.outline)
     rings = [transform(pose, np.array(ring.coords)[:, :2]) for ring in (outline.exterior, *outline.interiors)]
@@ -269,6 +282,9 @@ def make_panels(
     """Makes a grid of panels, each of the object's proportions.
 
     Args:
+        obj: the object.
+        rows: of panels.
+        columns: of panels.
         width: of the whole, inches.
         max_height: of a panel, inches.
 

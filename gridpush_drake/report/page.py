@@ -176,11 +176,13 @@ def make_report(
     """Makes the report.
 
     Args:
+        identification: the model.
         log: the pushes it was learned from.
         held_out: pushes it never saw, with their final poses.
         truth: what the object's cells really are, where that is known.
         learning: mean cell error of the held-out pushes, m, before the first push and after each; None where nobody
             followed it.
+        summary: what a robot did with the object; None where it only looked.
 
     Returns:
         An HTML page that needs nothing else.

@@ -71,8 +71,13 @@ def draw_plan(
     """Draws a plan.
 
     Args:
+        obj: the object.
         plan: its pushes; where there are none, start and goal alone are drawn.
         surface: the table; None for one without end.
+        obstacles: what is in the way.
+
+    Returns:
+        The figure.
     """
     poses, pushes = plan.poses, [planned.push for planned in plan.pushes]
     shapes = [np.array(obstacle.exterior.coords)[:, :2] for obstacle in obstacles]
@@ -105,12 +110,16 @@ def draw_push_run(
     """Draws a run: on the left the path to the goal, on the right how far the object was from it.
 
     Args:
+        obj: the object.
         poses: (3,) where it was seen at rest, X_WB, m and rad: before the first push, and after each.
         pushes: as they were made; as many as poses, less one.
         goal: (3,) where it should lie.
         surface: the table; None for one without end.
         expected: of each push, the mean cell error to the goal that was expected after it, m; empty for unknown.
         tolerance: mean cell error at which the goal counts as reached, m; None is not drawn.
+
+    Returns:
+        The figure.
     """
     figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
     rest, aim = np.array([np.asarray(pose, dtype=np.float64) for pose in poses]), np.asarray(goal, dtype=np.float64)
@@ -197,6 +206,9 @@ def draw_slide(planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGras
         planner: object, table and options.
         masses: the masses that stability was judged on.
         plan: the plan; where nothing is safe, its safest goal is drawn.
+
+    Returns:
+        The figure.
     """
     figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
     _draw_slides(axes[0, 0], planner, plan)
@@ -289,10 +301,16 @@ def draw_pre_grasp(
     """Draws a run: on the left the object's path, on the right the object as it lay at the end.
 
     Args:
+        obj: the object.
+        surface: the table.
         poses: (3,) of the object at rest, in order, the last one where it was grasped, or given up.
         pushes: in order.
         masses: the masses held possible at the end.
+        truth: what the object really weighs, where that is known.
         grasp: as it was made; None where there was none.
+
+    Returns:
+        The figure.
     """
     figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
     _draw_trajectory(axes[0, 0], obj, surface, poses, pushes)

@@ -116,6 +116,7 @@ def CalcStartPosture(control_plant: MultibodyPlant, robot: Robot, p_WP: ArrayLik
     """Calculates the posture in which the tool points down with its tip at p_WP.
 
     Args:
+        control_plant: as `MakeControlPlant` makes it.
         robot: the robot; the search begins at its `posture`.
         p_WP: (3,) m.
 
@@ -168,6 +169,7 @@ class ArmReach:
         """Makes the question.
 
         Args:
+            control_plant: as `MakeControlPlant` makes it.
             robot: the robot; its `control` says how far paths keep from the joints' limits.
             q_nominal: (7,) the posture that the arm is drawn to, rad.
         """
@@ -245,6 +247,7 @@ def MakeControlPlant(robot: Robot, X_WB: RigidTransform | None = None) -> Multib
     """Makes the plant that the controllers know: the robot, its gripper rigid, and nothing else.
 
     Args:
+        robot: the robot.
         X_WB: of its base; identity by default.
     """
     plant = MultibodyPlant(time_step=0.0)
@@ -267,7 +270,15 @@ def AddArmControl(
     The builder keeps the control plant alive.
 
     Args:
+        builder: the plant is in it.
+        plant: has the arm.
+        robot: the robot.
+        arm: its arm's model instance.
+        control_plant: as `MakeControlPlant` makes it.
         q_start: (n,) the posture at the beginning, which is also the one that the arm is drawn to, rad.
+
+    Returns:
+        The systems and the port to be connected.
     """
     SharedPointerSystem.AddToBuilder(builder, control_plant)
     control = robot.arm.control

@@ -94,8 +94,14 @@ def AddGrasping(
     """Adds what moves the gripper, and the tool while it grasps.
 
     Args:
+        builder: the plant is in it.
+        plant: has the arm with its gripper.
+        gripper: its model instance.
+        measures: the gripper's.
         executor: of pushes, whose pose is passed on where nothing is grasped.
+        reach: of the arm.
         table_top: the table's, a polygon in W, m.
+        style: how to grasp.
 
     Returns:
         The executor of grasps, whose `tip_pose` is the tool's.

@@ -91,6 +91,7 @@ class IdentifyTask(StationTask[IdentifyTaskRecord]):
         """Makes the Diagram.
 
         Args:
+            scenario: what stands where, and how it is poked.
             meshcat: to show it in; None for none.
 
         Raises:

@@ -74,6 +74,10 @@ def AddOtherCameras(
     """Adds a camera for each, as noisy as the station's, and exports what it sees as NAME.pose.
 
     Args:
+        builder: the plant is in it.
+        plant: has the objects.
+        scenario: has the cameras' rate and noise.
+        others: the objects.
         lowest: z in W below which an object is out of sight, m.
     """
     cameras = []

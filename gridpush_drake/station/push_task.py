@@ -164,6 +164,8 @@ def AddGoal(meshcat: Meshcat, obj: GridObject, pose: Array | list[float], height
     """Draws an object's translucent outline where it should go.
 
     Args:
+        meshcat: where to draw.
+        obj: the object.
         pose: (3,) X_WB, m and rad.
         height: of the object, m.
     """

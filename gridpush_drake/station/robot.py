@@ -216,6 +216,12 @@ class RobotInPlant:
 def find_robot(directives: Sequence[ModelDirective]) -> Robot:
     """Finds the robot in a scene, and reads its measures.
 
+    Args:
+        directives: the scene's.
+
+    Returns:
+        The robot.
+
     Raises:
         ScenarioError: a directive cannot be carried out, there is no arm with a finger, there are several, or a file of
             measures is not what it should be.
@@ -290,7 +296,12 @@ def AddRobot(plant: MultibodyPlant, robot: Robot, X_WB: RigidTransform | None = 
     A gripper is rigid, so that the plant has the arm's positions only; it has its mount and grasp frames.
 
     Args:
+        plant: to add it to.
+        robot: the robot.
         X_WB: of its base; identity by default.
+
+    Returns:
+        Its model instances.
     """
     kept = [d for d in robot.directives if not _is_of_gripper(d, robot)]
     ProcessModelDirectives(ModelDirectives(directives=kept), MakeParser(plant))

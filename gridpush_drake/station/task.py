@@ -189,6 +189,7 @@ class StationTask(Generic[R]):
 
         Args:
             builder: both are in it, and whatever else the Diagram has.
+            station: the station.
             controller: its input ports named in `SOURCES` and its output ports named in `COMMANDS` are connected.
             meshcat: to show the estimate in; None for none.
         """

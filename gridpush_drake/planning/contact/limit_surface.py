@@ -78,6 +78,7 @@ def predict_roughly(
 
     Args:
         obj: the object, at the pose (0, 0, 0).
+        params: its model.
         start: (N, 2) p_BP of the disc's center at the beginning, m.
         direction: (N, 2) unit vectors of the motion.
         distance: of the motion, m.

@@ -77,10 +77,16 @@ def optimize_contact(
     """Chooses the push that brings an object nearest to a goal pose.
 
     Args:
+        obj: the object.
+        params: its model.
         pose: (3,) q_W where it lies, m and rad.
         goal: (3,) where it should.
         method: "gradient", "finite_difference" (the paper's) or "exhaustive".
         constraints: table, obstacles and further rules; none by default.
+        options: what pushes may be chosen from, and how.
+
+    Returns:
+        The best push and what the search cost.
 
     Raises:
         PlanningError: an argument is out of range, or the finger fits nowhere on the outline.

@@ -113,10 +113,15 @@ def _pick_apart(
     looked up whose turn comes.
 
     Args:
+        runner: of the outline.
         s: (N,) arc lengths, m.
         angle: (N,) rad.
         costs: (steps, N) after each step, m.
         count_allowed: says how many of a push's steps are allowed.
+        count: how many are wanted.
+
+    Returns:
+        Their indices and costs.
     """
     perimeter = runner.reach.perimeter
     queue = [(float(cost), i, False) for i, cost in enumerate(costs.min(axis=0))]
@@ -249,6 +254,8 @@ def move(runner: TrialRunner, trial: Trial, by: float, turn: float) -> tuple[flo
     """Moves a trial along the outline and turns it, its direction held in the body frame.
 
     Args:
+        runner: of the trial.
+        trial: from which.
         by: m, counterclockwise.
         turn: rad.
 

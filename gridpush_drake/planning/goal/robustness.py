@@ -52,7 +52,13 @@ def draw_model_samples(
     """Other models that may be the true one.
 
     Args:
+        obj: the object.
+        params: the model.
         identification: that it comes from; None where nothing was learned.
+        options: how many, and how uneven.
+
+    Returns:
+        The models.
     """
     if identification is not None:
         return identification.samples(options.samples, options.seed)

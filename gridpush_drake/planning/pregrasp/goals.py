@@ -135,6 +135,7 @@ def calc_overhangs(parts: Sequence[GraspPart], pose: ArrayLike, surface: Support
     Args:
         parts: P graspable parts.
         pose: (3,) X_WB, m and rad.
+        surface: the table.
 
     Returns:
         (P,) m; negative where some of a footprint is over the table. On a convex table it is measured from the line
@@ -161,7 +162,10 @@ def find_grasp_at(
     """The part that can be taken where the object lies now, the nearest to the middle of its possible centers of mass.
 
     Args:
+        masses: the masses held possible.
+        parts: the graspable parts.
         pose: (3,) X_WB, m and rad.
+        surface: the table.
         options: `min_overhang` and `inset` count.
         limits: of the arm that is to grasp it.
 
@@ -194,7 +198,11 @@ def find_pregrasp_goals(
     """Seeks goal poses.
 
     Args:
+        masses: the masses held possible.
+        parts: the graspable parts.
         pose: (3,) where the object is, X_WB, m and rad.
+        surface: the table.
+        options: how to seek.
         limits: of the arm that is to grasp the object.
 
     Returns:

@@ -89,6 +89,10 @@ class GraspPart:
 def find_grasp_parts(obj: GridObject, gripper: Gripper | None = None) -> list[GraspPart]:
     """Finds where the gripper can take the object.
 
+    Args:
+        obj: the object.
+        gripper: its measures.
+
     Returns:
         The parts, by closing direction and place; empty where the object is too wide everywhere.
     """

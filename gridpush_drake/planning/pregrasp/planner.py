@@ -22,7 +22,6 @@ from threadpoolctl import threadpool_limits
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.planning.pregrasp.edge_push import simulate_near_edge
 from gridpush_drake.planning.pregrasp.exploration import (
     PokeChoice,
     PokeOptions,
@@ -41,7 +40,13 @@ from gridpush_drake.planning.pregrasp.goals import (
     find_pregrasp_goals,
 )
 from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, Gripper, find_grasp_parts
-from gridpush_drake.planning.pregrasp.slides import Slide, SlideOptions, make_stability_rule, plan_slide
+from gridpush_drake.planning.pregrasp.slides import (
+    Slide,
+    SlideOptions,
+    make_stability_rule,
+    plan_slide,
+    simulate_near_edge,
+)
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
@@ -131,6 +136,9 @@ class PreGraspPlanner:
         """Finds the graspable parts.
 
         Args:
+            obj: the object.
+            surface: the table.
+            options: how far to go, and how carefully.
             parts: the graspable parts, where they are known already.
             limits: of the arm that is to do it.
 
@@ -153,6 +161,9 @@ class PreGraspPlanner:
             model: of the object; None before the first push.
             pokes: made so far.
             slides: made so far.
+
+        Returns:
+            The decision.
         """
         q = np.asarray(pose, dtype=np.float64)
         if model is None:
@@ -241,6 +252,7 @@ def suggest_poke(
         pose: (3,) where the object lies, X_WB, m and rad.
         surface: the table, inside whose edge the object stays, or at least as far in and as stable as it is.
         direction: (2,) unit vector in the body frame along which the center matters; both where None.
+        options: what pokes may be chosen from.
         limits: of the arm that is to poke.
 
     Returns:
@@ -323,6 +335,9 @@ def plan_pregrasp(planner: PreGraspPlanner, model: UncertainModel, pose: ArrayLi
         planner: object, table and options.
         model: of the object. Motions are predicted with its `params`.
         pose: (3,) where the object lies, X_WB, m and rad.
+
+    Returns:
+        The plan.
     """
     poses, pushes = [np.array(pose, dtype=np.float64)], list[Push]()
     while True:

@@ -96,7 +96,13 @@ class PlausibleMassSet:
         """All masses that agree with what was learned.
 
         Args:
+            obj: the object.
+            posterior: of its relative friction.
             friction_range: least and greatest friction coefficient of any cell; the object's own bounds where None.
+            seed: of the draws.
+
+        Returns:
+            The set.
 
         Raises:
             PlanningError: the range is not positive and increasing.
