@@ -175,7 +175,7 @@ Report = Callable[[str, int, int], None]
 WORKERS = 2
 """Processes by default."""
 
-BEAT = 1.0
+REPORT_EVERY = 1.0
 """s, at most, between two calls of a report."""
 
 END_WITHIN = 1.0
@@ -279,7 +279,7 @@ def _run(
             connection.send(waiting.pop())
         busy = dict(pool)
         while busy:
-            ready = wait(list(busy), BEAT)
+            ready = wait(list(busy), REPORT_EVERY)
             if not ready:
                 yield None
             for connection in [each for each in pool if each in ready]:

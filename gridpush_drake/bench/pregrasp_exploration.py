@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gridpush_drake.bench.pregrasp_world import see
+from gridpush_drake.bench.pregrasp_world import add_pose_noise
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
@@ -117,7 +117,7 @@ def _run(
             push = choose_poke(model, pose, pokes, F).push
         else:
             push = pokes[int(rng.integers(len(pokes)))]
-        after = see(simulate(obj, truth, push, pose, regime="quasi_static").final_pose, rng)
+        after = add_pose_noise(simulate(obj, truth, push, pose, regime="quasi_static").final_pose, rng)
         log.append(ObservedPush(f"poke_{len(log)}", push, pose, np.array([push.duration]), after[None]))
         pose = after
         seen = PushLog(tuple(log))

@@ -211,7 +211,7 @@ class TrialRunner:
         slope, curvature = calc_cost_derivatives(self.obj, trial.pose, self.goal, dq)
         # A distance that cannot change, for the range or a rule ends here, is no unknown.
         if best in (first, usable - 1):
-            slope, curvature = _hold(slope, curvature, 2)
+            slope, curvature = _exclude(slope, curvature, 2)
         return Trial(arc_length, piece, angle, trial.distance, trial.pose, trial.cost, slope, curvature)
 
     def _find_nearest(self, poses: Array, first: int, end: int) -> tuple[int, float]:
@@ -251,7 +251,7 @@ def calc_cost_derivatives(obj: GridObject, pose: Array, goal: Array, dq: Array) 
     return slope, np.einsum("ijk,ijl,i->kl", dx, dx, 1.0 / length) / obj.n
 
 
-def _hold(slope: Array, curvature: Array, index: int) -> tuple[Array, Array]:
+def _exclude(slope: Array, curvature: Array, index: int) -> tuple[Array, Array]:
     slope, curvature = slope.copy(), curvature.copy()
     slope[index] = 0.0
     curvature[index, :] = curvature[:, index] = 0.0
