@@ -8,7 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -80,6 +80,9 @@ PAPER_SIMULATION, PAPER_GRADIENT = 1.3448, 0.0069
 
 DURATION, SPEED, RADIUS, DT = 2.0, 0.1, 0.015, 0.01
 """The paper's push, s and m/s, a disc in place of its finger, m, and the step, s."""
+
+PUSH_HEIGHT = 0.01
+"""Of the pusher where loads shift, m."""
 
 FINAL, EVERY = ", with the Jacobian of the final pose", ", with the Jacobian of all poses"
 
@@ -153,11 +156,14 @@ def load_hammer(data: Path | None) -> GridObject:
 def _simulations(obj: GridObject) -> dict[str, Callable[[], object]]:
     """What is timed, by name; the Jacobian is expanded to all its named blocks."""
     params, push, steps = CellParameters.random(obj, seed=0), make_bench_push(obj), round(DURATION / DT)
-    return {
-        f"{regime}{suffix}": partial(_simulate, obj, params, push, regime, record)
-        for regime in ("inertial", "quasi_static")
-        for suffix, record in (("", None), (FINAL, [steps]), (EVERY, range(steps + 1)))
-    }
+    high = replace(params, push_height=PUSH_HEIGHT)
+    works: dict[str, Callable[[], object]] = {}
+    for regime in ("inertial", "quasi_static"):
+        for suffix, record in (("", None), (FINAL, [steps]), (EVERY, range(steps + 1))):
+            works[f"{regime}{suffix}"] = partial(_simulate, obj, params, push, regime, record)
+    for suffix, record in (("", None), (FINAL, [steps])):
+        works[f"quasi_static, loads shift{suffix}"] = partial(_simulate, obj, high, push, "quasi_static", record)
+    return works
 
 
 def _simulate(

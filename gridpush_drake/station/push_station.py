@@ -4,7 +4,6 @@ The station knows the object's outline. What its cells weigh and how they rub, t
 everything else in the station sees the object through its camera, and the finger's tip through the joints.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -14,9 +13,10 @@ from numpy.typing import NDArray
 from pydrake.geometry import GeometryId, Meshcat, MeshcatVisualizer, MeshcatVisualizerParams, Role, SceneGraph
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
-from gridpush_drake.errors import StationError
+from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.multibody.contact_material import TABLE, FindTableOutline, SetPartner
 from gridpush_drake.multibody.grid_object import AddGridObject, Base, GridObjectInPlant
 from gridpush_drake.multibody.ground_truth import SetGridObjectParameters, SetGridObjectPose
@@ -25,7 +25,7 @@ from gridpush_drake.multibody.visual_meshes import AddVisualMeshes, find_drake_m
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.push_log import ObservedPush
+from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.segmentation import RecordOptions
 from gridpush_drake.station.arm import (
     AddArmControl,
@@ -137,15 +137,26 @@ class Learning:
 
     Attributes:
         max_pushes: the first so many; None for no limit.
-        admit: whether a push may be learned from; None admits all.
     """
 
     max_pushes: int | None = None
-    admit: Callable[[ObservedPush], bool] | None = None
 
 
-def make_identifier(scenario: PushScenario, obj: GridObject, learning: Learning | None) -> GridIdentifier:
-    """The station's identifier; it learns from the first `scenario.pokes.count` pushes by default."""
+EDGE_DETAIL = 5e-4
+"""m by which the edge may be simplified: of a round table to a polygon of few corners."""
+
+
+def make_surface(table_top: BaseGeometry) -> SupportSurface:
+    """The table's top as planners know it. Raises ScenarioError where it is in several pieces."""
+    if not isinstance(table_top, Polygon):
+        raise ScenarioError("directives: the table's top is in several pieces; expected one")
+    return SupportSurface(shapely.simplify(table_top, EDGE_DETAIL))
+
+
+def make_identifier(
+    scenario: PushScenario, obj: GridObject, table_top: BaseGeometry, learning: Learning | None
+) -> GridIdentifier:
+    """The station's identifier: it knows the table's edge, and learns from the first `scenario.pokes.count` pushes."""
     learning = learning or Learning(scenario.pokes.count)
     return GridIdentifier(
         obj,
@@ -153,7 +164,7 @@ def make_identifier(scenario: PushScenario, obj: GridObject, learning: Learning 
         engaged_below=scenario.object_height,
         pusher_radius=obj.prior.pusher_radius,
         max_learning_pushes=learning.max_pushes,
-        admit=learning.admit,
+        table=make_surface(table_top).corners if isinstance(table_top, Polygon) else None,
         warm_start=False,  # it gains little, and so `gridpush identify` finds the same from the log, bit for bit
         record=RecordOptions(pose_delay=1 / scenario.camera.rate),  # it sees the picture before the one being taken
     )
@@ -363,8 +374,7 @@ def MakePushStation(
     is in the Context; two runs of one station may be interleaved. A station that nobody holds any more is freed by
     Python's garbage collector (`gc.collect()`) but for 1 MB or less that stays with Drake. Whoever keeps a `RigidBody`,
     a `Joint`, a `Frame` or the ids of `GetCollisionGeometriesForBody` of its plant as a part of the station, or of what
-    it is connected to, keeps all of it for good: keep their indices instead. So does whoever gives the station a
-    function that holds it, such as `learning.admit`.
+    it is connected to, keeps all of it for good: keep their indices instead.
 
     Args:
         scenario: what stands where.
@@ -415,10 +425,10 @@ def MakePushStation(
     sensors = AddSensors(builder, plant, scenario, robot, object_in_plant)
     camera, tip = sensors.camera, sensors.tip
     other_cameras = AddOtherCameras(builder, plant, scenario, others, LOST_BELOW)
-    true_parameters = builder.AddNamedSystem("truth", TrueParameters(truth))
-    identifier = builder.AddNamedSystem("identifier", make_identifier(scenario, obj, learning))
-
     table_top = FindTableOutline(plant, scene_graph.model_inspector())
+    true_parameters = builder.AddNamedSystem("truth", TrueParameters(truth))
+    identifier = builder.AddNamedSystem("identifier", make_identifier(scenario, obj, table_top, learning))
+
     grasping = None
     if robot.gripper is not None:
         grasping_style = make_grasp_trajectory_options(scenario, control_plant, robot.gripper, robot.finger.tip_frame)

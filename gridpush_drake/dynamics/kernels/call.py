@@ -117,13 +117,25 @@ def shifts_loads(params: CellParameters, table: Array | None) -> bool:
 def make_support(obj: GridObject, params: CellParameters, gravity: float, table: Array | None) -> Support:
     """Collects what the loads depend on; `table` as in `run_kernel`."""
     if not shifts_loads(params, table):
-        return Support(False, np.empty(0), np.empty(0), float(gravity), 0.0, 0.0, 0.0, 0.0, np.empty((0, 4)))
+        return Support(
+            False, np.empty(0), np.empty(0), 0.0, 0.0, 0.0, 0.0, 0.0, np.empty(0), np.empty(0),
+            np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 4)),
+        )  # fmt: skip
     com_x, com_y = map(float, params.center_of_mass(obj))
-    reach = float(np.linalg.norm(obj.p_BC, axis=1).max())
-    edges = np.empty((0, 4)) if table is None else np.array(table, dtype=np.float64)
     return Support(
-        True, params.mass.copy(), params.friction.copy(), float(gravity), com_x, com_y, params.push_height, reach, edges
-    )
+        True, params.mass.copy(), params.friction.copy(), params.total_mass * gravity, com_x, com_y, params.push_height,
+        *_cell_lines(obj), np.empty((0, 4)) if table is None else table,
+    )  # fmt: skip
+
+
+def _cell_lines(obj: GridObject) -> tuple[float, Array, Array, NDArray[np.int64], NDArray[np.int64]]:
+    """The cells' reach from B's origin, m, the x and the y that occur, m, and which are each cell's; made once."""
+    cached = obj.__dict__.get("_kernel_lines")
+    if cached is None:
+        reach = float(np.linalg.norm(obj.p_BC, axis=1).max())
+        (xs, column), (ys, row) = (np.unique(obj.p_BC[:, axis], return_inverse=True) for axis in (0, 1))
+        cached = obj.__dict__["_kernel_lines"] = reach, xs, ys, column, row
+    return cached
 
 
 def find_rest_loads(
@@ -132,7 +144,7 @@ def find_rest_loads(
     """The loads (n,), N, of a body at rest at q (3,); None where there are none. `table` as in `run_kernel`."""
     cells, _ = _outline_arrays(obj)
     support = make_support(obj, params, gravity, np.empty((0, 4)) if table is None else table)
-    loads = make_loads(obj.n)
+    loads = make_loads(support)
     held = find_loads(
         support, cells, float(obj.cell_size), make_state(q, np.zeros(3), 0.0, 0.0), loads, np.empty(obj.n)
     )

@@ -88,7 +88,7 @@ def rollout(law, body, support, edges, scheme, load, pose, velocity, dts, row_of
     if differentiate:
         start_columns(columns.Q, n, state)
         record_columns(J, row_of_step[0], columns.Q, state.c, state.s)
-    loads = make_loads(n if support.active else 0)
+    loads = make_loads(support)
     moving_steps = recall(memory, xi, last_xi, modes, loads.tilt, loads.friction)
 
     for t in range(steps):

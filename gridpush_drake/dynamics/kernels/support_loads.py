@@ -35,7 +35,7 @@ import numpy as np
 from gridpush_drake.dynamics.kernels.compiled import kernel
 
 _NEWTON_LIMIT = 60
-_TOLERANCE = 1e-13  # of the cells' reach: the center of the loads against p*
+_TOLERANCE = 1e-10  # of the cells' reach: the center of the loads against p*
 _LONGEST_STEP = 2.0  # of b times the cells' reach: exp(b·p) then stays in proportion
 _STEEPEST = 200.0  # of b times the cells' reach, beyond which no loads are looked for
 _SHARE = 0.01  # eps: keeps A regular where the cells are in a line
@@ -47,21 +47,27 @@ class Support(NamedTuple):
     Attributes:
         active: whether loads shift at all; otherwise every cell bears its own weight.
         mass, friction: (n,) m_i, kg, and mu_i.
-        gravity: m/s².
+        weight: W, N.
         com_x, com_y: c, m.
         height: h, m.
         reach: of the cells' centers from B's origin, m.
+        xs, ys: the x and the y that occur among the cells, m.
+        column, row: (n,) which of them are each cell's.
         table: (K, 4) edges of the table's top, (ax, ay, bx, by) in W, counterclockwise, m; none where it is endless.
     """
 
     active: bool
     mass: Any
     friction: Any
-    gravity: float
+    weight: float
     com_x: float
     com_y: float
     height: float
     reach: float
+    xs: Any
+    ys: Any
+    column: Any
+    row: Any
     table: Any
 
 
@@ -69,6 +75,7 @@ class Loads(NamedTuple):
     """The loads of a step, and how they vary; body frame.
 
     Attributes:
+        exp_x, exp_y: workspace, exp of b along the cells' xs and ys.
         share: (n,) w_i / m_i, 1/kg.
         slope: (n, 3) d sigma_i by the pose seen from the body, times w_i / sigma_i.
         tilt: (2,) b, 1/m.
@@ -84,6 +91,8 @@ class Loads(NamedTuple):
         H: (2, 3) of the friction's Hessian its first two rows.
     """
 
+    exp_x: Any
+    exp_y: Any
     share: Any
     slope: Any
     tilt: Any
@@ -100,11 +109,13 @@ class Loads(NamedTuple):
 
 
 @kernel()
-def make_loads(n):
-    """Makes room for the loads of n cells."""
+def make_loads(support):
+    """Makes room for the loads of all cells."""
+    n = support.mass.shape[0]
     return Loads(
-        np.zeros(n), np.zeros((n, 3)), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2),
-        np.zeros((2, 2)), np.zeros((3, 3)), np.zeros((3, 2)), np.zeros((3, 2)), np.zeros(3), np.zeros((2, 3)),
+        np.zeros(support.xs.shape[0]), np.zeros(support.ys.shape[0]), np.zeros(n), np.zeros((n, 3)),
+        np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros((2, 2)),
+        np.zeros((3, 3)), np.zeros((3, 2)), np.zeros((3, 2)), np.zeros(3), np.zeros((2, 3)),
     )  # fmt: skip
 
 
@@ -124,47 +135,39 @@ def find_loads(support, cells, cell_size, state, loads, k):
         Whether there are such loads: False where the body tips. `k` is then that of the steepest tilt tried.
     """
     n, mass, reach = cells.shape[1], support.mass, support.reach
-    share, slope, tilt, center = loads.share, loads.slope, loads.tilt, loads.center
-    total = _cover(support.table, cells, cell_size, reach, state, mass, share, slope)
-    whole = 0.0
-    for i in range(n):
-        whole += mass[i]
-    weight = whole * support.gravity
+    share, slope, center = loads.share, loads.slope, loads.center
+    near = _cover(support.table, cells, cell_size, reach, state, share, slope)
+    weight = support.weight
     loads.shift[0], loads.shift[1] = loads.friction[0] / weight, loads.friction[1] / weight
     center[0] = support.com_x + support.height * loads.shift[0]
     center[1] = support.com_y + support.height * loads.shift[1]
-    if total <= 0.0:
-        k[:] = 0.0
-        return False
-    found = _find_tilt(cells, cell_size, reach, mass, share, center, tilt, loads.mean, loads.inverse)
+    found, S = _find_tilt(support, cells, cell_size, loads)
     if support.table.shape[0] > 0:
         x = state.x + state.c * center[0] - state.s * center[1]
         y = state.y + state.s * center[0] + state.c * center[1]
         found = found and _measure_depth(support.table, x, y)[0] > 0.0
-    S = 0.0
+    scale = 1.0 / S if S > 0.0 else 0.0
     for i in range(n):
-        across = exp(tilt[0] * (cells[0, i] - center[0]) + tilt[1] * (cells[1, i] - center[1]))
-        S += mass[i] * share[i] * across
-        for j in range(3):
-            slope[i, j] *= mass[i] * across
+        across = scale * loads.exp_x[support.column[i]] * loads.exp_y[support.row[i]]
+        if near:
+            for j in range(3):
+                slope[i, j] *= mass[i] * across
         share[i] *= across
-    for i in range(n):
-        share[i] /= S
-        for j in range(3):
-            slope[i, j] /= S
         k[i] = support.friction[i] * weight * mass[i] * share[i]
     return found
 
 
 @kernel(allocates=False)
-def _cover(table, cells, cell_size, reach, state, mass, covered, slope):
-    """Fills in sigma_i, between 0 and 1 over a cell's size across the edge, and its slope; returns sum m_i sigma_i."""
+def _cover(table, cells, cell_size, reach, state, covered, slope):
+    """Fills in sigma_i, from 0 to 1 over a cell's size across the edge, and its slope; returns whether that is near."""
     n = cells.shape[1]
     covered[:] = 1.0
-    slope[:, :] = 0.0
+    near = False
     if table.shape[0] > 0:
+        slope[:, :] = 0.0
         inside, nx, ny = _measure_depth(table, state.x, state.y)
-        if inside < reach + cell_size:
+        near = inside < reach + cell_size
+        if near:
             for i in range(n):
                 px, py = cells[0, i], cells[1, i]
                 x, y = state.x + state.c * px - state.s * py, state.y + state.s * px + state.c * py
@@ -174,10 +177,7 @@ def _cover(table, cells, cell_size, reach, state, mass, covered, slope):
                     bx, by = state.c * nx + state.s * ny, -state.s * nx + state.c * ny
                     slope[i, 0], slope[i, 1] = bx / cell_size, by / cell_size
                     slope[i, 2] = (px * by - py * bx) / cell_size
-    total = 0.0
-    for i in range(n):
-        total += mass[i] * covered[i]
-    return total
+    return near
 
 
 @kernel(allocates=False)
@@ -209,21 +209,21 @@ def _measure_depth(table, x, y):
 
 
 @kernel(allocates=False)
-def _find_tilt(cells, cell_size, reach, mass, covered, center, tilt, mean, inverse):
-    """Finds b from the last step's by Newton's method; returns whether it exists."""
+def _find_tilt(support, cells, cell_size, loads):
+    """Finds b from the last step's by Newton's method; returns whether it exists, and S at the last b tried."""
+    reach, exp_x, exp_y = support.reach, loads.exp_x, loads.exp_y
+    center, tilt, mean, inverse = loads.center, loads.tilt, loads.mean, loads.inverse
+    S = 0.0
     half = cell_size / 2.0
     for _ in range(_NEWTON_LIMIT):
-        S = sx = sy = sxx = sxy = syy = 0.0
         b0, b1 = tilt[0], tilt[1]
-        for i in range(cells.shape[1]):
-            x, y = cells[0, i] - center[0], cells[1, i] - center[1]
-            w = mass[i] * covered[i] * exp(b0 * x + b1 * y)
-            S += w
-            sx += w * x
-            sy += w * y
-            sxx += w * x * x
-            sxy += w * x * y
-            syy += w * y * y
+        for i in range(exp_x.shape[0]):
+            exp_x[i] = exp(b0 * (support.xs[i] - center[0]))
+        for i in range(exp_y.shape[0]):
+            exp_y[i] = exp(b1 * (support.ys[i] - center[1]))
+        S, sx, sy, sxx, sxy, syy = _sum_moments(support, cells, loads)
+        if not S > 0.0:
+            break
         sx, sy = sx / S, sy / S
         delta_x, bend_x = _reach_out(b0 * half)
         delta_y, bend_y = _reach_out(b1 * half)
@@ -236,7 +236,7 @@ def _find_tilt(cells, cell_size, reach, mass, covered, center, tilt, mean, inver
         inverse[0, 1] = inverse[1, 0] = -xy / det
         off_x, off_y = -(sx + half * delta_x), -(sy + half * delta_y)
         if abs(off_x) + abs(off_y) <= _TOLERANCE * reach:
-            return True
+            return True, S
         step_x = inverse[0, 0] * off_x + inverse[0, 1] * off_y
         step_y = inverse[1, 0] * off_x + inverse[1, 1] * off_y
         length = sqrt(step_x * step_x + step_y * step_y) * reach
@@ -244,9 +244,28 @@ def _find_tilt(cells, cell_size, reach, mass, covered, center, tilt, mean, inver
             step_x, step_y = step_x * _LONGEST_STEP / length, step_y * _LONGEST_STEP / length
         b0, b1 = b0 + step_x, b1 + step_y
         if not (sqrt(b0 * b0 + b1 * b1) * reach < _STEEPEST):
-            return False
+            break
         tilt[0], tilt[1] = b0, b1
-    return False
+    return False, S
+
+
+@kernel(allocates=False, fast_sums=True)
+def _sum_moments(support, cells, loads):
+    """Sums m_i sigma_i exp(b·(p_i - p*)) times 1, x, y, x², x y and y², with (x, y) = p_i - p*."""
+    mass, column, row = support.mass, support.column, support.row
+    covered, exp_x, exp_y, cx, cy = loads.share, loads.exp_x, loads.exp_y, loads.center[0], loads.center[1]
+    px, py = cells[0], cells[1]
+    S = sx = sy = sxx = sxy = syy = 0.0
+    for i in range(px.shape[0]):
+        x, y = px[i] - cx, py[i] - cy
+        w = mass[i] * covered[i] * exp_x[column[i]] * exp_y[row[i]]
+        S += w
+        sx += w * x
+        sy += w * y
+        sxx += w * x * x
+        sxy += w * x * y
+        syy += w * y * y
+    return S, sx, sy, sxx, sxy, syy
 
 
 @kernel(allocates=False)
@@ -277,15 +296,13 @@ def fill_load_columns(support, cells, loads, k, Q, n_other):
     G1[:, :] = 0.0
     by_pose, by_force = loads.by_pose, loads.by_force
     by_pose[:, :] = 0.0
-    whole = 0.0
+    weight = support.weight
     for i in range(n):
-        whole += mass[i]
         for j in range(3):
             force = Q[6 + j, i] * k[i]
             G0[j] += force
             G1[j, 0] += force * (cells[0, i] - mean[0])
             G1[j, 1] += force * (cells[1, i] - mean[1])
-    weight = whole * support.gravity
     # G1 A^-1: the force by the center of the loads
     for j in range(3):
         a, b = G1[j, 0], G1[j, 1]
@@ -300,6 +317,7 @@ def fill_load_columns(support, cells, loads, k, Q, n_other):
                 by_pose[j, m] += force * loads.slope[i, m]
     shift_x, shift_y = center[0] - support.com_x, center[1] - support.com_y
     width = Q.shape[1]
+    whole = mass.sum()
     frictions = n + n_other + 1
     if width > n + n_other:
         h = n + n_other
