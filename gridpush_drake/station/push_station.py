@@ -340,12 +340,12 @@ class PushStation(Diagram):
         - other_0.pose
         - ...
 
-    - ``push_command``: (6,) see `systems.push_command`.
+    - ``push_command``: (6,) see `PushCommand`.
     - ``executor.status``: abstract `PushStatus`; ``executor.tip_pose``: abstract `RigidTransform`, X_WP desired.
     - ``pusher.state``: (6,) p_WP, m, and v_WP, m/s, of the tip's center, from the joints.
     - ``object.pose``: (3,) as the camera sees it, m and rad; ``object.pose_true``: as it is, for display and judgment.
     - ``estimate.*``: see `GridIdentifier`; ``iiwa.*``: see Drake's `SimIiwaDriver`; the three after: the plant's own.
-    - Where the scene has a gripper: ``grasp_command``: (6,) see `systems.grasp_command`, need not be connected;
+    - Where the scene has a gripper: ``grasp_command``: (6,) see `GraspCommand`, need not be connected;
       ``grasp.status``: abstract `GraspStatus`; ``gripper.state``: (4,) the fingers' positions, left and right, m, and
       velocities, m/s. ``executor.tip_pose`` is then what push and grasp executor together desire.
     - ``other_0.pose`` and so on: (3,) of each of the scenario's other objects, as ``object.pose``.
@@ -519,7 +519,7 @@ def MakePushStation(
         cast(Base, scenario.base),
         table=table,
         height=scenario.object_height,
-        support=MakeSupport(obj, truth, scenario, scenario.seed),
+        support=MakeSupport(true_obj, true_truth, scenario, scenario.seed),
         visual=show_object,
     )
     others = AddOthers(plant, scene_graph, scenario, table, object_in_plant)
