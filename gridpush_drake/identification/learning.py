@@ -244,7 +244,8 @@ def _make_result(
     total_mass = obj.prior.total_mass or DEFAULT_TOTAL_MASS
     mass = share / friction
     mass *= total_mass / mass.sum()
-    params = CellParameters(mass, friction, float(np.exp(fit.z[CONTACT_FRICTION])))
+    contact_friction, push_height = float(np.exp(fit.z[CONTACT_FRICTION])), obj.prior.push_height or 0.0
+    params = CellParameters(mass, friction, contact_friction, push_height)
     relative_std = np.sqrt(np.maximum(np.diag(posterior.calc_share_covariance()), 0.0)) / share
     # Between its bounds, slow pushes say nothing of a friction coefficient by itself: uniform.
     friction_std = (obj.prior.friction_max - obj.prior.friction_min) / UNIFORM_WIDTH

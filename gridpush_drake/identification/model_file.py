@@ -288,7 +288,8 @@ def _restore(schema: ModelSchema) -> Identification:
     name = str(schema.object.name)
     obj = GridObject(name, *make_cells(schema.object, name, Path()), schema.object.to_prior(), schema.object.height)
     cells, n = schema.cells, obj.n
-    params = CellParameters(np.array(cells.mass), np.array(cells.friction), schema.contact_friction)
+    mass, friction, push_height = np.array(cells.mass), np.array(cells.friction), obj.prior.push_height or 0.0
+    params = CellParameters(mass, friction, schema.contact_friction, push_height)
     posterior = Posterior(
         np.array(schema.posterior.mean),
         unpack_symmetric("posterior.covariance", schema.posterior.covariance, n + len(GLOBALS)),

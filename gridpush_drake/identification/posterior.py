@@ -103,7 +103,7 @@ class Posterior:
         total = float(params.mass @ params.friction)
         friction = np.maximum(params.friction, np.finfo(float).tiny)
         return [
-            CellParameters(total * share / friction, params.friction, float(mu_c))
+            CellParameters(total * share / friction, params.friction, float(mu_c), params.push_height)
             for share, mu_c in zip(shares, contact_friction, strict=True)
         ]
 

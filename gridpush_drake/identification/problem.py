@@ -13,7 +13,7 @@ frictions mu_i stay those of the prior and the masses follow, m_i = k_i / mu_i; 
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,7 +128,8 @@ class PushProblem:
 
     def params(self, z: Array) -> CellParameters:
         """The cells' parameters at z (n+1,)."""
-        return CellParameters(np.exp(z[CELLS]) / self.friction, self.friction, float(np.exp(z[CONTACT_FRICTION])))
+        mass, contact_friction = np.exp(z[CELLS]) / self.friction, float(np.exp(z[CONTACT_FRICTION]))
+        return CellParameters(mass, self.friction, contact_friction, self.obj.prior.push_height or 0.0)
 
     def unknowns(self, params: CellParameters) -> Array:
         """The unknowns z (n+1,) of some parameters."""
@@ -142,7 +143,7 @@ class PushProblem:
         """The residuals of each push (of those chosen) and their exact derivatives at z."""
         params, n = self.params(z), self.obj.n
         linear = Linearization([], [], [])
-        for push, simulation in self._simulate(z, pushes, gradients=True):
+        for push, simulation in self._simulate(z, pushes, gradients="mass"):
             J = simulation.jacobian
             columns = np.empty((len(push.rows), 3, n + 3))
             columns[..., :n] = J.mass * params.mass
@@ -168,7 +169,9 @@ class PushProblem:
         moved = residual[:, None, :2] + rotate(residual[:, 2:] / self._rho, arm) - arm
         return float(np.linalg.norm(moved, axis=-1).mean())
 
-    def _simulate(self, z: Array, pushes: Sequence[int] | None, gradients: bool) -> list[tuple[TimedPush, Motion]]:
+    def _simulate(
+        self, z: Array, pushes: Sequence[int] | None, gradients: Literal["mass"] | bool
+    ) -> list[tuple[TimedPush, Motion]]:
         params = self.params(z)
         chosen = self._pushes if pushes is None else [self._pushes[i] for i in pushes]
         self._spent[0] += len(chosen)
