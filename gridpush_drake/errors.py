@@ -1,5 +1,7 @@
 """What can go wrong, as exceptions under one root."""
 
+from typing import Any
+
 
 class GridPushError(Exception):
     """Root of every error this package raises on bad input.
@@ -47,6 +49,46 @@ class ScenarioError(GridPushError):
 
 class StationError(GridPushError):
     """A station cannot be built or run as asked."""
+
+
+class PerceptionError(GridPushError):
+    """What a camera saw, or a file of what it saw, is not usable.
+
+    Attributes:
+        picture: (height, width, 3) uint8 RGB, what was seen, marked; None where there is no picture to show.
+    """
+
+    def __init__(self, message: str, picture: Any = None) -> None:
+        super().__init__(message)
+        self.picture = picture
+
+
+class CameraError(PerceptionError):
+    """A camera, or the file that describes it, is not what it should be."""
+
+
+class ImageError(PerceptionError):
+    """An image, a depth image or a video cannot be read, or has another size or unit than the camera's."""
+
+
+class NoTableError(PerceptionError):
+    """No table is in view."""
+
+
+class NoObjectError(PerceptionError):
+    """No object is in view."""
+
+
+class SeveralObjectsError(PerceptionError):
+    """More than one object is in view."""
+
+
+class ObjectAtBorderError(PerceptionError):
+    """The object is cut by the picture's border."""
+
+
+class TagError(PerceptionError):
+    """A tag is not in view, or a board of tags is not what it should be."""
 
 
 class OutputError(GridPushError):

@@ -100,7 +100,25 @@ def read_mapping(path: Path, what: str, error: type[GridPushError] = ObjectError
     return data
 
 
-def parse_yaml(path: Path, text: str, what: str, error: type[GridPushError]) -> Any:
+TAG = "!"
+"""Key under which a mapping's tag is kept, where tags are wanted."""
+
+
+class _TaggedLoader(_StrictLoader):
+    """Knows mappings of any tag, and keeps the tag's name beside their keys."""
+
+
+def _construct_tagged(loader: _TaggedLoader, tag: str, node: yaml.Node) -> Any:
+    if not isinstance(node, yaml.MappingNode):
+        raise yaml.constructor.ConstructorError(None, None, f"tag {tag} on what is no mapping", node.start_mark)
+    return loader.construct_mapping(node, deep=True) | {TAG: tag}
+
+
+for _prefix in ("!", "tag:yaml.org,2002:opencv-"):
+    _TaggedLoader.add_multi_constructor(_prefix, _construct_tagged)
+
+
+def parse_yaml(path: Path, text: str, what: str, error: type[GridPushError], *, tagged: bool = False) -> Any:
     """Makes plain values of a YAML document; no code is ever run, whatever its tags say.
 
     Args:
@@ -108,6 +126,7 @@ def parse_yaml(path: Path, text: str, what: str, error: type[GridPushError]) -> 
         text: of the document.
         what: what it should hold, for messages.
         error: raised where it does not.
+        tagged: whether mappings may have tags, Drake's or OpenCV's; a tag's name is then kept under the key TAG.
 
     Returns:
         Dictionaries, lists, texts, numbers; None where the document is empty.
@@ -116,7 +135,7 @@ def parse_yaml(path: Path, text: str, what: str, error: type[GridPushError]) -> 
         GridPushError: `error`: the text is not YAML, is nested too deeply, has a key twice, or holds too much.
     """
     with _explained(path, what, error):
-        loader = _StrictLoader(text)
+        loader = _TaggedLoader(text) if tagged else _StrictLoader(text)
         try:
             root = _compose(loader)
             return None if root is None else loader.construct_document(root)

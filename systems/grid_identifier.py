@@ -14,7 +14,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from gridpush_drake.dynamics.simulation import Regime
-from gridpush_drake.errors import GridPushError, IdentificationError
+from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification.learning import METHODS, REGIMES, describe_prior, identify
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.problem import PushProblem
@@ -23,6 +23,7 @@ from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
 from gridpush_drake.pushes.segmentation import (
+    UNUSABLE,
     Episode,
     RecordOptions,
     Sample,
@@ -30,15 +31,13 @@ from gridpush_drake.pushes.segmentation import (
     SegmenterState,
     advance,
     make_observed_push,
+    name_push,
 )
 
 Array = NDArray[np.float64]
 
 DEFAULT_PERIOD = 1 / 30
 """s."""
-
-UNUSABLE = (GridPushError, np.linalg.LinAlgError, ArithmeticError, ValueError)
-"""What a push that was badly seen may lead to when it is written down or learned from."""
 
 SOURCE = "observed pushes"
 """What the log says of where it comes from."""
@@ -258,7 +257,7 @@ class GridIdentifier(LeafSystem):
         """Logs a push that has ended, and learns from it."""
         if episode is None:
             return state
-        name = f"push_{len(state.log) + 1}"
+        name = name_push(len(state.log))
         try:
             observed = make_observed_push(episode, self.obj, self._radius, name, self._record)
         except UNUSABLE as error:

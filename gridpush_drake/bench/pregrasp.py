@@ -25,10 +25,11 @@ from gridpush_drake.bench.pregrasp_exploration import (
     ExplorationScore,
     explore,
 )
-from gridpush_drake.bench.pregrasp_world import EdgeWorld, Outcome, PaperLearner, run_pregrasp
+from gridpush_drake.bench.pregrasp_world import EdgeWorld, MujocoWorld, Outcome, PaperLearner, run_pregrasp
 from gridpush_drake.bench.protocol import MASS_RANGE, PLANNING_METERS_PER_PIXEL
 from gridpush_drake.bench.public_data import find_masks
 from gridpush_drake.bench.table import Table, Value
+from gridpush_drake.bench.truth_sets import KINDS
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.objects.grid_object import GridObject
@@ -256,7 +257,18 @@ PAPER_PUSHES = 4
 
 @dataclass(frozen=True)
 class Job:
-    """One object with one mass set and seed, by one method, or both ways of exploring."""
+    """One object with one mass set and seed, by one method, or both ways of exploring.
+
+    Attributes:
+        name: of the object.
+        mass_set: its number.
+        seed: of table, start and noise.
+        method: of METHODS or EXPLORING.
+        depth: of the gripper's fingers, m.
+        mask: file of the paper's object.
+        friction: range of the true frictions, and what is known of them.
+        support: how a body in MuJoCo stands; None for the LCP world.
+    """
 
     name: str
     mass_set: int
@@ -264,6 +276,8 @@ class Job:
     method: str
     depth: float = DEPTH
     mask: Path | None = None
+    friction: tuple[float, float] = FRICTION_RANGE
+    support: str | None = None
 
 
 def run(
@@ -278,6 +292,8 @@ def run(
     experiment: str = ALL,
     quick: bool = False,
     data: Path | None = None,
+    friction: tuple[float, float] = FRICTION_RANGE,
+    support: str | None = None,
 ) -> list[Table]:
     """Measures both experiments.
 
@@ -292,6 +308,9 @@ def run(
         experiment: of EXPERIMENTS.
         quick: only `QUICK_MASS_SETS` mass sets and `QUICK_SEEDS` seeds.
         data: folder of the paper's masks; None for the shipped objects alone.
+        friction: range of the true frictions, which is known, but for the method WIDE.
+        support: how a body stands that MuJoCo moves, of `truth_sets.KINDS`; only sliding, by the first method, on
+            rectangular tables. None for the LCP world.
 
     Returns:
         Slides by method; slides of the first method by object; and pokes by design and at random, by their length and
@@ -303,12 +322,15 @@ def run(
     mask = None if data is None else find_mask(data)
     known = OBJECTS if mask is None else (*OBJECTS, MASK_OBJECT)
     objects = known if objects is None else objects
+    if support is not None:
+        methods, experiment = methods[:1], SLIDING_ONLY
     _check(objects, known, mass_sets, seeds, methods, experiment)
+    _check_world(friction, support)
     if quick:
         mass_sets, seeds = min(mass_sets, QUICK_MASS_SETS), min(seeds, QUICK_SEEDS)
     sliding, exploring = experiment != EXPLORING_ONLY, experiment != SLIDING_ONLY
     jobs = [
-        Job(name, mass_set, seed + i, method, depth, mask if name == MASK_OBJECT else None)
+        Job(name, mass_set, seed + i, method, depth, mask if name == MASK_OBJECT else None, friction, support)
         for mass_set in range(mass_sets)
         for i in range(seeds)
         for name in objects
@@ -327,18 +349,20 @@ def run(
 
 def run_job(job: Job) -> SlideScore | ExplorationScore:
     """Runs one job."""
-    friction_range = WIDE_FRICTION_RANGE if job.method == WIDE else FRICTION_RANGE
+    friction_range = WIDE_FRICTION_RANGE if job.method == WIDE else job.friction
     obj, parts = _load(job.name, job.depth, friction_range, job.mask)
     truth = make_truth(obj, job.mass_set)
     if job.method in EXPLORING:
         return explore(obj, truth, job.name, job.mass_set, job.seed, *EXPLORING[job.method])
     rng = np.random.default_rng([job.seed, job.mass_set])
-    surface = make_table(job.seed + job.mass_set)
     start = np.append(rng.uniform(-OFFSET, OFFSET, 2), rng.uniform(-np.pi, np.pi))
-    world = EdgeWorld(obj, truth, surface, start, rng)
+    if job.support is None:
+        world = EdgeWorld(obj, truth, make_table(job.seed + job.mass_set), start, rng)
+    else:
+        world = MujocoWorld(obj, truth, RECTANGLE, start, rng, job.support)
     arm = MAX_ARMS.get(job.name, MAX_ARM)
     options = PreGraspOptions(min_pokes=_min_pokes(job.method), max_arm=arm)
-    planner = PreGraspPlanner(obj, surface, options, parts)
+    planner = PreGraspPlanner(obj, world.surface, options, parts)
 
     outcome = _run(world, planner, job.method)
     return SlideScore(job.name, job.method, outcome, near=outcome.arm <= arm + ARM_SLACK)
@@ -374,6 +398,13 @@ def _load(
 ) -> tuple[GridObject, tuple[GraspPart, ...]]:
     obj = load_bench_object(name, friction_range, mask)
     return obj, tuple(find_grasp_parts(obj, Gripper(depth=depth)))
+
+
+def _check_world(friction: tuple[float, float], support: str | None) -> None:
+    if not 0 < friction[0] <= friction[1] < np.inf:
+        raise GridPushError(f"friction: {friction[0]:g} to {friction[1]:g}; expected 0 < least <= greatest")
+    if support is not None and support not in KINDS:
+        raise GridPushError(f"support: {support}; expected one of {', '.join(KINDS)}")
 
 
 def _check(

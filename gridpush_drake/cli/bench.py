@@ -184,6 +184,17 @@ def pregrasp(
     experiment: Annotated[
         Literal["all", "sliding", "exploring"], typer.Option(help="Which of the two to measure.")
     ] = "all",
+    world: Annotated[
+        Literal["lcp", "mujoco"], typer.Option(help="What moves the objects: the model's own simulator, or MuJoCo.")
+    ] = "lcp",
+    support: Annotated[
+        Literal["foundation", "three_feet", "vertices", "half_height"],
+        typer.Option(help="How objects stand in MuJoCo."),
+    ] = "foundation",
+    friction: Annotated[
+        tuple[float, float],
+        typer.Option(metavar="LEAST GREATEST", help="Of any part against the table, true and known."),
+    ] = (0.3, 0.4),
     seed: options.Seed = 0,
     workers: Workers = WORKERS,
     results: KeptIn = None,
@@ -197,12 +208,14 @@ def pregrasp(
     _check((out,), force)
     settings = {
         "data": _resolve(data), "quick": quick, "objects": objects, "mass_sets": mass_sets, "seeds": seeds,
-        "depth": depth, "experiment": experiment, "seed": seed,
+        "depth": depth, "experiment": experiment, "world": world, "support": support, "friction": friction,
+        "seed": seed,
     }  # fmt: skip
     with _run_bench("pregrasp", settings, results, workers, force) as execution:
         tables = run(
             objects, mass_sets or MASS_SETS, seeds or SEEDS, seed=seed, execution=execution, depth=depth,
-            experiment=experiment, quick=quick, data=data,
+            experiment=experiment, quick=quick, data=data, friction=friction,
+            support=support if world == "mujoco" else None,
         )  # fmt: skip
     _show(tables, out, force, json)
 
@@ -305,6 +318,34 @@ def drake(
         else:
             tables += plant.run(seed=seed, execution=execution)
             tables += drake.run(seeds=[seed + s for s in drake.SEEDS], execution=execution)
+    _show(tables, out, force, json)
+
+
+@app.command("perception")
+def perception(
+    data: Annotated[
+        Path | None,
+        typer.Option(
+            "--data", metavar="DIR", help="Real photographs too: a folder with NAME_color.png, NAME_depth.png and"
+            " NAME_label.pgm.",
+        ),
+    ] = None,
+    quick: Quick = False,
+    objects: Objects = None,
+    seed: options.Seed = 0,
+    workers: Workers = WORKERS,
+    results: KeptIn = None,
+    out: Out = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:  # fmt: skip
+    """Find objects in photographs, real and rendered, and track them while they are pushed."""
+    from gridpush_drake.bench.perception import run
+
+    _check((out,), force)
+    settings = {"data": _resolve(data), "quick": quick, "objects": objects, "seed": seed}
+    with _run_bench("perception", settings, results, workers, force) as execution:
+        tables = run(data, objects, seed=seed, quick=quick, execution=execution)
     _show(tables, out, force, json)
 
 

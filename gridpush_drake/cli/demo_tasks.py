@@ -31,6 +31,7 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.pushes.stream import write_stream_csv
 from gridpush_drake.report.page import ReportSummary, make_report
 from gridpush_drake.report.plan_figures import GraspDrawn, PushDrawn, draw_pre_grasp, draw_push_run
 from gridpush_drake.station.identify_task import FINISHED, IdentifyTask, IdentifyTaskRecord
@@ -44,7 +45,16 @@ from gridpush_drake.systems.messages import ContactPointMode, PreGraspMode, PreG
 FRAMES_PER_SECOND = 20.0
 """Of the recording."""
 
-FILES = ("report.html", "recording.html", "model.yaml", "object.yaml", "pushes.csv", "truth.yaml", "scenario.yaml")
+FILES = (
+    "report.html",
+    "recording.html",
+    "model.yaml",
+    "object.yaml",
+    "pushes.csv",
+    "stream.csv",
+    "truth.yaml",
+    "scenario.yaml",
+)
 """That a task leaves in its folder, the report first."""
 
 HELD_OUT = "held_out.csv"
@@ -138,7 +148,8 @@ def write_files(
     truth = yaml.safe_dump(describe_truth(obj, record.truth), sort_keys=False)
     write_whole(folder / "truth.yaml", truth, force)
     write_scenario(folder / "scenario.yaml", scenario, force)
-    written = {"recording.html", "object.yaml", "truth.yaml", "scenario.yaml"}
+    write_stream_csv(record.stream, folder / "stream.csv", force)
+    written = {"recording.html", "object.yaml", "stream.csv", "truth.yaml", "scenario.yaml"}
     training, held_out = task.split_log(record)
     if record.estimates:
         training.write_csv(folder / "pushes.csv", force)
@@ -202,12 +213,12 @@ class IdentifyDemo:
         training, held_out = self.split_log(record)
         result = record.estimates[-1]
         if not len(held_out):
-            return make_report(result, training, truth=record.truth)
+            return make_report(result, training, truth=record.truth, sight=record.sight)
         learning = [
             calc_mean_cell_error(record.obj, found.params, held_out, result.regime)
             for found in (describe_prior(record.obj), *record.estimates)
         ]
-        return make_report(result, training, held_out, record.truth, learning)
+        return make_report(result, training, held_out, record.truth, learning, sight=record.sight)
 
     def summarize(self, record: IdentifyTaskRecord) -> dict[str, Any]:
         """Errors before and after learning, and how the robot behaved."""
@@ -451,7 +462,7 @@ def _report_run(record: PushTaskRecord | PreGraspRecord, summary: ReportSummary)
     """The report of a task that learns on the way, from the pushes its last estimate was learned from."""
     found = record.estimates[-1]
     used = record.log.subset([i for i, seen in enumerate(record.log) if seen.name in found.push_names])
-    return make_report(found, used, truth=record.truth, summary=summary)
+    return make_report(found, used, truth=record.truth, summary=summary, sight=record.sight)
 
 
 def _describe_limit_report(limit_report: LimitReport) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""`gridpush import`: public data sets to a push log and an object file.
+"""`gridpush import`: public data sets and ROS bags to a push log and an object file.
 
 There is a command for each importer in `pushes.importers.registry`, with the options that are its fields.
 """
@@ -48,7 +48,9 @@ class ImporterGroup(TyperGroup):
 
 
 app = typer.Typer(
-    cls=ImporterGroup, no_args_is_help=True, help="Convert a public data set to a push log and an object file."
+    cls=ImporterGroup,
+    no_args_is_help=True,
+    help="Convert a public data set or a ROS bag to a push log and an object file.",
 )
 
 

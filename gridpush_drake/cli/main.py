@@ -15,7 +15,23 @@ from typing import Annotated, Any
 
 import typer
 
-from gridpush_drake.cli import bench, demo, export, identify, import_logs, plan, predict, show, simulate, slide, view
+from gridpush_drake.cli import (
+    bench,
+    calibrate,
+    demo,
+    export,
+    identify,
+    import_logs,
+    plan,
+    predict,
+    record,
+    show,
+    simulate,
+    slide,
+    track,
+    view,
+)
+from gridpush_drake.cli import object as object_from_photo
 from gridpush_drake.errors import GridPushError, PushLogWarning
 
 EXIT_BAD_INPUT = 2
@@ -51,6 +67,10 @@ app.command("plan")(plan.plan)
 app.command("export")(export.export)
 app.command("view")(view.view)
 app.command("slide")(slide.slide)
+app.command("object")(object_from_photo.make_object)
+app.command("calibrate")(calibrate.calibrate)
+app.command("track")(track.track)
+app.command("record")(record.record)
 app.add_typer(import_logs.app, name="import")
 app.add_typer(bench.app, name="bench")
 

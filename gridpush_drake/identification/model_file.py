@@ -248,7 +248,7 @@ def _describe(result: Identification) -> ModelSchema:
         noise_std=float(result.noise_std),
         training_pushes=list(result.push_names),
         unused_pushes=list(result.unused_pushes),
-        object=LearnedObjectSchema.model_validate(describe_object(obj.name, obj.grid, obj.prior)),
+        object=LearnedObjectSchema.model_validate(describe_object(obj.name, obj.grid, obj.prior, obj.height)),
         contact_friction=result.params.contact_friction,
         contact_friction_std=result.std.contact_friction,
         cells=CellValuesSchema(
@@ -280,7 +280,7 @@ def _describe(result: Identification) -> ModelSchema:
 
 def _restore(schema: ModelSchema) -> Identification:
     name = str(schema.object.name)
-    obj = GridObject(name, *make_cells(schema.object, name, Path()), schema.object.to_prior())
+    obj = GridObject(name, *make_cells(schema.object, name, Path()), schema.object.to_prior(), schema.object.height)
     cells, n = schema.cells, obj.n
     params = CellParameters(np.array(cells.mass), np.array(cells.friction), schema.contact_friction)
     posterior = Posterior(

@@ -60,10 +60,21 @@ def make_outline_prism(obj: GridObject, height: float) -> Trimesh:
     return _drop_floor(trimesh.creation.extrude_triangulation(*_triangulate(obj.outline), height))
 
 
-def make_outline_mesh(outline: Polygon, height: float) -> str:
-    """Makes a closed prism of an outline, m, from z = 0 to `height`, m, as Wavefront OBJ text, faces outwards."""
+def make_outline_mesh(outline: Polygon, height: float, normals: bool = False) -> str:
+    """Makes a closed prism of an outline, m, from z = 0 to `height`, m, as Wavefront OBJ text, faces outwards.
+
+    Args:
+        outline: m.
+        height: m.
+        normals: whether each face has its own vertices with normals, as renderers want them.
+
+    Returns:
+        The text.
+    """
     mesh = trimesh.creation.extrude_triangulation(*_triangulate(outline), height)
-    return str(mesh.export(file_type="obj", include_normals=False, header="prism of an outline, m"))
+    if normals:
+        mesh.unmerge_vertices()
+    return str(mesh.export(file_type="obj", include_normals=normals, header="prism of an outline, m"))
 
 
 def make_outline_edge(obj: GridObject, height: float, width: float) -> Trimesh:

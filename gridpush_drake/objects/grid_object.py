@@ -42,6 +42,7 @@ class GridObject:
         labels: (n,) the part each cell belongs to, >= 1.
         outline: contour with holes, body frame, m; what the pusher touches.
         prior: what is known of mass and friction beforehand.
+        height: m; None where it is not known.
 
     Raises:
         ObjectError: shapes disagree, or a value is out of range.
@@ -53,6 +54,7 @@ class GridObject:
     labels: NDArray[np.int64]
     outline: Polygon
     prior: PhysicalPrior = field(default_factory=PhysicalPrior)
+    height: float | None = None
 
     def __post_init__(self) -> None:
         p_BC = np.array(self.p_BC, dtype=np.float64)
@@ -76,6 +78,8 @@ class GridObject:
             raise ObjectError(f"{self.name}: the outline must be a simple polygon that does not cross itself")
         self._check_size(p_BC)
         self._check_push_height()
+        if self.height is not None and not (np.isfinite(self.height) and self.height > 0):
+            raise ObjectError(f"{self.name}: height is {self.height!r}; expected a positive number (m), or none")
         for name, value in (("p_BC", p_BC), ("labels", labels)):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
@@ -185,7 +189,7 @@ class GridObject:
         schema = read_object_file(path)
         name = path.stem if schema.name is None else schema.name
         try:
-            return cls(name, *make_cells(schema, name, path.parent, largest_piece), schema.to_prior())
+            return cls(name, *make_cells(schema, name, path.parent, largest_piece), schema.to_prior(), schema.height)
         except ObjectError as error:
             raise ObjectError(f"{path}: {error}") from error
 
@@ -199,7 +203,7 @@ class GridObject:
         Raises:
             OutputError: the file exists and `force` is not set, or it cannot be written.
         """
-        write_whole(path, dump_object(self.name, self.grid, self.prior), force)
+        write_whole(path, dump_object(self.name, self.grid, self.prior, self.height), force)
 
     @property
     def grid(self) -> CellGrid:

@@ -89,6 +89,22 @@ class PusherSchema(StrictSchema):
     height: float | None = Field(None, gt=0, description="a positive number, in meters")
 
 
+class TagSchema(StrictSchema):
+    """An AprilTag 36h11 on the object: its number, its side, and the body's pose in it, X_TB."""
+
+    id: int = Field(ge=0, description="a tag's number, a whole number, 0 or more")
+    size: Length
+    pose: Annotated[tuple[float, float, float], Strict(False)] = Field(description="[x, y, theta], in m and rad")
+
+
+class SeenSchema(StrictSchema):
+    """Where the body frame was in the photograph that the object was made of, to align other trackers with it."""
+
+    pixel: Point = Field(description="[x, y] of the body frame's origin in the photograph, pixels")
+    pose: Annotated[tuple[float, float, float], Strict(False)] = Field(description="[x, y, theta], W, in m and rad")
+    tag: TagSchema | None = Field(None, description="id, size and pose")
+
+
 class ObjectSchema(StrictSchema):
     """An object: a whole object file, and the object of a model file."""
 
@@ -101,6 +117,8 @@ class ObjectSchema(StrictSchema):
     max_cells: int = Field(
         DEFAULT_MAX_CELLS, ge=1, le=MAX_CELLS, description=f"a whole number, 1 or more, at most {MAX_CELLS}"
     )
+    height: Length | None = None
+    seen: SeenSchema | None = Field(None, description="pixel, pose and, where there is one, tag")
     total_mass: float | None = Field(None, gt=0, description="a positive number, in kg")
     center_of_mass: CenterOfMassSchema | None = Field(None, description="at: [x, y] and std, in meters")
     friction: FrictionSchema = Field(FrictionSchema(), description="prior, min and max")
@@ -194,13 +212,17 @@ def make_cells(schema: ObjectSchema, name: str, folder: Path, largest_piece: boo
     return fill_outline(outline, parts, schema.max_cells, name=name)
 
 
-def describe_object(name: str, grid: CellGrid, prior: PhysicalPrior) -> dict[str, Any]:
+def describe_object(
+    name: str, grid: CellGrid, prior: PhysicalPrior, height: float | None = None, seen: SeenSchema | None = None
+) -> dict[str, Any]:
     """The plain values of which `ObjectSchema` makes the same object again, bit for bit.
 
     Args:
         name: of the object.
         grid: its geometry.
         prior: what is known of its mass and friction.
+        height: of the object, m, where it is known.
+        seen: where the body frame was in a photograph, where there is one.
 
     Returns:
         The values, in the order of a file.
@@ -211,6 +233,10 @@ def describe_object(name: str, grid: CellGrid, prior: PhysicalPrior) -> dict[str
     data["cells"] = {"size": grid.cell_size, "centers": grid.p_BC.tolist()}
     if (grid.labels != 1).any():
         data["cells"]["labels"] = grid.labels.tolist()
+    if height is not None:
+        data["height"] = float(height)
+    if seen is not None:
+        data["seen"] = seen.model_dump(mode="json", exclude_none=True)
     if prior.total_mass is not None:
         data["total_mass"] = float(prior.total_mass)
     if prior.center_of_mass is not None:
@@ -227,9 +253,11 @@ def describe_object(name: str, grid: CellGrid, prior: PhysicalPrior) -> dict[str
     return data
 
 
-def dump_object(name: str, grid: CellGrid, prior: PhysicalPrior) -> str:
+def dump_object(
+    name: str, grid: CellGrid, prior: PhysicalPrior, height: float | None = None, seen: SeenSchema | None = None
+) -> str:
     """An object file's text; the arguments are those of `describe_object`."""
-    data = describe_object(name, grid, prior)
+    data = describe_object(name, grid, prior, height, seen)
     text: str = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, allow_unicode=True)
     return text
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from shapely import LineString
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import transform_back, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush, nearest_turn
@@ -156,6 +157,9 @@ def _find_lift_height(path: tuple[Sample, ...], options: SegmenterOptions) -> fl
 SAME_TIME = 1e-6
 """s; times that differ by less are one."""
 
+UNUSABLE = (GridPushError, np.linalg.LinAlgError, ArithmeticError, ValueError)
+"""What a push that was badly seen may lead to when it is written down or learned from."""
+
 LATEST = 5
 """Observations at the end whose median tells where the object rests."""
 
@@ -185,6 +189,11 @@ class RecordOptions:
     rest_tolerance: float = 0.003
     rest_angle_tolerance: float = 0.03
     pose_delay: float = 0.0
+
+
+def name_push(count: int) -> str:
+    """What the push after `count` others of a stream is called."""
+    return f"push_{count + 1}"
 
 
 def make_observed_push(
@@ -222,6 +231,11 @@ def make_observed_push(
     times = np.array([time for time, _ in seen])
     t, xy = thin_path(t, xy, times, options.path_tolerance)
     return ObservedPush(name, Push.along(t - t[0], xy, radius), pose, times - t[0], _continue_turns(pose, seen))
+
+
+def find_begin(episode: Episode, options: RecordOptions) -> float:
+    """When the push that an episode is written down as begins, s: its time 0."""
+    return float(_trim(episode.path, options.still)[0][0])
 
 
 def calc_rest_pose(observations: tuple[Sample, ...] | list[Sample], options: RecordOptions) -> Array | None:

@@ -190,7 +190,9 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         return GO_ON
 
     def finish(self, record: PreGraspRecord) -> None:
-        """Says of each push in the log whether a part of the object hung over the table's edge."""
+        """Says of each push whether a part hung over the edge; what was seen counts until the object is grasped."""
+        grasped = next((step.time for step in record.steps if step.status.mode == PreGraspMode.GRASPING), np.inf)
+        record.sight = record.sight and record.sight.until(grasped)
         pushes = tuple(replace(seen, overhang=not self._stayed_on_table(seen)) for seen in record.log)
         record.log = replace(record.log, pushes=pushes)
 

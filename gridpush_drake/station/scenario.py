@@ -19,7 +19,7 @@ from pydrake.multibody.parsing import AddDirectives, ModelDirective, ModelDirect
 
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.files import is_file, read_text, write_whole
-from gridpush_drake.multibody.ground_truth import CELL_MASS_RANGE, CONTACT_FRICTION_RANGE, FRICTION_RANGE
+from gridpush_drake.multibody.ground_truth import CELL_MASS_RANGE, CONTACT_FRICTION_RANGE, FRICTION_RANGE, Support
 from gridpush_drake.yaml_file import MAX_YAML_SIZE, NOT_YAML, check_yaml, explain, list_expected, shorten, suggest
 
 CURRENT_VERSION = 1
@@ -98,6 +98,12 @@ RANGE = f"[least, greatest], positive, from {MIN_SIZE:g} to {MAX_SIZE:g}"
 Pose = Annotated[
     list[Number],
     Field(min_length=3, max_length=3, description=f"[x, y, theta], in m and rad, at most {MAX_SIZE:g}"),
+    _is_within(-MAX_SIZE, MAX_SIZE),
+]
+
+Point = Annotated[
+    list[Number],
+    Field(min_length=3, max_length=3, description=f"[x, y, z], in m, at most {MAX_SIZE:g}"),
     _is_within(-MAX_SIZE, MAX_SIZE),
 ]
 
@@ -196,18 +202,53 @@ class PreGraspConfig(_Config):
     hold: Annotated[Number, _positive("s", high=3600.0)] = 3.0
 
 
+class RgbdConfig(_Config):
+    """A color and depth camera beside the table, as it is rendered.
+
+    Attributes:
+        width: of the image, pixels.
+        height: of the image, pixels.
+        fov_y: field of view along y, rad.
+        position: p_WC, m.
+        target: what it looks at, W, m.
+        latency: between the picture and its pose, s.
+        depth_noise: standard deviation at a distance of 1 m, m; it grows with the distance squared.
+        depth_edge: jump of depth between neighbors, m, at which depth is not measured.
+        color_noise: standard deviation of a color's value, of 255.
+        exposure_noise: standard deviation of a picture's exposure, a share.
+    """
+
+    width: Annotated[int, _count(64, 4096)] = 640
+    height: Annotated[int, _count(64, 4096)] = 480
+    fov_y: Annotated[Number, Field(gt=0, lt=radians(150), description="an angle from 0 to less than 2.6, in rad")] = (
+        radians(42)
+    )
+    position: Point = [0.6, -0.38, 1.0]
+    target: Point = [0.59, -0.07, 0.0]
+    latency: Annotated[Number, _not_negative("s")] = 0.0
+    depth_noise: Annotated[Number, _not_negative("m")] = 0.0015
+    depth_edge: Annotated[Number, _positive("m")] = 0.01
+    color_noise: Annotated[Number, _not_negative("of 255")] = 2.0
+    exposure_noise: Annotated[Number, _not_negative("a share")] = 0.02
+
+
 class CameraConfig(_Config):
     """What sees the object's pose. Its noise is drawn from the scenario's seed.
 
     Attributes:
+        kind: "ideal": the pose as it is, with noise; "rgbd": pictures are rendered, the robot finds the object in the
+            first one and its pose in all.
         rate: poses a second, Hz.
-        position_noise: standard deviation per axis, m.
-        angle_noise: standard deviation, rad.
+        position_noise: standard deviation per axis, m; of an ideal one.
+        angle_noise: standard deviation, rad; of an ideal one.
+        rgbd: the camera, where it is one.
     """
 
+    kind: Annotated[Literal["ideal", "rgbd"], Field(description="one of ideal, rgbd")] = "ideal"
     rate: Annotated[Number, _positive("Hz", low=0.1, high=1000.0)] = 30.0
     position_noise: Annotated[Number, _not_negative("m")] = 0.0005
     angle_noise: Annotated[Number, _not_negative("rad")] = radians(0.2)
+    rgbd: RgbdConfig = RgbdConfig()
 
 
 class PartTruth(_Config):
@@ -233,6 +274,8 @@ class TruthConfig(_Config):
         contact_friction: [least, greatest] of the finger against the object.
         friction_by_part: whether each part has a friction of its own; else one draw does for all. Slow pushes cannot
             tell a heavy part from a rough one: where both vary, the center of mass cannot be learned.
+        support: how a free object stands. "own_weight": each cell bears its own, as the model supposes;
+            "foundation": on an evenly compliant bottom; "three_feet": on three feet at places drawn from the seed.
         parts: given instead of drawn; masses given here are not scaled.
     """
 
@@ -240,6 +283,7 @@ class TruthConfig(_Config):
     friction: Annotated[Range, Field(description=RANGE)] = list(FRICTION_RANGE)
     contact_friction: Annotated[Range, Field(description=RANGE)] = list(CONTACT_FRICTION_RANGE)
     friction_by_part: Annotated[bool, Field(description="true or false")] = False
+    support: Annotated[Support, Field(description=f"one of {', '.join(get_args(Support))}")] = "own_weight"
     parts: Annotated[list[PartTruth], Field(description="a list of parts, each with a label")] = []
 
 

@@ -21,7 +21,7 @@ from gridpush_drake.errors import ObjectError, ScenarioError
 from gridpush_drake.files import is_file
 from gridpush_drake.geometry.se2 import transform_shape
 from gridpush_drake.multibody.contact_material import FindTableOutline
-from gridpush_drake.multibody.ground_truth import sample_ground_truth
+from gridpush_drake.multibody.ground_truth import calc_support, sample_ground_truth
 from gridpush_drake.multibody.parser import MakeParser
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
@@ -167,7 +167,12 @@ def _check_truth(scenario: PushScenario, obj: GridObject) -> None:
     for at, label in enumerate(labels):
         if label in labels[:at]:
             raise ScenarioError(f"truth.parts[{at}].label is {label} once more; expected each part once")
-    MakeTruth(obj, scenario.truth, scenario.seed)
+    truth = MakeTruth(obj, scenario.truth, scenario.seed)
+    support = MakeSupport(obj, truth, scenario, scenario.seed)
+    if support is not None and scenario.base != "free":
+        raise ScenarioError(
+            f"truth.support is {scenario.truth.support} and base {scenario.base}; expected base free, or own_weight"
+        )
 
 
 def _check_heights(scenario: PushScenario, tip_radius: float) -> None:
@@ -286,6 +291,26 @@ def MakeTruth(obj: GridObject, config: TruthConfig, seed: int) -> CellParameters
         if part.friction is not None:
             friction[cells] = part.friction
     return CellParameters(mass, friction, drawn.contact_friction)
+
+
+def MakeSupport(
+    obj: GridObject, truth: CellParameters, scenario: PushScenario, seed: int
+) -> NDArray[np.float64] | None:
+    """How stiff the object's feet are (n,), kg, see `calc_support`; None where each cell bears its own weight.
+
+    Args:
+        obj: the object.
+        truth: its masses and frictions.
+        scenario: with the truth's `support` and the height of pushes.
+        seed: of the draw.
+
+    Raises:
+        ScenarioError: no three feet are found that it stands on while it is pushed.
+    """
+    try:
+        return calc_support(obj, truth, scenario.truth.support, seed, scenario.finger.push_height)
+    except ObjectError as error:
+        raise ScenarioError(f"truth.support: {error}") from error
 
 
 def _pair(values: list[float]) -> tuple[float, float]:

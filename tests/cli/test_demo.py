@@ -63,7 +63,22 @@ def test_learns_and_reports(gridpush, tmp_path):
     again = gridpush("identify", out / "object.yaml", out / "pushes.csv", "--out", offline)
     assert again.code == 0, again.err
     np.testing.assert_array_equal(read_model(offline).params.mass, read_model(out / "model.yaml").params.mass)
-    assert len(PushLog.read_csv(out / "held_out.csv")) == 1
+    held_out = PushLog.read_csv(out / "held_out.csv")
+    assert len(held_out) == 1
+
+    # and from what was seen all along the same pushes, to the last digit
+    recorded = record_again(gridpush, out, tmp_path / "recorded.csv", "--engaged-below", 0.03)
+    of_it = (out / "held_out.csv").read_text().splitlines()[1:]
+    assert recorded.splitlines() == (out / "pushes.csv").read_text().splitlines() + of_it
+
+
+def record_again(gridpush, out, path, *options):
+    """What `gridpush record` makes of a demo's stream."""
+    outcome = gridpush(
+        "record", out / "stream.csv", "--object", out / "object.yaml", "--pose-delay", 1 / 30, *options, "--out", path
+    )
+    assert outcome.code == 0, outcome.err
+    return path.read_text()
 
 
 def check_recording(out, duration, tmp_path):
@@ -119,6 +134,10 @@ def test_refuses_a_scenario_that_makes_no_sense(refuses, tmp_path, text, says):
     path = tmp_path / "bad.yaml"
     path.write_text(text)
     refuses("demo", "--task", "identify", "--scenario", path, "--out", tmp_path / "demo", says=says)
+
+
+def test_refuses_an_unknown_camera(refuses, tmp_path):
+    refuses("demo", "--camera", "lidar", "--out", tmp_path / "demo", says=["--camera", "lidar", "rgbd"])
 
 
 def test_refuses_an_object_larger_than_the_table(refuses, tmp_path):
@@ -206,6 +225,9 @@ def test_pokes_slides_and_lifts_as_readme_says(gridpush, tmp_path, monkeypatch):
     assert sorted(path.name for path in out.iterdir()) == sorted(TASKS["pregrasp"].files)
     assert "What the robot did" in (out / "report.html").read_text()
     check_same_offline(gridpush, out, tmp_path)
+    table = "rectangle:0.8x1.2@0.6,-0.45"
+    recorded = record_again(gridpush, out, tmp_path / "recorded.csv", "--engaged-below", 0.03, "--table", table)
+    assert recorded == (out / "pushes.csv").read_text()
 
 
 def check_same_offline(gridpush, out, tmp_path):

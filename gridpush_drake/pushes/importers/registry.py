@@ -1,4 +1,4 @@
-"""Importers of public data sets: what one is, and which there are.
+"""Importers of public data sets and of ROS bags: what one is, and which there are.
 
 An importer is a frozen dataclass in a file of its own here, and a line in `IMPORTERS`; its fields are then the options
 of `gridpush import NAME`. What it reads becomes a push log and an object, in SI units, radians and one world frame.
@@ -12,6 +12,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import PushLog
 
 IMPORTERS = {
+    "bag": "bag.BagImporter",
     "cmu": "cmu.CmuImporter",
     "mit": "mit.MitImporter",
 }
@@ -19,7 +20,7 @@ IMPORTERS = {
 
 
 class Importer(Protocol):
-    """Reads one file of a public data set; its fields are what a user may choose.
+    """Reads one file of others' pushes; its fields are what a user may choose.
 
     A field is a bool, a number, a text, or a GridObject where an object's file or name is asked for. Its metadata has
     its `help` and, where it is not called after the field, its `name` on the command line. The first line of the

@@ -1,0 +1,174 @@
+"""A table, an object and an arm's tip under a camera, rendered by Drake's VTK engine, with a depth camera's noise.
+
+It needs neither display nor GPU. Two lamps: one beside the camera, one aside, which casts shadows.
+"""
+
+from io import BytesIO
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+from pydrake.common import MemoryFile
+from pydrake.geometry import (
+    Box,
+    ClippingRange,
+    ColorRenderCamera,
+    Cylinder,
+    DepthRange,
+    DepthRenderCamera,
+    FrameId,
+    FramePoseVector,
+    GeometryFrame,
+    GeometryInstance,
+    InMemoryMesh,
+    LightParameter,
+    MakeRenderEngineVtk,
+    Mesh,
+    PerceptionProperties,
+    QueryObject,
+    RenderCameraCore,
+    RenderEngineVtkParams,
+    RenderLabel,
+    Rgba,
+    SceneGraph,
+    Shape,
+)
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.systems.sensors import CameraInfo
+from shapely import Polygon
+from trimesh.exchange.obj import export_obj
+
+from gridpush_drake.multibody.meshcat_shapes import make_outline_mesh
+from gridpush_drake.perception import Camera, Frame
+from gridpush_drake.perception.camera import DRAKE_PIXEL_MIDDLE
+
+RENDERER = "vtk"
+TABLE, THICKNESS = 1.6, 0.02
+"""Side and thickness of the table, m."""
+
+TABLE_COLOR, ARM_COLOR = (0.75, 0.74, 0.70), (0.2, 0.2, 0.22)
+LAMPS = (("camera", 0.75, (0.0, 0.0, 1.0)), ("world", 0.25, (0.3, 0.5, -1.0)))
+"""Of each: the frame of its direction, its intensity, its direction."""
+
+ROD, HAND, HAND_HEIGHT = 0.12, (0.08, 0.05, 0.06), 0.15
+"""Length of the rod that pushes, m; sides and height over the table of the hand that holds it."""
+
+NEAR, FAR = 0.05, 5.0
+"""Of what is rendered, m."""
+
+COLOR_NOISE = 2.0
+"""Standard deviation, of 255."""
+
+DEPTH_NOISE, DEPTH_EDGE = 0.005, 0.01
+"""Standard deviation of depth at 1 m, m: it grows with distance squared; and the step at which it is not measured."""
+
+TABLE_LABEL, OBJECT_LABEL, ARM_LABEL = 1, 2, 3
+
+
+class RenderedTable:
+    """The scene; each look is a pure function of the poses and a seed."""
+
+    def __init__(
+        self, outline: Polygon, height: float, color: ArrayLike, camera: Camera, rod_radius: float | None = None
+    ) -> None:
+        """Makes it.
+
+        Args:
+            outline: of the object, B, m.
+            height: of it, m.
+            color: of it, red, green and blue, 0 to 1.
+            camera: without distortion, with X_WC.
+            rod_radius: of the rod that an arm's hand holds, m; None without an arm.
+        """
+        self.camera = camera
+        self._scene = SceneGraph()
+        self._source = self._scene.RegisterSource("table")
+        lights = [
+            LightParameter(type="directional", frame=frame, intensity=intensity, direction=list(direction))
+            for frame, intensity, direction in LAMPS
+        ]
+        self._scene.AddRenderer(RENDERER, MakeRenderEngineVtk(RenderEngineVtkParams(lights=lights, cast_shadows=True)))
+        self._add(None, Box(TABLE, TABLE, THICKNESS), TABLE_COLOR, TABLE_LABEL, [0, 0, -THICKNESS / 2])
+        mesh = Mesh(InMemoryMesh(mesh_file=MemoryFile(_make_mesh(outline, height), ".obj", "outline.obj")))
+        self._object = self._add_frame("object")
+        self._add(self._object, mesh, color, OBJECT_LABEL, [0, 0, 0])
+        self._arm = None if rod_radius is None else self._add_frame("arm")
+        if rod_radius is not None:
+            self._add(self._arm, Cylinder(rod_radius, ROD), ARM_COLOR, ARM_LABEL, [0, 0, ROD / 2])
+            self._add(self._arm, Box(*HAND), ARM_COLOR, ARM_LABEL, [0, 0, HAND_HEIGHT])
+        self._context = self._scene.CreateDefaultContext()
+        K = camera.K
+        center = K[:2, 2] + DRAKE_PIXEL_MIDDLE
+        info = CameraInfo(camera.width, camera.height, K[0, 0], K[1, 1], *center)
+        core = RenderCameraCore(RENDERER, info, ClippingRange(NEAR, FAR), RigidTransform())
+        self._color_camera = ColorRenderCamera(core, False)
+        self._depth_camera = DepthRenderCamera(core, DepthRange(NEAR, FAR))
+
+    def look(
+        self, pose: ArrayLike, tip: ArrayLike | None = None, *, seed: int = 0, t: float = 0.0, depth: bool = True
+    ) -> tuple[Frame, NDArray[np.bool_]]:
+        """Takes a frame.
+
+        Args:
+            pose: (3,) of the object, W.
+            tip: (2,) of the rod, W, m; None where the arm is away.
+            seed: of the noise.
+            t: of the frame, s.
+            depth: whether there is a depth camera.
+
+        Returns:
+            The frame, and (height, width) where the arm is in it.
+        """
+        x, y, theta = np.asarray(pose, dtype=np.float64)
+        poses = FramePoseVector()
+        poses.set_value(self._object, RigidTransform(RollPitchYaw(0, 0, theta), [x, y, 0.0]))
+        if self._arm is not None:
+            at = [FAR, FAR, 0.0] if tip is None else [*np.asarray(tip, dtype=np.float64), 0.0]
+            poses.set_value(self._arm, RigidTransform(at))
+        self._scene.get_source_pose_port(self._source).FixValue(self._context, poses)
+        query: QueryObject = self._scene.get_query_output_port().Eval(self._context)
+        world, X_WC = self._scene.world_frame_id(), RigidTransform(self.camera.pose)
+        color = query.RenderColorImage(self._color_camera, world, X_WC).data[..., :3]
+        labels = query.RenderLabelImage(self._color_camera, world, X_WC).data[..., 0]
+        rng = np.random.default_rng(seed)
+        noisy = np.clip(color + COLOR_NOISE * rng.standard_normal(color.shape), 0, 255).astype(np.uint8)
+        measured = None
+        if depth:
+            z = query.RenderDepthImage(self._depth_camera, world, X_WC).data[..., 0].astype(np.float64)
+            measured = add_depth_noise(z, rng)
+        return Frame(noisy, measured, t), labels == ARM_LABEL
+
+    def _add_frame(self, name: str) -> FrameId:
+        return self._scene.RegisterFrame(self._source, GeometryFrame(name))
+
+    def _add(self, frame: FrameId | None, shape: Shape, color: ArrayLike, label: int, at: ArrayLike) -> None:
+        properties = PerceptionProperties()
+        properties.AddProperty("phong", "diffuse", Rgba(*np.asarray(color, dtype=np.float64), 1.0))
+        properties.AddProperty("label", "id", RenderLabel(label))
+        name = f"{type(shape).__name__}_{label}"
+        instance = GeometryInstance(RigidTransform(np.asarray(at, dtype=np.float64)), shape, name)
+        instance.set_perception_properties(properties)
+        if frame is None:
+            self._scene.RegisterAnchoredGeometry(self._source, instance)
+        else:
+            self._scene.RegisterGeometry(self._source, frame, instance)
+
+
+def _make_mesh(outline: Polygon, height: float) -> str:
+    """An OBJ file's text of a prism with flat sides: the engine wants normals, each side its own."""
+    text = make_outline_mesh(outline, height)
+    mesh = trimesh.load_mesh(BytesIO(text.encode()), file_type="obj", process=False)
+    mesh.unmerge_vertices()
+    return str(export_obj(mesh, include_normals=True))
+
+
+def add_depth_noise(z: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float32]:
+    """What a depth camera makes of depth (height, width), m: noise that grows with distance squared, holes at edges."""
+    noisy = np.where(np.isfinite(z), z, 0.0)
+    edge = np.zeros(z.shape, dtype=bool)
+    for axis in (0, 1):
+        step = np.abs(np.diff(noisy, axis=axis)) > DEPTH_EDGE
+        edge |= np.insert(step, 0, False, axis=axis) | np.insert(step, step.shape[axis], False, axis=axis)
+    noisy += DEPTH_NOISE * noisy**2 * rng.standard_normal(z.shape)
+    noisy[edge] = 0.0
+    return noisy.astype(np.float32)

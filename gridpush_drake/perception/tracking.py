@@ -1,0 +1,539 @@
+"""The pose of a known outline, from frame to frame.
+
+What is seen of a prism on the table is its silhouette: the union of its outline and of all that its sides and its top
+hide of the table. Along its boundary, at points p_i with outward normals n_i in the picture, the edge between object
+and table is looked for, d_i pixels off, and the pose q moves until these vanish on the whole:
+
+    min_q  sum_i w_i (d_i - n_i' J_i dq)^2 / sigma^2 + |dq|^2_P,       J_i = d(pixel of p_i)/dq
+
+with Tukey's weights w_i, and a prior P as wide as the object can move between two frames. Points that something covers
+have no part. The covariance is the inverse of the information left, sum w_i J_i' n_i n_i' J_i / sigma^2, of edges whose
+errors neighbors share: what no edge tells, such as the angle of a disc, keeps the prior's width.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike, NDArray
+from shapely import Polygon
+from shapely.geometry.polygon import orient
+
+from gridpush_drake.errors import PerceptionError
+from gridpush_drake.geometry.se2 import transform, wrap_angle
+from gridpush_drake.objects.outline import make_polygon
+from gridpush_drake.perception.camera import Camera
+from gridpush_drake.perception.detection import draw_contours, look_at_table
+from gridpush_drake.perception.foreground import (
+    Foreground,
+    dilate,
+    find_foreground,
+    find_high,
+    refine_boundary,
+    score_pixels,
+    to_lab,
+)
+from gridpush_drake.perception.frames import Color, Frame
+from gridpush_drake.perception.table_plane import TablePlane, make_rays
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MAX_POINTS, SPACING = 360, 1.5
+"""Of the boundary that are looked at, at most; and how far apart they are at least, pixels."""
+
+SEARCHES = ((16.0, 1.0, 10), (6.0, 0.5, 10), (3.0, 0.25, 12))
+"""How far from the boundary the edge is looked for, in what steps, pixels, and how often at most; coarse to fine."""
+
+CONVERGED = 1e-3
+"""Pixels, of the step at which a search ends."""
+
+TUKEY, MIN_SPREAD = 3.0, 0.3
+"""Deviations at which an edge counts for nothing, and the least deviation, pixels."""
+
+SHARED_LENGTH = 24.0
+"""Along the boundary within which errors of edges are alike, pixels."""
+
+DIFFERENCE = 1e-5
+"""Step of numerical derivatives, m."""
+
+HALF = 0.5
+"""Coverage at the edge."""
+
+CLEARANCE = 0.015
+"""What stands higher than the object by this is something else, such as the arm, m."""
+
+COVER_MARGIN = 9
+"""Width, pixels, by which what covers the object is widened: its edges are uncertain too."""
+
+MARGIN = 30
+"""About what may hold the object in the next frame, pixels."""
+
+ANGLES, BEST, COARSE = 48, 5, 4
+"""Of a search everywhere: angles tried, how many of the best are looked at closely, and the side of its pixels."""
+
+MIN_OVERLAP = 0.35
+"""Least share that silhouette and foreground have in common (intersection over union) in a search everywhere."""
+
+MIN_INSIDE = 0.6
+"""Least share of the visible silhouette that must be foreground."""
+
+MAX_RMS = 2.0
+"""Pixels, of the edges that are found."""
+
+
+@dataclass(frozen=True)
+class TrackerOptions:
+    """How the pose is found.
+
+    Attributes:
+        max_step: furthest that the object goes from one frame to the next, m.
+        max_turn: likewise, rad.
+        lost_share: the object is lost where less of its visible outline than this is found.
+        pixel_noise: least standard deviation of an edge's place, pixels.
+    """
+
+    max_step: float = 0.03
+    max_turn: float = 0.3
+    lost_share: float = 0.5
+    pixel_noise: float = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """What the table looks like.
+
+    Attributes:
+        table: (height, width, 3) its color, CIE L*a*b*.
+        deviation: (3,) of it.
+        plane: its plane in depth, the normal (3,) over the distance; None without depth.
+        height_deviation: of the table's heights, m.
+    """
+
+    table: NDArray[np.float32]
+    deviation: Array
+    plane: Array | None
+    height_deviation: float
+
+
+@dataclass(frozen=True, eq=False)
+class TrackerState:
+    """What the tracker remembers; nobody edits it.
+
+    Attributes:
+        pose: (3,) the last pose (x, y, theta) found, W, m and rad.
+        lost: whether the object was not found in the last frame.
+        t: of the last frame, s.
+        appearance: what the table looks like.
+    """
+
+    pose: Array
+    lost: bool
+    t: float
+    appearance: Appearance
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedPose:
+    """What one frame told.
+
+    Attributes:
+        pose: (3,) (x, y, theta) of the object, W, m and rad, theta without jumps; NaN where it was not seen.
+        covariance: (3, 3) of it, m^2, m rad and rad^2; NaN where it was not seen. It is large along what cannot be
+            seen: the angle of a disc, what the arm covers.
+        seen: whether the object was found.
+        residual: root mean square distance of the edges found from the outline, pixels; NaN where it was not seen.
+    """
+
+    pose: Array
+    covariance: Array
+    seen: bool
+    residual: float
+
+
+class _View(NamedTuple):
+    """What is object in a part of the picture.
+
+    Attributes:
+        coverage: (h, w) share of each pixel that is object.
+        mask: (h, w) bool.
+        covered: (h, w) bool, pixels that say nothing.
+        corner: (2,) the part's upper left pixel.
+    """
+
+    coverage: NDArray[np.float32]
+    mask: Mask
+    covered: Mask
+    corner: Array
+
+
+class _Fit(NamedTuple):
+    """A registration: the pose, its covariance, and how well it explains the picture."""
+
+    pose: Array
+    covariance: Array
+    share: float
+    inside: float
+    rms: float
+
+
+NOT_SEEN = TrackedPose(np.full(3, np.nan), np.full((3, 3), np.nan), False, float("nan"))
+
+
+class PoseTracker:
+    """Registers a known outline to what a camera sees. It holds no state; `start` and `track` are pure."""
+
+    def __init__(
+        self, outline: Polygon | ArrayLike, height: float, camera: Camera, options: TrackerOptions | None = None
+    ) -> None:
+        """Takes the object and the camera.
+
+        Args:
+            outline: of the object, B: a polygon, or (k, 2) vertices, m.
+            height: of the object, m.
+            camera: with X_WC; the table's top is at z = 0.
+            options: see `TrackerOptions`.
+
+        Raises:
+            CameraError: X_WC is not known.
+            ObjectError: the outline is none.
+            PerceptionError: the height is negative, or the object reaches up to the camera.
+        """
+        self.outline = make_polygon(outline, "outline")
+        self.height, self.camera, self.options = float(height), camera, options or TrackerOptions()
+        if not 0 <= self.height < camera.center[2]:
+            raise PerceptionError(f"height is {height!r}; expected 0 to {camera.center[2]:g} m, where the camera is")
+        self._ideal = camera.undistorted
+        self._rays = make_rays(self._ideal)
+        turn = self.options.max_turn
+        self._prior = np.diag([self.options.max_step**-2, self.options.max_step**-2, turn**-2])
+
+    def start(self, frame: Frame, guess: ArrayLike | None = None) -> TrackerState:
+        """Learns what the table looks like, and finds the object.
+
+        Args:
+            frame: the first; the object lies in it, seen whole.
+            guess: (3,) its pose (x, y, theta), W, about, m and rad; None to search everywhere.
+
+        Returns:
+            The state before the first `track`, which may be of the same frame.
+
+        Raises:
+            PerceptionError: an image has another size, no table is in view, or no object that has the outline.
+        """
+        color, depth, plane, _ = look_at_table(frame.color, frame.depth, self.camera)
+        found = find_foreground(color, plane)
+        appearance = Appearance(
+            to_lab(color) - found.difference,
+            found.deviation,
+            None if plane is None else -plane.normal / plane.offset,
+            0.0 if plane is None else plane.deviation,
+        )
+        before = None if guess is None else np.array(guess, dtype=np.float64)
+        nowhere = np.zeros(color.shape[:2], dtype=bool)
+        fit = self._find(appearance, color, depth, nowhere, before)
+        if fit is None:
+            problem = "no object of this outline is in view; expected the one that the object's file describes"
+            raise PerceptionError(problem, draw_contours(color, found.mask))
+        pose = np.array([*fit.pose[:2], fit.pose[2] if before is not None else wrap_angle(fit.pose[2])])
+        return TrackerState(pose, False, frame.t, appearance)
+
+    def track(self, state: TrackerState, frame: Frame, unseen: Mask | None = None) -> tuple[TrackerState, TrackedPose]:
+        """Finds the object in a frame.
+
+        Args:
+            state: after the frame before.
+            frame: the next one.
+            unseen: (height, width) bool, pixels of the frame which something covers, such as the arm; None where
+                nothing is known to.
+
+        Returns:
+            The state after it, and the pose.
+
+        Raises:
+            ImageError: an image has another size than the camera.
+        """
+        self.camera.check_size(frame.color, "the color image")
+        color = self.camera.undistort(frame.color)
+        depth = frame.depth
+        if depth is not None:
+            self.camera.check_size(depth, "the depth image")
+            depth = self.camera.undistort(depth)
+        covered = np.zeros(color.shape[:2], dtype=bool)
+        if unseen is not None:
+            self.camera.check_size(unseen, "the mask of what is covered")
+            covered = self.camera.undistort(unseen.astype(np.uint16)) > 0
+        fit = self._find(state.appearance, color, depth, covered, state.pose, everywhere=state.lost)
+        if fit is None:
+            return replace(state, lost=True, t=frame.t), NOT_SEEN
+        pose = fit.pose.copy()
+        pose[2] = state.pose[2] + wrap_angle(pose[2] - state.pose[2])
+        pose.setflags(write=False)
+        tracked = TrackedPose(pose, fit.covariance, True, fit.rms)
+        return replace(state, pose=pose, lost=False, t=frame.t), tracked
+
+    def _find(
+        self, appearance: Appearance, color: Color, depth: NDArray[np.float32] | None, covered: Mask,
+        before: Array | None, everywhere: bool = False,
+    ) -> _Fit | None:  # fmt: skip
+        """Near the last pose first, then everywhere; None where it is nowhere."""
+        if before is not None:
+            view = self._look(appearance, color, depth, covered, self._find_window(before))
+            fit = self._register(view, before)
+            if self._accepts(fit):
+                return fit
+        whole = (slice(0, color.shape[0]), slice(0, color.shape[1]))
+        view = self._look(appearance, color, depth, covered, whole)
+        fits = [self._register(view, pose) for pose in self._guess(view, before)]
+        good = [fit for fit in fits if self._accepts(fit)]
+        return max(good, key=lambda fit: fit.share * fit.inside - fit.rms / MAX_RMS) if good else None
+
+    def _accepts(self, fit: _Fit) -> bool:
+        return fit.share >= self.options.lost_share and fit.inside >= MIN_INSIDE and fit.rms <= MAX_RMS
+
+    def _find_window(self, pose: Array) -> tuple[slice, slice]:
+        """Rows and columns in which the object may be in the next frame."""
+        reach = self._silhouette(pose).buffer(self.options.max_step).bounds
+        corners = np.array([[reach[i], reach[j], 0.0] for i in (0, 2) for j in (1, 3)])
+        pixels = self._ideal.project(corners)
+        low, high = np.nanmin(pixels, axis=0) - MARGIN, np.nanmax(pixels, axis=0) + MARGIN
+        sides = np.array([self.camera.width, self.camera.height])
+        x, y = np.clip(np.array([low, high]), 0, sides - 1).astype(int).T
+        return slice(y[0], y[1] + 1), slice(x[0], x[1] + 1)
+
+    def _look(
+        self, appearance: Appearance, color: Color, depth: NDArray[np.float32] | None, covered: Mask,
+        window: tuple[slice, slice],
+    ) -> _View:  # fmt: skip
+        """Tells the object from the table in a part of the picture."""
+        difference = to_lab(color[window]) - appearance.table[window]
+        hidden, plane, high = covered[window], None, None
+        if depth is not None and appearance.plane is not None:
+            z = np.where(depth[window] > 0, depth[window], np.nan)
+            scale = float(1 / np.linalg.norm(appearance.plane))
+            heights = scale * (1 - z * (self._rays[window] @ appearance.plane))
+            hidden = hidden | (np.nan_to_num(heights) > self.height + CLEARANCE)
+            plane = TablePlane(-appearance.plane * scale, scale, heights, appearance.height_deviation)
+            high = find_high(plane)
+        hidden = dilate(hidden, COVER_MARGIN) if hidden.any() else hidden
+        found: Foreground = score_pixels(difference, appearance.deviation, plane, high)
+        mask, coverage = refine_boundary(found.mask & ~hidden, found, hidden)
+        return _View(coverage, mask, hidden, np.array([window[1].start, window[0].start], dtype=np.float64))
+
+    def _silhouette(self, pose: Array) -> Polygon:
+        return make_silhouette(self.outline, pose, self.height, self._ideal)
+
+    def _guess(self, view: _View, before: Array | None) -> list[Array]:
+        """Poses whose silhouettes look most like the foreground, the best first."""
+        small = cv2.resize((view.mask & ~view.covered).astype(np.float32), None, fx=1 / COARSE, fy=1 / COARSE,
+                           interpolation=cv2.INTER_AREA) > HALF  # fmt: skip
+        count, labels, stats, middles = cv2.connectedComponentsWithStats(small.astype(np.uint8), connectivity=8)
+        if count < 2:
+            return []
+        tried: list[tuple[float, Array]] = []
+        largest = 1 + np.argsort(-stats[1:, cv2.CC_STAT_AREA])[:2]
+        for piece in largest:
+            at = self._ideal.cast((middles[piece] + HALF) * COARSE - HALF + view.corner, self.height / 2)
+            for theta in np.arange(ANGLES) * (2 * np.pi / ANGLES):
+                pose = np.array([*at, theta])
+                pose[:2] += at - np.array(self._silhouette(pose).centroid.coords[0])
+                tried.append((self._overlap(pose, labels == piece, view.corner), pose))
+        tried.sort(key=lambda entry: -entry[0])
+        best = [pose for overlap, pose in tried[:BEST] if overlap >= MIN_OVERLAP]
+        return best if before is None else [*best, before]
+
+    def _overlap(self, pose: Array, small: Mask, corner: Array) -> float:
+        """Intersection over union of a silhouette and a mask of coarse pixels."""
+        painted = np.zeros(small.shape, np.uint8)
+        points = np.array(self._silhouette(pose).exterior.coords)
+        pixels = self._ideal.project(np.column_stack([points, np.zeros(len(points))])) - corner
+        cv2.fillPoly(painted, [np.round((pixels + HALF) / COARSE - HALF).astype(np.int32)], 1)
+        common = np.count_nonzero(painted & small)
+        return common / (np.count_nonzero(painted) + np.count_nonzero(small) - common)
+
+    def _register(self, view: _View, pose: Array) -> _Fit:
+        """Moves the silhouette onto the edges, from coarse to fine."""
+        fit = _Fit(pose, np.full((3, 3), np.nan), 0.0, 0.0, np.inf)
+        for reach, step, rounds in SEARCHES:
+            start = fit.pose
+            for _ in range(rounds):
+                fit, moved = self._step(view, fit.pose, start, reach, step)
+                if moved < CONVERGED:
+                    break
+        return fit
+
+    def _step(self, view: _View, pose: Array, start: Array, reach: float, step: float) -> tuple[_Fit, float]:
+        """One step of the least squares, and by how many pixels it moves the outline at most."""
+        points, normals = sample_boundary(self._silhouette(pose), self._spacing(pose))
+        pixels, rows = self._linearize(pose, points, normals)
+        offsets, state = measure_edges(view.coverage, view.covered, pixels - view.corner, rows.normals, reach, step)
+        found = np.isfinite(offsets)
+        visible = found | (state != COVERED)
+        inside = sample_image(view.coverage, pixels - view.corner - reach * rows.normals)
+        share = found.sum() / max(1, visible.sum())
+        hold = float((inside[visible] > HALF).mean()) if visible.any() else 0.0
+        J, d = rows.J[found], offsets[found]
+        spread = max(MIN_SPREAD, 1.4826 * float(np.median(np.abs(d)))) if len(d) else MIN_SPREAD
+        weight = np.clip(1 - (d / (TUKEY * spread + self.options.pixel_noise)) ** 2, 0, None) ** 2
+        rms = float(np.sqrt((weight * d**2).sum() / max(weight.sum(), 1e-12)))
+        noise = max(rms, self.options.pixel_noise) ** 2 * max(1.0, SHARED_LENGTH / rows.spacing)
+        information = (J * weight[:, None]).T @ J / noise
+        back = start - pose
+        moved = np.linalg.solve(information + self._prior, (J * weight[:, None]).T @ d / noise + self._prior @ back)
+        covariance = np.asarray(np.linalg.inv(information + self._prior), dtype=np.float64)
+        largest = float(np.abs(rows.J @ moved).max(initial=0.0))
+        return _Fit(pose + moved, covariance, float(share), hold, rms), largest
+
+    def _spacing(self, pose: Array) -> float:
+        """Of the points of the boundary, m."""
+        length = self.outline.length
+        scale = self._ideal.K[0, 0] / self._ideal.center[2]
+        return max(length / MAX_POINTS, SPACING / scale)
+
+    def _linearize(self, pose: Array, points: Array, normals: Array) -> "tuple[Array, _Rows]":
+        """Pixels of boundary points, their normals in the picture, and how they move along these with the pose."""
+
+        def project(p: Array) -> Array:
+            return self._ideal.project(np.column_stack([p, np.zeros(len(p))]))
+
+        pixels = project(points)
+        along_x = (project(points + [DIFFERENCE, 0.0]) - pixels) / DIFFERENCE
+        along_y = (project(points + [0.0, DIFFERENCE]) - pixels) / DIFFERENCE
+        tangents = along_x * -normals[:, 1:] + along_y * normals[:, :1]
+        across = np.column_stack([tangents[:, 1], -tangents[:, 0]])
+        outward = along_x * normals[:, :1] + along_y * normals[:, 1:]
+        across *= np.sign((across * outward).sum(axis=1, keepdims=True))
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+        J_x, J_y = (across * along_x).sum(axis=1), (across * along_y).sum(axis=1)
+        arm = points - pose[:2]
+        J = np.column_stack([J_x, J_y, J_y * arm[:, 0] - J_x * arm[:, 1]])
+        spacing = float(np.linalg.norm(outward, axis=1).mean()) * self._spacing(pose)
+        return pixels, _Rows(J, across, spacing)
+
+
+class _Rows(NamedTuple):
+    """Derivatives (n, 3) of the edges' places by the pose, their normals (n, 2), and their spacing, pixels."""
+
+    J: Array
+    normals: Array
+    spacing: float
+
+
+def make_silhouette(outline: Polygon, pose: ArrayLike, height: float, camera: Camera) -> Polygon:
+    """All of the table that a prism hides from a camera.
+
+    Args:
+        outline: of the prism, B, m.
+        pose: (3,) of it, W.
+        height: of it, m.
+        camera: above it.
+
+    Returns:
+        A polygon on the table's plane, W, m, counterclockwise.
+    """
+    bottom = shapely.transform(outline, lambda points: transform(pose, points))
+    if height == 0:
+        return orient(bottom)
+    foot, distance = camera.center[:2], camera.center[2]
+    scale = distance / (distance - height)
+    pieces = [bottom, shapely.transform(bottom, lambda points: foot + scale * (points - foot))]
+    for ring in (bottom.exterior, *bottom.interiors):
+        low = np.array(ring.coords)
+        high = foot + scale * (low - foot)
+        sides = np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)
+        pieces += list(shapely.polygons(sides))
+    whole = shapely.union_all([piece for piece in pieces if piece.is_valid])
+    return orient(max(shapely.get_parts(whole), key=lambda piece: piece.area))
+
+
+def sample_boundary(polygon: Polygon, spacing: float) -> tuple[Array, Array]:
+    """Points (n, 2) on a polygon's rings, about `spacing` m apart, and their outward unit normals (n, 2)."""
+    points, normals = [], []
+    for ring in (polygon.exterior, *polygon.interiors):
+        corners = np.array(ring.coords)
+        sides = np.diff(corners, axis=0)
+        lengths = np.linalg.norm(sides, axis=1)
+        ends = np.concatenate([[0.0], np.cumsum(lengths)])
+        at = (np.arange(max(3, round(ends[-1] / spacing))) + HALF) * spacing
+        at = at[at < ends[-1]]
+        side = np.clip(np.searchsorted(ends, at, side="right") - 1, 0, len(sides) - 1)
+        direction = sides[side] / lengths[side, None]
+        points.append(corners[side] + (at - ends[side])[:, None] * direction)
+        normals.append(np.column_stack([direction[:, 1], -direction[:, 0]]))
+    return np.concatenate(points), np.concatenate(normals)
+
+
+FOUND, MISSING, COVERED = 0, 1, 2
+
+
+def measure_edges(
+    coverage: NDArray[np.float32], covered: Mask, pixels: Array, normals: Array, reach: float, step: float
+) -> tuple[Array, NDArray[np.int64]]:
+    """Looks for the object's edge across its expected boundary.
+
+    Args:
+        coverage: (h, w) share of each pixel that is object.
+        covered: (h, w) pixels that say nothing.
+        pixels: (n, 2) of the boundary.
+        normals: (n, 2) outward, unit.
+        reach: how far to look both ways, pixels.
+        step: of looking, pixels.
+
+    Returns:
+        (n,) how far outward the nearest edge is, pixels, NaN where there is none; and (n,) FOUND, MISSING or COVERED.
+    """
+    offsets = np.arange(-reach, reach + step / 2, step)
+    places = pixels[:, None] + offsets[:, None] * normals[:, None]
+    levels = sample_image(coverage, places)
+    hidden = sample_image(covered.astype(np.float32), places) > 0
+    falls = (levels[:, :-1] > HALF) & (levels[:, 1:] <= HALF)
+    falls &= ~(hidden[:, :-1] | hidden[:, 1:])
+    drop = np.maximum(levels[:, :-1] - levels[:, 1:], np.finfo(np.float32).eps)
+    at = offsets[:-1] + step * (levels[:, :-1] - HALF) / drop
+    at = np.where(falls, at, np.inf)
+    best = np.argmin(np.abs(at), axis=1)
+    nearest = at[np.arange(len(at)), best]
+    outside = ((places < 0) | (places > np.array(coverage.shape[::-1]) - 1)).any(axis=(1, 2))
+    nearest = np.where(np.isfinite(nearest), nearest, np.nan)
+    unseen = ~np.isfinite(nearest) & (hidden.any(axis=1) | outside)
+    return nearest, np.where(np.isfinite(nearest), FOUND, np.where(unseen, COVERED, MISSING))
+
+
+def sample_image(image: NDArray[Any], places: Array) -> NDArray[np.float32]:
+    """Finds the values of an image (height, width) at places (..., 2), linear between pixels; 0 outside."""
+    flat = places.reshape(-1, 1, 2).astype(np.float32)
+    values = [
+        cv2.remap(image.astype(np.float32), flat[i : i + MAX_REMAP], None, cv2.INTER_LINEAR)  # type: ignore[call-overload]
+        for i in range(0, len(flat), MAX_REMAP)
+    ]
+    return np.concatenate(values).reshape(places.shape[:-1])
+
+
+MAX_REMAP = 32_000
+"""Places that OpenCV looks up in one go."""
+
+
+def track_object(
+    tracker: PoseTracker, frames: Iterable[Frame], unseen: Callable[[Frame], Mask | None] | None = None
+) -> Iterator[tuple[Frame, TrackedPose]]:
+    """Finds an object in frame after frame.
+
+    Args:
+        tracker: of the object.
+        frames: in order of time; the first shows all of the object.
+        unseen: says of each what something covers; None where nothing is known to.
+
+    Yields:
+        Each frame, and what it told.
+
+    Raises:
+        PerceptionError: as `PoseTracker.start`, of the first frame.
+    """
+    state = None
+    for frame in frames:
+        state = tracker.start(frame) if state is None else state
+        state, tracked = tracker.track(state, frame, unseen(frame) if unseen is not None else None)
+        yield frame, tracked

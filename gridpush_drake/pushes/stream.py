@@ -1,0 +1,355 @@
+"""A continuous stream of the tip's and the object's poses: its CSV form, and the pushes in it.
+
+A stream is one CSV file, a row a sample, SI units and radians, world frame. Its columns: t; tip_x, tip_y (the center of
+the pusher's disc); optionally tip_z, its height above the table, 0 where it is not there, and tip_vx, tip_vy, tip_vz,
+its velocity, found from its places where it is not there; object_x, object_y, object_theta. The tip's cells, or the
+object's, are empty where it was not seen.
+"""
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from gridpush_drake.errors import PushLogError
+from gridpush_drake.files import read_text, write_whole
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.push_log import MAX_NUMBER, MAX_SHOWN, POSE, ObservedPush, PushLog
+from gridpush_drake.pushes.segmentation import (
+    UNUSABLE,
+    RecordOptions,
+    Sample,
+    SegmenterOptions,
+    SegmenterState,
+    advance,
+    find_begin,
+    make_observed_push,
+    name_push,
+)
+
+Array = NDArray[np.float64]
+
+TIP = ("tip_x", "tip_y", "tip_z")
+VELOCITY = ("tip_vx", "tip_vy", "tip_vz")
+REQUIRED = ("t", "tip_x", "tip_y", *POSE)
+COLUMNS = ("t", *TIP, *VELOCITY, *POSE)
+
+WHAT = "a stream of poses (CSV)"
+
+VELOCITY_WINDOW = 0.1
+"""Over which a velocity is found from places by a straight line, s."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """The pushes of a stream.
+
+    Attributes:
+        log: the pushes.
+        begins: when in the stream each began, s.
+        unusable: why motions that may have been pushes could not be written down.
+        unfinished: whether the stream ended within a push, which is left out.
+    """
+
+    log: PushLog
+    begins: tuple[float, ...] = ()
+    unusable: tuple[str, ...] = ()
+    unfinished: bool = False
+
+
+def record_pushes(
+    samples: Iterable[Sample],
+    obj: GridObject,
+    radius: float,
+    segmenter: SegmenterOptions | None = None,
+    record: RecordOptions | None = None,
+    source: str = "",
+) -> Recording:
+    """Cuts a stream into pushes as `GridIdentifier` does while it goes on, and names them as it does.
+
+    Args:
+        samples: of the stream, later and later.
+        obj: the object.
+        radius: of the tip, m.
+        segmenter: when a push begins and ends.
+        record: how it is written down.
+        source: where the stream came from.
+
+    Returns:
+        The pushes.
+    """
+    segmenter, record = segmenter or SegmenterOptions(), record or RecordOptions()
+    state, pushes, begins, unusable = SegmenterState(), list[ObservedPush](), list[float](), list[str]()
+    for sample in samples:
+        state, episode = advance(state, sample, segmenter)
+        if episode is None:
+            continue
+        try:
+            observed = make_observed_push(episode, obj, radius, name_push(len(pushes)), record)
+        except UNUSABLE as error:
+            unusable.append(f"the motion at {episode.path[0].t:g} s could not be written down: {error}")
+            continue
+        if observed is not None:
+            pushes.append(observed)
+            begins.append(find_begin(episode, record))
+    return Recording(PushLog(tuple(pushes), source), tuple(begins), tuple(unusable), bool(state.path))
+
+
+def calc_velocities(t: Array, places: Array, window: float = VELOCITY_WINDOW) -> Array:
+    """Finds velocities by straight lines through the places within half a window of each.
+
+    Args:
+        t: (K,) times, s, strictly increasing.
+        places: (K, d) m; rows that are not finite are not known.
+        window: s.
+
+    Returns:
+        (K, d) m/s; NaN where fewer than two places are known within the window.
+    """
+    known = np.asarray(np.isfinite(places).all(axis=1))
+    weight = known.astype(float)
+    p = np.where(known[:, None], places, 0.0)
+    origin = p[known].mean(axis=0) if known.any() else 0.0
+    p = (p - origin) * weight[:, None]
+    half = window / 2
+    first, last = np.searchsorted(t, t - half, "left"), np.searchsorted(t, t + half, "right")
+    first, last = np.minimum(first, np.maximum(np.arange(len(t)) - 1, 0)), np.maximum(last, np.arange(len(t)) + 1)
+
+    def total(values: Array) -> Array:
+        sums = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
+        return sums[last] - sums[first]
+
+    time = t - (t[0] + t[-1]) / 2
+    n, st, stt = total(weight), total(weight * time), total(weight * time**2)
+    sp, stp = total(p), total(p * time[:, None])
+    n = np.maximum(n, 1.0)
+    spread = stt - st**2 / n
+    enough: NDArray[np.bool_] = np.greater(spread, np.finfo(float).eps * np.maximum(stt, 1.0) * len(t))
+    velocity: Array = (stp - st[:, None] * sp / n[:, None]) / np.where(enough, spread, 1.0)[:, None]
+    velocity[~known | ~enough] = np.nan
+    return velocity
+
+
+def make_samples(t: Array, tip: Array, velocity: Array, poses: Array) -> list[Sample]:
+    """Puts a stream's samples together.
+
+    Args:
+        t: (K,) s.
+        tip: (K, 3) p_WP, m.
+        velocity: (K, 3) v_WP, m/s.
+        poses: (K, 3) q_W of the object, m and rad; NaN where it was not seen.
+
+    Returns:
+        The samples.
+    """
+    rows = zip(t.tolist(), poses.tolist(), tip.tolist(), velocity.tolist(), strict=True)
+    return [Sample(time, tuple(pose), tuple(place), tuple(v)) for time, pose, place, v in rows]
+
+
+DELAY_RANGE = 0.3
+"""Greatest delay that is looked for, s."""
+
+DELAY_ROUNDS = 3
+"""Of writing the pushes down with the delay found so far."""
+
+DELAY_OBSERVATIONS = 100
+"""Most poses a push that the delay is found from."""
+
+MIN_OBSERVATIONS = 5
+"""Of a push whose delay can be estimated."""
+
+LAST_SHARE = 0.2
+"""Of a push's path, at its end, on which the object moves with the tip."""
+
+END_VARIANCE = 9.0
+"""Of a parabola's value at the end of its N points, in variances of one of them by N; that of the rest is small."""
+
+MAD_TO_STD = 1.4826
+"""Standard deviation by median absolute deviation, of normal errors."""
+
+
+@dataclass(frozen=True)
+class Delay:
+    """How late the object's poses are against the tip's places.
+
+    Attributes:
+        value: s, positive where the poses are late.
+        std: of it, s.
+        pushes: from which it was found.
+    """
+
+    value: float
+    std: float
+    pushes: int
+
+
+def estimate_delay(
+    samples: Sequence[Sample],
+    obj: GridObject,
+    radius: float,
+    segmenter: SegmenterOptions | None = None,
+    record: RecordOptions | None = None,
+) -> Delay | None:
+    """Estimates how late the object's poses are in a stream, from its standing still when the tip stops.
+
+    Over the last part of a push the pose is q(t) = q_end + b d + c d^2, d = s(t - delay) - s_end, s the tip's path: the
+    delay, b and c that fit it best. Of all pushes the median counts: in some the tip slides off before it stops. As the
+    poses at rest are chosen by the delay, the pushes are written down once more with what was found.
+
+    Args:
+        samples, obj, radius, segmenter, record: as of `record_pushes`; delays are beyond `record.pose_delay`.
+
+    Returns:
+        The delay; None where no push has poses enough.
+    """
+    record = replace(record or RecordOptions(), observations=DELAY_OBSERVATIONS)
+    start, found, errors = record.pose_delay, list[float](), list[float]()
+    for _ in range(DELAY_ROUNDS):
+        log = record_pushes(samples, obj, radius, segmenter, record).log
+        fits = [fit for seen in log if (fit := _fit_delay(seen, obj.radius_of_gyration)) is not None]
+        if not fits:
+            return None
+        found, errors = [value + record.pose_delay - start for value, _ in fits], [std for _, std in fits]
+        record = replace(record, pose_delay=start + float(np.median(found)))
+    median = float(np.median(found))
+    spread = max(MAD_TO_STD * float(np.median(np.abs(np.array(found) - median))), float(np.median(errors)))
+    return Delay(median, spread * math.sqrt(math.pi / 2 / len(found)), len(found))
+
+
+def _fit_delay(seen: ObservedPush, rho: float) -> tuple[float, float] | None:
+    """A push's delay and its standard deviation, s; None where there is too little to see."""
+    traveled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(seen.push.xy, axis=0), axis=1)))
+    t, end = seen.push.t - seen.push.t[0], traveled[-1]
+    late = np.interp(seen.t_observed, t, traveled) > (1 - LAST_SHARE) * end
+    late[-1:] = False
+    count = int(late.sum())
+    if count < MIN_OBSERVATIONS:
+        return None
+    moved = (seen.poses_observed[late] - seen.final_pose) * (1.0, 1.0, rho)
+
+    def fit(delay: float) -> tuple[float, Array]:
+        d = np.interp(seen.t_observed[late] - delay, t, traveled) - end
+        basis = np.column_stack([d, d**2]) / end
+        factors = np.linalg.lstsq(basis, moved, rcond=None)[0]
+        return float(np.linalg.norm(moved - basis @ factors)), factors
+
+    best = minimize_scalar(lambda delay: fit(delay)[0], bounds=(-DELAY_RANGE, DELAY_RANGE), method="bounded").x
+    misfit, factors = fit(best)
+    duration = seen.t_observed[late][-1] - seen.t_observed[late][0]
+    speed = float(np.linalg.norm(factors[0])) * LAST_SHARE / duration
+    if abs(best) > (1 - 1 / MIN_OBSERVATIONS) * DELAY_RANGE or not speed > 0:
+        return None
+    return float(best), misfit / math.sqrt(moved.size) * math.sqrt(END_VARIANCE / count) / speed
+
+
+def write_stream_csv(samples: Sequence[Sample], path: Path | str, force: bool = False) -> None:
+    """Writes a stream so that `read_stream_csv` gives its numbers back bit for bit.
+
+    Args:
+        samples: of the stream.
+        path: the CSV file.
+        force: whether an existing file may be replaced.
+
+    Raises:
+        OutputError: the file exists and `force` is not set, or it cannot be written.
+    """
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for sample in samples:
+        groups = ((*sample.tip, *sample.velocity), sample.pose)
+        writer.writerow([repr(float(sample.t)), *(cell for group in groups for cell in _write_cells(group))])
+    write_whole(path, buffer.getvalue(), force)
+
+
+def _write_cells(numbers: Sequence[float]) -> list[str]:
+    return [repr(float(number)) if all(map(math.isfinite, numbers)) else "" for number in numbers]
+
+
+def read_stream_csv(path: Path | str) -> list[Sample]:
+    """Reads a stream.
+
+    Args:
+        path: the CSV file.
+
+    Returns:
+        Its samples.
+
+    Raises:
+        PushLogError: the file cannot be read or breaks the form; the message names the file, the line, the column and
+            the expected form.
+    """
+    path = Path(path)
+    rows = csv.reader(io.StringIO(read_text(path, WHAT, PushLogError).replace("\0", "\N{REPLACEMENT CHARACTER}")))
+    t, groups = list[float](), list[list[list[float]]]()
+    header: list[str] | None = None
+    try:
+        for cells in rows:
+            if not any(cell.strip() for cell in cells):
+                continue
+            if header is None:
+                header = _check_header(path, rows.line_num, [cell.strip() for cell in cells])
+                continue
+            if len(cells) != len(header):
+                raise PushLogError(
+                    f"{path}, line {rows.line_num}: has {len(cells)} fields; the header has {len(header)}"
+                )
+            row = dict(zip(header, cells, strict=True))
+            t.append(_read_time(path, rows.line_num, row["t"], t))
+            groups.append([_read_group(path, rows.line_num, row, group) for group in (TIP, VELOCITY, POSE)])
+    except csv.Error as error:
+        raise PushLogError(f"{path}, line {rows.line_num}: is not CSV: {error}") from error
+    if header is None or not t:
+        raise PushLogError(f"{path}: is empty; expected the header {','.join(REQUIRED)} and rows below it")
+    times, (tip, velocity, poses) = np.array(t), np.array(groups).transpose(1, 0, 2)
+    return make_samples(times, tip, velocity if VELOCITY[0] in header else calc_velocities(times, tip), poses)
+
+
+def _check_header(path: Path, line: int, header: list[str]) -> list[str]:
+    form = f"expected {','.join(REQUIRED)} and, if known, {TIP[2]} and {', '.join(VELOCITY)}"
+    for name in header:
+        if name not in COLUMNS or header.count(name) > 1:
+            _fail(path, line, name, f"is {'there twice' if name in COLUMNS else 'unknown'}; {form}")
+    there = [name for name in VELOCITY if name in header]
+    for name in (*REQUIRED, *(VELOCITY if there else ())):
+        if name not in header:
+            _fail(path, line, name, f"is missing; {form}")
+    return header
+
+
+def _read_time(path: Path, line: int, cell: str, before: list[float]) -> float:
+    time = _read_number(path, line, "t", cell)
+    if before and time <= before[-1]:
+        _fail(path, line, "t", f"is {time!r} after {before[-1]!r}; expected times (s) that increase")
+    return time
+
+
+def _read_group(path: Path, line: int, row: dict[str, str], columns: tuple[str, ...]) -> list[float]:
+    """The numbers of columns that are empty together; 0 for a column that the file does not have."""
+    there = [name for name in columns if name in row]
+    if not any(row[name].strip() for name in there):
+        return [math.nan] * len(columns) if there else [0.0] * len(columns)
+    return [_read_number(path, line, name, row[name]) if name in row else 0.0 for name in columns]
+
+
+def _read_number(path: Path, line: int, column: str, cell: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or abs(value) > MAX_NUMBER or "_" in cell:
+        group = next((columns for columns in (TIP, VELOCITY, POSE) if column in columns), None)
+        form = "a finite number" + (f", or {', '.join(group)} empty" if group else " (s)")
+        _fail(path, line, column, f"is {cell.strip()[:MAX_SHOWN]!r}; expected {form}")
+    return value
+
+
+def _fail(path: Path, line: int, column: str, what: str) -> NoReturn:
+    raise PushLogError(f"{path}, line {line}, column {column[:MAX_SHOWN]}: {what}")

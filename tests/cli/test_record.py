@@ -1,0 +1,69 @@
+import json
+
+import numpy as np
+import pytest
+
+from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.pushes.stream import record_pushes, write_stream_csv
+from tests.helpers.scripted_stream import PERIOD, Script, poke_four_times
+from tests.helpers.shapes import make_shape
+
+OBJECT = "l_bracket"
+
+
+@pytest.fixture(scope="module")
+def script():
+    return poke_four_times(Script(make_shape(OBJECT, 20)))
+
+
+@pytest.fixture
+def stream(script, tmp_path):
+    path = tmp_path / "stream.csv"
+    write_stream_csv(script.samples, path)
+    return path
+
+
+@pytest.fixture
+def thing(script, tmp_path):
+    path = tmp_path / "object.yaml"
+    script.obj.write_yaml(path)
+    return path
+
+
+def test_writes_the_pushes_of_a_stream(gridpush, script, stream, thing, tmp_path):
+    out = tmp_path / "pushes.csv"
+    outcome = gridpush("record", stream, "--object", thing, "--out", out, "--json")
+    assert outcome.code == 0, outcome.err
+    found = json.loads(outcome.out)
+    assert (found["pushes"], found["unfinished"], found["overhanging"]) == (4, False, [])
+    assert abs(found["delay"]["value"]) < 3 * found["delay"]["std"]
+    expected = record_pushes(script.samples, script.obj, 0.005).log
+    for one, other in zip(expected, PushLog.read_csv(out), strict=True):
+        np.testing.assert_array_equal(one.poses_observed, other.poses_observed)
+        np.testing.assert_array_equal(one.push.xy, other.push.xy)
+
+
+def test_says_what_the_delay_is_and_what_hangs_over(gridpush, script, stream, thing, tmp_path):
+    late = [now._replace(pose=old.pose) for now, old in zip(script.samples[3:], script.samples[:-3], strict=True)]
+    write_stream_csv(late, stream, force=True)
+    x = script.truth[-1][0] + 0.02
+    table = f"polygon:-1,-1;{x},-1;{x},1;-1,1"
+    outcome = gridpush("record", stream, "--object", thing, "--out", tmp_path / "a.csv", "--table", table)
+    assert outcome.code == 0, outcome.err
+    said = float(outcome.out.split("poses are ")[1].split(" +-")[0])
+    assert said == pytest.approx(3e3 * PERIOD, abs=30)
+    flags = [seen.overhang for seen in PushLog.read_csv(tmp_path / "a.csv")]
+    assert flags[-1] and not flags[0]
+    outcome = gridpush("record", stream, "--object", thing, "--out", tmp_path / "b.csv", "--pose-delay", 3 * PERIOD)
+    assert float(outcome.out.split("poses are ")[1].split(" +-")[0]) == pytest.approx(0, abs=30)
+
+
+def test_refuses(refuses, stream, thing, tmp_path):
+    out = tmp_path / "pushes.csv"
+    refuses("record", stream, "--object", "claw_hamer", "--out", out, says=["claw_hamer", "claw_hammer"])
+    refuses("record", tmp_path / "none.csv", "--object", thing, "--out", out, says=["none.csv"])
+    refuses("record", stream, "--object", thing, "--out", out, "--pose-delay", "nan", says=["--pose-delay"])
+    refuses(
+        "record", stream, "--object", thing, "--out", out, "--engaged-below", "0.001", says=[stream, "holds no push"]
+    )
+    refuses("record", stream, "--object", thing, "--out", stream, says=[stream, "--force"])

@@ -1,0 +1,154 @@
+import cv2
+import numpy as np
+import pytest
+from shapely import Polygon
+
+from gridpush_drake.errors import (
+    CameraError,
+    ImageError,
+    NoObjectError,
+    NoTableError,
+    ObjectAtBorderError,
+    PerceptionError,
+    SeveralObjectsError,
+)
+from gridpush_drake.geometry.se2 import transform
+from gridpush_drake.perception import Camera, DetectorOptions, detect_object, read_color, read_depth
+from tests.helpers.pictures import calc_outline_error, make_camera, paint
+from tests.helpers.shared_data import shared_data
+
+L_SHAPE = np.array([[0, 0], [0.14, 0], [0.14, 0.04], [0.05, 0.04], [0.05, 0.12], [0, 0.12]]) - [0.05, 0.04]
+BOARD = np.array([[-0.18, -0.13], [0.18, -0.13], [0.18, 0.13], [-0.18, 0.13]])
+POSE, HEIGHT, BROWN = (0.02, 0.01, 0.3), 0.03, (150, 120, 80)
+NAMES = ("hammer", "book", "box", "snack", "windex")
+
+
+def detect(prisms, options=None, camera=None, use_depth=True, **painting):
+    camera = camera or make_camera()
+    frame = paint(camera, prisms, depth=use_depth, **painting)
+    return detect_object(frame.color, frame.depth, camera, options)
+
+
+@pytest.mark.parametrize("use_depth", [True, False], ids=["depth", "color"])
+@pytest.mark.parametrize("at", [(0.02, 0.01, 0.3), (0.14, 0.08, 2.0)], ids=["middle", "aside"])
+def test_outline_and_height_are_found_in_shadow_and_gradient(at, use_depth):
+    options = None if use_depth else DetectorOptions(height=HEIGHT)
+    found = detect([(L_SHAPE, at, HEIGHT, BROWN)], options, use_depth=use_depth, shadow=0.25)
+    true = Polygon(transform(at, L_SHAPE))
+    assert calc_outline_error(found.outline, true) < 5e-4
+    assert abs(found.outline.area / true.area - 1) < 0.025
+    assert abs(found.height - HEIGHT) < 0.0015
+    np.testing.assert_allclose(found.pixel, found.camera.project([*found.X_WB[:2], 0]))
+
+
+def test_parallax_would_spoil_it():
+    seen = detect([(L_SHAPE, (0.14, 0.08, 2.0), 0.06, BROWN)], DetectorOptions(height=1e-6))
+    true = Polygon(transform((0.14, 0.08, 2.0), L_SHAPE))
+    assert calc_outline_error(seen.outline, true) > 4e-3
+    corrected = detect([(L_SHAPE, (0.14, 0.08, 2.0), 0.06, BROWN)])
+    assert calc_outline_error(corrected.outline, true) < 1e-3
+
+
+def test_an_object_that_fills_half_of_the_picture():
+    found = detect([(BOARD, (0, 0, 0.1), 0.04, (205, 205, 215))], camera=make_camera(distance=0.5))
+    assert found.mask.mean() > 0.45
+    assert calc_outline_error(found.outline, Polygon(transform((0, 0, 0.1), BOARD))) < 1e-3
+
+
+def test_without_X_WC_depth_gives_the_world():
+    camera = make_camera(rpy=(176, 3, 90), at=(0.3, 0.2))
+    frame = paint(camera, [(L_SHAPE, (0.32, 0.22, 0.3), HEIGHT, BROWN)])
+    unplaced = Camera(camera.width, camera.height, camera.K, camera.distortion)
+    found = detect_object(frame.color, frame.depth, unplaced)
+    assert abs(found.outline.area / Polygon(L_SHAPE).area - 1) < 0.025
+    middle = found.camera.project([0, 0, 0])
+    np.testing.assert_allclose(middle, camera.K[:2, 2], atol=1e-9)
+    tilt = np.degrees(
+        np.arccos(found.camera.X_WC[2, 2] * camera.X_WC[2, 2] + found.camera.X_WC[2, :2] @ camera.X_WC[2, :2])
+    )
+    assert tilt < 0.3
+    with pytest.raises(CameraError, match="X_WC is not known and there is no depth"):
+        detect_object(frame.color, None, unplaced)
+
+
+def test_cells_fill_the_outline_in_the_body_frame():
+    found = detect([(L_SHAPE, POSE, HEIGHT, BROWN)])
+    obj = found.make_grid_object(0.01, "l_shape")
+    assert abs(obj.cell_size / 0.01 - 1) < 0.2
+    assert obj.height == found.height
+    assert abs(obj.n * obj.cell_size**2 / found.outline.area - 1) < 0.1
+    np.testing.assert_allclose(obj.outline.centroid.coords[0], [0, 0], atol=1e-9)
+
+
+def test_parts_are_told_apart_by_color():
+    half = np.array([[-0.06, -0.03], [0.0, -0.03], [0.0, 0.03], [-0.06, 0.03]])
+    prisms = [(half, (0, 0, 0), HEIGHT, (150, 40, 40)), (-half, (0, 0, 0), HEIGHT, (40, 60, 160))]
+    obj = detect(prisms, DetectorOptions(parts=True)).make_grid_object(0.01)
+    left = obj.p_BC[:, 0] < 0
+    assert set(obj.labels) == {1, 2}
+    assert len(set(obj.labels[left])) == len(set(obj.labels[~left])) == 1
+
+
+def test_what_is_wrong_is_said_with_a_picture():
+    camera = make_camera()
+    piece = (L_SHAPE, POSE, HEIGHT, BROWN)
+    cases = {
+        NoObjectError: [],
+        SeveralObjectsError: [
+            (L_SHAPE, (-0.15, -0.1, 0.3), HEIGHT, (60, 60, 120)),
+            (L_SHAPE, (0.15, 0.05, 0), 0.02, BROWN),
+        ],
+        ObjectAtBorderError: [(L_SHAPE, (0.35, 0, 0), HEIGHT, BROWN)],
+    }
+    for expected, prisms in cases.items():
+        with pytest.raises(expected) as raised:
+            detect(prisms)
+        assert raised.value.picture.shape == (camera.height, camera.width, 3)
+    frame = paint(camera, [piece])
+    with pytest.raises(ImageError, match="depth image has 320x240 pixels; expected 640x480"):
+        detect_object(frame.color, frame.depth[::2, ::2], camera)
+    with pytest.raises(ImageError, match=r"expected 0\.05 to 20 m"):
+        detect_object(frame.color, 1000 * frame.depth, camera)
+    rng = np.random.default_rng(0)
+    with pytest.raises(NoTableError):
+        detect_object(frame.color, rng.uniform(0.3, 3.0, frame.depth.shape).astype(np.float32), camera)
+    with pytest.raises(NoTableError, match="shifted by"):
+        detect_object(frame.color, frame.depth, camera.with_pose(make_camera(distance=0.9).X_WC))
+    with pytest.raises(NoTableError, match="no even color"):
+        detect_object(rng.integers(0, 255, frame.color.shape, dtype=np.uint8), None, camera)
+
+
+def test_image_files(tmp_path):
+    camera = make_camera()
+    frame = paint(camera, [(L_SHAPE, POSE, HEIGHT, BROWN)])
+    millimeters = (1000 * frame.depth).round().astype(np.uint16)
+    cv2.imwrite(str(tmp_path / "color.png"), frame.color[..., ::-1])
+    cv2.imwrite(str(tmp_path / "depth.png"), millimeters)
+    np.testing.assert_array_equal(read_color(tmp_path / "color.png", camera), frame.color)
+    np.testing.assert_allclose(read_depth(tmp_path / "depth.png", camera), frame.depth, atol=6e-4)
+    cv2.imwrite(str(tmp_path / "meters.png"), (10 * frame.depth).astype(np.uint16))
+    cv2.imwrite(str(tmp_path / "small.png"), millimeters[::2])
+    (tmp_path / "text.png").write_text("no image")
+    for read, name, message in [
+        (read_color, "text.png", "is no image"),
+        (read_color, "absent.png", "cannot be read"),
+        (read_depth, "color.png", "has 3 channels of uint8"),
+        (read_depth, "small.png", "has 640x240 pixels"),
+        (read_depth, "meters.png", "expected mm, 50 to 20000"),
+    ]:
+        with pytest.raises(PerceptionError, match=message) as raised:
+            read(tmp_path / name, camera)
+        assert name in str(raised.value)
+
+
+def test_real_photographs():
+    camera = Camera(640, 480, [[615, 0, 320], [0, 615, 240], [0, 0, 1]], [])
+    scores = {}
+    for name in NAMES:
+        color = read_color(shared_data("rgbd", f"{name}_color.png"), camera)
+        depth = read_depth(shared_data("rgbd", f"{name}_depth.png"), camera)
+        true = cv2.imread(str(shared_data("masks", f"{name}_label.pgm")), cv2.IMREAD_UNCHANGED) > 0
+        mask = detect_object(color, depth, camera).mask
+        scores[name] = (mask & true).sum() / (mask | true).sum()
+    assert min(scores.values()) >= 0.90, scores
+    assert np.mean(list(scores.values())) >= 0.93, scores

@@ -1,0 +1,124 @@
+import numpy as np
+import pytest
+
+from gridpush_drake.errors import CameraError, ImageError, PerceptionError
+from gridpush_drake.perception import Camera, PoseTracker
+from tests.helpers.pictures import make_camera, paint
+
+L_SHAPE = np.array([[0, 0], [0.14, 0], [0.14, 0.04], [0.05, 0.04], [0.05, 0.12], [0, 0.12]]) - [0.05, 0.04]
+SQUARE = np.array([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]])
+DISC = 0.06 * np.array([[np.cos(a), np.sin(a)] for a in np.linspace(0, 2 * np.pi, 72, endpoint=False)])
+ARM = np.array([[-0.03, -0.25], [0.03, -0.25], [0.03, 0.25], [-0.03, 0.25]])
+HEIGHT, BROWN, DARK = 0.03, (150, 120, 80), (50, 50, 55)
+START = np.array([0.02, 0.01, 0.3])
+
+
+def look(outline, pose, arm_at=None, seed=0, **painting):
+    prisms = [(outline, pose, HEIGHT, BROWN)]
+    if arm_at is not None:
+        prisms.append((ARM, arm_at, 0.1, DARK))
+    return paint(make_camera(), prisms, seed=seed, **painting)
+
+
+def follow(outline, poses, use_depth=True, guess=None):
+    tracker = PoseTracker(outline, HEIGHT, make_camera())
+    state = tracker.start(look(outline, poses[0], depth=use_depth), guess)
+    seen = []
+    for k, pose in enumerate(poses):
+        state, tracked = tracker.track(state, look(outline, pose, seed=k, depth=use_depth, shadow=0.2))
+        seen.append(tracked)
+    return seen
+
+
+def make_walk(count, step=0.008, turn=0.08):
+    along = np.arange(count)[:, None]
+    return START + along * np.array([step, 0.4 * step, turn])
+
+
+@pytest.mark.parametrize("use_depth", [True, False], ids=["depth", "color"])
+def test_poses_are_found_to_a_fraction_of_a_pixel(use_depth):
+    poses = make_walk(8)
+    seen = follow(L_SHAPE, poses, use_depth)
+    error = np.array([tracked.pose for tracked in seen]) - poses
+    assert np.hypot(*error[:, :2].T).max() < 4e-4  # a pixel shows 1.1 mm
+    assert np.abs(error[:, 2]).max() < np.radians(0.25)
+    for tracked, off in zip(seen, error, strict=True):
+        assert off @ np.linalg.solve(tracked.covariance, off) < 16
+        assert np.linalg.eigvalsh(tracked.covariance).min() > 0
+
+
+def test_start_searches_every_angle_and_refuses_another_outline():
+    tracker = PoseTracker(L_SHAPE, HEIGHT, make_camera())
+    for pose in ([-0.05, 0.04, 2.5], [0.06, -0.03, -1.2]):
+        np.testing.assert_allclose(tracker.start(look(L_SHAPE, pose)).pose, pose, atol=5e-3)
+    with pytest.raises(PerceptionError, match="no object of this outline is in view") as raised:
+        tracker.start(look(0.4 * SQUARE, START))
+    assert raised.value.picture.shape == (480, 640, 3)
+
+
+def test_a_symmetric_outline_is_followed_past_its_symmetry():
+    poses = make_walk(10, 0.002, 0.25)
+    seen = follow(SQUARE, poses, guess=poses[0])
+    assert poses[-1, 2] > np.pi / 2 + 0.5
+    np.testing.assert_allclose([tracked.pose for tracked in seen], poses, atol=5e-3)
+
+
+def test_the_angle_of_a_disc_is_said_to_be_unknown():
+    *_, tracked = follow(DISC, make_walk(4), guess=START)
+    deviation = np.sqrt(np.diag(tracked.covariance))
+    assert deviation[2] > np.radians(3) > 10 * np.radians(0.2)
+    assert deviation[:2].max() < 5e-4
+
+
+def test_what_the_arm_covers_widens_the_covariance():
+    tracker = PoseTracker(L_SHAPE, HEIGHT, make_camera())
+    before = tracker.start(look(L_SHAPE, START))
+    arm = [START[0] + 0.08, START[1], 0.0]
+    frame = look(L_SHAPE, START + [0.003, 0, 0], arm, depth=False)
+    covered = np.abs(frame.color.astype(int) - DARK).sum(axis=-1) < 60
+    _, free = tracker.track(before, look(L_SHAPE, START + [0.003, 0, 0], depth=False))
+    _, hidden = tracker.track(before, frame, covered)
+    assert hidden.seen
+    np.testing.assert_array_less(np.abs(hidden.pose - START - [0.003, 0, 0]), [1e-3, 1e-3, np.radians(0.5)])
+    assert np.linalg.det(hidden.covariance) > 2 * np.linalg.det(free.covariance)
+    with_depth = look(L_SHAPE, START + [0.003, 0, 0], arm)
+    _, by_height = tracker.track(before, with_depth)
+    np.testing.assert_array_less(np.abs(by_height.pose - START - [0.003, 0, 0]), [1e-3, 1e-3, np.radians(0.5)])
+
+
+def test_lost_is_nan_and_found_again_elsewhere():
+    tracker = PoseTracker(L_SHAPE, HEIGHT, make_camera())
+    state = tracker.start(look(L_SHAPE, START))
+    empty = paint(make_camera(), [], t=1.0)
+    state, tracked = tracker.track(state, empty)
+    assert not tracked.seen
+    assert state.lost
+    assert np.isnan(tracked.pose).all()
+    assert np.isnan(tracked.covariance).all()
+    elsewhere = np.array([-0.1, -0.06, 2.0])
+    state, tracked = tracker.track(state, look(L_SHAPE, elsewhere, t=2.0))
+    np.testing.assert_allclose(tracked.pose, elsewhere, atol=5e-3)
+    assert not state.lost
+
+
+def test_track_is_pure():
+    tracker = PoseTracker(L_SHAPE, HEIGHT, make_camera())
+    state = tracker.start(look(L_SHAPE, START))
+    frame = look(L_SHAPE, START + [0.004, 0, 0.02], seed=5)
+    pose = state.pose.copy()
+    first, second = tracker.track(state, frame)[1], tracker.track(state, frame)[1]
+    np.testing.assert_array_equal(first.pose, second.pose)
+    np.testing.assert_array_equal(state.pose, pose)
+
+
+def test_bad_arguments_are_named():
+    camera = make_camera()
+    with pytest.raises(CameraError, match="X_WC is not known"):
+        PoseTracker(L_SHAPE, HEIGHT, Camera(640, 480, camera.K, []))
+    with pytest.raises(PerceptionError, match=r"height is 0\.8"):
+        PoseTracker(L_SHAPE, 0.8, camera)
+    tracker = PoseTracker(L_SHAPE, HEIGHT, camera)
+    frame = look(L_SHAPE, START)
+    state = tracker.start(frame)
+    with pytest.raises(ImageError, match="has 640x240 pixels"):
+        tracker.track(state, frame._replace(color=frame.color[::2]))

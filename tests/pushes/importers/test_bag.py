@@ -1,0 +1,163 @@
+"""Bags in all three formats, from clocks that are not quite even and with frames dropped."""
+
+import sys
+import warnings
+
+import numpy as np
+import pytest
+
+from gridpush_drake.errors import PushLogError, PushLogWarning
+from gridpush_drake.pushes.importers.bag import BagImporter, Track, interpolate
+from gridpush_drake.pushes.stream import record_pushes
+from tests.helpers.ros_bags import Topic, sample_topic, write_bag
+from tests.helpers.scripted_stream import RADIUS, Script, poke_four_times
+from tests.helpers.shapes import make_shape
+
+SPEED = 0.03
+"""Of the tip while it pushes, m/s."""
+
+JITTER = 0.002
+"""Standard deviation of a stamp, s."""
+
+TOPICS = {"object_topic": "/object", "tip_topic": "/tip"}
+
+
+@pytest.fixture(scope="module")
+def script() -> Script:
+    return poke_four_times(Script(make_shape("l_bracket", 20), noise=np.zeros(3)))
+
+
+@pytest.fixture(scope="module")
+def obj(script):
+    return script.obj
+
+
+def see(script: Script, kinds=("PoseStamped", "PoseStamped"), delay: float = 0.0, jitter: float = JITTER):
+    """The topics of an object that lies 0.2 m up, seen 60 times a second, and of a tip, seen 125 times."""
+    thing = sample_topic(
+        script.samples, lambda seen: (*seen.pose[:2], 0.2, 0.0, 0.0, seen.pose[2] + 6.5), 60, jitter, 0.1, 1, delay
+    )
+    x, y, z = range(3)
+    tip = sample_topic(
+        script.samples, lambda seen: (seen.tip[x], seen.tip[y], seen.tip[z] + 0.2, 3.1, 0.0, 0.5), 125, jitter, 0.02, 2
+    )
+    force = sample_topic(script.samples, lambda seen: (seen.tip[x], -2.0, 5.0), 250, 0.0, 0.0, 3)
+    return [
+        Topic("/tf" if kinds[0] == "TFMessage" else "/object", kinds[0], *thing, child="thing"),
+        Topic("/tip", kinds[1], *tip, child="tool"),
+        Topic("/force", "WrenchStamped", *force),
+    ]
+
+
+def read(path, obj, **options):
+    options = {**TOPICS, "table_height": 0.2, **options}
+    return BagImporter(obj, **options).read(path)[0]
+
+
+@pytest.fixture(scope="module")
+def bags(script, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bags")
+    return {form: write_bag(folder, form, see(script)) for form in ("bag", "db3", "mcap")}
+
+
+@pytest.mark.parametrize("form", ["bag", "db3", "mcap"])
+def test_the_pushes_are_those_of_the_stream_within_the_jitter(bags, script, obj, form, tmp_path):
+    log = read(bags[form], obj)
+    expected = record_pushes(script.samples, obj, RADIUS).log
+    assert len(log) == len(expected) == 4
+    within = 4 * JITTER * SPEED
+    for one, other in zip(log, expected, strict=True):
+        np.testing.assert_allclose(one.push.xy[[0, -1]], other.push.xy[[0, -1]], atol=within)
+        np.testing.assert_allclose(one.pose[:2], other.pose[:2], atol=within)
+        np.testing.assert_allclose(one.final_pose[:2], other.final_pose[:2], atol=within)
+        np.testing.assert_allclose(
+            np.angle(np.exp(1j * (one.final_pose[2] - other.final_pose[2] - 6.5))), 0.0, atol=4 * JITTER * SPEED / 0.02
+        )
+        assert one.push.duration == pytest.approx(other.push.duration, abs=2 / 30)
+    log.write_csv(tmp_path / "a.csv")
+    read(bags["bag"], obj).write_csv(tmp_path / "b.csv")
+    assert (tmp_path / "a.csv").read_text() == (tmp_path / "b.csv").read_text()
+
+
+@pytest.mark.parametrize("kind", ["TransformStamped", "Odometry", "TFMessage"])
+def test_every_kind_of_message_tells_the_same(bags, script, obj, kind, tmp_path):
+    path = write_bag(tmp_path, "mcap", see(script, (kind, "TransformStamped")))
+    topic = "/tf:thing" if kind == "TFMessage" else "/object"
+    for one, other in zip(read(path, obj, object_topic=topic), read(bags["mcap"], obj), strict=True):
+        np.testing.assert_array_equal(one.poses_observed, other.poses_observed)
+        np.testing.assert_array_equal(one.push.xy, other.push.xy)
+
+
+def test_forces_are_those_of_their_push(bags, obj):
+    plain, pushed = read(bags["db3"], obj), read(bags["db3"], obj, force_topic="/force", negate_force=True)
+    for without, seen in zip(plain, pushed, strict=True):
+        assert without.force is None
+        assert len(seen.force) == pytest.approx(250 * seen.push.duration, abs=3)
+        np.testing.assert_allclose(seen.force[:, 1], 2.0)
+        np.testing.assert_allclose(seen.force[:, 0], -seen.push.tip_at(seen.force_t)[:, 0], atol=2e-3)
+
+
+def test_a_delay_is_told_and_taken_out(script, obj, tmp_path):
+    path = write_bag(tmp_path, "bag", see(script, delay=0.1))
+    with pytest.warns(PushLogWarning, match=r"poses are (8|9|10|11)\d* .*--object-delay"):
+        read(path, obj)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        stated = read(path, obj, object_delay=0.1)
+    now = write_bag(tmp_path / "now" if (tmp_path / "now").mkdir() is None else tmp_path, "bag", see(script))
+    for one, other in zip(stated, read(now, obj), strict=True):
+        np.testing.assert_allclose(one.final_pose, other.final_pose, atol=1e-4)
+        np.testing.assert_allclose(one.push.xy[-1], other.push.xy[-1], atol=4 * JITTER * SPEED)
+
+
+def test_nothing_is_interpolated_across_a_gap():
+    t = np.delete(np.arange(0, 2, 0.02), slice(30, 60))
+    track = Track("/object", "", t, np.tile([0.1, 0, 0, 0, 0, 0, 1.0], (len(t), 1)))
+    seen = interpolate(track, np.array([0.29, 0.58, 0.9, 1.2, 1.3]))
+    np.testing.assert_array_equal(np.isnan(seen[:, 0]), [False, False, True, False, False])
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"object_topic": "/objekt"}, ["/objekt", "/object (PoseStamped)", "/tip (PoseStamped)", "/force"]),
+        ({"tip_topic": ""}, ["--tip-topic", "/tip (PoseStamped)"]),
+        ({"tip_topic": "/force"}, ["/force", "WrenchStamped", "PoseStamped"]),
+        ({"force_topic": "/tip"}, ["/tip", "WrenchStamped"]),
+        ({"object_delay": 1e4}, ["do not overlap", "/object", "/tip"]),
+        ({"table_height": -1.0}, ["holds no push", "--table-height"]),
+        ({"rate": 0.0}, ["--rate", "Hz"]),
+        ({"tip_delay": float("nan")}, ["--tip-delay"]),
+    ],
+)
+def test_what_is_not_there_is_refused(bags, obj, options, says):
+    with pytest.raises(PushLogError) as error:
+        read(bags["mcap"], obj, **options)
+    for text in says:
+        assert text in str(error.value)
+
+
+def test_frames_that_differ_or_are_not_there_are_refused(script, obj, tmp_path):
+    topics = see(script, ("TFMessage", "PoseStamped"))
+    path = write_bag(tmp_path, "bag", [topics[0], Topic("/tip", "PoseStamped", topics[1].t, topics[1].values, "tool")])
+    for topic, says in (("/tf", "/tf:FRAME"), ("/tf:cup", "something_else, thing"), ("/tf:thing", "'tool'")):
+        with pytest.raises(PushLogError, match=says):
+            read(path, obj, object_topic=topic)
+
+
+def test_a_bag_that_is_none_is_refused(obj, tmp_path):
+    for name, text in (("none.bag", None), ("bad.bag", "#ROSBAG V2.0\nno"), ("bad.mcap", "x" * 99), ("bad.txt", "x")):
+        path = tmp_path / name
+        if text is not None:
+            path.write_text(text)
+        with pytest.raises(PushLogError, match=name):
+            read(path, obj)
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(PushLogError, match="folder"):
+        read(tmp_path / "folder", obj)
+
+
+def test_without_the_package_it_says_which_extra(bags, obj, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    with pytest.raises(PushLogError, match=r"gridpush-drake\[bags\]"):
+        read(bags["bag"], obj)
