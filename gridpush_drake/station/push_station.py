@@ -519,7 +519,7 @@ def MakePushStation(
         cast(Base, scenario.base),
         table=table,
         height=scenario.object_height,
-        support=MakeSupport(obj, truth, scenario, scenario.seed),
+        support=MakeSupport(true_obj, true_truth, scenario, scenario.seed),
         visual=show_object,
     )
     others = AddOthers(plant, scene_graph, scenario, table, object_in_plant)

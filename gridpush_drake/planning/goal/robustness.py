@@ -68,11 +68,7 @@ def draw_model_samples(
     axis = np.linalg.eigh(arm.T @ arm)[1][:, -1]
     turns = np.arctan2(axis[1], axis[0]) + 2 * np.pi * np.arange(options.sides) / options.sides
     slopes = make_direction(turns) @ arm.T / farthest
-    return [
-        CellParameters(params.mass * np.exp(tilt * slope), params.friction, params.contact_friction)
-        for tilt in options.tilts
-        for slope in slopes
-    ]
+    return [replace(params, mass=params.mass * np.exp(tilt * slope)) for tilt in options.tilts for slope in slopes]
 
 
 @dataclass(eq=False)

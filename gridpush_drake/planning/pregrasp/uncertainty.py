@@ -28,7 +28,7 @@ from gridpush_drake.geometry.se2 import Array, make_direction, transform_back
 from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.map_ensemble import MapEnsemble
-from gridpush_drake.identification.map_fit import NoiseModel
+from gridpush_drake.identification.noise import NoiseScale
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
@@ -169,7 +169,7 @@ class UncertainModel:
     obj: GridObject
     params: CellParameters
     posterior: Posterior | None = None
-    noise_scale: float = 1.0
+    noise_scale: NoiseScale = field(default_factory=NoiseScale)
     friction_range: tuple[float, float] | None = None
     sample_count: int = 0
     seed: int = 0
@@ -196,7 +196,7 @@ class UncertainModel:
         """
         starts = [transform_back(seen.pose, seen.push.start[None])[0] for seen in log or ()]
         return cls(
-            found.obj, found.params, found.posterior, found.noise_std / NoiseModel().pose, friction_range, sample_count,
+            found.obj, found.params, found.posterior, found.noise_scale, friction_range, sample_count,
             seed, np.array(starts).reshape(-1, 2),
         )  # fmt: skip
 
