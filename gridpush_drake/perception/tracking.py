@@ -99,7 +99,7 @@ class TrackerOptions:
     max_step: float = 0.03
     max_turn: float = 0.3
     lost_share: float = 0.5
-    pixel_noise: float = 0.3
+    pixel_noise: float = 0.25
 
 
 @dataclass(frozen=True, eq=False)
