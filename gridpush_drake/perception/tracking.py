@@ -38,7 +38,7 @@ from gridpush_drake.perception.foreground import (
     to_lab,
 )
 from gridpush_drake.perception.frames import Color, Frame
-from gridpush_drake.perception.table_plane import TablePlane, make_rays
+from gridpush_drake.perception.table_plane import TO_DEVIATION, TablePlane, make_rays
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -270,7 +270,7 @@ class PoseTracker:
         if unseen is not None:
             self.camera.check_size(unseen, "the mask of what is covered")
             covered = self.camera.undistort(unseen.astype(np.uint16)) > 0
-        fit = self._find(state.appearance, color, depth, covered, state.pose, everywhere=state.lost)
+        fit = self._find(state.appearance, color, depth, covered, state.pose)
         if fit is None:
             return replace(state, lost=True, t=frame.t), NOT_SEEN
         pose = fit.pose.copy()
@@ -281,7 +281,7 @@ class PoseTracker:
 
     def _find(
         self, appearance: Appearance, color: Color, depth: NDArray[np.float32] | None, covered: Mask,
-        before: Array | None, everywhere: bool = False,
+        before: Array | None,
     ) -> _Fit | None:  # fmt: skip
         """Near the last pose first, then everywhere; None where it is nowhere."""
         if before is not None:
@@ -380,9 +380,9 @@ class PoseTracker:
         share = found.sum() / max(1, visible.sum())
         hold = float((inside[visible] > HALF).mean()) if visible.any() else 0.0
         J, d = rows.J[found], offsets[found]
-        spread = max(MIN_SPREAD, 1.4826 * float(np.median(np.abs(d)))) if len(d) else MIN_SPREAD
+        spread = max(MIN_SPREAD, TO_DEVIATION * float(np.median(np.abs(d)))) if len(d) else MIN_SPREAD
         weight = np.clip(1 - (d / (TUKEY * spread + self.options.pixel_noise)) ** 2, 0, None) ** 2
-        rms = float(np.sqrt((weight * d**2).sum() / max(weight.sum(), 1e-12)))
+        rms = float(np.sqrt((weight * d**2).sum() / max(weight.sum(), np.finfo(float).tiny)))
         noise = max(rms, self.options.pixel_noise) ** 2 * max(1.0, SHARED_LENGTH / rows.spacing)
         noise += OUTLINE_ERROR**2 * weight.sum()
         information = (J * weight[:, None]).T @ J / noise

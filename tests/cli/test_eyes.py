@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from shapely import Polygon
 
-from gridpush_drake.geometry.se2 import transform
+from gridpush_drake.geometry.se2 import compose, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import read_object_file
 from gridpush_drake.perception import Camera, TagBoard
@@ -56,6 +56,41 @@ def test_object_from_a_photograph(capsys, folder):
     again = run_gridpush(capsys, "object", folder / "photo.png", *arguments)
     assert again.code == 2
     assert "exists already" in again.err
+
+
+def test_a_tag_on_the_object_is_aligned_once_and_then_tells_its_pose(capsys, folder):
+    t, tips, poses = make_push()
+    X_BT = np.array([-0.02, 0.02, 0.4])
+    (folder / "video").mkdir()
+    for k, pose in enumerate(poses):
+        color = paint(make_camera(), [(L_SHAPE, pose, HEIGHT, BROWN)], seed=k, depth=False).color
+        color = paint_tag(color, make_camera(), 4, square(compose(pose, X_BT), TAG_SIZE, HEIGHT), k)
+        save(folder / "video" / f"{k:03d}.png", color)
+    lines = "".join(f"{k:03d},{time}\n" for k, time in enumerate(t))
+    (folder / "video" / "times.csv").write_text("name,t\n" + lines)
+    tip_lines = "".join(f"{time},{x},{y}\n" for time, (x, y) in zip(t, tips, strict=True))
+    (folder / "tip.csv").write_text("t,tip_x,tip_y\n" + tip_lines)
+    camera = ("--camera", folder / "camera.yaml")
+    size = ("--height", HEIGHT, "--tag-size", TAG_SIZE)
+    done = run_gridpush(
+        capsys, "object", folder / "video" / "000.png", *camera, "--out", folder / "o.yaml", "--tag", 4, *size
+    )
+    assert done.code == 0, done.err
+    seen = read_object_file(folder / "o.yaml").seen
+    assert seen.tag.id == 4
+    tracked = ("track", folder / "video", *camera, "--object", folder / "o.yaml", "--tip", folder / "tip.csv")
+    done = run_gridpush(capsys, *tracked, "--by", "tag", "--out", folder / "pushes.csv")
+    assert done.code == 0, done.err
+    (push,) = PushLog.read_csv(folder / "pushes.csv")
+    np.testing.assert_allclose(push.pose, seen.pose, atol=3e-4)
+    moved = push.final_pose - push.pose
+    assert np.hypot(*(moved - (poses[-1] - poses[0]))[:2]) < 3e-4
+    assert abs(moved[2]) < np.radians(0.3)
+    absent = run_gridpush(
+        capsys, "object", folder / "photo.png", *camera, "--out", folder / "p.yaml", "--tag", 5, *size
+    )
+    assert absent.code == 2
+    assert "tag 5 is not in view; there are: none" in absent.err
 
 
 def test_object_says_what_is_wrong_and_shows_it(capsys, folder):
