@@ -7,9 +7,9 @@ from pydrake.systems.framework import Context
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.closed_loop import Observation
+from gridpush_drake.planning.closed_loop import LoopOptions, Observation
 from gridpush_drake.planning.goal.next_push import GoalRules
-from gridpush_drake.planning.goal.push_to_goal import PushToGoalLoop, PushToGoalOptions, PushToGoalState
+from gridpush_drake.planning.goal.push_to_goal import PushToGoalLoop, PushToGoalState
 from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, PushCommand
 from gridpush_drake.systems.object_controller import ObjectController
 
@@ -53,7 +53,7 @@ class ContactPointController(ObjectController[PushToGoalState]):
         rules: GoalRules | None = None,
         *,
         params: CellParameters | None = None,
-        options: PushToGoalOptions | None = None,
+        options: LoopOptions | None = None,
     ) -> None:
         """Declares the system.
 

@@ -1,17 +1,21 @@
 """What systems say to each other on their ports: commands, as vectors, and what becomes of them, as abstract values.
 
-What controllers say of themselves is the status of their loops: `planning.goal.push_to_goal`,
-`planning.pregrasp.pregrasp_loop`.
+What executors say of themselves is what a loop is shown, `planning.closed_loop`; what controllers say is the status of
+their loops, `planning.goal.push_to_goal` and `planning.pregrasp.pregrasp_loop`.
 """
 
 from dataclasses import dataclass
-from enum import StrEnum
 from math import atan2, cos, isfinite, sin
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.planning.closed_loop import GraspOutcome as GraspOutcome
+from gridpush_drake.planning.closed_loop import GraspPhase as GraspPhase
+from gridpush_drake.planning.closed_loop import GraspStatus as GraspStatus
+from gridpush_drake.planning.closed_loop import PushPhase as PushPhase
+from gridpush_drake.planning.closed_loop import PushStatus as PushStatus
 from gridpush_drake.planning.goal.push_to_goal import ContactPointMode as ContactPointMode
 from gridpush_drake.planning.goal.push_to_goal import ContactPointStatus as ContactPointStatus
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspMode as PreGraspMode
@@ -70,41 +74,6 @@ class PushCommand:
         return cls(command_id, x, y, direction, push.length, push.length / push.duration)
 
 
-class PushPhase(StrEnum):
-    """What a push executor is doing."""
-
-    IDLE = "idle"
-    APPROACHING = "approaching"
-    DESCENDING = "descending"
-    PUSHING = "pushing"
-    SETTLING = "settling"
-    RETRACTING = "retracting"
-
-
-@dataclass(frozen=True)
-class PushStatus:
-    """Where an executor stands.
-
-    Attributes:
-        phase: "idle", "approaching", "descending", "pushing", "settling" or "retracting".
-        command_id: of the last command taken up or refused; 0 before the first.
-        executed: commands carried out to the end, or broken off.
-        refused: commands refused.
-        reason: why the last command was refused; empty where it was not.
-    """
-
-    phase: PushPhase = PushPhase.IDLE
-    command_id: int = 0
-    executed: int = 0
-    refused: int = 0
-    reason: str = ""
-
-    @property
-    def ready(self) -> bool:
-        """Whether a new command is taken up."""
-        return self.phase == PushPhase.IDLE
-
-
 GRASP_COMMAND_SIZE = 6
 
 
@@ -147,49 +116,3 @@ class GraspCommand:
         """Reads what `to_vector` wrote; an id that is not finite is none, 0."""
         command_id, *rest = vector.tolist()
         return cls(round(command_id) if isfinite(command_id) else 0, *rest)
-
-
-class GraspPhase(StrEnum):
-    """What a grasp executor is doing."""
-
-    IDLE = "idle"
-    APPROACHING = "approaching"
-    ENTERING = "entering"
-    CLOSING = "closing"
-    LIFTING = "lifting"
-    HOLDING = "holding"
-    OPENING = "opening"
-    RETREATING = "retreating"
-
-
-class GraspOutcome(StrEnum):
-    """What came of a grasp command; NONE while it is under way, and false."""
-
-    NONE = ""
-    REFUSED = "refused"
-    MISSED = "missed"
-    SLIPPED = "slipped"
-    HELD = "held"
-
-
-@dataclass(frozen=True)
-class GraspStatus:
-    """Where an executor stands.
-
-    Attributes:
-        phase: "idle", "approaching", "entering", "closing", "lifting", "holding", "opening" or "retreating".
-        command_id: of the last command taken up or refused; 0 before the first.
-        outcome: of that command: "" (under way), "refused", "missed" (closed on nothing), "slipped" (lost while lifting
-            or holding) or "held" (lifted, and held for the time: the phase stays "holding").
-        reason: why it was refused, or what went wrong; empty where nothing did.
-    """
-
-    phase: GraspPhase = GraspPhase.IDLE
-    command_id: int = 0
-    outcome: GraspOutcome = GraspOutcome.NONE
-    reason: str = ""
-
-    @property
-    def ready(self) -> bool:
-        """Whether a new command is taken up."""
-        return self.phase == GraspPhase.IDLE

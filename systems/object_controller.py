@@ -15,9 +15,8 @@ from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.planning.closed_loop import ClosedLoop, L, Observation, RobotReport
+from gridpush_drake.planning.closed_loop import ClosedLoop, L, Observation, PushStatus
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.systems.messages import PushPhase, PushStatus
 
 S = TypeVar("S")
 
@@ -111,12 +110,11 @@ class ObjectController(AbstractStateSystem[L]):
 
     def _observe(self, context: Context) -> Observation:
         """What is on the ports."""
-        status: PushStatus = self._push_status.Eval(context)
         found: Identification = self._identification.Eval(context)
         return Observation(
             context.get_time(),
             self._object_pose.Eval(context),
-            RobotReport(status.command_id, status.ready, status.phase == PushPhase.PUSHING, status.reason),
+            self._push_status.Eval(context),
             self._push_log.Eval(context) if self._push_log.HasValue(context) else PushLog(()),
             found if found.push_names else None,
         )

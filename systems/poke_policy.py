@@ -23,6 +23,7 @@ from gridpush_drake.errors import PushError
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
 from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, PushCommand, PushStatus
 
 Array = NDArray[np.float64]
@@ -53,7 +54,7 @@ class RandomPokeOptions:
     distance: tuple[float, float] = (0.06, 0.10)
     speed: float = 0.03
     slant: float = radians(30)
-    tip_radius: float = 0.008
+    tip_radius: float = DEFAULT_RADIUS
     clearance: float = 0.008
     min_motion: float = 0.01
     candidates: int = 100

@@ -8,7 +8,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context
 
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
-from gridpush_drake.planning.closed_loop import GraspReport, Observation
+from gridpush_drake.planning.closed_loop import Observation
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import (
     FindGrasp,
@@ -90,9 +90,7 @@ class PreGraspController(ObjectController[PreGraspState]):
         self._declare_command("grasp_command", GRASP_COMMAND_SIZE, weakly(self._show_grasp))
 
     def _observe(self, context: Context) -> Observation:
-        status: GraspStatus = self._grasp_status.Eval(context)
-        report = GraspReport(status.command_id, status.ready, status.outcome, status.reason)
-        return replace(super()._observe(context), gripper=report)
+        return replace(super()._observe(context), gripper=self._grasp_status.Eval(context))
 
     def _show_grasp(self, now: PreGraspState) -> NDArray[np.float64]:
         if now.grasp is None:

@@ -11,11 +11,12 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, InputPort, OutputPort
+from pydrake.systems.framework import Context
 from shapely.affinity import affine_transform
 
 from gridpush_drake.multibody.tool_motion import R_WP_DOWN, Point, TrajectorySegment
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
 from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, PushCommand, PushPhase, PushStatus
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 
@@ -46,7 +47,7 @@ class PushTrajectoryOptions:
     push_acceleration: float = 0.5
     max_push_speed: float = 0.2
     settle_time: float = 0.3
-    tip_radius: float = 0.008
+    tip_radius: float = DEFAULT_RADIUS
     clearance: float = 0.0
     period: float = 0.005
 
@@ -197,34 +198,15 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         self._outline, self._reach = outline, reach
         self._command_port = self.DeclareVectorInputPort("push_command", PUSH_COMMAND_SIZE)
         self._pose_port = self.DeclareVectorInputPort("object_pose", 3)
-        self._tip_port = self.DeclareAbstractOutputPort(
+        self.DeclareAbstractOutputPort(
             "tip_pose",
             lambda: AbstractValue.Make(RigidTransform()),
             weakly(self._calc_tip_pose),
             {self.time_ticket(), self._remembered},
         )
-        self._status_port = self.DeclareAbstractOutputPort(
-            "status",
-            lambda: AbstractValue.Make(PushStatus()),
-            weakly(self._calc_status),
-            {self._remembered},
+        self.DeclareAbstractOutputPort(
+            "status", lambda: AbstractValue.Make(PushStatus()), weakly(self._calc_status), {self._remembered}
         )
-
-    def get_push_command_port(self) -> InputPort:
-        """The command's port."""
-        return self._command_port
-
-    def get_object_pose_port(self) -> InputPort:
-        """The measured pose's port."""
-        return self._pose_port
-
-    def get_tip_pose_port(self) -> OutputPort:
-        """The desired pose's port."""
-        return self._tip_port
-
-    def get_status_port(self) -> OutputPort:
-        """The status's port."""
-        return self._status_port
 
     def _calc_tip_pose(self, context: Context, output: AbstractValue) -> None:
         state = self._get_state(context)

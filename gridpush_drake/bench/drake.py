@@ -10,7 +10,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from gridpush_drake.bench.jobs import QUIET, Execution, Report, count_steps, run_jobs
+from gridpush_drake.bench.jobs import QUIET, Execution, ObjectJob, Report, count_steps, run_jobs
 from gridpush_drake.bench.speed import DT, DURATION, RADIUS, make_bench_push
 from gridpush_drake.bench.table import Table, Value
 from gridpush_drake.identification.prediction import calc_mean_cell_error
@@ -25,14 +25,6 @@ OBJECTS = ("claw_hammer", "combination_wrench", "spray_bottle")
 SEEDS = (0, 1, 2)
 
 MM = 1e3
-
-
-@dataclass(frozen=True)
-class StationJob:
-    """One experiment: an object, and the seed of its hidden truth, of the pokes and of the camera's noise."""
-
-    name: str
-    seed: int
 
 
 @dataclass(frozen=True)
@@ -95,11 +87,11 @@ def calc_scores(
     """As `run`, experiment by experiment."""
     for name in objects:
         find_shipped_object(name)
-    jobs = [StationJob(name, seed) for name in objects for seed in seeds]
-    return run_jobs(run_job, jobs, lambda job: f"{job.name}, seed {job.seed}", execution)
+    jobs = [ObjectJob(name, seed) for name in objects for seed in seeds]
+    return run_jobs(run_job, jobs, ObjectJob.describe, execution)
 
 
-def run_job(job: StationJob) -> StationScore:
+def run_job(job: ObjectJob) -> StationScore:
     """Runs one experiment with the default scenario."""
     record = IdentifyTask(PushScenario(object=job.name, seed=job.seed)).run()
     obj, truth, limits, held_out = record.obj, record.truth, record.limit_report, record.held_out_log
@@ -145,15 +137,16 @@ def _figures(score: StationScore) -> list[float]:
 
 LCP_OBJECTS = ("claw_hammer", "toolbox")
 LCP_REGIMES = ("inertial", "quasi_static")
+LCP_RUNS = 10
+"""Of each push."""
 
 MS = 1e3
 
 
-def run_lcp_system(repetitions: int = 10, report: Report | None = None) -> list[Table]:
+def run_lcp_system(report: Report | None = None) -> list[Table]:
     """Times the push of the speed benchmark in a Simulator.
 
     Args:
-        repetitions: of each push.
         report: called with what begins, as of jobs.
 
     Returns:
@@ -165,17 +158,17 @@ def run_lcp_system(repetitions: int = 10, report: Report | None = None) -> list[
         for regime in LCP_REGIMES:
             tell(f"{name}, {regime}")
             obj = GridObject.from_yaml(find_shipped_object(name))
-            times = np.sort(_time_pushes(obj, regime, repetitions))
+            times = np.sort(_time_pushes(obj, regime))
             median = float(np.median(times))
             rows.append([f"{name}, {regime}", obj.n, median * MS, float(times[0]) * MS, DURATION / median])
     notes = [
-        f"A push of {DURATION:g} s in steps of {DT * MS:g} ms, {repetitions} runs, with Drake's Simulator and logging."
+        f"A push of {DURATION:g} s in steps of {DT * MS:g} ms, {LCP_RUNS} runs, with Drake's Simulator and logging."
     ]
     columns = ("object, regime", "cells", "median, ms", "least, ms", "times real time")
     return [Table("GridLcpSystem in a Simulator", columns, rows, notes)]
 
 
-def _time_pushes(obj: GridObject, regime: str, repetitions: int) -> list[float]:
+def _time_pushes(obj: GridObject, regime: str) -> list[float]:
 
     push = make_bench_push(obj)
     builder = DiagramBuilder()
@@ -187,7 +180,7 @@ def _time_pushes(obj: GridObject, regime: str, repetitions: int) -> list[float]:
     builder.Connect(source.get_output_port(), lcp.GetInputPort("pusher_state"))
     diagram = builder.Build()
     times = []
-    for _ in range(repetitions + 1):
+    for _ in range(LCP_RUNS + 1):
         simulator = Simulator(diagram)
         simulator.Initialize()
         begin = perf_counter()

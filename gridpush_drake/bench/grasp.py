@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
-from gridpush_drake.bench.table import Table, Value
+from gridpush_drake.bench.jobs import QUIET, Execution, ObjectJob, run_jobs
+from gridpush_drake.bench.table import Table, Value, calc_mean
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.objects.object_file import find_shipped_object
@@ -34,14 +34,6 @@ COLUMNS = (
     "object", "runs", "held", "dropped", "given up", "pokes", "slides", "raised, mm", "CoM error, mm", "simulated, s",
     "wall, s",
 )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class GraspJob:
-    """One run: an object, and the seed of its hidden truth and of the camera's noise."""
-
-    name: str
-    seed: int
 
 
 @dataclass(frozen=True)
@@ -101,12 +93,12 @@ def run(
         find_shipped_object(name)
     if quick:
         objects, seeds = objects[:1], seeds[:1]
-    jobs = [GraspJob(name, seed) for name in objects for seed in seeds]
-    scores = run_jobs(run_job, jobs, lambda job: f"{job.name}, seed {job.seed}", execution)
+    jobs = [ObjectJob(name, seed) for name in objects for seed in seeds]
+    scores = run_jobs(run_job, jobs, ObjectJob.describe, execution)
     return [tabulate(scores, objects)]
 
 
-def run_job(job: GraspJob) -> GraspScore:
+def run_job(job: ObjectJob) -> GraspScore:
     """Runs one object and seed in the shipped scenario."""
     scenario = read_scenario(find_models() / SCENARIO)
     scenario.object, scenario.seed = job.name, job.seed
@@ -116,7 +108,7 @@ def run_job(job: GraspJob) -> GraspScore:
     return make_score(job, record, perf_counter() - begin)
 
 
-def make_score(job: GraspJob, record: "PreGraspRecord", wall: float) -> GraspScore:
+def make_score(job: ObjectJob, record: "PreGraspRecord", wall: float) -> GraspScore:
     """What came of a run that took `wall` seconds."""
     error = float("nan")
     if record.estimates:
@@ -149,14 +141,8 @@ def _make_row(name: str, scores: Sequence[GraspScore]) -> tuple[Value, ...]:
     held, dropped = (sum(score.status == status for score in scores) for status in (HELD, DROPPED))
     return (
         name, len(scores), held, dropped, len(scores) - held - dropped,
-        _mean([score.pokes for score in scores]), _mean([score.slides for score in scores]),
-        MM * _mean([score.raised for score in scores if score.status == HELD]),
-        MM * _mean([score.center_of_mass_error for score in scores]),
-        _mean([score.duration for score in scores]), _mean([score.wall for score in scores]),
+        calc_mean([score.pokes for score in scores]), calc_mean([score.slides for score in scores]),
+        MM * calc_mean([score.raised for score in scores if score.status == HELD]),
+        MM * calc_mean([score.center_of_mass_error for score in scores]),
+        calc_mean([score.duration for score in scores]), calc_mean([score.wall for score in scores]),
     )  # fmt: skip
-
-
-def _mean(values: Sequence[float]) -> float:
-    """Of those that are numbers; NaN where there is none."""
-    known = [value for value in values if np.isfinite(value)]
-    return float(np.mean(known)) if known else float("nan")

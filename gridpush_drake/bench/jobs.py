@@ -183,6 +183,18 @@ END_WITHIN = 1.0
 
 
 @dataclass(frozen=True)
+class ObjectJob:
+    """One run in the station: a shipped object, and the seed of all that is hidden or random."""
+
+    name: str
+    seed: int
+
+    def describe(self) -> str:
+        """In a few words."""
+        return f"{self.name}, seed {self.seed}"
+
+
+@dataclass(frozen=True)
 class Execution:
     """How jobs are run; it changes no result.
 

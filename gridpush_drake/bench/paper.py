@@ -9,13 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 from scipy.stats import bootstrap
 
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
-from gridpush_drake.bench.paper_protocol import (
+from gridpush_drake.bench.protocol import (
     DURATION,
     FINGER_RADIUS,
     MASS_SETS,
@@ -27,7 +28,7 @@ from gridpush_drake.bench.paper_protocol import (
     make_case,
     make_protocol,
 )
-from gridpush_drake.bench.table import Table, Value, check_figure, save_figure
+from gridpush_drake.bench.table import Table, Value, check_figure, write_panels
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import METHODS, identify
@@ -78,14 +79,14 @@ class Interval:
     high: float
 
 
-def calc_interval(values: Sequence[float], seed: int = 0) -> Interval:
+def calc_interval(values: Sequence[float]) -> Interval:
     """Mean and its 95 % bootstrap interval (percentiles)."""
     sample = np.asarray(values, dtype=np.float64)
     if len(sample) < 2:
         return Interval(float(sample.mean()), np.nan, np.nan)
     ends = bootstrap(
         (sample,), np.mean, confidence_level=CONFIDENCE, n_resamples=RESAMPLES, method="percentile",
-        random_state=np.random.default_rng(seed),
+        random_state=np.random.default_rng(0),
     ).confidence_interval  # fmt: skip
     return Interval(float(sample.mean()), float(ends.low), float(ends.high))
 
@@ -251,7 +252,7 @@ def run(
 
 def run_job(job: Job) -> list[Score]:
     """Identifies one case by each method at each budget, by the default only once, and predicts its test pushes."""
-    protocol, case = _make_protocol(job.data, job.seed), _make_case(job.data, job.seed, job.name, job.mass_set)
+    protocol, case = make_protocol(job.data, job.seed), _make_case(job.data, job.seed, job.name, job.mass_set)
     split = protocol.splits[job.training][job.mass_set]
     train, test = case.log.subset(split.train), case.log.subset(split.test)
 
@@ -311,52 +312,30 @@ def _describe(job: Job) -> str:
 
 
 @lru_cache(maxsize=1)
-def _make_protocol(data: Path | None, seed: int) -> Protocol:
-    return make_protocol(data, seed)
-
-
-@lru_cache(maxsize=1)
 def _make_case(data: Path | None, seed: int, name: str, mass_set: int) -> Case:
-    return make_case(_make_protocol(data, seed), name, mass_set)
+    return make_case(make_protocol(data, seed), name, mass_set)
 
 
 COLUMNS = 3
-PANEL = (3.6, 2.7)
-"""Width and height of a panel, inches."""
+"""Of a figure's panels."""
+
+ALL_OBJECTS = "all objects"
 
 
 def write_figure(
     path: Path | str, scores: Sequence[Score], names: Sequence[str], methods: Sequence[str], training: int, force: bool
 ) -> None:
-    """Draws a panel for each object and one for all, and writes the figure in the format of its ending.
+    """Draws a panel for each object and one for all, see `write_panels`; scores of several budgets are connected."""
 
-    Args:
-        path: PNG, PDF or SVG.
-        scores: of all methods at several budgets.
-        names: of the objects.
-        methods: to draw.
-        training: number of training pushes.
-        force: whether an existing file may be replaced.
+    def draw(axis: Axes, panel: str) -> None:
+        of_panel = {} if panel == ALL_OBJECTS else {"name": panel}
+        _draw_panel(axis, select(scores, training=training, **of_panel), methods)
 
-    Raises:
-        OutputError: as `check_figure`.
-    """
-    panels = [*names, "all objects"]
-    height = -(-len(panels) // COLUMNS)
-    figure = Figure(figsize=(PANEL[0] * COLUMNS, PANEL[1] * height + 0.6), layout="constrained")
-    axes = figure.subplots(height, COLUMNS, squeeze=False, sharex=True, sharey=True).ravel()
-    for axis, panel in zip(axes, panels, strict=False):
-        _draw_panel(axis, select(scores, training=training, **({"name": panel} if panel in names else {})), methods)
-        axis.set_title(panel)
-    for axis in axes[len(panels) :]:
-        axis.set_visible(False)
-    figure.supxlabel("simulated pushes")
-    figure.supylabel("mean test cell error, mm")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
-    save_figure(figure, path, force)
+    labels = ("simulated pushes", "mean test cell error, mm")
+    write_panels(path, [*names, ALL_OBJECTS], COLUMNS, labels, draw, force)
 
 
-def _draw_panel(axis, scores: Sequence[Score], methods: Sequence[str]) -> None:  # type: ignore[no-untyped-def]
+def _draw_panel(axis: Axes, scores: Sequence[Score], methods: Sequence[str]) -> None:
     """A line for each method over the pushes it simulated, with a band: its interval; a point where it ran once."""
     for i, method in enumerate(methods):
         chosen = select(scores, method=method)
@@ -366,7 +345,9 @@ def _draw_panel(axis, scores: Sequence[Score], methods: Sequence[str]) -> None: 
         )
         intervals = [summarize(select(chosen, budget=budget)) for budget in budgets]
         mean, low, high = (MM * np.array([getattr(each, key) for each in intervals]) for key in ("mean", "low", "high"))
-        style = {"color": "0.4", "linestyle": "--"} if method == UNIFORM else {"color": f"C{i - 1}", "marker": "o"}
+        style: dict[str, Any] = (
+            {"color": "0.4", "linestyle": "--"} if method == UNIFORM else {"color": f"C{i - 1}", "marker": "o"}
+        )
         axis.plot(spent, mean, label=method.replace("_", " "), markersize=3 if len(spent) > 1 else 6, **style)
         if len(spent) > 1:
             axis.fill_between(spent, low, high, color=style["color"], alpha=0.15, linewidth=0)

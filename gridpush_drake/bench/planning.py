@@ -8,8 +8,9 @@ from typing import Literal
 import numpy as np
 
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
-from gridpush_drake.bench.planning_protocol import (
-    FINGER_RADIUS,
+from gridpush_drake.bench.protocol import (
+    ANGLE_STD,
+    POSITION_STD,
     PUSHED_SHIPPED,
     hide_parts,
     list_objects,
@@ -17,7 +18,7 @@ from gridpush_drake.bench.planning_protocol import (
     make_planning_protocol,
     read_planning_object,
 )
-from gridpush_drake.bench.table import Table, Value
+from gridpush_drake.bench.table import Table, Value, calc_mean
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
@@ -140,8 +141,8 @@ def tabulate_runs(runs: Sequence[Run], names: Sequence[str], modes: Sequence[str
                 [
                     mode, name, len(chosen), PERCENT * float(np.mean([run.success for run in chosen])),
                     sum(run.fell for run in chosen), float(pushes.mean()), float(np.quantile(pushes, 0.9)),
-                    int(pushes.max()), MM * _mean_of_numbers([run.first_error for run in chosen]),
-                    MM * _mean_of_numbers([run.later_error for run in chosen]),
+                    int(pushes.max()), MM * calc_mean([run.first_error for run in chosen]),
+                    MM * calc_mean([run.later_error for run in chosen]),
                     float(np.mean([run.simulations for run in chosen])),
                     float(np.mean([run.planning_seconds for run in chosen])),
                     float(np.mean([run.learning_seconds for run in chosen])),
@@ -174,11 +175,6 @@ def _median_ms(decisions: Sequence[Decision]) -> float:
     return MS * float(np.median([entry.seconds for entry in decisions]))
 
 
-def _mean_of_numbers(values: Sequence[float]) -> float:
-    numbers = [value for value in values if np.isfinite(value)]
-    return float(np.mean(numbers)) if numbers else float("nan")
-
-
 SETS, QUICK_SETS = 10, 1
 PAIRS, QUICK_PAIRS = 10, 3
 
@@ -191,9 +187,6 @@ METHOD_BUDGETS = {"gradient": 44, "finite_difference": 75}
 
 PARAMETER_SEED = 100
 """Of the first random parameter set of the contact points."""
-
-POSITION_STD, ANGLE_STD = 0.0005, 0.003
-"""Noise of the poses that are seen, m per axis and rad."""
 
 SUCCESS = 0.02
 """True mean cell error below which a run has succeeded, m (the paper's)."""
@@ -294,7 +287,7 @@ def _decide(job: Job) -> list[Decision]:
     protocol = make_planning_protocol(job.data, job.seed)
     obj = read_planning_object(protocol, job.name)
     params = CellParameters.random(obj, PARAMETER_SEED + job.number)
-    options = ContactOptions(radius=FINGER_RADIUS)
+    options = ContactOptions()
     decisions = []
     for start, goal in protocol.pairs[: job.pairs]:
         best = optimize_contact(obj, params, start, goal, method="exhaustive", options=options)
@@ -323,7 +316,7 @@ def _push(job: Job) -> list[Run]:
             done = push_to_goal(
                 world, plain, goal,
                 GoalRules(
-                    protocol.constraints, ContactOptions(radius=FINGER_RADIUS), 2 if mode == LOOK_AHEAD else 1,
+                    protocol.constraints, ContactOptions(), 2 if mode == LOOK_AHEAD else 1,
                     None if mode in (TRUE, LOOK_AHEAD) else RobustnessOptions(seed=job.seed), TOLERANCE, MAX_PUSHES,
                 ),
                 params=hidden if mode in (TRUE, LOOK_AHEAD) else None,

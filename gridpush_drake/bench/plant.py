@@ -288,21 +288,22 @@ class PlantPusher:
         params: its masses and frictions, until a push brings others.
         radius: of the pusher, m.
         base: "planar" or "free".
-        dt: the plant's time step, s; by default TIME_STEP of the base.
         push_height: of the pusher's center above the table, m.
+        edge: x of the table's edge in W, m: the table is where x is less; None for one without.
         options: passed on to `AddGridObject`.
     """
 
     def __init__(
-        self, obj: GridObject, params: CellParameters, radius: float, base: Base = "planar", dt: float | None = None,
-        push_height: float = PUSH_HEIGHT, **options: Any,
+        self, obj: GridObject, params: CellParameters, radius: float, base: Base = "planar",
+        push_height: float = PUSH_HEIGHT, edge: float | None = None, **options: Any,
     ) -> None:  # fmt: skip
         builder = DiagramBuilder()
-        self.radius, self.dt = radius, TIME_STEP[base] if dt is None else dt
+        self.radius, self.dt = radius, TIME_STEP[base]
         self.plant, self.scene_graph = AddMultibodyPlantSceneGraph(builder, self.dt)
         self.plant.set_stiction_tolerance(STICTION_TOLERANCE)
+        middle = [0.0 if edge is None else edge - TABLE_SIZE[0] / 2, 0.0, -TABLE_SIZE[2] / 2]
         table = self.plant.RegisterCollisionGeometry(
-            self.plant.world_body(), RigidTransform(np.array([0, 0, -TABLE_SIZE[2] / 2])), Box(*TABLE_SIZE), "table",
+            self.plant.world_body(), RigidTransform(np.array(middle)), Box(*TABLE_SIZE), "table",
             MakePartnerProperties(),
         )  # fmt: skip
         self.pusher = AddPusher(self.plant, radius, push_height)

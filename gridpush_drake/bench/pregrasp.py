@@ -26,6 +26,7 @@ from gridpush_drake.bench.pregrasp_exploration import (
     explore,
 )
 from gridpush_drake.bench.pregrasp_world import EdgeWorld, Outcome, PaperLearner, run_pregrasp
+from gridpush_drake.bench.protocol import MASS_RANGE, PLANNING_METERS_PER_PIXEL
 from gridpush_drake.bench.public_data import find_masks
 from gridpush_drake.bench.table import Table
 from gridpush_drake.errors import GridPushError
@@ -51,9 +52,6 @@ OBJECTS = (
     "toothpaste_tube",
 )
 """Those of the shipped objects that have a graspable part."""
-
-METERS_PER_PIXEL = 0.53 / 640
-"""Of the paper's masks, for its real objects."""
 
 RECTANGLE, RADIUS, HEXAGON = (0.9, 0.7), 0.45, 0.5
 """m: sides, radius, circumradius of the tables, which take turns by seed."""
@@ -82,7 +80,7 @@ def load_bench_object(name: str, friction_range: tuple[float, float], mask: Path
         ObjectError: no shipped object has this name, or the mask cannot be read.
     """
     if mask is not None:
-        obj = GridObject.from_mask(mask, meters_per_pixel=METERS_PER_PIXEL, name=name)
+        obj = GridObject.from_mask(mask, meters_per_pixel=PLANNING_METERS_PER_PIXEL, name=name)
     else:
         obj = GridObject.from_yaml(find_shipped_object(name))
     low, high = friction_range
@@ -246,9 +244,6 @@ CONTACT_FRICTION_RANGE = (0.35, 0.65)
 
 NO_BOUND = (0.01, 10.0)
 """Frictions that the unbounded ablation may believe in."""
-
-MASS_RANGE = (0.1, 5.0)
-"""kg a cell, log-uniform by part, as the paper's."""
 
 DEPTH = 0.03
 """m of a part that must hang over: the fingers' depth."""

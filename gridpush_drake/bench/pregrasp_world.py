@@ -1,7 +1,7 @@
 """The world of the pre-grasp benchmark: a hidden object on a table with an edge.
 
-The truth is the quasi-static LCP with loads that follow what still lies on the table
-(`planning.pregrasp.edge_push`); poses are seen with noise. The loop is `planning.pregrasp.pregrasp_loop`.
+The truth is the quasi-static LCP with loads that follow what still lies on the table; poses are seen with noise. The
+loop is `planning.pregrasp.pregrasp_loop`.
 """
 
 from dataclasses import dataclass, replace
@@ -9,12 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gridpush_drake.bench.protocol import ANGLE_STD, POSITION_STD
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulation import calc_loads
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.edge_push import is_supported, simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import (
@@ -24,18 +25,13 @@ from gridpush_drake.planning.pregrasp.pregrasp_loop import (
     PreGraspMode,
     PreGraspState,
 )
+from gridpush_drake.planning.pregrasp.slides import simulate_near_edge
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.simulated_world import Learn, Learner, SimulatedWorld, run_loop
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 Array = NDArray[np.float64]
-
-POSITION_NOISE = 0.0005
-"""m per axis, standard deviation of a pose seen."""
-
-ANGLE_NOISE = 0.003
-"""rad."""
 
 LEARNER = Learner(memory=14)
 """The default method, from the latest pushes: the cost of learning grows with them, and what they tell hardly does."""
@@ -46,7 +42,7 @@ ONE_OBSERVATION = PreGraspLoopOptions(observations=1)
 
 def see(pose: Array, rng: np.random.Generator) -> Array:
     """A pose (3,) with noise."""
-    return pose + np.array([POSITION_NOISE, POSITION_NOISE, ANGLE_NOISE]) * rng.standard_normal(3)
+    return pose + np.array([POSITION_STD, POSITION_STD, ANGLE_STD]) * rng.standard_normal(3)
 
 
 class EdgeWorld(SimulatedWorld):
@@ -60,7 +56,7 @@ class EdgeWorld(SimulatedWorld):
     ) -> None:  # fmt: skip
         """Puts the object down at a pose (3,); `rng` draws the noise."""
         super().__init__(
-            obj, hidden, pose, surface, position_std=POSITION_NOISE, angle_std=ANGLE_NOISE, seed=rng, observations=1
+            obj, hidden, pose, surface, position_std=POSITION_STD, angle_std=ANGLE_STD, seed=rng, observations=1
         )
 
     @property
@@ -172,4 +168,7 @@ class PaperLearner:
 
 def _hangs_over(world: EdgeWorld, planner: PreGraspPlanner) -> bool:
     overhangs = calc_overhangs(planner.parts, world.true_pose, world.surface)
-    return bool(overhangs.max() >= 0) and is_supported(world.obj, world.hidden, world.true_pose, world.surface)
+    return (
+        bool(overhangs.max() >= 0)
+        and calc_loads(world.obj, world.hidden, world.true_pose, world.surface.corners) is not None
+    )

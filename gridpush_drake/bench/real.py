@@ -21,14 +21,14 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 from scipy import stats
 
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
-from gridpush_drake.bench.paper import PANEL
 from gridpush_drake.bench.plant import DISTANCE, SPEED, draw_push
+from gridpush_drake.bench.protocol import ANGLE_STD, MASS_RANGE, POSITION_STD, hide_parts
 from gridpush_drake.bench.public_data import find_push_logs
-from gridpush_drake.bench.table import Table, Value, save_figure
+from gridpush_drake.bench.table import Table, Value, check_figure, write_panels
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import identify
@@ -43,14 +43,8 @@ from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, 
 PUSHES = 50
 """A log, as many as the CMU's."""
 
-MASS_RANGE = (0.1, 5.0)
-"""Of a part's cells, kg a cell, log-uniform."""
-
 FRICTION_RANGE = (0.2, 0.5)
 """Of a part's cells against the support."""
-
-POSITION_STD, ANGLE_STD = 0.0005, 0.003
-"""Noise of the poses that are seen, m per axis and rad."""
 
 
 @lru_cache(maxsize=1)
@@ -81,9 +75,8 @@ def simulate_log(path: Path, seed: int, number: int) -> tuple[PushLog, GridObjec
         last = simulate(obj, truth, push, pose, regime="quasi_static").final_pose
         before, after = (at + noise * rng.standard_normal(3) for at in (pose, last))
         pushes.append(ObservedPush(f"push_{i + 1:02d}", push, before, np.array([push.duration]), after[None]))
-    prior = replace(obj.prior, total_mass=None)
-    plain = GridObject(obj.name, obj.p_BC, obj.cell_size, np.ones_like(obj.labels), obj.outline, prior)
-    return PushLog(tuple(pushes), source=f"{obj.name}, simulated, number {number}"), plain
+    plain = replace(obj, prior=replace(obj.prior, total_mass=None))
+    return PushLog(tuple(pushes), source=f"{obj.name}, simulated, number {number}"), hide_parts(plain)
 
 
 def describe_pushes() -> str:
@@ -183,8 +176,6 @@ def run(
         PushLogError: a log cannot be read.
     """
     if figure is not None:
-        from gridpush_drake.bench.table import check_figure
-
         check_figure(figure, force)
     splits, counts = (min(splits, QUICK_SPLITS), SHOWN_COUNTS) if quick else (splits, tuple(counts))
     if splits < 1:
@@ -374,27 +365,15 @@ def _make_pose_row(scores: Sequence[Score], name: str, model: str, training: int
 
 
 COLUMNS = 2
+"""Of a figure's panels."""
 
 
 def write_curve(
     path: Path | str, scores: Sequence[Score], names: Sequence[str], counts: Sequence[int], force: bool
 ) -> None:
-    """Draws a panel a file and writes the figure.
+    """Draws a panel a file, see `write_panels`: the error against the number of training pushes."""
 
-    Args:
-        path: PNG, PDF or SVG.
-        scores: of the files' splits.
-        names: of the files.
-        counts: numbers of training pushes.
-        force: whether an existing file may be replaced.
-
-    Raises:
-        OutputError: the file exists or cannot be written.
-    """
-    height = -(-len(names) // COLUMNS)
-    figure = Figure(figsize=(PANEL[0] * COLUMNS, PANEL[1] * height + 0.6), layout="constrained")
-    axes = figure.subplots(height, COLUMNS, squeeze=False, sharex=True, sharey=True).ravel()
-    for axis, name in zip(axes, names, strict=False):
+    def draw(axis: Axes, name: str) -> None:
         for model, color in ((POSES, "tab:blue"), (CENTER, "tab:orange")):
             means = [calc_split_means(scores, [name], model, count) for count in counts]
             middle = np.array([values.mean() for values in means])
@@ -402,11 +381,6 @@ def write_curve(
             axis.plot(counts, middle, "o-", color=color, label=model, markersize=4)
             axis.fill_between(counts, middle - spread, middle + spread, color=color, alpha=0.15, linewidth=0)
         axis.axhline(calc_split_means(scores, [name], UNIFORM, 0).mean(), color="0.4", linestyle="--", label=UNIFORM)
-        axis.set_title(name)
-    axes[0].set_ylim(bottom=0)  # shared by all panels
-    for axis in axes[len(names) :]:
-        axis.set_visible(False)
-    figure.supxlabel("training pushes")
-    figure.supylabel("held-out error, mm (band: one standard deviation of the splits)")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
-    save_figure(figure, path, force)
+
+    labels = ("training pushes", "held-out error, mm (band: one standard deviation of the splits)")
+    write_panels(path, names, COLUMNS, labels, draw, force, from_zero=True)

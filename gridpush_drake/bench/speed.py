@@ -8,7 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from gridpush_drake.bench.jobs import Report, count_steps
 from gridpush_drake.bench.pregrasp import find_mask
+from gridpush_drake.bench.protocol import METERS_PER_PIXEL
 from gridpush_drake.bench.table import Table, Value
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import Regime, simulate
@@ -77,11 +78,11 @@ def one_core() -> Iterator[bool]:
 PAPER_SIMULATION, PAPER_GRADIENT = 1.3448, 0.0069
 """s a simulated push, and s a gradient (Song and Boularias, RSS 2020)."""
 
-METERS_PER_PIXEL = 0.001
-"""Of the paper's masks in its simulations."""
-
 DURATION, SPEED, RADIUS, DT = 2.0, 0.1, 0.015, 0.01
 """The paper's push, s and m/s, a disc in place of its finger, m, and the step, s."""
+
+PUSH_HEIGHT = 0.01
+"""Of the pusher where loads shift, m."""
 
 FINAL, EVERY = ", with the Jacobian of the final pose", ", with the Jacobian of all poses"
 
@@ -93,6 +94,9 @@ SIZES = (10, 30, 100, 300, 1000, 3000, 10000)
 
 LINEAR_FROM = 300
 """Cells from which on the slope is fitted: below, the work that does not depend on n shows."""
+
+START_UPS = 7
+"""Of each command that starts Python."""
 
 MS = 1e3
 
@@ -149,11 +153,14 @@ def load_hammer(data: Path | None) -> GridObject:
 def _simulations(obj: GridObject) -> dict[str, Callable[[], object]]:
     """What is timed, by name; the Jacobian is expanded to all its named blocks."""
     params, push, steps = CellParameters.random(obj, seed=0), make_bench_push(obj), round(DURATION / DT)
-    return {
-        f"{regime}{suffix}": partial(_simulate, obj, params, push, regime, record)
-        for regime in ("inertial", "quasi_static")
-        for suffix, record in (("", None), (FINAL, [steps]), (EVERY, range(steps + 1)))
-    }
+    high = replace(params, push_height=PUSH_HEIGHT)
+    works: dict[str, Callable[[], object]] = {}
+    for regime in ("inertial", "quasi_static"):
+        for suffix, record in (("", None), (FINAL, [steps]), (EVERY, range(steps + 1))):
+            works[f"{regime}{suffix}"] = partial(_simulate, obj, params, push, regime, record)
+    for suffix, record in (("", None), (FINAL, [steps])):
+        works[f"quasi_static, loads shift{suffix}"] = partial(_simulate, obj, high, push, "quasi_static", record)
+    return works
 
 
 def _simulate(
@@ -225,7 +232,7 @@ def _describe_slopes(medians: np.ndarray) -> str:
     return f"Log-log slope from {LINEAR_FROM} cells: simulation {plain:.2f}, with Jacobian {jacobian:.2f}; 1 is linear."
 
 
-def _measure_start_up(repetitions: int = 7) -> Table:
+def _measure_start_up() -> Table:
     commands = {
         "python -c pass": ["-c", "pass"],
         "import gridpush_drake": ["-c", "import gridpush_drake"],
@@ -237,12 +244,10 @@ def _measure_start_up(repetitions: int = 7) -> Table:
             lambda arguments=arguments: subprocess.run(  # type: ignore[misc]
                 [sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL
             ),
-            repetitions,
+            START_UPS,
         )
         rows.append([name, timing.median, timing.low, timing.high])
-    return Table(
-        "Start-up", ("what", "median, s", "25 %, s", "75 %, s"), rows, [f"Processes, {repetitions} runs each."]
-    )
+    return Table("Start-up", ("what", "median, s", "25 %, s", "75 %, s"), rows, [f"Processes, {START_UPS} runs each."])
 
 
 def _row(name: str, timing: Timing, ratio: float) -> list[Value]:

@@ -1,16 +1,14 @@
-"""A table of measured figures, for people and for machines.
+"""What a bench shows: a table of what was measured, for people and for machines, and figures as files."""
 
-Figures as files.
-"""
-
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from math import floor, isnan, log10
+from math import floor, isfinite, isnan, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rich.table
+from matplotlib.figure import Figure
 from rich.cells import cell_len
 from rich.text import Text
 
@@ -20,7 +18,7 @@ from gridpush_drake.files import check_writable, write_whole
 if TYPE_CHECKING:
     import rich.console
     import rich.table
-    from matplotlib.figure import Figure
+    from matplotlib.axes import Axes
 
 Value = str | float | int | None
 
@@ -130,7 +128,16 @@ class Table:
         return table
 
 
+def calc_mean(values: Sequence[float]) -> float:
+    """Of those that are numbers; NaN where there is none."""
+    known = [value for value in values if isfinite(value)]
+    return sum(known) / len(known) if known else float("nan")
+
+
 DPI = 150
+
+PANEL, LEGEND_HEIGHT = (3.6, 2.7), 0.6
+"""Width and height of a figure's panel, and of its legend, inches."""
 
 ENDINGS = (".png", ".pdf", ".svg")
 
@@ -142,8 +149,43 @@ def check_figure(path: Path | str, force: bool) -> None:
     check_writable(path, force)
 
 
-def save_figure(figure: "Figure", path: Path | str, force: bool) -> None:
-    """Writes a figure in the format of the path's ending. Raises OutputError as `check_figure` does."""
+def write_panels(
+    path: Path | str,
+    titles: Sequence[str],
+    columns: int,
+    labels: tuple[str, str],
+    draw: "Callable[[Axes, str], None]",
+    force: bool,
+    *,
+    from_zero: bool = False,
+) -> None:
+    """Writes a figure of alike panels, with one legend, in the format of the path's ending.
+
+    Args:
+        path: PNG, PDF or SVG.
+        titles: a panel each.
+        columns: of panels.
+        labels: of the x and y axes, which all share.
+        draw: draws the panel of a title.
+        force: whether an existing file may be replaced.
+        from_zero: whether the y axes begin there.
+
+    Raises:
+        OutputError: as `check_figure`.
+    """
+    rows = -(-len(titles) // columns)
+    figure = Figure(figsize=(PANEL[0] * columns, PANEL[1] * rows + LEGEND_HEIGHT), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
+    for axis, title in zip(axes, titles, strict=False):
+        draw(axis, title)
+        axis.set_title(title)
+    if from_zero:
+        axes[0].set_ylim(bottom=0)  # shared by all panels, once everything is drawn
+    for axis in axes[len(titles) :]:
+        axis.set_visible(False)
+    figure.supxlabel(labels[0])
+    figure.supylabel(labels[1])
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
     buffer = BytesIO()
     figure.savefig(buffer, format=Path(path).suffix.lstrip("."), dpi=DPI)
     write_whole(path, buffer.getvalue(), force)

@@ -232,6 +232,56 @@ def grasp(
     _show(tables, out, force, json)
 
 
+@app.command("truth")
+def truth(
+    quick: Quick = False,
+    kinds: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--kind",
+            metavar="KIND",
+            help="own_weight, half_height, foundation, vertices, three_feet or overhang; may be repeated.",
+            show_default="all but overhang",
+        ),
+    ] = None,
+    objects: Objects = None,
+    sets: Annotated[int, typer.Option(min=1, help="Hidden bodies of each kind and object.")] = 3,
+    pushes: Annotated[
+        list[int] | None,
+        typer.Option(min=1, help="How many pushes to learn from; may be repeated.", show_default="3, 5, 8, 18"),
+    ] = None,
+    seed: options.Seed = 0,
+    workers: Workers = WORKERS,
+    results: KeptIn = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="DIR",
+            help="Leave object files, pushes and truths there; those that are there are"
+            " read, and made anew with --force.",
+        ),
+    ] = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Learn bodies that do not obey the model: MuJoCo pushes them, on feet, foundations and uneven bottoms."""
+    from gridpush_drake.bench.truth import COUNTS, run
+    from gridpush_drake.bench.truth_sets import KINDS
+
+    settings = {
+        "quick": quick, "kinds": kinds, "objects": objects, "sets": sets, "pushes": pushes, "seed": seed,
+        "out": _resolve(out),
+    }  # fmt: skip
+    with _run_bench("truth", settings, results, workers, force) as execution:
+        tables = run(
+            kinds or KINDS, objects, sets, pushes or COUNTS, seed, execution, quick=quick, out=_resolve(out),
+            force=force,
+        )  # fmt: skip
+    _show(tables, None, force, json)
+
+
 @app.command("drake")
 def drake(
     quick: Quick = False,

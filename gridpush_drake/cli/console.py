@@ -90,28 +90,6 @@ def search_progress(what: str, budget: int | None) -> Iterator[Callable[["Histor
 
 
 @contextmanager
-def step_progress(what: str, total: int | None = None) -> Iterator[Callable[[str], None]]:
-    """Shows which step a longer piece of work is at, on standard error.
-
-    Args:
-        what: the work.
-        total: how many steps it has, where known.
-
-    Yields:
-        What the work calls at the beginning of each step, with its description.
-    """
-    with _showing(what, total) as show:
-        begun = 0
-
-        def report(description: str) -> None:
-            nonlocal begun
-            show(description, count=begun)
-            begun += 1
-
-        yield report
-
-
-@contextmanager
 def count_progress(what: str, total: int) -> Iterator[Callable[..., None]]:
     """Shows how far a count has come, and what is being done, on standard error.
 

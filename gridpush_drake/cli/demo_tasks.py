@@ -36,10 +36,11 @@ from gridpush_drake.report.page import ReportSummary, make_report
 from gridpush_drake.report.plan_figures import GraspDrawn, PushDrawn, draw_pre_grasp, draw_push_run
 from gridpush_drake.station.identify_task import FINISHED, IdentifyTask, IdentifyTaskRecord
 from gridpush_drake.station.limit_monitor import LimitReport
-from gridpush_drake.station.pregrasp_task import HELD, PreGraspRecord, PreGraspStep, PreGraspTask
+from gridpush_drake.station.pregrasp_task import HELD, PreGraspRecord, PreGraspTask
 from gridpush_drake.station.push_task import GOAL_COLOR, REACHED, PushTask, PushTaskRecord
 from gridpush_drake.station.scenario import PushScenario, read_scenario, write_scenario
-from gridpush_drake.systems.messages import ContactPointMode, PreGraspMode, PushStatus
+from gridpush_drake.station.task import TaskStep
+from gridpush_drake.systems.messages import ContactPointMode, PreGraspMode, PreGraspStatus, PushStatus
 
 FRAMES_PER_SECOND = 20.0
 """Of the recording."""
@@ -487,7 +488,7 @@ def _compare(what: str, key: str, summary: dict[str, Any]) -> str:
     return f"  {what}: {before:.1f} mm assuming an even object, {after:.1f} mm as learned"
 
 
-def _describe_step(step: PreGraspStep) -> tuple[str, str, str]:
+def _describe_step(step: TaskStep[PreGraspStatus]) -> tuple[str, str, str]:
     return f"{step.time:.1f}\N{NO-BREAK SPACE}s", step.status.mode, step.status.reason
 
 

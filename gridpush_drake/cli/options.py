@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from gridpush_drake.cli.console import print_notice
-from gridpush_drake.errors import GridPushError
-from gridpush_drake.files import exists
+from gridpush_drake.cli.console import print_line, print_notice
+from gridpush_drake.errors import GridPushError, PlanningError
+from gridpush_drake.files import check_writable, exists
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,6 +56,10 @@ Regime = Annotated[
 Seed = Annotated[int, typer.Option(min=0, help="Of everything random.")]
 
 
+EXIT_NO_PLAN = 1
+"""Exit code where the arguments are in order but there is no way to do it."""
+
+
 class OptionError(GridPushError):
     """An option's value is not of its form."""
 
@@ -92,10 +96,11 @@ FORMS = "rectangle:WxH@x,y, round:R@x,y or polygon:x,y;x,y;x,y (m)"
 Table = Annotated[str, typer.Option("--table", metavar="SHAPE", help=f"The table's top: {FORMS}.", show_default=False)]
 
 
-def parse_table(text: str) -> "SupportSurface":
-    """Reads a table.
+def parse_shape(option: str, text: str) -> "SupportSurface":
+    """Reads a table, or an obstacle.
 
     Args:
+        option: its name, for the message.
         text: `rectangle:0.8x0.6@0,0` (sides along x and y, then the center), `round:0.5@0.6,0` (radius, then the
             center) or `polygon:0,0;1,0;0,1` (corners), m; a center left out is the world's origin.
 
@@ -108,26 +113,27 @@ def parse_table(text: str) -> "SupportSurface":
     """
     from gridpush_drake.planning.support_surface import SupportSurface
 
+    def read(numbers: str, separator: str, count: int) -> list[float]:
+        parts = numbers.split(separator)
+        if len(parts) != count:
+            raise ValueError
+        return [float(part) for part in parts]
+
     kind, _, rest = text.partition(":")
     size, _, center = rest.partition("@")
-    at = _read(text, center, ",", 2) if center else [0.0, 0.0]
-    if kind == "rectangle":
-        return SupportSurface.rectangle(at, _read(text, size, "x", 2))
-    if kind == "round":
-        return SupportSurface.round(at, _read(text, size, "x", 1)[0])
-    if kind == "polygon" and not center:
-        return SupportSurface.from_polygon([_read(text, corner, ",", 2) for corner in rest.split(";")])
-    raise OptionError(f"--table: is {text!r}; expected {FORMS}")
-
-
-def _read(whole: str, text: str, separator: str, count: int) -> list[float]:
     try:
-        numbers = [float(part) for part in text.split(separator)]
+        at = read(center, ",", 2) if center else [0.0, 0.0]
+        if kind == "rectangle":
+            return SupportSurface.rectangle(at, read(size, "x", 2))
+        if kind == "round":
+            return SupportSurface.round(at, read(size, "x", 1)[0])
+        if kind == "polygon" and not center:
+            return SupportSurface.from_polygon([read(corner, ",", 2) for corner in rest.split(";")])
     except ValueError:
-        numbers = []
-    if len(numbers) != count:
-        raise OptionError(f"--table: is {whole!r}; expected {FORMS}")
-    return numbers
+        pass
+    except PlanningError as error:
+        raise PlanningError(f"{option}: {str(error).removeprefix('table: ')}") from error
+    raise OptionError(f"{option}: is {text!r}; expected {FORMS}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +155,19 @@ class Target:
         if regime != "auto":
             return regime
         return self.model.regime if self.model else default
+
+
+def check_outputs(force: bool, *paths: Path | None) -> None:
+    """Checks, before long work begins, that files may be written. Raises OutputError where one may not."""
+    for path in paths:
+        if path is not None:
+            check_writable(path, force)
+
+
+def print_written(paths: "Sequence[str]") -> None:
+    """Says which files were written, where any were."""
+    if paths:
+        print_line(f"Wrote {' and '.join(paths)}.")
 
 
 def load_object(name: str, largest_piece: bool = False) -> "GridObject":

@@ -13,10 +13,6 @@ from gridpush_drake.cli.console import MM, print_json, print_line
 
 if TYPE_CHECKING:
     from gridpush_drake.planning.goal.push_plan import PushPlan
-    from gridpush_drake.planning.support_surface import SupportSurface
-
-EXIT_NO_PLAN = 1
-"""Where the arguments are in order but the goal cannot be reached."""
 
 
 def plan(
@@ -45,20 +41,18 @@ def plan(
     json: options.Json = False,
 ) -> None:
     """Plan pushes that bring an object, or a learned model, to a goal pose."""
-    from gridpush_drake.files import check_writable, write_whole
+    from gridpush_drake.files import write_whole
     from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS, ContactOptions
     from gridpush_drake.planning.goal.next_push import GoalRules
     from gridpush_drake.planning.goal.push_plan import describe_plan, plan_pushes, write_plan
     from gridpush_drake.planning.push_constraints import PushConstraints
 
-    for path in (out, picture):
-        if path is not None:
-            check_writable(path, force)
+    options.check_outputs(force, out, picture)
     aim, pose = (
         options.parse_numbers(name, text, "x,y,theta") for name, text in (("--goal", goal), ("--start", start))
     )
-    surface = None if table is None else read_shape("--table", table)
-    obstacles = [read_shape("--obstacle", text).polygon for text in obstacle or ()]
+    surface = None if table is None else options.parse_shape("--table", table)
+    obstacles = [options.parse_shape("--obstacle", text).polygon for text in obstacle or ()]
     target = options.load_target(model, largest_piece)
     finger = target.obj.prior.pusher_radius or DEFAULT_RADIUS if radius is None else radius
     rules = GoalRules(
@@ -84,17 +78,7 @@ def plan(
     else:
         _print_plan(target.obj.name, found, written)
     if not found.reached:
-        raise typer.Exit(EXIT_NO_PLAN)
-
-
-def read_shape(option: str, text: str) -> "SupportSurface":
-    """Reads a table, or an obstacle, by its shape. Raises OptionError or PlanningError, naming the option."""
-    from gridpush_drake.errors import PlanningError
-
-    try:
-        return options.parse_table(text)
-    except (options.OptionError, PlanningError) as error:
-        raise type(error)(f"{option}: {str(error).removeprefix('--table: ').removeprefix('table: ')}") from error
+        raise typer.Exit(options.EXIT_NO_PLAN)
 
 
 def _refuse_bad_ends(found: "PushPlan") -> None:
@@ -121,5 +105,4 @@ def _print_plan(name: str, found: "PushPlan", written: list[str]) -> None:
     if not found.pushes:
         print_line(f"No push; {found.error * MM:.1f} mm from the goal.")
     print_line(f"{found.simulations} simulated pushes, {found.seconds:.1f} s.")
-    if written:
-        print_line(f"Wrote {' and '.join(written)}.")
+    options.print_written(written)

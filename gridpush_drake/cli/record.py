@@ -61,7 +61,7 @@ def record(
     for option, value in (("--engaged-below", engaged_below), ("--pose-delay", pose_delay)):
         if not isfinite(value):
             raise options.OptionError(f"{option}: is {value}; expected a finite number")
-    surface = None if table is None else options.parse_table(table)
+    surface = None if table is None else options.parse_shape("--table", table)
     obj = options.load_object(object_file)
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
     how = SegmenterOptions(engaged_below=engaged_below), RecordOptions(pose_delay=pose_delay)

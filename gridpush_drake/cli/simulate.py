@@ -45,12 +45,10 @@ def simulate(
 ) -> None:
     """Simulate one push of an object or of a learned model."""
     from gridpush_drake.dynamics.simulation import simulate as simulate_push
-    from gridpush_drake.files import check_writable, write_whole
+    from gridpush_drake.files import write_whole
     from gridpush_drake.objects.parameters import CellParameters
 
-    for path in (out, picture):
-        if path is not None:
-            check_writable(path, force)
+    options.check_outputs(force, out, picture)
     loaded = options.load_target(target, largest_piece)
     push = _make_push(start, velocity, duration, loaded.obj.prior.pusher_radius if radius is None else radius)
     pose_W = options.parse_numbers("--pose", pose, "x,y,theta")
@@ -104,8 +102,7 @@ def _print_motion(name: str, regime: str, motion: "Motion", written: list[str], 
     print_line(f"{name}, {regime}: {motion.status}")
     print_line(f"from  {_describe_pose(first)}")
     print_line(f"to    {_describe_pose(last)}")
-    if written:
-        print_line(f"Wrote {' and '.join(written)}.")
+    options.print_written(written)
 
 
 def _describe_pose(pose: "np.ndarray") -> str:

@@ -15,9 +15,6 @@ from gridpush_drake.cli.console import MM, print_json, print_line, to_json
 if TYPE_CHECKING:
     from gridpush_drake.planning.pregrasp.planner import PreGraspPlan, PreGraspPlanner
 
-EXIT_NO_PLAN = 1
-"""Where the arguments are in order but there is no safe slide yet."""
-
 
 def slide(
     model: options.ObjectOrModel,
@@ -46,7 +43,7 @@ def slide(
     json: options.Json = False,
 ) -> None:
     """Plan a slide to the table's edge, where a part hangs over for the gripper and the object stays put."""
-    from gridpush_drake.files import check_writable, write_whole
+    from gridpush_drake.files import write_whole
     from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
     from gridpush_drake.planning.pregrasp.exploration import PokeOptions
     from gridpush_drake.planning.pregrasp.goals import GoalOptions
@@ -61,10 +58,8 @@ def slide(
     from gridpush_drake.planning.pregrasp.slides import SlideOptions
     from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 
-    for path in (out, picture):
-        if path is not None:
-            check_writable(path, force)
-    surface = options.parse_table(table)
+    options.check_outputs(force, out, picture)
+    surface = options.parse_shape("--table", table)
     target = options.load_target(model, largest_piece)
     middle = surface.polygon.representative_point()
     pose = (middle.x, middle.y, 0.0) if start is None else options.parse_numbers("--start", start, "x,y,theta")
@@ -99,7 +94,7 @@ def slide(
     else:
         _print_plan(found)
     if plan.status != STATUS_READY:
-        raise typer.Exit(EXIT_NO_PLAN)
+        raise typer.Exit(options.EXIT_NO_PLAN)
 
 
 def _parse_friction(text: str) -> tuple[float, float]:
@@ -167,5 +162,4 @@ def _print_plan(found: dict[str, Any]) -> None:
             f"push {i}  from {x0 * MM:.1f} mm, {y0 * MM:.1f} mm to {x1 * MM:.1f} mm, {y1 * MM:.1f} mm "
             f"in {push['duration']:.1f} s"
         )
-    if found["written"]:
-        print_line(f"Wrote {' and '.join(found['written'])}.")
+    options.print_written(found["written"])

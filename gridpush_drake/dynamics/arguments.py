@@ -19,7 +19,7 @@ def check_regime(regime: str, push: Push | ForcePush, friction: str, spin: str, 
         ("regime", regime, ("inertial", "quasi_static")),
         ("friction", friction, tuple(LAWS)),
         ("spin", spin, SPIN_MODELS),
-        ("gradients", gradients, (False, True, "paper")),
+        ("gradients", gradients, (False, True, "mass", "paper")),
     ):
         if value not in known:
             raise SimulationError(f"{name} is {value!r}; expected one of {', '.join(map(repr, known))}")
@@ -33,7 +33,7 @@ def check_regime(regime: str, push: Push | ForcePush, friction: str, spin: str, 
     law = LAWS[friction]
     if regime not in law.regimes:
         raise SimulationError(f"friction: {friction!r} needs the regime {' or '.join(map(repr, law.regimes))}")
-    if gradients not in law.gradients:
+    if (gradients if gradients != "mass" else True) not in law.gradients:
         words = ", ".join(map(repr, law.gradients))
         raise SimulationError(f"gradients is {gradients!r}; with friction={friction!r} expected one of {words}")
 

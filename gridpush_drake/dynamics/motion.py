@@ -21,6 +21,8 @@ class MotionStatus(StrEnum):
     """The pusher never touched."""
     NOT_CONVERGED = "not_converged"
     """A step was not solved."""
+    TIPS = "tips"
+    """No loads can hold the object: it tips over the table's edge, or its own."""
     STARTED_OVERLAPPING = "started_overlapping"
     """The pusher began more than 0.1 mm inside the object, which then jumped clear."""
 
@@ -32,7 +34,7 @@ class Jacobian:
     Attributes:
         steps: (R,) the steps the rows belong to.
         mass: (R, 3, n) by the cells' masses, 1/kg.
-        friction: (R, 3, n) by the cells' friction coefficients.
+        friction: (R, 3, n) by the cells' friction coefficients; (R, 3, 0) where only those by mass were asked for.
         contact_friction: (R, 3) by the pusher's friction coefficient.
         start: (R, 3, 2) by the place (x, y) in W where the push begins, the path moved with it, 1/m.
         direction: (R, 3) by turning the path about its start, 1/rad.
@@ -40,6 +42,7 @@ class Jacobian:
         pose: (R, 3, 3) by the pose at the beginning.
         contact_location: (R, 3) by the arc length on the outline where the push begins, 1/m; None unless the push was
             made by `Push.on_outline`.
+        push_height: (R, 3) by the height at which the pusher acts; None where loads do not shift.
     """
 
     steps: NDArray[np.int64]
@@ -51,6 +54,7 @@ class Jacobian:
     length: Array
     pose: Array
     contact_location: Array | None = None
+    push_height: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +73,9 @@ class Motion:
         modes: (T, 2) contact modes: 0 separate, 1 stick, 2 slide with lam_t = +mu_c lam_n, 3 with the opposite sign.
         gaps: (T+1,) distance from the disc's edge to the outline, m; negative where they overlap, infinite where far.
         status: how it went; compares equal to its string, "ok" for instance.
+        load_centers: (T, 2) where the table bears the object at each step, on average, m; NaN where every cell bears
+            its own weight.
+        tips: (T,) whether no loads can hold the object: their center would be beyond what is on the table.
         iterations: (T,) Newton iterations of each step.
         jacobian: derivatives of the poses, where asked for.
     """
@@ -82,6 +89,8 @@ class Motion:
     modes: NDArray[np.int64]
     gaps: Array
     status: MotionStatus
+    load_centers: Array
+    tips: NDArray[np.bool_]
     iterations: NDArray[np.int64]
     _jacobian: "Jacobian | RawJacobian | None" = field(default=None, repr=False)
 
@@ -112,7 +121,7 @@ class RawJacobian:
     """The kernel's columns, and what turns them into named blocks by the chain rule.
 
     k_i = mu_i m_i g, and m_i moves mass, center of mass c and inertia I about it:
-    dm = dm_i, dc = (p_i - c)/m dm_i, dI = (|p_i - c|² + s²/6) dm_i.
+    dm = dm_i, dc = (p_i - c)/m dm_i, dI = (|p_i - c|² + s²/6) dm_i. Where loads shift the columns are by m_i already.
     """
 
     steps: NDArray[np.int64]
@@ -124,12 +133,13 @@ class RawJacobian:
     gravity: float
     inertial: bool
     start_tangent: Array | None
+    shifted: bool = False
 
     def expand(self) -> Jacobian:
         """Applies the chain rule."""
         n = len(self.mass)
-        load, other = self.J[..., :n], self.J[..., n:]
-        mass = load * (self.friction * self.gravity)
+        load, other, more = np.split(self.J, [n, n + columns.OTHER], axis=2)
+        mass = load if self.shifted else load * (self.friction * self.gravity)
         if self.inertial:
             total = self.mass.sum()
             arm = self.p_BC - self.mass @ self.p_BC / total
@@ -141,16 +151,17 @@ class RawJacobian:
                     (arm**2).sum(axis=1) + self.cell_size**2 / 6,
                 ]
             )
-            mass += other[..., columns.MASS : columns.INERTIA + 1] @ moments
+            mass = mass + other[..., columns.MASS : columns.INERTIA + 1] @ moments
         start = other[..., columns.START_X : columns.START_Y + 1]
         return Jacobian(
             steps=self.steps,
             mass=mass,
-            friction=load * (self.mass * self.gravity),
+            friction=more[..., 1:] if self.shifted else load * (self.mass * self.gravity),
             contact_friction=other[..., columns.CONTACT_FRICTION],
             start=start,
             direction=other[..., columns.DIRECTION],
             length=other[..., columns.LENGTH],
             pose=other[..., columns.POSE_X : columns.POSE_THETA + 1],
             contact_location=None if self.start_tangent is None else start @ self.start_tangent,
+            push_height=more[..., 0] if self.shifted else None,
         )

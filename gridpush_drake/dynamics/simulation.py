@@ -5,10 +5,11 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Literal
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.dynamics.arguments import check_number, check_record, check_regime, check_vector
-from gridpush_drake.dynamics.kernels.call import make_method, run_kernel
+from gridpush_drake.dynamics.kernels.call import find_rest_loads, make_method, run_kernel, shifts_loads
 from gridpush_drake.dynamics.kernels.forward_sensitivity import OTHER
 from gridpush_drake.dynamics.kernels.inputs import Load, Steps
 from gridpush_drake.dynamics.kernels.step import CONVERGED
@@ -21,6 +22,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
 Array = NDArray[np.float64]
+
 Regime = Literal["inertial", "quasi_static"]
 
 GRAVITY = 9.81
@@ -45,7 +47,7 @@ def simulate(
     push: Push | ForcePush,
     pose: ArrayLike = (0.0, 0.0, 0.0),
     dt: float | None = None,
-    gradients: bool | Literal["paper"] = False,
+    gradients: bool | Literal["mass", "paper"] = False,
     *,
     velocity: ArrayLike = (0.0, 0.0, 0.0),
     regime: Regime = "inertial",
@@ -55,6 +57,7 @@ def simulate(
     times: ArrayLike | None = None,
     record: ArrayLike | None = None,
     stiction_tolerance: float = STICTION_TOLERANCE,
+    table: ArrayLike | None = None,
 ) -> Motion:
     """Simulates one push of a grid object (`docs/theory/model.md`, sections 3-6).
 
@@ -68,8 +71,8 @@ def simulate(
         pose: (3,) q = (x, y, theta) of B in W at the beginning, m and rad.
         dt: step, s; the last one is shortened to end with the push. By default so short that the pusher moves at most
             `DEFAULT_TIP_STEP` a step and, in the inertial regime, at most `DEFAULT_DT`.
-        gradients: True adds the exact Jacobian of every recorded pose; "paper" the paper's closed form, of each step by
-            itself.
+        gradients: True adds the exact Jacobian of every recorded pose; "mass" leaves out the cells' frictions, which is
+            quicker where loads shift; "paper" the paper's closed form, of each step by itself.
         velocity: (3,) (vx, vy, w) of B's origin in W at the beginning; inertial regime only.
         regime: "inertial", or "quasi_static": the limit of slow pushes, where only the cells' shares of the friction
             matter, not the masses, nor how fast the pusher goes.
@@ -80,12 +83,15 @@ def simulate(
         times: (T+1,) the steps' times, s from the push's beginning, instead of `dt`.
         record: indices into the T+1 poses whose Jacobian is wanted, negative ones from the end; all by default.
         stiction_tolerance: speed below which friction is smoothed, m/s; inertial regime only.
+        table: (K, 2) corners in W of the table's top, such as `SupportSurface.corners`, m: cells beyond its edge bear
+            nothing, and the others more. Endless by default. With it, or
+            where `params.push_height` is not zero, loads shift (`docs/theory/model.md`, section 8).
 
     Returns:
         The motion. Its `status` says whether the pusher touched and every step was solved.
 
     Raises:
-        SimulationError: an argument is out of range, or the combination makes no sense.
+        SimulationError: an argument is out of range, or the combination makes no sense; the object is not on the table.
     """
     check_regime(regime, push, friction, spin, gradients)
     if params.n != obj.n:
@@ -103,16 +109,24 @@ def simulate(
     rows = np.arange(steps + 1) if record is None else check_record(record, steps)
     row_of_step = np.full(steps + 1, -1)
     row_of_step[rows] = np.arange(len(rows))
-    J = np.empty((len(rows), 3, obj.n + OTHER)) if gradients is True else np.empty((0, 3, 0))
+    edges = None if table is None else _get_edges(table)
+    if edges is not None and not shapely.contains_xy(shapely.Polygon(edges[:, :2]), *obj.cells_at(q).T).any():
+        where = ", ".join(f"{value:g}" for value in q)
+        raise SimulationError(f"table: no cell of {obj.name} is on it at the pose ({where}); expected an object on it")
+    shifted = shifts_loads(params, edges)
+    if shifted and gradients == "paper":
+        raise SimulationError("gradients: 'paper' knows no shifting loads; expected a push_height of 0 and no table")
+    width = obj.n + OTHER + (shifted and 1) + (obj.n if shifted and gradients is True else 0)
+    J = np.empty((len(rows), 3, width)) if gradients in (True, "mass") else np.empty((0, 3, 0))
     method = make_method(inertial, friction, spin, stiction_tolerance, RELATIVE_STICTION)
     load = _make_load(push, times)
-    result = run_kernel(obj, params, gravity, method, q, nu, dts, load, row_of_step, J)
+    result = run_kernel(obj, params, gravity, method, q, nu, dts, load, row_of_step, J, table=edges)
 
     jacobian: Jacobian | RawJacobian | None = None
-    if gradients is True:
+    if gradients in (True, "mass"):
         tangent = push.start_tangent if isinstance(push, Push) else None
         jacobian = RawJacobian(
-            rows, J, obj.p_BC, obj.cell_size, params.mass, params.friction, gravity, inertial, tangent
+            rows, J, obj.p_BC, obj.cell_size, params.mass, params.friction, gravity, inertial, tangent, shifted
         )
     elif gradients == "paper":
         jacobian = calc_paper_jacobian(obj, params, result, dts, rows, gravity, method)
@@ -120,8 +134,34 @@ def simulate(
     return Motion(
         times, result.poses, result.velocities, load.tip if has_pusher else np.full_like(load.tip, np.nan),
         result.contact_forces, result.contact_points, result.modes, result.gaps, _find_status(has_pusher, result),
-        result.statuses[:, 1], jacobian,
+        result.load_centers, result.tips, result.statuses[:, 1], jacobian,
     )  # fmt: skip
+
+
+def calc_loads(
+    obj: GridObject,
+    params: CellParameters,
+    pose: ArrayLike = (0.0, 0.0, 0.0),
+    table: ArrayLike | None = None,
+    gravity: float = GRAVITY,
+) -> Array | None:
+    """Calculates what the cells of an object at rest bear (`docs/theory/model.md`, section 8).
+
+    Args:
+        obj: the object.
+        params: its cells' masses.
+        pose: (3,) q where it lies, m and rad.
+        table: (K, 2) corners in W of the table's top, m; endless by default.
+        gravity: m/s².
+
+    Returns:
+        (n,) N, whose center is the center of mass; None where the object tips.
+
+    Raises:
+        SimulationError: an argument is out of range.
+    """
+    edges = None if table is None else _get_edges(table)
+    return find_rest_loads(obj, params, gravity, check_vector("pose", pose), edges)
 
 
 def simulate_batch(
@@ -169,6 +209,14 @@ def simulate_batch(
         return list(pool.map(lambda job: simulate(obj, job[0], job[1], job[2], **options), jobs))
 
 
+def _get_edges(table: ArrayLike) -> Array:
+    """(K, 4) edges (ax, ay, bx, by) of a table by its corners, m."""
+    corners = np.asarray(table, dtype=np.float64)
+    if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(corners).all():
+        raise SimulationError(f"table: corners of shape {corners.shape}; expected (K, 2) finite numbers, K >= 3 (m)")
+    return np.column_stack([corners, np.roll(corners, -1, axis=0)])
+
+
 def _make_load(push: Push | ForcePush, times: Array) -> Load:
     """Samples a push at the steps' times (T+1,), s."""
     steps = len(times) - 1
@@ -181,6 +229,8 @@ def _make_load(push: Push | ForcePush, times: Array) -> Load:
 def _find_status(has_pusher: bool, steps: Steps) -> MotionStatus:
     if (steps.statuses[:, 0] != CONVERGED).any():
         return MotionStatus.NOT_CONVERGED
+    if steps.tips.any():
+        return MotionStatus.TIPS
     if has_pusher and not steps.modes.any():
         return MotionStatus.NO_CONTACT
     if steps.gaps[0] < -OVERLAP_TOLERANCE:

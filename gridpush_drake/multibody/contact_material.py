@@ -104,15 +104,12 @@ SEAM = 1e-9
 """m: outlines are rounded to it, so that pieces of a table that meet leave no gap."""
 
 
-def FindTableTops(
-    plant: MultibodyPlant, inspector: SceneGraphInspector, instance: str = TABLE
-) -> dict[GeometryId, BaseGeometry]:
+def FindTableTops(plant: MultibodyPlant, inspector: SceneGraphInspector) -> dict[GeometryId, BaseGeometry]:
     """Finds the collision geometries whose top is the table's.
 
     Args:
         plant: finalised, the table fixed to its world.
         inspector: of the scene graph that the plant is registered with.
-        instance: name of the table's model instance.
 
     Returns:
         The outline in W, m, of each box and upright cylinder of the table that ends at z = 0.
@@ -120,11 +117,11 @@ def FindTableTops(
     Raises:
         ScenarioError: there is no such model, or none of its geometries ends there.
     """
-    if not plant.HasModelInstanceNamed(instance):
-        raise ScenarioError(f"directives: there is no model {instance}; expected one whose top lies at z = 0")
+    if not plant.HasModelInstanceNamed(TABLE):
+        raise ScenarioError(f"directives: there is no model {TABLE}; expected one whose top lies at z = 0")
     context = plant.CreateDefaultContext()
     tops: dict[GeometryId, BaseGeometry] = {}
-    for index in plant.GetBodyIndices(plant.GetModelInstanceByName(instance)):
+    for index in plant.GetBodyIndices(plant.GetModelInstanceByName(TABLE)):
         body = plant.get_body(index)
         X_WB = plant.EvalBodyPoseInWorld(context, body)
         for geometry in plant.GetCollisionGeometriesForBody(body):
@@ -133,13 +130,13 @@ def FindTableTops(
             if outline is not None:
                 tops[geometry] = outline
     if not tops:
-        raise ScenarioError(f"directives: {instance} has no level box or cylinder that ends at z = 0; expected one")
+        raise ScenarioError(f"directives: {TABLE} has no level box or cylinder that ends at z = 0; expected one")
     return tops
 
 
-def FindTableOutline(plant: MultibodyPlant, inspector: SceneGraphInspector, instance: str = TABLE) -> BaseGeometry:
+def FindTableOutline(plant: MultibodyPlant, inspector: SceneGraphInspector) -> BaseGeometry:
     """Finds where on the table's top things may lie: the union of `FindTableTops`, a polygon in W, m."""
-    return shapely.union_all(list(FindTableTops(plant, inspector, instance).values()), grid_size=SEAM)
+    return shapely.union_all(list(FindTableTops(plant, inspector).values()), grid_size=SEAM)
 
 
 def _outline_of(shape: Box | Cylinder | object, X_WG: RigidTransform) -> BaseGeometry | None:

@@ -36,13 +36,12 @@ LIGHTS = {"AmbientLight": 1.2, "PointLightNegativeX": 14.0, "PointLightPositiveX
 """Intensities that show a horizontal face near the origin in its own color; Meshcat's own make it a third brighter."""
 
 
-def StartMeshcatServer(port: int | None = None, host: str = "localhost", *, show_stats: bool = False) -> Meshcat:
+def StartMeshcatServer(port: int | None = None, host: str = "localhost") -> Meshcat:
     """Starts Meshcat, with a light background and neither grid nor axes.
 
     Args:
         port: to listen on; the first free one from 7000 on where None, any free one where 0.
         host: to listen on: "localhost" for this machine alone, "*" for every network it is in.
-        show_stats: shows how fast the simulation runs.
 
     Returns:
         The server; `web_url()` is its page.
@@ -52,7 +51,7 @@ def StartMeshcatServer(port: int | None = None, host: str = "localhost", *, show
     """
     if port is not None and port != 0 and not MIN_PORT <= port <= MAX_PORT:
         raise StationError(f"port is {port}; expected one from {MIN_PORT} to {MAX_PORT}, or 0 for any free one")
-    params = MeshcatParams(host=host, port=port, show_stats_plot=show_stats)
+    params = MeshcatParams(host=host, port=port, show_stats_plot=False)
     log = logging.getLogger("drake")
     level = log.level
     log.setLevel(logging.WARNING)  # whoever starts it says where its page is

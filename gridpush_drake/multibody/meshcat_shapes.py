@@ -202,9 +202,7 @@ GHOST_SHARE = 0.97
 """Height of a ghost, in heights of its object, whose own top then covers it where the two meet."""
 
 
-def AddCells(
-    meshcat: Meshcat, path: str, obj: GridObject, colors: ArrayLike, height: float, share: float | None = None
-) -> None:
+def AddCells(meshcat: Meshcat, path: str, obj: GridObject, colors: ArrayLike, height: float) -> None:
     """Draws an object's cells as one mesh, standing on z = 0 of its body frame.
 
     Args:
@@ -213,9 +211,8 @@ def AddCells(
         obj: the object.
         colors: (n, 3) sRGB, 0 to 1.
         height: of the cells, m.
-        share: side of a drawn cell, in cells; CELL_SHARE by default.
     """
-    mesh = make_cell_prisms(obj, height) if share is None else make_cell_prisms(obj, height, share)
+    mesh = make_cell_prisms(obj, height)
     light = srgb_to_linear(np.asarray(colors, dtype=np.float64))
     vertices, faces = _to_columns(mesh)
     corners = len(mesh.vertices) // obj.n

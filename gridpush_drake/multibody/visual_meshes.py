@@ -62,7 +62,6 @@ def AddVisualMeshes(
     plant: MultibodyPlant,
     scene_graph: SceneGraph,
     folder: Path | None,
-    models: Sequence[str] = MODELS,
 ) -> list[str]:
     """Shows meshes instead of primitives, body by body; a body of which a mesh is missing keeps its primitives.
 
@@ -70,7 +69,6 @@ def AddVisualMeshes(
         plant: with the models, not finalised.
         scene_graph: that the plant is registered with.
         folder: of drake_models, see `find_drake_models`; None adds nothing.
-        models: names of the model instances to be changed; those that the plant has not are passed over.
 
     Returns:
         The names of the bodies that wear meshes now.
@@ -78,7 +76,7 @@ def AddVisualMeshes(
     changed: list[str] = []
     if folder is None:
         return changed
-    for model in models:
+    for model in MODELS:
         if not plant.HasModelInstanceNamed(model):
             continue
         for index in plant.GetBodyIndices(plant.GetModelInstanceByName(model)):

@@ -79,6 +79,7 @@ class GridObject:
         self._check_size(p_BC)
         if self.height is not None and not (np.isfinite(self.height) and self.height > 0):
             raise ObjectError(f"{self.name}: height is {self.height!r}; expected a positive number (m), or none")
+        self._check_push_height()
         for name, value in (("p_BC", p_BC), ("labels", labels)):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
@@ -94,6 +95,20 @@ class GridObject:
                 raise ObjectError(
                     f"{self.name}: {what}: a coordinate is {farthest:g} m; expected at most {MAX_SIZE:g} m"
                 )
+
+    def _check_push_height(self) -> None:
+        """Refuses a pusher so high that even the least friction would let the object tip rather than slide."""
+        height, least = self.prior.push_height, self.prior.friction_min
+        if height is None:
+            return
+        rectangle = np.asarray(self.outline.minimum_rotated_rectangle.exterior.coords)
+        width = float(np.linalg.norm(np.diff(rectangle[:3], axis=0), axis=1).min())
+        if height * least >= width / 2:
+            most = width / 2 / least
+            raise ObjectError(
+                f"{self.name}: pusher.height is {height:g} m; expected less than {most:.3g} m, from where on an object "
+                f"{width:.3g} m wide tips even with friction {least:g}"
+            )
 
     @classmethod
     def from_mask(

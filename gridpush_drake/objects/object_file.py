@@ -83,9 +83,10 @@ class ContactFrictionSchema(StrictSchema):
 
 
 class PusherSchema(StrictSchema):
-    """The disc that pushes, m."""
+    """The disc that pushes, and the height above the table at which it does, m."""
 
     radius: Length
+    height: float | None = Field(None, gt=0, description="a positive number, in meters")
 
 
 class TagSchema(StrictSchema):
@@ -122,7 +123,7 @@ class ObjectSchema(StrictSchema):
     center_of_mass: CenterOfMassSchema | None = Field(None, description="at: [x, y] and std, in meters")
     friction: FrictionSchema = Field(FrictionSchema(), description="prior, min and max")
     contact_friction: ContactFrictionSchema = Field(ContactFrictionSchema(), description="prior and std")
-    pusher: PusherSchema | None = Field(None, description="radius")
+    pusher: PusherSchema | None = Field(None, description="radius and, where it is known, height, in meters")
 
     @model_validator(mode="after")
     def _check_whole(self) -> "ObjectSchema":
@@ -157,6 +158,7 @@ class ObjectSchema(StrictSchema):
             contact_friction=self.contact_friction.prior,
             contact_friction_std=self.contact_friction.std,
             pusher_radius=self.pusher.radius if self.pusher else None,
+            push_height=self.pusher.height if self.pusher else None,
         )
 
 
@@ -246,6 +248,8 @@ def describe_object(
     data["contact_friction"] = {key: float(value) for key, value in contact.items()}
     if prior.pusher_radius is not None:
         data["pusher"] = {"radius": float(prior.pusher_radius)}
+        if prior.push_height is not None:
+            data["pusher"]["height"] = float(prior.push_height)
     return data
 
 

@@ -21,6 +21,8 @@ class CellParameters:
         mass: (n,) kg, positive.
         friction: (n,) friction coefficient of each cell against the support, >= 0.
         contact_friction: friction coefficient of the pusher against the object's outline, >= 0.
+        push_height: height above the table at which pushers act, m: the higher, the more load they shift forward (see
+            `dynamics.kernels.support_loads`). 0 leaves every cell its own weight, as in the paper.
 
     Raises:
         ParameterError: shapes disagree or a value is out of range.
@@ -29,6 +31,7 @@ class CellParameters:
     mass: NDArray[np.float64]
     friction: NDArray[np.float64]
     contact_friction: float = 0.5
+    push_height: float = 0.0
 
     def __post_init__(self) -> None:
         mass, friction = (np.array(value, dtype=np.float64) for value in (self.mass, self.friction))
@@ -42,10 +45,13 @@ class CellParameters:
             raise ParameterError("friction: expected finite numbers >= 0")
         if not (np.isfinite(self.contact_friction) and self.contact_friction >= 0):
             raise ParameterError(f"contact_friction is {self.contact_friction!r}; expected a number >= 0")
+        if not (np.isfinite(self.push_height) and self.push_height >= 0):
+            raise ParameterError(f"push_height is {self.push_height!r}; expected a number >= 0 (m)")
         for name, value in (("mass", mass), ("friction", friction)):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         object.__setattr__(self, "contact_friction", float(self.contact_friction))
+        object.__setattr__(self, "push_height", float(self.push_height))
 
     @classmethod
     def uniform(
@@ -75,6 +81,7 @@ class CellParameters:
             np.full(obj.n, total_mass / obj.n),
             np.full(obj.n, obj.prior.friction if friction is None else friction),
             obj.prior.contact_friction if contact_friction is None else contact_friction,
+            obj.prior.push_height or 0.0,
         )
 
     @classmethod
@@ -104,6 +111,7 @@ class CellParameters:
             _spread(obj, "mass", mass),
             _spread(obj, "friction", friction) if isinstance(friction, Mapping) else np.full(obj.n, float(friction)),
             obj.prior.contact_friction if contact_friction is None else contact_friction,
+            obj.prior.push_height or 0.0,
         )
 
     @classmethod
@@ -138,11 +146,12 @@ class CellParameters:
         group = np.unique(obj.labels, return_inverse=True)[1] if by == "part" else np.arange(obj.n)
         groups = int(group.max()) + 1
         mass = np.exp(rng.uniform(np.log(mass_range[0]), np.log(mass_range[1]), groups))[group]
+        height = obj.prior.push_height or 0.0
         if friction_range is None:
-            return cls(mass, np.full(obj.n, obj.prior.friction), obj.prior.contact_friction)
+            return cls(mass, np.full(obj.n, obj.prior.friction), obj.prior.contact_friction, height)
         if not 0 <= friction_range[0] <= friction_range[1] < np.inf:
             raise ParameterError(f"friction_range is {friction_range!r}; expected 0 <= least <= greatest")
-        return cls(mass, rng.uniform(*friction_range, groups)[group], obj.prior.contact_friction)
+        return cls(mass, rng.uniform(*friction_range, groups)[group], obj.prior.contact_friction, height)
 
     @property
     def n(self) -> int:

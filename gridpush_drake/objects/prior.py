@@ -21,6 +21,8 @@ class PhysicalPrior:
         contact_friction: prior friction coefficient of the pusher against the object.
         contact_friction_std: its standard deviation.
         pusher_radius: m; None where the object's file does not say.
+        push_height: above the table, where the pusher touches, m; it comes with the pusher's radius. None where nothing
+            is said of it: every cell is then taken to bear its own weight.
 
     Raises:
         ParameterError: a value is out of range.
@@ -35,16 +37,19 @@ class PhysicalPrior:
     contact_friction: float = 0.5
     contact_friction_std: float = 0.15
     pusher_radius: float | None = None
+    push_height: float | None = None
 
     def __post_init__(self) -> None:
         positive = (
             "total_mass", "center_of_mass_std", "friction", "friction_min", "friction_max",
-            "contact_friction_std", "pusher_radius",
+            "contact_friction_std", "pusher_radius", "push_height",
         )  # fmt: skip
         for name in positive:
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise ParameterError(f"{name} is {value!r}; expected a positive number")
+        if self.push_height is not None and self.pusher_radius is None:
+            raise ParameterError("push_height is given without pusher_radius; expected both")
         if not (np.isfinite(self.contact_friction) and self.contact_friction >= 0):
             raise ParameterError(f"contact_friction is {self.contact_friction!r}; expected a number >= 0")
         if not self.friction_min <= self.friction <= self.friction_max:

@@ -1,3 +1,4 @@
+from .closed_loop import LoopOptions as LoopOptions
 from .push_constraints import PushConstraints as PushConstraints
 from .simulated_world import PushWorld as PushWorld
 from .simulated_world import SimulatedWorld as SimulatedWorld

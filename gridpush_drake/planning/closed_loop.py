@@ -15,6 +15,7 @@ and their mean says where the object lies. A pose that differs from the last one
 """
 
 from dataclasses import dataclass, field, fields, replace
+from enum import StrEnum
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -117,38 +118,85 @@ class PoseFilter:
         return PoseFilter(tuple((x, y, theta) for x, y, theta in kept.tolist()), time)
 
 
-@dataclass(frozen=True)
-class RobotReport:
-    """What a robot says of the pushes that it was asked for.
+class PushPhase(StrEnum):
+    """What a push executor is doing."""
 
-    Attributes:
-        command_id: of the last push taken up or refused; 0 before the first.
-        ready: whether another one is taken up.
-        pushing: whether the finger is pushing now.
-        refusal: why the last push was refused; empty where it was not.
-    """
-
-    command_id: int = 0
-    ready: bool = True
-    pushing: bool = False
-    refusal: str = ""
+    IDLE = "idle"
+    APPROACHING = "approaching"
+    DESCENDING = "descending"
+    PUSHING = "pushing"
+    SETTLING = "settling"
+    RETRACTING = "retracting"
 
 
 @dataclass(frozen=True)
-class GraspReport:
-    """What a robot says of the grasps that it was asked for.
+class PushStatus:
+    """Where an executor stands.
 
     Attributes:
-        command_id: of the last grasp taken up or refused; 0 before the first.
-        ready: whether another one is taken up.
-        outcome: of that grasp: "" while it is under way, "refused", "missed", "slipped" or "held".
-        reason: why it was refused, or what went wrong.
+        phase: "idle", "approaching", "descending", "pushing", "settling" or "retracting".
+        command_id: of the last command taken up or refused; 0 before the first.
+        executed: commands carried out to the end, or broken off.
+        refused: commands refused.
+        reason: why the last command was refused; empty where it was not.
     """
 
+    phase: PushPhase = PushPhase.IDLE
     command_id: int = 0
-    ready: bool = True
-    outcome: str = ""
+    executed: int = 0
+    refused: int = 0
     reason: str = ""
+
+    @property
+    def ready(self) -> bool:
+        """Whether a new command is taken up."""
+        return self.phase == PushPhase.IDLE
+
+
+class GraspPhase(StrEnum):
+    """What a grasp executor is doing."""
+
+    IDLE = "idle"
+    APPROACHING = "approaching"
+    ENTERING = "entering"
+    CLOSING = "closing"
+    LIFTING = "lifting"
+    HOLDING = "holding"
+    OPENING = "opening"
+    RETREATING = "retreating"
+
+
+class GraspOutcome(StrEnum):
+    """What came of a grasp command; NONE while it is under way, and false."""
+
+    NONE = ""
+    REFUSED = "refused"
+    MISSED = "missed"
+    SLIPPED = "slipped"
+    HELD = "held"
+
+
+@dataclass(frozen=True)
+class GraspStatus:
+    """Where an executor stands.
+
+    Attributes:
+        phase: "idle", "approaching", "entering", "closing", "lifting", "holding", "opening" or "retreating".
+        command_id: of the last command taken up or refused; 0 before the first.
+        outcome: of that command: "" (under way), "refused", "missed" (closed on nothing), "slipped" (lost while lifting
+            or holding) or "held" (lifted, and held for the time: the phase stays "holding").
+        reason: why it was refused, or what went wrong; empty where nothing did.
+    """
+
+    phase: GraspPhase = GraspPhase.IDLE
+    command_id: int = 0
+    outcome: GraspOutcome = GraspOutcome.NONE
+    reason: str = ""
+
+    @property
+    def ready(self) -> bool:
+        """Whether a new command is taken up."""
+        return self.phase == GraspPhase.IDLE
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,10 +215,10 @@ class Observation:
 
     time: float
     pose: Array
-    robot: RobotReport
+    robot: PushStatus
     log: PushLog
     identification: Identification | None = None
-    gripper: GraspReport = field(default_factory=GraspReport)
+    gripper: GraspStatus = field(default_factory=GraspStatus)
     goal: Array = field(default_factory=lambda: np.full(3, np.nan))
 
     @property
@@ -201,7 +249,7 @@ class LoopState:
         """Itself: Drake copies the state at every update, and nothing in it is ever changed."""
         return self
 
-    def is_pending(self, robot: RobotReport) -> bool:
+    def is_pending(self, robot: PushStatus) -> bool:
         """Whether the robot has not taken the push up yet."""
         return self.push is not None and robot.command_id != self.push_id
 
@@ -282,12 +330,12 @@ class ClosedLoop(Generic[L]):
 
     def _end_push(self, now: L, seen: Observation) -> L:
         """After a push that was carried out, broken off, or refused."""
-        if not seen.robot.refusal:
+        if not seen.robot.reason:
             changes = self._count_made(now, seen)
             return replace(now, refused=()).turn_to(WAITING, **{"reason": "A push was made.", **changes})
         assert now.push is not None
         now = replace(now, refused=(*now.refused, now.push))
-        count, why, changes = len(now.refused), seen.robot.refusal, self._count_refused(now)
+        count, why, changes = len(now.refused), seen.robot.reason, self._count_refused(now)
         if count < self.options.max_refusals:
             return now.turn_to(WAITING, f"A push was refused: {why}.", **changes)
         reason = f"The last {count} pushes were refused; the last one because {why}."

@@ -22,7 +22,7 @@ from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.closed_loop import ClosedLoop, L, Observation, RobotReport
+from gridpush_drake.planning.closed_loop import ClosedLoop, L, Observation, PushStatus
 from gridpush_drake.planning.push_constraints import make_body
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -34,6 +34,9 @@ OBSERVATIONS = 4
 
 FALL_CHECKS = 40
 """Poses of a push at which it is checked whether the object falls."""
+
+REGIME: Regime = "quasi_static"
+"""Of the true motion."""
 
 UNSEEN = np.full(3, np.nan)
 
@@ -77,7 +80,6 @@ class SimulatedWorld:
         angle_std: float = 0.0,
         seed: int | np.random.Generator = 0,
         observations: int = OBSERVATIONS,
-        regime: Regime = "quasi_static",
     ) -> None:
         """Puts the object down.
 
@@ -90,7 +92,6 @@ class SimulatedWorld:
             angle_std: of seen angles, rad.
             seed: of the noise, or what draws it.
             observations: poses that are seen during a push, after the first.
-            regime: of the simulation.
 
         Raises:
             PlanningError: a number is out of range.
@@ -99,7 +100,7 @@ class SimulatedWorld:
             raise PlanningError("position_std and angle_std must be >= 0, and observations at least 1")
         self.obj, self.hidden, self.surface, self.fallen, self.pushes = obj, hidden, surface, False, 0
         self.true_pose = np.array(pose, dtype=np.float64)
-        self._observations, self._regime = observations, regime
+        self._observations = observations
         self._std = np.array([position_std, position_std, angle_std])
         self._rng = np.random.default_rng(seed)
         self._body = np.array(make_body(obj).exterior.coords)[:-1]
@@ -118,7 +119,7 @@ class SimulatedWorld:
 
     def execute(self, push: Push) -> ObservedPush:
         """Pushes; what is seen is noisy, the motion is not."""
-        times, begin = make_path_times(push, self._regime), self._seen
+        times, begin = make_path_times(push, REGIME), self._seen
         poses, fell = self._move(push, times)
         steps = len(poses) - 1
         rows = np.unique(np.rint(np.linspace(0, steps, min(self._observations, steps) + 1)).astype(int))[1:]
@@ -130,7 +131,7 @@ class SimulatedWorld:
 
     def _move(self, push: Push, times: Array) -> tuple[Array, bool]:
         """The true poses (K, 3) at the first K times of a push, and whether the object falls at the last of them."""
-        motion = simulate(self.obj, self.hidden, push, self.true_pose, times=times, regime=self._regime)
+        motion = simulate(self.obj, self.hidden, push, self.true_pose, times=times, regime=REGIME)
         return motion.poses, self._falls(motion.poses)
 
     def _falls(self, poses: Array) -> bool:
@@ -229,7 +230,7 @@ def run_loop(
     while not is_over(run.state):
         time += loop.options.period
         pose, before = world.pose, run.state.push_id
-        robot = RobotReport(before)
+        robot = PushStatus(command_id=before)
         begin = perf_counter()
         shown = Observation(time, UNSEEN if pose is None else pose, robot, run.log, run.identification, goal=target)
         state = loop.step(run.state, shown)

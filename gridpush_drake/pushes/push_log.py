@@ -5,9 +5,9 @@ are the pusher's on the object.
 
 A push log is one tidy CSV file: a row a sample. Its columns: push (any text, rows of one push together), t, tip_x,
 tip_y (the disc's center), object_x, object_y, object_theta (on a push's first row, and wherever else it was observed;
-empty elsewhere), where it was measured, force_x, force_y on the object and, where it happened, overhang: 1 while a part
-of the object hung over the table's edge, 0 or empty otherwise; one such row marks the push. Times are counted from each
-push's first row.
+empty elsewhere) and, where they are known, force_x, force_y on the object, overhang: 1 while a part of the object hung
+over the table's edge, 0 or empty otherwise (one such row marks the push), and table: its top in W as well-known text,
+POLYGON ((x y, x y, ...)), once in the file. Times are counted from each push's first row.
 """
 
 import csv
@@ -21,7 +21,9 @@ from pathlib import Path
 from typing import NamedTuple, NoReturn, overload
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike, NDArray
+from shapely.geometry.polygon import orient
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushLogError
@@ -35,7 +37,8 @@ POSE = ("object_x", "object_y", "object_theta")
 FORCE = ("force_x", "force_y")
 REQUIRED = ("push", "t", *TIP, *POSE)
 OVERHANG = "overhang"
-COLUMNS = (*REQUIRED, *FORCE, OVERHANG)
+TABLE = "table"
+COLUMNS = (*REQUIRED, *FORCE, OVERHANG, TABLE)
 
 FLAGS = {"": False, "0": False, "1": True}
 """What may stand in a column that says yes or no."""
@@ -72,7 +75,7 @@ class ObservedPush:
         force_t: (F,) times of the force samples, s, strictly increasing, in [0, push.duration]; None where
             the force was not measured.
         force: (F, 2) force on the object in W, N; None where it was not measured.
-        overhang: whether a part of the object hung over the table's edge, which the model does not know of.
+        overhang: whether a part of the object hung over the table's edge.
 
     Raises:
         PushLogError: a shape, a time or a value is not as said above.
@@ -141,14 +144,24 @@ class PushLog:
         source: where they came from, such as a file's name.
         radius_given: whether the pusher's radius was given with the pushes; where it was not, they carry
             DEFAULT_PUSHER_RADIUS, and whoever knows the object's file replaces it (`with_radius`).
+        table: (K, 2) corners in W of the table's top, counterclockwise, m; None where its edge is far or unknown.
     """
 
     pushes: tuple[ObservedPush, ...]
     source: str = ""
     radius_given: bool = True
+    table: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pushes", tuple(self.pushes))
+        if self.table is not None:
+            corners = np.array(self.table, dtype=np.float64)
+            if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(corners).all():
+                raise PushLogError(
+                    f"table: corners of shape {corners.shape}; expected (K, 2) finite numbers, K >= 3 (m)"
+                )
+            corners.setflags(write=False)
+            object.__setattr__(self, "table", corners)
 
     @classmethod
     def read_csv(cls, path: Path | str, radius: float | None = None, *, require_final: bool = True) -> "PushLog":
@@ -208,16 +221,18 @@ class PushLog:
 
     @property
     def supported(self) -> "PushLog":
-        """The pushes during which the whole object was on the table: those that a model can explain.
+        """The pushes that a model can explain: all, where the table is known, else those wholly on it.
 
         Raises:
             PushLogError: there are pushes, but none of them is such a one.
         """
+        if self.table is not None:
+            return self
         kept = self.subset([i for i, seen in enumerate(self) if not seen.overhang])
         if len(self) and not len(kept):
             raise PushLogError(
-                f"{self.source or 'push log'}: overhang is 1 in every push; expected at least one push with the whole "
-                "object on the table"
+                f"{self.source or 'push log'}: overhang is 1 in every push; expected the column table, or at least "
+                "one push with the whole object on the table"
             )
         return kept
 
@@ -246,12 +261,14 @@ class _Row(NamedTuple):
     pose: list[float] | None
     force: list[float] | None
     overhang: bool
+    table: NDArray[np.float64] | None
 
 
 def read_push_csv(path: Path, radius: float | None, *, require_final: bool = True) -> PushLog:
     """Reads a push log; see `PushLog.read_csv`."""
     seen: dict[str, int] = {}
     pushes = []
+    table: NDArray[np.float64] | None = None
     for rows in _groups(_rows(path, _read_text(path))):
         first = rows[0]
         if first.push in seen:
@@ -260,10 +277,14 @@ def read_push_csv(path: Path, radius: float | None, *, require_final: bool = Tru
                 f"push {first.push!r} began on line {seen[first.push]} already; expected its rows together",
             )  # fmt: skip
         seen[first.push] = first.line
+        for row in rows:
+            if table is not None and row.table is not None and not np.array_equal(row.table, table):
+                _fail(path, row.line, TABLE, "is another one than before; expected one table in a log")
+            table = table if row.table is None else row.table
         pushes.append(_observed_push(path, rows, DEFAULT_PUSHER_RADIUS if radius is None else radius, require_final))
     if not pushes:
         raise PushLogError(f"{path}: holds no push; expected rows below the header {','.join(REQUIRED)}")
-    return PushLog(tuple(pushes), str(path), radius_given=radius is not None)
+    return PushLog(tuple(pushes), str(path), radius_given=radius is not None, table=table)
 
 
 def write_push_csv(log: PushLog, path: Path, force: bool = False) -> None:
@@ -279,11 +300,20 @@ def write_push_csv(log: PushLog, path: Path, force: bool = False) -> None:
     with_overhang = any(seen.overhang for seen in log)
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow([*REQUIRED, *(FORCE if with_force else ()), *((OVERHANG,) if with_overhang else ())])
+    more = [name for name, there in ((OVERHANG, with_overhang), (TABLE, log.table is not None)) if there]
+    writer.writerow([*REQUIRED, *(FORCE if with_force else ()), *more])
+    text = [] if log.table is None else [_describe_table(log.table)]
     for seen in log:
         flag = [str(int(seen.overhang))] if with_overhang else []
-        writer.writerows(cells + flag for cells in _cells(seen, with_force))
+        for cells in _cells(seen, with_force):
+            writer.writerow([*cells, *flag, *text])
+            text = [""] * len(text)
     write_whole(path, buffer.getvalue(), force)
+
+
+def _describe_table(corners: NDArray[np.float64]) -> str:
+    """Corners (K, 2) as well-known text, exact to the last bit."""
+    return "POLYGON ((" + ", ".join(f"{x!r} {y!r}" for x, y in [*corners.tolist(), corners[0].tolist()]) + "))"
 
 
 def _cells(seen: ObservedPush, with_force: bool) -> Iterator[list[str]]:
@@ -329,7 +359,7 @@ def _rows(path: Path, text: str) -> Iterator[_Row]:
 
 def _column_indices(path: Path, line: int, header: Sequence[str]) -> dict[str, int]:
     at = {name: i for i, name in enumerate(header)}
-    form = f"expected comma-separated {','.join(REQUIRED)} and, if known, {','.join(FORCE)} and {OVERHANG}"
+    form = f"expected comma-separated {','.join(REQUIRED)} and, if known, {','.join(FORCE)}, {OVERHANG} and {TABLE}"
     if len(at) != len(header):
         twice = next(name for i, name in enumerate(header) if name in header[:i])
         _fail(path, line, twice, f"is there twice; {form}")
@@ -360,7 +390,25 @@ def _parse_row(path: Path, line: int, cells: list[str], at: dict[str, int]) -> _
     )
     tip = [_number(path, line, column, cells[at[column]]) for column in TIP]
     overhang = OVERHANG in at and _flag(path, line, OVERHANG, cells[at[OVERHANG]])
-    return _Row(line, name, _number(path, line, "t", cells[at["t"]]), tip, pose, force, overhang)
+    table = _table(path, line, cells[at[TABLE]].strip()) if TABLE in at else None
+    return _Row(line, name, _number(path, line, "t", cells[at["t"]]), tip, pose, force, overhang, table)
+
+
+def _table(path: Path, line: int, cell: str) -> NDArray[np.float64] | None:
+    if not cell:
+        return None
+    try:
+        polygon = shapely.from_wkt(cell)
+    except shapely.GEOSException:
+        polygon = None
+    if not isinstance(polygon, shapely.Polygon) or polygon.interiors or not polygon.is_valid or polygon.area <= 0:
+        _fail(
+            path,
+            line,
+            TABLE,
+            f"is {cell[:MAX_SHOWN]!r}; expected POLYGON ((x y, x y, ...)) in m that does not cross itself",
+        )
+    return np.asarray(orient(polygon).exterior.coords)[:-1, :2]
 
 
 def _flag(path: Path, line: int, column: str, cell: str) -> bool:

@@ -157,13 +157,12 @@ def draw_cells(
     return cells
 
 
-def draw_parts(ax: Axes, obj: GridObject, *, pose: ArrayLike = (0.0, 0.0, 0.0)) -> PolyCollection:
+def draw_parts(ax: Axes, obj: GridObject) -> PolyCollection:
     """Draws the cells in the colors of their parts, with a legend that counts them.
 
     Args:
-        ax: where to draw, world frame, m; its aspect is made equal.
+        ax: where to draw, body frame, m; its aspect is made equal.
         obj: the object.
-        pose: (x, y, theta) X_WB, m and rad.
 
     Returns:
         The cells.
@@ -171,10 +170,10 @@ def draw_parts(ax: Axes, obj: GridObject, *, pose: ArrayLike = (0.0, 0.0, 0.0)) 
     labels, index, counts = np.unique(obj.labels, return_inverse=True, return_counts=True)
     colors = [PART_COLORS[i % len(PART_COLORS)] for i in range(len(labels))]
     cells = PolyCollection(
-        _squares(obj, pose), facecolors=[colors[i] for i in index], edgecolors="white", linewidths=CELL_LINE
+        _squares(obj, np.zeros(3)), facecolors=[colors[i] for i in index], edgecolors="white", linewidths=CELL_LINE
     )
     ax.add_collection(cells)
-    draw_outline(ax, obj, pose=pose)
+    draw_outline(ax, obj)
     _frame(ax)
     handles = [
         Patch(facecolor=color, label=f"part {part}: {count} cell{'' if count == 1 else 's'}")

@@ -143,11 +143,7 @@ def _draw_pushes(
     end: str,
 ) -> None:
     """The object from its first pose to its last, which the legend calls `end`, the numbered pushes, and the goal."""
-    if surface is not None:
-        draw_table(ax, surface.corners)
-    for pose in poses[1:-1]:
-        draw_outline(ax, obj, pose=pose, color=FAINT)
-    draw_outline(ax, obj, pose=poses[0], color=INK, linestyle="dashed")
+    _draw_outlines(ax, obj, poses, surface)
     if len(poses) > 1:
         draw_cells(ax, obj, pose=poses[-1], alpha=0.7)
     draw_outline(ax, obj, pose=goal, color=BEFORE, linestyle="dotted").set_zorder(4)
@@ -161,6 +157,15 @@ def _draw_pushes(
         Line2D([], [], color=LEARNED, marker="o", markerfacecolor="white", label="pushes"),
     ]
     add_legend_below(ax, handles, 3)
+
+
+def _draw_outlines(ax: Axes, obj: GridObject, poses: Sequence[Array] | Array, surface: SupportSurface | None) -> None:
+    """The table, and the object's outline at all its poses but the last: the first one dashed, the others faint."""
+    if surface is not None:
+        draw_table(ax, surface.corners)
+    for pose in poses[1:-1]:
+        draw_outline(ax, obj, pose=pose, color=FAINT)
+    draw_outline(ax, obj, pose=poses[0], color=INK, linestyle="dashed")
 
 
 def _draw_push(ax: Axes, push: Push, count: int) -> None:
@@ -214,10 +219,7 @@ def draw_slide(planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGras
 
 
 def _draw_slides(ax: Axes, planner: PreGraspPlanner, plan: PreGraspPlan) -> None:
-    draw_table(ax, planner.surface.corners)
-    for pose in plan.poses[:-1]:
-        draw_outline(ax, planner.obj, pose=pose, color=FAINT)
-    draw_outline(ax, planner.obj, pose=plan.poses[0], color=INK, linestyle="dashed")
+    _draw_outlines(ax, planner.obj, plan.poses, planner.surface)
     draw_cells(ax, planner.obj, pose=plan.poses[-1])
     for push in plan.pushes:
         _draw_tips(ax, push, LEARNED)
@@ -321,10 +323,7 @@ def draw_pre_grasp(
 def _draw_trajectory(
     ax: Axes, obj: GridObject, surface: SupportSurface, poses: Sequence[Array], pushes: Sequence[PushDrawn]
 ) -> None:
-    draw_table(ax, surface.corners)
-    for pose in poses[1:-1]:
-        draw_outline(ax, obj, pose=pose, color=FAINT)
-    draw_outline(ax, obj, pose=poses[0], color=INK, linestyle="dashed")
+    _draw_outlines(ax, obj, poses, surface)
     draw_cells(ax, obj, pose=poses[-1])
     for push in pushes:
         draw_arrow(ax, push.start, push.end, BEFORE if push.poke else LEARNED)

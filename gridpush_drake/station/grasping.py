@@ -17,7 +17,7 @@ from pydrake.systems.framework import DiagramBuilder, OutputPort, System
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
-from gridpush_drake.station.arm_kinematics import ArmReach
+from gridpush_drake.station.arm import ArmReach
 from gridpush_drake.station.robot import GripperMeasures
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.systems.grasp_executor import GraspExecutor, GraspTrajectoryOptions

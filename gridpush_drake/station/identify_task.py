@@ -7,6 +7,7 @@ from pydrake.systems.framework import Context, DiagramBuilder
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.station.others import leave_out
 from gridpush_drake.station.push_station import MakeFingerRegion, MakePushStation, PushStation
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.task import GO_ON, Judgment, StationTask, TaskRecord, TaskStatus, Waiting
@@ -16,7 +17,7 @@ from gridpush_drake.systems.poke_policy import PokePolicy, PokeRegion, RandomPok
 FINISHED, OBJECT_LOST, STUCK = TaskStatus.FINISHED, TaskStatus.OBJECT_LOST, TaskStatus.STUCK
 
 EDGE_MARGIN = 0.03
-"""Between the object and the table's edge, where pokes are meant to leave it, m."""
+"""Between the object and the table's edge or another object, where pokes are meant to leave it, m."""
 
 MIDDLE_MARGIN = 0.09
 """Between the object's centroid and the limits of where the finger can be, for the finger to get around it, m."""
@@ -136,7 +137,7 @@ class IdentifyTask(StationTask[IdentifyTaskRecord]):
 
 def _make_policy(station: PushStation) -> PokePolicy:
     scenario, pokes = station.scenario, station.scenario.pokes
-    keep_in = station.table_top.buffer(-EDGE_MARGIN)
+    keep_in = leave_out(station.table_top.buffer(-EDGE_MARGIN), station.others, EDGE_MARGIN)
     middle = MakeFingerRegion(station, MIDDLE_MARGIN)
     region = PokeRegion(MakeFingerRegion(station), keep_in, None if middle.is_empty else middle)
     style = RandomPokeOptions(

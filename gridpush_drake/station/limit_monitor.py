@@ -72,6 +72,7 @@ class LimitMonitor:
             [plant.get_joint_actuator(index).effort_limit() for index in plant.GetJointActuatorIndices(arm)]
         )
         self._object = station.object_in_plant.body.index()
+        self._others = {other.part.body_index for other in station.others}
         self._tip = plant.GetBodyByName(robot.finger.tip_frame).index()
         fingers = () if robot.gripper is None else robot.gripper.fingers
         self._fingers = {plant.GetBodyByName(name, station.gripper).index() for name in fingers}
@@ -110,7 +111,7 @@ class LimitMonitor:
 
     def _judge(self, plant: MultibodyPlant, a: int, b: int, allowed: set[int]) -> None:
         pair = {a, b}
-        if self._object in pair and pair & allowed:
+        if (self._object in pair and pair & allowed) or (pair & self._others and pair & self._table):
             return
         first, second = sorted(plant.get_body(index).name() for index in pair)
         self.limit_report.touched.add((first, second))

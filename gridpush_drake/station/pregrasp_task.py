@@ -4,7 +4,7 @@
 came of exploring, sliding and grasping.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import atan2
 
 import numpy as np
@@ -26,7 +26,15 @@ from gridpush_drake.planning.support_surface import SupportSurface, find_support
 from gridpush_drake.pushes.push_log import ObservedPush
 from gridpush_drake.station.push_station import Learning, MakeFingerRegion, MakePushStation, PushStation
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.task import GO_ON, Judgment, StationTask, TaskRecord, TaskStatus, Waiting, make_surface
+from gridpush_drake.station.task import (
+    GO_ON,
+    ControlledRecord,
+    Judgment,
+    StationTask,
+    TaskStatus,
+    Waiting,
+    make_surface,
+)
 from gridpush_drake.systems.messages import GraspCommand, PreGraspMode, PreGraspStatus, PushCommand
 from gridpush_drake.systems.pregrasp_controller import PreGraspController
 
@@ -96,45 +104,15 @@ class GraspFinder:
         return self.station.FindGraspObstacle(command) is None
 
 
-@dataclass(frozen=True, eq=False)
-class PreGraspStep:
-    """Something that the controller did.
-
-    Attributes:
-        time: when it began, s.
-        status: of the controller.
-        pose: (3,) where the object was seen, X_WB, m and rad; NaN where it was not.
-        push: the command, where it was a push.
-        grasp: the command, where it was a grasp.
-        pushes_learned_from: by then.
-    """
-
-    time: float
-    status: PreGraspStatus
-    pose: Array
-    push: PushCommand | None = None
-    grasp: GraspCommand | None = None
-    pushes_learned_from: int = 0
-
-
 @dataclass
-class PreGraspRecord(TaskRecord):
+class PreGraspRecord(ControlledRecord[PreGraspStatus]):
     """What came of a run: "held", "dropped", "failed", "lost", "stuck" or "interrupted"; filled while it runs.
 
     Attributes:
-        surface: the table.
-        steps: what the controller did.
         raised: how far the object's lowest point was above the table at the end, m.
     """
 
-    surface: SupportSurface
-    steps: list[PreGraspStep] = field(default_factory=list)
     raised: float = float("nan")
-
-    @property
-    def last(self) -> PreGraspStatus:
-        """The controller's last status."""
-        return self.steps[-1].status if self.steps else PreGraspStatus()
 
 
 HELD, DROPPED, FAILED = TaskStatus.HELD, TaskStatus.DROPPED, TaskStatus.FAILED
@@ -189,7 +167,7 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             meshcat: to show it in; None for none.
 
         Raises:
-            ScenarioError: the scenario makes no sense, or its scene has no gripper.
+            ScenarioError: the scenario makes no sense, has other objects, or its scene has no gripper.
             StationError: see `MakePushStation`.
             PlanningError: the object has no graspable part, or the table is smaller than it.
         """
@@ -200,6 +178,8 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             MakePushStation(scenario, meshcat, show_object=False, learning=learning)
         )
         station = self.station
+        if station.others:
+            raise ScenarioError("others: the slide to the table's edge knows of none; expected an empty list")
         if station.robot.gripper is None:
             raise ScenarioError("directives: there is no model gripper; expected a scene that can grasp")
         self.surface = make_surface(station)
@@ -213,28 +193,12 @@ class PreGraspTask(StationTask[PreGraspRecord]):
 
     def make_record(self) -> PreGraspRecord:
         """An empty record."""
-        return PreGraspRecord(self.obj, self.station.truth, self.surface)
+        return PreGraspRecord(self.obj, self.station.truth, self.surface, PreGraspStatus())
 
     def note(self, record: PreGraspRecord, time: float) -> bool:
         """Writes down how high the object is and what the controller does."""
         record.raised = self.calc_raised()
-        status = self.read("status", self.controller)
-        if status is record.last:
-            return False
-        push = PushCommand.from_vector(self.read("push_command", self.controller))
-        grasp = GraspCommand.from_vector(self.read("grasp_command", self.controller))
-        pushing = status.mode in (PreGraspMode.EXPLORING, PreGraspMode.SLIDING)
-        record.steps.append(
-            PreGraspStep(
-                time,
-                status,
-                np.array(self.read("object.pose")),
-                push if pushing else None,
-                grasp if status.mode == PreGraspMode.GRASPING else None,
-                len(record.estimates[-1].push_names) if record.estimates else 0,
-            )
-        )
-        return True
+        return self.note_step(record, time)
 
     def judge(self, record: PreGraspRecord, waiting: Waiting) -> Judgment:
         """Status and message."""

@@ -17,7 +17,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPo
 from pydrake.systems.primitives import LogVectorOutput
 from shapely.geometry.base import BaseGeometry
 
-from gridpush_drake.errors import StationError
+from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.multibody.contact_material import TABLE, FindTableOutline, SetPartner
 from gridpush_drake.multibody.grid_object import AddGridObject, Base, GridObjectInPlant
@@ -31,8 +31,14 @@ from gridpush_drake.pushes.push_log import ObservedPush
 from gridpush_drake.pushes.segmentation import RecordOptions, Sample
 from gridpush_drake.pushes.stream import make_samples
 from gridpush_drake.report.camera_figure import Sight
-from gridpush_drake.station.arm_control import AddArmControl, ArmControl, MakeControlPlant, SetArmStart
-from gridpush_drake.station.arm_kinematics import ArmReach, CalcStartPosture
+from gridpush_drake.station.arm import (
+    AddArmControl,
+    ArmControl,
+    ArmReach,
+    CalcStartPosture,
+    MakeControlPlant,
+    SetArmStart,
+)
 from gridpush_drake.station.camera import (
     AddPoseEstimator,
     AddRgbdCamera,
@@ -50,6 +56,7 @@ from gridpush_drake.station.grasping import (
     ExportOutputs,
     make_grasp_trajectory_options,
 )
+from gridpush_drake.station.others import AddOtherCameras, AddOthers, OtherObject, SetOthersStart, leave_out
 from gridpush_drake.station.robot import GetRobotInPlant, Robot, RobotInPlant, find_robot
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import (
@@ -227,6 +234,8 @@ def AddStationScene(
 
 def TakePhotograph(scenario: PushScenario, true_obj: GridObject) -> FoundObject:
     """Finds the object in a photograph of the scene as a run begins; see `find_object`."""
+    if scenario.others:
+        raise ScenarioError("others: a camera of the kind rgbd knows of none; expected an empty list")
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, scenario.simulation.time_step)
     robot = find_robot(scenario.directives)
@@ -267,6 +276,8 @@ class StationParts:
         camera: sees the object, with noise.
         true_parameters: remembers the truth, on the robot's grid.
         grasping: carries out grasps; None where the scene has no gripper.
+        others: see `PushStation`.
+        other_cameras: see the others, with noise.
     """
 
     scenario: PushScenario
@@ -287,6 +298,8 @@ class StationParts:
     true_parameters: TrueParameters
     grasping: GraspExecutor | None
     found: FoundObject | None
+    others: tuple[OtherObject, ...]
+    other_cameras: tuple[PlanarPoseSensor, ...]
 
 
 class PushStation(Diagram):
@@ -314,6 +327,8 @@ class PushStation(Diagram):
         - query_object
         - grasp.status
         - gripper.state
+        - other_0.pose
+        - ...
 
     - ``push_command``: (6,) see `systems.push_command`.
     - ``executor.status``: abstract `PushStatus`; ``executor.tip_pose``: abstract `RigidTransform`, X_WP desired.
@@ -323,6 +338,7 @@ class PushStation(Diagram):
     - Where the scene has a gripper: ``grasp_command``: (6,) see `systems.grasp_command`, need not be connected;
       ``grasp.status``: abstract `GraspStatus`; ``gripper.state``: (4,) the fingers' positions, left and right, m, and
       velocities, m/s. ``executor.tip_pose`` is then what push and grasp executor together desire.
+    - ``other_0.pose`` and so on: (3,) of each of the scenario's other objects, as ``object.pose``.
 
     Attributes:
         scenario: what it was made from; with a color and depth camera, pose and height of the object are as seen.
@@ -340,6 +356,7 @@ class PushStation(Diagram):
         style: how the executor pushes.
         home: p_WP of the tip at the beginning, m.
         gripper: its model instance; None where the scene has none.
+        others: further objects on the table.
     """
 
     __slots__ = NO_SLOTS
@@ -354,6 +371,7 @@ class PushStation(Diagram):
         self.style, self.gripper, self.found = parts.style, parts.robot_in_plant.gripper, parts.found
         self._grasping, self._reach = parts.grasping, parts.reach
         self._control, self._camera, self._true_parameters = parts.control, parts.camera, parts.true_parameters
+        self.others, self._other_cameras = parts.others, parts.other_cameras
         builder.BuildInto(self)
 
     def FindObstacle(self, command: PushCommand) -> str | None:
@@ -380,6 +398,10 @@ class PushStation(Diagram):
         SetArmStart(self, root_context, self.plant, self.robot_in_plant.arm, self._control)
         plant_context = self.plant.GetMyMutableContextFromRoot(root_context)
         SetGridObjectPose(self.plant, plant_context, self.object_in_plant, self.scenario.object_pose)
+        SetOthersStart(
+            self.plant, self.scene_graph, root_context, self.scenario, self.others, self._other_cameras,
+            self.scenario.seed if seed is None else seed,
+        )  # fmt: skip
         if seed is not None:
             true_obj = self.object_in_plant.obj
             truth = MakeTruth(true_obj, self.scenario.truth, seed)
@@ -489,6 +511,7 @@ def MakePushStation(
         height=scenario.object_height,
         visual=show_object,
     )
+    others = AddOthers(plant, scene_graph, scenario, table, object_in_plant)
     if found is not None:
         AddSeenVisual(plant, scene_graph, object_in_plant)
         seen = {"object_pose": found.pose.tolist(), "object_height": obj.height or scenario.object_height}
@@ -505,6 +528,7 @@ def MakePushStation(
     executor = builder.AddNamedSystem("executor", PushExecutor(home, obj.outline, reach, style))
     sensors = AddSensors(builder, scene_graph, scenario, robot, object_in_plant, found)
     camera, tip = sensors.camera.source, sensors.tip
+    other_cameras = AddOtherCameras(builder, plant, scenario, others, LOST_BELOW)
     true_parameters = builder.AddNamedSystem("truth", TrueParameters(truth))
     identifier = builder.AddNamedSystem("identifier", make_identifier(scenario, obj, learning))
 
@@ -548,7 +572,7 @@ def MakePushStation(
         builder,
         StationParts(
             scenario, obj, truth, plant, scene_graph, robot, instances, object_in_plant, table, table_top, style, home,
-            reach, control, sensors.camera, true_parameters, grasping, found,
+            reach, control, sensors.camera, true_parameters, grasping, found, others, other_cameras,
         ),
     )  # fmt: skip
     station.set_name(name)
@@ -583,12 +607,14 @@ def MakeFingerRegion(station: PushStation, inset: float = 0.0) -> BaseGeometry:
         inset: least distance from the region's edge, m.
 
     Returns:
-        The region, W, m: the ring that the arm reaches, and in it the workspace; it may be empty.
+        The region, W, m: the ring that the arm reaches, and in it the workspace, without the places where the tip would
+        touch another object; it may be empty.
     """
     workspace = station.scenario.workspace
     box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
     axis, least, greatest = CalcTipReach(station.plant, station.robot, station.scenario.finger.push_height)
-    return MakeRing(axis, least + inset, greatest - inset) & box.buffer(-inset)
+    region = MakeRing(axis, least + inset, greatest - inset) & box.buffer(-inset)
+    return leave_out(region, station.others, station.robot.finger.tip_radius + inset)
 
 
 def MakeRing(axis: NDArray[np.float64], least: float, greatest: float) -> shapely.Polygon:

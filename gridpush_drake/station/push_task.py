@@ -17,61 +17,39 @@ from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_erro
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.station.others import place_others
 from gridpush_drake.station.push_station import Learning, MakeFingerRegion, MakePushStation, PushStation
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.task import GO_ON, Judgment, StationTask, TaskRecord, TaskStatus, Waiting, make_surface
+from gridpush_drake.station.task import (
+    GO_ON,
+    ControlledRecord,
+    Judgment,
+    StationTask,
+    TaskStatus,
+    Waiting,
+    make_surface,
+)
 from gridpush_drake.systems.contact_point_controller import ContactPointController
 from gridpush_drake.systems.messages import ContactPointMode, ContactPointStatus, PushCommand
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class PushTaskStep:
-    """A change of what the controller says.
-
-    Attributes:
-        time: s.
-        status: of the controller.
-        pose: (3,) where the object was seen, X_WB, m and rad; NaN where it was not.
-        push: the command, where a push began.
-    """
-
-    time: float
-    status: ContactPointStatus
-    pose: Array
-    push: PushCommand | None = None
-
-
 @dataclass
-class PushTaskRecord(TaskRecord):
+class PushTaskRecord(ControlledRecord[ContactPointStatus]):
     """What came of a run: "reached", "failed", "lost", "stuck" or "interrupted"; filled while it runs.
 
     Attributes:
-        surface: the table.
         goal: (3,) where it should lie, X_WB, m and rad.
         tolerance: mean cell error at which the goal counts as reached, m.
-        steps: what the controller said, in order.
         pose: (3,) where the object truly lay at the end, X_WB, m and rad; NaN where it had fallen.
         error: mean cell error to the goal there, m.
     """
 
-    surface: SupportSurface
     goal: Array
     tolerance: float
-    steps: list[PushTaskStep] = field(default_factory=list)
     pose: Array = field(default_factory=lambda: np.full(3, np.nan))
     error: float = float("nan")
-
-    @property
-    def last(self) -> ContactPointStatus:
-        """The controller's last status."""
-        return self.steps[-1].status if self.steps else ContactPointStatus()
-
-    @property
-    def statuses(self) -> list[ContactPointStatus]:
-        """All that the controller said, in order."""
-        return [step.status for step in self.steps]
 
     @property
     def pushes(self) -> int:
@@ -102,6 +80,9 @@ MIN_PUSH = 0.003
 
 GOAL_COLOR = Rgba(0.16, 0.55, 0.35)
 """Of the outline at the goal."""
+
+GOAL_PATH = "goal"
+"""Of that in Meshcat."""
 
 
 class PushTask(StationTask[PushTaskRecord]):
@@ -140,19 +121,14 @@ class PushTask(StationTask[PushTaskRecord]):
     def make_record(self) -> PushTaskRecord:
         """An empty record."""
         station, goal = self.station, self.station.scenario.goal
-        return PushTaskRecord(station.obj, station.truth, self.surface, np.array(goal.pose), goal.tolerance)
+        begin = ContactPointStatus()
+        return PushTaskRecord(station.obj, station.truth, self.surface, begin, np.array(goal.pose), goal.tolerance)
 
     def note(self, record: PushTaskRecord, time: float) -> bool:
         """Writes down where the object is and what the controller says."""
         record.pose = np.array(self.read("object.pose_true"))
         record.error = float(calc_goal_error(record.obj, record.pose, record.goal))
-        status: ContactPointStatus = self.read("status", self.controller)
-        if status is record.last:
-            return not self.read("executor.status").ready
-        push = PushCommand.from_vector(self.read("push_command", self.controller))
-        pushing = status.mode == ContactPointMode.PUSHING
-        record.steps.append(PushTaskStep(time, status, np.array(self.read("object.pose")), push if pushing else None))
-        return True
+        return self.note_step(record, time) or not self.read("executor.status").ready
 
     def judge(self, record: PushTaskRecord, waiting: Waiting) -> Judgment:
         """Status and message."""
@@ -175,6 +151,7 @@ def make_rules(station: PushStation, surface: SupportSurface) -> GoalRules:
     clearance = scenario.pokes.clearance
     constraints = PushConstraints(
         surface,
+        place_others(station.others),
         edge_margin=EDGE_MARGIN,
         finger_region=MakeFingerRegion(station),
         push_rule=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,
@@ -185,7 +162,7 @@ def make_rules(station: PushStation, surface: SupportSurface) -> GoalRules:
     return GoalRules(constraints, contact, tolerance=scenario.goal.tolerance, max_pushes=scenario.goal.max_pushes)
 
 
-def AddGoal(meshcat: Meshcat, obj: GridObject, pose: Array | list[float], height: float, path: str = "goal") -> None:
+def AddGoal(meshcat: Meshcat, obj: GridObject, pose: Array | list[float], height: float) -> None:
     """Draws an object's translucent outline where it should go.
 
     Args:
@@ -193,8 +170,7 @@ def AddGoal(meshcat: Meshcat, obj: GridObject, pose: Array | list[float], height
         obj: the object.
         pose: (3,) X_WB, m and rad.
         height: of the object, m.
-        path: below which it is drawn.
     """
-    meshcat.Delete(path)
-    AddGhost(meshcat, path, obj, height, GOAL_COLOR)
-    meshcat.SetTransform(path, MakePlanarTransform(pose))
+    meshcat.Delete(GOAL_PATH)
+    AddGhost(meshcat, GOAL_PATH, obj, height, GOAL_COLOR)
+    meshcat.SetTransform(GOAL_PATH, MakePlanarTransform(pose))

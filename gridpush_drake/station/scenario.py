@@ -342,6 +342,20 @@ def _default_directives() -> list[ModelDirective]:
     return [ModelDirective(add_directives=AddDirectives(file=DEFAULT_SCENE))]
 
 
+class OtherConfig(_Config):
+    """Another object on the table, a free body of which nothing is known beforehand and nothing is learned.
+
+    Attributes:
+        object: name of a shipped object, or an object file, relative to the scenario's own file.
+        pose: [x, y, theta] of its body frame in W at the beginning, m and rad.
+        height: its thickness, m.
+    """
+
+    object: Annotated[str, Field(pattern=r"\S", description="the name of a shipped object or of an object file")]
+    pose: Pose
+    height: Annotated[Number, _positive("m")] = 0.03
+
+
 class PushScenario(_Config):
     """An object, the scene it lies in, and what is to be done with it.
 
@@ -362,6 +376,7 @@ class PushScenario(_Config):
         workspace: of the finger's tip.
         goal: where to push the object to, where that is the task.
         pregrasp: how to slide it to the edge and grasp it, where that is the task; the scene has a `gripper`.
+        others: further objects on the table, which pushes keep clear of, see `station.others`.
         seed: of everything random.
         directives: what stands in the scene besides the object, as Drake's model directives: a robot with a finger,
             see `station.robot`, and a model `table`.
@@ -386,6 +401,7 @@ class PushScenario(_Config):
     workspace: WorkspaceConfig = WorkspaceConfig()
     goal: GoalConfig = GoalConfig()
     pregrasp: PreGraspConfig = PreGraspConfig()
+    others: Annotated[list[OtherConfig], Field(description="a list of objects, each with a pose")] = []
     seed: Annotated[int, _count(0, MAX_SEED)] = 0
     directives: Annotated[
         list[InstanceOf[ModelDirective]],
@@ -441,9 +457,11 @@ def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushSce
         scenario = PushScenario(**data)
     except ScenarioError as error:
         raise ScenarioError(f"{where}: {error}") from error
-    beside = path.parent / scenario.object
-    if beside.suffix or is_file(beside):
-        scenario.object = str(beside.resolve())
+    named: list[PushScenario | OtherConfig] = [scenario, *scenario.others]
+    for each in named:
+        beside = path.parent / each.object
+        if beside.suffix or is_file(beside):
+            each.object = str(beside.resolve())
     return scenario
 
 

@@ -3,7 +3,7 @@
 The object lies on the table, the arm gets to it, and the finger clears it.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,12 +41,21 @@ def load_object(scenario: PushScenario) -> GridObject:
         ScenarioError: there is none, its file is not what it should be, where the message suggests the nearest name; or
             scenario and file allow no common friction.
     """
-    path = Path(scenario.object)
-    try:
-        obj = GridObject.from_yaml(path if path.suffix or is_file(path) else find_shipped_object(scenario.object))
-    except ObjectError as error:
-        raise ScenarioError(f"object: {error}") from error
+    obj = _read_object(scenario.object, "object")
     return obj if scenario.object_friction is None else _bound_friction(obj, *scenario.object_friction)
+
+
+def load_others(scenario: PushScenario) -> list[GridObject]:
+    """Reads the scenario's other objects. Raises ScenarioError as `load_object` does."""
+    return [_read_object(other.object, f"others[{at}].object") for at, other in enumerate(scenario.others)]
+
+
+def _read_object(name: str, field: str) -> GridObject:
+    path = Path(name)
+    try:
+        return GridObject.from_yaml(path if path.suffix or is_file(path) else find_shipped_object(name))
+    except ObjectError as error:
+        raise ScenarioError(f"{field}: {error}") from error
 
 
 def _bound_friction(obj: GridObject, least: float, greatest: float) -> GridObject:
@@ -108,7 +117,9 @@ def check_scenario(scenario: PushScenario) -> None:
     GetRobotInPlant(plant, robot)
     _check_heights(scenario, robot.finger.tip_radius)
     inspector = scene_graph.model_inspector()
-    _check_on_table(scenario, obj, FindTableOutline(plant, inspector))
+    table = FindTableOutline(plant, inspector)
+    _check_on_table(("object", "object_pose"), obj, scenario.object_pose, table)
+    _check_others(scenario, obj, table)
     _check_tip(robot, plant, inspector)
     _check_reach(scenario, plant, robot)
 
@@ -174,23 +185,36 @@ def _check_heights(scenario: PushScenario, tip_radius: float) -> None:
         )
 
 
-def _check_on_table(scenario: PushScenario, obj: GridObject, table: BaseGeometry) -> None:
-    if table.covers(_place(obj.outline, scenario.object_pose)):
+def _check_others(scenario: PushScenario, obj: GridObject, table: BaseGeometry) -> None:
+    lying = [("object_pose", place_outline(obj.outline, scenario.object_pose))]
+    for at, (config, other) in enumerate(zip(scenario.others, load_others(scenario), strict=True)):
+        field = f"others[{at}].pose"
+        _check_on_table((f"others[{at}].object", field), other, config.pose, table)
+        outline = place_outline(other.outline, config.pose)
+        for name, before in lying:
+            if before.intersects(outline):
+                raise ScenarioError(f"{field} is {config.pose}: there the object lies in that of {name}; expected room")
+        lying.append((field, outline))
+
+
+def _check_on_table(fields: tuple[str, str], obj: GridObject, pose: list[float], table: BaseGeometry) -> None:
+    """Of the `fields` a message names the first where the object is too large, the second where it is misplaced."""
+    if table.covers(place_outline(obj.outline, pose)):
         return
     middle = np.array(table.centroid.coords[0])
     for turn in np.linspace(0, 2 * np.pi, TURNS, endpoint=False):
-        turned = _place(obj.outline, [0.0, 0.0, turn])
+        turned = place_outline(obj.outline, [0.0, 0.0, turn])
         left, low, right, high = turned.bounds
         at = middle - ((left + right) / 2, (low + high) / 2)
-        if table.covers(_place(obj.outline, [*at, turn])):
-            x, y, theta = scenario.object_pose
+        if table.covers(place_outline(obj.outline, [*at, turn])):
+            x, y, theta = pose
             near, far = table.bounds[:2], table.bounds[2:]
             raise ScenarioError(
-                f"object_pose is [{x:g}, {y:g}, {theta:g}]: there the object is not wholly on the table; expected "
+                f"{fields[1]} is [{x:g}, {y:g}, {theta:g}]: there the object is not wholly on the table; expected "
                 f"a pose on it; the table spans x {near[0]:g} to {far[0]:g} m and y {near[1]:g} to {far[1]:g} m"
             )
     raise ScenarioError(
-        f"object: {obj.name}, {_describe_size(obj.outline)}, is larger than the table, {_describe_size(table)}; "
+        f"{fields[0]}: {obj.name}, {_describe_size(obj.outline)}, is larger than the table, {_describe_size(table)}; "
         "expected one that can lie on it"
     )
 
@@ -223,7 +247,7 @@ def _check_reach(scenario: PushScenario, plant: MultibodyPlant, robot: Robot) ->
         )
 
 
-def _place(outline: Polygon, pose: list[float]) -> Polygon:
+def place_outline(outline: Polygon, pose: Sequence[float]) -> Polygon:
     """The outline in W of an object whose body frame is at `pose`."""
     x, y, theta = pose
     c, s = np.cos(theta), np.sin(theta)

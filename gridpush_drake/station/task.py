@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder, System
@@ -27,7 +28,7 @@ from gridpush_drake.report.camera_figure import Sight
 from gridpush_drake.station.limit_monitor import LimitMonitor, LimitReport
 from gridpush_drake.station.push_station import PushStation
 from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
-from gridpush_drake.systems.messages import PushStatus
+from gridpush_drake.systems.messages import GraspCommand, PushCommand, PushStatus
 
 
 class TaskStatus(StrEnum):
@@ -116,6 +117,43 @@ class TaskRecord:
     duration: float = field(default=0.0, kw_only=True)
 
 
+Status = TypeVar("Status")
+
+
+@dataclass(frozen=True, eq=False)
+class TaskStep(Generic[Status]):
+    """A change of what a controller says.
+
+    Attributes:
+        time: s.
+        status: of the controller.
+        pose: (3,) where the object was seen, X_WB, m and rad; NaN where it was not.
+        push: the command, where a push began.
+        grasp: the command, where a grasp began.
+    """
+
+    time: float
+    status: Status
+    pose: NDArray[np.float64]
+    push: PushCommand | None = None
+    grasp: GraspCommand | None = None
+
+
+@dataclass
+class ControlledRecord(TaskRecord, Generic[Status]):
+    """What came of a run that a controller with a status led.
+
+    Attributes:
+        surface: the table.
+        last: the controller's last status.
+        steps: what it said, in order.
+    """
+
+    surface: SupportSurface
+    last: Status
+    steps: list[TaskStep[Status]] = field(default_factory=list, kw_only=True)
+
+
 R = TypeVar("R", bound=TaskRecord)
 
 
@@ -169,7 +207,7 @@ class StationTask(Generic[R]):
                 builder.Connect(controller.GetOutputPort(command), station.GetInputPort(command))
         if meshcat is not None:
             AddEstimateVisualizer(builder, station, controller, meshcat)
-        self.station, self.diagram = station, builder.Build()
+        self.station, self.diagram, self._controller = station, builder.Build(), controller
         self.diagram.set_name(type(self).__name__)
         self.simulator = Simulator(self.diagram)
         self._last_seen = self._last_new = 0.0
@@ -234,6 +272,29 @@ class StationTask(Generic[R]):
         """What an output port shows at present: of the station, or of another `system` of the Diagram."""
         system = system or self.station
         return system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(self.simulator.get_context()))
+
+    def note_step(self, record: ControlledRecord[Any], time: float) -> bool:
+        """Writes down what the controller says, where that is new; returns whether it is."""
+        status = self.read("status", self._controller)
+        if status is record.last:
+            return False
+        push = PushCommand.from_vector(self.read("push_command", self._controller))
+        grasp = GraspCommand()
+        if self._controller.HasOutputPort("grasp_command"):
+            grasp = GraspCommand.from_vector(self.read("grasp_command", self._controller))
+        begun = {0, *(step.push.command_id for step in record.steps if step.push)}
+        grasped = {0, *(step.grasp.command_id for step in record.steps if step.grasp)}
+        record.last = status
+        record.steps.append(
+            TaskStep(
+                time,
+                status,
+                np.array(self.read("object.pose")),
+                None if push.command_id in begun else push,
+                None if grasp.command_id in grasped else grasp,
+            )
+        )
+        return True
 
     def AimCamera(self, meshcat: Meshcat) -> None:
         """Points Meshcat's camera so that the whole arm and the whole table are in sight, whatever the robot does."""

@@ -8,7 +8,7 @@ from shapely import Point
 from gridpush_drake.bench import paper
 from gridpush_drake.bench.jobs import Execution
 from gridpush_drake.bench.paper import Score
-from gridpush_drake.bench.paper_protocol import (
+from gridpush_drake.bench.protocol import (
     DURATION,
     FINGER_RADIUS,
     SPEED,

@@ -3,9 +3,8 @@ import pytest
 
 from gridpush_drake.bench.jobs import Execution
 from gridpush_drake.bench.planning import LEARNING, TRUE, run
-from gridpush_drake.bench.planning_protocol import (
+from gridpush_drake.bench.protocol import (
     OVERHANG,
-    SHIPPED,
     draw_pairs,
     list_objects,
     make_hidden,
@@ -13,6 +12,7 @@ from gridpush_drake.bench.planning_protocol import (
     read_planning_object,
 )
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.objects.object_file import list_shipped_objects
 from tests.helpers.shared_data import shared_data
 
 
@@ -26,7 +26,7 @@ def test_every_object_may_lie_where_the_protocol_says(seed):
     """Of the public data (None) as of those drawn by seed."""
     protocol = make_planning_protocol(shared_data("masks")) if seed is None else make_planning_protocol(seed=seed)
     assert protocol.pairs.shape == (10, 2, 3)
-    assert len(list_objects(protocol)) == len(SHIPPED) + (5 if seed is None else 0)
+    assert len(list_objects(protocol)) == len(list_shipped_objects()) + (5 if seed is None else 0)
     for name in list_objects(protocol):
         obj = read_planning_object(protocol, name)
         assert make_hidden(protocol, name, 3).n == obj.n <= 127

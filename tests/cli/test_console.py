@@ -1,7 +1,8 @@
 import pytest
 
 from gridpush_drake.cli import console
-from gridpush_drake.cli.console import PlainProgress, count_progress, step_progress
+from gridpush_drake.cli.console import PlainProgress, count_progress, search_progress
+from gridpush_drake.identification.result import HistoryEntry
 
 
 @pytest.fixture
@@ -33,12 +34,12 @@ def test_without_a_terminal_progress_is_plain_lines_on_standard_error(clock, cap
     with count_progress("the robot", 2) as report:
         report("waiting", "0 s simulated", 0)
         report("exploring", "3 s simulated", 1)
-    with step_progress("timing") as begin:
-        begin("a push")
+    with search_progress("timing", None) as report:
+        report(HistoryEntry(1, 0.0025, "a push"))
     printed = capsys.readouterr()
     assert printed.err.splitlines() == [
         "the robot: waiting, 0 s simulated",
         "the robot: exploring, 3 s simulated",
-        "timing: a push",
+        "timing: a push, 1 simulations, cell error 2.50 mm",
     ]
     assert printed.out == ""

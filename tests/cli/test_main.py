@@ -13,8 +13,8 @@ from gridpush_drake.cli.options import OptionError, parse_numbers
 COMMANDS = [
     (), ("demo",), ("identify",), ("predict",), ("simulate",), ("show",), ("import",), ("import", "cmu"),
     ("import", "mit"), ("bench",), ("bench", "speed"), ("bench", "paper"), ("bench", "real"),
-    ("bench", "drake"), ("bench", "planning"), ("bench", "pregrasp"), ("bench", "grasp"), ("export",), ("view",),
-    ("plan",), ("slide",),
+    ("bench", "drake"), ("bench", "planning"), ("bench", "pregrasp"), ("bench", "grasp"), ("bench", "truth"),
+    ("export",), ("view",), ("plan",), ("slide",),
 ]  # fmt: skip
 
 

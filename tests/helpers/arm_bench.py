@@ -10,8 +10,7 @@ from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from gridpush_drake.station.arm_control import AddArmControl, MakeControlPlant, SetArmStart
-from gridpush_drake.station.arm_kinematics import ArmReach, CalcStartPosture
+from gridpush_drake.station.arm import AddArmControl, ArmReach, CalcStartPosture, MakeControlPlant, SetArmStart
 from gridpush_drake.station.robot import AddRobot, find_robot
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.systems.messages import PushCommand
@@ -69,8 +68,8 @@ class ArmBench:
         self.executor = builder.AddNamedSystem(
             "executor", PushExecutor(HOME, reach=self.reach if reach else None, style=style)
         )
-        builder.Connect(self.executor.get_tip_pose_port(), self.control.tip_pose)
-        builder.ExportInput(self.executor.get_push_command_port(), "push_command")
+        builder.Connect(self.executor.GetOutputPort("tip_pose"), self.control.tip_pose)
+        builder.ExportInput(self.executor.GetInputPort("push_command"), "push_command")
         self.diagram = builder.Build()
         self.simulator = Simulator(self.diagram)
         self.start()
@@ -91,7 +90,7 @@ class ArmBench:
     @property
     def status(self):
         context = self.executor.GetMyContextFromRoot(self.simulator.get_context())
-        return self.executor.get_status_port().Eval(context)
+        return self.executor.GetOutputPort("status").Eval(context)
 
     def record(self, every: float, until) -> Record:
         """Goes on, looking every so many seconds, until `until(status)`."""
@@ -114,7 +113,7 @@ class ArmBench:
         X_WP = self.plant.GetFrameByName(ROBOT.finger.tip_frame).CalcPoseInWorld(plant_context)
         record.time.append(root.get_time())
         record.phase.append(self.status.phase)
-        record.desired.append(self.executor.get_tip_pose_port().Eval(executor_context).translation().copy())
+        record.desired.append(self.executor.GetOutputPort("tip_pose").Eval(executor_context).translation().copy())
         record.tip.append(X_WP.translation().copy())
         record.down.append(X_WP.rotation().matrix()[:, 2].copy())
         record.q.append(self.plant.GetPositions(plant_context, self.arm.arm))

@@ -4,6 +4,7 @@ import numpy as np
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.random_objects import make_random_pose
@@ -38,12 +39,14 @@ class PushCase:
             "contact_friction": self.params.contact_friction,
             "start": self.path[0],
             "pose": self.pose,
+            "push_height": self.params.push_height,
             **changed,
         }
         c, s = np.cos(turn), np.sin(turn)
         length = np.linalg.norm(np.diff(self.path, axis=0), axis=1).sum()
         xy = values["start"] + (1 + stretch / length) * (self.path - self.path[0]) @ np.array([[c, s], [-s, c]])
-        params = CellParameters(values["mass"], values["friction"], float(values["contact_friction"]))
+        contact_friction, push_height = float(values["contact_friction"]), float(values["push_height"])
+        params = CellParameters(values["mass"], values["friction"], contact_friction, push_height)
         push = Push.along(self.t, xy, self.radius)
         result = simulate(self.obj, params, push, values["pose"], gradients=gradients, **self.options)
         if not gradients:
@@ -53,7 +56,9 @@ class PushCase:
     def blocks(self):
         """Name, value and Jacobian of everything, and the keyword by which `run` varies it."""
         J = self.result.jacobian
+        shifted = [] if J.push_height is None else [("push_height", np.array(self.params.push_height), J.push_height)]
         return [
+            *shifted,
             ("mass", self.params.mass, J.mass),
             ("friction", self.params.friction, J.friction),
             ("contact_friction", np.array(self.params.contact_friction), J.contact_friction),
@@ -72,7 +77,7 @@ def check_case(case, shape, seed):
             continue  # the block is zero to the accuracy of the solution: a stuck contact ignores its friction
         case.switched = False
         failures = []
-        for step in PARAMETERS if name in ("mass", "friction", "contact_friction") else GEOMETRY:
+        for step in PARAMETERS if name in ("mass", "friction", "contact_friction", "push_height") else GEOMETRY:
             size = max(np.abs(value).max(), 0.1 if name in ("turn", "stretch") else 0.0)
             floor = ROUND_OFF / (step * size) + 1e-6 * np.abs(jacobian).max()
             try:
@@ -89,8 +94,11 @@ def check_case(case, shape, seed):
     return skipped
 
 
-def make_random_case(shape, seed, regime, spin):
-    """A random curved push of a random object, which moves at the beginning where the seed is odd."""
+def make_random_case(shape, seed, regime, spin, push_height=0.0, overhang=None):
+    """A random curved push of a random object, which moves at the beginning where the seed is odd.
+
+    With `overhang` that share of its length hangs over an edge whose direction is random.
+    """
     rng = np.random.default_rng(seed)
     obj = make_shape(shape, 20)
     params, pose = make_random_contents(rng, obj), make_random_pose(rng)
@@ -100,7 +108,21 @@ def make_random_case(shape, seed, regime, spin):
     path[1:] += rng.normal(size=(4, 2)) * 1e-3
     moving = regime == "inertial" and seed % 2
     nu = rng.uniform(-1, 1, 3) * (0.05, 0.05, 1.0) if moving else np.zeros(3)
-    return PushCase(obj, params, pose, Push.along(t, path, straight.radius), velocity=nu, regime=regime, spin=spin)
+    options = {"velocity": nu, "regime": regime, "spin": spin}
+    if push_height or overhang:
+        params = CellParameters(params.mass, params.friction, params.contact_friction, push_height)
+    if overhang:
+        options["table"] = make_table_edge(obj, pose, rng.uniform(0, 2 * np.pi), overhang)
+    return PushCase(obj, params, pose, Push.along(t, path, straight.radius), **options)
+
+
+def make_table_edge(obj, pose, angle, overhang):
+    """A large table beyond whose edge, with its normal at an angle, a share of the object's length hangs."""
+    normal, along = make_direction(angle), make_direction(angle + np.pi / 2)
+    reached = obj.cells_at(pose) @ normal
+    edge = reached.max() - overhang * np.ptp(reached)
+    far = (edge - 2) * normal
+    return np.array([edge * normal + along, far + along, far - along, edge * normal - along])
 
 
 def make_notch_case(seed, regime):

@@ -1,4 +1,4 @@
-"""The finger: where its tip is, what it is made of, and its friction."""
+"""The finger: where its tip is, and what it is made of."""
 
 import pytest
 from pydrake.geometry import Cylinder, Sphere
@@ -6,8 +6,6 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from gridpush_drake.errors import StationError
-from gridpush_drake.station.arm_control import SetTipFriction
 from gridpush_drake.station.robot import AddRobot, find_robot
 from gridpush_drake.station.scenario import PushScenario
 
@@ -49,19 +47,3 @@ def test_tip_is_a_sphere_wider_than_the_rod_and_the_lowest_of_all(station):
 def test_finger_is_light(station):
     plant, _, arm = station
     assert 0.05 < plant.CalcTotalMass(plant.CreateDefaultContext(), [arm.finger]) < 0.3
-
-
-def test_friction_can_be_set(station):
-    plant, scene_graph, arm = station
-    (tip,) = plant.GetCollisionGeometriesForBody(plant.GetBodyByName("finger_tip", arm.finger))
-    for friction in (0.45, 0.0):
-        SetTipFriction(plant, scene_graph, ROBOT, arm.finger, friction)
-        found = scene_graph.model_inspector().GetProximityProperties(tip).GetProperty("material", "coulomb_friction")
-        assert found.static_friction() == found.dynamic_friction() == friction
-
-
-@pytest.mark.parametrize("friction", [-0.1, float("nan")])
-def test_friction_that_is_not_one_is_refused(station, friction):
-    plant, scene_graph, arm = station
-    with pytest.raises(StationError, match="friction of the tip"):
-        SetTipFriction(plant, scene_graph, ROBOT, arm.finger, friction)

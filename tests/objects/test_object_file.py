@@ -101,6 +101,8 @@ def test_pieces_of_one_part_may_be_listed_apart(tmp_path):
         (BASE + "contact_friction: {prior: -0.1}\n", r"contact_friction\.prior is -0.1"),
         (BASE + "center_of_mass: {std: 0.1}\n", r"center_of_mass\.at is missing"),
         (BASE + "center_of_mass: {at: [0]}\n", r"center_of_mass\.at"),
+        (BASE + "pusher: {radius: 0.005, height: 0}\n", r"pusher\.height is 0; expected a positive number, in meters"),
+        (BASE + "pusher: {radius: 0.005, height: 3}\n", r"pusher\.height is 3 m; expected less than 1 m"),
         (BASE + "pusher: {}\n", r"pusher\.radius is missing; expected a positive number, in meters"),
         (BASE + "parts: [{label: 0, outline: [[0, 0], [1, 0], [0, 1]]}]\n", r"parts\[0\]\.label is 0"),
         (BASE + "parts: [{label: 1, outline: [[0, 0], [1, 0], [a, 1]]}]\n", r"parts\[0\]\.outline\[2\]\[0\] is 'a'"),

@@ -5,9 +5,9 @@ import copy
 import numpy as np
 import pytest
 
-from gridpush_drake.planning.closed_loop import LoopOptions, Observation, PoseFilter, RobotReport
+from gridpush_drake.planning.closed_loop import LoopOptions, Observation, PoseFilter, PushPhase, PushStatus
 from gridpush_drake.planning.goal.next_push import GoalRules
-from gridpush_drake.planning.goal.push_to_goal import PushToGoalLoop, PushToGoalOptions
+from gridpush_drake.planning.goal.push_to_goal import PushToGoalLoop
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.made_identifications import make_block
 
@@ -61,7 +61,7 @@ class Stepper:
     """Steps a loop with what a robot says, every 0.05 s."""
 
     def __init__(self, **options):
-        self.loop = PushToGoalLoop(make_block(12), GoalRules(), options=PushToGoalOptions(**options))
+        self.loop = PushToGoalLoop(make_block(12), GoalRules(), options=LoopOptions(**options))
         self.state, self.time = self.loop.begin(), 0.0
 
     def observe(self, pose, robot):
@@ -70,7 +70,7 @@ class Stepper:
     def step(self, pose=(0.0, 0.0, 0.0), robot=None, count=1):
         for _ in range(count):
             self.time += self.loop.options.period
-            self.state = self.loop.step(self.state, self.observe(pose, robot or RobotReport()))
+            self.state = self.loop.step(self.state, self.observe(pose, robot or PushStatus()))
         return self.state
 
 
@@ -80,8 +80,8 @@ def test_asks_once_the_object_was_seen_at_rest_and_waits_until_the_push_is_taken
     asked = stepper.step()
     assert (asked.push_id, asked.status.mode) == (1, "pushing")
     assert stepper.step(count=20).push is asked.push
-    assert stepper.step(robot=RobotReport(1, ready=False, pushing=True), count=20).push is asked.push
-    after = stepper.step(robot=RobotReport(1), count=3)
+    assert stepper.step(robot=PushStatus(PushPhase.PUSHING, 1), count=20).push is asked.push
+    after = stepper.step(robot=PushStatus(command_id=1), count=3)
     assert (after.push_id, after.status.pushes) == (2, 1)
 
 
@@ -89,7 +89,7 @@ def test_a_step_changes_neither_the_state_nor_its_outcome():
     stepper = Stepper(observations=1)
     before = stepper.step(UNSEEN)
     held = dict(vars(before))
-    shown = stepper.observe((0.0, 0.0, 0.0), RobotReport())
+    shown = stepper.observe((0.0, 0.0, 0.0), PushStatus())
     first, second = (stepper.loop.step(before, shown) for _ in range(2))
     assert dict(vars(before)) == held
     np.testing.assert_array_equal(first.push.xy, second.push.xy)
@@ -102,8 +102,8 @@ def test_a_push_taken_up_as_it_is_withdrawn_holds_nothing_up():
     stepper.step()
     withdrawn = stepper.step(UNSEEN)
     assert (withdrawn.push, withdrawn.push_id, withdrawn.status.mode) == (None, 1, "waiting")
-    stepper.step(robot=RobotReport(1, ready=False, pushing=True), count=5)
-    again = stepper.step(robot=RobotReport(1))
+    stepper.step(robot=PushStatus(PushPhase.PUSHING, 1), count=5)
+    again = stepper.step(robot=PushStatus(command_id=1))
     assert (again.push_id, again.status.pushes) == (2, 0)
     assert again.push is not None
 
@@ -112,8 +112,10 @@ def test_a_push_taken_up_as_it_is_withdrawn_holds_nothing_up():
 def test_refused_pushes_are_not_tried_again_and_given_up(max_refusals):
     stepper, asked = Stepper(observations=1, max_refusals=max_refusals), []
     for number in range(1, max_refusals + 1):
-        asked.append(stepper.step(robot=RobotReport(number - 1, refusal="it sulks" if number > 1 else "")).push)
-    state = stepper.step(robot=RobotReport(max_refusals, refusal="it sulks"))
+        asked.append(
+            stepper.step(robot=PushStatus(command_id=number - 1, reason="it sulks" if number > 1 else "")).push
+        )
+    state = stepper.step(robot=PushStatus(command_id=max_refusals, reason="it sulks"))
     assert (state.status.mode, state.status.cause, state.status.refused) == ("failed", "refused", max_refusals)
     assert "it sulks" in state.status.reason
     for i, one in enumerate(asked):

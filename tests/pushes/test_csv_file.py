@@ -270,3 +270,42 @@ def test_fifty_pushes_of_a_thousand_rows_are_read(tmp_path):
     make_log(50, 1000).write_csv(tmp_path / "log.csv")
     log = PushLog.read_csv(tmp_path / "log.csv")
     assert len(log) == 50
+
+
+TABLE = "POLYGON ((-1 -0.5, 1 -0.5, 1 0.5, -1 0.5, -1 -0.5))"
+
+
+def test_carries_the_table(write, tmp_path):
+    rows = [
+        f"{HEADER},overhang,table",
+        f'a,0,-0.1,0,0,0,0,1,"{TABLE}"',
+        "a,1,0,0,0.02,0,0.1,,",
+        "b,5,0,0.1,0.5,0.5,3,,",
+        "b,6,0,0.2,0.5,0.6,-3,0,",
+    ]
+    log = PushLog.read_csv(write("\n".join(rows)))
+    np.testing.assert_array_equal(log.table, [[-1, -0.5], [1, -0.5], [1, 0.5], [-1, 0.5]])
+    assert [seen.overhang for seen in log] == [True, False]
+    assert len(log.supported) == 2 and len(log[[0]].supported) == 1
+    odd = PushLog(log.pushes, table=log.table / 3)
+    odd.write_csv(tmp_path / "again.csv")
+    np.testing.assert_array_equal(PushLog.read_csv(tmp_path / "again.csv").table, odd.table)
+
+
+@pytest.mark.parametrize(
+    "text, says",
+    [
+        ("POLYGON ((0 0, 1 0, 0 1, 1 1, 0 0))", "does not cross itself"),
+        ("POINT (1 2)", "expected POLYGON"),
+        ("a table", "expected POLYGON"),
+    ],
+)
+def test_refuses_what_is_no_table(write, text, says):
+    rows = [f"{HEADER},table", f'a,0,-0.1,0,0,0,0,"{text}"', "a,1,0,0,0.01,0,0,"]
+    refused(write("\n".join(rows)), "line 2, column table", says)
+
+
+def test_refuses_two_tables(write):
+    other = TABLE.replace("-1 -0.5", "-2 -0.5")
+    rows = [f"{HEADER},table", f'a,0,-0.1,0,0,0,0,"{TABLE}"', f'a,1,0,0,0.01,0,0,"{other}"']
+    refused(write("\n".join(rows)), "line 3, column table", "another one than before")

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import StationError
-from gridpush_drake.station.arm_control import MakeControlPlant
-from gridpush_drake.station.arm_kinematics import ArmPosture, CalcStartPosture
+from gridpush_drake.station.arm import ArmPosture, CalcStartPosture, MakeControlPlant
 from gridpush_drake.systems.messages import PushCommand
 from tests.helpers.arm_bench import HOME, ROBOT, ArmBench, add_box
 

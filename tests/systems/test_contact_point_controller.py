@@ -11,9 +11,9 @@ from shapely import box
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.closed_loop import LoopOptions
 from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_error
 from gridpush_drake.planning.goal.next_push import GoalRules
-from gridpush_drake.planning.goal.push_to_goal import PushToGoalOptions
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.systems.contact_point_controller import ContactPointController
@@ -143,7 +143,7 @@ def test_a_refused_push_is_not_tried_again():
         begin, end = way[-4], way[-3]
         return "the arm sulks" if end[0] - begin[0] > 0.02 else None
 
-    run = make_run(OBJ, TRUTH, (0.15, 0.1, 1.0), RULES, reach=reach, options=PushToGoalOptions(max_refusals=6))
+    run = make_run(OBJ, TRUTH, (0.15, 0.1, 1.0), RULES, reach=reach, options=LoopOptions(max_refusals=6))
     refused = []
 
     def note(status):
@@ -162,7 +162,7 @@ def test_a_refused_push_is_not_tried_again():
 
 def test_gives_up_when_everything_is_refused():
     run = make_run(
-        OBJ, TRUTH, GOAL, RULES, reach=lambda way, speeds: "the arm sulks", options=PushToGoalOptions(max_refusals=3)
+        OBJ, TRUTH, GOAL, RULES, reach=lambda way, speeds: "the arm sulks", options=LoopOptions(max_refusals=3)
     )
     status = run.go_on_until(over, 10.0)
     assert (status.mode, status.cause, status.refused, status.pushes) == (ContactPointMode.FAILED, "refused", 3, 0)
@@ -239,6 +239,6 @@ def test_bad_numbers_are_refused():
     with pytest.raises(PlanningError, match="max_pushes"):
         GoalRules(max_pushes=-1)
     with pytest.raises(PlanningError, match="observations"):
-        PushToGoalOptions(observations=0)
+        LoopOptions(observations=0)
     with pytest.raises(PlanningError, match="timeout"):
-        PushToGoalOptions(timeout=-1.0)
+        LoopOptions(timeout=-1.0)

@@ -146,7 +146,7 @@ def command_executor(command):
     def tell(vector, seconds):
         system.GetInputPort("push_command").FixValue(context, np.array(vector, float))
         simulator.AdvanceTo(context.get_time() + seconds)
-        return system.get_status_port().Eval(context)
+        return system.GetOutputPort("status").Eval(context)
 
     return tell
 

@@ -22,20 +22,20 @@ class Run:
         self.executor = PushExecutor(home, outline, reach, STYLE)
         self.simulator = Simulator(self.executor)
         self.context = self.simulator.get_mutable_context()
-        self.executor.get_object_pose_port().FixValue(self.context, pose)
+        self.executor.GetInputPort("object_pose").FixValue(self.context, pose)
         self.give(PushCommand())
         self.t, self.p, self.phases = [], [], []
 
     def give(self, command):
-        self.executor.get_push_command_port().FixValue(self.context, command.to_vector())
+        self.executor.GetInputPort("push_command").FixValue(self.context, command.to_vector())
 
     @property
     def status(self):
-        return self.executor.get_status_port().Eval(self.context)
+        return self.executor.GetOutputPort("status").Eval(self.context)
 
     @property
     def pose(self):
-        return self.executor.get_tip_pose_port().Eval(self.context)
+        return self.executor.GetOutputPort("tip_pose").Eval(self.context)
 
     def advance(self, duration, step=None):
         step = step or self.step
@@ -217,7 +217,7 @@ def test_command_waits_while_the_object_is_not_seen():
     run.give(PUSH)
     run.advance(0.1)
     assert run.status == PushStatus()
-    run.executor.get_object_pose_port().FixValue(run.context, (0.6, 0.0, 0.0))
+    run.executor.GetInputPort("object_pose").FixValue(run.context, (0.6, 0.0, 0.0))
     run.advance(0.02)
     assert run.status == PushStatus("approaching", 1)
 
@@ -264,11 +264,11 @@ def test_state_is_all_in_the_context():
     clone = run.context.Clone()
     before = run.pose.translation().copy()
     run.advance(2.0)
-    np.testing.assert_array_equal(run.executor.get_tip_pose_port().Eval(clone).translation(), before)
+    np.testing.assert_array_equal(run.executor.GetOutputPort("tip_pose").Eval(clone).translation(), before)
     other = Simulator(run.executor, clone)
     other.AdvanceTo(run.context.get_time())
-    np.testing.assert_array_equal(run.executor.get_tip_pose_port().Eval(clone).translation(), run.p[-1])
-    assert run.executor.get_status_port().Eval(clone) == run.status
+    np.testing.assert_array_equal(run.executor.GetOutputPort("tip_pose").Eval(clone).translation(), run.p[-1])
+    assert run.executor.GetOutputPort("status").Eval(clone) == run.status
 
 
 def test_reset_and_reuse_gives_the_same_again():

@@ -11,6 +11,8 @@ from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
 from gridpush_drake.dynamics.kernels.inputs import Array, Body, Load, Scheme, Steps
 from gridpush_drake.dynamics.kernels.rollout import rollout
 from gridpush_drake.dynamics.kernels.step_memory import make_memory
+from gridpush_drake.dynamics.kernels.step_start import make_state
+from gridpush_drake.dynamics.kernels.support_loads import Support, find_loads, make_loads
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -57,6 +59,7 @@ def run_kernel(
     row_of_step: NDArray[np.int64],
     J: Array,
     memory: Array | None = None,
+    table: Array | None = None,
 ) -> Steps:
     """Simulates T steps.
 
@@ -70,8 +73,9 @@ def run_kernel(
         dts: (T,) steps, s.
         load: what drives the body.
         row_of_step: (T+1,) row of J that records this step, -1 for none.
-        J: (rows, 3, n + OTHER) filled; without columns where no derivative is wanted.
+        J: (rows, 3, width) filled, see `forward_sensitivity`; without columns where no derivative is wanted.
         memory: (MEMORY_SIZE,) of the step before, updated in place; a body that was at rest by default.
+        table: (K, 4) edges of the table's top, m, see `Support`; without any it is endless.
 
     Returns:
         The record.
@@ -79,14 +83,16 @@ def run_kernel(
     steps = len(dts)
     cells, edges = _outline_arrays(obj)
     body = _make_body(obj, params, gravity, method.inertial, cells)
-    law = LAWS[method.friction].make(body.k, SPIN_ARM * obj.cell_size, method.spin)
+    support = make_support(obj, params, gravity, table)
+    law = LAWS[method.friction].make(body.k.copy() if support.active else body.k, SPIN_ARM * obj.cell_size, method.spin)
     scheme = Scheme(method.inertial, method.ahead, method.stiction, method.relative_stiction)
     record = Steps(
         np.empty((steps + 1, 3)), np.empty((steps, 3)), np.empty((steps + 1, 3)), np.empty((steps, 2, 2)),
-        np.empty((steps, 2, 2)), np.empty((steps, 2), np.int64), np.empty(steps + 1), np.empty((steps, 2), np.int64),
+        np.empty((steps, 2, 2)), np.empty((steps, 2), np.int64), np.empty(steps + 1), np.empty((steps, 2)),
+        np.empty(steps, np.bool_), np.empty((steps, 2), np.int64),
     )  # fmt: skip
     rollout(
-        law, body, edges, scheme, load, q, nu, dts, row_of_step, record, J,
+        law, body, support, edges, scheme, load, q, nu, dts, row_of_step, record, J,
         make_memory() if memory is None else memory,
     )  # fmt: skip
     return record
@@ -101,6 +107,48 @@ def _make_body(obj: GridObject, params: CellParameters, gravity: float, inertial
         mass, inertia = float(params.total_mass), float(params.inertia(obj))
     size, friction = float(obj.cell_size), float(params.contact_friction)
     return Body(cells, k, mass, com_x, com_y, inertia, float(obj.radius_of_gyration), size, friction)
+
+
+def shifts_loads(params: CellParameters, table: Array | None) -> bool:
+    """Whether loads shift at all: by the pusher's height, or over the table's edge."""
+    return params.push_height > 0 or table is not None
+
+
+def make_support(obj: GridObject, params: CellParameters, gravity: float, table: Array | None) -> Support:
+    """Collects what the loads depend on; `table` as in `run_kernel`."""
+    if not shifts_loads(params, table):
+        return Support(
+            False, np.empty(0), np.empty(0), 0.0, 0.0, 0.0, 0.0, 0.0, np.empty(0), np.empty(0),
+            np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 4)),
+        )  # fmt: skip
+    com_x, com_y = map(float, params.center_of_mass(obj))
+    return Support(
+        True, params.mass.copy(), params.friction.copy(), params.total_mass * gravity, com_x, com_y, params.push_height,
+        *_cell_lines(obj), np.empty((0, 4)) if table is None else table,
+    )  # fmt: skip
+
+
+def _cell_lines(obj: GridObject) -> tuple[float, Array, Array, NDArray[np.int64], NDArray[np.int64]]:
+    """The cells' reach from B's origin, m, the x and the y that occur, m, and which are each cell's; made once."""
+    cached = obj.__dict__.get("_kernel_lines")
+    if cached is None:
+        reach = float(np.linalg.norm(obj.p_BC, axis=1).max())
+        (xs, column), (ys, row) = (np.unique(obj.p_BC[:, axis], return_inverse=True) for axis in (0, 1))
+        cached = obj.__dict__["_kernel_lines"] = reach, xs, ys, column, row
+    return cached
+
+
+def find_rest_loads(
+    obj: GridObject, params: CellParameters, gravity: float, q: Array, table: Array | None
+) -> Array | None:
+    """The loads (n,), N, of a body at rest at q (3,); None where there are none. `table` as in `run_kernel`."""
+    cells, _ = _outline_arrays(obj)
+    support = make_support(obj, params, gravity, np.empty((0, 4)) if table is None else table)
+    loads = make_loads(support)
+    held = find_loads(
+        support, cells, float(obj.cell_size), make_state(q, np.zeros(3), 0.0, 0.0), loads, np.empty(obj.n)
+    )
+    return params.total_mass * gravity * params.mass * loads.share if held else None
 
 
 def _outline_arrays(obj: GridObject) -> tuple[Array, Any]:

@@ -22,6 +22,11 @@ _BORROWED: Any = {"_nrt": False}
 _LAW_OF_DATA = {law.data: law for law in LAWS.values()}
 
 
+def renew(law):
+    """Lets the law take notice that its k changed, see `FrictionLaw`; compiled code only."""
+    raise NotImplementedError
+
+
 def begin_step(law, cells, com_x, com_y, cell_size, hat, push, known):
     """Lets the law look at the motion before a step, see `FrictionLaw`; compiled code only."""
     raise NotImplementedError
@@ -49,6 +54,12 @@ def fill_load_derivatives(law, cells, eps, xi, f):
 
 def _find_law(data: types.NamedTuple) -> FrictionLaw:
     return _LAW_OF_DATA[data.instance_class]
+
+
+@overload(renew, jit_options=_BORROWED)
+def _renew(law):
+    call = _find_law(law).renew
+    return lambda law: call(law)
 
 
 @overload(begin_step, jit_options=_BORROWED)

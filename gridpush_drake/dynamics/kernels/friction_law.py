@@ -32,6 +32,7 @@ class FrictionLaw:
         name: the word by which `simulate` knows it.
         data: the class of `law`, a named tuple of arrays and numbers, no other law's.
         make: (k, arm, spin) -> law, of k (n,) in N, arm = `SPIN_ARM` times the cell size in m, and a spin model.
+        renew: (law): takes notice that its k changed.
         begin_step: (law, cells, com_x, com_y, cell_size, hat, push, known): looks at the motion before the step, (3,)
             `hat`, and at that which the applied force alone would give from rest, (3,) `push`, both of the center of
             mass; `known` says whether either tells where the body goes.
@@ -49,6 +50,7 @@ class FrictionLaw:
     name: str
     data: type
     make: Callable[..., Any]
+    renew: Callable[..., Any]
     begin_step: Callable[..., Any]
     calc_dissipation: Callable[..., Any]
     add_derivatives: Callable[..., Any]

@@ -78,6 +78,8 @@ class Steps(NamedTuple):
         contact_points: (T, 2, 2), m.
         modes: (T, 2) contact modes.
         gaps: (T+1,), m.
+        load_centers: (T, 2) of what the cells bear, m; NaN where loads do not shift.
+        tips: (T,) whether no loads can hold the body.
         statuses: (T, 2) status and iterations.
     """
 
@@ -88,4 +90,6 @@ class Steps(NamedTuple):
     contact_points: Array
     modes: NDArray[np.int64]
     gaps: Array
+    load_centers: Array
+    tips: NDArray[np.bool_]
     statuses: NDArray[np.int64]

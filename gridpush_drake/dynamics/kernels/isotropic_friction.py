@@ -155,6 +155,16 @@ def calc_isotropic_dissipation(law, cells, eps, xi):
 
 
 @kernel(allocates=False)
+def renew_spin_load(law):
+    """Calculates K_spin anew from k."""
+    if law.spin[2] > 0.0:
+        total = 0.0
+        for i in range(law.k.shape[0]):
+            total += law.k[i]
+        law.spin[1] = law.spin[2] * total
+
+
+@kernel(allocates=False)
 def _begin_step(law, cells, com_x, com_y, cell_size, hat, push, known):
     """Isotropic friction does not ask how the body moved."""
 
@@ -178,6 +188,7 @@ ISOTROPIC = FrictionLaw(
     name="isotropic",
     data=Isotropic,
     make=make_isotropic,
+    renew=renew_spin_load,
     begin_step=_begin_step,
     calc_dissipation=calc_isotropic_dissipation,
     add_derivatives=_add_derivatives,

@@ -26,6 +26,7 @@ from gridpush_drake.dynamics.kernels.isotropic_friction import (
     calc_isotropic_dissipation,
     fill_cell_forces,
     make_isotropic,
+    renew_spin_load,
 )
 
 SPEED_AT_REST = 1e-9
@@ -188,6 +189,7 @@ LAGGED = FrictionLaw(
     name="lagged",
     data=Lagged,
     make=make_lagged,
+    renew=renew_spin_load,
     begin_step=_begin_step,
     calc_dissipation=_calc_dissipation,
     add_derivatives=_add_derivatives,

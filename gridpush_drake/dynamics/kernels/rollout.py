@@ -16,13 +16,14 @@ from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.dynamics.kernels.contact import COLUMNS, CX, CY, GAP, NX, NY, find_contacts, look_ahead
 from gridpush_drake.dynamics.kernels.contact_modes import SEPARATE, Scales, Touch, Unknowns, calc_compliance
 from gridpush_drake.dynamics.kernels.forward_sensitivity import (
+    F_ROW,
     OTHER,
     Columns,
     record_columns,
     start_columns,
     step_columns,
 )
-from gridpush_drake.dynamics.kernels.friction import begin_step, fill_load_derivatives
+from gridpush_drake.dynamics.kernels.friction import begin_step, fill_load_derivatives, renew
 from gridpush_drake.dynamics.kernels.integrate_pose import PoseMaps, calc_displacement_maps
 from gridpush_drake.dynamics.kernels.step import CONVERGED, make_step_work, solve_step
 from gridpush_drake.dynamics.kernels.step_derivative import (
@@ -32,6 +33,12 @@ from gridpush_drake.dynamics.kernels.step_derivative import (
 )
 from gridpush_drake.dynamics.kernels.step_memory import MOVING, recall, remember
 from gridpush_drake.dynamics.kernels.step_start import advance_state, make_state, make_step_start
+from gridpush_drake.dynamics.kernels.support_loads import (
+    add_load_variations,
+    fill_load_columns,
+    find_loads,
+    make_loads,
+)
 
 _TINY_SPEED = 1e-12  # m/s
 _REACH = 2.0  # contacts closer than this many steps' motion are watched
@@ -39,12 +46,13 @@ _AT_REST = 2.0  # a body slower than so many stiction tolerances rests
 
 
 @kernel()
-def rollout(law, body, edges, scheme, load, pose, velocity, dts, row_of_step, record, J, memory):
+def rollout(law, body, support, edges, scheme, load, pose, velocity, dts, row_of_step, record, J, memory):
     """Simulates T steps.
 
     Args:
         law: the friction law, see `friction`.
         body: `Body`.
+        support: `Support`; where it is active, `law.k` is changed from step to step.
         edges: `Edges`, the outline.
         scheme: `Scheme`.
         load: `Load`.
@@ -52,7 +60,7 @@ def rollout(law, body, edges, scheme, load, pose, velocity, dts, row_of_step, re
         dts: (T,) s.
         row_of_step: (T+1,) row of J that records this step, -1 for none.
         record: `Steps`, filled.
-        J: (rows, 3, n + OTHER) filled; without columns where no derivative is wanted.
+        J: (rows, 3, width) filled, see `forward_sensitivity`; without columns where no derivative is wanted.
         memory: (MEMORY_SIZE,) of the step before, updated; see `step_memory`.
     """
     n, steps = body.cells.shape[1], dts.shape[0]
@@ -67,15 +75,21 @@ def rollout(law, body, edges, scheme, load, pose, velocity, dts, row_of_step, re
     work = make_step_work()
     maps = PoseMaps(np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)))
     derivative = StepDerivative(np.zeros((7, 7)), np.zeros((3, 3)), np.zeros((3, 7)), np.zeros((3, 8)))
-    width = n + OTHER if differentiate else 0
-    columns = Columns(np.zeros((9, width)), np.zeros((6, width)), np.zeros((6, 9)), np.zeros((3, 6)))
+    width = J.shape[2]
+    columns = Columns(
+        np.zeros((F_ROW + 2 if support.active else F_ROW, width)),
+        np.zeros((6, width)),
+        np.zeros((6, 9)),
+        np.zeros((3, 6)),
+    )
     state = make_state(pose, velocity, body.com_x, body.com_y)
     record.poses[0, :] = pose
     record.velocities[0, :] = velocity
     if differentiate:
         start_columns(columns.Q, n, state)
         record_columns(J, row_of_step[0], columns.Q, state.c, state.s)
-    moving_steps = recall(memory, xi, last_xi, modes)
+    loads = make_loads(support)
+    moving_steps = recall(memory, xi, last_xi, modes, loads.tilt, loads.friction)
 
     for t in range(steps):
         dt = dts[t]
@@ -94,6 +108,11 @@ def rollout(law, body, edges, scheme, load, pose, velocity, dts, row_of_step, re
         eps = max(scheme.stiction if inertial else 0.0, scheme.relative_stiction * speed)
         scales = Scales(body.gyration_radius, load0 + drive_size, speed)
 
+        record.load_centers[t, :] = np.nan
+        record.tips[t] = False
+        if support.active:
+            _shift_loads(law, body, support, state, loads, record, t)
+
         slow = not inertial or body_speed < _AT_REST * scheme.stiction
         if slow and push_speed == 0.0 and closing <= 0.0:
             xi[:] = 0.0
@@ -103,6 +122,9 @@ def rollout(law, body, edges, scheme, load, pose, velocity, dts, row_of_step, re
             moving_steps = 0
             derivative.Y[:] = 0.0
             derivative.E[:] = 0.0
+            loads.friction[:] = 0.0
+            if support.active:
+                columns.Q[6:, :] = 0.0
         else:
             _guess(xi, last_xi, moving_steps, start, inertial and body_speed > 0.0, body)
             moving_steps += 1
@@ -110,16 +132,25 @@ def rollout(law, body, edges, scheme, load, pose, velocity, dts, row_of_step, re
             known = not (slow and push_speed == 0.0)
             begin_step(law, body.cells, body.com_x, body.com_y, body.cell_size, hat, push, known)
             status, iterations = solve_step(law, body.cells, touch, scales, eps, unknowns, work)
+            if support.active:
+                _find_friction(touch, unknowns, work, loads)
             if differentiate:
                 _differentiate_step(touch, scales, unknowns, work, found, start, derivative)
 
         record.statuses[t, 0], record.statuses[t, 1] = status, iterations
         d0, d1, new_x, new_y = calc_displacement_maps(xi, dt, inertial, start.a, body.com_x, body.com_y, maps)
         if differentiate:
-            fill_load_derivatives(law, body.cells, eps, xi, columns.Q[6:])
+            if not support.active:
+                fill_load_derivatives(law, body.cells, eps, xi, columns.Q[6:])
+            elif moving_steps > 0:
+                columns.Q[6:F_ROW, n:] = 0.0
+                fill_load_derivatives(law, body.cells, eps, xi, columns.Q[6:])
+                fill_load_columns(support, body.cells, loads, law.k, columns.Q, OTHER)
+                add_load_variations(loads, columns.Q)
             step_columns(
-                columns, body, inertial, maps, derivative, xi, start, load.path_length, load.point, new_x, new_y
-            )
+                columns, body, inertial, maps, derivative, xi, start, load.path_length, load.point, new_x, new_y,
+                loads.H,
+            )  # fmt: skip
         forward_x, forward_y = state.c * d0 - state.s * d1, state.s * d0 + state.c * d1
         _record_contacts(
             record, t, touch, unknowns, start, state.x + scheme.ahead * forward_x, state.y + scheme.ahead * forward_y
@@ -129,8 +160,34 @@ def rollout(law, body, edges, scheme, load, pose, velocity, dts, row_of_step, re
         _record_state(record, t + 1, state)
         if differentiate:
             record_columns(J, row_of_step[t + 1], columns.Q, state.c, state.s)
-    remember(memory, xi, last_xi, modes, moving_steps)
+    remember(memory, xi, last_xi, modes, moving_steps, loads.tilt, loads.friction)
     record.gaps[steps] = _measure_last_gap(edges, load, state, found)
+
+
+@kernel(allocates=False)
+def _shift_loads(law, body, support, state, loads, record, t):
+    """Calculates what the cells bear in step t, and records its center."""
+    held = find_loads(support, body.cells, body.cell_size, state, loads, law.k)
+    renew(law)
+    center = loads.center
+    record.load_centers[t, 0] = state.x + state.c * center[0] - state.s * center[1]
+    record.load_centers[t, 1] = state.y + state.s * center[0] + state.c * center[1]
+    record.tips[t] = not held
+
+
+@kernel(allocates=False)
+def _find_friction(touch, unknowns, work, loads):
+    """Fills in the friction with the table, which balances contact, drive and inertia, and its Hessian's rows."""
+    xi, lam, modes = unknowns
+    contacts, H, H0, friction = touch.contacts, work.H, work.H0, loads.friction
+    for i in range(2):
+        friction[i] = work.drive[i] - H0[i, 0] * xi[0] - H0[i, 1] * xi[1] - H0[i, 2] * xi[2]
+        for j in range(3):
+            loads.H[i, j] = H[i, j] - H0[i, j]
+    for j in range(touch.n_contacts):
+        if modes[j] != SEPARATE:
+            friction[0] += contacts[j, NX] * lam[j, 0] - contacts[j, NY] * lam[j, 1]
+            friction[1] += contacts[j, NY] * lam[j, 0] + contacts[j, NX] * lam[j, 1]
 
 
 @kernel(allocates=False)

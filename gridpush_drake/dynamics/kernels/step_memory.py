@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
 
-MEMORY_SIZE = 9
-"""Twist of the last step (3), of the one before (3), contact modes (2), steps moved in a row, up to MOVING (1)."""
+MEMORY_SIZE = 13
+"""Twist of the last step (3), of the one before (3), contact modes (2), steps moved in a row, up to MOVING (1); the
+loads' tilt (2) and the friction with the table (2), see `support_loads`."""
 
 MOVING = 2
 """Steps moved in a row from which on the twist is extrapolated."""
 
-_LAST, _MODES, _MOVING_STEPS = 3, 6, 8
+_LAST, _MODES, _MOVING_STEPS, _TILT, _FRICTION = 3, 6, 8, 9, 11
 
 
 def make_memory() -> NDArray[np.float64]:
@@ -24,20 +25,22 @@ def make_memory() -> NDArray[np.float64]:
 
 
 @kernel(allocates=False)
-def recall(memory, xi, last_xi, modes):
-    """Fills twists (3,) and modes (2,) from the memory; returns the steps moved in a row."""
+def recall(memory, xi, last_xi, modes, tilt, friction):
+    """Fills twists (3,), modes, tilt and friction (2,) from the memory; returns the steps moved in a row."""
     for i in range(3):
         xi[i], last_xi[i] = memory[i], memory[_LAST + i]
     for j in range(2):
         modes[j] = int(memory[_MODES + j])
+        tilt[j], friction[j] = memory[_TILT + j], memory[_FRICTION + j]
     return int(memory[_MOVING_STEPS])
 
 
 @kernel(allocates=False)
-def remember(memory, xi, last_xi, modes, moving_steps):
+def remember(memory, xi, last_xi, modes, moving_steps, tilt, friction):
     """Fills the memory (MEMORY_SIZE,)."""
     for i in range(3):
         memory[i], memory[_LAST + i] = xi[i], last_xi[i]
     for j in range(2):
         memory[_MODES + j] = modes[j]
+        memory[_TILT + j], memory[_FRICTION + j] = tilt[j], friction[j]
     memory[_MOVING_STEPS] = min(moving_steps, MOVING)

@@ -75,8 +75,7 @@ def make_distance_table(obj: GridObject, radius: float) -> DistanceTable:
 
 
 def predict_roughly(
-    obj: GridObject, params: CellParameters, start: Array, direction: Array, distance: float, radius: float,
-    steps: int = STEPS,
+    obj: GridObject, params: CellParameters, start: Array, direction: Array, distance: float, radius: float
 ) -> Array:  # fmt: skip
     """Follows N straight pushes by the ellipsoidal limit surface.
 
@@ -87,20 +86,19 @@ def predict_roughly(
         direction: (N, 2) unit vectors of the motion.
         distance: of the motion, m.
         radius: of the disc, m.
-        steps: that the motion is cut into.
 
     Returns:
-        (steps, N, 3) poses (x, y, theta) of the body frame after each step, m and rad.
+        (STEPS, N, 3) poses (x, y, theta) of the body frame after each step, m and rad.
     """
     table = make_distance_table(obj, radius)
     share = params.relative_friction()
     c = share @ obj.p_BC
     arm = np.hypot(np.linalg.norm(obj.p_BC - c, axis=1), SPIN_ARM * obj.cell_size)
     inverse = 1.0 / float(share @ arm) ** 2
-    mu, h = params.contact_friction, distance / steps
+    mu, h = params.contact_friction, distance / STEPS
     center, theta = np.tile(c, (len(start), 1)), np.zeros(len(start))
-    poses = np.empty((steps, len(start), 3))
-    for step in range(steps):
+    poses = np.empty((STEPS, len(start), 3))
+    for step in range(STEPS):
         p_tip = rotate(-theta, start + h * step * direction - center)
         u = h * rotate(-theta, direction)
         away, outward = table.lookup(p_tip + c)

@@ -106,34 +106,6 @@ def optimize_contact(
     )
 
 
-def calc_gap(
-    obj: GridObject,
-    params: CellParameters,
-    pose: ArrayLike,
-    goal: ArrayLike,
-    planned: PlannedPush | ContactPlan,
-    *,
-    constraints: PushConstraints | None = None,
-    options: ContactOptions | None = None,
-) -> float:
-    """How much worse a plan is than the exhaustive search's, m; negative where it is better.
-
-    Args:
-        obj: the object.
-        params: its model.
-        pose: (3,) q_W where it lies, m and rad.
-        goal: (3,) where it should.
-        planned: the plan.
-        constraints: as it was planned with.
-        options: as it was planned with; `places` and `angles` set the yardstick's grid.
-
-    Returns:
-        Difference of the costs (mean cell error at the push's end).
-    """
-    best = optimize_contact(obj, params, pose, goal, method="exhaustive", constraints=constraints, options=options)
-    return planned.cost - best.cost
-
-
 def make_runner(
     obj: GridObject, params: CellParameters, pose: Array, goal: Array, constraints: PushConstraints | None,
     options: ContactOptions,

@@ -60,7 +60,7 @@ def calc_goal_error(obj: GridObject, pose: ArrayLike, goal: ArrayLike) -> Array:
 
 
 DEFAULT_RADIUS = 0.008
-"""Of the finger, m."""
+"""Of a finger of which nothing else is said, m: `models/fingers/rod`'s."""
 
 
 @dataclass(frozen=True)

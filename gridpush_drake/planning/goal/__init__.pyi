@@ -5,7 +5,6 @@ from .push_plan import plan_pushes as plan_pushes
 from .push_plan import write_plan as write_plan
 from .push_to_goal import PushRun as PushRun
 from .push_to_goal import PushToGoalLoop as PushToGoalLoop
-from .push_to_goal import PushToGoalOptions as PushToGoalOptions
 from .push_to_goal import push_to_goal as push_to_goal
 from .robustness import Robustness as Robustness
 from .robustness import RobustnessOptions as RobustnessOptions

@@ -50,6 +50,12 @@ from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 Array = NDArray[np.float64]
 
+ALIKE_WITHIN, ALIKE_TURN = 0.01, 0.2
+"""Pushes that begin nearer to a refused one, m, in a direction less different, rad, are like it, and not tried."""
+
+MOVED = 0.01
+"""m, mean cell distance by which somebody must have moved an object for a new attempt after the end."""
+
 
 @dataclass(frozen=True, eq=False)
 class PushDecision:
@@ -114,14 +120,12 @@ def decide_push(
     return PushDecision(STUCK if chosen.push is None else None, error, chosen, cost_to_go)
 
 
-def forbid(rules: GoalRules, refused: tuple[Push, ...], apart: float, turned: float) -> GoalRules:
+def forbid(rules: GoalRules, refused: tuple[Push, ...]) -> GoalRules:
     """The rules without pushes like some that were refused.
 
     Args:
         rules: the rules.
         refused: the pushes.
-        apart: m between the beginnings of pushes that are not alike.
-        turned: rad between their directions.
 
     Returns:
         The rules, with a push rule that asks this first.
@@ -133,7 +137,8 @@ def forbid(rules: GoalRules, refused: tuple[Push, ...], apart: float, turned: fl
     def allow(push: Push) -> bool:
         direction = _calc_direction(push)
         alike = any(
-            np.linalg.norm(push.start - one.start) < apart and direction @ _calc_direction(one) > np.cos(turned)
+            np.linalg.norm(push.start - one.start) < ALIKE_WITHIN
+            and direction @ _calc_direction(one) > np.cos(ALIKE_TURN)
             for one in refused
         )
         return not alike and before.allows_push(push)
@@ -188,21 +193,6 @@ class ContactPointStatus:
     prediction_error: float = nan
 
 
-@dataclass(frozen=True)
-class PushToGoalOptions(LoopOptions):
-    """How the loop goes about it.
-
-    Attributes:
-        apart: pushes that begin nearer to a refused one than this, m,
-        turned: in a direction less different than this, rad, are like it, and not tried.
-        moved: mean cell distance by which somebody must have moved an object for a new attempt after the end, m.
-    """
-
-    apart: float = 0.01
-    turned: float = 0.2
-    moved: float = 0.01
-
-
 @dataclass(frozen=True, eq=False)
 class PushToGoalState(LoopState):
     """All that the loop remembers; never changed, only replaced.
@@ -251,12 +241,12 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
         obj: GridObject,
         rules: GoalRules | None = None,
         params: CellParameters | None = None,
-        options: PushToGoalOptions | None = None,
+        options: LoopOptions | None = None,
     ) -> None:
         """Takes what never changes; the model is the prior's by default."""
         self.obj, self.rules = obj, rules or GoalRules()
         self.params = CellParameters.uniform(obj) if params is None else params
-        self.options: PushToGoalOptions = options or PushToGoalOptions()
+        self.options = options or LoopOptions()
 
     def begin(self) -> PushToGoalState:
         """The state before the first observation."""
@@ -290,12 +280,12 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
         pose, goal, found = now.filter.calc_mean(), np.array(now.goal), seen.identification
         if now.status.mode in (REACHED, FAILED):
             since = np.inf if now.decided_at is None else calc_goal_error(self.obj, pose, now.decided_at)
-            if since < self.options.moved or now.status.cause == TOO_MANY_PUSHES:
+            if since < MOVED or now.status.cause == TOO_MANY_PUSHES:
                 return now
             now = replace(now, refused=()).turn_to(WAITING, "Somebody moved the object.", refused=0)
         now = replace(now, decided_at=pose)
         params = self.params if found is None else found.params
-        rules = forbid(self.rules, now.refused, self.options.apart, self.options.turned)
+        rules = forbid(self.rules, now.refused)
         try:
             decision = decide_push(self.obj, pose, goal, now.status.pushes, params, found, rules, now.cost_to_go)
         except GridPushError as error:
@@ -326,14 +316,12 @@ class PushStep:
         planned: the push with its predicted end.
         seen: what happened.
         prediction_error: mean cell distance between predicted and seen end, m.
-        goal_error: mean cell error to the goal at the seen end, m.
         learned: whether the model was learned anew after it.
     """
 
     planned: PlannedPush
     seen: ObservedPush
     prediction_error: float
-    goal_error: float
     learned: bool
 
 
@@ -371,7 +359,7 @@ class PushRun:
         return PushLog(tuple(step.seen for step in self.steps), source="pushing to a goal")
 
 
-ONE_OBSERVATION = PushToGoalOptions(observations=1, timeout=0.15)
+ONE_OBSERVATION = LoopOptions(observations=1, timeout=0.15)
 """For a world in which nothing moves between two pushes: the object is decided on as it is first seen."""
 
 
@@ -383,7 +371,7 @@ def push_to_goal(
     *,
     params: CellParameters | None = None,
     learner: Learner | None = Learner(),  # noqa: B008
-    options: PushToGoalOptions = ONE_OBSERVATION,
+    options: LoopOptions = ONE_OBSERVATION,
     progress: Callable[[PushStep], None] | None = None,
 ) -> PushRun:
     """Pushes an object to a goal pose in a world, observing it after every push, and learning on the way.
@@ -414,11 +402,10 @@ def push_to_goal(
 
     def note(state: PushToGoalState, seen: ObservedPush, learned: bool) -> None:
         assert state.planned is not None
-        off = after = nan
+        off = nan
         if len(seen.t_observed):
             off = float(calc_goal_error(obj, seen.final_pose, state.planned.pose))
-            after = float(calc_goal_error(obj, seen.final_pose, aim))
-        steps.append(PushStep(state.planned, seen, off, after, learned))
+        steps.append(PushStep(state.planned, seen, off, learned))
         if progress is not None:
             progress(steps[-1])
 

@@ -28,6 +28,7 @@ from gridpush_drake.identification.map_fit import NoiseModel
 from gridpush_drake.identification.posterior import calc_center_jacobian
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.planning.contact.reachable_outline import find_reachable_outline
+from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -50,7 +51,7 @@ class PokeOptions:
             model gets wrong it would get wrong again.
     """
 
-    radius: float = 0.008
+    radius: float = DEFAULT_RADIUS
     speed: float = 0.03
     distance: float = 0.04
     clearance: float = 0.002
@@ -206,23 +207,3 @@ def make_center_functional(model: UncertainModel, direction: ArrayLike | None = 
     """
     F = calc_center_jacobian(model.require_posterior().calc_share(), model.obj.p_BC)
     return F if direction is None else np.asarray(direction, dtype=np.float64)[None] @ F
-
-
-def make_pose_functional(model: UncertainModel, pushes: Sequence[Push], poses: ArrayLike) -> Array:
-    """Where pushes are predicted to take the object: the residuals (x, y of the centroid, turn at rho), m, by z.
-
-    Args:
-        model: of the object, with its posterior.
-        pushes: N pushes; those that do not touch count nothing.
-        poses: (N, 3) where the object lies before each, X_WB.
-
-    Returns:
-        (3 N, n+1).
-    """
-    width = model.obj.n + 1
-    rows = [np.zeros((0, width))]
-    for push, pose in zip(pushes, np.asarray(poses, dtype=np.float64), strict=True):
-        seen = calc_observation(model, push, pose)
-        if seen is not None:
-            rows.append(seen[0])
-    return np.concatenate(rows)

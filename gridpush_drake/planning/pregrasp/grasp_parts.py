@@ -33,6 +33,9 @@ CHORDS = 11
 ANGLES = 36
 """Closing directions tried, evenly spaced over half a turn."""
 
+STEP = 0.01
+"""m, between stretches tried in one closing direction."""
+
 
 @dataclass(frozen=True)
 class Gripper:
@@ -86,33 +89,24 @@ class GraspPart:
     footprint: Array
 
 
-def find_grasp_parts(
-    obj: GridObject, gripper: Gripper | None = None, *, step: float = 0.01, angles: int = ANGLES
-) -> list[GraspPart]:
+def find_grasp_parts(obj: GridObject, gripper: Gripper | None = None) -> list[GraspPart]:
     """Finds where the gripper can take the object.
 
     Args:
         obj: the object.
         gripper: its measures.
-        step: between stretches tried in one closing direction, m.
-        angles: closing directions tried over half a turn.
 
     Returns:
         The parts, by closing direction and place; empty where the object is too wide everywhere.
-
-    Raises:
-        PlanningError: the step or the number of angles is not positive.
     """
-    if not (np.isfinite(step) and step > 0) or angles < 1:
-        raise PlanningError(f"step is {step!r} and angles {angles!r}; expected a positive length and number")
     gripper = gripper or Gripper()
     parts: list[GraspPart] = []
-    for angle in np.pi * np.arange(angles) / angles:
-        parts.extend(_find_along(obj, gripper, float(angle), step))
+    for angle in np.pi * np.arange(ANGLES) / ANGLES:
+        parts.extend(_find_along(obj, gripper, float(angle)))
     return parts
 
 
-def _find_along(obj: GridObject, gripper: Gripper, angle: float, step: float) -> Iterator[GraspPart]:
+def _find_along(obj: GridObject, gripper: Gripper, angle: float) -> Iterator[GraspPart]:
     """The parts for one closing direction, which is turned into the x axis."""
     outline = affinity.rotate(obj.outline, -angle, origin=(0.0, 0.0), use_radians=True)
     left, bottom, right, top = outline.bounds
@@ -120,7 +114,7 @@ def _find_along(obj: GridObject, gripper: Gripper, angle: float, step: float) ->
     spare = top - bottom - gripper.depth
     if spare < -(1 - PIECE_SHARE) * gripper.depth:
         return
-    count = max(int(np.ceil(spare / step)), 0) + 1
+    count = max(int(np.ceil(spare / STEP)), 0) + 1
     R = make_rotation(angle)
     for y in np.linspace(bottom, max(top - gripper.depth, bottom), count):
         strip = outline.intersection(shapely.box(left - 1.0, y, right + 1.0, y + gripper.depth))

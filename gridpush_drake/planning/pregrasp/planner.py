@@ -21,7 +21,6 @@ from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.planning.pregrasp.edge_push import simulate_near_edge
 from gridpush_drake.planning.pregrasp.exploration import (
     PokeChoice,
     PokeOptions,
@@ -40,7 +39,13 @@ from gridpush_drake.planning.pregrasp.goals import (
     find_pregrasp_goals,
 )
 from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, Gripper, find_grasp_parts
-from gridpush_drake.planning.pregrasp.slides import Slide, SlideOptions, make_stability_rule, plan_slide
+from gridpush_drake.planning.pregrasp.slides import (
+    Slide,
+    SlideOptions,
+    make_stability_rule,
+    plan_slide,
+    simulate_near_edge,
+)
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface

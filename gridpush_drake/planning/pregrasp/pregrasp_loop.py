@@ -30,11 +30,13 @@ from gridpush_drake.planning.closed_loop import (
     LOST,
     WAITING,
     ClosedLoop,
-    GraspReport,
+    GraspOutcome,
+    GraspStatus,
     LoopOptions,
     LoopState,
     Observation,
     Pose,
+    PushPhase,
 )
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.pregrasp.planner import PreGraspDecision, PreGraspPlanner
@@ -50,9 +52,6 @@ FindGrasp = Callable[[Array, Array], SideGrasp | None]
 
 Believe = Callable[[Identification | None, PushLog], UncertainModel | None]
 """From what was learned, and the pushes so far, to what is held possible; None where more must be seen first."""
-
-HELD = "held"
-"""The outcome of a grasp that holds."""
 
 
 class PreGraspMode(StrEnum):
@@ -203,7 +202,11 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
     def _wait(self, now: PreGraspState, seen: Observation) -> PreGraspState:
         """While the robot is at work; breaks a push off in which the object might fall."""
         now = super()._wait(now, seen)
-        if not (seen.robot.pushing and seen.seen) or now.monitor is None or now.status.mode == PreGraspMode.STOPPING:
+        if (
+            not (seen.robot.phase == PushPhase.PUSHING and seen.seen)
+            or now.monitor is None
+            or now.status.mode == PreGraspMode.STOPPING
+        ):
             return now
         fault = now.monitor.find_fault(seen.pose)
         if fault is None:
@@ -262,11 +265,11 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             PreGraspMode.GRASPING, "A part that hangs over is taken.", grasps=now.status.grasps + 1, **said
         )
 
-    def _follow_grasp(self, now: PreGraspState, gripper: GraspReport) -> PreGraspState:
+    def _follow_grasp(self, now: PreGraspState, gripper: GraspStatus) -> PreGraspState:
         """While a grasp is under way, and after it."""
         if gripper.command_id != now.grasp_id or not gripper.outcome:
             return now
-        if gripper.outcome == HELD:
+        if gripper.outcome == GraspOutcome.HELD:
             return now.turn_to(PreGraspMode.HOLDING, "The object is lifted and held.")
         if not gripper.ready:
             return now  # it retreats

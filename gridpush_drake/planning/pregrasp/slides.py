@@ -1,8 +1,8 @@
 """The next push of a slide to the table's edge: towards one of several goals, safe all the way.
 
 Contact-point optimization proposes pushes towards each goal, forbidden to pass poses whose stability margin is too
-thin. The proposals are then tried on several samples of the model, with the loads that an
-overhanging object has (`edge_push`), and cut short before the first pose in which any draw's margin is too thin. Taken
+thin. The proposals are then tried on several samples of the model, with the loads that an overhanging object has
+(`dynamics.kernels.support_loads`), and cut short before the first pose in which any draw's margin is too thin. Taken
 is the proposal that, so cut, ends nearest to its goal on the average of the draws.
 
 `TippingMonitor`: watches a push under way that the object stays as safe as it was planned to.
@@ -23,11 +23,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulation import calc_loads, simulate
+from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.geometry.convex import calc_margin_inside, hull_of
+from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush, calc_goal_error
-from gridpush_drake.planning.pregrasp.edge_push import simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, PreGraspGoal
 from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, calc_stability_margin, calc_stability_margins
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
@@ -41,6 +43,54 @@ FREE_OVERHANG = 1.0
 
 CHECK_EVERY = 0.003
 """m of the pusher's motion between poses that are checked."""
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeMotion:
+    """What became of an object pushed near the edge.
+
+    Attributes:
+        poses: (K, 3) along the push, the first before it, m and rad.
+        traveled: (K,) m of the pusher's path at each.
+        fell: whether the object fell off the table; the poses end where it did.
+    """
+
+    poses: Array
+    traveled: Array
+    fell: bool
+
+    @property
+    def final_pose(self) -> Array:
+        """(3,) the last pose."""
+        return self.poses[-1]
+
+
+def simulate_near_edge(
+    obj: GridObject, params: CellParameters, push: Push, pose: ArrayLike, surface: SupportSurface
+) -> EdgeMotion:
+    """Simulates a slow push of an object that may hang over the edge, up to where it falls.
+
+    Args:
+        obj: the object.
+        params: its cells' masses and frictions.
+        push: the pusher's motion.
+        pose: (3,) X_WB at the beginning, m and rad.
+        surface: the table.
+
+    Returns:
+        The motion.
+    """
+    q = np.asarray(pose, dtype=np.float64)
+    if calc_loads(obj, params, q, surface.corners) is None:
+        return EdgeMotion(q[None].copy(), np.zeros(1), True)
+    times = make_path_times(push, "quasi_static")
+    traveled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(push.tip_at(times), axis=0), axis=1)))
+    motion = simulate(obj, params, push, q, times=times, regime="quasi_static", table=surface.corners)
+    fell = bool(motion.tips.any())
+    if not fell and calc_loads(obj, params, motion.final_pose, surface.corners) is None:
+        return EdgeMotion(motion.poses, traveled, True)
+    count = int(np.argmax(motion.tips)) + 1 if fell else len(times)
+    return EdgeMotion(motion.poses[:count], traveled[:count], fell)
 
 
 @dataclass(frozen=True)

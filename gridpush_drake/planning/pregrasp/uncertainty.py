@@ -93,8 +93,6 @@ class PlausibleMassSet:
         posterior: Posterior,
         friction_range: tuple[float, float] | None = None,
         *,
-        draws: int = MASS_DRAWS,
-        confidence: float = CONFIDENCE,
         seed: int = 0,
     ) -> "PlausibleMassSet":
         """All masses that agree with what was learned.
@@ -103,8 +101,6 @@ class PlausibleMassSet:
             obj: the object.
             posterior: of its relative friction.
             friction_range: least and greatest friction coefficient of any cell; the object's own bounds where None.
-            draws: from the posterior.
-            confidence: share of them that a bound must hold for.
             seed: of the draws.
 
         Returns:
@@ -116,8 +112,8 @@ class PlausibleMassSet:
         low, high = friction_range or (obj.prior.friction_min, obj.prior.friction_max)
         if not 0 < low <= high < np.inf:
             raise PlanningError(f"friction_range is {(low, high)!r}; expected 0 < least <= greatest")
-        share, _ = posterior.draw(draws, seed)
-        return cls(obj, share / high, share / low, confidence)
+        share, _ = posterior.draw(MASS_DRAWS, seed)
+        return cls(obj, share / high, share / low, CONFIDENCE)
 
     @classmethod
     def of_masses(cls, obj: GridObject, params: CellParameters) -> "PlausibleMassSet":
@@ -207,12 +203,10 @@ class UncertainModel:
         )  # fmt: skip
 
     @classmethod
-    def of_prior(
-        cls, obj: GridObject, *, friction_range: tuple[float, float] | None = None, seed: int = 0
-    ) -> "UncertainModel":
+    def of_prior(cls, obj: GridObject, *, friction_range: tuple[float, float] | None = None) -> "UncertainModel":
         """Takes what is held before any push: the smoothness prior about uniform friction."""
         prior = describe_prior(obj, MapEnsemble(amplitudes=(PRIOR_AMPLITUDE,)))
-        return cls.of_identification(prior, friction_range=friction_range, sample_count=0, seed=seed)
+        return cls.of_identification(prior, friction_range=friction_range, sample_count=0)
 
     @classmethod
     def of_parameters(cls, obj: GridObject, params: CellParameters) -> "UncertainModel":

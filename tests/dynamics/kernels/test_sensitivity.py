@@ -43,6 +43,29 @@ def test_exact_gradients(shape, regime):
     assert skipped <= blocks // 3
 
 
+@pytest.mark.parametrize("regime", REGIMES)
+@pytest.mark.parametrize("overhang", [None, 0.2])
+def test_exact_gradients_where_loads_shift(overhang, regime):
+    skipped = blocks = 0
+    for seed, shape in enumerate(SHAPES):
+        case = make_random_case(shape, seed, regime, SPINS[seed % 3], push_height=0.004, overhang=overhang)
+        if case.result.status == "tips":
+            continue
+        skipped += check_case(case, shape, seed)
+        blocks += 8
+    print(f"overhang {overhang}, {regime}: {skipped} of {blocks} blocks cross a switch")
+    assert blocks >= 40 and skipped <= blocks // 3
+
+
+@pytest.mark.parametrize("overhang", [None, 0.2])
+def test_derivatives_by_mass_alone_are_the_same(overhang):
+    case = make_random_case("wrench", 0, "quasi_static", "coupled", push_height=0.004, overhang=overhang)
+    J, masses = case.result.jacobian, case.run(gradients="mass").jacobian
+    assert masses.friction.shape == (*J.mass.shape[:2], 0)
+    for name in ("mass", "contact_friction", "push_height", "start", "direction", "length", "pose"):
+        np.testing.assert_allclose(getattr(masses, name), getattr(J, name), rtol=1e-9, atol=1e-12)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("regime", REGIMES)
 @pytest.mark.parametrize("shape", SHAPES)

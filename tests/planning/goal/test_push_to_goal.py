@@ -7,11 +7,12 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.closed_loop import LoopOptions
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_plan import plan_pushes
-from gridpush_drake.planning.goal.push_to_goal import PushToGoalOptions, push_to_goal
+from gridpush_drake.planning.goal.push_to_goal import push_to_goal
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.simulated_world import SimulatedWorld
 from gridpush_drake.planning.support_surface import SupportSurface
@@ -173,7 +174,7 @@ def test_goes_on_where_a_stranger_left_the_object(block, hidden):
 def test_gives_up_on_an_object_that_is_not_seen(block, hidden):
     world = MeddledWorld(block, hidden, START, TABLE)
     run = push_to_goal(
-        world, block, GOAL, params=hidden, learner=None, options=PushToGoalOptions(observations=1, timeout=0.07)
+        world, block, GOAL, params=hidden, learner=None, options=LoopOptions(observations=1, timeout=0.07)
     )
     assert (run.status, len(run.steps)) == ("lost", 1)
     assert "seen" in run.reason
@@ -218,7 +219,7 @@ def test_noise_follows_its_seed(block, hidden):
         (lambda: GoalRules(tolerance=0.0), "tolerance"),
         (lambda: GoalRules(max_pushes=-1), "max_pushes"),
         (lambda: GoalRules(horizon=3), "horizon"),
-        (lambda: PushToGoalOptions(timeout=0), "timeout"),
+        (lambda: LoopOptions(timeout=0), "timeout"),
     ],
 )
 def test_refuses(make, says):

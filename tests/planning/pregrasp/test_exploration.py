@@ -15,7 +15,6 @@ from gridpush_drake.planning.pregrasp.exploration import (
     choose_poke,
     make_center_functional,
     make_pokes,
-    make_pose_functional,
 )
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
@@ -100,7 +99,7 @@ def test_the_center_s_derivatives_agree_with_differences(hammer):
 
 
 def test_a_poke_tells_most_about_its_own_end(model, pokes):
-    F = make_pose_functional(model, [pokes[3]], HERE[None])
+    F, _ = calc_observation(model, pokes[3], HERE)
     stds = choose_poke(model, HERE, pokes, F).expected_stds
     assert stds[3] < 0.5 * np.sqrt(np.linalg.eigvalsh(F @ model.posterior.covariance @ F.T)[-1])
     assert stds[3] < np.median(stds)

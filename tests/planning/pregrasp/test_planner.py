@@ -3,12 +3,12 @@ import pytest
 import shapely
 
 from gridpush_drake.bench.pregrasp_world import EdgeWorld, run_pregrasp
+from gridpush_drake.dynamics.simulation import calc_loads
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
-from gridpush_drake.planning.pregrasp.edge_push import is_supported, simulate_near_edge
 from gridpush_drake.planning.pregrasp.goals import (
     ArmLimits,
     GoalOptions,
@@ -25,7 +25,7 @@ from gridpush_drake.planning.pregrasp.planner import (
     PreGraspPlanner,
     plan_pregrasp,
 )
-from gridpush_drake.planning.pregrasp.slides import make_stability_rule, plan_slide
+from gridpush_drake.planning.pregrasp.slides import make_stability_rule, plan_slide, simulate_near_edge
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin, calc_stability_margins
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
@@ -132,7 +132,7 @@ def test_goals_hang_over_far_enough_and_are_safe(pan, parts, heavy_plate, surfac
         assert footprint.distance(surface.polygon) >= options.min_overhang
         assert goal.margin >= 0.01
         assert goal.margin == pytest.approx(calc_stability_margin(masses, goal.pose, surface))
-        assert is_supported(pan, heavy_plate, goal.pose, surface)
+        assert calc_loads(pan, heavy_plate, goal.pose, surface.corners) is not None
         assert goal.travel == pytest.approx(calc_goal_error(pan, start, goal.pose))
         assert abs(goal.pose[2] - start[2]) <= np.pi + 1e-9
         np.testing.assert_allclose(goal.p_WG, place(goal.part.p_BG, goal.pose))
@@ -165,7 +165,7 @@ def test_what_hangs_over_already_is_grasped_and_only_if_it_stays(pan, parts, hea
     planner = PreGraspPlanner(pan, TABLE, parts=parts)
     assert planner.decide(pose, UncertainModel.of_parameters(pan, heavy_plate)).action == "grasp"
     heavy_handle = CellParameters.by_part(pan, {1: 0.5, 2: 0.005}, 0.35)
-    assert not is_supported(pan, heavy_handle, (0.38, 0.0, 0.0), TABLE)
+    assert calc_loads(pan, heavy_handle, (0.38, 0.0, 0.0), TABLE.corners) is None
     assert planner.decide((0.38, 0.0, 0.0), UncertainModel.of_parameters(pan, heavy_handle)).action != "grasp"
 
 
@@ -259,7 +259,7 @@ def test_a_plan_ends_with_something_to_grasp(pan, parts, heavy_plate, surface):
     assert plan.status == STATUS_READY, plan.message
     assert 1 <= len(plan.pushes) == len(plan.poses) - 1
     assert calc_overhangs(parts, plan.poses[-1], surface).max() > 0
-    assert is_supported(pan, heavy_plate, plan.poses[-1], surface)
+    assert calc_loads(pan, heavy_plate, plan.poses[-1], surface.corners) is not None
 
 
 def test_a_plan_without_a_safe_goal_says_so(pan, parts):

@@ -1,15 +1,20 @@
-"""The paper's simulated protocol: hidden masses, pushes and splits (Song & Boularias, RSS 2020, VI.A).
+"""The paper's protocols: what is hidden, pushed, drawn and split (Song & Boularias, RSS 2020, VI).
 
-It is drawn by seed for the objects that ship with the package, and read for the paper's own, which are masks of the
-public data. Where the paper pushes with a square finger of 3 cm, a disc of 1.5 cm radius stands in for it here. Pushes
-are numbered from the object's left to its right, the five on its upper side first.
+They are drawn by seed for the objects that ship with the package, and read for the paper's own, which are masks of the
+public data.
+
+    simulated   hidden masses, ten pushes and their splits (VI.A). Where the paper pushes with a square finger of 3 cm,
+                a disc of 1.5 cm radius stands in for it. Pushes are numbered from the object's left to its right, the
+                five on its upper side first.
+    planning    hidden masses, ten start and goal poses, a round table; masks at the scale that the paper plans with.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from zlib import crc32
 
 import numpy as np
@@ -21,23 +26,29 @@ from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.outline import OutlineEdges
+from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.mask import read_labels
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 Array = NDArray[np.float64]
 
 MAX_CELLS = 127
 METERS_PER_PIXEL = 0.001
-"""Of the masks, m, unless the data say otherwise."""
+"""Of the masks in simulations, m, unless the data say otherwise."""
+
+PLANNING_METERS_PER_PIXEL = 0.53 / 640
+"""Of the masks as real objects, likewise."""
 
 MASS_SETS = 10
 """Drawn for each object."""
 
 MASS_RANGE = (0.1, 5.0)
-"""What the mass of a part's cells is drawn from, evenly, kg a cell."""
+"""What the mass of a part's cells is drawn from, kg a cell; evenly in the simulated protocol."""
 
 TRAINING = (1, 2, 3, 4, 5)
 """Numbers of pushes to learn from; the others of the ten are predicted."""
@@ -57,6 +68,32 @@ OBSERVED_EVERY = 0.1
 
 SUPPORT_FRICTION = 0.4
 """Of every cell, in the simulated truth; it is also the identifier's prior."""
+
+PUSHED_SHIPPED = ("combination_wrench", "pliers", "toothpaste_tube")
+"""Shipped objects that are pushed to goals, beside the masks: of other shapes than the masks have."""
+
+PAIRS = 10
+"""Of start and goal poses."""
+
+TABLE_CENTER, TABLE_RADIUS = (0.63, 0.0), 0.5
+"""Of the round table, m."""
+
+PLACE_RADIUS = 0.28
+"""Within which poses are drawn about the table's center, evenly, m: the widest object then hangs over by 45 mm."""
+
+OVERHANG = 0.045
+"""m by which cells may hang over the table's edge; the protocol's own poses make the widest object do so by 36 mm."""
+
+FINGER_OVERHANG = 0.1
+"""m by which the finger's center may be beyond the edge: it ends above the table, and pushes back what hangs over."""
+
+POSITION_STD, ANGLE_STD = 0.0005, 0.003
+"""Noise of poses that are seen by whoever plans, m per axis and rad."""
+
+Part = TypeVar("Part")
+
+Masses = dict[str, tuple[tuple[float, ...], ...]]
+"""Of an object: mass of a cell of each label 1, 2, ..., kg, by mass set."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +116,7 @@ class Protocol:
     """
 
     masks: dict[str, Path]
-    masses: dict[str, tuple[tuple[float, ...], ...]]
+    masses: Masses
     splits: dict[int, tuple[Split, ...]]
     meters_per_pixel: float = METERS_PER_PIXEL
 
@@ -97,7 +134,8 @@ class Case:
     log: PushLog
 
 
-def make_protocol(data: Path | str | None = None, seed: int = 0) -> Protocol:
+@lru_cache(maxsize=4)
+def make_protocol(data: Path | None = None, seed: int = 0) -> Protocol:
     """Draws the protocol for the shipped objects, and reads what the public data have of it.
 
     Args:
@@ -115,7 +153,7 @@ def make_protocol(data: Path | str | None = None, seed: int = 0) -> Protocol:
     }
     masks: dict[str, Path] = {}
     if data is not None:
-        masks = find_masks(Path(data))
+        masks = find_masks(data)
         labels = {name: read_labels(path) for name, path in masks.items()} | labels
     drawn = Protocol(masks, {name: draw_masses(name, seen, seed) for name, seen in labels.items()}, draw_splits(seed))
     path = find_protocol(masks)
@@ -137,10 +175,10 @@ def draw_masses(name: str, labels: NDArray[Any], seed: int) -> tuple[tuple[float
     return tuple(map(tuple, rng.uniform(*MASS_RANGE, (MASS_SETS, int(labels.max()))).tolist()))
 
 
-def draw_splits(seed: int, counts: Sequence[int] = TRAINING) -> dict[int, tuple[Split, ...]]:
+def draw_splits(seed: int) -> dict[int, tuple[Split, ...]]:
     """Draws a split for each mass set and number of pushes to learn from."""
-    rng = np.random.default_rng([seed, len(counts)])
-    orders = {count: [rng.permutation(2 * PUSHES_PER_SIDE).tolist() for _ in range(MASS_SETS)] for count in counts}
+    rng = np.random.default_rng([seed, len(TRAINING)])
+    orders = {count: [rng.permutation(2 * PUSHES_PER_SIDE).tolist() for _ in range(MASS_SETS)] for count in TRAINING}
     return {
         count: tuple(Split(tuple(order[:count]), tuple(sorted(order[count:]))) for order in some)
         for count, some in orders.items()
@@ -149,21 +187,30 @@ def draw_splits(seed: int, counts: Sequence[int] = TRAINING) -> dict[int, tuple[
 
 def _read_protocol(path: Path, drawn: Protocol) -> Protocol:
     """The protocol with what `protocol.json` has in place of what was drawn."""
-    try:
-        content: Any = json.loads(path.read_text())
-        masses = {str(name): tuple(map(tuple, sets)) for name, sets in content["masses_by_label"].items()}
+
+    def read(content: Any) -> Protocol:
         splits = {
             int(count): tuple(Split(tuple(split["train"]), tuple(split["test"])) for split in splits)
             for count, splits in content["splits"].items()
         }
-        known = {name: masses.get(name, sets) for name, sets in drawn.masses.items()}
-        return Protocol(drawn.masks, known, splits, float(content["metres_per_pixel"]["simulated"]))
+        scale = float(content["metres_per_pixel"]["simulated"])
+        return Protocol(drawn.masks, _read_masses(content, drawn.masses), splits, scale)
+
+    return _read_document(path, "masses_by_label, splits and metres_per_pixel.simulated", read)
+
+
+def _read_masses(content: Any, drawn: Masses) -> Masses:
+    return {name: tuple(map(tuple, content["masses_by_label"].get(name, sets))) for name, sets in drawn.items()}
+
+
+def _read_document(path: Path, expected: str, read: Callable[[Any], Part]) -> Part:
+    """A part of `protocol.json`, of which `expected` names the keys."""
+    try:
+        return read(json.loads(path.read_text()))
     except OSError as error:
         raise GridPushError(f"{path}: cannot be read: {error.strerror}; expected the paper's numbers") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise GridPushError(
-            f"{path}: expected JSON with masses_by_label, splits and metres_per_pixel.simulated ({error!r})"
-        ) from error
+        raise GridPushError(f"{path}: expected JSON with {expected} ({error!r})") from error
 
 
 def make_case(protocol: Protocol, name: str, mass_set: int) -> Case:
@@ -195,8 +242,7 @@ def make_case(protocol: Protocol, name: str, mass_set: int) -> Case:
     truth = CellParameters.by_part(obj, masses, SUPPORT_FRICTION)
     pushes = make_pushes(obj, columns)
     seen = [_observe(obj, truth, f"push_{i}", push) for i, push in enumerate(pushes)]
-    plain = GridObject(name, obj.p_BC, obj.cell_size, np.ones(obj.n, dtype=np.int64), obj.outline, prior)
-    return Case(plain, PushLog(tuple(seen), source=f"{name}, mass set {mass_set}"))
+    return Case(hide_parts(replace(obj, name=name)), PushLog(tuple(seen), source=f"{name}, mass set {mass_set}"))
 
 
 def make_pushes(obj: GridObject, columns: int) -> list[Push]:
@@ -251,3 +297,108 @@ def _observe(obj: GridObject, truth: CellParameters, name: str, push: Push) -> O
     simulation = simulate(obj, truth, push, times=times, regime="inertial")
     every = round(len(times[1:]) * OBSERVED_EVERY / DURATION)
     return ObservedPush(name, push, simulation.poses[0], times[every::every], simulation.poses[every::every])
+
+
+@dataclass(frozen=True, eq=False)
+class PlanningProtocol:
+    """The protocol's numbers.
+
+    Attributes:
+        seed: of what was drawn.
+        masks: files of the paper's objects by name.
+        masses: mass of a cell of each label 1, 2, ..., kg, by mask and mass set.
+        pairs: (10, 2, 3) start and goal poses, m and rad.
+        surface: the round table.
+        meters_per_pixel: of the masks, m.
+    """
+
+    seed: int
+    masks: dict[str, Path]
+    masses: Masses
+    pairs: Array
+    surface: SupportSurface
+    meters_per_pixel: float = PLANNING_METERS_PER_PIXEL
+
+    @property
+    def constraints(self) -> PushConstraints:
+        """What pushes must keep clear of."""
+        return PushConstraints(self.surface, edge_margin=-OVERHANG, finger_inset=-FINGER_OVERHANG)
+
+    @property
+    def mass_sets(self) -> int:
+        """How many mass sets there are for each object."""
+        return min(map(len, self.masses.values()), default=MASS_SETS)
+
+
+@lru_cache(maxsize=4)
+def make_planning_protocol(data: Path | None = None, seed: int = 0) -> PlanningProtocol:
+    """Draws the protocol, and reads what the public data have of it.
+
+    Args:
+        data: folder of the paper's masks, with or without `protocol.json` beside them; None for the shipped objects.
+        seed: of what is drawn.
+
+    Returns:
+        The protocol.
+
+    Raises:
+        GridPushError: there is no such folder, no mask in it, or `protocol.json` is not of its form.
+    """
+    masks = {} if data is None else find_masks(data)
+    masses = {name: draw_masses(name, read_labels(path), seed) for name, path in masks.items()}
+    surface = SupportSurface.round(TABLE_CENTER, TABLE_RADIUS)
+    drawn = PlanningProtocol(seed, masks, masses, draw_pairs(seed), surface)
+    path = find_protocol(masks)
+    return drawn if path is None else _read_planning_protocol(path, drawn)
+
+
+def draw_pairs(seed: int) -> Array:
+    """Draws (`PAIRS`, 2, 3) start and goal poses on the table, m and rad."""
+    rng = np.random.default_rng([seed, PAIRS])
+    distance = PLACE_RADIUS * np.sqrt(rng.uniform(size=(PAIRS, 2)))
+    bearing, heading = rng.uniform(-np.pi, np.pi, (2, PAIRS, 2))
+    places = TABLE_CENTER + distance[..., None] * make_direction(bearing)
+    return np.concatenate([places, heading[..., None]], axis=-1)
+
+
+def _read_planning_protocol(path: Path, drawn: PlanningProtocol) -> PlanningProtocol:
+    """The protocol with what `protocol.json` has in place of what was drawn."""
+
+    def read(content: Any) -> PlanningProtocol:
+        planning = content["planning"]
+        pairs = np.stack([np.array(planning[end], dtype=np.float64) for end in ("start", "goal")], axis=1)
+        table = planning["table"]
+        surface = SupportSurface.round(table["centre"], float(table["radius"]))
+        scale = float(content["metres_per_pixel"]["real_and_planning"])
+        return PlanningProtocol(drawn.seed, drawn.masks, _read_masses(content, drawn.masses), pairs, surface, scale)
+
+    return _read_document(path, "masses_by_label, planning and metres_per_pixel", read)
+
+
+def list_objects(protocol: PlanningProtocol, shipped: Sequence[str] | None = None) -> list[str]:
+    """Names of the masks and of the shipped objects, of all where None."""
+    return [*protocol.masks, *(list_shipped_objects() if shipped is None else shipped)]
+
+
+@lru_cache(maxsize=32)
+def read_planning_object(protocol: PlanningProtocol, name: str) -> GridObject:
+    """An object by its name, with its parts. Raises ObjectError where there is none."""
+    if name in protocol.masks:
+        return GridObject.from_mask(
+            protocol.masks[name], meters_per_pixel=protocol.meters_per_pixel, max_cells=MAX_CELLS,
+            prior=PhysicalPrior(friction=SUPPORT_FRICTION),
+        )  # fmt: skip
+    return GridObject.from_yaml(find_shipped_object(name))
+
+
+def hide_parts(obj: GridObject) -> GridObject:
+    """The object as whoever learns sees it: one part."""
+    return GridObject(obj.name, obj.p_BC, obj.cell_size, np.ones(obj.n, dtype=np.int64), obj.outline, obj.prior)
+
+
+def make_hidden(protocol: PlanningProtocol, name: str, mass_set: int) -> CellParameters:
+    """The hidden masses of a mass set: the protocol's for a mask, drawn by part for a shipped object."""
+    obj = read_planning_object(protocol, name)
+    if name in protocol.masks:
+        return CellParameters.by_part(obj, dict(enumerate(protocol.masses[name][mass_set], start=1)), SUPPORT_FRICTION)
+    return CellParameters.random(obj, protocol.seed + mass_set)

@@ -1,29 +1,38 @@
-"""Which posture the arm has when the finger's tip is somewhere: the one of all that is nearest to the nominal posture.
+"""How the arm comes to a posture, whether it can follow a path, and what moves it along one.
 
-With q the joint angles, J(q) the tip's Jacobian (rotation above translation) and e the pose's error, one step of
+Posture: of all in which the finger's tip is somewhere, the one that is nearest to the nominal posture. With q the joint
+angles, J(q) the tip's Jacobian (rotation above translation) and e the pose's error, one step of
 
     dq = J+ e + (I - J+ J)(q_nominal - q)
 
 moves the tip where it should be and, in the null space, as near to q_nominal as possible. Drake's differential inverse
-kinematics with joint centering has the same fixed point, so that what is found here is what the moving arm does.
+kinematics with joint centering, which moves the arm by way of its iiwa driver (it drives any arm), has the same fixed
+point: what is found here is what the moving arm does. The tool points down; its turn about the vertical (yaw) is zero
+at `R_WP_DOWN`.
 
-The tool points down; its turn about the vertical (yaw) is zero at `R_WP_DOWN`.
-
-Whether the arm can follow the tip along a path, asked before it goes. Measured on 30 pushes' paths, of which 19 can be
-followed: this search takes 8 ms a path; Drake's differential inverse kinematics in its place 11 ms, and takes joints at
-their limits for arrived (7 paths of 10 instead of 6); Drake's `InverseKinematics` by SNOPT 510 ms, and misses a quarter
-of the postures.
+Path: followed in steps before the arm goes. Measured on 30 pushes' paths, of which 19 can be followed: this search
+takes 8 ms a path; Drake's differential inverse kinematics in its place 11 ms, and takes joints at their limits for
+arrived (7 paths of 10 instead of 6); Drake's `InverseKinematics` by SNOPT 510 ms, and misses a quarter of the postures.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydrake.manipulation import IiwaDriver, SimIiwaDriver
 from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.inverse_kinematics import (
+    DifferentialInverseKinematicsIntegrator,
+    DifferentialInverseKinematicsParameters,
+)
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import JacobianWrtVariable
+from pydrake.multibody.tree import JacobianWrtVariable, ModelInstanceIndex
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, System
+from pydrake.systems.primitives import SharedPointerSystem
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.multibody.tool_motion import R_WP_DOWN, TURNING_RADIUS, calc_tool_rotation
-from gridpush_drake.station.robot import Robot
+from gridpush_drake.station.robot import AddRobot, ControlMeasures, Robot
 
 Array = NDArray[np.float64]
 
@@ -32,6 +41,9 @@ POSITION_TOLERANCE = 1e-6
 
 CENTERING_TOLERANCE = 1e-6
 """rad, of the last step."""
+
+MAX_STEPS = 200
+"""Of the search for one posture from another that may be far off."""
 
 
 class ArmPosture:
@@ -79,24 +91,20 @@ class ArmPosture:
         away = q_nominal - q
         return J_plus @ e + away - J_plus @ (J @ away), float(np.linalg.norm(e))
 
-    def solve(
-        self, p_WP: ArrayLike, q_nominal: Array, q_seed: Array, iterations: int = 200, yaw: float = 0.0
-    ) -> Array | None:
+    def solve(self, p_WP: ArrayLike, q_nominal: Array, q_seed: Array) -> Array | None:
         """Finds the posture with the tool down and its tip at p_WP.
 
         Args:
             p_WP: (3,) m.
             q_nominal: (7,) posture to stay near to, rad.
             q_seed: (7,) where the search begins, rad.
-            iterations: at most.
-            yaw: of the tool, rad.
 
         Returns:
             (7,) rad, or None where the search does not arrive. Joint limits are not looked at.
         """
-        q, target, R_WP = q_seed, np.asarray(p_WP, float), calc_tool_rotation(yaw)
-        for _ in range(iterations):
-            dq, error = self.calc_step(q, target, q_nominal, R_WP)
+        q, target = q_seed, np.asarray(p_WP, float)
+        for _ in range(MAX_STEPS):
+            dq, error = self.calc_step(q, target, q_nominal)
             q = q + dq
             if error < POSITION_TOLERANCE and np.abs(dq).max() < CENTERING_TOLERANCE:
                 return q
@@ -217,3 +225,105 @@ class ArmReach:
                     needed = share[k] * self._speed[k]
                     return q, f"joint {k + 1} of the arm would have to turn at {needed:.2f} rad/s at {where}"
         return q, None
+
+
+@dataclass(frozen=True)
+class ArmControl:
+    """What `AddArmControl` put into a builder.
+
+    Attributes:
+        driver: the `SimIiwaDriver`; its output ports are those of Drake's stations (`position_measured`, ...).
+        kinematics: the differential inverse kinematics.
+        tip_pose: the port for the tip's desired pose X_WP.
+        q_start: (7,) the posture at the beginning, rad.
+    """
+
+    driver: System
+    kinematics: DifferentialInverseKinematicsIntegrator
+    tip_pose: InputPort
+    q_start: Array
+
+
+def MakeControlPlant(robot: Robot, X_WB: RigidTransform | None = None) -> MultibodyPlant:
+    """Makes the plant that the controllers know: the robot, its gripper rigid, and nothing else.
+
+    Args:
+        robot: the robot.
+        X_WB: of its base; identity by default.
+    """
+    plant = MultibodyPlant(time_step=0.0)
+    AddRobot(plant, robot, X_WB)
+    plant.Finalize()
+    plant.set_name("control_plant")
+    return plant
+
+
+def AddArmControl(
+    builder: DiagramBuilder,
+    plant: MultibodyPlant,
+    robot: Robot,
+    arm: ModelInstanceIndex,
+    control_plant: MultibodyPlant,
+    q_start: ArrayLike,
+) -> ArmControl:
+    """Adds the arm's driver and inverse kinematics. Call it after Finalize.
+
+    The builder keeps the control plant alive.
+
+    Args:
+        builder: the plant is in it.
+        plant: has the arm.
+        robot: the robot.
+        arm: its arm's model instance.
+        control_plant: as `MakeControlPlant` makes it.
+        q_start: (n,) the posture at the beginning, which is also the one that the arm is drawn to, rad.
+
+    Returns:
+        The systems and the port to be connected.
+    """
+    SharedPointerSystem.AddToBuilder(builder, control_plant)
+    control = robot.arm.control
+    q = np.array(q_start, float)
+    plant.SetDefaultPositions(arm, q)
+    gains = np.full(plant.num_positions(arm), control.stiffness)
+    config = IiwaDriver(control_mode="position_only", desired_kp_gains=gains)
+    driver = SimIiwaDriver.AddToBuilder(builder, plant, arm, config, control_plant)
+    kinematics = builder.AddNamedSystem(
+        "iiwa_kinematics",
+        DifferentialInverseKinematicsIntegrator(
+            control_plant,
+            control_plant.GetFrameByName(robot.finger.tip_frame),
+            control.period,
+            _make_parameters(control_plant, q, control),
+        ),
+    )
+    builder.Connect(kinematics.GetOutputPort("joint_positions"), driver.GetInputPort("position"))
+    return ArmControl(driver, kinematics, kinematics.GetInputPort("X_AE_desired"), q)
+
+
+def SetArmStart(
+    diagram: Diagram, root_context: Context, plant: MultibodyPlant, arm: ModelInstanceIndex, control: ArmControl
+) -> None:
+    """Puts arm and inverse kinematics into the start's posture, at rest.
+
+    Call it on every fresh or reset context: the integrator's own default is zero.
+    """
+    plant_context = plant.GetMyMutableContextFromRoot(root_context)
+    plant.SetPositions(plant_context, arm, control.q_start)
+    plant.SetVelocities(plant_context, arm, np.zeros_like(control.q_start))
+    control.kinematics.SetPositions(control.kinematics.GetMyMutableContextFromRoot(root_context), control.q_start)
+
+
+def _make_parameters(
+    control_plant: MultibodyPlant, q_nominal: Array, control: ControlMeasures
+) -> DifferentialInverseKinematicsParameters:
+    """Limits and centering of the inverse kinematics."""
+    n = control_plant.num_positions()
+    parameters = DifferentialInverseKinematicsParameters(n, n)
+    parameters.set_nominal_joint_position(q_nominal)
+    parameters.set_joint_centering_gain(control.centering_gain * np.eye(n))
+    lower, upper = control_plant.GetPositionLowerLimits(), control_plant.GetPositionUpperLimits()
+    parameters.set_joint_position_limits((lower + control.limit_margin, upper - control.limit_margin))
+    slowest, fastest = control_plant.GetVelocityLowerLimits(), control_plant.GetVelocityUpperLimits()
+    parameters.set_joint_velocity_limits((slowest, fastest))
+    return parameters

@@ -1,0 +1,360 @@
+"""Bodies that do not obey the model, in MuJoCo: one free rigid body on feet, pushed by a disc at a given height.
+
+What distinguishes the kinds is where the feet are, how stiff, and how high the pusher touches:
+
+    own_weight   a foot below each cell, as stiff as the cell is heavy, pushed at the table's height
+    half_height  the same, pushed at half the body's height
+    foundation   a foot below each cell, all alike: an evenly compliant bottom
+    vertices     rigid feet at the vertices of the outline's hull, uneven by tenths of a millimeter: a few of them bear
+    three_feet   three rigid feet below cells
+
+A rigid body whose feet are as stiff as their cells are heavy sinks evenly, so each cell bears its own weight: the
+model's assumption, in a body with six degrees of freedom. Nothing changes that while the pusher's force and friction
+act at one height; pushed above the table, it loads its front and unloads its rear, as does every kind but the first.
+
+MuJoCo's contacts slip a little when they stick, and are lifted by slip when they slide. Both follow from four numbers.
+With R the regularization of a contact's normal force f, d its impedance (`solimp`) and b what its slip v is
+damped with (`solreffriction`), R f is the body's weight on the foot as acceleration over d, and
+
+    creep of a sticking foot at the cone's edge        mu R f / (b impratio)
+    load that slip feigns, relative to the foot's own  mu b v / (R f)
+    time by which friction's direction lags            1 / b
+
+so R f, here REGULARIZATION, is to be large, which a small impedance gives, and `impratio` very large.
+"""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulation import GRAVITY
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+
+if TYPE_CHECKING:
+    import mujoco
+
+TIME_STEP, RIGID_TIME_STEP = 1e-3, 5e-4
+"""s, of bodies on compliant and on rigid feet."""
+
+BODY_HEIGHT = 0.03
+"""m, of every object; its mass is spread evenly over it."""
+
+FOOT_RADIUS = 0.002
+"""m, of the spheres that stand on the table."""
+
+WALL_RADIUS = 1e-4
+"""m, of the capsules along the outline, which the pusher touches; its own radius is less by as much."""
+
+SINKAGE = 2e-4
+"""m that a compliant bottom sinks under its weight."""
+
+RIGID_SINKAGE = 1e-4
+"""The same of a rigid foot that bears its share of the weight."""
+
+DAMPING_RATIO = 0.3
+"""Of the body's motion up and down on its feet; explicit in time, so that rocking, which is faster, stays stable."""
+
+REGULARIZATION = 1e3
+"""R f of a foot, m/s²."""
+
+SLIP_DAMPING = 200.0
+"""b, 1/s."""
+
+IMPRATIO = 1e5
+
+MIN_IMPEDANCE = 1e-4
+"""MuJoCo's least."""
+
+PUSHER_INERTIA = 1000.0
+"""kg that resists a change of the pusher's given speed within a step."""
+
+PUSHER_MASS = 0.01
+"""kg of what may follow the object up and down, so that the pusher does not carry it."""
+
+PUSHER_HALF_LENGTH = 0.1
+"""m."""
+
+PUSHER_SINKAGE = 1e-4
+"""m that the pusher would sink into the body's side were it pushed by the body's weight."""
+
+SETTLE_TIME = 1.0
+"""s that a body is given to come to rest on its feet."""
+
+Bounds = tuple[float, float, float, float]
+"""Least x and y, greatest x and y, m."""
+
+TABLE_HALF = 5.0
+ENDLESS: Bounds = (-TABLE_HALF, -TABLE_HALF, TABLE_HALF, TABLE_HALF)
+"""A table that nothing comes to the end of."""
+
+EDGE_RADIUS = 0.003
+"""m, of the rounded edge; its highest line is the edge."""
+
+EDGE_GAP = 5e-4
+"""m of a compliant body's flat bottom above the feet's ends: they alone bear it until it all but tips."""
+
+EDGE_SINKAGE, EDGE_TIME_STEP = 5e-5, 2.5e-4
+"""m and s, of compliant bodies at an edge: the few feet that bear most there sink several times as deep."""
+
+EDGE_BEARING = 10
+"""Places of the bottom by which a weight on the edge is shared out, to say how stiff they are."""
+
+PLATE_HALF = 0.005
+"""m, half the thickness of the plates that the bottom is made of, one a cell."""
+
+
+@dataclass(frozen=True, eq=False)
+class TruthBody:
+    """A rigid body, its feet, and how it is pushed.
+
+    Attributes:
+        obj: its outline and cells.
+        params: its cells' masses; friction of each cell, here of the foot nearest to it, and that of the pusher.
+        feet: (F, 2) where the feet are, body frame, m.
+        cell: (F,) the cell that each foot belongs to.
+        load: (F,) that makes a foot sink by `sinkage`, N.
+        sinkage: m.
+        gap: (F,) how much shorter a foot is than the longest, m.
+        push_height: of the pusher's contact above the feet's ends, m.
+        bottom: height of the flat bottom, which a table's edge touches, above the longest feet's ends, m.
+        time_step: s.
+    """
+
+    obj: GridObject
+    params: CellParameters
+    feet: Array
+    cell: NDArray[np.int64]
+    load: Array
+    sinkage: float
+    gap: Array
+    push_height: float
+    bottom: float = EDGE_GAP
+    time_step: float = TIME_STEP
+
+    def harden(self) -> "TruthBody":
+        """The same body for a table with an edge, where it must not sink far before it tips."""
+        return self if self.sinkage <= EDGE_SINKAGE else replace(self, sinkage=EDGE_SINKAGE, time_step=EDGE_TIME_STEP)
+
+
+@dataclass(frozen=True, eq=False)
+class TruthMotion:
+    """How a body moved.
+
+    Attributes:
+        times: (T+1,) s.
+        poses: (T+1, 3) q = (x, y, theta) of B in W, m and rad.
+        tilt: (T+1,) angle of B's z axis from the vertical, rad.
+        height: (T+1,) of B's origin above where it stood at rest, m.
+    """
+
+    times: Array
+    poses: Array
+    tilt: Array
+    height: Array
+
+
+class TruthWorld:
+    """A body on a table with or without an edge, and a pusher.
+
+    Attributes:
+        body: what is pushed.
+        radius: of the pusher, m.
+        loads: (n,) that the feet of each cell bear at rest, wholly on the table, N.
+    """
+
+    def __init__(self, body: TruthBody, radius: float, table: Bounds = ENDLESS) -> None:
+        """Finds how the body rests.
+
+        Args:
+            body: what is pushed.
+            radius: of the pusher, m.
+            table: its sides in W, m.
+
+        Raises:
+            GridPushError: MuJoCo is not installed.
+        """
+        try:
+            import mujoco
+        except ImportError as error:
+            raise GridPushError("mujoco: is not installed; expected pip install 'gridpush-drake[bench]'") from error
+
+        self.body, self.radius, self._mujoco = body, radius, mujoco
+        self._model = mujoco.MjModel.from_xml_string(_describe(body, radius, table))
+        self._data = mujoco.MjData(self._model)
+        _set_contacts(self._model, body)
+        self._settle((table[0] + table[2]) / 2, (table[1] + table[3]) / 2)
+
+    def _settle(self, x: float, y: float) -> None:
+        """Finds how the body rests wholly on the table, at x, y: height, tilt, and loads."""
+        self._data.qpos[:2] = x, y
+        self.wait(SETTLE_TIME)
+        self._rest_quaternion, self._rest_height = self._data.qpos[3:7].copy(), float(self._data.qpos[2])
+        self.foot_loads = self.read_loads()
+        self.loads = np.bincount(self.body.cell, self.foot_loads, self.body.obj.n).astype(np.float64)
+
+    def read_loads(self) -> Array:
+        """(F,) normal forces of the feet, N."""
+        loads, force = np.zeros(len(self.body.feet)), np.zeros(6)
+        table, first = self._model.geom("table").id, self._model.geom("f0").id
+        for i in range(self._data.ncon):
+            contact = self._data.contact[i]
+            if table in (contact.geom1, contact.geom2) and contact.efc_address >= 0:
+                self._mujoco.mj_contactForce(self._model, self._data, i, force)
+                loads[max(contact.geom1, contact.geom2) - first] += force[0]
+        return loads
+
+    def wait(self, seconds: float) -> None:
+        """Lets time pass while the pusher is far away."""
+        self._data.qpos[7:9], self._data.qvel[6:9] = FAR, 0
+        for _ in range(round(seconds / self.body.time_step)):
+            self._mujoco.mj_step(self._model, self._data)
+
+    def put(self, pose: ArrayLike) -> None:
+        """Puts the body down at a pose (3,), m and rad, as it rests wholly on the table."""
+        x, y, theta = np.asarray(pose, dtype=np.float64)
+        data, turned = self._data, np.zeros(4)
+        self._mujoco.mj_resetData(self._model, data)
+        self._mujoco.mju_mulQuat(turned, np.array([np.cos(theta / 2), 0, 0, np.sin(theta / 2)]), self._rest_quaternion)
+        data.qpos[:7] = x, y, self._rest_height, *turned
+
+    def read_pose(self) -> Array:
+        """(3,) q of B in W, m and rad."""
+        w, x, y, z = self._data.qpos[3:7]
+        return np.array([*self._data.qpos[:2], np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))])
+
+    def read_tilt(self) -> float:
+        """Angle of B's z axis from the vertical, rad."""
+        _, x, y, _ = self._data.qpos[3:7]
+        return float(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)))
+
+    def push(self, push: Push) -> TruthMotion:
+        """Pushes the body from where it is, at rest.
+
+        Args:
+            push: of a disc of this world's radius.
+
+        Returns:
+            The motion during the push; theta is continuous.
+        """
+        model, data, step = self._model, self._data, self._mujoco.mj_step
+        dt = self.body.time_step
+        count = round(push.duration / dt)
+        times = np.linspace(0.0, push.duration, count + 1)
+        path = push.tip_at(times)
+        speed = np.diff(path, axis=0) / dt
+        seen = np.empty((count + 1, 5))
+        data.qvel[:] = 0
+        for i in range(count + 1):
+            seen[i] = *self.read_pose(), self.read_tilt(), data.qpos[2] - self._rest_height
+            if i < count:
+                data.qpos[7:9], data.qvel[6:8] = path[i], speed[i]
+                step(model, data)
+        seen[:, 2] = np.unwrap(seen[:, 2])
+        return TruthMotion(times, seen[:, :3], seen[:, 3], seen[:, 4])
+
+
+FAR = (0.0, 50.0)
+"""m, where the pusher is while it does not push."""
+
+
+def _describe(body: TruthBody, radius: float, table: Bounds) -> str:
+    """The scene in MJCF; all contacts are between pairs that are named."""
+    obj, z, (left, low, right, high) = body.obj, body.push_height, table
+    p, w = obj.p_BC, body.params.mass
+    center = body.params.center_of_mass(obj)
+    arm = p - center
+    vertical = body.params.total_mass * BODY_HEIGHT**2 / 12
+    plate = obj.cell_size**2 / 12 * w.sum()
+    ixx, iyy = w @ arm[:, 1] ** 2 + plate + vertical, w @ arm[:, 0] ** 2 + plate + vertical
+    ixy, izz = -w @ (arm[:, 0] * arm[:, 1]), w @ (arm**2).sum(axis=1) + 2 * plate
+    feet = "".join(
+        f'<geom name="f{i}" type="sphere" size="{FOOT_RADIUS}" pos="{x} {y} {FOOT_RADIUS + gap}"/>'
+        for i, ((x, y), gap) in enumerate(zip(body.feet, body.gap, strict=True))
+    )
+    walls = "".join(
+        f'<geom name="w{i}" type="capsule" size="{WALL_RADIUS}" fromto="{a[0]} {a[1]} {z} {b[0]} {b[1]} {z}"/>'
+        for i, (a, b) in enumerate(zip(obj.edges.start, obj.edges.end, strict=True))
+    )
+    corners = [(left, low), (right, low), (right, high), (left, high)]
+    edges = [
+        (a, b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
+        if max(abs((a[i] + b[i]) / 2) for i in (0, 1)) < TABLE_HALF
+    ]  # fmt: skip
+    rims = "".join(
+        f'<geom name="e{i}" type="capsule" size="{EDGE_RADIUS}" '
+        f'fromto="{a[0]} {a[1]} {-EDGE_RADIUS} {b[0]} {b[1]} {-EDGE_RADIUS}"/>'
+        for i, (a, b) in enumerate(edges)
+    )
+    half = obj.cell_size / 2
+    plates = "".join(
+        f'<geom name="p{i}" type="box" size="{half} {half} {PLATE_HALF}" pos="{x} {y} {body.bottom + PLATE_HALF}"/>'
+        for i, (x, y) in enumerate(p)
+    )
+    mu_c, friction = body.params.contact_friction, body.params.friction[body.cell]
+    pairs = "".join(
+        f'<pair name="foot{i}" geom1="table" geom2="f{i}" condim="3" friction="{mu} {mu} 0 0 0"/>'
+        for i, mu in enumerate(friction)
+    ) + "".join(
+        f'<pair name="wall{i}" geom1="pusher" geom2="w{i}" condim="3" friction="{mu_c} {mu_c} 0 0 0"/>'
+        for i in range(len(obj.edges.start))
+    ) + "".join(
+        f'<pair name="edge{e}_{i}" geom1="e{e}" geom2="p{i}" condim="3" friction="{mu} {mu} 0 0 0"/>'
+        for e in range(len(edges)) for i, mu in enumerate(body.params.friction)
+    )  # fmt: skip
+    return f"""
+<mujoco>
+  <compiler inertiafromgeom="false"/>
+  <option timestep="{body.time_step}" cone="elliptic" impratio="{IMPRATIO}" tolerance="1e-12" iterations="100"
+   gravity="0 0 {-GRAVITY}"/>
+  <default><geom contype="0" conaffinity="0" mass="0"/></default>
+  <worldbody>
+    <geom name="table" type="box" pos="{(left + right) / 2} {(low + high) / 2} -0.5"
+     size="{(right - left) / 2} {(high - low) / 2} 0.5"/>
+    <body>
+      <freejoint/>
+      <inertial pos="{center[0]} {center[1]} {BODY_HEIGHT / 2}" mass="{body.params.total_mass}"
+       fullinertia="{ixx} {iyy} {izz} {ixy} 0 0"/>{feet}{walls}{plates}
+    </body>
+    {rims}
+    <body pos="0 0 0" gravcomp="1">
+      <inertial pos="0 0 0" mass="{PUSHER_MASS}" diaginertia="1 1 1"/>
+      <joint type="slide" axis="1 0 0" armature="{PUSHER_INERTIA}"/>
+      <joint type="slide" axis="0 1 0" armature="{PUSHER_INERTIA}"/>
+      <joint type="slide" axis="0 0 1" damping="1"/>
+      <geom name="pusher" type="capsule" size="{radius - WALL_RADIUS} {PUSHER_HALF_LENGTH}"/>
+    </body>
+  </worldbody>
+  <contact>{pairs}</contact>
+</mujoco>"""
+
+
+def _set_contacts(model: "mujoco.MjModel", body: TruthBody) -> None:
+    """Gives feet, walls and edges their stiffness."""
+    weight = np.array([body.params.total_mass * GRAVITY])
+    foot, pusher = (float(value) for value in model.body_invweight0[1:, 0])
+    names = [model.pair(i).name for i in range(model.npair)]  # MuJoCo sorts them
+    feet = [names.index(f"foot{i}") for i in range(len(body.load))]
+    walls, edges = ([i for i, name in enumerate(names) if name.startswith(kind)] for kind in ("wall", "edge"))
+    _set_springs(model, feet, body.load, body.sinkage, foot)
+    _set_springs(model, walls, weight, PUSHER_SINKAGE, foot + pusher)
+    _set_springs(model, edges, weight / EDGE_BEARING, body.sinkage, foot)
+
+
+def _set_springs(model: "mujoco.MjModel", rows: list[int], load: Array, sinkage: float, inverse: float) -> None:
+    """Lets pairs of geoms give way by `sinkage` under a load; `inverse` is the inertia that MuJoCo takes for granted.
+
+    The force is stiffness times depth, at any depth, as the impedance does not vary with it.
+    """
+    impedance = np.maximum(inverse / (inverse + REGULARIZATION / load), MIN_IMPEDANCE)
+    stiffness = load / sinkage
+    damping = 2 * DAMPING_RATIO * load / np.sqrt(sinkage * GRAVITY)
+    scale = inverse * (1 - impedance)
+    model.pair_solref[rows] = np.column_stack([-stiffness * scale, -damping * scale])
+    model.pair_solreffriction[rows] = np.column_stack([-np.ones_like(load), -SLIP_DAMPING * impedance])
+    model.pair_solimp[rows, :2] = impedance[:, None]

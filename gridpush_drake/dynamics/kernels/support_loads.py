@@ -1,0 +1,353 @@
+"""How the body loads the table: what each cell bears of the weight W, while it is pushed and over a table's edge.
+
+At rest on the table the cells bear N_i0 = m_i g, with their center at the center of mass c. Friction F, which acts at
+the table's height against a force at height h, moves the center that equilibrium asks for; beyond the edge nothing is
+borne (sigma_i, the share of a cell on the table). Of all loads in equilibrium, those nearest to N_i0 sigma_i,
+
+    min_N  sum_i N_i log(N_i / (N_i0 sigma_i))    s.t.  sum N_i = W,    sum N_i p_i = W p*,    p* = c + h F / W
+
+are an exponential tilt, N_i = W w_i with
+
+    w_i = m_i sigma_i exp(b·p_i) / S,    S = sum_j m_j sigma_j exp(b·p_j),    sum_i w_i p_i + delta(b) = p*
+
+where delta, nothing to speak of while a cell s is small against 1/|b|, lets the center come up to the edges of the
+outermost squares, and not only to their middles:
+
+    delta_a = s/2 phi(b_a s/2),    phi(x) = eps x / sqrt(1 + x²) + (1 - eps) x⁵ / (1 + |x|⁵)
+    p_bar = sum_i w_i p_i,    A = sum_i w_i (p_i - p_bar)(p_i - p_bar)^T + diag(s²/4 phi'(b_a s/2))
+
+The left side is the gradient of a convex function of b, so Newton's method finds it. Where p* is outside what bears,
+there is none: the body tips. F is the friction of the step before: in the same step it would be the same but for O(dt).
+
+With k_i = mu_i W w_i what the cell's friction carries, f_i = dg/dk_i and G0 = sum f_i k_i, G1 = sum f_i k_i (p_i -
+p_bar)^T, the friction's force varies at a given twist by
+
+    db = A^-1 [dp* - sum_i w_i (p_i - p_bar)(dlog m_i + dlog sigma_i)]
+    df = sum_i f_i k_i (dlog mu_i + dlog m_i + dlog sigma_i) + G0 (dlog W - sum_i w_i (dlog m_i + dlog sigma_i)) + G1 db
+    dp* = dc + h dF / W + F dh / W - (p* - c) dlog W
+"""
+
+from math import exp, sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gridpush_drake.dynamics.kernels.compiled import kernel
+
+_NEWTON_LIMIT = 60
+_TOLERANCE = 1e-10  # of the cells' reach: the center of the loads against p*
+_LONGEST_STEP = 2.0  # of b times the cells' reach: exp(b·p) then stays in proportion
+_STEEPEST = 200.0  # of b times the cells' reach, beyond which no loads are looked for
+_SHARE = 0.01  # eps: keeps A regular where the cells are in a line
+
+
+class Support(NamedTuple):
+    """What the loads depend on.
+
+    Attributes:
+        active: whether loads shift at all; otherwise every cell bears its own weight.
+        mass, friction: (n,) m_i, kg, and mu_i.
+        weight: W, N.
+        com_x, com_y: c, m.
+        height: h, m.
+        reach: of the cells' centers from B's origin, m.
+        xs, ys: the x and the y that occur among the cells, m.
+        column, row: (n,) which of them are each cell's.
+        table: (K, 4) edges of the table's top, (ax, ay, bx, by) in W, counterclockwise, m; none where it is endless.
+    """
+
+    active: bool
+    mass: Any
+    friction: Any
+    weight: float
+    com_x: float
+    com_y: float
+    height: float
+    reach: float
+    xs: Any
+    ys: Any
+    column: Any
+    row: Any
+    table: Any
+
+
+class Loads(NamedTuple):
+    """The loads of a step, and how they vary; body frame.
+
+    Attributes:
+        exp_x, exp_y: workspace, exp of b along the cells' xs and ys.
+        share: (n,) w_i / m_i, 1/kg.
+        slope: (n, 3) d sigma_i by the pose seen from the body, times w_i / sigma_i.
+        tilt: (2,) b, 1/m.
+        friction: (2,) F, N.
+        shift: (2,) F / W of the step before.
+        center: (2,) p*, m.
+        mean: (2,) p_bar, m.
+        inverse: (2, 2) A^-1, 1/m².
+        by_pose: (3, 3) df by the pose seen from the body.
+        by_force: (3, 2) df by F.
+        by_tilt: (3, 2) G1.
+        total: (3,) G0.
+        H: (2, 3) of the friction's Hessian its first two rows.
+    """
+
+    exp_x: Any
+    exp_y: Any
+    share: Any
+    slope: Any
+    tilt: Any
+    friction: Any
+    shift: Any
+    center: Any
+    mean: Any
+    inverse: Any
+    by_pose: Any
+    by_force: Any
+    by_tilt: Any
+    total: Any
+    H: Any
+
+
+@kernel()
+def make_loads(support):
+    """Makes room for the loads of all cells."""
+    n = support.mass.shape[0]
+    return Loads(
+        np.zeros(support.xs.shape[0]), np.zeros(support.ys.shape[0]), np.zeros(n), np.zeros((n, 3)),
+        np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros((2, 2)),
+        np.zeros((3, 3)), np.zeros((3, 2)), np.zeros((3, 2)), np.zeros(3), np.zeros((2, 3)),
+    )  # fmt: skip
+
+
+@kernel(allocates=False)
+def find_loads(support, cells, cell_size, state, loads, k):
+    """Calculates what the cells bear.
+
+    Args:
+        support: `Support`.
+        cells: (2, n) cell centers, m.
+        cell_size: m.
+        state: `State`, where the body is.
+        loads: `Loads`; tilt and friction of the step before in, share, slope, tilt, center, mean and inverse out.
+        k: (n,) out: the friction each cell can carry, N.
+
+    Returns:
+        Whether there are such loads: False where the body tips. `k` is then that of the steepest tilt tried.
+    """
+    n, mass, reach = cells.shape[1], support.mass, support.reach
+    share, slope, center = loads.share, loads.slope, loads.center
+    near = _cover(support.table, cells, cell_size, reach, state, share, slope)
+    weight = support.weight
+    loads.shift[0], loads.shift[1] = loads.friction[0] / weight, loads.friction[1] / weight
+    center[0] = support.com_x + support.height * loads.shift[0]
+    center[1] = support.com_y + support.height * loads.shift[1]
+    found, S = _find_tilt(support, cells, cell_size, loads)
+    if support.table.shape[0] > 0:
+        x = state.x + state.c * center[0] - state.s * center[1]
+        y = state.y + state.s * center[0] + state.c * center[1]
+        found = found and _measure_depth(support.table, x, y)[0] > 0.0
+    scale = 1.0 / S if S > 0.0 else 0.0
+    for i in range(n):
+        across = scale * loads.exp_x[support.column[i]] * loads.exp_y[support.row[i]]
+        if near:
+            for j in range(3):
+                slope[i, j] *= mass[i] * across
+        share[i] *= across
+        k[i] = support.friction[i] * weight * mass[i] * share[i]
+    return found
+
+
+@kernel(allocates=False)
+def _cover(table, cells, cell_size, reach, state, covered, slope):
+    """Fills in sigma_i, from 0 to 1 over a cell's size across the edge, and its slope; returns whether that is near."""
+    n = cells.shape[1]
+    covered[:] = 1.0
+    near = False
+    if table.shape[0] > 0:
+        slope[:, :] = 0.0
+        inside, nx, ny = _measure_depth(table, state.x, state.y)
+        near = inside < reach + cell_size
+        if near:
+            for i in range(n):
+                px, py = cells[0, i], cells[1, i]
+                x, y = state.x + state.c * px - state.s * py, state.y + state.s * px + state.c * py
+                depth, nx, ny = _measure_depth(table, x, y)
+                covered[i] = min(max(0.5 + depth / cell_size, 0.0), 1.0)
+                if 0.0 < covered[i] < 1.0:
+                    bx, by = state.c * nx + state.s * ny, -state.s * nx + state.c * ny
+                    slope[i, 0], slope[i, 1] = bx / cell_size, by / cell_size
+                    slope[i, 2] = (px * by - py * bx) / cell_size
+    return near
+
+
+@kernel(allocates=False)
+def _measure_depth(table, x, y):
+    """How far a point is inside the table's edge, m, negative beyond it, and the direction in which that grows."""
+    nearest = np.inf
+    inside = on_edge = False
+    nx = ny = 0.0
+    for e in range(table.shape[0]):
+        ax, ay, bx, by = table[e, 0], table[e, 1], table[e, 2], table[e, 3]
+        ex, ey = bx - ax, by - ay
+        rx, ry = x - ax, y - ay
+        if (ay > y) != (by > y) and rx < ry * ex / ey:
+            inside = not inside
+        along = (rx * ex + ry * ey) / (ex * ex + ey * ey)
+        clipped = min(max(along, 0.0), 1.0)
+        rx -= clipped * ex
+        ry -= clipped * ey
+        distance2 = rx * rx + ry * ry
+        if distance2 < nearest:
+            nearest = distance2
+            on_edge = along == clipped
+            nx, ny = (-ey, ex) if on_edge else (rx, ry)
+    size = sqrt(nx * nx + ny * ny)
+    if not (on_edge or inside):
+        size = -size
+    distance = sqrt(nearest)
+    return (distance if inside else -distance), nx / size, ny / size
+
+
+@kernel(allocates=False)
+def _find_tilt(support, cells, cell_size, loads):
+    """Finds b from the last step's by Newton's method; returns whether it exists, and S at the last b tried."""
+    reach, exp_x, exp_y = support.reach, loads.exp_x, loads.exp_y
+    center, tilt, mean, inverse = loads.center, loads.tilt, loads.mean, loads.inverse
+    S = 0.0
+    half = cell_size / 2.0
+    for _ in range(_NEWTON_LIMIT):
+        b0, b1 = tilt[0], tilt[1]
+        for i in range(exp_x.shape[0]):
+            exp_x[i] = exp(b0 * (support.xs[i] - center[0]))
+        for i in range(exp_y.shape[0]):
+            exp_y[i] = exp(b1 * (support.ys[i] - center[1]))
+        S, sx, sy, sxx, sxy, syy = _sum_moments(support, cells, loads)
+        if not S > 0.0:
+            break
+        sx, sy = sx / S, sy / S
+        delta_x, bend_x = _reach_out(b0 * half)
+        delta_y, bend_y = _reach_out(b1 * half)
+        xx = sxx / S - sx * sx + half * half * bend_x
+        yy = syy / S - sy * sy + half * half * bend_y
+        xy = sxy / S - sx * sy
+        det = xx * yy - xy * xy
+        mean[0], mean[1] = sx + center[0], sy + center[1]
+        inverse[0, 0], inverse[1, 1] = yy / det, xx / det
+        inverse[0, 1] = inverse[1, 0] = -xy / det
+        off_x, off_y = -(sx + half * delta_x), -(sy + half * delta_y)
+        if abs(off_x) + abs(off_y) <= _TOLERANCE * reach:
+            return True, S
+        step_x = inverse[0, 0] * off_x + inverse[0, 1] * off_y
+        step_y = inverse[1, 0] * off_x + inverse[1, 1] * off_y
+        length = sqrt(step_x * step_x + step_y * step_y) * reach
+        if length > _LONGEST_STEP:
+            step_x, step_y = step_x * _LONGEST_STEP / length, step_y * _LONGEST_STEP / length
+        b0, b1 = b0 + step_x, b1 + step_y
+        if not (sqrt(b0 * b0 + b1 * b1) * reach < _STEEPEST):
+            break
+        tilt[0], tilt[1] = b0, b1
+    return False, S
+
+
+@kernel(allocates=False, fast_sums=True)
+def _sum_moments(support, cells, loads):
+    """Sums m_i sigma_i exp(b·(p_i - p*)) times 1, x, y, x², x y and y², with (x, y) = p_i - p*."""
+    mass, column, row = support.mass, support.column, support.row
+    covered, exp_x, exp_y, cx, cy = loads.share, loads.exp_x, loads.exp_y, loads.center[0], loads.center[1]
+    px, py = cells[0], cells[1]
+    S = sx = sy = sxx = sxy = syy = 0.0
+    for i in range(px.shape[0]):
+        x, y = px[i] - cx, py[i] - cy
+        w = mass[i] * covered[i] * exp_x[column[i]] * exp_y[row[i]]
+        S += w
+        sx += w * x
+        sy += w * y
+        sxx += w * x * x
+        sxy += w * x * y
+        syy += w * y * y
+    return S, sx, sy, sxx, sxy, syy
+
+
+@kernel(allocates=False)
+def _reach_out(x):
+    """phi(x) and its derivative."""
+    root, fourth = sqrt(1.0 + x * x), x * x * x * x
+    whole = 1.0 + abs(x) * fourth
+    value = _SHARE * x / root + (1.0 - _SHARE) * x * fourth / whole
+    slope = _SHARE / (root * root * root) + (1.0 - _SHARE) * 5.0 * fourth / (whole * whole)
+    return value, slope
+
+
+@kernel(allocates=False)
+def fill_load_columns(support, cells, loads, k, Q, n_other):
+    """Turns f_i = dg/dk_i in rows 6-8 of Q into df by each m_i and, where there is room, by h and each mu_i.
+
+    Args:
+        support: `Support`.
+        cells: (2, n) cell centers, m.
+        loads: `Loads`; by_pose, by_force, by_tilt and total are filled.
+        k: (n,) the step's, N.
+        Q: (11, width) see `forward_sensitivity`; rows 6-8 hold f_i in the first n columns.
+        n_other: columns between those of the masses and h.
+    """
+    n, mass, mu = cells.shape[1], support.mass, support.friction
+    G0, G1, inverse, mean, center = loads.total, loads.by_tilt, loads.inverse, loads.mean, loads.center
+    G0[:] = 0.0
+    G1[:, :] = 0.0
+    by_pose, by_force = loads.by_pose, loads.by_force
+    by_pose[:, :] = 0.0
+    weight = support.weight
+    for i in range(n):
+        for j in range(3):
+            force = Q[6 + j, i] * k[i]
+            G0[j] += force
+            G1[j, 0] += force * (cells[0, i] - mean[0])
+            G1[j, 1] += force * (cells[1, i] - mean[1])
+    # G1 A^-1: the force by the center of the loads
+    for j in range(3):
+        a, b = G1[j, 0], G1[j, 1]
+        G1[j, 0], G1[j, 1] = a * inverse[0, 0] + b * inverse[1, 0], a * inverse[0, 1] + b * inverse[1, 1]
+        by_force[j, 0], by_force[j, 1] = G1[j, 0] * support.height / weight, G1[j, 1] * support.height / weight
+    for i in range(n):
+        arm_x, arm_y = cells[0, i] - mean[0], cells[1, i] - mean[1]
+        for j in range(3):
+            # df by w_i sigma_i' at a given twist
+            force = mu[i] * weight * Q[6 + j, i] - G0[j] - G1[j, 0] * arm_x - G1[j, 1] * arm_y
+            for m in range(3):
+                by_pose[j, m] += force * loads.slope[i, m]
+    shift_x, shift_y = center[0] - support.com_x, center[1] - support.com_y
+    width = Q.shape[1]
+    whole = mass.sum()
+    frictions = n + n_other + 1
+    if width > n + n_other:
+        h = n + n_other
+        for j in range(3):
+            Q[6 + j, h] = G1[j, 0] * loads.shift[0] + G1[j, 1] * loads.shift[1]
+    for i in range(n):
+        w = loads.share[i]
+        dx = (cells[0, i] - support.com_x - shift_x) / whole - w * (cells[0, i] - mean[0])
+        dy = (cells[1, i] - support.com_y - shift_y) / whole - w * (cells[1, i] - mean[1])
+        for j in range(3):
+            f = Q[6 + j, i]
+            if width > frictions:
+                Q[6 + j, frictions + i] = f * weight * mass[i] * w
+            Q[6 + j, i] = f * mu[i] * weight * w + G0[j] * (1.0 / whole - w) + G1[j, 0] * dx + G1[j, 1] * dy
+
+
+@kernel(allocates=False, fast_sums=True)
+def add_load_variations(loads, Q):
+    """Adds to the forces in rows 6-8 of Q what the pose (rows 0-2) and the last friction (rows 9-10) do to the loads.
+
+    The sum of them, x and y, then stands in the rows of F, where the step is to be added.
+    """
+    P, R = loads.by_pose, loads.by_force
+    s0, s1, s2, F0, F1 = Q[0], Q[1], Q[2], Q[9], Q[10]
+    for j in range(3):
+        p0, p1, p2, r0, r1 = P[j, 0], P[j, 1], P[j, 2], R[j, 0], R[j, 1]
+        f = Q[6 + j]
+        for c in range(f.shape[0]):
+            f[c] += p0 * s0[c] + p1 * s1[c] + p2 * s2[c] + r0 * F0[c] + r1 * F1[c]
+    for j in range(2):
+        F, f = Q[9 + j], Q[6 + j]
+        for c in range(f.shape[0]):
+            F[c] = f[c]

@@ -1,0 +1,117 @@
+"""Bodies in MuJoCo bear, rub and shift their loads as each kind is said to."""
+
+import numpy as np
+import pytest
+from shapely import LineString
+
+from gridpush_drake.bench.truth_sets import KINDS, draw_masses, make_body, make_set, read_set, write_set
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulation import GRAVITY, simulate
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.geometry.se2 import rotate
+
+pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
+
+from gridpush_drake.bench.mujoco_truth import BODY_HEIGHT, TruthWorld
+
+RADIUS = 0.01
+
+
+def make_world(kind, name="claw_hammer", seed=0):
+    rng = np.random.default_rng(seed)
+    obj, params = draw_masses(name, rng)
+    return TruthWorld(make_body(kind, obj, params, rng), RADIUS)
+
+
+def make_push(obj, place, distance=0.05):
+    return Push.on_outline(obj, place, 0.1, distance, radius=RADIUS, speed=0.05)
+
+
+def calc_shift(world, push):
+    """How far the load's center is from the center of mass at the push's end, along the push."""
+    world.put((0, 0, 0))
+    world.push(push)
+    theta = world.read_pose()[2]
+    loads = world.read_loads()
+    center = world.body.feet.T @ loads / loads.sum() - world.body.params.center_of_mass(world.body.obj)
+    ahead = np.asarray(push.velocity) / np.linalg.norm(push.velocity)
+    return float(ahead @ rotate(theta, center))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_loads_at_rest_are_in_equilibrium(kind):
+    world = make_world(kind)
+    params, feet = world.body.params, world.body.feet
+    weight = params.total_mass * GRAVITY
+    assert world.foot_loads.sum() == pytest.approx(weight, rel=1e-4)
+    center = world.foot_loads @ feet / world.foot_loads.sum()
+    world.put((0, 0, 0))
+    leaning = BODY_HEIGHT / 2 * world.read_tilt()  # the center of mass is above the feet
+    np.testing.assert_allclose(center, params.center_of_mass(world.body.obj), atol=1.01 * leaning + 1e-7)
+    bearing = int((world.foot_loads > 1e-3 * weight).sum())
+    expected = {"vertices": range(3, 8), "three_feet": [3], "foundation": range(20, 126)}
+    assert bearing in expected.get(kind, [world.body.obj.n])
+
+
+def test_each_cell_bears_its_own_weight_and_moves_as_the_model_says():
+    world = make_world("own_weight")
+    obj, params = world.body.obj, world.body.params
+    np.testing.assert_allclose(world.loads, params.mass * GRAVITY, rtol=1e-6)
+    push = make_push(obj, 0.1)
+    world.put((0, 0, 0))
+    motion = world.push(push)
+    expected = simulate(obj, params, push, regime="quasi_static").final_pose
+    apart = np.linalg.norm(obj.cells_at(motion.poses[-1]) - obj.cells_at(expected), axis=1).mean()
+    moved = np.linalg.norm(obj.cells_at(motion.poses[-1]) - obj.p_BC, axis=1).mean()
+    assert moved > 0.02
+    assert apart < 3e-4
+    assert abs(calc_shift(world, push)) < 3e-4
+
+
+def test_pushed_above_the_table_the_load_moves_forward_by_h_f_over_w():
+    world = make_world("three_feet", "toolbox")
+    obj, mu = world.body.obj, float(world.body.params.friction[0])
+    x, low = world.body.params.center_of_mass(obj)[0], obj.outline.bounds[1]
+    below = LineString([(x, low - 1), (x, 1)]).intersection(obj.outline.exterior).geoms[0]
+    place = obj.outline.exterior.project(below)
+    push = Push.on_outline(obj, place, 0.0, 0.03, radius=RADIUS, speed=0.03)
+    # pushed through its center of mass, it slides straight: all friction is against the push
+    assert calc_shift(world, push) == pytest.approx(mu * world.body.push_height, rel=0.15)
+
+
+def test_a_force_below_friction_moves_nothing():
+    world = make_world("own_weight")
+    params, data = world.body.params, world._data
+    world.put((0, 0, 0))
+    center = params.center_of_mass(world.body.obj)
+    force = 0.95 * params.friction[0] * params.total_mass * GRAVITY
+    data.qpos[7:9] = 0.0, 5.0
+    data.qfrc_applied[[0, 5]] = force, -center[1] * force
+    for _ in range(1000):
+        world._mujoco.mj_step(world._model, data)
+    assert np.abs(world.read_pose()).max() < 5e-5
+    data.qfrc_applied[:] *= 1.1 / 0.95
+    for _ in range(500):
+        world._mujoco.mj_step(world._model, data)
+    assert world.read_pose()[0] > 0.02
+
+
+def test_a_set_is_reproducible_and_written_whole(tmp_path):
+    made, again = (make_set("three_feet", "claw_hammer", 1, training=1, held_out=1) for _ in range(2))
+    assert made.training[0].name == "push_1"
+    np.testing.assert_array_equal(made.held_out[0].final_pose, again.held_out[0].final_pose)
+    write_set(made, tmp_path / "set")
+    read = read_set(tmp_path / "set")
+    assert (read.obj.labels == 1).all()
+    assert (read.kind, read.name, read.seed, read.push_height) == ("three_feet", "claw_hammer", 1, BODY_HEIGHT / 2)
+    np.testing.assert_array_equal(read.held_out[0].final_pose, made.held_out[0].final_pose)
+    np.testing.assert_array_equal(read.loads, made.loads)
+    np.testing.assert_array_equal(read.center_of_mass, made.center_of_mass)
+    (tmp_path / "set" / "truth.json").write_text("{}")
+    with pytest.raises(GridPushError, match=r"truth\.json: expected a truth"):
+        read_set(tmp_path / "set")
+
+
+def test_refuses_an_unknown_kind():
+    with pytest.raises(GridPushError, match="kind: 'jelly'"):
+        make_set("jelly", "claw_hammer", 0)
