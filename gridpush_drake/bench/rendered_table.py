@@ -40,6 +40,7 @@ from trimesh.exchange.obj import export_obj
 
 from gridpush_drake.multibody.meshcat_shapes import make_outline_mesh
 from gridpush_drake.perception import Camera, Frame
+from gridpush_drake.perception.camera import DRAKE_PIXEL_MIDDLE
 
 RENDERER = "vtk"
 TABLE, THICKNESS = 1.6, 0.02
@@ -97,7 +98,8 @@ class RenderedTable:
             self._add(self._arm, Box(*HAND), ARM_COLOR, ARM_LABEL, [0, 0, HAND_HEIGHT])
         self._context = self._scene.CreateDefaultContext()
         K = camera.K
-        info = CameraInfo(camera.width, camera.height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+        center = K[:2, 2] + DRAKE_PIXEL_MIDDLE
+        info = CameraInfo(camera.width, camera.height, K[0, 0], K[1, 1], *center)
         core = RenderCameraCore(RENDERER, info, ClippingRange(NEAR, FAR), RigidTransform())
         self._color_camera = ColorRenderCamera(core, False)
         self._depth_camera = DepthRenderCamera(core, DepthRange(NEAR, FAR))
@@ -141,7 +143,7 @@ class RenderedTable:
 
     def _add(self, frame: FrameId | None, shape: Shape, color: ArrayLike, label: int, at: ArrayLike) -> None:
         properties = PerceptionProperties()
-        properties.AddProperty("phong", "diffuse", Rgba(*color, 1.0))
+        properties.AddProperty("phong", "diffuse", Rgba(*np.asarray(color, dtype=np.float64), 1.0))
         properties.AddProperty("label", "id", RenderLabel(label))
         name = f"{type(shape).__name__}_{label}"
         instance = GeometryInstance(RigidTransform(np.asarray(at, dtype=np.float64)), shape, name)

@@ -308,6 +308,34 @@ def drake(
     _show(tables, out, force, json)
 
 
+@app.command("perception")
+def perception(
+    data: Annotated[
+        Path | None,
+        typer.Option(
+            "--data", metavar="DIR", help="Real photographs too: a folder with NAME_color.png, NAME_depth.png and"
+            " NAME_label.pgm.",
+        ),
+    ] = None,
+    quick: Quick = False,
+    objects: Objects = None,
+    seed: options.Seed = 0,
+    workers: Workers = WORKERS,
+    results: KeptIn = None,
+    out: Out = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:  # fmt: skip
+    """Find objects in photographs, real and rendered, and track them while they are pushed."""
+    from gridpush_drake.bench.perception import run
+
+    _check((out,), force)
+    settings = {"data": _resolve(data), "quick": quick, "objects": objects, "seed": seed}
+    with _run_bench("perception", settings, results, workers, force) as execution:
+        tables = run(data, objects, seed=seed, quick=quick, execution=execution)
+    _show(tables, out, force, json)
+
+
 @contextmanager
 def _run_bench(
     bench: str, settings: dict[str, Any], path: Path | None, workers: int, force: bool

@@ -17,6 +17,7 @@ import typer
 
 from gridpush_drake.cli import (
     bench,
+    calibrate,
     demo,
     export,
     identify,
@@ -27,6 +28,7 @@ from gridpush_drake.cli import (
     show,
     simulate,
     slide,
+    track,
     view,
 )
 from gridpush_drake.cli import object as object_from_photo
@@ -66,6 +68,8 @@ app.command("export")(export.export)
 app.command("view")(view.view)
 app.command("slide")(slide.slide)
 app.command("object")(object_from_photo.make_object)
+app.command("calibrate")(calibrate.calibrate)
+app.command("track")(track.track)
 app.command("record")(record.record)
 app.add_typer(import_logs.app, name="import")
 app.add_typer(bench.app, name="bench")

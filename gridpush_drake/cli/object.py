@@ -102,7 +102,7 @@ def _find_tag(photo: Path, color: "Color", found: "DetectedObject", tag: int, si
     from gridpush_drake.objects.object_file import TagSchema
     from gridpush_drake.perception import detect_tags, solve_tag_to_body
 
-    tags = detect_tags(color, found.camera, size)
+    tags = detect_tags(color, found.camera, size, found.height)
     if tag not in tags:
         there = ", ".join(map(str, sorted(tags))) or "none"
         raise TagError(f"{photo}: tag {tag} is not in view; there are: {there}", found.picture)

@@ -43,6 +43,9 @@ UNDISTORT_ITERATIONS, UNDISTORT_EPSILON = 50, 1e-12
 DRAKE_SIZE, DRAKE_FOV = (640, 480), 45.0
 """Of drake::systems::sensors::CameraConfig where it leaves them out: pixels; degrees along y."""
 
+DRAKE_PIXEL_MIDDLE = 0.5
+"""Where Drake's renderer has the middle of the upper left pixel, along x and y, pixels; here it is at 0."""
+
 STRAIGHT_ANGLE = 180.0
 """Degrees."""
 
@@ -332,7 +335,7 @@ def _read_drake(data: dict[str, Any]) -> dict[str, Any]:
     if data.get("X_BD", {}) != data.get("X_BC", {}):
         raise CameraError("X_BD is not X_BC; expected depth and color from the same place")
     X_WC = _read_transform(data, "X_PB") @ _read_transform(data, "X_BC")
-    K = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
+    K = [[fx, 0.0, cx - DRAKE_PIXEL_MIDDLE], [0.0, fy, cy - DRAKE_PIXEL_MIDDLE], [0.0, 0.0, 1.0]]
     return {"width": width, "height": height, "K": K, "distortion": np.zeros(0), "X_WC": X_WC}
 
 

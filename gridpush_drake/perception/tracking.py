@@ -11,8 +11,9 @@ have no part. The covariance is the inverse of the information left, sum w_i J_i
 errors neighbors share: what no edge tells, such as the angle of a disc, keeps the prior's width.
 """
 
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -371,7 +372,7 @@ class PoseTracker:
         offsets, state = measure_edges(view.coverage, view.covered, pixels - view.corner, rows.normals, reach, step)
         found = np.isfinite(offsets)
         visible = found | (state != COVERED)
-        inside = _sample(view.coverage, pixels - view.corner - reach * rows.normals)
+        inside = sample_image(view.coverage, pixels - view.corner - reach * rows.normals)
         share = found.sum() / max(1, visible.sum())
         hold = float((inside[visible] > HALF).mean()) if visible.any() else 0.0
         J, d = rows.J[found], offsets[found]
@@ -486,8 +487,8 @@ def measure_edges(
     """
     offsets = np.arange(-reach, reach + step / 2, step)
     places = pixels[:, None] + offsets[:, None] * normals[:, None]
-    levels = _sample(coverage, places)
-    hidden = _sample(covered.astype(np.float32), places) > 0
+    levels = sample_image(coverage, places)
+    hidden = sample_image(covered.astype(np.float32), places) > 0
     falls = (levels[:, :-1] > HALF) & (levels[:, 1:] <= HALF)
     falls &= ~(hidden[:, :-1] | hidden[:, 1:])
     drop = np.maximum(levels[:, :-1] - levels[:, 1:], np.finfo(np.float32).eps)
@@ -501,11 +502,11 @@ def measure_edges(
     return nearest, np.where(np.isfinite(nearest), FOUND, np.where(unseen, COVERED, MISSING))
 
 
-def _sample(image: NDArray[np.float32], places: Array) -> NDArray[np.float32]:
-    """Values of an image at places (..., 2), linear between pixels; 0 outside."""
+def sample_image(image: NDArray[Any], places: Array) -> NDArray[np.float32]:
+    """Finds the values of an image (height, width) at places (..., 2), linear between pixels; 0 outside."""
     flat = places.reshape(-1, 1, 2).astype(np.float32)
     values = [
-        cv2.remap(image, flat[i : i + MAX_REMAP], None, cv2.INTER_LINEAR)  # type: ignore[call-overload]
+        cv2.remap(image.astype(np.float32), flat[i : i + MAX_REMAP], None, cv2.INTER_LINEAR)  # type: ignore[call-overload]
         for i in range(0, len(flat), MAX_REMAP)
     ]
     return np.concatenate(values).reshape(places.shape[:-1])
@@ -513,3 +514,26 @@ def _sample(image: NDArray[np.float32], places: Array) -> NDArray[np.float32]:
 
 MAX_REMAP = 32_000
 """Places that OpenCV looks up in one go."""
+
+
+def track_object(
+    tracker: PoseTracker, frames: Iterable[Frame], unseen: Callable[[Frame], Mask | None] | None = None
+) -> Iterator[tuple[Frame, TrackedPose]]:
+    """Finds an object in frame after frame.
+
+    Args:
+        tracker: of the object.
+        frames: in order of time; the first shows all of the object.
+        unseen: says of each what something covers; None where nothing is known to.
+
+    Yields:
+        Each frame, and what it told.
+
+    Raises:
+        PerceptionError: as `PoseTracker.start`, of the first frame.
+    """
+    state = None
+    for frame in frames:
+        state = tracker.start(frame) if state is None else state
+        state, tracked = tracker.track(state, frame, unseen(frame) if unseen is not None else None)
+        yield frame, tracked

@@ -75,3 +75,39 @@ def calc_outline_error(found: Polygon, true: Polygon) -> float:
         return np.mean([b.exterior.distance(p) for p in points])
 
     return (one_way(found, true) + one_way(true, found)) / 2
+
+
+TAG_PIXELS = 40
+"""Of a bit of a tag that is to be painted."""
+
+
+def paint_tag(color, camera, number, corners, seed=0):
+    """The photograph with an AprilTag 36h11 whose corners (4, 3) are in W, and white about it."""
+    family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    side = 8 * TAG_PIXELS
+    tag = np.pad(cv2.aruco.generateImageMarker(family, number, side), TAG_PIXELS, constant_values=255)
+    middle = corners.mean(axis=0)
+    low, high = -0.5, side + 2 * TAG_PIXELS - 0.5
+    square = np.array([[low, low], [high, low], [high, high], [low, high]])
+    rows, columns = np.mgrid[0 : camera.height, 0 : camera.width]
+    fine = (np.arange(FINE) + 0.5) / FINE - 0.5
+    total, weight = np.zeros((camera.height, camera.width)), np.zeros((camera.height, camera.width))
+    outer = middle + (corners - middle) * (10 / 8)
+    to_tag = cv2.getPerspectiveTransform(outer[:, :2].astype(np.float32), square.astype(np.float32))
+    bounds = camera.project(outer)
+    x0, y0 = np.maximum(np.floor(bounds.min(axis=0)).astype(int) - 2, 0)
+    x1, y1 = np.ceil(bounds.max(axis=0)).astype(int) + 3
+    part = (slice(y0, y1), slice(x0, x1))
+    for dx in fine:
+        for dy in fine:
+            pixels = np.stack([columns[part] + dx, rows[part] + dy], -1).astype(float)
+            p_W = camera.cast(pixels, float(middle[2]))
+            places = cv2.perspectiveTransform(p_W.reshape(1, -1, 2), to_tag.astype(float)).reshape(p_W.shape)
+            values = cv2.remap(tag, places.astype(np.float32), None, cv2.INTER_LINEAR, borderValue=0)
+            inside = ((places > low) & (places < high)).all(axis=-1)
+            total[part] += values * inside
+            weight[part] += inside
+    share = (weight / FINE**2)[..., None]
+    shade = 0.85 * total / np.maximum(weight, 1) + 15
+    noise = 2.0 * np.random.default_rng((seed, number)).standard_normal(shade.shape)
+    return np.clip(share * (shade + noise)[..., None] + (1 - share) * color, 0, 255).astype(np.uint8)

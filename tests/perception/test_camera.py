@@ -2,6 +2,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydrake.geometry import (
+    ClippingRange,
+    ColorRenderCamera,
+    GeometryInstance,
+    MakeRenderEngineVtk,
+    PerceptionProperties,
+    RenderCameraCore,
+    RenderEngineVtkParams,
+    RenderLabel,
+    SceneGraph,
+    Sphere,
+)
+from pydrake.math import RigidTransform
+from pydrake.systems.sensors import CameraInfo
 from scipy.spatial.transform import Rotation
 
 from gridpush_drake.errors import CameraError, ImageError
@@ -122,8 +136,8 @@ def test_files_of_ros_and_opencv(tmp_path, text):
 
 def test_drakes_camera_config(tmp_path):
     camera = Camera.read(write(tmp_path, DRAKE))
-    np.testing.assert_allclose(camera.K, [[519.615, 0, 399.5], [0, 519.615, 299.5], [0, 0, 1]], atol=1e-3)
-    np.testing.assert_allclose(camera.cast([399.5, 299.5]), [0.1, 0.2], atol=1e-12)
+    np.testing.assert_allclose(camera.K, [[519.615, 0, 399], [0, 519.615, 299], [0, 0, 1]], atol=1e-3)
+    np.testing.assert_allclose(camera.cast([399, 299]), [0.1, 0.2], atol=1e-12)
     np.testing.assert_allclose(camera.X_WC[:3, 0], [0, 1, 0], atol=1e-12)
 
 
@@ -148,3 +162,24 @@ def test_a_bad_file_is_named_with_its_field(tmp_path, text, message):
     with pytest.raises(CameraError, match=message) as raised:
         Camera.read(path)
     assert str(path) in str(raised.value)
+
+
+def test_drakes_renderer_shows_a_point_where_the_camera_of_the_same_config_would(tmp_path):
+    camera = Camera.read(write(tmp_path, DRAKE))
+    at = np.array([0.16, 0.11, 0.05])
+    scene = SceneGraph()
+    source = scene.RegisterSource("point")
+    scene.AddRenderer("vtk", MakeRenderEngineVtk(RenderEngineVtkParams()))
+    properties = PerceptionProperties()
+    properties.AddProperty("label", "id", RenderLabel(1))
+    point = GeometryInstance(RigidTransform(at), Sphere(0.01), "point")
+    point.set_perception_properties(properties)
+    scene.RegisterAnchoredGeometry(source, point)
+    info = CameraInfo(800, 600, np.radians(60))
+    core = RenderCameraCore("vtk", info, ClippingRange(0.01, 5), RigidTransform())
+    query = scene.get_query_output_port().Eval(scene.CreateDefaultContext())
+    X_WC = RigidTransform(camera.X_WC)
+    image = query.RenderLabelImage(ColorRenderCamera(core, False), scene.world_frame_id(), X_WC)
+    rows, columns = np.nonzero(image.data[..., 0] == 1)
+    assert len(rows) > 100
+    np.testing.assert_allclose([columns.mean(), rows.mean()], camera.project(at), atol=0.2)

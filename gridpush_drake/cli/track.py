@@ -1,0 +1,231 @@
+"""`gridpush track`: a push log from a video, or a folder of images, of an object that is pushed."""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gridpush_drake.cli import options
+from gridpush_drake.cli.console import print_json, print_line
+from gridpush_drake.cli.object import CameraFile, TagSize
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from gridpush_drake.objects.grid_object import GridObject
+    from gridpush_drake.objects.object_file import TagSchema
+    from gridpush_drake.perception import Camera, Frame
+
+    Array = NDArray[np.float64]
+
+TAG = "tag:"
+"""Before a tag's number."""
+
+TIP_FORM = "the header t,tip_x,tip_y[,tip_z] and rows of numbers below it (s, m)"
+ROD = 0.1
+"""Height over the table up to which the tip's rod hides what is behind it, m."""
+
+ROD_MARGIN, ROD_POINTS = 1.3, 24
+"""By which the rod is taken wider than it is, and corners of its round."""
+
+
+def track(
+    video: Annotated[
+        Path, typer.Argument(metavar="VIDEO|FOLDER", help="A video, or a folder of images with times.csv.",
+                             show_default=False)
+    ],
+    camera: CameraFile,
+    object_file: Annotated[
+        str, typer.Option("--object", metavar="OBJECT", help="An object file, as `gridpush object` writes it.")
+    ],
+    tip: Annotated[
+        str,
+        typer.Option(metavar="TIP.csv|tag:ID", help="Where the tip is: t,tip_x,tip_y[,tip_z] on the video's clock, or"
+                     " an AprilTag 36h11 on the pusher."),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="PUSHES.csv", help="The push log to write.")],
+    tip_offset: Annotated[str, typer.Option(metavar="X,Y,Z", help="Of the tip in its tag's frame, m.")] = "0,0,0",
+    tag_size: TagSize = 0.03,
+    height: Annotated[
+        float | None, typer.Option(min=0, help="Of the object, m.", show_default="as its file says, or 0")
+    ] = None,
+    by: Annotated[
+        str, typer.Option(metavar="auto|outline|tag", help="What tells the object's pose; auto: its file's tag.")
+    ] = "auto",
+    picture: Annotated[Path | None, typer.Option(metavar="SEEN.png", help="What was seen first and last.")] = None,
+    stream: Annotated[
+        Path | None, typer.Option(metavar="STREAM.csv", help="Also write all poses, as `gridpush record` reads them.")
+    ] = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:  # fmt: skip
+    """Follow an object through a video and write the pushes in it as a push log."""
+    import numpy as np
+    import shapely
+
+    from gridpush_drake.errors import PushLogError
+    from gridpush_drake.files import check_writable
+    from gridpush_drake.geometry.se2 import transform
+    from gridpush_drake.objects.object_file import read_object_file
+    from gridpush_drake.perception import Camera, draw_outline, write_picture
+    from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
+    from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_pushes, write_stream_csv
+
+    for path in (out, picture, stream):
+        if path is not None:
+            check_writable(path, force)
+    offset = options.parse_numbers("--tip-offset", tip_offset, "x,y,z")
+    seen_by, obj = Camera.read(camera), options.load_object(object_file)
+    seen = read_object_file(options.object_path(object_file)).seen
+    tag = seen.tag if seen is not None else None
+    if by not in ("auto", "outline", "tag") or (by == "tag" and tag is None):
+        raise options.OptionError(f"--by: is {by!r}; expected auto, outline or, where the object's file has one, tag")
+    radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
+    tall = height if height is not None else obj.height or 0.0
+    find_tip = _TipFinder(tip, seen_by, tag_size, np.array(offset))
+    found = _follow_tag if by != "outline" and tag is not None else _follow_outline
+    rows: list[tuple[float, Array, Array]] = []
+    pictures: list[tuple[Frame, Array]] = []
+    for frame, pose in found(video, seen_by, obj, tall, radius, find_tip, tag):
+        rows.append((frame.t, find_tip(frame), pose))
+        if np.isfinite(pose).all():
+            pictures = [*pictures[:1], (frame, pose)]
+    find_tip.check(video, rows)
+    t, tips, poses = (np.array([row[i] for row in rows]) for i in range(3))
+    lost = int((~np.isfinite(poses).all(axis=1)).sum())
+    samples = make_samples(t, tips, calc_velocities(t, tips), poses)
+    if stream is not None:
+        write_stream_csv(samples, stream, force)
+    if picture is not None and pictures:
+        drawn = seen_by.undistort(pictures[-1][0].color)
+        for _, pose in pictures:
+            outline = shapely.transform(obj.outline, lambda points, pose=pose: transform(pose, points))
+            drawn = draw_outline(drawn, seen_by, outline, tall, pose)
+        write_picture(picture, drawn, force)
+    log = record_pushes(samples, obj, radius, source=str(video)).log
+    if not len(log):
+        raise PushLogError(f"{video}: holds no push; the object was seen in {len(t) - lost} of {len(t)} frames")
+    log.write_csv(out, force)
+    if json:
+        print_json({"object": obj.name, "frames": len(t), "lost": lost, "pushes": len(log), "written": str(out)})
+    else:
+        print_line(f"{len(log)} pushes in {len(t)} frames, in {lost} of which the object was not found. Wrote {out}.")
+
+
+class _TipFinder:
+    """Where the tip is in a frame: from a CSV file on the same clock, or from a tag on the pusher."""
+
+    def __init__(self, text: str, camera: "Camera", size: float, offset: "Array") -> None:
+        self.text, self.camera, self.size, self.offset = text, camera, size, offset
+        self.tag = None
+        self.seen: set[int] = set()
+        if text.startswith(TAG):
+            if not text.removeprefix(TAG).isdigit():
+                raise options.OptionError(f"--tip: is {text!r}; expected TIP.csv, or tag:ID, such as tag:7")
+            self.tag = int(text.removeprefix(TAG))
+        else:
+            self.times, self.places = _read_tips(Path(text))
+
+    def __call__(self, frame: "Frame") -> "Array":
+        """(3,) p_WP of the tip, m; NaN where it is not known."""
+        import numpy as np
+
+        if self.tag is None:
+            if not self.times[0] <= frame.t <= self.times[-1]:
+                return np.full(3, np.nan)
+            return np.array([np.interp(frame.t, self.times, self.places[:, i]) for i in range(3)])
+        from gridpush_drake.perception import detect_tags
+
+        tags = detect_tags(frame.color, self.camera, self.size)
+        self.seen |= tags.keys()
+        X_WT = tags[self.tag].X_WT if self.tag in tags else None
+        return np.full(3, np.nan) if X_WT is None else X_WT[:3, :3] @ self.offset + X_WT[:3, 3]
+
+    def check(self, video: Path, rows: list[Any]) -> None:
+        """Raises TagError or PushLogError where the tip was known in no frame."""
+        import numpy as np
+
+        from gridpush_drake.errors import PushLogError, TagError
+
+        if any(np.isfinite(row[1]).all() for row in rows):
+            return
+        if self.tag is not None:
+            there = ", ".join(map(str, sorted(self.seen))) or "none"
+            raise TagError(f"{video}: tag {self.tag} is in no frame; there are: {there}")
+        raise PushLogError(
+            f"{self.text}: its times are {self.times[0]:g} to {self.times[-1]:g} s, the frames' {rows[0][0]:g} to "
+            f"{rows[-1][0]:g} s; expected clocks that overlap"
+        )
+
+
+def _read_tips(path: Path) -> "tuple[Array, Array]":
+    """Times (K,), s, and places (K, 3), m, of the tip."""
+    import csv
+
+    import numpy as np
+
+    from gridpush_drake.errors import PushLogError
+    from gridpush_drake.files import read_text
+
+    lines = list(csv.reader(read_text(path, f"the tip's places: {TIP_FORM}", PushLogError).splitlines()))
+    header = [name.strip() for name in lines[0]] if lines else []
+    if header[:3] != ["t", "tip_x", "tip_y"] or header[3:] not in ([], ["tip_z"]) or len(lines) < 3:
+        raise PushLogError(f"{path}: expected {TIP_FORM}")
+    rows = []
+    for number, line in enumerate(lines[1:], start=2):
+        try:
+            values = [float(cell) for cell in line]
+        except ValueError:
+            values = []
+        if len(values) != len(header) or not all(map(math.isfinite, values)):
+            raise PushLogError(f"{path}, line {number}: is {','.join(line)!r}; expected {TIP_FORM}")
+        rows.append([*values, 0.0][:4])
+    table = np.array(rows)
+    if (np.diff(table[:, 0]) <= 0).any():
+        raise PushLogError(f"{path}: its times do not increase; expected {TIP_FORM}")
+    return table[:, 0], table[:, 1:]
+
+
+def _follow_outline(
+    video: Path, camera: "Camera", obj: "GridObject", height: float, radius: float, find_tip: _TipFinder,
+    tag: "TagSchema | None",
+) -> "Iterator[tuple[Frame, Array]]":  # fmt: skip
+    import cv2
+    import numpy as np
+
+    from gridpush_drake.perception import PoseTracker, read_frames, track_object
+
+    around = np.linspace(0, 2 * np.pi, ROD_POINTS, endpoint=False)
+    circle = ROD_MARGIN * radius * np.column_stack([np.cos(around), np.sin(around)])
+
+    def cover(frame: "Frame") -> "NDArray[np.bool_] | None":
+        place = find_tip(frame)
+        if not np.isfinite(place).all():
+            return None
+        ends = [np.column_stack([place[:2] + circle, np.full(len(circle), place[2] + z)]) for z in (0.0, ROD)]
+        hull = cv2.convexHull(np.round(camera.project(np.concatenate(ends))).astype(np.int32))
+        painted = np.zeros((camera.height, camera.width), np.uint8)
+        cv2.fillConvexPoly(painted, hull, 1)
+        return painted > 0
+
+    tracker = PoseTracker(obj.outline, height, camera)
+    for frame, tracked in track_object(tracker, read_frames(video, camera), cover):
+        yield frame, tracked.pose
+
+
+def _follow_tag(
+    video: Path, camera: "Camera", obj: "GridObject", height: float, radius: float, find_tip: _TipFinder,
+    tag: "TagSchema | None",
+) -> "Iterator[tuple[Frame, Array]]":  # fmt: skip
+    import numpy as np
+
+    from gridpush_drake.geometry.se2 import compose
+    from gridpush_drake.perception import detect_tags, read_frames
+
+    assert tag is not None
+    for frame in read_frames(video, camera):
+        tags = detect_tags(frame.color, camera, tag.size, height)
+        yield frame, compose(tags[tag.id].planar_pose, tag.pose) if tag.id in tags else np.full(3, np.nan)
