@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, LeafSystem, State
 
@@ -21,7 +21,7 @@ from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import HistoryEntry, Identification, calc_center_of_mass
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
 from gridpush_drake.pushes.segmentation import (
     UNUSABLE,
     Episode,
@@ -143,7 +143,7 @@ class GridIdentifier(LeafSystem):
         pusher_radius: float | None = None,
         segmenter: SegmenterOptions | None = None,
         record: RecordOptions | None = None,
-        admit: Callable[[ObservedPush], bool] | None = None,
+        table: ArrayLike | None = None,
         progress: Callable[[HistoryEntry], None] | None = None,
     ) -> None:
         """Declares the system.
@@ -163,7 +163,7 @@ class GridIdentifier(LeafSystem):
                 prior's in `self.obj`, so that the object's file and the log's say the same offline.
             segmenter: other options of finding pushes; its `engaged_below` is replaced by the argument.
             record: options of writing them down; its `pose_delay` where the sensor's poses are old when they are read.
-            admit: whether a push may be learned from, such as one that took place wholly on the table; None admits all.
+            table: (K, 2) corners in W of the table's top, m, which the log carries; None where its edge is far away.
             progress: called now and then while learning.
 
         Raises:
@@ -183,12 +183,12 @@ class GridIdentifier(LeafSystem):
         self._radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
         self._segmenter = replace(segmenter or SegmenterOptions(), engaged_below=engaged_below)
         self._record = record or RecordOptions()
-        self._admit = admit
+        self._no_pushes = PushLog((), SOURCE, table=None if table is None else np.asarray(table))
         self._learning: dict[str, Any] = {
             "method": method, "seed": seed, "regime": regime, "ensemble": ensemble, "progress": progress,
         }  # fmt: skip
         self._prior = _make_estimate(describe_prior(obj, ensemble, seed), None)
-        self._state = self.DeclareAbstractState(AbstractValue.Make(IdentifierState()))
+        self._state = self.DeclareAbstractState(AbstractValue.Make(IdentifierState(log=self._no_pushes)))
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
         self._pusher_state = self.DeclareVectorInputPort("pusher_state", 6)
         self._declare_outputs()
@@ -200,8 +200,7 @@ class GridIdentifier(LeafSystem):
 
     def select(self, log: PushLog) -> PushLog:
         """The pushes of a log that are learned from."""
-        first = log[: self.max_learning_pushes]
-        return first.subset([i for i, seen in enumerate(first) if self._admit is None or self._admit(seen)])
+        return log[: self.max_learning_pushes]
 
     def _declare_outputs(self) -> None:
         def declare(name: str, size: int, calc: Callable[[Estimate], Any]) -> None:
@@ -217,7 +216,7 @@ class GridIdentifier(LeafSystem):
         declare("center_of_mass_covariance", 4, lambda estimate: estimate.center_of_mass_covariance.ravel())
         declare("loss", 1, lambda estimate: [estimate.loss])
         self.DeclareVectorOutputPort("num_pushes", 1, weakly(self._calc_num_pushes), state)
-        found, log = self._prior.found, IdentifierState().log
+        found, log = self._prior.found, self._no_pushes
         self.DeclareAbstractOutputPort(
             "identification", lambda: AbstractValue.Make(found), weakly(self._calc_identification), state
         )

@@ -114,7 +114,7 @@ def run_pregrasp(
         The outcome.
     """
     loop = PreGraspLoop(planner, lambda pose, center_of_mass: None, believe=believe, options=ONE_OBSERVATION)
-    state = run_loop(loop, planner.obj, world, _is_over, learn=learn).state
+    state = run_loop(loop, planner.obj, world, _is_over, learn=learn, surface=world.surface).state
     status = state.status
     if world.fallen:
         return Outcome(False, True, status.pokes, status.slides, status.reason)

@@ -37,6 +37,9 @@ MIN_STICTION = 1e-15
 RELATIVE_STICTION = 1e-7
 """Of the speed of pusher and body; friction is never smoothed less, in either regime."""
 
+MOVED_MOST = 2.0
+"""How far B's origin may go in a slow push, as a multiple of the pusher's path."""
+
 OVERLAP_TOLERANCE = 1e-4
 """m, of pusher and outline at the beginning."""
 
@@ -113,6 +116,8 @@ def simulate(
     if edges is not None and not shapely.contains_xy(shapely.Polygon(edges[:, :2]), *obj.cells_at(q).T).any():
         where = ", ".join(f"{value:g}" for value in q)
         raise SimulationError(f"table: no cell of {obj.name} is on it at the pose ({where}); expected an object on it")
+    if edges is not None and not inertial and isinstance(push, Push) and _stays_clear(obj, edges, q, push):
+        edges = None
     shifted = shifts_loads(params, edges)
     if shifted and gradients == "paper":
         raise SimulationError("gradients: 'paper' knows no shifting loads; expected a push_height of 0 and no table")
@@ -207,6 +212,13 @@ def simulate_batch(
     ]
     with ThreadPoolExecutor(workers) as pool:
         return list(pool.map(lambda job: simulate(obj, job[0], job[1], job[2], **options), jobs))
+
+
+def _stays_clear(obj: GridObject, edges: Array, pose: Array, push: Push) -> bool:
+    """Whether a slow push cannot bring the object to the edge: the pusher goes less far than it is away."""
+    origin = shapely.Point(pose[:2])
+    reach = float(np.linalg.norm(obj.p_BC, axis=1).max()) + obj.cell_size
+    return float(origin.distance(shapely.LinearRing(edges[:, :2]))) > reach + MOVED_MOST * push.length
 
 
 def _get_edges(table: ArrayLike) -> Array:

@@ -57,8 +57,9 @@ def identify(
 
     Args:
         obj: the object.
-        log: the training pushes, with at least one observed pose each after the first; those during which a part of
-            the object hung over the table's edge are passed over.
+        log: the training pushes, with at least one observed pose each after the first. Those during which a part of
+            the object hung over the table's edge are passed over where the log has no table, and by all methods but the
+            default.
         prior: what is known beforehand; `obj.prior` by default.
         method: one of METHODS: "default", the paper's, or a baseline.
         seed: of everything random.
@@ -81,7 +82,7 @@ def identify(
         if value not in known:
             raise IdentificationError(f"{name} is {value!r}; expected one of {', '.join(known)}")
     obj = obj if prior is None else replace(obj, prior=prior)
-    log = _check_log(obj, log)
+    log = _check_log(obj, log if method == "default" else log.on_table)
     used_regime = choose_regime(obj, log) if regime == "auto" else regime
     friction = np.full(obj.n, obj.prior.friction)
     uniform = _make_uniform(obj)

@@ -79,7 +79,7 @@ def predict(obj: GridObject, params: CellParameters, log: PushLog, regime: Regim
         PushLogError: the log cannot be true of the object, see `pushes.plausibility`.
     """
     check_plausible(obj, log, learning=False)
-    return [_predict_push(obj, params, push, regime) for push in log]
+    return [_predict_push(obj, params, push, regime, log.table) for push in log]
 
 
 def calc_pose_error(obj: GridObject, predicted: ArrayLike, observed: ArrayLike) -> PoseError:
@@ -92,8 +92,10 @@ def calc_pose_error(obj: GridObject, predicted: ArrayLike, observed: ArrayLike) 
     )
 
 
-def _predict_push(obj: GridObject, params: CellParameters, push: ObservedPush, regime: Regime) -> Prediction:
-    timed = TimedPush.of(push, regime)
+def _predict_push(
+    obj: GridObject, params: CellParameters, push: ObservedPush, regime: Regime, table: Array | None
+) -> Prediction:
+    timed = TimedPush.of(push, regime, table)
     motion = timed.simulate(obj, params, regime=regime)
     return Prediction(push.name, motion.times, motion.poses, motion.poses[timed.rows], motion.status)
 

@@ -39,21 +39,24 @@ class TimedPush:
         observed: the push.
         times: (T+1,) s from its beginning.
         rows: (K,) the observations' among them.
+        table: (K, 2) corners in W of the table's top, m; None where its edge is far.
     """
 
     observed: ObservedPush
     times: Array
     rows: NDArray[np.int64]
+    table: Array | None = None
 
     @classmethod
-    def of(cls, observed: ObservedPush, regime: Regime) -> "TimedPush":
+    def of(cls, observed: ObservedPush, regime: Regime, table: Array | None = None) -> "TimedPush":
         """Cuts the time at every observation."""
         times = np.union1d(make_path_times(observed.push, regime), observed.t_observed)
-        return cls(observed, times, np.searchsorted(times, observed.t_observed))
+        return cls(observed, times, np.searchsorted(times, observed.t_observed), table)
 
     def simulate(self, obj: GridObject, params: CellParameters, **options: Any) -> Motion:
         """Simulates the push from its first observed pose, with `options` of `simulate`."""
-        return simulate(obj, params, self.observed.push, self.observed.pose, times=self.times, **options)
+        push, pose = self.observed.push, self.observed.pose
+        return simulate(obj, params, push, pose, times=self.times, table=self.table, **options)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +90,7 @@ class PushProblem:
         self.friction = np.asarray(friction, dtype=np.float64)
         self.regime = regime
         self.simulations = 0
-        self._pushes = [TimedPush.of(push, regime) for push in log]
+        self._pushes = [TimedPush.of(push, regime, log.table) for push in log]
         self._centroid = obj.p_BC.mean(axis=0)
         self._rho = obj.radius_of_gyration
 

@@ -77,9 +77,9 @@ class GridObject:
         if not isinstance(self.outline, Polygon) or self.outline.is_empty or not self.outline.is_valid:
             raise ObjectError(f"{self.name}: the outline must be a simple polygon that does not cross itself")
         self._check_size(p_BC)
+        self._check_push_height()
         if self.height is not None and not (np.isfinite(self.height) and self.height > 0):
             raise ObjectError(f"{self.name}: height is {self.height!r}; expected a positive number (m), or none")
-        self._check_push_height()
         for name, value in (("p_BC", p_BC), ("labels", labels)):
             value.setflags(write=False)
             object.__setattr__(self, name, value)

@@ -157,7 +157,7 @@ Learn = Callable[[GridObject, PushLog, Identification | None], Identification | 
 
 @dataclass(frozen=True)
 class Learner:
-    """Learns after every push that took place wholly on the table, beginning where it ended the last time.
+    """Learns after every push, beginning where it ended the last time.
 
     Attributes:
         memory: most pushes, the latest, that are learned from; the cost grows with them.
@@ -168,10 +168,8 @@ class Learner:
     seed: int = 0
 
     def select(self, log: PushLog) -> PushLog:
-        """The pushes that are learned from: the model knows no edge."""
-        return log.subset(
-            [i for i, seen in enumerate(log) if len(seen.t_observed) and not seen.overhang][-self.memory :]
-        )
+        """The pushes that are learned from."""
+        return log.subset([i for i, seen in enumerate(log) if len(seen.t_observed)][-self.memory :])
 
     def __call__(self, obj: GridObject, log: PushLog, before: Identification | None) -> Identification | None:
         """What the pushes say; `before` where there is nothing new to learn from."""
@@ -208,6 +206,7 @@ def run_loop(
     *,
     learn: Learn | None = None,
     goal: Array | None = None,
+    surface: SupportSurface | None = None,
     progress: Callable[[L, ObservedPush, bool], None] | None = None,
 ) -> LoopRun[L]:
     """Steps a loop in a world until it is over.
@@ -219,13 +218,14 @@ def run_loop(
         is_over: whether a state is the last one.
         learn: learns after every push; None never.
         goal: (3,) that the loop is shown; none where None.
+        surface: the table, as whoever learns knows it; None where pushes keep clear of its edge.
         progress: called after every push with the state that asked for it, what was seen, and whether that was learned
             from.
 
     Returns:
         The last state, and what led to it.
     """
-    run = LoopRun(loop.begin())
+    run = LoopRun(loop.begin(), PushLog((), table=None if surface is None else surface.corners))
     time, target = 0.0, UNSEEN if goal is None else goal
     while not is_over(run.state):
         time += loop.options.period

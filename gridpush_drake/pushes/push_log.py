@@ -226,20 +226,27 @@ class PushLog:
         Raises:
             PushLogError: there are pushes, but none of them is such a one.
         """
-        if self.table is not None:
-            return self
+        return self if self.table is not None else self.on_table
+
+    @property
+    def on_table(self) -> "PushLog":
+        """The pushes during which the whole object was on the table, and no table: for models that know no edge.
+
+        Raises:
+            PushLogError: there are pushes, but none of them is such a one.
+        """
         kept = self.subset([i for i, seen in enumerate(self) if not seen.overhang])
         if len(self) and not len(kept):
             raise PushLogError(
                 f"{self.source or 'push log'}: overhang is 1 in every push; expected the column table, or at least "
                 "one push with the whole object on the table"
             )
-        return kept
+        return replace(kept, table=None)
 
     @property
     def overhanging(self) -> "PushLog":
-        """The pushes during which a part of the object hung over the table's edge."""
-        return self.subset([i for i, seen in enumerate(self) if seen.overhang])
+        """The pushes that no model can explain: those over the edge of a table that is not known."""
+        return self.subset([i for i, seen in enumerate(self) if seen.overhang and self.table is None])
 
     def with_radius(self, radius: float) -> "PushLog":
         """The same pushes made by a disc of `radius`, m. Raises PushError where it is not positive."""

@@ -24,7 +24,7 @@ from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp, SideGripper, 
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
 from gridpush_drake.pushes.push_log import ObservedPush
-from gridpush_drake.station.push_station import Learning, MakeFingerRegion, MakePushStation, PushStation
+from gridpush_drake.station.push_station import Learning, MakeFingerRegion, MakePushStation, PushStation, make_surface
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.task import (
     GO_ON,
@@ -33,7 +33,6 @@ from gridpush_drake.station.task import (
     StationTask,
     TaskStatus,
     Waiting,
-    make_surface,
 )
 from gridpush_drake.systems.messages import GraspCommand, PreGraspMode, PreGraspStatus, PushCommand
 from gridpush_drake.systems.pregrasp_controller import PreGraspController
@@ -125,28 +124,6 @@ LIFTED_SHARE = 0.7
 """Of the lift, that the object's lowest point must truly have been raised by to count as held."""
 
 
-@dataclass(eq=False)
-class OnTable:
-    """Whether an object was wholly on the table during a push, as far as it was seen: the model knows no edge.
-
-    It is asked by the station's identifier, and so must hold neither station nor task: neither would ever be freed.
-
-    Attributes:
-        obj: the object; None until the station is made, as is the table.
-        surface: the table.
-    """
-
-    obj: GridObject | None = None
-    surface: SupportSurface | None = None
-
-    def __call__(self, seen: ObservedPush) -> bool:
-        """Whether the model may learn from a push."""
-        assert self.obj is not None
-        assert self.surface is not None
-        poses = np.vstack([seen.pose[None], seen.poses_observed])
-        return bool(find_supported(self.obj, poses, self.surface).all())
-
-
 class PreGraspTask(StationTask[PreGraspRecord]):
     """The station with a controller that explores, slides, grasps and lifts.
 
@@ -172,20 +149,16 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             PlanningError: the object has no graspable part, or the table is smaller than it.
         """
         builder = DiagramBuilder()
-        on_table = OnTable()
-        learning = Learning(admit=on_table)
         self.station: PushStation = builder.AddSystem(
-            MakePushStation(scenario, meshcat, show_object=False, learning=learning)
+            MakePushStation(scenario, meshcat, show_object=False, learning=Learning())
         )
         station = self.station
         if station.others:
             raise ScenarioError("others: the slide to the table's edge knows of none; expected an empty list")
         if station.robot.gripper is None:
             raise ScenarioError("directives: there is no model gripper; expected a scene that can grasp")
-        self.surface = make_surface(station)
+        self.surface = make_surface(station.table_top)
         self.obj = station.obj
-        on_table.obj, on_table.surface = self.obj, self.surface
-        self._on_table = on_table
         self._finder = GraspFinder(station, self.obj, self.surface, station.robot.gripper.make_side_gripper())
         self.planner = PreGraspPlanner(self.obj, self.surface, make_options(station), limits=self._make_limits())
         self.controller = builder.AddNamedSystem("controller", self._make_controller())
@@ -222,8 +195,12 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         """Says of each push whether a part hung over the edge; what was seen counts until the object is grasped."""
         grasped = next((step.time for step in record.steps if step.status.mode == PreGraspMode.GRASPING), np.inf)
         record.sight = record.sight and record.sight.until(grasped)
-        pushes = tuple(replace(seen, overhang=not self._on_table(seen)) for seen in record.log)
+        pushes = tuple(replace(seen, overhang=not self._stayed_on_table(seen)) for seen in record.log)
         record.log = replace(record.log, pushes=pushes)
+
+    def _stayed_on_table(self, seen: ObservedPush) -> bool:
+        poses = np.vstack([seen.pose[None], seen.poses_observed])
+        return bool(find_supported(self.obj, poses, self.surface).all())
 
     def calc_raised(self) -> float:
         """How far the lowest corner of the object is above the table now, m."""

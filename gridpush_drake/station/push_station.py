@@ -4,7 +4,6 @@ The station knows the object's outline. What its cells weigh and how they rub, t
 everything else in the station sees the object through its camera, and the finger's tip through the joints.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -15,6 +14,7 @@ from pydrake.geometry import GeometryId, Meshcat, MeshcatVisualizer, MeshcatVisu
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import LogVectorOutput
+from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import ScenarioError, StationError
@@ -27,7 +27,7 @@ from gridpush_drake.multibody.visual_meshes import AddVisualMeshes, find_drake_m
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.push_log import ObservedPush
+from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.segmentation import RecordOptions, Sample
 from gridpush_drake.pushes.stream import make_samples
 from gridpush_drake.report.camera_figure import Sight
@@ -171,15 +171,26 @@ class Learning:
 
     Attributes:
         max_pushes: the first so many; None for no limit.
-        admit: whether a push may be learned from; None admits all.
     """
 
     max_pushes: int | None = None
-    admit: Callable[[ObservedPush], bool] | None = None
 
 
-def make_identifier(scenario: PushScenario, obj: GridObject, learning: Learning | None) -> GridIdentifier:
-    """The station's identifier; it learns from the first `scenario.pokes.count` pushes by default."""
+EDGE_DETAIL = 5e-4
+"""m by which the edge may be simplified: of a round table to a polygon of few corners."""
+
+
+def make_surface(table_top: BaseGeometry) -> SupportSurface:
+    """The table's top as planners know it. Raises ScenarioError where it is in several pieces."""
+    if not isinstance(table_top, Polygon):
+        raise ScenarioError("directives: the table's top is in several pieces; expected one")
+    return SupportSurface(shapely.simplify(table_top, EDGE_DETAIL))
+
+
+def make_identifier(
+    scenario: PushScenario, obj: GridObject, table_top: BaseGeometry, learning: Learning | None
+) -> GridIdentifier:
+    """The station's identifier: it knows the table's edge, and learns from the first `scenario.pokes.count` pushes."""
     learning = learning or Learning(scenario.pokes.count)
     return GridIdentifier(
         obj,
@@ -187,7 +198,7 @@ def make_identifier(scenario: PushScenario, obj: GridObject, learning: Learning 
         engaged_below=scenario.object_height,
         pusher_radius=obj.prior.pusher_radius,
         max_learning_pushes=learning.max_pushes,
-        admit=learning.admit,
+        table=make_surface(table_top).corners if isinstance(table_top, Polygon) else None,
         warm_start=False,  # it gains little, and so `gridpush identify` finds the same from the log, bit for bit
         record=RecordOptions(pose_delay=calc_pose_age(scenario.camera)),
     )
@@ -468,8 +479,7 @@ def MakePushStation(
     is in the Context; two runs of one station may be interleaved. A station that nobody holds any more is freed by
     Python's garbage collector (`gc.collect()`) but for 1 MB or less that stays with Drake. Whoever keeps a `RigidBody`,
     a `Joint`, a `Frame` or the ids of `GetCollisionGeometriesForBody` of its plant as a part of the station, or of what
-    it is connected to, keeps all of it for good: keep their indices instead. So does whoever gives the station a
-    function that holds it, such as `learning.admit`.
+    it is connected to, keeps all of it for good: keep their indices instead.
 
     Args:
         scenario: what stands where.
@@ -529,10 +539,10 @@ def MakePushStation(
     sensors = AddSensors(builder, scene_graph, scenario, robot, object_in_plant, found)
     camera, tip = sensors.camera.source, sensors.tip
     other_cameras = AddOtherCameras(builder, plant, scenario, others, LOST_BELOW)
-    true_parameters = builder.AddNamedSystem("truth", TrueParameters(truth))
-    identifier = builder.AddNamedSystem("identifier", make_identifier(scenario, obj, learning))
-
     table_top = FindTableOutline(plant, scene_graph.model_inspector())
+    true_parameters = builder.AddNamedSystem("truth", TrueParameters(truth))
+    identifier = builder.AddNamedSystem("identifier", make_identifier(scenario, obj, table_top, learning))
+
     grasping = None
     if robot.gripper is not None:
         grasping_style = make_grasp_trajectory_options(scenario, control_plant, robot.gripper, robot.finger.tip_frame)

@@ -18,7 +18,7 @@ from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.station.others import place_others
-from gridpush_drake.station.push_station import Learning, MakeFingerRegion, MakePushStation, PushStation
+from gridpush_drake.station.push_station import Learning, MakeFingerRegion, MakePushStation, PushStation, make_surface
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.task import (
     GO_ON,
@@ -27,7 +27,6 @@ from gridpush_drake.station.task import (
     StationTask,
     TaskStatus,
     Waiting,
-    make_surface,
 )
 from gridpush_drake.systems.contact_point_controller import ContactPointController
 from gridpush_drake.systems.messages import ContactPointMode, ContactPointStatus, PushCommand
@@ -108,7 +107,7 @@ class PushTask(StationTask[PushTaskRecord]):
         """
         builder = DiagramBuilder()
         station = builder.AddSystem(MakePushStation(scenario, meshcat, show_object=False, learning=Learning()))
-        self.surface = make_surface(station)
+        self.surface = make_surface(station.table_top)
         goal = builder.AddNamedSystem("goal", ConstantVectorSource(np.array(scenario.goal.pose)))
         self.controller = builder.AddNamedSystem(
             "controller", ContactPointController(station.obj, make_rules(station, self.surface))

@@ -16,7 +16,6 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder, System
 
-from gridpush_drake.errors import ScenarioError
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.multibody.meshcat_server import AimCamera
 from gridpush_drake.objects.grid_object import GridObject
@@ -82,10 +81,6 @@ CAMERA_HEIGHT = 0.17
 
 CAMERA_AZIMUTH, CAMERA_ELEVATION = 0.75, 0.5
 """Where it stands, rad: opposite the robot, to its left, beyond the edge that things are slid to."""
-
-
-EDGE_DETAIL = 5e-4
-"""m by which the edge may be simplified: of a round table to a polygon of few corners."""
 
 
 @dataclass
@@ -333,11 +328,3 @@ def AddEstimateVisualizer(
         builder.Connect(station.GetOutputPort(f"estimate.{port}"), visualizer.GetInputPort(port))
     builder.Connect(controller.GetOutputPort("push_command"), visualizer.GetInputPort("push_command"))
     return visualizer
-
-
-def make_surface(station: PushStation) -> SupportSurface:
-    """The table's top. Raises ScenarioError where it is in several pieces."""
-    top = station.table_top
-    if not isinstance(top, shapely.Polygon):
-        raise ScenarioError("directives: the table's top is in several pieces; expected one")
-    return SupportSurface(shapely.simplify(top, EDGE_DETAIL))
