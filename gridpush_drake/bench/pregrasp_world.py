@@ -1,25 +1,29 @@
-"""The world of the pre-grasp benchmark: a hidden object on a table with an edge.
+"""The worlds of the pre-grasp benchmark: a hidden object on a table with an edge.
 
-The truth is the quasi-static LCP with loads that follow what still lies on the table; poses are seen with noise. The
-loop is `planning.pregrasp.pregrasp_loop`.
+The truth is the quasi-static LCP with loads that follow what still lies on the table, or a rigid body in MuJoCo that
+stands as the model does not suppose; poses are seen with noise. The loop is `planning.pregrasp.pregrasp_loop`.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from gridpush_drake.bench.mujoco_truth import TruthWorld
 from gridpush_drake.bench.protocol import ANGLE_STD, POSITION_STD
+from gridpush_drake.bench.truth_sets import make_body
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import calc_loads
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import (
-    Believe,
+    Infer,
     PreGraspLoop,
     PreGraspLoopOptions,
     PreGraspMode,
@@ -31,16 +35,20 @@ from gridpush_drake.planning.simulated_world import Learn, Learner, SimulatedWor
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
-Array = NDArray[np.float64]
-
 LEARNER = Learner(memory=14)
 """The default method, from the latest pushes: the cost of learning grows with them, and what they tell hardly does."""
+
+FALLEN = np.radians(10)
+"""Tilt from which a body counts as dropped."""
+
+REST_TIME = 0.5
+"""s that a body in MuJoCo is given to come to rest after a push, or to tip."""
 
 ONE_OBSERVATION = PreGraspLoopOptions(observations=1)
 """Nothing moves between two pushes: the object is decided on as it is first seen."""
 
 
-def see(pose: Array, rng: np.random.Generator) -> Array:
+def add_pose_noise(pose: Array, rng: np.random.Generator) -> Array:
     """A pose (3,) with noise."""
     return pose + np.array([POSITION_STD, POSITION_STD, ANGLE_STD]) * rng.standard_normal(3)
 
@@ -77,6 +85,53 @@ class EdgeWorld(SimulatedWorld):
         self._on_table = bool(find_supported(self.obj, motion.poses, self.surface).all())
         return motion.poses, motion.fell
 
+    def hangs_safely(self) -> bool:
+        """Whether the object, as it lies, stays on the table."""
+        return calc_loads(self.obj, self.hidden, self.true_pose, self.surface.corners) is not None
+
+
+class MujocoWorld(EdgeWorld):
+    """A rigid body in MuJoCo on a rectangular table. It is dropped where it tilts by FALLEN or more."""
+
+    def __init__(
+        self, obj: GridObject, hidden: CellParameters, size: tuple[float, float], pose: ArrayLike,
+        rng: np.random.Generator, support: str,
+    ) -> None:  # fmt: skip
+        """Puts the body down.
+
+        Args:
+            obj: the object.
+            hidden: its true masses, up to a common scale, and frictions.
+            size: of the table about the world's origin, m.
+            pose: (3,) m and rad.
+            rng: draws the feet's places and the noise.
+            support: how it stands, of `truth_sets.KINDS`.
+
+        Raises:
+            GridPushError: the support is not known, or MuJoCo is not installed.
+            ObjectError: no three feet are found that it stands on.
+        """
+        x, y = size[0] / 2, size[1] / 2
+        light = replace(hidden, mass=hidden.mass / hidden.total_mass)
+        body = make_body(support, obj, light, rng).harden()
+        self._truth = TruthWorld(body, ContactOptions().radius, (-x, -y, x, y))
+        self._truth.put(pose)
+        super().__init__(obj, light, SupportSurface.rectangle((0.0, 0.0), size), pose, rng)
+
+    def _move(self, push: Push, times: Array) -> tuple[Array, bool]:
+        motion = self._truth.push(push)
+        self._truth.wait(REST_TIME)
+        poses = np.column_stack([np.interp(times, motion.times, column) for column in motion.poses.T])
+        poses[-1] = self._truth.read_pose()
+        poses[:, 2] = np.unwrap(np.append(self.true_pose[2], poses[:, 2]))[1:]
+        self._on_table = bool(find_supported(self.obj, poses, self.surface).all())
+        return poses, max(float(motion.tilt.max()), self._truth.read_tilt()) >= float(FALLEN)
+
+    def hangs_safely(self) -> bool:
+        """Whether the object, as it lies, stays on the table."""
+        self._truth.wait(REST_TIME)
+        return bool(self._truth.read_tilt() < FALLEN)
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -100,7 +155,7 @@ class Outcome:
 
 
 def run_pregrasp(
-    world: EdgeWorld, planner: PreGraspPlanner, learn: Learn | None = LEARNER, believe: Believe | None = None
+    world: EdgeWorld, planner: PreGraspPlanner, learn: Learn | None = LEARNER, infer: Infer | None = None
 ) -> Outcome:
     """Runs the task until a part can be grasped, or to its end.
 
@@ -108,12 +163,12 @@ def run_pregrasp(
         world: the hidden object.
         planner: decides.
         learn: learns after every push; None never.
-        believe: says what is held possible; by default what the identification's posterior says.
+        infer: says what is held possible; by default what the identification's posterior says.
 
     Returns:
         The outcome.
     """
-    loop = PreGraspLoop(planner, lambda pose, center_of_mass: None, believe=believe, options=ONE_OBSERVATION)
+    loop = PreGraspLoop(planner, lambda pose, center_of_mass: None, infer=infer, options=ONE_OBSERVATION)
     state = run_loop(loop, planner.obj, world, _is_over, learn=learn, surface=world.surface).state
     status = state.status
     if world.fallen:
@@ -152,10 +207,10 @@ class PaperLearner:
         wide = replace(obj, prior=replace(obj.prior, friction_min=low, friction_max=high))
         return identify(wide, chosen, method="paper", regime="quasi_static")
 
-    def make_believe(self, obj: GridObject) -> Believe:
+    def make_inference(self, obj: GridObject) -> Infer:
         """What is held possible: what the posterior says of the first pokes, then the parameters as they are."""
 
-        def believe(found: Identification | None, log: PushLog) -> UncertainModel | None:
+        def infer(found: Identification | None, log: PushLog) -> UncertainModel | None:
             if found is None:
                 return None
             if len(LEARNER.select(log)) < self.min_pokes:
@@ -163,12 +218,9 @@ class PaperLearner:
                 return UncertainModel.of_identification(found, log=used)
             return UncertainModel.of_parameters(obj, found.params)
 
-        return believe
+        return infer
 
 
 def _hangs_over(world: EdgeWorld, planner: PreGraspPlanner) -> bool:
     overhangs = calc_overhangs(planner.parts, world.true_pose, world.surface)
-    return (
-        bool(overhangs.max() >= 0)
-        and calc_loads(world.obj, world.hidden, world.true_pose, world.surface.corners) is not None
-    )
+    return bool(overhangs.max() >= 0) and world.hangs_safely()

@@ -7,8 +7,7 @@ from zlib import crc32
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
-from shapely import Point, Polygon
+from shapely import Point
 
 from gridpush_drake.bench.mujoco_truth import (
     BODY_HEIGHT,
@@ -23,6 +22,7 @@ from gridpush_drake.dynamics.simulation import GRAVITY
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import read_text, write_whole
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.multibody.ground_truth import FEET_SLACK, draw_feet
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
@@ -75,9 +75,6 @@ FOOT_HEIGHT = 1e-3
 
 BEARING_FEET = 3
 """By which a rigid body's weight is shared out, to say how stiff its feet are."""
-
-TRIANGLE_SLACK = 0.002
-"""m that the center of mass lies within the feet's triangle, beside what a push at half height takes away."""
 
 TRIES = 20000
 
@@ -140,6 +137,7 @@ def make_set(kind: str, name: str, seed: int, training: int = TRAINING, held_out
     obj, params = draw_masses(name, rng)
     body = make_body(kind, obj, params, rng)
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
+    obj = replace(obj, prior=replace(obj.prior, pusher_radius=radius, push_height=body.push_height or None))
     world = TruthWorld(body, radius)
     pushes = [draw_push(world, f"push_{i + 1}", rng) for i in range(training + held_out)]
     logs = (PushLog(tuple(pushes[:training])), PushLog(tuple(pushes[training:])))
@@ -176,7 +174,7 @@ def make_body(kind: str, obj: GridObject, params: CellParameters, rng: np.random
     if kind == VERTICES:
         feet, cell, gap = rim, rim_cell, rng.uniform(0, UNEVENNESS, len(rim))
     elif kind == THREE_FEET:
-        three = draw_feet(obj, params, height, rng)
+        three = draw_feet(obj, params, float(params.friction.max()) * height + FEET_SLACK, rng)
         feet, cell = np.concatenate([obj.p_BC[three], rim]), np.concatenate([three, rim_cell])
         gap = np.concatenate([np.zeros(len(three)), np.full(len(rim), FOOT_HEIGHT)])
     else:
@@ -185,18 +183,6 @@ def make_body(kind: str, obj: GridObject, params: CellParameters, rng: np.random
     return TruthBody(
         obj, params, feet, cell, load, RIGID_SINKAGE, gap, height, bottom=FOOT_HEIGHT, time_step=RIGID_TIME_STEP
     )
-
-
-def draw_feet(obj: GridObject, params: CellParameters, height: float, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Draws three cells such that a body on feet below them stands, also while it is pushed at a height, m."""
-    center = Point(params.center_of_mass(obj))
-    margin = float(params.friction.max()) * height + TRIANGLE_SLACK
-    for _ in range(TRIES):
-        cells = rng.choice(obj.n, 3, replace=False)
-        triangle = Polygon(obj.p_BC[cells])
-        if triangle.covers(center) and triangle.exterior.distance(center) >= margin:
-            return np.asarray(cells, dtype=np.int64)
-    raise GridPushError(f"{obj.name}: found no three feet about the center of mass, {margin:g} m from every side")
 
 
 def draw_push(world: TruthWorld, name: str, rng: np.random.Generator) -> ObservedPush:

@@ -184,6 +184,17 @@ def pregrasp(
     experiment: Annotated[
         Literal["all", "sliding", "exploring"], typer.Option(help="Which of the two to measure.")
     ] = "all",
+    world: Annotated[
+        Literal["lcp", "mujoco"], typer.Option(help="What moves the objects: the model's own simulator, or MuJoCo.")
+    ] = "lcp",
+    support: Annotated[
+        Literal["foundation", "three_feet", "vertices", "half_height"],
+        typer.Option(help="How objects stand in MuJoCo."),
+    ] = "foundation",
+    friction: Annotated[
+        tuple[float, float],
+        typer.Option(metavar="LEAST GREATEST", help="Of any part against the table, true and known."),
+    ] = (0.3, 0.4),
     seed: options.Seed = 0,
     workers: Workers = WORKERS,
     results: KeptIn = None,
@@ -197,12 +208,14 @@ def pregrasp(
     _check((out,), force)
     settings = {
         "data": _resolve(data), "quick": quick, "objects": objects, "mass_sets": mass_sets, "seeds": seeds,
-        "depth": depth, "experiment": experiment, "seed": seed,
+        "depth": depth, "experiment": experiment, "world": world, "support": support, "friction": friction,
+        "seed": seed,
     }  # fmt: skip
     with _run_bench("pregrasp", settings, results, workers, force) as execution:
         tables = run(
             objects, mass_sets or MASS_SETS, seeds or SEEDS, seed=seed, execution=execution, depth=depth,
-            experiment=experiment, quick=quick, data=data,
+            experiment=experiment, quick=quick, data=data, friction=friction,
+            support=support if world == "mujoco" else None,
         )  # fmt: skip
     _show(tables, out, force, json)
 

@@ -45,9 +45,7 @@ def record(
     pose_delay: Annotated[float, typer.Option(help="How old an object's pose is at its time in the stream, s.")] = 0.0,
     table: Annotated[
         str | None,
-        typer.Option(
-            metavar="SHAPE", help=f"The table's top, for the log, with pushes over its edge: {options.FORMS}."
-        ),
+        typer.Option(metavar="SHAPE", help=f"Marks pushes with a part off its edge: {options.FORMS}."),
     ] = None,
     force: options.Force = False,
     json: options.Json = False,
@@ -74,7 +72,7 @@ def record(
         why = "; ".join(found.unusable) or "the tip never moved the object while it was down"
         raise PushLogError(f"{stream}: holds no push: {why}; expected a tip below {engaged_below:g} m that pushes")
     if surface is not None:
-        log = _place_on_table(log, obj, surface)
+        log = _mark_overhang(log, obj, surface)
     log.write_csv(out, force)
     delay = estimate_delay(samples, obj, radius, *how)
     if json:
@@ -100,8 +98,8 @@ def record(
     print_line(f"Wrote {out}.")
 
 
-def _place_on_table(log: "PushLog", obj: "GridObject", surface: "SupportSurface") -> "PushLog":
-    """Says what the table is, and of each push whether a part of the object was seen to hang over its edge."""
+def _mark_overhang(log: "PushLog", obj: "GridObject", surface: "SupportSurface") -> "PushLog":
+    """The log with the table, and with what was seen of each push: whether a part of the object hung over the edge."""
     import numpy as np
 
     from gridpush_drake.planning.support_surface import find_supported

@@ -26,11 +26,10 @@ from pydrake.geometry import ProximityProperties
 from shapely import Polygon, box, prepare
 
 from gridpush_drake.errors import ParameterError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.contact_material import MakeContactProperties, calc_own_friction
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-
-Array = NDArray[np.float64]
 
 SPHERE_RADIUS = 0.002
 """m; more than the spheres are ever pressed in."""
@@ -73,13 +72,16 @@ class ContactSphereLayout:
         corners = obj.cell_size / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         return cls((obj.p_BC[:, None] + corners).reshape(-1, 2), np.repeat(np.arange(obj.n), 4), 4)
 
-    def make_properties(self, params: CellParameters, delta: float, gravity: float) -> list[ProximityProperties]:
+    def make_properties(
+        self, params: CellParameters, delta: float, gravity: float, support: Array | None = None
+    ) -> list[ProximityProperties]:
         """Makes the spheres's contact properties.
 
         Args:
             params: what the cells weigh and how they rub.
             delta: how far the spheres are pressed in, m.
             gravity: m/s².
+            support: (n,) what each cell's spheres bear where they are pressed in so far, kg; its own mass by default.
 
         Returns:
             Properties of the f spheres.
@@ -87,7 +89,8 @@ class ContactSphereLayout:
         Raises:
             ParameterError: a friction is 2 or more, which Drake's combination cannot give.
         """
-        stiffness = params.mass * gravity / (delta * self.spheres_per_cell)
+        borne = params.mass if support is None else support
+        stiffness = borne * gravity / (delta * self.spheres_per_cell)
         friction = [calc_own_friction(float(mu), f"friction of cell {i}") for i, mu in enumerate(params.friction)]
         return [MakeContactProperties(friction[i], float(stiffness[i])) for i in self.cell]
 

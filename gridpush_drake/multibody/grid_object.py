@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydrake.common import MemoryFile
 from pydrake.geometry import (
     Box,
@@ -136,6 +137,7 @@ def AddGridObject(
     name: str | None = None,
     delta: float | None = None,
     spheres_per_cell: SpheresPerCell = 1,
+    support: ArrayLike | None = None,
     side_stiffness: float = SIDE_STIFFNESS,
     visual: bool = True,
     color: Sequence[float] = DEFAULT_COLOR,
@@ -158,6 +160,8 @@ def AddGridObject(
         delta: m the spheres are pressed in; by default 1e-3 for "planar", 1e-6 for "free".
         spheres_per_cell: 1, or 4: at the cells' corners, so that the object is supported out to its edge. Over a
             table's edge it tips up to one cell early, either way.
+        support: (n,) how stiff the cells' spheres are: what they bear where they are pressed in by delta, kg (see
+            `ground_truth.calc_support`). By default each cell's mass, and so each bears its own weight.
         side_stiffness: of the outline's contacts, N/m.
         visual: whether it has illustration geometry.
         color: red, green, blue and opacity of that.
@@ -187,7 +191,7 @@ def AddGridObject(
     joint = _hold(plant, body, base, delta)
     handle = GridObjectInPlant(
         obj, base, model_instance, plant, body.index(), joint and joint.index(),
-        _add_spheres(plant, body, layout, params, delta),
+        _add_spheres(plant, body, layout, params, delta, support),
         _add_sides(plant, body, obj, params, height, side_stiffness),
         _add_visual(plant, scene_graph, body, obj, height, color) if visual else (),
         layout, height, delta, side_stiffness,
@@ -273,9 +277,11 @@ def _hold(plant: MultibodyPlant, body: RigidBody, base: Base, delta: float) -> P
 
 
 def _add_spheres(
-    plant: MultibodyPlant, body: RigidBody, layout: ContactSphereLayout, params: CellParameters, delta: float
-) -> tuple[GeometryId, ...]:
-    properties = layout.make_properties(params, delta, calc_gravity(plant))
+    plant: MultibodyPlant, body: RigidBody, layout: ContactSphereLayout, params: CellParameters, delta: float,
+    support: ArrayLike | None,
+) -> tuple[GeometryId, ...]:  # fmt: skip
+    borne = None if support is None else np.asarray(support, dtype=np.float64)
+    properties = layout.make_properties(params, delta, calc_gravity(plant), borne)
     shape = Sphere(SPHERE_RADIUS)
     return tuple(
         plant.RegisterCollisionGeometry(

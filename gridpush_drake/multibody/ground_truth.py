@@ -3,9 +3,10 @@
 Its pose and its hidden truth are set in a Context: one Diagram serves for many runs.
 """
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike, NDArray
 from pydrake.geometry import RoleAssign, SceneGraph
 from pydrake.math import RigidTransform, RollPitchYaw
@@ -87,6 +88,62 @@ def resample_parameters(obj: GridObject, params: CellParameters, other: GridObje
     tilt = np.linalg.solve(moments.T @ (mass[:, None] * moments), [params.mass.sum(), 0.0, 0.0])
     tilted = mass * np.maximum(moments @ tilt, MIN_TILT)
     return CellParameters(tilted, params.friction[nearest], params.contact_friction)
+
+
+Support = Literal["own_weight", "foundation", "three_feet"]
+"""How a free body stands: each cell bears its own weight, on an evenly compliant bottom, or on three feet."""
+
+FEET_SLACK = 0.002
+"""m that the center of mass lies within three feet's triangle, beside what a push takes away."""
+
+SOFT = 1e-3
+"""Stiffness of the bottom beside three feet, relative to an even one: it bears where a foot is over the edge."""
+
+TRIES = 20_000
+
+
+def calc_support(
+    obj: GridObject, params: CellParameters, support: Support, seed: int, push_height: float
+) -> NDArray[np.float64] | None:
+    """Says how stiff a body's feet are, one below each cell.
+
+    Args:
+        obj: the object.
+        params: the truth.
+        support: how it stands.
+        seed: of the feet's places.
+        push_height: of the pusher above the table, m: three feet stand so far apart that it does not tip the body.
+
+    Returns:
+        (n,) what each foot bears where all are pressed in as far as by the body's weight, kg; None for own weight.
+
+    Raises:
+        ObjectError: no three feet are found.
+    """
+    even = params.total_mass / obj.n
+    if support == "own_weight":
+        return None
+    if support == "foundation":
+        return np.full(obj.n, even)
+    stiffness = np.full(obj.n, SOFT * even)
+    margin = float(params.friction.max()) * push_height + FEET_SLACK
+    stiffness[draw_feet(obj, params, margin, np.random.default_rng((seed, 2)))] = params.total_mass / 3
+    return stiffness
+
+
+def draw_feet(obj: GridObject, params: CellParameters, margin: float, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Draws (3,) cells whose triangle holds the center of mass, at least `margin`, m, within its sides.
+
+    Raises:
+        ObjectError: none are found.
+    """
+    center = shapely.Point(params.center_of_mass(obj))
+    for _ in range(TRIES):
+        cells = rng.choice(obj.n, 3, replace=False)
+        triangle = shapely.Polygon(obj.p_BC[cells])
+        if triangle.covers(center) and triangle.exterior.distance(center) >= margin:
+            return np.asarray(cells, dtype=np.int64)
+    raise ObjectError(f"{obj.name}: found no three feet about the center of mass, {margin:g} m from every side")
 
 
 def describe_truth(obj: GridObject, truth: CellParameters) -> dict[str, Any]:
@@ -172,6 +229,7 @@ def SetGridObjectParameters(
     context: Context,
     handle: GridObjectInPlant,
     params: CellParameters,
+    support: ArrayLike | None = None,
 ) -> None:
     """Changes the truth: inertia, what each sphere bears and how it rubs, the friction of the sides.
 
@@ -182,12 +240,14 @@ def SetGridObjectParameters(
             the parameters that the object was added with.
         handle: the object.
         params: the new masses and frictions.
+        support: (n,) as `AddGridObject`.
 
     Raises:
         ParameterError: the parameters are of another number of cells, or a friction is 2 or more.
     """
     inertia = MakeSpatialInertia(handle.obj, params, handle.height)
-    spheres = handle.layout.make_properties(params, handle.delta, calc_gravity(plant))
+    borne = None if support is None else np.asarray(support, dtype=np.float64)
+    spheres = handle.layout.make_properties(params, handle.delta, calc_gravity(plant), borne)
     side = MakeSideProperties(params, handle.side_stiffness)
     handle.body.SetSpatialInertiaInBodyFrame(plant.GetMyMutableContextFromRoot(context), inertia)
     scene_context = scene_graph.GetMyMutableContextFromRoot(context)

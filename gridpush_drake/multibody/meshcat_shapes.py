@@ -20,10 +20,8 @@ from pydrake.math import RigidTransform, RotationMatrix
 from shapely import MultiPolygon, Polygon, constrained_delaunay_triangles
 from trimesh import Trimesh
 
-from gridpush_drake.geometry.se2 import make_direction
+from gridpush_drake.geometry.se2 import Array, make_direction
 from gridpush_drake.objects.grid_object import GridObject
-
-Array = NDArray[np.float64]
 
 CELL_SHARE = 0.94
 """Side of a drawn cell, in cells; the rest is the gap that lets cells be told apart."""

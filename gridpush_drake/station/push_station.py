@@ -64,6 +64,7 @@ from gridpush_drake.station.scene import (
     CalcBasePose,
     CalcHome,
     CalcTipReach,
+    MakeSupport,
     MakeTruth,
     check_scenario,
     load_object,
@@ -245,8 +246,6 @@ def AddStationScene(
 
 def TakePhotograph(scenario: PushScenario, true_obj: GridObject) -> FoundObject:
     """Finds the object in a photograph of the scene as a run begins; see `find_object`."""
-    if scenario.others:
-        raise ScenarioError("others: a camera of the kind rgbd knows of none; expected an empty list")
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, scenario.simulation.time_step)
     robot = find_robot(scenario.directives)
@@ -308,9 +307,9 @@ class StationParts:
     camera: StationCamera
     true_parameters: TrueParameters
     grasping: GraspExecutor | None
-    found: FoundObject | None
     others: tuple[OtherObject, ...]
     other_cameras: tuple[PlanarPoseSensor, ...]
+    found: FoundObject | None
 
 
 class PushStation(Diagram):
@@ -341,12 +340,12 @@ class PushStation(Diagram):
         - other_0.pose
         - ...
 
-    - ``push_command``: (6,) see `systems.push_command`.
+    - ``push_command``: (6,) see `PushCommand`.
     - ``executor.status``: abstract `PushStatus`; ``executor.tip_pose``: abstract `RigidTransform`, X_WP desired.
     - ``pusher.state``: (6,) p_WP, m, and v_WP, m/s, of the tip's center, from the joints.
     - ``object.pose``: (3,) as the camera sees it, m and rad; ``object.pose_true``: as it is, for display and judgment.
     - ``estimate.*``: see `GridIdentifier`; ``iiwa.*``: see Drake's `SimIiwaDriver`; the three after: the plant's own.
-    - Where the scene has a gripper: ``grasp_command``: (6,) see `systems.grasp_command`, need not be connected;
+    - Where the scene has a gripper: ``grasp_command``: (6,) see `GraspCommand`, need not be connected;
       ``grasp.status``: abstract `GraspStatus`; ``gripper.state``: (4,) the fingers' positions, left and right, m, and
       velocities, m/s. ``executor.tip_pose`` is then what push and grasp executor together desire.
     - ``other_0.pose`` and so on: (3,) of each of the scenario's other objects, as ``object.pose``.
@@ -416,7 +415,8 @@ class PushStation(Diagram):
         if seed is not None:
             true_obj = self.object_in_plant.obj
             truth = MakeTruth(true_obj, self.scenario.truth, seed)
-            SetGridObjectParameters(self.plant, self.scene_graph, root_context, self.object_in_plant, truth)
+            support = MakeSupport(true_obj, truth, self.scenario, seed)
+            SetGridObjectParameters(self.plant, self.scene_graph, root_context, self.object_in_plant, truth, support)
             self._true_parameters.SetParameters(root_context, resample_parameters(true_obj, truth, self.obj))
             self._camera.SetSeed(root_context, seed)
 
@@ -519,6 +519,7 @@ def MakePushStation(
         cast(Base, scenario.base),
         table=table,
         height=scenario.object_height,
+        support=MakeSupport(true_obj, true_truth, scenario, scenario.seed),
         visual=show_object,
     )
     others = AddOthers(plant, scene_graph, scenario, table, object_in_plant)
@@ -582,7 +583,7 @@ def MakePushStation(
         builder,
         StationParts(
             scenario, obj, truth, plant, scene_graph, robot, instances, object_in_plant, table, table_top, style, home,
-            reach, control, sensors.camera, true_parameters, grasping, found, others, other_cameras,
+            reach, control, sensors.camera, true_parameters, grasping, others, other_cameras, found,
         ),
     )  # fmt: skip
     station.set_name(name)

@@ -19,7 +19,7 @@ from pydrake.multibody.parsing import AddDirectives, ModelDirective, ModelDirect
 
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.files import is_file, read_text, write_whole
-from gridpush_drake.multibody.ground_truth import CELL_MASS_RANGE, CONTACT_FRICTION_RANGE, FRICTION_RANGE
+from gridpush_drake.multibody.ground_truth import CELL_MASS_RANGE, CONTACT_FRICTION_RANGE, FRICTION_RANGE, Support
 from gridpush_drake.yaml_file import MAX_YAML_SIZE, NOT_YAML, check_yaml, explain, list_expected, shorten, suggest
 
 CURRENT_VERSION = 1
@@ -274,6 +274,8 @@ class TruthConfig(_Config):
         contact_friction: [least, greatest] of the finger against the object.
         friction_by_part: whether each part has a friction of its own; else one draw does for all. Slow pushes cannot
             tell a heavy part from a rough one: where both vary, the center of mass cannot be learned.
+        support: how a free object stands. "own_weight": each cell bears its own, as the model supposes;
+            "foundation": on an evenly compliant bottom; "three_feet": on three feet at places drawn from the seed.
         parts: given instead of drawn; masses given here are not scaled.
     """
 
@@ -281,6 +283,7 @@ class TruthConfig(_Config):
     friction: Annotated[Range, Field(description=RANGE)] = list(FRICTION_RANGE)
     contact_friction: Annotated[Range, Field(description=RANGE)] = list(CONTACT_FRICTION_RANGE)
     friction_by_part: Annotated[bool, Field(description="true or false")] = False
+    support: Annotated[Support, Field(description=f"one of {', '.join(get_args(Support))}")] = "own_weight"
     parts: Annotated[list[PartTruth], Field(description="a list of parts, each with a label")] = []
 
 

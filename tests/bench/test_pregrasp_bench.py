@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ from gridpush_drake.bench.pregrasp import (
     tabulate_slides,
 )
 from gridpush_drake.bench.pregrasp_exploration import ALONG, MAX_POKES, explore
-from gridpush_drake.bench.pregrasp_world import EdgeWorld, Outcome, see
+from gridpush_drake.bench.pregrasp_world import EdgeWorld, MujocoWorld, Outcome, add_pose_noise
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
 
@@ -54,9 +56,34 @@ def test_the_world_drops_what_is_pushed_off():
     assert seen.overhang
 
 
+@pytest.mark.slow
+def test_a_body_in_mujoco_moves_alike_and_drops():
+    pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
+    obj = load_bench_object("toothpaste_tube", pregrasp.FRICTION_RANGE)
+    truth = pregrasp.make_truth(obj, 0)
+    rng = np.random.default_rng(0)
+    body = MujocoWorld(obj, truth, pregrasp.RECTANGLE, np.array([0.3, 0.0, 0.0]), rng, "half_height")
+    model = EdgeWorld(obj, replace(truth, push_height=0.015), make_table(0), np.array([0.3, 0.0, 0.0]), rng)
+    push = Push((0.19, 0.01), (0.03, 0.0), 1.5, 0.008)
+    assert not body.execute(push).overhang
+    model.execute(push)
+    assert np.linalg.norm(model.true_pose[:2] - [0.3, 0.0]) > 0.005
+    np.testing.assert_allclose(body.true_pose[:2], model.true_pose[:2], atol=0.002)
+    assert abs(body.true_pose[2] - model.true_pose[2]) < np.radians(2)
+    assert body.hangs_safely()
+    for _ in range(6):
+        x, y, theta = body.true_pose
+        start = np.array([x, y]) - 0.108 * np.array([np.cos(theta), np.sin(theta)])
+        body.execute(Push(start, (0.05, 0.0), 1.0, 0.008))
+        if body.fallen:
+            break
+    assert body.fallen
+    assert body.pose is None
+
+
 def test_noise_is_as_large_as_it_says():
     rng = np.random.default_rng(0)
-    noise = np.array([see(np.zeros(3), rng) for _ in range(2000)])
+    noise = np.array([add_pose_noise(np.zeros(3), rng) for _ in range(2000)])
     np.testing.assert_allclose(noise.std(axis=0), [0.0005, 0.0005, 0.003], rtol=0.1)
 
 
@@ -85,6 +112,8 @@ def test_runs_with_the_true_parameters():
         ({"methods": []}, "methods: none"),
         ({"mass_sets": 0}, "mass sets: 0"),
         ({"seeds": -1}, "seeds: -1"),
+        ({"support": "jelly"}, "support: jelly"),
+        ({"friction": (0.4, 0.3)}, "friction: 0.4 to 0.3"),
     ],
 )
 def test_refuses_what_makes_no_sense(arguments, says):

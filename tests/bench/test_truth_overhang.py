@@ -34,6 +34,7 @@ def test_a_box_tips_where_its_center_of_mass_leaves_the_table(kind):
         assert (world.read_tilt() > np.radians(10)) == tips
 
 
+@pytest.mark.slow
 def test_the_model_with_a_table_predicts_pushes_over_its_edge():
     scores = run_overhang(OverhangJob("mujoco", "claw_hammer", 0, 2))
     assert len(scores) == 2
@@ -45,6 +46,7 @@ def test_the_model_with_a_table_predicts_pushes_over_its_edge():
     assert row[5] == pytest.approx(1e3 * np.mean([score.position for score in scores]))
 
 
+@pytest.mark.slow
 def test_the_model_tips_behind_the_limit_and_not_before():
     score = run_tipping(TippingJob("claw_hammer", 1))
     assert not score.stayed

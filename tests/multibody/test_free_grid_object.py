@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from gridpush_drake.cli.options import load_object
-from gridpush_drake.multibody.ground_truth import SetGridObjectPose, sample_ground_truth
+from gridpush_drake.multibody.ground_truth import (
+    SetGridObjectParameters,
+    SetGridObjectPose,
+    calc_support,
+    sample_ground_truth,
+)
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.plant_object import make_scene
@@ -23,6 +28,44 @@ def test_lies_still(name):
     scene.simulator.AdvanceTo(1.0)
     assert np.abs(scene.pose() - (0.1, 0.2, 0.5)).max() < 1e-9
     np.testing.assert_allclose(scene.sphere_forces()[:, 2], params.mass * 9.81, rtol=1e-4)
+
+
+@pytest.mark.parametrize("support", ["foundation", "three_feet"])
+def test_loads_are_those_of_how_it_stands(support):
+    obj = load_object("claw_hammer")
+    params = CellParameters.by_part(obj, {1: 0.002, 2: 0.012}, 0.35)
+    weight, center = params.total_mass * 9.81, params.center_of_mass(obj)
+    stiffness = calc_support(obj, params, support, 5, 0.012)
+    scene = make_scene(obj, params, "free", support=stiffness)
+    SetGridObjectPose(scene.plant, scene.plant_context, scene.handle, (0.1, 0.2, 0.5))
+    scene.simulator.AdvanceTo(1.0)
+    assert np.abs(scene.pose() - (0.1, 0.2, 0.5)).max() < 1e-5
+    loads = scene.sphere_forces()[:, 2]
+    assert loads.sum() == pytest.approx(weight, rel=1e-4)
+    np.testing.assert_allclose(loads @ obj.p_BC / weight, center, atol=1e-4)
+    if support == "three_feet":
+        feet = np.argsort(stiffness)[-3:]
+        balance = np.vstack([np.ones(3), obj.p_BC[feet].T])
+        expected = np.linalg.solve(balance, weight * np.array([1.0, *center]))
+        np.testing.assert_allclose(loads[feet], expected, rtol=0.01)
+        return
+    assert np.abs(loads / (params.mass * 9.81) - 1).max() > 0.5
+    bears = loads > 0
+    plane = np.column_stack([np.ones(obj.n), obj.p_BC])
+    fitted = plane @ np.linalg.lstsq(plane[bears], loads[bears], rcond=None)[0]
+    np.testing.assert_allclose(np.maximum(fitted, 0.0), loads, atol=0.01 * loads.max())
+
+
+def test_other_supports_are_set_in_a_context():
+    obj = load_object("claw_hammer")
+    first, second = (sample_ground_truth(obj, seed) for seed in (3, 4))
+    scene = make_scene(obj, first, "free")
+    support = calc_support(obj, second, "three_feet", 1, 0.012)
+    SetGridObjectParameters(scene.plant, scene.scene_graph, scene.context, scene.handle, second, support)
+    SetGridObjectPose(scene.plant, scene.plant_context, scene.handle, (0.0, 0.0, 0.0))
+    scene.simulator.AdvanceTo(0.5)
+    loads = scene.sphere_forces()[:, 2]
+    assert np.sort(loads)[-3:].sum() == pytest.approx(second.total_mass * 9.81, rel=0.01)
 
 
 @pytest.mark.parametrize("spheres_per_cell", [1, 4])

@@ -21,7 +21,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import list_shipped_objects
 from gridpush_drake.station.push_station import LoadPushedObject
 from gridpush_drake.station.robot import find_robot
-from gridpush_drake.station.scenario import PartTruth, PushScenario, read_scenario, write_scenario
+from gridpush_drake.station.scenario import PartTruth, PushScenario, TruthConfig, read_scenario, write_scenario
 from gridpush_drake.station.scene import AddScene, check_scenario, load_object
 from tests.helpers.shapes import rectangle
 
@@ -149,6 +149,7 @@ def test_an_object_file_is_looked_up_beside_the_scenario(tmp_path, monkeypatch):
         ("pokes: {distance: [0.2, 0.1]}", r"pokes\.distance is \[0\.2, 0\.1\]; expected \[least, greatest\], positive"),
         ("pokes: {slant: 2}", r"pokes\.slant is 2; expected an angle"),
         ("pokes: {count: 0}", r"pokes\.count is 0; expected a whole number, 1 or more"),
+        ("truth: {support: jelly}", r"truth\.support is 'jelly'; expected one of own_weight, foundation, three_feet"),
         ("truth: {friction: [0, 1]}", r"truth\.friction is \[0, 1\]; expected \[least, greatest\], positive"),
         ("truth: {parts: [{label: 1, friction: 0}]}", r"truth\.parts\[0\]\.friction is 0; expected a positive"),
         ("simulation: {time_step: 0}", r"simulation\.time_step is 0; expected a positive number, in s"),
@@ -229,13 +230,21 @@ def test_a_scenario_that_makes_no_sense_is_refused(changes, message):
             r"truth\.parts\[0\]\.label is 9; expected a part of claw_hammer: one of 1, 2",
         ),
         ("truth.parts", [PartTruth(label=1), PartTruth(label=1)], r"truth\.parts\[1\]\.label is 1 once more"),
+        ("truth.friction", [20.0, 30.0], r"truth\.support: claw_hammer: found no three feet"),
     ],
 )
 def test_a_part_of_a_scenario_that_makes_no_sense_is_refused(place, value, message):
     scenario = PushScenario()
+    scenario.truth.support = "three_feet"
     group, name = place.split(".")
     setattr(getattr(scenario, group), name, value)
     with pytest.raises(ScenarioError, match=message):
+        check_scenario(scenario)
+
+
+def test_only_a_free_object_stands_on_other_than_its_own_weight():
+    scenario = PushScenario(base="planar", truth=TruthConfig(support="foundation"))
+    with pytest.raises(ScenarioError, match=r"truth\.support is foundation and base planar; expected base free"):
         check_scenario(scenario)
 
 

@@ -13,19 +13,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
-from gridpush_drake.geometry.se2 import make_direction, transform
+from gridpush_drake.geometry.se2 import Array, make_direction, transform
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush
 from gridpush_drake.planning.push_constraints import PushConstraints
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import transform_back
+from gridpush_drake.geometry.se2 import Array, transform_back
 from gridpush_drake.identification.map_fit import NoiseModel
 from gridpush_drake.identification.posterior import calc_center_jacobian
 from gridpush_drake.identification.problem import PushProblem
@@ -32,8 +32,6 @@ from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -19,12 +19,12 @@ from functools import cached_property
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.convex import bound_by_half_planes
-from gridpush_drake.geometry.se2 import transform_back
+from gridpush_drake.geometry.se2 import Array, make_direction, transform_back
 from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.map_ensemble import MapEnsemble
@@ -34,8 +34,6 @@ from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
-
-Array = NDArray[np.float64]
 
 PRIOR_AMPLITUDE = 1.0
 """Standard deviation of log k before the first poke: a half to twice, or so."""
@@ -141,7 +139,7 @@ class PlausibleMassSet:
         A center of mass known beforehand (`obj.prior.center_of_mass`) cuts it down to a square about that.
         """
         angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-        directions = np.column_stack([np.cos(angle), np.sin(angle)])
+        directions = make_direction(angle)
         corners = bound_by_half_planes(directions, self.calc_support(directions))
         at = self.obj.prior.center_of_mass
         if at is None:
