@@ -78,24 +78,25 @@ _StrictLoader.add_implicit_resolver(
 )
 
 
-def read_mapping(path: Path, what: str) -> dict[str, Any]:
+def read_mapping(path: Path, what: str, error: type[GridPushError] = ObjectError) -> dict[str, Any]:
     """Reads a YAML file whose top level is `key: value` lines.
 
     Args:
         path: the file.
         what: what it should hold, for messages ("an object file").
+        error: raised where it does not.
 
     Returns:
         The mapping.
 
     Raises:
-        ObjectError: the file cannot be read, is not YAML, is too large, is empty, or is something else than a mapping.
+        GridPushError: `error`: the file cannot be read, is not YAML, is too large, is empty, or is no mapping.
     """
-    data = parse_yaml(path, read_text(path, what, ObjectError, MAX_YAML_SIZE), what, ObjectError)
+    data = parse_yaml(path, read_text(path, what, error, MAX_YAML_SIZE), what, error)
     if data is None:
-        raise ObjectError(f"{path}: is empty; expected {what}")
+        raise error(f"{path}: is empty; expected {what}")
     if not isinstance(data, dict):
-        raise ObjectError(f"{path}: is a {type(data).__name__} at its top level; expected {what}: `key: value` lines")
+        raise error(f"{path}: is a {type(data).__name__} at its top level; expected {what}: `key: value` lines")
     return data
 
 
@@ -149,7 +150,11 @@ def check_yaml(path: Path, text: str, what: str, error: type[GridPushError]) -> 
 
 
 def check_mapping(
-    path: Path, data: dict[str, Any], schema: type[Schema], error: type[GridPushError], renamed: Mapping[str, str]
+    path: Path,
+    data: dict[str, Any],
+    schema: type[Schema],
+    error: type[GridPushError],
+    renamed: Mapping[str, str] | None = None,
 ) -> Schema:
     """Checks a mapping against a schema.
 

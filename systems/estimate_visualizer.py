@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from pydrake.common.value import AbstractValue, Value
+from pydrake.common.value import Value
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, EventStatus, InputPort, LeafSystem, State
+from pydrake.systems.framework import Context, EventStatus, InputPort, State
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.cell_colors import CellColors, Shown
 from gridpush_drake.multibody.meshcat_shapes import (
     LAYER,
@@ -32,8 +32,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, PushCommand
-
-Array = NDArray[np.float64]
+from gridpush_drake.systems.object_controller import AbstractStateSystem
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +151,7 @@ PUBLISH_PERIOD = 1 / 30
 """s."""
 
 
-class EstimateVisualizer(LeafSystem):
+class EstimateVisualizer(AbstractStateSystem[Drawing]):
     """Colors an object's cells by their estimate, live and in a recording, and shows what the next push will do.
 
     Drawn are the cells in the colors of their mass or friction; the estimated center of mass, with the ellipse of
@@ -222,7 +221,7 @@ class EstimateVisualizer(LeafSystem):
         Raises:
             StationError: `shows` or `limits` is not what `CellColors` takes.
         """
-        super().__init__()
+        super().__init__(NOTHING, period)
         self._obj = obj
         self._canvas = Canvas(obj, meshcat, path.rstrip("/"), height, lift, CellColors(shows, limits), period)
         self._radius = pusher_radius or obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
@@ -236,25 +235,18 @@ class EstimateVisualizer(LeafSystem):
         self._command = self.DeclareVectorInputPort("push_command", PUSH_COMMAND_SIZE)
         self._body = body
         self._body_poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
-        self._drawing = self.DeclareAbstractState(AbstractValue.Make(NOTHING))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._Begin)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._Update)
         self.DeclareInitializationPublishEvent(self._PublishAnew)
         self.DeclarePeriodicPublishEvent(period, 0.0, self._Publish)
         self.DeclareForcedPublishEvent(self._PublishNow)
 
     def _Begin(self, context: Context, state: State) -> EventStatus:
         """Forgets what was drawn before."""
-        self._Store(state, self._CalcDrawing(context, NOTHING))
+        state.get_mutable_abstract_state(int(self._state)).set_value(self._CalcDrawing(context, NOTHING))
         return EventStatus.Succeeded()
 
-    def _Update(self, context: Context, state: State) -> EventStatus:
-        drawn = self._Load(context)
-        present = self._CalcDrawing(context, drawn)
-        if present is drawn:
-            return EventStatus.DidNothing()
-        self._Store(state, present)
-        return EventStatus.Succeeded()
+    def _go_on(self, context: Context, now: Drawing) -> Drawing:
+        return self._CalcDrawing(context, now)
 
     def _PublishAnew(self, context: Context) -> EventStatus:
         self._canvas.Wipe()
@@ -262,7 +254,7 @@ class EstimateVisualizer(LeafSystem):
 
     def _PublishNow(self, context: Context) -> EventStatus:
         """Draws the inputs as they are where no Simulator was initialized, and as a periodic event otherwise."""
-        drawing = self._Load(context)
+        drawing = self._get_state(context)
         if not drawing.estimate:
             self._canvas.Wipe()
             drawing = self._CalcDrawing(context, drawing)
@@ -270,16 +262,8 @@ class EstimateVisualizer(LeafSystem):
         return EventStatus.Succeeded()
 
     def _Publish(self, context: Context) -> EventStatus:
-        self._Send(context, self._Load(context))
+        self._Send(context, self._get_state(context))
         return EventStatus.Succeeded()
-
-    def _Load(self, context: Context) -> Drawing:
-        value: Any = context.get_abstract_state(int(self._drawing))  # pydrake's stubs have its get_value return None
-        drawing: Drawing = value.get_value()
-        return drawing
-
-    def _Store(self, state: State, drawing: Drawing) -> None:
-        state.get_mutable_abstract_state(int(self._drawing)).set_value(drawing)
 
     def _CalcDrawing(self, context: Context, drawn: Drawing) -> Drawing:
         """What the inputs ask for; `drawn` itself where that is drawn already."""

@@ -13,11 +13,11 @@ from dataclasses import dataclass, field, replace
 from math import pi
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context
 
+from gridpush_drake.geometry.se2 import Array, make_direction
 from gridpush_drake.multibody.tool_motion import (
     ToolPose,
     ToolTrajectorySegment,
@@ -36,8 +36,6 @@ from gridpush_drake.systems.messages import (
 )
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 from gridpush_drake.systems.push_executor import NOT_FINITE, SPEED_SCALES, UNREADABLE
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -105,7 +103,7 @@ def calc_tip(style: GraspTrajectoryOptions, p_WG: Array, yaw: float) -> Array:
 def make_grasp_trajectory(
     command: GraspCommand, rest: ToolPose, style: GraspTrajectoryOptions, yaw: float, speed_scale: float = 1.0
 ) -> tuple[ToolTrajectorySegment, ...]:
-    """Makes the way of a grasp: up, over, down, in, close, lift, hold.
+    """Makes the trajectory of a grasp: up, over, down, in, close, lift, hold.
 
     Args:
         command: the grasp.
@@ -115,7 +113,7 @@ def make_grasp_trajectory(
         speed_scale: share of the speeds at which the tool travels.
 
     Returns:
-        The legs.
+        The segments.
     """
     x, y, z, turn = rest
     high = style.travel_height
@@ -127,12 +125,12 @@ def make_grasp_trajectory(
     fast, careful = style.travel_acceleration, style.careful_acceleration
     vertical = speed_scale * style.vertical_speed
     approaching, closing = GraspPhase.APPROACHING, GraspPhase.CLOSING
-    legs = (
+    segments = (
         [ToolTrajectorySegment(approaching, rest, (x, y, high, turn), vertical, fast, opening=opened)]
         if z != high
         else []
     )
-    legs += [
+    segments += [
         ToolTrajectorySegment(
             approaching, (x, y, high, turn), above, speed_scale * style.travel_speed, fast, opening=opened
         ),
@@ -146,7 +144,7 @@ def make_grasp_trajectory(
         ToolTrajectorySegment(GraspPhase.LIFTING, inside, lifted, style.lifting_speed, careful, opening=squeezed),
         ToolTrajectorySegment(GraspPhase.HOLDING, lifted, lifted, wait=style.hold_time, opening=squeezed),
     ]
-    return tuple(legs)
+    return tuple(segments)
 
 
 def make_retreat_trajectory(
@@ -157,7 +155,7 @@ def make_retreat_trajectory(
     style: GraspTrajectoryOptions,
     speed_scale: float = 1.0,
 ) -> tuple[ToolTrajectorySegment, ...]:
-    """Makes the way back from a grasp that failed: open, straight out, up, over, and down to the rest.
+    """Makes the trajectory back from a grasp that failed: open, straight out, up, over, and down to the rest.
 
     Args:
         pose: where the tool is.
@@ -168,10 +166,10 @@ def make_retreat_trajectory(
         speed_scale: share of the speeds at which the tool travels.
 
     Returns:
-        The legs.
+        The segments.
     """
     x1, y1, z, yaw = pose
-    x0, y0 = (np.array([x1, y1]) - style.standoff * np.array([np.cos(approach), np.sin(approach)])).tolist()
+    x0, y0 = (np.array([x1, y1]) - style.standoff * make_direction(approach)).tolist()
     outside = (x0, y0, z, yaw)
     opened, phase = (style.opening, style.opening), GraspPhase.RETREATING
     return (
@@ -186,7 +184,7 @@ def make_retreat_trajectory(
 def make_homing_trajectory(
     pose: ToolPose, rest: ToolPose, style: GraspTrajectoryOptions, speed_scale: float = 1.0
 ) -> tuple[ToolTrajectorySegment, ...]:
-    """Makes the way from a free place to the rest: up, over, down; as `make_retreat_trajectory`."""
+    """Makes the trajectory from a free place to the rest: up, over, down; as `make_retreat_trajectory`."""
     x0, y0, z, yaw = pose
     x, y, _, turn = rest
     high = max(style.travel_height, z)
@@ -203,7 +201,7 @@ def make_homing_trajectory(
 
 
 TurningReach = Callable[[Array, Array, Array], str | None]
-"""Of the tip's way (k, 3), m in W, speeds (k - 1,) on its pieces, m/s, and yaws (k,), rad: None, or what stops it."""
+"""Of the tip's path (k, 3), m in W, speeds (k - 1,) on its pieces, m/s, and yaws (k,), rad: None, or what stops it."""
 
 Validator = Callable[[GraspCommand], str | None]
 """Of a command: None, or why it must not be carried out."""
@@ -215,7 +213,7 @@ GRASPING = (GraspPhase.CLOSING, GraspPhase.LIFTING, GraspPhase.HOLDING)
 """Phases with something in the gripper, or so it should be."""
 
 SAME_PLACE = 1e-6
-"""m and rad, of two poses that need no way between them."""
+"""m and rad, of two poses that need no motion between them."""
 
 
 @dataclass(frozen=True)
@@ -223,8 +221,8 @@ class GraspState:
     """All that the executor remembers.
 
     Attributes:
-        legs: the current one and those still to come; none while it passes the push executor's pose through.
-        leg_start: when the current one began, s.
+        segments: the current one and those still to come; none while it passes the push executor's pose through.
+        segment_start: when the current one began, s.
         command: the last one taken up.
         speed_scale: share of the traveling speeds at which the arm can follow it.
         closed: opening when the gripper had closed on the object, m.
@@ -232,8 +230,8 @@ class GraspState:
         fault: what on the ports is not finite, and keeps the executor from going on; empty for nothing.
     """
 
-    legs: tuple[ToolTrajectorySegment, ...] = ()
-    leg_start: float = 0.0
+    segments: tuple[ToolTrajectorySegment, ...] = ()
+    segment_start: float = 0.0
     command: GraspCommand = field(default_factory=GraspCommand)
     speed_scale: float = 1.0
     closed: float = 0.0
@@ -296,13 +294,13 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
         """Makes an executor.
 
         Args:
-            reach: whether the arm can follow a way; None trusts it.
+            reach: whether the arm can follow a path; None trusts it.
             style: measures, heights, speeds and times.
             validator: what else speaks against a command; None for nothing.
         """
         self.style = style or GraspTrajectoryOptions()
         super().__init__(GraspState(), self.style.period)
-        self._reach, self._objection = reach, validator
+        self._reach, self._validator = reach, validator
         self._push_pose = self.DeclareAbstractInputPort("push_tip_pose", AbstractValue.Make(RigidTransform()))
         self._push_status = self.DeclareAbstractInputPort("push_status", AbstractValue.Make(PushStatus()))
         self._command = self.DeclareVectorInputPort("grasp_command", GRASP_COMMAND_SIZE)
@@ -324,15 +322,15 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
 
     def _calc_tip_pose(self, context: Context, output: AbstractValue) -> None:
         state = self._get_state(context)
-        if state.legs:
-            output.set_value(make_transform(state.legs[0].position(context.get_time() - state.leg_start)))
+        if state.segments:
+            output.set_value(make_transform(state.segments[0].position(context.get_time() - state.segment_start)))
         else:
             output.set_value(self._push_pose.Eval(context))
 
     def _calc_position(self, context: Context, output: BasicVector) -> None:
         state, opening = self._get_state(context), self.style.opening
-        if state.legs:
-            opening = state.legs[0].calc_opening(context.get_time() - state.leg_start)
+        if state.segments:
+            opening = state.segments[0].calc_opening(context.get_time() - state.segment_start)
         output.SetAtIndex(0, opening)
 
     def _calc_force_limit(self, context: Context, output: BasicVector) -> None:
@@ -348,11 +346,11 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
             now = replace(now, fault=fault)
         if fault:
             return now
-        return self._follow(context, now, time) if now.legs else self._take_up(context, now, time)
+        return self._follow(context, now, time) if now.segments else self._take_up(context, now, time)
 
     def _find_bad_input(self, context: Context, now: GraspState) -> str:
         """What is needed at present and not finite; empty for nothing."""
-        busy = bool(now.legs)
+        busy = bool(now.segments)
         if not busy:
             command_id = self._command.Eval(context)[0] if self._command.HasValue(context) else 0
             if not np.isfinite(command_id):
@@ -361,7 +359,7 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
                 return ""
         if not np.isfinite(self._push_pose.Eval(context).translation()).all():
             return "the push executor's pose is not finite"
-        if busy and now.legs[0].phase in GRASPING and not np.isfinite(self._gripper.Eval(context)).all():
+        if busy and now.segments[0].phase in GRASPING and not np.isfinite(self._gripper.Eval(context)).all():
             return "the gripper's state is not finite"
         return ""
 
@@ -373,16 +371,16 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
             return now
         command = GraspCommand.from_vector(vector)
         rest = calc_tool_pose(self._push_pose.Eval(context))
-        legs, reason = self.plan(command, rest)
+        segments, reason = self.plan(command, rest)
         if reason:
             refused = GraspStatus(command_id=command.command_id, outcome=GraspOutcome.REFUSED, reason=reason)
             return replace(now, status=refused)
-        status = GraspStatus(GraspPhase(legs[0].phase), command.command_id)
-        return GraspState(legs, time, command, _find_speed_scale(legs, self.style), 0.0, status)
+        status = GraspStatus(GraspPhase(segments[0].phase), command.command_id)
+        return GraspState(segments, time, command, _find_speed_scale(segments, self.style), 0.0, status)
 
     def plan(self, command: GraspCommand, rest: ToolPose) -> tuple[tuple[ToolTrajectorySegment, ...], str]:
-        """Plans a grasp from a pose of the tool; returns its legs, or none and why it is refused."""
-        reason = self._find_fault(command) or (self._objection and self._objection(command))
+        """Plans a grasp from a pose of the tool; returns its segments, or none and why it is refused."""
+        reason = self._find_fault(command) or (self._validator and self._validator(command))
         if reason:
             return (), reason
         return plan_grasp(command, rest, self.style, self._reach)
@@ -395,22 +393,24 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
         return None
 
     def _follow(self, context: Context, now: GraspState, time: float) -> GraspState:
-        """Looks at the gripper; the next leg when one is done. What fails is given up as soon as the tool rests."""
-        leg, left = now.legs[0], now.legs[1:]
-        over = time - now.leg_start >= leg.duration
-        if leg.phase in GRASPING and not now.status.outcome:
+        """Looks at the gripper; the next segment when one is done. What fails is given up as soon as the tool rests."""
+        segment, left = now.segments[0], now.segments[1:]
+        over = time - now.segment_start >= segment.duration
+        if segment.phase in GRASPING and not now.status.outcome:
             now = self._look(context, now, closed=over and bool(left) and left[0].phase == GraspPhase.LIFTING)
         if (
-            leg.phase in GRASPING
+            segment.phase in GRASPING
             and now.status.outcome in (GraspOutcome.MISSED, GraspOutcome.SLIPPED)
-            and (over or not leg.top_speed)
+            and (over or not segment.top_speed)
         ):
             return self._turn_back(context, now, time)
         if not over or now.status.outcome == GraspOutcome.HELD:
             return now
         if left:
-            return replace(now, legs=left, leg_start=time, status=replace(now.status, phase=GraspPhase(left[0].phase)))
-        if leg.phase == GraspPhase.HOLDING:
+            return replace(
+                now, segments=left, segment_start=time, status=replace(now.status, phase=GraspPhase(left[0].phase))
+            )
+        if segment.phase == GraspPhase.HOLDING:
             return replace(now, status=replace(now.status, outcome=GraspOutcome.HELD))
         return self._come_home(context, now, time)
 
@@ -434,21 +434,27 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
         return replace(now, status=replace(now.status, outcome=outcome, reason=reason))
 
     def _turn_back(self, context: Context, now: GraspState, time: float) -> GraspState:
-        x, y, z, yaw = now.legs[0].end
+        x, y, z, yaw = now.segments[0].end
         rest = calc_tool_pose(self._push_pose.Eval(context))
         opening = self._calc_opening(context)
         opening = max(opening, 0.0) if np.isfinite(opening) else self.style.opening
-        legs = make_retreat_trajectory((x, y, z, yaw), opening, rest, now.command.approach, self.style, now.speed_scale)
-        return replace(now, legs=legs, leg_start=time, status=replace(now.status, phase=GraspPhase(legs[0].phase)))
+        segments = make_retreat_trajectory(
+            (x, y, z, yaw), opening, rest, now.command.approach, self.style, now.speed_scale
+        )
+        return replace(
+            now, segments=segments, segment_start=time, status=replace(now.status, phase=GraspPhase(segments[0].phase))
+        )
 
     def _come_home(self, context: Context, now: GraspState, time: float) -> GraspState:
         """Hands back to the push executor, where the tool is where that one has it."""
-        rest, at = calc_tool_pose(self._push_pose.Eval(context)), now.legs[0].end
+        rest, at = calc_tool_pose(self._push_pose.Eval(context)), now.segments[0].end
         if not self._push_status.Eval(context).ready:
             return now
         if not np.allclose(rest, at, rtol=0.0, atol=SAME_PLACE):
-            return replace(now, legs=make_homing_trajectory(at, rest, self.style, now.speed_scale), leg_start=time)
-        return replace(now, legs=(), leg_start=time, status=replace(now.status, phase=GraspPhase.IDLE))
+            return replace(
+                now, segments=make_homing_trajectory(at, rest, self.style, now.speed_scale), segment_start=time
+            )
+        return replace(now, segments=(), segment_start=time, status=replace(now.status, phase=GraspPhase.IDLE))
 
     def _calc_opening(self, context: Context) -> float:
         left, right, *_ = self._gripper.Eval(context)
@@ -458,35 +464,35 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
 def plan_grasp(
     command: GraspCommand, rest: ToolPose, style: GraspTrajectoryOptions, reach: TurningReach | None
 ) -> tuple[tuple[ToolTrajectorySegment, ...], str]:
-    """Plans the way of a grasp, as fast as the arm can follow.
+    """Plans the trajectory of a grasp, as fast as the arm can follow.
 
     Args:
         command: the grasp.
         rest: where the tool is.
         style: measures, heights, speeds and times.
-        reach: whether the arm can follow a way; None trusts it.
+        reach: whether the arm can follow a path; None trusts it.
 
     Returns:
-        The legs, and ""; or no legs, and why the arm cannot follow.
+        The segments, and ""; or no segments, and why the arm cannot follow.
     """
     reasons: list[str] = []
     for yaw in calc_yaws(command.approach):
         for speed_scale in SPEED_SCALES:
-            legs = make_grasp_trajectory(command, rest, style, yaw, speed_scale)
-            found = reach and reach(*_describe(legs))
+            segments = make_grasp_trajectory(command, rest, style, yaw, speed_scale)
+            found = reach and reach(*_describe(segments))
             if not found:
-                return legs, ""
+                return segments, ""
             reasons.append(found)
     return (), reasons[len(SPEED_SCALES) - 1]  # of the lesser turn, as slow as can be
 
 
-def _describe(legs: tuple[ToolTrajectorySegment, ...]) -> tuple[Array, Array, Array]:
-    """Way, speeds and yaws of the legs that move."""
-    moving = [leg for leg in legs if leg.top_speed > 0.0]
-    corners = np.array([moving[0].start] + [leg.end for leg in moving])
-    return corners[:, :3], np.array([leg.top_speed for leg in moving]), corners[:, 3]
+def _describe(segments: tuple[ToolTrajectorySegment, ...]) -> tuple[Array, Array, Array]:
+    """Path, speeds and yaws of the segments that move."""
+    moving = [segment for segment in segments if segment.top_speed > 0.0]
+    corners = np.array([moving[0].start] + [segment.end for segment in moving])
+    return corners[:, :3], np.array([segment.top_speed for segment in moving]), corners[:, 3]
 
 
-def _find_speed_scale(legs: tuple[ToolTrajectorySegment, ...], style: GraspTrajectoryOptions) -> float:
-    """Share of the traveling speeds at which legs were planned."""
-    return min(leg.speed for leg in legs if leg.phase == GraspPhase.APPROACHING) / style.vertical_speed
+def _find_speed_scale(segments: tuple[ToolTrajectorySegment, ...], style: GraspTrajectoryOptions) -> float:
+    """Share of the traveling speeds at which segments were planned."""
+    return min(segment.speed for segment in segments if segment.phase == GraspPhase.APPROACHING) / style.vertical_speed

@@ -11,7 +11,7 @@ then. Where the true motion bends within a step, the next step begins at the tru
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import (
     BasicVector,
@@ -33,12 +33,11 @@ from gridpush_drake.dynamics.motion import Jacobian, RawJacobian
 from gridpush_drake.dynamics.simulation import GRAVITY, RELATIVE_STICTION, STICTION_TOLERANCE, Regime
 from gridpush_drake.dynamics.time_grid import DEFAULT_DT
 from gridpush_drake.errors import SimulationError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
-
-Array = NDArray[np.float64]
 
 LAW = "isotropic"
 """The friction law: a step that sees nothing but the present has no direction to lag."""
@@ -258,9 +257,9 @@ class GridLcpSystem(LeafSystem):
         pusher = self._pusher_state.Eval(context) if self._pusher_state.HasValue(context) else np.full(4, np.nan)
         if not np.isfinite(pusher).all():
             return Load(np.zeros((2, 2)), 0.0, NO_PUSHER, wrench, np.zeros(2))
-        way = pusher[2:] * self.dt
-        tip = np.array([pusher[:2], pusher[:2] + way])
-        return Load(tip, float(np.hypot(*way)), self.pusher_radius, wrench, np.zeros(2))
+        path = pusher[2:] * self.dt
+        tip = np.array([pusher[:2], pusher[:2] + path])
+        return Load(tip, float(np.hypot(*path)), self.pusher_radius, wrench, np.zeros(2))
 
 
 def _make_zero_jacobian(n: int) -> Jacobian:

@@ -4,8 +4,9 @@ What executors say of themselves is what a loop is shown, `planning.closed_loop`
 their loops, `planning.goal.push_to_goal` and `planning.pregrasp.pregrasp_loop`.
 """
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from math import atan2, cos, isfinite, sin
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,22 @@ PUSH_COMMAND_SIZE = 6
 
 
 @dataclass(frozen=True)
-class PushCommand:
+class _Command:
+    command_id: int = 0
+
+    def to_vector(self) -> NDArray[np.float64]:
+        """(6,) as on a port: the attributes in their order."""
+        return np.array(astuple(self), dtype=np.float64)
+
+    @classmethod
+    def from_vector(cls, vector: NDArray[np.float64]) -> Self:
+        """Reads what `to_vector` wrote; an id that is not finite is none, 0."""
+        command_id, *rest = vector.tolist()
+        return cls(round(command_id) if isfinite(command_id) else 0, *rest)
+
+
+@dataclass(frozen=True)
+class PushCommand(_Command):
     """A straight push of the finger's tip in the plane of the table, world frame.
 
     Attributes:
@@ -37,7 +53,6 @@ class PushCommand:
         speed: on the way, m/s.
     """
 
-    command_id: int = 0
     x: float = 0.0
     y: float = 0.0
     direction: float = 0.0
@@ -54,16 +69,6 @@ class PushCommand:
         """(2,) p_WP at the end, m."""
         return self.start + self.distance * np.array([cos(self.direction), sin(self.direction)])
 
-    def to_vector(self) -> NDArray[np.float64]:
-        """(6,) as on a port: command_id, x, y, direction, distance, speed."""
-        return np.array([self.command_id, self.x, self.y, self.direction, self.distance, self.speed])
-
-    @classmethod
-    def from_vector(cls, vector: NDArray[np.float64]) -> "PushCommand":
-        """Reads what `to_vector` wrote; an id that is not finite is none, 0."""
-        command_id, *rest = vector.tolist()
-        return cls(round(command_id) if isfinite(command_id) else 0, *rest)
-
     @classmethod
     def from_push(cls, command_id: int, push: Push | None) -> "PushCommand":
         """The command for a straight push; no command for None."""
@@ -78,7 +83,7 @@ GRASP_COMMAND_SIZE = 6
 
 
 @dataclass(frozen=True)
-class GraspCommand:
+class GraspCommand(_Command):
     """A grasp from beyond the table's edge, one jaw under the object and one over it, world frame.
 
     Attributes:
@@ -90,7 +95,6 @@ class GraspCommand:
         lift: how high to lift what was grasped, m.
     """
 
-    command_id: int = 0
     x: float = 0.0
     y: float = 0.0
     z: float = 0.0
@@ -106,13 +110,3 @@ class GraspCommand:
     def heading(self) -> NDArray[np.float64]:
         """(2,) unit vector in which the fingers point, in W."""
         return np.array([cos(self.approach), sin(self.approach)])
-
-    def to_vector(self) -> NDArray[np.float64]:
-        """(6,) as on a port: command_id, x, y, z, approach, lift."""
-        return np.array([self.command_id, self.x, self.y, self.z, self.approach, self.lift])
-
-    @classmethod
-    def from_vector(cls, vector: NDArray[np.float64]) -> "GraspCommand":
-        """Reads what `to_vector` wrote; an id that is not finite is none, 0."""
-        command_id, *rest = vector.tolist()
-        return cls(round(command_id) if isfinite(command_id) else 0, *rest)

@@ -6,11 +6,10 @@
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
@@ -53,9 +52,6 @@ class AbstractStateSystem(LeafSystem, Generic[S]):
             return EventStatus.DidNothing()
         state.get_mutable_abstract_state(int(self._state)).set_value(new)
         return EventStatus.Succeeded()
-
-
-Array = NDArray[np.float64]
 
 
 class ObjectController(AbstractStateSystem[L]):

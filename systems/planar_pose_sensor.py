@@ -98,13 +98,13 @@ class PlanarPoseSensor(LeafSystem):
         if covered or hidden:
             state.set_value(self._seen, np.full(3, np.nan))
             return
-        q = CalcPlanarPose(X_WB, float(context.get_discrete_state(self._yaw).value()[0]))
+        q = project_pose(X_WB, float(context.get_discrete_state(self._yaw).value()[0]))
         state.set_value(self._yaw, [q[2]])
         seed = int(context.get_numeric_parameter(self._seed).value()[0])
         state.set_value(self._seen, q + self._std * np.random.default_rng((seed, count)).normal(size=3))
 
 
-def CalcPlanarPose(X_WB: RigidTransform, near: float = 0.0) -> NDArray[np.float64]:
+def project_pose(X_WB: RigidTransform, near: float = 0.0) -> NDArray[np.float64]:
     """The pose in the plane, (3,) x, y in m and yaw in rad, by whole turns the one nearest to `near`."""
     yaw = RollPitchYaw(X_WB.rotation()).yaw_angle()
     yaw += 2 * np.pi * round((near - yaw) / (2 * np.pi))

@@ -7,26 +7,26 @@ it.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from math import atan2, cos, isfinite, pi, radians, sin
+from math import atan2, isfinite, pi, radians
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import BasicVector, Context
 from shapely import Point, Polygon
-from shapely.affinity import affine_transform
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
+from gridpush_drake.geometry.se2 import Array, transform_shape
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
 from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, PushCommand, PushStatus
+from gridpush_drake.systems.object_controller import AbstractStateSystem
 
-Array = NDArray[np.float64]
 Reach = Callable[[PushCommand], bool]
 """Whether the arm can carry out a command."""
 
@@ -43,7 +43,7 @@ class RandomPokeOptions:
         speed: of the tip, m/s.
         slant: furthest from the outline's normal, rad.
         tip_radius: m.
-        clearance: gap between tip and outline at the beginning, m; the way through it comes on top of the distance.
+        clearance: gap between tip and outline at the beginning, m; the path through it comes on top of the distance.
         min_motion: of the cells, mean, as predicted, m; a push that moves the object less is drawn again.
         candidates: most draws before a push that takes the object out of its region is taken for want of a better one.
 
@@ -140,7 +140,7 @@ def choose_poke(
         cells = obj.cells_at(last)
         if np.linalg.norm(cells - obj.cells_at(q), axis=1).mean() < style.min_motion:
             continue
-        leaves = not region.keep_in.covers(place_outline(obj, last))
+        leaves = not region.keep_in.covers(transform_shape(last, obj.outline))
         centroid = cells.mean(axis=0)
         if not leaves and region.suits(centroid):
             return command, attempt + 1
@@ -167,7 +167,7 @@ def draw_poke(
 def fits(obj: GridObject, pose: Array, command: PushCommand, style: RandomPokeOptions, region: PokeRegion) -> bool:
     """Whether the tip has room where it starts (a notch may be too narrow) and stays within its workspace."""
     start, end = Point(command.start), Point(command.end)
-    gap = place_outline(obj, pose).distance(start)
+    gap = transform_shape(pose, obj.outline).distance(start)
     if gap < (1 - ROUNDING) * (style.tip_radius + style.clearance):
         return False
     return bool(region.workspace.covers(start) and region.workspace.covers(end))
@@ -180,12 +180,6 @@ def predict_poke(
     velocity = (command.end - command.start) / command.distance * command.speed
     push = Push(command.start, velocity, command.distance / command.speed, style.tip_radius)
     return simulate(obj, params, push, pose, regime="quasi_static", record=[]).final_pose
-
-
-def place_outline(obj: GridObject, pose: Array) -> Polygon:
-    """The object's outline in W, m, at a pose (3,)."""
-    c, s = cos(pose[2]), sin(pose[2])
-    return affine_transform(obj.outline, [c, -s, s, c, pose[0], pose[1]])
 
 
 DEFAULT_PERIOD = 0.05
@@ -205,7 +199,7 @@ class PokePolicyState:
     attempts: int = 0
 
 
-class PokePolicy(LeafSystem):
+class PokePolicy(AbstractStateSystem[PokePolicyState]):
     """Commands one exploratory push after another, see `choose_poke`.
 
     .. pydrake_system::
@@ -260,12 +254,12 @@ class PokePolicy(LeafSystem):
         Raises:
             PushError: a number is negative, or the period is not positive.
         """
-        super().__init__()
         for name, value in (("num_pushes", num_pushes), ("test_pushes", test_pushes)):
             if value < 0:
                 raise PushError(f"{name} is {value!r}; expected 0 or more")
         if not (np.isfinite(period) and period > 0):
             raise PushError(f"period is {period!r}; expected a positive number (s)")
+        super().__init__(PokePolicyState(), period)
         self.obj, self.region, self.style = obj, region, style or RandomPokeOptions()
         self._seed = self.DeclareNumericParameter(BasicVector([float(seed)]))
         self.num_pushes, self.test_pushes = num_pushes, test_pushes
@@ -274,39 +268,28 @@ class PokePolicy(LeafSystem):
         self._reach = reach
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
         self._status = self.DeclareAbstractInputPort("status", AbstractValue.Make(PushStatus()))
-        self._state = self.DeclareAbstractState(AbstractValue.Make(PokePolicyState()))
         self.DeclareVectorOutputPort(
-            "push_command",
-            PUSH_COMMAND_SIZE,
-            weakly(self._calc_push_command),
-            {self.abstract_state_ticket(self._state)},
+            "push_command", PUSH_COMMAND_SIZE, weakly(self._calc_push_command), {self._remembered}
         )
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update)
 
     def SetSeed(self, root_context: Context, seed: int) -> None:
         """Sets the seed of the draws in a Diagram's Context."""
         context = self.GetMyMutableContextFromRoot(root_context)
         context.get_mutable_numeric_parameter(int(self._seed)).SetFromVector([float(seed)])
 
-    def _get_state(self, context: Context) -> PokePolicyState:
-        return context.get_abstract_state(int(self._state)).get_value()
-
     def _calc_push_command(self, context: Context, output: Any) -> None:
         output.SetFromVector(self._get_state(context).command.to_vector())
 
-    def _update(self, context: Context, state: State) -> EventStatus:
-        before = self._get_state(context)
+    def _go_on(self, context: Context, now: PokePolicyState) -> PokePolicyState:
         status: PushStatus = self._status.Eval(context)
         pose = self._object_pose.Eval(context)
         wanted = status.executed < self.num_pushes + self.test_pushes
-        if not (wanted and status.ready and status.command_id == before.command.command_id and np.isfinite(pose).all()):
-            return EventStatus.DidNothing()
+        if not (wanted and status.ready and status.command_id == now.command.command_id and np.isfinite(pose).all()):
+            return now
         style = self.style if status.executed < self.num_pushes else self._test_style
         seed = int(context.get_numeric_parameter(int(self._seed)).value()[0])
         command, attempts = choose_poke(
-            self.obj, self._params, pose, before.command.command_id + 1, seed, style, self.region, self._reach,
-            before.attempts,
+            self.obj, self._params, pose, now.command.command_id + 1, seed, style, self.region, self._reach,
+            now.attempts,
         )  # fmt: skip
-        after = PokePolicyState(command) if command else PokePolicyState(before.command, attempts)
-        state.get_mutable_abstract_state(int(self._state)).set_value(after)
-        return EventStatus.Succeeded()
+        return PokePolicyState(command) if command else PokePolicyState(now.command, attempts)

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context
-from shapely.affinity import affine_transform
 
+from gridpush_drake.geometry.se2 import Array, transform_shape
 from gridpush_drake.multibody.tool_motion import R_WP_DOWN, Point, TrajectorySegment
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
@@ -55,7 +55,7 @@ class PushTrajectoryOptions:
 def make_push_trajectory(
     command: PushCommand, rest: ArrayLike, style: PushTrajectoryOptions, speed_scale: float = 1.0
 ) -> tuple[TrajectorySegment, ...]:
-    """Makes the way of a push from and back to rest: up if need be, over, down, along, pause, up.
+    """Makes the trajectory of a push from and back to rest: up if need be, over, down, along, pause, up.
 
     Args:
         command: the push.
@@ -64,50 +64,51 @@ def make_push_trajectory(
         speed_scale: share of the speeds before and after the push.
 
     Returns:
-        The legs; the last one ends above the push's end.
+        The segments; the last one ends above the push's end.
     """
     x, y, z = np.asarray(rest, float).tolist()
     (x0, y0), (x1, y1) = command.start.tolist(), command.end.tolist()
     high, low = style.travel_height, style.push_height
     travel = (speed_scale * style.travel_speed, style.travel_acceleration)
     vertical = (speed_scale * style.vertical_speed, style.travel_acceleration)
-    legs = [TrajectorySegment(PushPhase.APPROACHING, (x, y, z), (x, y, high), *vertical)] if z < high else []
+    segments = [TrajectorySegment(PushPhase.APPROACHING, (x, y, z), (x, y, high), *vertical)] if z < high else []
     z = max(z, high)
-    legs += [
+    segments += [
         TrajectorySegment(PushPhase.APPROACHING, (x, y, z), (x0, y0, high), *travel),
         TrajectorySegment(PushPhase.DESCENDING, (x0, y0, high), (x0, y0, low), *vertical),
         TrajectorySegment(PushPhase.PUSHING, (x0, y0, low), (x1, y1, low), command.speed, style.push_acceleration),
         TrajectorySegment(PushPhase.SETTLING, (x1, y1, low), (x1, y1, low), wait=style.settle_time),
         TrajectorySegment(PushPhase.RETRACTING, (x1, y1, low), (x1, y1, high), *vertical),
     ]
-    return tuple(legs)
+    return tuple(segments)
 
 
-def break_off(legs: tuple[TrajectorySegment, ...], t: float) -> tuple[TrajectorySegment, ...]:
+def break_off(segments: tuple[TrajectorySegment, ...], t: float) -> tuple[TrajectorySegment, ...]:
     """What is left of a push that is to stop as soon as it can; then, as ever, a pause, and up.
 
     Args:
-        legs: still to come; the first one is under way.
+        segments: still to come; the first one is under way.
         t: since that one began, s.
 
     Returns:
-        The legs; as they were where the push itself is over.
+        The segments; as they were where the push itself is over.
     """
-    phases = [leg.phase for leg in legs]
+    phases = [segment.phase for segment in segments]
     if PushPhase.PUSHING not in phases:
-        return legs
+        return segments
     i = phases.index(PushPhase.PUSHING)
-    push = legs[i].stop_from(t if i == 0 else 0.0)
-    if push.end == legs[i].end:
-        return legs
+    push = segments[i].stop_from(t if i == 0 else 0.0)
+    if push.end == segments[i].end:
+        return segments
     x, y, _ = push.end
-    after = [replace(leg, start=(x, y, leg.start[2]), end=(x, y, leg.end[2])) for leg in legs[i + 1 :]]
-    return (*legs[:i], push, *after)
+    after = [
+        replace(segment, start=(x, y, segment.start[2]), end=(x, y, segment.end[2])) for segment in segments[i + 1 :]
+    ]
+    return (*segments[:i], push, *after)
 
 
-Array = NDArray[np.float64]
 Reach = Callable[[Array, Array], str | None]
-"""Of the tip's way (k, 3), m in W, and speeds (k - 1,) on its pieces, m/s: None, or why the arm cannot follow."""
+"""Of the tip's path (k, 3), m in W, and speeds (k - 1,) on its pieces, m/s: None, or why the arm cannot follow."""
 
 SPEED_SCALES = (1.0, 0.5, 0.25)
 """Shares of the traveling speeds, tried in turn until the arm can follow: stretched, its joints turn fast."""
@@ -119,15 +120,15 @@ class ExecutorState:
 
     Attributes:
         rest: p_WP where the tip stays when there is nothing to do, m.
-        legs: the current one and those still to come.
-        leg_start: when the current one began, s.
+        segments: the current one and those still to come.
+        segment_start: when the current one began, s.
         status: as on the port, but for the reason while a command cannot be read.
         unreadable: whether the command on the port has a number that is not finite.
     """
 
     rest: Point
-    legs: tuple[TrajectorySegment, ...] = ()
-    leg_start: float = 0.0
+    segments: tuple[TrajectorySegment, ...] = ()
+    segment_start: float = 0.0
     status: PushStatus = field(default_factory=PushStatus)
     unreadable: bool = False
 
@@ -138,7 +139,7 @@ class ExecutorState:
 
     def position(self, time: float) -> Array:
         """(3,) p_WP desired at `time`, m."""
-        return self.legs[0].position(time - self.leg_start) if self.legs else np.array(self.rest)
+        return self.segments[0].position(time - self.segment_start) if self.segments else np.array(self.rest)
 
 
 NOT_FINITE = "the command has numbers that are not finite"
@@ -189,7 +190,7 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         Args:
             home: (3,) p_WP where the tip is at the beginning, m.
             outline: of the object in B, m; None asks no questions about the object.
-            reach: whether the arm can follow a way; None trusts it.
+            reach: whether the arm can follow a path; None trusts it.
             style: heights, speeds and times.
         """
         self.style = style or PushTrajectoryOptions()
@@ -216,17 +217,17 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         output.set_value(self._get_state(context).shown_status)
 
     def _go_on(self, context: Context, now: ExecutorState) -> ExecutorState:
-        """Goes on to the next leg when one is done; breaks off, takes up or refuses a command."""
+        """Goes on to the next segment when one is done; breaks off, takes up or refuses a command."""
         time = context.get_time()
-        return self._follow(context, now, time) if now.legs else self._take_up(context, now, time)
+        return self._follow(context, now, time) if now.segments else self._take_up(context, now, time)
 
     def _follow(self, context: Context, now: ExecutorState, time: float) -> ExecutorState:
         if self._command_port.Eval(context)[0] == 0:
-            legs = break_off(now.legs, time - now.leg_start)
-            now = now if legs == now.legs else replace(now, legs=legs)
-        done, *left = now.legs
+            segments = break_off(now.segments, time - now.segment_start)
+            now = now if segments == now.segments else replace(now, segments=segments)
+        done, *left = now.segments
         x, y, z = done.end
-        if time - now.leg_start < done.duration:
+        if time - now.segment_start < done.duration:
             return now
         phase = PushPhase(left[0].phase) if left else PushPhase.IDLE
         executed = now.status.executed + (not left)
@@ -244,21 +245,21 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
             return now
         if self._outline is not None and not np.isfinite(self._pose_port.Eval(context)).all():
             return now  # the object is not seen: wait until it is
-        legs, reason = self._plan(context, command, now.rest)
+        segments, reason = self._plan(context, command, now.rest)
         status = replace(now.status, command_id=command.command_id, reason=reason)
         if reason:
             return replace(now, status=replace(status, refused=status.refused + 1))
-        return ExecutorState(now.rest, legs, time, replace(status, phase=PushPhase(legs[0].phase)))
+        return ExecutorState(now.rest, segments, time, replace(status, phase=PushPhase(segments[0].phase)))
 
     def _plan(self, context: Context, command: PushCommand, rest: Point) -> tuple[tuple[TrajectorySegment, ...], str]:
-        """The legs of a command, and why it is refused or ""."""
+        """The segments of a command, and why it is refused or ""."""
         reason = self._find_fault(command)
         if reason is None and self._outline is not None:
             reason = self._find_overlap(command, self._pose_port.Eval(context))
         if reason is not None:
             return (), reason
-        legs, reason = plan_push(command, rest, self.style, self._reach)
-        return legs, reason or ""
+        segments, reason = plan_push(command, rest, self.style, self._reach)
+        return segments, reason or ""
 
     def _find_fault(self, command: PushCommand) -> str | None:
         if not np.isfinite(command.to_vector()).all():
@@ -271,9 +272,8 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
 
     def _find_overlap(self, command: PushCommand, pose: Array) -> str | None:
         """Why the tip cannot start where it is told to, with the object at `pose` (3,)."""
-        x, y, theta = pose
-        c, s = np.cos(theta), np.sin(theta)
-        outline_W = affine_transform(self._outline, [c, -s, s, c, x, y])
+        assert self._outline is not None
+        outline_W = transform_shape(pose, self._outline)
         start = shapely.Point(command.start)
         where = f"({command.x:.3f}, {command.y:.3f}) m"
         if outline_W.contains(start):
@@ -287,24 +287,24 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
 def plan_push(
     command: PushCommand, rest: Point, style: PushTrajectoryOptions, reach: Reach | None
 ) -> tuple[tuple[TrajectorySegment, ...], str | None]:
-    """Plans the way of a push, as fast as the arm can follow.
+    """Plans the trajectory of a push, as fast as the arm can follow.
 
     Args:
         command: the push.
         rest: p_WP where the tip is, m.
         style: heights, speeds and times.
-        reach: whether the arm can follow a way; None trusts it.
+        reach: whether the arm can follow a path; None trusts it.
 
     Returns:
-        The legs, and None; or no legs, and why the arm cannot follow.
+        The segments, and None; or no segments, and why the arm cannot follow.
     """
     reason = None
     for speed_scale in SPEED_SCALES:
-        legs = make_push_trajectory(command, rest, style, speed_scale)
+        segments = make_push_trajectory(command, rest, style, speed_scale)
         if reach is None:
-            return legs, None
-        way = np.array([legs[0].start] + [leg.end for leg in legs])
-        reason = reach(way, np.array([leg.top_speed for leg in legs]))
+            return segments, None
+        path = np.array([segments[0].start] + [segment.end for segment in segments])
+        reason = reach(path, np.array([segment.top_speed for segment in segments]))
         if reason is None:
-            return legs, None
+            return segments, None
     return (), reason

@@ -153,10 +153,10 @@ def run_lcp_system(report: Report | None = None) -> list[Table]:
         One table, a row an object and regime.
     """
     rows: list[list[Value]] = []
-    tell = count_steps(report, len(LCP_OBJECTS) * len(LCP_REGIMES))
+    announce = count_steps(report, len(LCP_OBJECTS) * len(LCP_REGIMES))
     for name in LCP_OBJECTS:
         for regime in LCP_REGIMES:
-            tell(f"{name}, {regime}")
+            announce(f"{name}, {regime}")
             obj = GridObject.from_yaml(find_shipped_object(name))
             times = np.sort(_time_pushes(obj, regime))
             median = float(np.median(times))

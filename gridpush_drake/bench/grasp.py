@@ -25,7 +25,7 @@ SCENARIO = "scenarios/grasp.yaml"
 """Among the shipped models."""
 
 HELD, DROPPED = "held", "dropped"
-"""Of the statuses that `station.pre_grasp_task` ends with; with any other the object was given up."""
+"""Of the statuses that `station.pregrasp_task` ends with; with any other the object was given up."""
 
 MM = 1e3
 """Millimeters in a meter."""

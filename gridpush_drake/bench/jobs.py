@@ -175,7 +175,7 @@ Report = Callable[[str, int, int], None]
 WORKERS = 2
 """Processes by default."""
 
-BEAT = 1.0
+REPORT_EVERY = 1.0
 """s, at most, between two calls of a report."""
 
 END_WITHIN = 1.0
@@ -253,6 +253,13 @@ def run_jobs(
     return [done[i] for i in range(len(jobs))]
 
 
+def check_known(what: str, given: Sequence[str], known: Sequence[str]) -> None:
+    """Raises GridPushError where none is given, or one that is not known."""
+    unknown = [name for name in given if name not in known]
+    if unknown or not given:
+        raise GridPushError(f"{what}: {', '.join(unknown) or 'none'}; expected some of {', '.join(known)}")
+
+
 def count_steps(report: Report | None, total: int) -> Callable[[str], None]:
     """What to call at the beginning of each of `total` steps, where they are no jobs."""
     done = count()
@@ -272,7 +279,7 @@ def _run(
             connection.send(waiting.pop())
         busy = dict(pool)
         while busy:
-            ready = wait(list(busy), BEAT)
+            ready = wait(list(busy), REPORT_EVERY)
             if not ready:
                 yield None
             for connection in [each for each in pool if each in ready]:

@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy.stats import bootstrap
 
-from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
+from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
 from gridpush_drake.bench.protocol import (
     DURATION,
     FINGER_RADIUS,
@@ -278,10 +278,8 @@ def calc_test_error(case: Case, params: CellParameters, test: PushLog, regime: R
 
 
 def _check(protocol: Protocol, names: Sequence[str], methods: Sequence[str], budget: int, sets: int) -> None:
-    for what, given, known in (("objects", names, tuple(protocol.masses)), ("methods", methods, METHODS)):
-        unknown = [name for name in given if name not in known]
-        if unknown or not given:
-            raise GridPushError(f"{what}: {', '.join(unknown) or 'none'}; expected some of {', '.join(known)}")
+    check_known("objects", names, tuple(protocol.masses))
+    check_known("methods", methods, METHODS)
     most = min(len(protocol.splits[TRAINING_PUSHES]), *(len(protocol.masses[name]) for name in names))
     if not 1 <= sets <= most:
         raise GridPushError(f"mass sets: {sets}; expected 1 to {most}")

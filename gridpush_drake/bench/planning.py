@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
+from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
 from gridpush_drake.bench.protocol import (
     ANGLE_STD,
     POSITION_STD,
@@ -254,9 +254,7 @@ def run(
     folder = None if data is None else Path(data).resolve()
     protocol = make_planning_protocol(folder, seed)
     known = list_objects(protocol)
-    unknown = [name for name in objects or () if name not in known]
-    if unknown:
-        raise GridPushError(f"objects: {', '.join(unknown)}; expected some of {', '.join(known)}")
+    check_known("objects", objects or known, known)
     if not 1 <= sets <= protocol.mass_sets:
         raise GridPushError(f"sets: {sets}; expected 1 to {protocol.mass_sets}")
     count, pairs = (QUICK_SETS, QUICK_PAIRS) if quick else (sets, len(protocol.pairs))

@@ -7,14 +7,15 @@ Two experiments in the quasi-static LCP world with a table's edge (`bench.pregra
     exploring   pokes chosen by design, or at random, until the center of mass's standard deviation is small
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
+from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
 from gridpush_drake.bench.pregrasp_exploration import (
     AIMS,
     ALONG,
@@ -22,13 +23,12 @@ from gridpush_drake.bench.pregrasp_exploration import (
     DISTANCES,
     WANTED_STD,
     ExplorationScore,
-    Trace,
     explore,
 )
 from gridpush_drake.bench.pregrasp_world import EdgeWorld, MujocoWorld, Outcome, PaperLearner, run_pregrasp
 from gridpush_drake.bench.protocol import MASS_RANGE, PLANNING_METERS_PER_PIXEL
 from gridpush_drake.bench.public_data import find_masks
-from gridpush_drake.bench.table import Table
+from gridpush_drake.bench.table import Table, Value
 from gridpush_drake.bench.truth_sets import KINDS
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import make_direction
@@ -108,6 +108,7 @@ MM = 1e3
 LIKELY = {BOTH: 5.991 / 2, ALONG: 3.841}
 """What 95 % of chi squares stay below, per direction: of two degrees of freedom, and of one."""
 
+SLIDE_COLUMNS = ("runs", "graspable, %", "dropped", "given up", "pokes", "slides")
 EXPLORE_COLUMNS = ("runs", "by design", "at random", "ratio", "error, mm", "at random, mm", "within 95 %, %")
 
 
@@ -130,16 +131,10 @@ class SlideScore:
 
 def tabulate_slides(scores: Sequence[SlideScore], methods: Sequence[str]) -> Table:
     """Successes, drops and refusals by method."""
-    rows = []
-    for method in methods:
-        outcomes = [score.outcome for score in scores if score.method == method]
-        grasped, dropped = sum(o.grasped for o in outcomes), sum(o.dropped for o in outcomes)
-        refused = len(outcomes) - grasped - dropped
-        rows.append((method, len(outcomes), PERCENT * grasped / len(outcomes), dropped, refused, *_counts(outcomes)))
     return Table(
         "Pre-grasp sliding, hidden masses and frictions",
-        ("method", "runs", "graspable, %", "dropped", "given up", "pokes", "slides"),
-        rows,
+        ("method", *SLIDE_COLUMNS),
+        _make_slide_rows(methods, lambda method: [score for score in scores if score.method == method]),
         (
             "graspable: a part hangs over the edge far enough, and the object is at rest.",
             "dropped: it fell off the table on the way. given up: no safe way was found, and it is still on the table.",
@@ -152,29 +147,33 @@ def tabulate_slides(scores: Sequence[SlideScore], methods: Sequence[str]) -> Tab
 
 def tabulate_objects(scores: Sequence[SlideScore], objects: Sequence[str], method: str) -> Table:
     """One method's runs by object."""
-    rows = []
-    for name in objects:
-        outcomes = [score.outcome for score in scores if score.method == method and score.name == name]
+    chosen = [score for score in scores if score.method == method]
+    rows = _make_slide_rows(objects, lambda name: [score for score in chosen if score.name == name])
+    return Table(f"Pre-grasp sliding by object, {method}", ("object", *SLIDE_COLUMNS), rows)
+
+
+def _make_slide_rows(keys: Sequence[str], find: Callable[[str], list[SlideScore]]) -> list[tuple[Value, ...]]:
+    """A row for each key that has scores."""
+    rows: list[tuple[Value, ...]] = []
+    for key in keys:
+        outcomes = [score.outcome for score in find(key)]
         if outcomes:
             grasped, dropped = sum(o.grasped for o in outcomes), sum(o.dropped for o in outcomes)
-            refused = len(outcomes) - grasped - dropped
-            rows.append((name, len(outcomes), PERCENT * grasped / len(outcomes), dropped, refused, *_counts(outcomes)))
-    columns = ("object", "runs", "graspable, %", "dropped", "given up", "pokes", "slides")
-    return Table(f"Pre-grasp sliding by object, {method}", columns, rows)
+            share, given_up = PERCENT * grasped / len(outcomes), len(outcomes) - grasped - dropped
+            pokes, slides = (float(np.mean([getattr(o, what) for o in outcomes])) for what in ("pokes", "slides"))
+            rows.append((key, len(outcomes), share, dropped, given_up, pokes, slides))
+    return rows
 
 
 def tabulate_exploration(scores: Sequence[ExplorationScore]) -> Table:
     """Pokes needed, by design and at random, by their length; and whether the stated spread is right."""
-    rows = []
-    for aim in AIMS:
-        for distance in sorted({score.distance for score in scores}):
-            chosen = [score for score in scores if score.aim == aim and score.distance == distance]
-            if chosen:
-                rows.append((aim, MM * distance, *_explore_row(aim, chosen)))
+    lengths = sorted({score.distance for score in scores})
     return Table(
         f"Pokes until the center of mass is known to {WANTED_STD * MM:.0f} mm",
         ("wanted", "poke, mm", *EXPLORE_COLUMNS),
-        rows,
+        _make_exploration_rows(
+            {MM * length: [score for score in scores if score.distance == length] for length in lengths}
+        ),
         (
             "by design, at random: mean number of pokes; the poke said to tell most, or any of the same pool.",
             "wanted: of the center of mass; in both directions the least known one counts.",
@@ -187,35 +186,24 @@ def tabulate_exploration(scores: Sequence[ExplorationScore]) -> Table:
 
 def tabulate_exploration_by_object(scores: Sequence[ExplorationScore], objects: Sequence[str]) -> Table:
     """The same by object, over all lengths."""
-    rows = []
-    for aim in AIMS:
-        for name in objects:
-            chosen = [score for score in scores if score.aim == aim and score.name == name]
-            if chosen:
-                rows.append((aim, name, *_explore_row(aim, chosen)))
+    rows = _make_exploration_rows({name: [score for score in scores if score.name == name] for name in objects})
     return Table("The same by object, pokes of all lengths", ("wanted", "object", *EXPLORE_COLUMNS), rows, keys=2)
 
 
-def _explore_row(aim: str, scores: Sequence[ExplorationScore]) -> tuple[float | int, ...]:
-    active, random = [score.active for score in scores], [score.random for score in scores]
-    designed, drawn = _mean_pokes(active), _mean_pokes(random)
-    within = np.mean([trace.chi_square <= LIKELY[aim] for trace in (*active, *random)])
-    return (
-        len(scores), designed, drawn, designed / drawn, _mean_error(active), _mean_error(random),
-        PERCENT * float(within),
-    )  # fmt: skip
-
-
-def _mean_pokes(traces: Sequence[Trace]) -> float:
-    return float(np.mean([trace.pokes for trace in traces]))
-
-
-def _mean_error(traces: Sequence[Trace]) -> float:
-    return MM * float(np.mean([trace.errors[-1] for trace in traces]))
-
-
-def _counts(outcomes: Sequence[Outcome]) -> tuple[float, float]:
-    return float(np.mean([o.pokes for o in outcomes])), float(np.mean([o.slides for o in outcomes]))
+def _make_exploration_rows(groups: Mapping[Any, Sequence[ExplorationScore]]) -> list[tuple[Value, ...]]:
+    """A row for each aim and key of a group that has scores."""
+    rows: list[tuple[Value, ...]] = []
+    for aim in AIMS:
+        for key, group in groups.items():
+            chosen = [score for score in group if score.aim == aim]
+            if chosen:
+                active, random = [score.active for score in chosen], [score.random for score in chosen]
+                designed, drawn = (float(np.mean([trace.pokes for trace in traces])) for traces in (active, random))
+                errors = (MM * float(np.mean([trace.errors[-1] for trace in traces])) for traces in (active, random))
+                within = np.mean([trace.chi_square <= LIKELY[aim] for trace in (*active, *random)])
+                share = PERCENT * float(within)
+                rows.append((aim, key, len(chosen), designed, drawn, designed / drawn, *errors, share))
+    return rows
 
 
 LEARNED, WIDE, TRUE = "learned", "learned, wide friction", "true"
@@ -385,7 +373,7 @@ def _run(world: EdgeWorld, planner: PreGraspPlanner, method: str) -> Outcome:
         return run_pregrasp(world, planner)
     if method == UNBOUNDED:
         paper = PaperLearner(NO_BOUND, PAPER_PUSHES)
-        return run_pregrasp(world, planner, paper.learn, paper.make_believe(world.obj))
+        return run_pregrasp(world, planner, paper.learn, paper.make_inference(world.obj))
     params = world.hidden if method == TRUE else CellParameters.uniform(world.obj)
     granted = UncertainModel.of_parameters(world.obj, params)
     return run_pregrasp(world, planner, None, lambda found, log: granted)
@@ -427,14 +415,9 @@ def _check(
     methods: Sequence[str],
     experiment: str,
 ) -> None:
-    for what, given, known in (
-        ("objects", objects, known_objects),
-        ("methods", methods, METHODS),
-        ("experiment", [experiment], EXPERIMENTS),
-    ):
-        unknown = [name for name in given if name not in known]
-        if unknown or not given:
-            raise GridPushError(f"{what}: {', '.join(unknown) or 'none'}; expected some of {', '.join(known)}")
+    check_known("objects", objects, known_objects)
+    check_known("methods", methods, METHODS)
+    check_known("experiment", [experiment], EXPERIMENTS)
     for what, count in (("mass sets", mass_sets), ("seeds", seeds)):
         if count < 1:
             raise GridPushError(f"{what}: {count}; expected at least 1")

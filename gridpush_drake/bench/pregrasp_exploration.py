@@ -8,18 +8,16 @@ it is, and two or three of them are needed in any case: so the shorter the pokes
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gridpush_drake.bench.pregrasp_world import see
+from gridpush_drake.bench.pregrasp_world import add_pose_noise
 from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.exploration import PokeOptions, choose_poke, make_center_functional, make_pokes
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-
-Array = NDArray[np.float64]
 
 WANTED_STD = 0.005
 """m, of the center of mass, in the direction wanted or, of both, in the one least known."""
@@ -119,7 +117,7 @@ def _run(
             push = choose_poke(model, pose, pokes, F).push
         else:
             push = pokes[int(rng.integers(len(pokes)))]
-        after = see(simulate(obj, truth, push, pose, regime="quasi_static").final_pose, rng)
+        after = add_pose_noise(simulate(obj, truth, push, pose, regime="quasi_static").final_pose, rng)
         log.append(ObservedPush(f"poke_{len(log)}", push, pose, np.array([push.duration]), after[None]))
         pose = after
         seen = PushLog(tuple(log))

@@ -7,13 +7,14 @@ stands as the model does not suppose; poses are seen with noise. The loop is `pl
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gridpush_drake.bench.mujoco_truth import TruthWorld
 from gridpush_drake.bench.protocol import ANGLE_STD, POSITION_STD
 from gridpush_drake.bench.truth_sets import make_body
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import calc_loads
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
@@ -22,7 +23,7 @@ from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import (
-    Believe,
+    Infer,
     PreGraspLoop,
     PreGraspLoopOptions,
     PreGraspMode,
@@ -33,8 +34,6 @@ from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.simulated_world import Learn, Learner, SimulatedWorld, run_loop
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-
-Array = NDArray[np.float64]
 
 LEARNER = Learner(memory=14)
 """The default method, from the latest pushes: the cost of learning grows with them, and what they tell hardly does."""
@@ -49,7 +48,7 @@ ONE_OBSERVATION = PreGraspLoopOptions(observations=1)
 """Nothing moves between two pushes: the object is decided on as it is first seen."""
 
 
-def see(pose: Array, rng: np.random.Generator) -> Array:
+def add_pose_noise(pose: Array, rng: np.random.Generator) -> Array:
     """A pose (3,) with noise."""
     return pose + np.array([POSITION_STD, POSITION_STD, ANGLE_STD]) * rng.standard_normal(3)
 
@@ -156,7 +155,7 @@ class Outcome:
 
 
 def run_pregrasp(
-    world: EdgeWorld, planner: PreGraspPlanner, learn: Learn | None = LEARNER, believe: Believe | None = None
+    world: EdgeWorld, planner: PreGraspPlanner, learn: Learn | None = LEARNER, infer: Infer | None = None
 ) -> Outcome:
     """Runs the task until a part can be grasped, or to its end.
 
@@ -164,12 +163,12 @@ def run_pregrasp(
         world: the hidden object.
         planner: decides.
         learn: learns after every push; None never.
-        believe: says what is held possible; by default what the identification's posterior says.
+        infer: says what is held possible; by default what the identification's posterior says.
 
     Returns:
         The outcome.
     """
-    loop = PreGraspLoop(planner, lambda pose, center_of_mass: None, believe=believe, options=ONE_OBSERVATION)
+    loop = PreGraspLoop(planner, lambda pose, center_of_mass: None, infer=infer, options=ONE_OBSERVATION)
     state = run_loop(loop, planner.obj, world, _is_over, learn=learn, surface=world.surface).state
     status = state.status
     if world.fallen:
@@ -208,10 +207,10 @@ class PaperLearner:
         wide = replace(obj, prior=replace(obj.prior, friction_min=low, friction_max=high))
         return identify(wide, chosen, method="paper", regime="quasi_static")
 
-    def make_believe(self, obj: GridObject) -> Believe:
+    def make_inference(self, obj: GridObject) -> Infer:
         """What is held possible: what the posterior says of the first pokes, then the parameters as they are."""
 
-        def believe(found: Identification | None, log: PushLog) -> UncertainModel | None:
+        def infer(found: Identification | None, log: PushLog) -> UncertainModel | None:
             if found is None:
                 return None
             if len(LEARNER.select(log)) < self.min_pokes:
@@ -219,7 +218,7 @@ class PaperLearner:
                 return UncertainModel.of_identification(found, log=used)
             return UncertainModel.of_parameters(obj, found.params)
 
-        return believe
+        return infer
 
 
 def _hangs_over(world: EdgeWorld, planner: PreGraspPlanner) -> bool:

@@ -26,7 +26,7 @@ from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.outline import OutlineEdges
-from gridpush_drake.geometry.se2 import make_direction
+from gridpush_drake.geometry.se2 import Array, make_direction
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.mask import read_labels
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
@@ -34,8 +34,6 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-
-Array = NDArray[np.float64]
 
 MAX_CELLS = 127
 METERS_PER_PIXEL = 0.001

@@ -1,18 +1,14 @@
 """`gridpush bench real`: learning from real robots' pushes, and predicting others of them.
 
 The pushes are public data of other people. Without them, simulated pushes of the shipped objects stand in
-(`bench.simulated_pushes`), and the table says so: nothing in it is real.
+(`simulate_log`), and the table says so: nothing in it is real. Their masses and frictions are hidden, drawn by part;
+every push begins at a random place of the outline, and the object is seen with noise at its beginning and its end.
 
 CMU (Zhou et al. 2016): 25 of a file's 50 pushes are held out, 1 to 25 of the others train; the metric is
 |dxy| + rho |dtheta|, rho = 0.05 sqrt 2 m. MIT (Yu et al. 2016): a fifth of a file's pushes trains, the rest are held
 out. The standard error of one CMU split's mean is 0.15 mm: smaller differences say nothing.
 
 A figure shows the error on the CMU pushes against the number of training pushes.
-
-Simulated pushes of a shipped object that stand in for a real robot's, where those are not at hand.
-
-Masses and frictions are hidden, drawn by part; every push begins at a random place of the outline, and the object is
-seen with noise at its beginning and its end.
 """
 
 from collections.abc import Sequence

@@ -100,7 +100,7 @@ START_UPS = 7
 
 MS = 1e3
 
-Tell = Callable[[str], None]
+Announce = Callable[[str], None]
 
 
 def run(
@@ -123,10 +123,13 @@ def run(
     Returns:
         The tables: one push, cost against n, start-up.
     """
-    tell = count_steps(report, len(_simulations(obj)) + int(with_mujoco) + len(sizes) + 1)
+    announce = count_steps(report, len(_simulations(obj)) + int(with_mujoco) + len(sizes) + 1)
     with one_core() as pinned:
-        tables = [_measure_push(obj, repetitions, with_mujoco, pinned, tell), _measure_sizes(sizes, repetitions, tell)]
-        tell("start-up")
+        tables = [
+            _measure_push(obj, repetitions, with_mujoco, pinned, announce),
+            _measure_sizes(sizes, repetitions, announce),
+        ]
+        announce("start-up")
         tables.append(_measure_start_up())
     return tables
 
@@ -171,10 +174,10 @@ def _simulate(
     return simulate(obj, params, push, dt=DT, regime=regime, gradients=True, record=record).jacobian
 
 
-def _measure_push(obj: GridObject, repetitions: int, with_mujoco: bool, pinned: bool, tell: Tell) -> Table:
+def _measure_push(obj: GridObject, repetitions: int, with_mujoco: bool, pinned: bool, announce: Announce) -> Table:
     times: dict[str, Timing] = {}
     for name, work in _simulations(obj).items():
-        tell(name)
+        announce(name)
         times[name] = measure(work, repetitions, warm_up=3)
     plain = times["inertial"].median
     rows: list[list[Value]] = [_row(name, timing, timing.median / plain) for name, timing in times.items()]
@@ -184,7 +187,7 @@ def _measure_push(obj: GridObject, repetitions: int, with_mujoco: bool, pinned: 
         "The Jacobian is by all masses and frictions, the contact friction and the push.",
     ]
     if with_mujoco:
-        tell("MuJoCo")
+        announce("MuJoCo")
         beside = _measure_mujoco(obj)
         if isinstance(beside, Timing):
             rows.append(_row("MuJoCo, cells as boxes, step 2 ms", beside, beside.median / plain))
@@ -206,11 +209,11 @@ def _measure_mujoco(obj: GridObject) -> Timing | str:
     return measure(push, repetitions=3, warm_up=0)
 
 
-def _measure_sizes(sizes: Sequence[int], repetitions: int, tell: Tell) -> Table:
+def _measure_sizes(sizes: Sequence[int], repetitions: int, announce: Announce) -> Table:
     rows: list[list[Value]] = []
     medians = []
     for size in sizes:
-        tell(f"{size} cells")
+        announce(f"{size} cells")
         obj = GridObject.from_outline(np.array([[0, 0], [0.2, 0], [0.2, 0.2], [0, 0.2]]), max_cells=size)
         works = _simulations(obj)
         chosen = [works[name] for name in ("inertial", f"inertial{FINAL}")]

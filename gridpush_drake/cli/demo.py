@@ -30,6 +30,17 @@ class TaskName(StrEnum):
     pregrasp = "pregrasp"
 
 
+class CameraName(StrEnum):
+    """What sees the object."""
+
+    ideal = "ideal"
+    rgbd = "rgbd"
+
+
+RGBD_RATE = 10.0
+"""Pictures a second that `--camera rgbd` takes at most, Hz: each takes long to render."""
+
+
 def demo(
     task: Annotated[
         TaskName,
@@ -48,6 +59,13 @@ def demo(
     ] = None,
     pushes: Annotated[
         int | None, typer.Option(min=1, help="How many pushes to learn from (--task identify).  [default: 8]")
+    ] = None,
+    camera: Annotated[
+        CameraName | None,
+        typer.Option(
+            help="ideal: the robot is told object and poses, with noise; rgbd: it has a color and depth camera, "
+            "finds the object in a photograph and tracks it.  [default: the scenario's, ideal]"
+        ),
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Of everything random.  [default: the scenario's]")] = None,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for what the demo writes.")] = Path(
@@ -77,7 +95,7 @@ def demo(
     if pushes is not None and task is not TaskName.identify:
         raise options.OptionError(f"--pushes: is for --task identify; {task} decides itself how many to make")
     chosen = TASKS[task]
-    scenario = _make_scenario(chosen, scenario_file, object_file, pushes, seed)
+    scenario = _make_scenario(chosen, scenario_file, object_file, pushes, camera, seed)
     check_scenario(scenario)
     make_folder(out)
     for name in chosen.files:
@@ -105,7 +123,12 @@ def demo(
 
 
 def _make_scenario(
-    task: "DemoTask", scenario_file: Path | None, object_file: str | None, pushes: int | None, seed: int | None
+    task: "DemoTask",
+    scenario_file: Path | None,
+    object_file: str | None,
+    pushes: int | None,
+    camera: CameraName | None,
+    seed: int | None,
 ) -> "PushScenario":
     """The scenario of a file, or the task's own one, with what the command line says instead."""
     from gridpush_drake.station.scenario import read_scenario
@@ -115,6 +138,10 @@ def _make_scenario(
         scenario.object = object_file
     if pushes is not None:
         scenario.pokes.count = pushes
+    if camera is not None:
+        scenario.camera.kind = camera.value
+    if camera == CameraName.rgbd:
+        scenario.camera.rate = min(scenario.camera.rate, RGBD_RATE)
     if seed is not None:
         scenario.seed = seed
     return scenario

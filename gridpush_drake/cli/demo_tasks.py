@@ -213,12 +213,12 @@ class IdentifyDemo:
         training, held_out = self.split_log(record)
         result = record.estimates[-1]
         if not len(held_out):
-            return make_report(result, training, truth=record.truth)
+            return make_report(result, training, truth=record.truth, sight=record.sight)
         learning = [
             calc_mean_cell_error(record.obj, found.params, held_out, result.regime)
             for found in (describe_prior(record.obj), *record.estimates)
         ]
-        return make_report(result, training, held_out, record.truth, learning)
+        return make_report(result, training, held_out, record.truth, learning, sight=record.sight)
 
     def summarize(self, record: IdentifyTaskRecord) -> dict[str, Any]:
         """Errors before and after learning, and how the robot behaved."""
@@ -462,7 +462,7 @@ def _report_run(record: PushTaskRecord | PreGraspRecord, summary: ReportSummary)
     """The report of a task that learns on the way, from the pushes its last estimate was learned from."""
     found = record.estimates[-1]
     used = record.log.subset([i for i, seen in enumerate(record.log) if seen.name in found.push_names])
-    return make_report(found, used, truth=record.truth, summary=summary)
+    return make_report(found, used, truth=record.truth, summary=summary, sight=record.sight)
 
 
 def _describe_limit_report(limit_report: LimitReport) -> dict[str, Any]:

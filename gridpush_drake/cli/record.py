@@ -61,7 +61,7 @@ def record(
     for option, value in (("--engaged-below", engaged_below), ("--pose-delay", pose_delay)):
         if not isfinite(value):
             raise options.OptionError(f"{option}: is {value}; expected a finite number")
-    surface = None if table is None else options.parse_table(table)
+    surface = None if table is None else options.parse_shape("--table", table)
     obj = options.load_object(object_file)
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
     how = SegmenterOptions(engaged_below=engaged_below), RecordOptions(pose_delay=pose_delay)
@@ -99,7 +99,7 @@ def record(
 
 
 def _mark_overhang(log: "PushLog", obj: "GridObject", surface: "SupportSurface") -> "PushLog":
-    """Says of each push whether a part of the object was seen to hang over the table's edge."""
+    """The log with the table, and with what was seen of each push: whether a part of the object hung over the edge."""
     import numpy as np
 
     from gridpush_drake.planning.support_surface import find_supported
@@ -107,7 +107,8 @@ def _mark_overhang(log: "PushLog", obj: "GridObject", surface: "SupportSurface")
     def hangs(seen: "ObservedPush") -> bool:
         return not find_supported(obj, np.vstack([seen.pose, seen.poses_observed]), surface).all()
 
-    return replace(log, pushes=tuple(replace(seen, overhang=hangs(seen)) for seen in log))
+    pushes = tuple(replace(seen, overhang=hangs(seen)) for seen in log)
+    return replace(log, pushes=pushes, table=surface.corners)
 
 
 def describe_delay(delay: "Delay | None") -> dict[str, Any] | None:

@@ -32,17 +32,21 @@ class ViewError(GridPushError):
 
 
 @dataclass(frozen=True)
-class ViewStyle:
-    """How things are drawn: which of the cells' values gives their color, and the object's height, m."""
+class ViewOptions:
+    """How things are drawn, and where the page goes.
+
+    Attributes:
+        shows: which of the cells' values gives their color.
+        height: of the object, m.
+        port: of the page, where it is served.
+        open_page: whether it is opened in the browser then.
+        out: file to write it to instead.
+        force: whether that may be replaced.
+        json: whether to say in JSON what was done.
+    """
 
     shows: Literal["mass", "friction", "relative_friction"]
     height: float
-
-
-@dataclass(frozen=True)
-class ViewOutput:
-    """Where the page goes: to a port, and the browser, or to the file `out`; and whether to say so in JSON."""
-
     port: int | None
     open_page: bool
     out: Path | None
@@ -91,14 +95,14 @@ def view(
         raise ViewError(f"--height: is {height}; expected a positive number (m)")
     if out is not None:
         check_writable(out, force)
-    style, output = ViewStyle(shows, height), ViewOutput(port, open_page, out, force, json)
+    chosen = ViewOptions(shows, height, port, open_page, out, force, json)
     if kind in (".html", ".htm"):
         _play_recording(Path(source), open_page, json)
     elif kind == ".csv":
         target = _find_target(Path(source), object_file, model_file, largest_piece)
-        _view_pushes(Path(source), target, push, style, output)
+        _view_pushes(Path(source), target, push, chosen)
     else:
-        _view_model(source, style, largest_piece, output)
+        _view_model(source, largest_piece, chosen)
 
 
 def _check_options(kind: str, of_pushes: dict[str, Any], out: Path | None) -> None:
@@ -127,16 +131,16 @@ def _play_recording(path: Path, open_page: bool, json: bool) -> None:
         print_line(f"{'Opened' if opened else 'Open this in a browser:'} {address}")
 
 
-def _view_model(source: str, style: ViewStyle, largest_piece: bool, output: ViewOutput) -> None:
+def _view_model(source: str, largest_piece: bool, chosen: ViewOptions) -> None:
     from gridpush_drake.cli.view_scene import AddModel, describe_colors, make_overlay
 
     target = options.load_target(source, largest_piece)
-    meshcat = _start(output)
-    AddModel(meshcat, target, style.shows, style.height)
-    lines = [f"{target.obj.name}: {target.obj.n} cells", describe_colors(style.shows)]
+    meshcat = _start(chosen)
+    AddModel(meshcat, target, chosen.shows, chosen.height)
+    lines = [f"{target.obj.name}: {target.obj.n} cells", describe_colors(chosen.shows)]
     kind = "model" if target.model else "object"
-    overlay = make_overlay(target, style.shows)
-    _write_or_serve(meshcat, overlay, {"kind": kind, "object": target.obj.name}, lines, output)
+    overlay = make_overlay(target, chosen.shows)
+    _write_or_serve(meshcat, overlay, {"kind": kind, "object": target.obj.name}, lines, chosen)
 
 
 def _find_target(log: Path, object_file: str | None, model_file: Path | None, largest_piece: bool) -> "options.Target":
@@ -157,9 +161,7 @@ def _find_target(log: Path, object_file: str | None, model_file: Path | None, la
     return options.load_target(str(told), largest_piece)
 
 
-def _view_pushes(
-    path: Path, target: "options.Target", names: list[str] | None, style: ViewStyle, output: ViewOutput
-) -> None:
+def _view_pushes(path: Path, target: "options.Target", names: list[str] | None, chosen: ViewOptions) -> None:
     from gridpush_drake.cli.view_scene import AddPushes, describe_colors, make_overlay
     from gridpush_drake.identification.prediction import summarize_errors
 
@@ -168,24 +170,24 @@ def _view_pushes(
     for name in names or ():
         if name not in known:
             raise ViewError(f"--push: {path} has no push {name!r}; it has {', '.join(known)}")
-    chosen = log.subset([i for i, name in enumerate(known) if not names or name in names])
-    predictions = _predict(target, log, chosen) if target.model else None
-    overhanging = [seen.name for seen in chosen.overhanging]
+    picked = log.subset([i for i, name in enumerate(known) if not names or name in names])
+    predictions = _predict(target, log, picked) if target.model else None
+    overhanging = [seen.name for seen in picked.overhanging]
     judged = [prediction for prediction in predictions or [] if prediction.name not in overhanging]
-    errors = summarize_errors(target.obj, judged, chosen.supported) if judged else []
+    errors = summarize_errors(target.obj, judged, picked.supported) if judged else []
 
-    meshcat = _start(output)
-    AddPushes(meshcat, target, chosen, predictions, style.shows, style.height)
-    lines = [f"{target.obj.name}: {len(chosen)} push{'' if len(chosen) == 1 else 'es'}"]
+    meshcat = _start(chosen)
+    AddPushes(meshcat, target, picked, predictions, chosen.shows, chosen.height)
+    lines = [f"{target.obj.name}: {len(picked)} push{'' if len(picked) == 1 else 'es'}"]
     if predictions:
-        lines += ["Solid: as observed. Orange: as the model predicts it.", describe_colors(style.shows)]
+        lines += ["Solid: as observed. Orange: as the model predicts it.", describe_colors(chosen.shows)]
     cell = [error for error in errors if error.name == "cell"]
     lines += [f"Mean cell error of the final poses: {error.mean * error.scale:.1f} {error.unit}" for error in cell]
     if predictions and overhanging:
         lines.append(f"Of these errors, {options.describe_overhanging(overhanging)}")
-    found = {"kind": "pushes", "object": target.obj.name, "pushes": [seen.name for seen in chosen]}
-    overlay = make_overlay(target, style.shows, chosen, predictions)
-    _write_or_serve(meshcat, overlay, {**found, "errors": [vars(error) for error in errors]}, lines, output)
+    found = {"kind": "pushes", "object": target.obj.name, "pushes": [seen.name for seen in picked]}
+    overlay = make_overlay(target, chosen.shows, picked, predictions)
+    _write_or_serve(meshcat, overlay, {**found, "errors": [vars(error) for error in errors]}, lines, chosen)
 
 
 def _predict(target: "options.Target", log: "PushLog", chosen: "PushLog") -> "list[Prediction]":
@@ -196,28 +198,28 @@ def _predict(target: "options.Target", log: "PushLog", chosen: "PushLog") -> "li
     return predict(target.obj, target.params, chosen, target.resolve_regime("auto", choose_regime(target.obj, log)))
 
 
-def _start(output: ViewOutput) -> "Meshcat":
+def _start(chosen: ViewOptions) -> "Meshcat":
     from gridpush_drake.multibody.meshcat_server import StartMeshcatServer
 
-    return StartMeshcatServer(0 if output.out is not None else output.port)
+    return StartMeshcatServer(0 if chosen.out is not None else chosen.port)
 
 
 def _write_or_serve(
-    meshcat: "Meshcat", overlay: "Overlay", found: dict[str, Any], lines: list[str], output: ViewOutput
+    meshcat: "Meshcat", overlay: "Overlay", found: dict[str, Any], lines: list[str], chosen: ViewOptions
 ) -> None:
     """Writes the page, or serves it until told to stop."""
     from gridpush_drake.multibody.meshcat_server import PublishOnce, write_recording
 
-    out, url = output.out, meshcat.web_url()
+    out, url = chosen.out, meshcat.web_url()
     if out is not None:
-        write_recording(meshcat, out, output.force, overlay)
-        _print_found({**found, "written": [str(out)]}, [*lines, f"Wrote {out}."], output.json)
+        write_recording(meshcat, out, chosen.force, overlay)
+        _print_found({**found, "written": [str(out)]}, [*lines, f"Wrote {out}."], chosen.json)
         return
     try:  # from the first line on: who reads the address may interrupt at once
         PublishOnce(meshcat)
         last = f"Meshcat shows it at {url} (Enter or Ctrl-C to end)"
-        _print_found({**found, "url": url, "written": []}, [*lines, last], output.json)
-        if output.open_page:
+        _print_found({**found, "url": url, "written": []}, [*lines, last], chosen.json)
+        if chosen.open_page:
             _open(url)
         _wait()
     except KeyboardInterrupt:

@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydrake.geometry import Box, Cylinder, Meshcat, Rgba
 
 from gridpush_drake.cli.console import MM
 from gridpush_drake.cli.options import Target
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.prediction import Prediction
 from gridpush_drake.multibody.cell_colors import CellColors, Shown
 from gridpush_drake.multibody.meshcat_server import AimCamera
@@ -31,8 +32,6 @@ from gridpush_drake.multibody.recording_overlay import (
 )
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-
-Array = NDArray[np.float64]
 
 OBJECT, GHOST, FINGER, PUSHES, TABLE = "object", "predicted", "finger", "pushes", "table"
 """Paths in Meshcat."""

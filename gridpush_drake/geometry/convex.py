@@ -2,9 +2,8 @@
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from gridpush_drake.geometry.se2 import Array
 
 SLACK = 1e-12
 """m, so that half-planes that leave one point leave a polygon, for round-off's sake."""

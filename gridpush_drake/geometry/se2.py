@@ -7,10 +7,18 @@ A pose q = (x, y, theta), m and rad, is X_AB: where frame B stands in frame A, a
 All functions take arrays with any leading dimensions, which broadcast, and return new ones.
 """
 
+from math import cos, sin
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from shapely.affinity import affine_transform
+from shapely.geometry.base import BaseGeometry
 
 Array = NDArray[np.float64]
+"""Of numbers; docstrings say of what shape."""
+
+Shape = TypeVar("Shape", bound=BaseGeometry)
 
 
 def make_rotation(theta: ArrayLike) -> Array:
@@ -44,6 +52,14 @@ def transform_back(X_AB: ArrayLike, p_A: ArrayLike) -> Array:
     """Brings points p_A (..., n, 2), given in A, m, into B: (..., n, 2) for poses X_AB (..., 3)."""
     q = np.asarray(X_AB, dtype=np.float64)[..., None, :]
     return rotate(-q[..., 2], np.asarray(p_A, dtype=np.float64) - q[..., :2])
+
+
+def transform_shape(X_AB: ArrayLike, shape: Shape) -> Shape:
+    """Brings a shapely geometry, given in B, m, into A, for one pose X_AB (3,)."""
+    x, y, theta = np.asarray(X_AB, dtype=np.float64).tolist()
+    c, s = cos(theta), sin(theta)
+    placed: Shape = affine_transform(shape, [c, -s, s, c, x, y])
+    return placed
 
 
 def compose(X_AB: ArrayLike, X_BC: ArrayLike) -> Array:

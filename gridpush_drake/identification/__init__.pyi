@@ -3,9 +3,9 @@ from .learning import METHODS as METHODS
 from .learning import describe_prior as describe_prior
 from .learning import identify as identify
 from .map_ensemble import MapEnsemble as MapEnsemble
-from .map_fit import NoiseModel as NoiseModel
 from .model_file import read_model as read_model
 from .model_file import write_model as write_model
+from .noise import NoiseModel as NoiseModel
 from .posterior import Posterior as Posterior
 from .prediction import predict as predict
 from .result import Identification as Identification

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.identification.posterior import LEARNED_SHARE, Posterior, compare_covariances
+from gridpush_drake.identification.posterior import CELLS, LEARNED_SHARE, Posterior, compare_covariances
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -69,7 +69,7 @@ def calc_identifiability(obj: GridObject, params: CellParameters, posterior: Pos
     share = posterior.calc_share()
     share_covariance = posterior.calc_share_covariance()
     center = share @ obj.p_BC
-    prior, after = posterior.prior_covariance[:-1, :-1], posterior.covariance[:-1, :-1]
+    prior, after = posterior.prior_covariance[CELLS, CELLS], posterior.covariance[CELLS, CELLS]
     null_space = _calc_null_space(prior, after)
     learned_share = np.clip(1 - np.diag(after) / np.diag(prior), 0.0, 1.0)
     mass_min, mass_max = _calc_mass_bounds(share, params.total_mass, obj)

@@ -13,8 +13,10 @@ from gridpush_drake.identification.baselines.methods import DEFAULT_BUDGET_PER_P
 from gridpush_drake.identification.baselines.search import Bounds, SearchMethod, SearchStatus, run_search
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.map_ensemble import MapEnsemble, MapEnsembleFit, Tracker
-from gridpush_drake.identification.map_fit import CenterOfMass, calc_laplace
-from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.identification.map_fit import CenterOfMass, System, calc_laplace
+from gridpush_drake.identification.noise import NoiseScale
+from gridpush_drake.identification.outliers import SUSPECT_ODDS, LeftOut, Screening, calc_foreign_odds, calc_way
+from gridpush_drake.identification.posterior import CONTACT_FRICTION, Posterior
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import FitStart, Identification, IdentificationStatus, Progress
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
@@ -31,6 +33,12 @@ REGIMES = ("auto", "quasi_static", "inertial")
 
 FAST_PUSH = 0.01
 """v²/(mu g rho) above which a log's pushes count as fast, and are simulated with inertia."""
+
+MAX_TRIALS = 2
+"""Of fits without a push that is suspected, before it is refused or the log taken as it is."""
+
+MAX_FITS = 4
+"""To a log, each without what the one before refused."""
 
 UNIFORM_WIDTH = 12.0**0.5
 """Width of a uniform distribution, in its standard deviations."""
@@ -82,7 +90,8 @@ def identify(
         if value not in known:
             raise IdentificationError(f"{name} is {value!r}; expected one of {', '.join(known)}")
     obj = obj if prior is None else replace(obj, prior=prior)
-    log = _check_log(obj, log if method == "default" else log.on_table)
+    screened = _check_log(obj, log if method == "default" else log.on_table)
+    log = screened.log
     used_regime = choose_regime(obj, log) if regime == "auto" else regime
     friction = np.full(obj.n, obj.prior.friction)
     uniform = _make_uniform(obj)
@@ -90,24 +99,22 @@ def identify(
     z0 = problem.unknowns(uniform)
     touched = problem.touched(z0)
     unused = tuple(push.name for push, hit in zip(log, touched, strict=True) if not hit)
-    log = log.subset(np.flatnonzero(touched))
-    problem = PushProblem(obj, log, friction, used_regime)
+    screened = screened.keep(log.subset(np.flatnonzero(touched)))
+    problem = PushProblem(obj, screened.log, friction, used_regime)
     tracker = Tracker(problem, progress)
     ensemble = ensemble or MapEnsemble()
     log_contact_friction_std = obj.prior.contact_friction_std / uniform.contact_friction
-    if not len(log):
+    if not len(screened.log):
         fit = ensemble.fit_prior(obj, z0, log_contact_friction_std)
     elif method == "default":
-        at = obj.prior.center_of_mass
-        center = None if at is None else CenterOfMass(at, obj.prior.center_of_mass_std)
         starts = _choose_starts(obj, start, ensemble)
-        fit = ensemble.fit(problem, z0, log_contact_friction_std, center, seed, tracker.report, starts)
+        fit, screened = _fit_default(problem, screened, z0, log_contact_friction_std, ensemble, tracker, starts)
     else:
         search = SEARCH_METHODS[method]
         fit, friction = _fit_by_search(
-            problem, log, search, uniform, log_contact_friction_std, ensemble, budget, seed, tracker
+            problem, screened.log, search, uniform, log_contact_friction_std, ensemble, budget, seed, tracker
         )
-    return _make_result(obj, log, fit, friction, method, tracker, used_regime, seed, unused)
+    return _make_result(obj, screened, fit, friction, method, tracker, used_regime, seed, unused)
 
 
 def describe_prior(obj: GridObject, ensemble: MapEnsemble | None = None, seed: int = 0) -> Identification:
@@ -126,7 +133,8 @@ def describe_prior(obj: GridObject, ensemble: MapEnsemble | None = None, seed: i
     problem = PushProblem(obj, PushLog(()), uniform.friction, regime)
     log_contact_friction_std = obj.prior.contact_friction_std / uniform.contact_friction
     fit = (ensemble or MapEnsemble()).fit_prior(obj, problem.unknowns(uniform), log_contact_friction_std)
-    return _make_result(obj, PushLog(()), fit, uniform.friction, "default", Tracker(problem, None), regime, seed, ())
+    tracker = Tracker(problem, None)
+    return _make_result(obj, Screening(PushLog(())), fit, uniform.friction, "default", tracker, regime, seed, ())
 
 
 def choose_regime(obj: GridObject, log: PushLog) -> Regime:
@@ -134,6 +142,40 @@ def choose_regime(obj: GridObject, log: PushLog) -> Regime:
     fastest = max((push.push.length / push.push.duration for push in log), default=0.0)
     scale = obj.prior.friction * GRAVITY * obj.radius_of_gyration
     return "inertial" if fastest**2 / scale > FAST_PUSH else "quasi_static"
+
+
+def _fit_default(
+    problem: PushProblem, screened: Screening, z0: Array, log_contact_friction_std: float, ensemble: MapEnsemble,
+    tracker: Tracker, starts: tuple[FitStart, ...],
+) -> tuple[MapEnsembleFit, Screening]:  # fmt: skip
+    """Fits, refuses what does not agree with the rest, and fits again until nothing is refused any more."""
+    obj = problem.obj
+    at = obj.prior.center_of_mass
+    center = None if at is None else CenterOfMass(at, obj.prior.center_of_mass_std)
+    for _ in range(MAX_FITS):
+        fit = ensemble.fit(problem, z0, log_contact_friction_std, center, tracker.report, starts)
+        assert fit.best is not None
+        left_out = fit.best.system.leave_out()
+        after = screened.refuse_poses(left_out, obj.radius_of_gyration)
+        if after is screened:
+            after = _refuse_push(screened, fit.best.system, left_out)
+        if after is screened:
+            break
+        screened, starts = after, fit.starts
+        problem = problem.replace_log(screened.log)
+        tracker.follow(problem)
+    return fit, screened
+
+
+def _refuse_push(screened: Screening, system: System, left_out: list[LeftOut]) -> Screening:
+    """Refuses the push that agrees least with the fit if the others, fitted without it, say it is another object's."""
+    ways = [calc_way(seen.push, seen.t_observed) for seen in screened.log]
+    odds = [calc_foreign_odds(seen, way) for seen, way in zip(left_out, ways, strict=True)]
+    suspects = [int(i) for i in np.argsort(odds)[::-1] if odds[i] > SUSPECT_ODDS]
+    for i in suspects[: min(screened.may_refuse, MAX_TRIALS)]:
+        if calc_foreign_odds(system.fit_without(i), ways[i]) > 0:
+            return screened.refuse_push(i)
+    return screened
 
 
 def _fit_by_search(
@@ -152,7 +194,8 @@ def _fit_by_search(
     spent = found.status == SearchStatus.BUDGET_SPENT
     status = IdentificationStatus.BUDGET_SPENT if spent else IdentificationStatus.LEARNED
     message = f"The search ended after {found.simulations} simulations: {found.status.replace('_', ' ')}."
-    fit = MapEnsembleFit(z, covariance, A @ A.T, ensemble.noise.pose * scale, status, message)
+    noise = ensemble.noise.scaled(scale)
+    fit = MapEnsembleFit(z, covariance, A @ A.T, noise.pose, noise.load_shift, status, message)
     return fit, found.params.friction
 
 
@@ -169,11 +212,11 @@ def _choose_starts(obj: GridObject, start: Identification | None, ensemble: MapE
         raise IdentificationError(f"start: an object of {start.obj.n} cells; expected {obj.n}, as {obj.name} has")
     if len(start.starts) == len(ensemble.amplitudes):
         return start.starts
-    return (FitStart(start.posterior.mean, 1.0),) * len(ensemble.amplitudes)
+    return (FitStart(start.posterior.mean, NoiseScale()),) * len(ensemble.amplitudes)
 
 
-def _check_log(obj: GridObject, log: PushLog) -> PushLog:
-    """The log with the object's pusher radius where it has none of its own."""
+def _check_log(obj: GridObject, log: PushLog) -> Screening:
+    """The log with the object's pusher radius where it has none of its own, and without poses that jump."""
     source = log.source or "push log"
     if not len(log):
         raise IdentificationError(f"{source}: no pushes; expected at least one")
@@ -186,13 +229,14 @@ def _check_log(obj: GridObject, log: PushLog) -> PushLog:
             )
     if not log.radius_given and obj.prior.pusher_radius is not None:
         log = log.with_radius(obj.prior.pusher_radius)
-    check_plausible(obj, log, learning=True)
-    return log
+    screened = Screening.of_jumps(obj, log)
+    check_plausible(obj, screened.log, learning=True)
+    return screened
 
 
 def _make_result(
-    obj: GridObject, log: PushLog, fit: MapEnsembleFit, friction: Array, method: str, tracker: Tracker, regime: Regime,
-    seed: int, unused: tuple[str, ...],
+    obj: GridObject, screened: Screening, fit: MapEnsembleFit, friction: Array, method: str, tracker: Tracker,
+    regime: Regime, seed: int, unused: tuple[str, ...],
 ) -> Identification:  # fmt: skip
     """Turns z and its covariance into masses, frictions and their standard deviations."""
     posterior = Posterior(fit.z, fit.covariance, fit.prior_covariance)
@@ -200,17 +244,18 @@ def _make_result(
     total_mass = obj.prior.total_mass or DEFAULT_TOTAL_MASS
     mass = share / friction
     mass *= total_mass / mass.sum()
-    params = CellParameters(mass, friction, float(np.exp(fit.z[-1])))
+    contact_friction, push_height = float(np.exp(fit.z[CONTACT_FRICTION])), obj.prior.push_height or 0.0
+    params = CellParameters(mass, friction, contact_friction, push_height)
     relative_std = np.sqrt(np.maximum(np.diag(posterior.calc_share_covariance()), 0.0)) / share
     # Between its bounds, slow pushes say nothing of a friction coefficient by itself: uniform.
     friction_std = (obj.prior.friction_max - obj.prior.friction_min) / UNIFORM_WIDTH
     std = CellParameters(
         np.maximum(mass * relative_std, np.finfo(float).tiny),
         np.full(obj.n, friction_std),
-        float(params.contact_friction * np.sqrt(fit.covariance[-1, -1])),
+        float(params.contact_friction * np.sqrt(fit.covariance[CONTACT_FRICTION, CONTACT_FRICTION])),
     )
     return Identification(
         obj, params, std, posterior, calc_identifiability(obj, params, posterior), method, regime, fit.status,
-        fit.message, tuple(tracker.history), tracker.simulations, fit.noise_std,
-        seed, tuple(push.name for push in log), unused, fit.starts,
+        fit.message, tuple(tracker.history), tracker.simulations, fit.noise_std, fit.load_shift_std,
+        seed, tuple(push.name for push in screened.log), unused, screened.outliers, fit.starts,
     )  # fmt: skip

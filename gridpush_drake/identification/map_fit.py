@@ -9,31 +9,37 @@ of mass where one is given. Whitening, Huber's weights and the noise scale are r
 solver (`docs/theory/identification.md`, sections 3 and 4).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from gridpush_drake.identification.posterior import calc_center_jacobian
-from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.noise import NoiseModel, NoiseScale, calc_effective_count
+from gridpush_drake.identification.outliers import LeftOut
+from gridpush_drake.identification.posterior import CELLS, calc_center_jacobian
+from gridpush_drake.identification.problem import SHIFT, Linearization, PushProblem
 from gridpush_drake.identification.result import FitStart
 from gridpush_drake.objects.grid_object import GridObject
 
 Array = NDArray[np.float64]
 
-RENEWALS = 4
-"""Times whitening, weights and noise scale are renewed."""
+EVALUATIONS = 25
+"""Most times that the pushes are simulated for one fit."""
 
-WARM_RENEWALS = 2
-"""The same where a fit begins at one to nearly the same pushes."""
+SETTLED = 0.001
+"""Expected decrease of the loss at which a fit has settled for its noise scale."""
 
-EVALUATIONS = 8
-"""Most steps of the trust-region solver between renewals."""
+SCALE_TOLERANCE = 0.03
+"""Relative change of the noise scale at which it has settled too."""
 
-TOLERANCE = 1e-4
-"""Relative, of loss and step, at which the solver stops."""
+MAX_STEP = 2.0
+"""Of any unknown, in one step."""
+
+LEAST_DAMPING, DAMPING_FACTOR = 0.1, 4.0
+"""Of a step that follows one which made things worse, relative to the prior, and what it grows by each time."""
 
 MAX_INFORMED_SHARE = 0.8
 """Of the residuals, that parameters may use up; the rest speaks of the noise."""
@@ -43,59 +49,6 @@ RANGE_CELLS = 4.0
 
 KAPPA_RANGE = 8.0**0.5
 """kappa times the range, of the Matérn field of smoothness one (Lindgren, Rue and Lindström 2011, section 2)."""
-
-
-@dataclass(frozen=True)
-class NoiseModel:
-    """Standard deviations at scale one, and the prior on their scale.
-
-    Attributes:
-        pose: of a residual (a coordinate of the centroid, or the turn at the radius of gyration), m.
-        tip: of the pusher's place per axis, m.
-        log_contact_friction: of log mu_c from push to push.
-        prior_weight: how many residuals the prior on scale one is worth.
-        outlier: a push whose whitened residual is this many standard deviations counts less from there on (Huber).
-    """
-
-    pose: float = 0.0008
-    tip: float = 0.0015
-    log_contact_friction: float = 0.3
-    prior_weight: float = 20.0
-    outlier: float = 1.0
-
-    def calc_factor(self, input_jacobian: Array, scale: float) -> Array:
-        """Lower Cholesky factor (3K, 3K) of Sigma.
-
-        Args:
-            input_jacobian: (3K, 3) residuals by start x, start y (both per m) and log mu_c, m.
-            scale: s.
-        """
-        rows = len(input_jacobian)
-        count = rows / 3
-        inputs = input_jacobian * np.array([self.tip, self.tip, self.log_contact_friction])
-        sigma = self.pose**2 * np.sqrt(count) * np.eye(rows) + inputs @ inputs.T
-        return scale * np.linalg.cholesky(sigma)
-
-    def calc_weight(self, whitened: Array) -> float:
-        """Huber's weight of a push, 1 or less, from its whitened residuals (3K,)."""
-        size = _calc_size(whitened)
-        return 1.0 if size <= self.outlier else self.outlier / size
-
-    def calc_loss(self, whitened: Array) -> float:
-        """Huber's loss of a push from its whitened residuals (3K,): -log likelihood but for its normalization."""
-        size = _calc_size(whitened)
-        squared = size**2 if size <= self.outlier else self.outlier * (2 * size - self.outlier)
-        return 0.5 * calc_effective_count(len(whitened)) * squared
-
-
-def calc_effective_count(rows: int) -> float:
-    """How many independent residuals a push's 3K count for: 3 K_eff."""
-    return 3.0 * float(np.sqrt(rows / 3))
-
-
-def _calc_size(whitened: Array) -> float:
-    """Root mean square of the whitened residuals, one where the noise is as large as supposed."""
-    return float(np.sqrt(whitened @ whitened / calc_effective_count(len(whitened))))
 
 
 @dataclass(frozen=True)
@@ -112,7 +65,7 @@ class CenterOfMass:
 
     def linearize(self, obj: GridObject, z: Array) -> tuple[Array, Array]:
         """Whitened residual (2,) of the center of friction at z (n+1,), and its Jacobian (2, n+1)."""
-        k = np.exp(z[:-1] - z[:-1].max())
+        k = np.exp(z[CELLS] - z[CELLS].max())
         share = k / k.sum()
         center = share @ obj.p_BC
         return (center - np.asarray(self.at)) / self.std, calc_center_jacobian(share, obj.p_BC) / self.std
@@ -125,16 +78,23 @@ class MapFit:
     Attributes:
         z: (n+1,) log k and log mu_c.
         covariance: (n+1, n+1) of z, Laplace's approximation.
-        scale: of the noise, s.
+        scale: of the noise.
         log_evidence: for the prior, up to a constant shared by all priors on the same data.
         informed: number of directions of u that the data, not the prior, hold in place (MacKay's gamma).
+        system: the least-squares problem about z.
     """
 
     z: Array
     covariance: Array
-    scale: float
+    scale: NoiseScale
     log_evidence: float
     informed: float
+    system: "System"
+
+    @property
+    def linear(self) -> Linearization:
+        """The pushes' residuals and derivatives at z."""
+        return self.system.linear
 
 
 def fit_map(
@@ -144,11 +104,10 @@ def fit_map(
     noise: NoiseModel,
     center_of_mass: CenterOfMass | None = None,
     *,
-    pushes: Sequence[int] | None = None,
-    start: Array | None = None,
-    scale: float = 1.0,
+    start: FitStart | None = None,
+    linear: Linearization | None = None,
     warm_start: FitStart | None = None,
-    on_renewal: Callable[[Array], None] | None = None,
+    on_step: Callable[[Array, Linearization], None] | None = None,
 ) -> MapFit:
     """Fits z.
 
@@ -158,44 +117,47 @@ def fit_map(
         A: (n+1, n+1) factor of the prior covariance, A A^T.
         noise: the noise model.
         center_of_mass: prior knowledge of the center of mass, or None.
-        pushes: those to use; all by default.
-        start: (n+1,) where to begin; z0 by default.
-        scale: of the noise, to begin with.
-        warm_start: where a fit to fewer pushes ended; it is taken instead where it is the more probable beginning, and
-            then WARM_RENEWALS do.
-        on_renewal: called with z after every run of the solver.
+        start: where to begin; z0 and scale one by default.
+        linear: the pushes' residuals and derivatives there, where they are known.
+        warm_start: where a fit to fewer pushes ended; it is taken instead where it is the more probable beginning.
+        on_step: called with z and the residuals and derivatives there after every step that is taken.
 
     Returns:
         The fit.
     """
-    u = np.asarray(np.linalg.solve(A, (z0 if start is None else start) - z0), dtype=np.float64)
-    chosen = range(len(problem)) if pushes is None else pushes
-    renewals = RENEWALS
+    make = partial(System, problem, z0, A, noise, center_of_mass)
+    start = start or FitStart(z0, NoiseScale())
+    system = make(_solve_factor(A, start.z - z0), linear or problem.linearize(start.z), start.scale)
     if warm_start is not None:
-        other = np.asarray(np.linalg.solve(A, warm_start.z - z0), dtype=np.float64)
-        beginnings = ((u, scale), (other, warm_start.scale))
-        stages = [_Stage(problem, z0, A, noise, center_of_mass, chosen, v, s) for v, s in beginnings]
-        best = min(stages, key=_Stage.objective)
-        u, scale = best.start, best.scale
-        if best is stages[1]:
-            renewals = WARM_RENEWALS
-    for _ in range(renewals):
-        stage = _Stage(problem, z0, A, noise, center_of_mass, chosen, u, scale)
-        u = stage.solve(u)
-        scale, gamma = stage.renew_scale(u)
-        if on_renewal is not None:
-            on_renewal(z0 + A @ u)
-    stage = _Stage(problem, z0, A, noise, center_of_mass, chosen, u, scale)
-    H = stage.hessian(u)
-    covariance = A @ np.linalg.solve(H, A.T)
-    evidence = -stage.loss(u) - 0.5 * np.linalg.slogdet(H)[1] - stage.log_normalizer
-    evidence -= 0.5 * noise.prior_weight * (2 * np.log(scale) + scale**-2)
+        other = make(_solve_factor(A, warm_start.z - z0), problem.linearize(warm_start.z), warm_start.scale)
+        system = min(system, other, key=System.objective)
+    damping, evaluations = 0.0, 0
+    while True:
+        step, expected = system.calc_step(damping)
+        if expected < SETTLED or evaluations >= EVALUATIONS:
+            scale, gamma = system.renew_scale()
+            settled = np.abs(np.log(np.divide(scale, system.scale))).max() < SCALE_TOLERANCE
+            system = make(system.u, system.linear, scale)
+            if settled or evaluations >= EVALUATIONS:
+                break
+            continue
+        u = system.u + step
+        linear = problem.linearize(z0 + A @ u)
+        evaluations += 1
+        if system.calc_loss(u, linear.residuals) < system.calc_loss(system.u, system.linear.residuals):
+            system = make(u, linear, system.scale)
+            damping = damping / DAMPING_FACTOR if damping > LEAST_DAMPING else 0.0
+            if on_step is not None:
+                on_step(z0 + A @ u, linear)
+        else:
+            damping = max(LEAST_DAMPING, DAMPING_FACTOR * damping)
+    evidence = -system.objective() - 0.5 * system.calc_log_determinant()
     if center_of_mass is not None:
         evidence -= _calc_center_evidence(problem.obj, z0, A, center_of_mass)
-    return MapFit(z0 + A @ u, 0.5 * (covariance + covariance.T), scale, float(evidence), gamma)
+    return MapFit(z0 + A @ system.u, system.calc_covariance(), system.scale, float(evidence), gamma, system)
 
 
-def calc_laplace(problem: PushProblem, z: Array, A: Array, noise: NoiseModel) -> tuple[Array, float]:
+def calc_laplace(problem: PushProblem, z: Array, A: Array, noise: NoiseModel) -> tuple[Array, NoiseScale]:
     """Spread about given parameters.
 
     Args:
@@ -207,14 +169,18 @@ def calc_laplace(problem: PushProblem, z: Array, A: Array, noise: NoiseModel) ->
     Returns:
         The covariance (n+1, n+1) of z by Laplace's approximation, and the noise scale.
     """
-    u = np.zeros(len(z))
-    scale, _ = _Stage(problem, z, A, noise, None, range(len(problem)), u, 1.0).renew_scale(u)
-    H = _Stage(problem, z, A, noise, None, range(len(problem)), u, scale).hessian(u)
-    return A @ np.linalg.solve(H, A.T), scale
+    u, linear = np.zeros(len(z)), problem.linearize(z)
+    scale, _ = System(problem, z, A, noise, None, u, linear, NoiseScale()).renew_scale()
+    return System(problem, z, A, noise, None, u, linear, scale).calc_covariance(), scale
 
 
-class _Stage:
-    """The least-squares problem in u with whitening and weights held as they are at one u."""
+class System:
+    """The least-squares problem in u about one point, whitening and weights as they are there.
+
+    Of the two forms of I + J^T J and its inverse the smaller one is taken: by unknowns, or by residuals,
+
+        (c I + J^T J)^-1 = (I - J^T (c I + J J^T)^-1 J) / c
+    """
 
     def __init__(
         self,
@@ -223,82 +189,137 @@ class _Stage:
         A: Array,
         noise: NoiseModel,
         center_of_mass: CenterOfMass | None,
-        pushes: Sequence[int],
         u: Array,
-        scale: float,
+        linear: Linearization,
+        scale: NoiseScale,
     ) -> None:
-        self.problem, self.z0, self.A, self.noise = problem, z0, A, noise
-        self.center_of_mass, self.pushes, self.scale = center_of_mass, pushes, scale
-        self._at: Array | None = None
-        linear = problem.linearize(z0 + A @ u, pushes)
-        factors = [noise.calc_factor(inputs, scale) for inputs in linear.by_inputs]
-        self.start = u
-        self.log_normalizer = float(
-            sum(calc_effective_count(len(L)) / len(L) * np.log(np.diag(L)).sum() for L in factors)
-        )
-        self.whitening = [np.linalg.inv(L) for L in factors]
-        self.weights = [noise.calc_weight(W @ r) for W, r in zip(self.whitening, linear.residuals, strict=True)]
-        self._store(u, linear.residuals, linear.by_z)
+        self.problem, self.z0, self.A, self.noise, self.center_of_mass = problem, z0, A, noise, center_of_mass
+        self.u, self.linear, self.scale = u, linear, scale
+        self.whitenings = [noise.make_whitening(inputs, scale) for inputs in linear.by_inputs]
+        whitened = [W.apply(r) for W, r in zip(self.whitenings, linear.residuals, strict=True)]
+        self.weights = [noise.calc_weight(r) for r in whitened]
+        roots = np.sqrt(self.weights)
+        self.rows = [root * r for root, r in zip(roots, whitened, strict=True)]
+        jacobians = [root * W.apply(J) for root, W, J in zip(roots, self.whitenings, linear.by_z, strict=True)]
+        rows = list(self.rows)
+        if center_of_mass is not None:
+            r, J = center_of_mass.linearize(problem.obj, z0 + A @ u)
+            rows.append(r)
+            jacobians.append(J)
+        self.r, self.J = np.concatenate(rows), np.concatenate(jacobians) @ A
+        self.by_residuals = len(self.r) < len(u)
+        self.gram = self.J @ self.J.T if self.by_residuals else self.J.T @ self.J
+        self.factor = self._factorize(1.0)
 
-    def objective(self) -> float:
-        """Negative log posterior at the start, the normalization of the noise included."""
-        scale_prior = self.noise.prior_weight * (np.log(self.scale) + 0.5 * self.scale**-2)
-        return self.loss(self.start) + self.log_normalizer + scale_prior
+    def calc_step(self, damping: float) -> tuple[Array, float]:
+        """Step of u, damped by so much as if the prior were that much stronger about u, and the expected decrease."""
+        g = self.u + self.J.T @ self.r
+        c = 1.0 + damping
+        factor = self.factor if damping == 0 else self._factorize(c)
+        d = (self.J.T @ cho_solve(factor, self.J @ g) - g) / c if self.by_residuals else -cho_solve(factor, g)
+        d *= min(1.0, MAX_STEP / max(float(np.abs(self.A @ d).max()), np.finfo(float).tiny))
+        slope = self.J @ d
+        return d, float(-g @ d - 0.5 * (d @ d + slope @ slope))
 
-    def solve(self, u: Array) -> Array:
-        """Runs the trust-region solver from u."""
-        return least_squares(
-            lambda v: self._evaluate(v)[0], u, jac=lambda v: self._evaluate(v)[1], method="trf", x_scale=1.0,
-            ftol=TOLERANCE, xtol=TOLERANCE, gtol=None, max_nfev=EVALUATIONS,
-        ).x  # fmt: skip
-
-    def hessian(self, u: Array) -> Array:
-        """Gauss-Newton Hessian (n+1, n+1) in u, the prior's identity included."""
-        J = self._evaluate(u)[1]
-        return J.T @ J
-
-    def loss(self, u: Array) -> float:
+    def calc_loss(self, u: Array, residuals: list[Array]) -> float:
         """Negative log posterior at u but for normalization; Huber's, not the weighted quadratic."""
-        self._evaluate(u)
-        assert self._residuals is not None
-        whitened = [W @ r for W, r in zip(self.whitening, self._residuals, strict=True)]
-        total = 0.5 * float(u @ u) + sum(self.noise.calc_loss(w) for w in whitened)
+        total = 0.5 * float(u @ u)
+        total += sum(self.noise.calc_loss(W.apply(r)) for W, r in zip(self.whitenings, residuals, strict=True))
         if self.center_of_mass is not None:
             r, _ = self.center_of_mass.linearize(self.problem.obj, self.z0 + self.A @ u)
             total += 0.5 * float(r @ r)
         return total
 
-    def renew_scale(self, u: Array) -> tuple[float, float]:
-        """The noise scale by MacKay's fixed point, s² = (sum w |W r|² s² + nu)/(N - gamma + nu), and gamma."""
-        H = self.hessian(u)
-        squares = sum(
-            w * float((W @ r) @ (W @ r)) for w, W, r in zip(self.weights, self.whitening, self._residuals, strict=True)
+    def objective(self) -> float:
+        """Negative log posterior here, the normalization of the noise included."""
+        normalizer = sum(
+            calc_effective_count(len(r)) / len(r) * W.log_determinant
+            for W, r in zip(self.whitenings, self.linear.residuals, strict=True)
         )
-        count = sum(calc_effective_count(len(r)) for r in self._residuals)
-        gamma = len(u) - float(np.trace(np.linalg.inv(H))) - (2 if self.center_of_mass is not None else 0)
+        return self.calc_loss(self.u, self.linear.residuals) + normalizer + self.noise.calc_scale_loss(self.scale)
+
+    def renew_scale(self) -> tuple[NoiseScale, float]:
+        """The noise scale by MacKay's fixed points, and gamma.
+
+        s² = (sum |W r|² s² + nu)/(N - gamma + nu), and t² = (sum |xi|²/sigma_c² + nu_c)/(sum gamma_c + nu_c) with xi
+        the shifts that the residuals speak for and gamma_c how surely, each between 0 and 2.
+        """
+        known = 2 if self.center_of_mass is not None else 0
+        squares = sum(float(r @ r) for r in self.rows)
+        count = sum(calc_effective_count(len(r)) for r in self.linear.residuals)
+        gamma = len(self.gram) - float(np.trace(cho_solve(self.factor, np.eye(len(self.gram))))) - known
         gamma = float(np.clip(gamma, 0.0, MAX_INFORMED_SHARE * count))
         weight = self.noise.prior_weight
-        return float(np.sqrt((squares * self.scale**2 + weight) / (count - gamma + weight))), gamma
+        pose = np.sqrt((squares * self.scale.pose**2 + weight) / (count - gamma + weight))
+        moved, sure = self._calc_shifts()
+        weight = self.noise.shift_weight
+        return NoiseScale(float(pose), float(np.sqrt((moved * self.scale.shift**2 + weight) / (sure + weight)))), gamma
 
-    def _evaluate(self, u: Array) -> tuple[Array, Array]:
-        """Stacked residuals and their Jacobian by u; simulates once a point."""
-        if self._at is None or not np.array_equal(u, self._at):
-            linear = self.problem.linearize(self.z0 + self.A @ u, self.pushes)
-            self._store(u, linear.residuals, linear.by_z)
-        return self._stacked
+    def _calc_shifts(self) -> tuple[float, float]:
+        """Sums over pushes of |xi|², xi the expected shift of the load's center in its deviations, and of gamma_c."""
+        std = self.scale.shift * self.noise.load_shift
+        moved, sure, first = 0.0, 0.0, 0
+        for r, root, W, inputs in zip(
+            self.rows, np.sqrt(self.weights), self.whitenings, self.linear.by_inputs, strict=True
+        ):
+            T = root * std * W.apply(inputs[:, SHIFT])
+            v = self.J[first : first + len(r)].T @ T
+            first += len(r)
+            moved += float(((T.T @ r) ** 2).sum())
+            sure += float((T * T).sum() - (v * self.solve(v)).sum())
+        return moved, sure
 
-    def _store(self, u: Array, residuals: list[Array], by_z: list[Array]) -> None:
-        self._at, self._residuals = u.copy(), residuals
-        rows, jacobians = [u], [np.eye(len(u))]
-        for weight, W, r, J in zip(self.weights, self.whitening, residuals, by_z, strict=True):
-            root = np.sqrt(weight)
-            rows.append(root * (W @ r))
-            jacobians.append(root * (W @ (J @ self.A)))
-        if self.center_of_mass is not None:
-            r, J = self.center_of_mass.linearize(self.problem.obj, self.z0 + self.A @ u)
-            rows.append(r)
-            jacobians.append(J @ self.A)
-        self._stacked = np.concatenate(rows), np.concatenate(jacobians)
+    def solve(self, v: Array) -> Array:
+        """(I + J^T J)^-1 v."""
+        if self.by_residuals:
+            return np.asarray(v - self.J.T @ cho_solve(self.factor, self.J @ v))
+        return np.asarray(cho_solve(self.factor, v))
+
+    def calc_log_determinant(self) -> float:
+        """Of I + J^T J."""
+        return 2.0 * float(np.log(np.diag(self.factor[0])).sum())
+
+    def calc_covariance(self) -> Array:
+        """(n+1, n+1) of z: A (I + J^T J)^-1 A^T."""
+        if self.by_residuals:
+            half = solve_triangular(self.factor[0], self.J @ self.A.T, lower=True)
+            return self.A @ self.A.T - half.T @ half
+        half = solve_triangular(self.factor[0], self.A.T, lower=True)
+        return half.T @ half
+
+    def fit_without(self, index: int) -> LeftOut:
+        """Fits the other pushes again, and gives what they say of one."""
+        chosen = [i for i in range(len(self.problem)) if i != index]
+        here = FitStart(self.z0 + self.A @ self.u, NoiseScale())
+        fit = fit_map(self.problem.choose(chosen), self.z0, self.A, self.noise, self.center_of_mass, warm_start=here)
+        one = self.problem.linearize(fit.z, [index])
+        J, noise = one.by_z[0], self.noise.calc_covariance(one.by_inputs[0], fit.scale)
+        Q = np.asarray(np.linalg.inv(noise + J @ fit.covariance @ J.T), dtype=np.float64)
+        return LeftOut(Q, Q @ one.residuals[0])
+
+    def leave_out(self) -> list[LeftOut]:
+        """What the other pushes say of each, to first order.
+
+        With h = J H^-1 J^T of a push of weight w, its own pull on the fit included, the others predict residuals
+        (I - w h)^-1 r with covariance I + h (I - w h)^-1, all whitened.
+        """
+        found = []
+        for weight, W, r, J in zip(self.weights, self.whitenings, self.linear.residuals, self.linear.by_z, strict=True):
+            identity = np.eye(len(r))
+            whitened = W.apply(J) @ self.A
+            h = whitened @ self.solve(whitened.T)
+            alone = np.linalg.inv(identity - weight * h)
+            root = np.asarray(np.linalg.solve(identity + h @ alone, W.apply(identity)), dtype=np.float64)
+            found.append(LeftOut(W.apply(root), root.T @ (alone @ W.apply(r))))
+        return found
+
+    def _factorize(self, c: float) -> tuple[Array, bool]:
+        return cho_factor(c * np.eye(len(self.gram)) + self.gram, lower=True)
+
+
+def _solve_factor(A: Array, difference: Array) -> Array:
+    """The u of a difference of z."""
+    return np.asarray(np.linalg.solve(A, difference), dtype=np.float64)
 
 
 def _calc_center_evidence(obj: GridObject, z0: Array, A: Array, center_of_mass: CenterOfMass) -> float:

@@ -17,7 +17,7 @@ from pydantic import Field, Strict, model_validator
 from gridpush_drake.errors import GridPushError, IdentificationError
 from gridpush_drake.files import read_head, write_whole
 from gridpush_drake.identification.identifiability import calc_identifiability
-from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.identification.posterior import GLOBALS, Posterior
 from gridpush_drake.identification.result import HistoryEntry, Identification, IdentificationStatus
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import RENAMED as OBJECT_RENAMED
@@ -88,6 +88,7 @@ class ModelSchema(StrictSchema):
     seed: int
     simulations: Annotated[int, Field(ge=0)]
     noise_std: PerhapsInfinite
+    load_shift_std: NotNegative
     training_pushes: list[str]
     unused_pushes: list[str]
     object: LearnedObjectSchema
@@ -105,8 +106,12 @@ class ModelSchema(StrictSchema):
         for name, values in self.cells:
             if len(values) != n:
                 raise ValueError(f"cells.{name} has {len(values)} entries; expected one a cell, {n}")
-        if len(self.posterior.mean) != n + 1:
-            raise ValueError(f"posterior.mean has {len(self.posterior.mean)} entries; expected {n + 1}, cells + 1")
+        size = n + len(GLOBALS)
+        if len(self.posterior.mean) != size:
+            more = ", ".join(GLOBALS)
+            raise ValueError(
+                f"posterior.mean has {len(self.posterior.mean)} entries; expected {size}: one a cell, then {more}"
+            )
         return self
 
 
@@ -246,6 +251,7 @@ def _describe(result: Identification) -> ModelSchema:
         seed=result.seed,
         simulations=result.simulations,
         noise_std=float(result.noise_std),
+        load_shift_std=float(result.load_shift_std),
         training_pushes=list(result.push_names),
         unused_pushes=list(result.unused_pushes),
         object=LearnedObjectSchema.model_validate(describe_object(obj.name, obj.grid, obj.prior, obj.height)),
@@ -282,11 +288,12 @@ def _restore(schema: ModelSchema) -> Identification:
     name = str(schema.object.name)
     obj = GridObject(name, *make_cells(schema.object, name, Path()), schema.object.to_prior(), schema.object.height)
     cells, n = schema.cells, obj.n
-    params = CellParameters(np.array(cells.mass), np.array(cells.friction), schema.contact_friction)
+    mass, friction, push_height = np.array(cells.mass), np.array(cells.friction), obj.prior.push_height or 0.0
+    params = CellParameters(mass, friction, schema.contact_friction, push_height)
     posterior = Posterior(
         np.array(schema.posterior.mean),
-        unpack_symmetric("posterior.covariance", schema.posterior.covariance, n + 1),
-        unpack_symmetric("posterior.prior_covariance", schema.posterior.prior_covariance, n + 1),
+        unpack_symmetric("posterior.covariance", schema.posterior.covariance, n + len(GLOBALS)),
+        unpack_symmetric("posterior.prior_covariance", schema.posterior.prior_covariance, n + len(GLOBALS)),
     )
     return Identification(
         obj=obj,
@@ -301,6 +308,7 @@ def _restore(schema: ModelSchema) -> Identification:
         history=tuple(HistoryEntry(*entry) for entry in schema.history),
         simulations=schema.simulations,
         noise_std=schema.noise_std,
+        load_shift_std=schema.load_shift_std,
         seed=schema.seed,
         push_names=tuple(schema.training_pushes),
         unused_pushes=tuple(schema.unused_pushes),

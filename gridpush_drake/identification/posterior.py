@@ -18,6 +18,15 @@ from gridpush_drake.objects.parameters import CellParameters
 
 Array = NDArray[np.float64]
 
+GLOBALS = ("log_contact_friction",)
+"""What z holds after the cells' log k, one entry each."""
+
+CELLS, GLOBAL = slice(0, -len(GLOBALS)), slice(-len(GLOBALS), None)
+"""Where in z the cells' log k stand, and the rest."""
+
+CONTACT_FRICTION = GLOBALS.index("log_contact_friction") - len(GLOBALS)
+"""Where in z log mu_c stands."""
+
 LEARNED_SHARE = 0.5
 """A combination, or a cell, counts as learned where the pushes took away this share of its prior variance."""
 
@@ -72,7 +81,9 @@ class Posterior:
         A, variances, root = _find_learned(self)
         if len(A):
             _correct(dz, share, A, np.sqrt(variances), root)
-        return np.maximum(_calc_shares(share, dz), MIN_SHARE), np.exp(self.mean[-1] + dz[:, -1])
+        return np.maximum(_calc_shares(share, dz), MIN_SHARE), np.exp(
+            self.mean[CONTACT_FRICTION] + dz[:, CONTACT_FRICTION]
+        )
 
     @threadpool_limits.wrap(limits=1, user_api="blas")  # small matrices: threads only cost, and reorder sums
     def draw_parameters(self, params: CellParameters, count: int, seed: int = 0) -> list[CellParameters]:
@@ -92,20 +103,20 @@ class Posterior:
         total = float(params.mass @ params.friction)
         friction = np.maximum(params.friction, np.finfo(float).tiny)
         return [
-            CellParameters(total * share / friction, params.friction, float(mu_c))
+            CellParameters(total * share / friction, params.friction, float(mu_c), params.push_height)
             for share, mu_c in zip(shares, contact_friction, strict=True)
         ]
 
     def calc_share(self) -> Array:
         """(n,) relative friction at the mean, summing to one."""
-        k = np.exp(self.mean[:-1] - self.mean[:-1].max())
+        k = np.exp(self.mean[CELLS] - self.mean[CELLS].max())
         return k / k.sum()
 
     def calc_share_covariance(self) -> Array:
         """(n, n) covariance of the relative friction k / sum k, to first order."""
         share = self.calc_share()
         slope = np.diag(share) - np.outer(share, share)
-        return slope @ self.covariance[:-1, :-1] @ slope
+        return slope @ self.covariance[CELLS, CELLS] @ slope
 
 
 def calc_center_jacobian(share: Array, p_BC: Array) -> Array:
@@ -116,10 +127,10 @@ def calc_center_jacobian(share: Array, p_BC: Array) -> Array:
         p_BC: (n, 2) the cells' centers, body frame, m.
 
     Returns:
-        (2, n+1) m; the last column, by log mu_c, is zero.
+        (2, n+1) m; the columns after the cells', by log mu_c, are zero.
     """
-    J = np.zeros((2, len(share) + 1))
-    J[:, :-1] = (share[:, None] * (p_BC - share @ p_BC)).T
+    J = np.zeros((2, len(share) + len(GLOBALS)))
+    J[:, CELLS] = (share[:, None] * (p_BC - share @ p_BC)).T
     return J
 
 
@@ -146,7 +157,7 @@ def _find_learned(posterior: Posterior) -> tuple[Array, Array, Array]:
     ratio, directions, root, inverse = compare_covariances(posterior.prior_covariance, posterior.covariance)
     learned = ratio < 1 - LEARNED_SHARE
     A = directions[:, learned].T @ inverse
-    A[:, :-1] -= A[:, :-1].mean(axis=1, keepdims=True)  # no push shows the common scale, nor do shares
+    A[:, CELLS] -= A[:, CELLS].mean(axis=1, keepdims=True)  # no push shows the common scale, nor do shares
     return A, np.maximum(ratio[learned], np.finfo(float).tiny), root
 
 
@@ -157,15 +168,15 @@ def _correct(dz: Array, share: Array, A: Array, stds: Array, root: Array) -> Non
     for _ in range(STEPS):
         x = _calc_shares(share, dz[rest])
         ratio = x / share
-        lack = wanted[rest] - (ratio - 1) @ A[:, :-1].T - dz[rest, -1:] * A[:, -1]
+        lack = wanted[rest] - (ratio - 1) @ A[:, CELLS].T - dz[rest, GLOBAL] @ A[:, GLOBAL].T
         far = np.abs(lack / stds).max(axis=1) > TOLERANCE
         rest, x, ratio, lack = rest[far], x[far], ratio[far], lack[far]
         if not len(rest):
             return
         # d(ratio_i) = ratio_i (dz_i - sum_j x_j dz_j)
         slope = np.empty((len(rest), *A.shape))
-        slope[:, :, :-1] = A[:, :-1] * ratio[:, None] - (ratio @ A[:, :-1].T)[:, :, None] * x[:, None]
-        slope[:, :, -1] = A[:, -1]
+        slope[:, :, CELLS] = A[:, CELLS] * ratio[:, None] - (ratio @ A[:, CELLS].T)[:, :, None] * x[:, None]
+        slope[:, :, GLOBAL] = A[:, GLOBAL]
         J = slope @ root
         JT = np.swapaxes(J, 1, 2)
         K = J @ JT
@@ -177,6 +188,6 @@ def _correct(dz: Array, share: Array, A: Array, stds: Array, root: Array) -> Non
 
 def _calc_shares(share: Array, dz: Array) -> Array:
     """(count, n) shares of draws."""
-    z = np.log(share) + dz[:, :-1]
+    z = np.log(share) + dz[:, CELLS]
     k = np.exp(z - z.max(axis=1, keepdims=True))
     return np.asarray(k / k.sum(axis=1, keepdims=True))

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.geometry.se2 import wrap_angle
+from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.problem import TimedPush
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
@@ -162,7 +163,8 @@ def summarize_errors(obj: GridObject, predictions: Sequence[Prediction], log: Pu
 
 def calc_training_errors(result: Identification, log: PushLog) -> tuple[float, float]:
     """Mean cell error, m, of the final poses of the pushes learned from: with uniform parameters, and as learned."""
-    used = log.subset([i for i, seen in enumerate(log) if seen.name in result.push_names])
+    used = remove_outliers(log, result.outliers)
+    used = used.subset([i for i, seen in enumerate(used) if seen.name in result.push_names])
     before, after = (
         calc_mean_cell_error(result.obj, params, used, result.regime)
         for params in (CellParameters.uniform(result.obj), result.params)

@@ -11,8 +11,9 @@ frictions mu_i stay those of the prior and the masses follow, m_i = k_i / mu_i; 
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +22,18 @@ from gridpush_drake.dynamics.motion import Motion, MotionStatus
 from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.geometry.se2 import rotate, transform, wrap_angle
+from gridpush_drake.identification.posterior import CELLS, CONTACT_FRICTION
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 Array = NDArray[np.float64]
+
+SHIFT = slice(3, 5)
+"""The columns of `Linearization.by_inputs` by the shift of the load's center."""
+
+SINGULAR = 1e-6
+"""Of the squared radius of gyration, by which a row of cells is taken to be wide."""
 
 FRICTION_FLOOR = 1e-6
 """Least contact friction whose logarithm is taken."""
@@ -66,7 +74,8 @@ class Linearization:
     Attributes:
         residuals: (3K,) m.
         by_z: (3K, n+1).
-        by_inputs: (3K, 3) by the place (x, y) where the push begins, and by log mu_c.
+        by_inputs: (3K, 5) by the place (x, y) where the push begins, by log mu_c, and by a shift (x, y) of the center
+            of the load, all loads tilted along it.
     """
 
     residuals: list[Array]
@@ -89,18 +98,38 @@ class PushProblem:
         self.obj = obj
         self.friction = np.asarray(friction, dtype=np.float64)
         self.regime = regime
-        self.simulations = 0
+        self._spent = [0]
         self._pushes = [TimedPush.of(push, regime, log.table) for push in log]
         self._centroid = obj.p_BC.mean(axis=0)
         self._rho = obj.radius_of_gyration
+        arm = obj.p_BC - self._centroid
+        self._tilts = np.linalg.solve(arm.T @ arm / obj.n + SINGULAR * self._rho**2 * np.eye(2), arm.T).T
+
+    @property
+    def simulations(self) -> int:
+        """Pushes simulated so far."""
+        return self._spent[0]
 
     def __len__(self) -> int:
         """Number of pushes."""
         return len(self._pushes)
 
+    def replace_log(self, log: PushLog) -> "PushProblem":
+        """The same problem of another log; simulations are counted together."""
+        other = copy(self)
+        other._pushes = [TimedPush.of(push, self.regime, log.table) for push in log]
+        return other
+
+    def choose(self, pushes: Sequence[int]) -> "PushProblem":
+        """The same problem of some of its pushes; simulations are counted together."""
+        other = copy(self)
+        other._pushes = [self._pushes[i] for i in pushes]
+        return other
+
     def params(self, z: Array) -> CellParameters:
         """The cells' parameters at z (n+1,)."""
-        return CellParameters(np.exp(z[:-1]) / self.friction, self.friction, float(np.exp(z[-1])))
+        mass, contact_friction = np.exp(z[CELLS]) / self.friction, float(np.exp(z[CONTACT_FRICTION]))
+        return CellParameters(mass, self.friction, contact_friction, self.obj.prior.push_height or 0.0)
 
     def unknowns(self, params: CellParameters) -> Array:
         """The unknowns z (n+1,) of some parameters."""
@@ -112,15 +141,19 @@ class PushProblem:
 
     def linearize(self, z: Array, pushes: Sequence[int] | None = None) -> Linearization:
         """The residuals of each push (of those chosen) and their exact derivatives at z."""
-        params = self.params(z)
+        params, n = self.params(z), self.obj.n
         linear = Linearization([], [], [])
-        for push, simulation in self._simulate(z, pushes, gradients=True):
+        for push, simulation in self._simulate(z, pushes, gradients="mass"):
             J = simulation.jacobian
-            by_mu_c = (J.contact_friction * params.contact_friction)[..., None]
-            by_z = np.concatenate([J.mass * params.mass, by_mu_c], axis=2)
+            columns = np.empty((len(push.rows), 3, n + 3))
+            columns[..., :n] = J.mass * params.mass
+            columns[..., n] = J.contact_friction * params.contact_friction
+            columns[..., n + 1 :] = J.start
+            derivatives = self._to_residual(push, simulation, columns)
             linear.residuals.append(self._residual(push, simulation))
-            linear.by_z.append(self._to_residual(push, simulation, by_z))
-            linear.by_inputs.append(self._to_residual(push, simulation, np.concatenate([J.start, by_mu_c], axis=2)))
+            linear.by_z.append(derivatives[:, : n + 1])
+            shift = derivatives[:, :n] @ self._tilts
+            linear.by_inputs.append(np.concatenate([derivatives[:, [n + 1, n + 2, n]], shift], axis=1))
         return linear
 
     def touched(self, z: Array) -> NDArray[np.bool_]:
@@ -136,10 +169,12 @@ class PushProblem:
         moved = residual[:, None, :2] + rotate(residual[:, 2:] / self._rho, arm) - arm
         return float(np.linalg.norm(moved, axis=-1).mean())
 
-    def _simulate(self, z: Array, pushes: Sequence[int] | None, gradients: bool) -> list[tuple[TimedPush, Motion]]:
+    def _simulate(
+        self, z: Array, pushes: Sequence[int] | None, gradients: Literal["mass"] | bool
+    ) -> list[tuple[TimedPush, Motion]]:
         params = self.params(z)
         chosen = self._pushes if pushes is None else [self._pushes[i] for i in pushes]
-        self.simulations += len(chosen)
+        self._spent[0] += len(chosen)
         return [
             (push, push.simulate(self.obj, params, regime=self.regime, gradients=gradients, record=push.rows))
             for push in chosen
@@ -156,7 +191,6 @@ class PushProblem:
     def _to_residual(self, push: TimedPush, simulation: Motion, J: Array) -> Array:
         """Turns derivatives of the poses (K, 3, p) into those of the residual (3K, p)."""
         arm = self._centroid_at(simulation.poses[push.rows]) - simulation.poses[push.rows, :2]
-        theta = J[:, 2]
-        shift = np.stack([J[:, 0] - arm[:, 1:] * theta, J[:, 1] + arm[:, :1] * theta], axis=-1)
-        shift = rotate(-push.observed.poses_observed[:, 2:], shift)
-        return np.stack([shift[..., 0], shift[..., 1], self._rho * theta], axis=1).reshape(-1, J.shape[2])
+        c, s = np.cos(push.observed.poses_observed[:, 2:]), np.sin(push.observed.poses_observed[:, 2:])
+        x, y = J[:, 0] - arm[:, 1:] * J[:, 2], J[:, 1] + arm[:, :1] * J[:, 2]
+        return np.stack([c * x + s * y, c * y - s * x, self._rho * J[:, 2]], axis=1).reshape(-1, J.shape[2])

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.identification.identifiability import Identifiability
+from gridpush_drake.identification.noise import NoiseModel, NoiseScale
+from gridpush_drake.identification.outliers import Outlier
 from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -20,10 +22,8 @@ class IdentificationStatus(StrEnum):
     """How an identification ended."""
 
     LEARNED = "learned"
-    MIXTURE = "mixture"
-    """Cross-validation over the training pushes favored leaning on the prior."""
     PRIOR_KEPT = "prior_kept"
-    """It favored the prior."""
+    """The pushes do not speak against uniform friction."""
     BUDGET_SPENT = "budget_spent"
     """A search had to end before it was done."""
     NO_DATA = "no_usable_pushes"
@@ -59,7 +59,7 @@ class FitStart:
     """
 
     z: Array
-    scale: float
+    scale: NoiseScale
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +79,11 @@ class Identification:
         history: the best loss so far along the search, simulations increasing.
         simulations: pushes simulated in all.
         noise_std: standard deviation of what the model leaves unexplained, as cell error per axis, m.
+        load_shift_std: standard deviation of the center of the load per axis from push to push, m.
         seed: of everything random.
         push_names: of the training pushes used.
         unused_pushes: of those left out, because the pusher never touched the object in them.
+        outliers: what was refused of the pushes, one entry for each of which something was.
         starts: where each of the default method's fits ended, for `identify(start=...)`; empty for other methods.
     """
 
@@ -97,10 +99,18 @@ class Identification:
     history: tuple[HistoryEntry, ...]
     simulations: int
     noise_std: float
+    load_shift_std: float
     seed: int
     push_names: tuple[str, ...] = ()
     unused_pushes: tuple[str, ...] = ()
+    outliers: tuple[Outlier, ...] = ()
     starts: tuple[FitStart, ...] = ()
+
+    @property
+    def noise_scale(self) -> NoiseScale:
+        """Of `NoiseModel()`, as large as the pushes said."""
+        noise = NoiseModel()
+        return NoiseScale(self.noise_std / noise.pose, self.load_shift_std / noise.load_shift)
 
     def samples(self, k: int, seed: int = 0) -> list[CellParameters]:
         """Draws k parameter sets that agree with the pushes; every cell's friction is the estimate's.

@@ -26,11 +26,10 @@ from pydrake.geometry import ProximityProperties
 from shapely import Polygon, box, prepare
 
 from gridpush_drake.errors import ParameterError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.contact_material import MakeContactProperties, calc_own_friction
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-
-Array = NDArray[np.float64]
 
 SPHERE_RADIUS = 0.002
 """m; more than the spheres are ever pressed in."""

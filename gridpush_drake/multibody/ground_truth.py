@@ -13,6 +13,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context
+from scipy.spatial import cKDTree
 
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.multibody.grid_object import GridObjectInPlant, MakeSideProperties, MakeSpatialInertia, calc_gravity
@@ -26,6 +27,10 @@ CELL_MASS_RANGE = (0.1, 1.0)
 
 FRICTION_RANGE = (0.2, 0.6)
 CONTACT_FRICTION_RANGE = (0.35, 0.65)
+
+
+MIN_TILT = 0.05
+"""Least factor of a mass that is tilted, see `resample_parameters`."""
 
 
 def sample_ground_truth(
@@ -57,6 +62,32 @@ def sample_ground_truth(
     contact_friction = float(rng.uniform(*contact_friction_range))
     friction = drawn.friction if friction_by_part else np.full(obj.n, rng.uniform(*friction_range))
     return CellParameters(drawn.mass * (total / drawn.total_mass), friction, contact_friction)
+
+
+def resample_parameters(obj: GridObject, params: CellParameters, other: GridObject) -> CellParameters:
+    """Puts the parameters of an object's cells on another grid of the same object, such as one that a camera saw.
+
+    Each cell takes mass by area and friction from the nearest one; then masses are tilted, linearly over the object, so
+    that total mass and center of mass are kept.
+
+    Args:
+        obj: the object.
+        params: its parameters.
+        other: the other grid, in the same frame.
+
+    Returns:
+        The parameters of `other`; `params` themselves where it is the same object.
+    """
+    if other is obj:
+        return params
+    nearest = cKDTree(obj.p_BC).query(other.p_BC)[1]
+    mass, center = params.mass[nearest], params.center_of_mass(obj)
+    mass = mass * (params.mass.sum() / mass.sum())
+    off = other.p_BC - center
+    moments = np.column_stack([np.ones(other.n), off])
+    tilt = np.linalg.solve(moments.T @ (mass[:, None] * moments), [params.mass.sum(), 0.0, 0.0])
+    tilted = mass * np.maximum(moments @ tilt, MIN_TILT)
+    return CellParameters(tilted, params.friction[nearest], params.contact_friction)
 
 
 Support = Literal["own_weight", "foundation", "three_feet"]

@@ -20,10 +20,8 @@ from pydrake.math import RigidTransform, RotationMatrix
 from shapely import MultiPolygon, Polygon, constrained_delaunay_triangles
 from trimesh import Trimesh
 
-from gridpush_drake.geometry.se2 import make_direction
+from gridpush_drake.geometry.se2 import Array, make_direction
 from gridpush_drake.objects.grid_object import GridObject
-
-Array = NDArray[np.float64]
 
 CELL_SHARE = 0.94
 """Side of a drawn cell, in cells; the rest is the gap that lets cells be told apart."""
@@ -62,10 +60,21 @@ def make_outline_prism(obj: GridObject, height: float) -> Trimesh:
     return _drop_floor(trimesh.creation.extrude_triangulation(*_triangulate(obj.outline), height))
 
 
-def make_outline_mesh(outline: Polygon, height: float) -> str:
-    """Makes a closed prism of an outline, m, from z = 0 to `height`, m, as Wavefront OBJ text, faces outwards."""
+def make_outline_mesh(outline: Polygon, height: float, normals: bool = False) -> str:
+    """Makes a closed prism of an outline, m, from z = 0 to `height`, m, as Wavefront OBJ text, faces outwards.
+
+    Args:
+        outline: m.
+        height: m.
+        normals: whether each face has its own vertices with normals, as renderers want them.
+
+    Returns:
+        The text.
+    """
     mesh = trimesh.creation.extrude_triangulation(*_triangulate(outline), height)
-    return str(mesh.export(file_type="obj", include_normals=False, header="prism of an outline, m"))
+    if normals:
+        mesh.unmerge_vertices()
+    return str(mesh.export(file_type="obj", include_normals=normals, header="prism of an outline, m"))
 
 
 def make_outline_edge(obj: GridObject, height: float, width: float) -> Trimesh:

@@ -24,12 +24,12 @@ from functools import cached_property
 from math import sqrt
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.polynomial import Polynomial
 from pydrake.trajectories import PathParameterizedTrajectory, PiecewisePolynomial
 
-Array = NDArray[np.float64]
+from gridpush_drake.geometry.se2 import Array
 
 R_WP_DOWN = RollPitchYaw(0.0, np.pi, 0.0).ToRotationMatrix()
 """Of a tool that points down. Not (pi, 0, 0), from which the arm's elbow hangs."""

@@ -19,14 +19,13 @@ from enum import StrEnum
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.pushes.push_log import PushLog
 
-Array = NDArray[np.float64]
 Pose = tuple[float, float, float]
 
 WAITING, LOST, FAILED = "waiting", "lost", "failed"

@@ -15,11 +15,10 @@ from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import transform
+from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.support_surface import SupportSurface
 
-Array = NDArray[np.float64]
 PoseRule = Callable[[Array], NDArray[np.bool_]]
 """From poses (K, 3) along a push, in order, to whether each is allowed, (K,)."""
 

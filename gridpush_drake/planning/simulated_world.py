@@ -10,14 +10,14 @@ from typing import Generic, Protocol
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from shapely import MultiPoint, Point
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import transform
+from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
@@ -26,8 +26,6 @@ from gridpush_drake.planning.closed_loop import ClosedLoop, L, Observation, Push
 from gridpush_drake.planning.push_constraints import make_body
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-
-Array = NDArray[np.float64]
 
 OBSERVATIONS = 4
 """Poses that are seen during a push, after the first, its end among them."""

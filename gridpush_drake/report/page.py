@@ -23,6 +23,7 @@ from gridpush_drake.identification.prediction import (
 from gridpush_drake.identification.result import Identification, IdentificationStatus
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.report.camera_figure import Sight, draw_sight
 from gridpush_drake.report.draw import MM, to_svg
 from gridpush_drake.report.figures import (
     MAX_DUMBBELLS,
@@ -172,6 +173,7 @@ def make_report(
     truth: CellParameters | None = None,
     learning: Sequence[float] | None = None,
     summary: ReportSummary | None = None,
+    sight: Sight | None = None,
 ) -> str:
     """Makes the report.
 
@@ -183,6 +185,7 @@ def make_report(
         learning: mean cell error of the held-out pushes, m, before the first push and after each; None where nobody
             followed it.
         summary: what a robot did with the object; None where it only looked.
+        sight: what its camera saw; None where it was told the object and its poses.
 
     Returns:
         An HTML page that needs nothing else.
@@ -203,10 +206,12 @@ def make_report(
         message=identification.message,
         facts=_list_facts(identification, judged, log, held_out) if summary is None else summary.facts,
         summary=summary,
+        sight=None if sight is None else sight.describe(),
         figures=_draw_figures(identification, log, held_out, truth, training.cell[0], outcomes)
         | {
             "learning": _embed(_draw_learning(identification, held_out, truth, learning)) if learning else None,
             "summary": None if summary is None else _embed(summary.figure),
+            "sight": None if sight is None else _embed(draw_sight(sight)),
         },
         known_truth=truth is not None,
         has_held_out=fresh is not None,

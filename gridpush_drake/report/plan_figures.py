@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from shapely import Polygon as Shape
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.geometry.se2 import make_direction, transform
+from gridpush_drake.geometry.se2 import Array, make_direction, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
@@ -40,8 +40,6 @@ from gridpush_drake.report.draw import (
     make_grid,
     tidy,
 )
-
-Array = NDArray[np.float64]
 
 HOLDS = "#4f9d69"
 """What holds the object."""

@@ -18,7 +18,7 @@ arrived (7 paths of 10 instead of 6); Drake's `InverseKinematics` by SNOPT 510 m
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydrake.manipulation import IiwaDriver, SimIiwaDriver
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.inverse_kinematics import (
@@ -31,10 +31,9 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPor
 from pydrake.systems.primitives import SharedPointerSystem
 
 from gridpush_drake.errors import StationError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.tool_motion import R_WP_DOWN, TURNING_RADIUS, calc_tool_rotation
 from gridpush_drake.station.robot import AddRobot, ControlMeasures, Robot
-
-Array = NDArray[np.float64]
 
 POSITION_TOLERANCE = 1e-6
 """m and rad, of a pose that counts as reached."""

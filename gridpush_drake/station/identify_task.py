@@ -22,6 +22,9 @@ EDGE_MARGIN = 0.03
 MIDDLE_MARGIN = 0.09
 """Between the object's centroid and the limits of where the finger can be, for the finger to get around it, m."""
 
+LOST_AFTER, HIDDEN_AFTER = 0.5, 5.0
+"""Simulated without the object being seen, after which it has left the table, s; and where the arm may hide it."""
+
 REFUSALS = 20
 """In a row, after which the experiment is stuck."""
 
@@ -55,11 +58,13 @@ class PokeJudge:
 
     Attributes:
         pushes: to be carried out.
+        lost_after: s without the object being seen, after which it has left the table.
         executed: when it last looked.
         refused: up to the last push that was carried out.
     """
 
     pushes: int
+    lost_after: float = LOST_AFTER
     executed: int = 0
     refused: int = 0
 
@@ -67,7 +72,7 @@ class PokeJudge:
         """Status and message."""
         if status.executed > self.executed:
             self.executed, self.refused = status.executed, status.refused
-        if waiting.unseen > IdentifyTask.lost_after:
+        if waiting.unseen > self.lost_after:
             return OBJECT_LOST, f"The object left the table during push {status.executed + (not status.ready)}."
         if status.executed >= self.pushes:
             return FINISHED, f"All {self.pushes} pushes were carried out."
@@ -84,7 +89,7 @@ class PokeJudge:
 class IdentifyTask(StationTask[IdentifyTaskRecord]):
     """The station with a policy that pokes."""
 
-    lost_after = 0.5
+    lost_after = LOST_AFTER
     timeout = 10.0
 
     def __init__(self, scenario: PushScenario, meshcat: Meshcat | None = None) -> None:
@@ -109,7 +114,8 @@ class IdentifyTask(StationTask[IdentifyTaskRecord]):
     def make_record(self) -> IdentifyTaskRecord:
         """An empty record."""
         pokes = self.station.scenario.pokes
-        self._judge = PokeJudge(pokes.count + pokes.test_count)
+        lost_after = self.lost_after if self.station.found is None else HIDDEN_AFTER
+        self._judge = PokeJudge(pokes.count + pokes.test_count, lost_after)
         return IdentifyTaskRecord(self.station.obj, self.station.truth, training=pokes.count)
 
     def note(self, record: IdentifyTaskRecord, time: float) -> bool:

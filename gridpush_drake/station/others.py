@@ -16,11 +16,12 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
+from gridpush_drake.geometry.se2 import transform_shape
 from gridpush_drake.multibody.grid_object import AddGridObject, ApplyGridObjectFilters, GridObjectInPlant
 from gridpush_drake.multibody.ground_truth import SetGridObjectParameters, SetGridObjectPose
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scene import MakeTruth, load_others, place_outline
+from gridpush_drake.station.scene import MakeTruth, load_others
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 
 
@@ -118,7 +119,7 @@ def SetOthersStart(
 
 def place_others(others: Sequence[OtherObject]) -> tuple[Polygon, ...]:
     """Where they lie at the beginning, polygons in W, m; without their holes."""
-    return tuple(Polygon(place_outline(other.part.obj.outline, other.pose).exterior) for other in others)
+    return tuple(Polygon(transform_shape(other.pose, other.part.obj.outline).exterior) for other in others)
 
 
 def leave_out(region: BaseGeometry, others: Sequence[OtherObject], distance: float) -> BaseGeometry:

@@ -9,12 +9,12 @@ from math import atan2
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import DiagramBuilder
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import ScenarioError, StationError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.pregrasp.exploration import PokeOptions
@@ -36,8 +36,6 @@ from gridpush_drake.station.task import (
 )
 from gridpush_drake.systems.messages import GraspCommand, PreGraspMode, PreGraspStatus, PushCommand
 from gridpush_drake.systems.pregrasp_controller import PreGraspController
-
-Array = NDArray[np.float64]
 
 EDGE_STEP = 0.03
 """m along the edge, between places that the gripper is tried at."""
@@ -192,7 +190,9 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         return GO_ON
 
     def finish(self, record: PreGraspRecord) -> None:
-        """Says of each push in the log whether a part of the object hung over the table's edge."""
+        """Says of each push whether a part hung over the edge; what was seen counts until the object is grasped."""
+        grasped = next((step.time for step in record.steps if step.status.mode == PreGraspMode.GRASPING), np.inf)
+        record.sight = record.sight and record.sight.until(grasped)
         pushes = tuple(replace(seen, overhang=not self._stayed_on_table(seen)) for seen in record.log)
         record.log = replace(record.log, pushes=pushes)
 

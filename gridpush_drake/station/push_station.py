@@ -18,9 +18,10 @@ from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import ScenarioError, StationError
+from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.multibody.contact_material import TABLE, FindTableOutline, SetPartner
 from gridpush_drake.multibody.grid_object import AddGridObject, Base, GridObjectInPlant
-from gridpush_drake.multibody.ground_truth import SetGridObjectParameters, SetGridObjectPose
+from gridpush_drake.multibody.ground_truth import SetGridObjectParameters, SetGridObjectPose, resample_parameters
 from gridpush_drake.multibody.parser import MakeParser
 from gridpush_drake.multibody.visual_meshes import AddVisualMeshes, find_drake_models
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
@@ -29,6 +30,7 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.segmentation import RecordOptions, Sample
 from gridpush_drake.pushes.stream import make_samples
+from gridpush_drake.report.camera_figure import Sight
 from gridpush_drake.station.arm import (
     AddArmControl,
     ArmControl,
@@ -36,6 +38,16 @@ from gridpush_drake.station.arm import (
     CalcStartPosture,
     MakeControlPlant,
     SetArmStart,
+)
+from gridpush_drake.station.camera import (
+    AddPoseEstimator,
+    AddRgbdCamera,
+    AddSeenVisual,
+    FoundObject,
+    PhotographedScene,
+    StationCamera,
+    calc_pose_age,
+    find_object,
 )
 from gridpush_drake.station.grasping import (
     AddGrasping,
@@ -79,42 +91,62 @@ class Sensors:
         tip: knows where the tip is and how it moves.
     """
 
-    camera: PlanarPoseSensor
+    camera: StationCamera
     ground_truth: PlanarPoseSensor
     tip: PusherStateSensor
 
 
 def AddSensors(
     builder: DiagramBuilder,
-    plant: MultibodyPlant,
+    scene_graph: SceneGraph,
     scenario: PushScenario,
     robot: Robot,
-    object_in_plant: GridObjectInPlant,
+    part: GridObjectInPlant,
+    found: FoundObject | None,
 ) -> Sensors:
-    """Adds the sensors, and connects them to the plant."""
-    camera, body = scenario.camera, object_in_plant.body.index()
+    """Adds the sensors, and connects them to the plant; `found` is what a color and depth camera tracks."""
+    plant, body, period = part.plant, part.body.index(), 1 / scenario.camera.rate
+    ground_truth = PlanarPoseSensor(body, period=period, lowest=LOST_BELOW)
     sensors = Sensors(
-        builder.AddNamedSystem(
-            "camera",
-            PlanarPoseSensor(
-                body,
-                period=1 / camera.rate,
-                position_noise=camera.position_noise,
-                angle_noise=camera.angle_noise,
-                lowest=LOST_BELOW,
-                seed=scenario.seed,
-            ),
-        ),
-        builder.AddNamedSystem(
-            "ground_truth_sensor", PlanarPoseSensor(body, period=1 / camera.rate, lowest=LOST_BELOW)
-        ),
+        _add_ideal_camera(builder, plant, scenario, part)
+        if found is None
+        else _add_rgbd_camera(builder, scene_graph, scenario, part, found),
+        builder.AddNamedSystem("ground_truth_sensor", ground_truth),
         builder.AddNamedSystem("tip_sensor", PusherStateSensor(plant.GetBodyByName(robot.finger.tip_frame).index())),
     )
     tip = sensors.tip
-    for sensor in (sensors.camera, sensors.ground_truth, tip):
+    for sensor in (sensors.ground_truth, tip):
         builder.Connect(plant.get_body_poses_output_port(), sensor.GetInputPort("body_poses"))
     builder.Connect(plant.get_body_spatial_velocities_output_port(), tip.GetInputPort("body_spatial_velocities"))
     return sensors
+
+
+def _add_ideal_camera(
+    builder: DiagramBuilder, plant: MultibodyPlant, scenario: PushScenario, part: GridObjectInPlant
+) -> StationCamera:
+    camera = scenario.camera
+    sensor = PlanarPoseSensor(
+        part.body.index(),
+        period=1 / camera.rate,
+        position_noise=camera.position_noise,
+        angle_noise=camera.angle_noise,
+        lowest=LOST_BELOW,
+        seed=scenario.seed,
+    )
+    builder.AddNamedSystem("camera", sensor)
+    builder.Connect(plant.get_body_poses_output_port(), sensor.GetInputPort("body_poses"))
+    return StationCamera(sensor)
+
+
+def _add_rgbd_camera(
+    builder: DiagramBuilder,
+    scene_graph: SceneGraph,
+    scenario: PushScenario,
+    part: GridObjectInPlant,
+    found: FoundObject,
+) -> StationCamera:
+    rgbd = AddRgbdCamera(builder, scene_graph, scenario, part)
+    return StationCamera(AddPoseEstimator(builder, rgbd, scenario, found), rgbd.noise)
 
 
 ESTIMATE_OUTPUTS = (
@@ -169,17 +201,23 @@ def make_identifier(
         max_learning_pushes=learning.max_pushes,
         table=make_surface(table_top).corners if isinstance(table_top, Polygon) else None,
         warm_start=False,  # it gains little, and so `gridpush identify` finds the same from the log, bit for bit
-        record=RecordOptions(pose_delay=1 / scenario.camera.rate),  # it sees the picture before the one being taken
+        record=RecordOptions(pose_delay=calc_pose_age(scenario.camera)),
     )
 
 
-PUSHER_LOG, POSE_LOG = "pusher_log", "pose_log"
-"""Names of the systems that log all that the identifier sees."""
+PUSHER_LOG, POSE_LOG, TRUE_LOG, COVARIANCE_LOG = "pusher_log", "pose_log", "true_pose_log", "covariance_log"
+"""Names of the systems that log what the identifier sees, and, of a color and depth camera, how well."""
 
 
-def AddStreamLog(builder: DiagramBuilder, pusher: OutputPort, pose: OutputPort, period: float) -> None:
-    """Logs what the identifier sees when it looks: Drake publishes what was before the updates of the same time."""
-    for name, port in ((PUSHER_LOG, pusher), (POSE_LOG, pose)):
+def AddLogs(builder: DiagramBuilder, ports: dict[str, OutputPort], period: float) -> None:
+    """Logs ports when the identifier looks: Drake publishes what was before the updates of the same time.
+
+    Args:
+        builder: the ports' systems are in it.
+        ports: by the logs' names.
+        period: s.
+    """
+    for name, port in ports.items():
         LogVectorOutput(port, builder, period).set_name(name)
 
 
@@ -206,6 +244,24 @@ def AddStationScene(
     return GetRobotInPlant(plant, robot), table
 
 
+def TakePhotograph(scenario: PushScenario, true_obj: GridObject) -> FoundObject:
+    """Finds the object in a photograph of the scene as a run begins; see `find_object`."""
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, scenario.simulation.time_step)
+    robot = find_robot(scenario.directives)
+    instances, table = AddStationScene(plant, scene_graph, scenario, robot)
+    truth = MakeTruth(true_obj, scenario.truth, scenario.seed)
+    height, base = scenario.object_height, cast(Base, scenario.base)
+    part = AddGridObject(plant, scene_graph, true_obj, truth, base, table=table, height=height, visual=False)
+    AddSeenVisual(plant, scene_graph, part)
+    plant.Finalize()
+    control_plant = MakeControlPlant(robot, CalcBasePose(plant, robot))
+    q_start = CalcStartPosture(control_plant, robot, CalcHome(plant, robot))
+    table_top = FindTableOutline(plant, scene_graph.model_inspector())
+    scene = PhotographedScene(plant, scene_graph, instances.arm, part, q_start, table_top)
+    return find_object(scenario, true_obj, builder, scene)
+
+
 IIWA_OUTPUTS = (
     "position_commanded",
     "position_measured",
@@ -228,7 +284,7 @@ class StationParts:
         reach: of the arm.
         control: of the arm.
         camera: sees the object, with noise.
-        true_parameters: remembers the truth.
+        true_parameters: remembers the truth, on the robot's grid.
         grasping: carries out grasps; None where the scene has no gripper.
         others: see `PushStation`.
         other_cameras: see the others, with noise.
@@ -248,11 +304,12 @@ class StationParts:
     home: tuple[float, float, float]
     reach: ArmReach
     control: ArmControl
-    camera: PlanarPoseSensor
+    camera: StationCamera
     true_parameters: TrueParameters
     grasping: GraspExecutor | None
     others: tuple[OtherObject, ...]
     other_cameras: tuple[PlanarPoseSensor, ...]
+    found: FoundObject | None
 
 
 class PushStation(Diagram):
@@ -283,20 +340,22 @@ class PushStation(Diagram):
         - other_0.pose
         - ...
 
-    - ``push_command``: (6,) see `systems.push_command`.
+    - ``push_command``: (6,) see `PushCommand`.
     - ``executor.status``: abstract `PushStatus`; ``executor.tip_pose``: abstract `RigidTransform`, X_WP desired.
     - ``pusher.state``: (6,) p_WP, m, and v_WP, m/s, of the tip's center, from the joints.
     - ``object.pose``: (3,) as the camera sees it, m and rad; ``object.pose_true``: as it is, for display and judgment.
     - ``estimate.*``: see `GridIdentifier`; ``iiwa.*``: see Drake's `SimIiwaDriver`; the three after: the plant's own.
-    - Where the scene has a gripper: ``grasp_command``: (6,) see `systems.grasp_command`, need not be connected;
+    - Where the scene has a gripper: ``grasp_command``: (6,) see `GraspCommand`, need not be connected;
       ``grasp.status``: abstract `GraspStatus`; ``gripper.state``: (4,) the fingers' positions, left and right, m, and
       velocities, m/s. ``executor.tip_pose`` is then what push and grasp executor together desire.
     - ``other_0.pose`` and so on: (3,) of each of the scenario's other objects, as ``object.pose``.
 
     Attributes:
-        scenario: what it was made from.
-        obj: the object.
-        truth: what the plant's object really weighs and how it rubs in a fresh Context, by the scenario's seed.
+        scenario: what it was made from; with a color and depth camera, pose and height of the object are as seen.
+        obj: the object, as the robot knows it.
+        found: it in the photograph; None where the camera is ideal and the robot is told the object.
+        truth: what the plant's object really weighs and how it rubs in a fresh Context, by the scenario's seed, on the
+            cells of `obj`.
         plant: the plant.
         scene_graph: of the plant.
         robot: the robot's measures.
@@ -319,7 +378,7 @@ class PushStation(Diagram):
         self.plant, self.scene_graph, self.robot = parts.plant, parts.scene_graph, parts.robot
         self.robot_in_plant, self.home = parts.robot_in_plant, parts.home
         self.object_in_plant, self.table, self.table_top = parts.object_in_plant, parts.table, parts.table_top
-        self.style, self.gripper = parts.style, parts.robot_in_plant.gripper
+        self.style, self.gripper, self.found = parts.style, parts.robot_in_plant.gripper, parts.found
         self._grasping, self._reach = parts.grasping, parts.reach
         self._control, self._camera, self._true_parameters = parts.control, parts.camera, parts.true_parameters
         self.others, self._other_cameras = parts.others, parts.other_cameras
@@ -354,10 +413,11 @@ class PushStation(Diagram):
             self.scenario.seed if seed is None else seed,
         )  # fmt: skip
         if seed is not None:
-            truth = MakeTruth(self.obj, self.scenario.truth, seed)
-            support = MakeSupport(self.obj, truth, self.scenario, seed)
+            true_obj = self.object_in_plant.obj
+            truth = MakeTruth(true_obj, self.scenario.truth, seed)
+            support = MakeSupport(true_obj, truth, self.scenario, seed)
             SetGridObjectParameters(self.plant, self.scene_graph, root_context, self.object_in_plant, truth, support)
-            self._true_parameters.SetParameters(root_context, truth)
+            self._true_parameters.SetParameters(root_context, resample_parameters(true_obj, truth, self.obj))
             self._camera.SetSeed(root_context, seed)
 
     def GetTruth(self, root_context: Context) -> CellParameters:
@@ -374,10 +434,30 @@ class PushStation(Diagram):
         Args:
             root_context: of the station, or of the Diagram it is part of.
         """
-        # held as attributes, the logs would keep the station alive, unseen by the garbage collector
-        pusher, pose = (self.GetSubsystemByName(name).FindLog(root_context) for name in (PUSHER_LOG, POSE_LOG))
-        tip = pusher.data().T
-        return make_samples(pusher.sample_times(), tip[:, :3], tip[:, 3:], pose.data().T)
+        t, tip = self._find_log(root_context, PUSHER_LOG)
+        return make_samples(t, tip[:, :3], tip[:, 3:], self._find_log(root_context, POSE_LOG)[1])
+
+    def FindSight(self, root_context: Context) -> Sight | None:
+        """What the color and depth camera saw in a Context, and how far off that was; None for an ideal camera.
+
+        Args:
+            root_context: of the station, or of the Diagram it is part of.
+        """
+        if self.found is None:
+            return None
+        (t, poses), (_, true), (_, covariance) = (
+            self._find_log(root_context, name) for name in (POSE_LOG, TRUE_LOG, COVARIANCE_LOG)
+        )
+        late = round(calc_pose_age(self.scenario.camera) * self.scenario.camera.rate) - 1
+        errors = poses[late:] - true[: len(true) - late]
+        errors[:, 2] = wrap_angle(errors[:, 2])
+        std = np.sqrt(covariance[late:].reshape(-1, 3, 3).diagonal(axis1=1, axis2=2))
+        return Sight(self.found.detected.picture, t[late:], errors, std)
+
+    def _find_log(self, root_context: Context, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Times (K,), s, and values (K, d). The logs are no attributes: they would keep the station alive for good."""
+        log = self.GetSubsystemByName(name).FindLog(root_context)
+        return log.sample_times(), log.data().T
 
     def CoverCamera(self, root_context: Context, covered: bool = True) -> None:
         """Covers the camera, which then sees no object, or uncovers it."""
@@ -417,8 +497,13 @@ def MakePushStation(
         StationError: the arm cannot take the posture in which it begins.
     """
     check_scenario(scenario)
-    obj = LoadPushedObject(scenario)
-    truth = MakeTruth(obj, scenario.truth, scenario.seed)
+    obj = true_obj = LoadPushedObject(scenario)
+    found = None
+    if scenario.camera.kind == "rgbd":
+        found = TakePhotograph(scenario, true_obj)
+        obj, true_obj = found.obj, found.true_obj
+    true_truth = MakeTruth(true_obj, scenario.truth, scenario.seed)
+    truth = resample_parameters(true_obj, true_truth, obj)
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, scenario.simulation.time_step)
     plant.set_name("plant")
@@ -429,15 +514,19 @@ def MakePushStation(
     object_in_plant = AddGridObject(
         plant,
         scene_graph,
-        obj,
-        truth,
+        true_obj,
+        true_truth,
         cast(Base, scenario.base),
         table=table,
         height=scenario.object_height,
-        support=MakeSupport(obj, truth, scenario, scenario.seed),
+        support=MakeSupport(true_obj, true_truth, scenario, scenario.seed),
         visual=show_object,
     )
     others = AddOthers(plant, scene_graph, scenario, table, object_in_plant)
+    if found is not None:
+        AddSeenVisual(plant, scene_graph, object_in_plant)
+        seen = {"object_pose": found.pose.tolist(), "object_height": obj.height or scenario.object_height}
+        scenario = scenario.model_copy(update=seen)
     drake_models = find_drake_models() if meshcat is not None else None
     if drake_models is not None:
         AddVisualMeshes(plant, scene_graph, drake_models)
@@ -448,8 +537,8 @@ def MakePushStation(
     control = AddArmControl(builder, plant, robot, instances.arm, control_plant, q_start)
     reach, style = ArmReach(control_plant, robot, q_start), make_style(scenario, robot)
     executor = builder.AddNamedSystem("executor", PushExecutor(home, obj.outline, reach, style))
-    sensors = AddSensors(builder, plant, scenario, robot, object_in_plant)
-    camera, tip = sensors.camera, sensors.tip
+    sensors = AddSensors(builder, scene_graph, scenario, robot, object_in_plant, found)
+    camera, tip = sensors.camera.source, sensors.tip
     other_cameras = AddOtherCameras(builder, plant, scenario, others, LOST_BELOW)
     table_top = FindTableOutline(plant, scene_graph.model_inspector())
     true_parameters = builder.AddNamedSystem("truth", TrueParameters(truth))
@@ -467,12 +556,16 @@ def MakePushStation(
         builder.Connect(camera.GetOutputPort("object_pose"), consumer.GetInputPort("object_pose"))
     pusher = tip if grasping is None else AddPusherGate(builder, tip, grasping)
     builder.Connect(pusher.GetOutputPort("pusher_state"), identifier.GetInputPort("pusher_state"))
-    AddStreamLog(
-        builder, pusher.GetOutputPort("pusher_state"), camera.GetOutputPort("object_pose"), 1 / scenario.camera.rate
-    )
+    logged = {PUSHER_LOG: pusher.GetOutputPort("pusher_state"), POSE_LOG: camera.GetOutputPort("object_pose")}
+    if found is not None:
+        logged[TRUE_LOG] = sensors.ground_truth.GetOutputPort("object_pose")
+        logged[COVARIANCE_LOG] = camera.GetOutputPort("covariance")
+    AddLogs(builder, logged, 1 / scenario.camera.rate)
     if meshcat is not None:
         AddMeshcat(builder, scene_graph, meshcat, name)
 
+    if found is not None:
+        ExportOutputs(builder, camera, "camera", ("covariance", "seen"))
     builder.ExportInput(executor.GetInputPort("push_command"), "push_command")
     ExportOutputs(builder, executor, "executor", ("status",))
     ExportOutputs(builder, desired, "executor", ("tip_pose",))
@@ -490,7 +583,7 @@ def MakePushStation(
         builder,
         StationParts(
             scenario, obj, truth, plant, scene_graph, robot, instances, object_in_plant, table, table_top, style, home,
-            reach, control, camera, true_parameters, grasping, others, other_cameras,
+            reach, control, sensors.camera, true_parameters, grasping, others, other_cameras, found,
         ),
     )  # fmt: skip
     station.set_name(name)

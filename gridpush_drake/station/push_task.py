@@ -6,11 +6,11 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.geometry import Meshcat, Rgba
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.meshcat_shapes import AddGhost, MakePlanarTransform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_error
@@ -30,8 +30,6 @@ from gridpush_drake.station.task import (
 )
 from gridpush_drake.systems.contact_point_controller import ContactPointController
 from gridpush_drake.systems.messages import ContactPointMode, ContactPointStatus, PushCommand
-
-Array = NDArray[np.float64]
 
 
 @dataclass

@@ -18,7 +18,7 @@ from math import cos, sqrt
 from pathlib import Path
 from typing import Annotated, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
+from pydantic import ConfigDict, Field, Strict
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import (
     AddWeld,
@@ -33,10 +33,10 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame, ModelInstanceIndex
 
 from gridpush_drake.errors import ScenarioError
-from gridpush_drake.files import is_file, read_text
+from gridpush_drake.files import is_file
 from gridpush_drake.multibody.parser import AddModelsPackage, MakeParser
 from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
-from gridpush_drake.yaml_file import MAX_YAML_SIZE, explain, list_expected, parse_yaml
+from gridpush_drake.yaml_file import StrictSchema, check_mapping, read_mapping
 
 Length = Annotated[float, Field(gt=0, description="a positive number, in m")]
 Positive = Annotated[float, Field(gt=0, description="a positive number")]
@@ -44,8 +44,8 @@ Name = Annotated[str, Field(pattern=r"\S", description="a name")]
 Numbers = Annotated[tuple[float, ...], Strict(False)]
 
 
-class _Measures(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
+class _Measures(StrictSchema):
+    model_config = ConfigDict(frozen=True)
 
 
 class ReachMeasures(_Measures):
@@ -165,14 +165,7 @@ M = TypeVar("M", bound=_Measures)
 
 def read_measures(path: Path, schema: type[M]) -> M:
     """Reads a robot.yaml, finger.yaml or gripper.yaml. Raises ScenarioError by file, field and expected form."""
-    what = f"{path.stem} measures"
-    data = parse_yaml(path, read_text(path, what, ScenarioError, MAX_YAML_SIZE), what, ScenarioError)
-    if not isinstance(data, dict):
-        raise ScenarioError(f"{path}: expected {what}: `key: value` lines")
-    try:
-        return schema.model_validate(data)
-    except ValidationError as error:
-        raise ScenarioError(f"{path}: {explain(error, list_expected(schema))}") from error
+    return check_mapping(path, read_mapping(path, f"{path.stem} measures", ScenarioError), schema, ScenarioError)
 
 
 @dataclass(frozen=True, eq=False)

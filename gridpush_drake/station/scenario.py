@@ -101,6 +101,12 @@ Pose = Annotated[
     _is_within(-MAX_SIZE, MAX_SIZE),
 ]
 
+Point = Annotated[
+    list[Number],
+    Field(min_length=3, max_length=3, description=f"[x, y, z], in m, at most {MAX_SIZE:g}"),
+    _is_within(-MAX_SIZE, MAX_SIZE),
+]
+
 Interval = Annotated[
     Pair,
     Field(description=f"[least, greatest], in m, at most {MAX_SIZE:g}"),
@@ -196,18 +202,53 @@ class PreGraspConfig(_Config):
     hold: Annotated[Number, _positive("s", high=3600.0)] = 3.0
 
 
+class RgbdConfig(_Config):
+    """A color and depth camera beside the table, as it is rendered.
+
+    Attributes:
+        width: of the image, pixels.
+        height: of the image, pixels.
+        fov_y: field of view along y, rad.
+        position: p_WC, m.
+        target: what it looks at, W, m.
+        latency: between the picture and its pose, s.
+        depth_noise: standard deviation at a distance of 1 m, m; it grows with the distance squared.
+        depth_edge: jump of depth between neighbors, m, at which depth is not measured.
+        color_noise: standard deviation of a color's value, of 255.
+        exposure_noise: standard deviation of a picture's exposure, a share.
+    """
+
+    width: Annotated[int, _count(64, 4096)] = 640
+    height: Annotated[int, _count(64, 4096)] = 480
+    fov_y: Annotated[Number, Field(gt=0, lt=radians(150), description="an angle from 0 to less than 2.6, in rad")] = (
+        radians(42)
+    )
+    position: Point = [0.6, -0.38, 1.0]
+    target: Point = [0.59, -0.07, 0.0]
+    latency: Annotated[Number, _not_negative("s")] = 0.0
+    depth_noise: Annotated[Number, _not_negative("m")] = 0.0015
+    depth_edge: Annotated[Number, _positive("m")] = 0.01
+    color_noise: Annotated[Number, _not_negative("of 255")] = 2.0
+    exposure_noise: Annotated[Number, _not_negative("a share")] = 0.02
+
+
 class CameraConfig(_Config):
     """What sees the object's pose. Its noise is drawn from the scenario's seed.
 
     Attributes:
+        kind: "ideal": the pose as it is, with noise; "rgbd": pictures are rendered, the robot finds the object in the
+            first one and its pose in all.
         rate: poses a second, Hz.
-        position_noise: standard deviation per axis, m.
-        angle_noise: standard deviation, rad.
+        position_noise: standard deviation per axis, m; of an ideal one.
+        angle_noise: standard deviation, rad; of an ideal one.
+        rgbd: the camera, where it is one.
     """
 
+    kind: Annotated[Literal["ideal", "rgbd"], Field(description="one of ideal, rgbd")] = "ideal"
     rate: Annotated[Number, _positive("Hz", low=0.1, high=1000.0)] = 30.0
     position_noise: Annotated[Number, _not_negative("m")] = 0.0005
     angle_noise: Annotated[Number, _not_negative("rad")] = radians(0.2)
+    rgbd: RgbdConfig = RgbdConfig()
 
 
 class PartTruth(_Config):

@@ -3,7 +3,7 @@
 The object lies on the table, the arm gets to it, and the finger clears it.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,12 +15,11 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import ModelDirectives, ModelInstanceInfo, Parser, ProcessModelDirectives
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
-from shapely import Polygon
-from shapely.affinity import affine_transform
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import ObjectError, ScenarioError
 from gridpush_drake.files import is_file
+from gridpush_drake.geometry.se2 import transform_shape
 from gridpush_drake.multibody.contact_material import FindTableOutline
 from gridpush_drake.multibody.ground_truth import calc_support, sample_ground_truth
 from gridpush_drake.multibody.parser import MakeParser
@@ -191,11 +190,11 @@ def _check_heights(scenario: PushScenario, tip_radius: float) -> None:
 
 
 def _check_others(scenario: PushScenario, obj: GridObject, table: BaseGeometry) -> None:
-    lying = [("object_pose", place_outline(obj.outline, scenario.object_pose))]
+    lying = [("object_pose", transform_shape(scenario.object_pose, obj.outline))]
     for at, (config, other) in enumerate(zip(scenario.others, load_others(scenario), strict=True)):
         field = f"others[{at}].pose"
         _check_on_table((f"others[{at}].object", field), other, config.pose, table)
-        outline = place_outline(other.outline, config.pose)
+        outline = transform_shape(config.pose, other.outline)
         for name, before in lying:
             if before.intersects(outline):
                 raise ScenarioError(f"{field} is {config.pose}: there the object lies in that of {name}; expected room")
@@ -204,14 +203,14 @@ def _check_others(scenario: PushScenario, obj: GridObject, table: BaseGeometry) 
 
 def _check_on_table(fields: tuple[str, str], obj: GridObject, pose: list[float], table: BaseGeometry) -> None:
     """Of the `fields` a message names the first where the object is too large, the second where it is misplaced."""
-    if table.covers(place_outline(obj.outline, pose)):
+    if table.covers(transform_shape(pose, obj.outline)):
         return
     middle = np.array(table.centroid.coords[0])
     for turn in np.linspace(0, 2 * np.pi, TURNS, endpoint=False):
-        turned = place_outline(obj.outline, [0.0, 0.0, turn])
+        turned = transform_shape([0.0, 0.0, turn], obj.outline)
         left, low, right, high = turned.bounds
         at = middle - ((left + right) / 2, (low + high) / 2)
-        if table.covers(place_outline(obj.outline, [*at, turn])):
+        if table.covers(transform_shape([*at, turn], obj.outline)):
             x, y, theta = pose
             near, far = table.bounds[:2], table.bounds[2:]
             raise ScenarioError(
@@ -250,13 +249,6 @@ def _check_reach(scenario: PushScenario, plant: MultibodyPlant, robot: Robot) ->
         raise ScenarioError(
             f"workspace does not contain the object's position, ({x:g}, {y:g}) m; expected that it does"
         )
-
-
-def place_outline(outline: Polygon, pose: Sequence[float]) -> Polygon:
-    """The outline in W of an object whose body frame is at `pose`."""
-    x, y, theta = pose
-    c, s = np.cos(theta), np.sin(theta)
-    return affine_transform(outline, [c, -s, s, c, x, y])
 
 
 def _describe_size(shape: BaseGeometry) -> str:

@@ -23,6 +23,7 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import Sample
+from gridpush_drake.report.camera_figure import Sight
 from gridpush_drake.station.limit_monitor import LimitMonitor, LimitReport
 from gridpush_drake.station.push_station import PushStation
 from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
@@ -91,6 +92,7 @@ class TaskRecord:
         truth: what it really weighs and how it rubs.
         log: all pushes, in order.
         stream: all that the identifier saw, of which the pushes were cut.
+        sight: what a color and depth camera saw; None where the camera is ideal.
         estimates: the identification after each push learned from.
         status: how it ended.
         message: the status in a sentence.
@@ -102,6 +104,7 @@ class TaskRecord:
     truth: CellParameters
     log: PushLog = field(default_factory=lambda: PushLog(()), kw_only=True)
     stream: list[Sample] = field(default_factory=list, kw_only=True)
+    sight: Sight | None = field(default=None, kw_only=True)
     estimates: list[Identification] = field(default_factory=list, kw_only=True)
     status: TaskStatus = field(default=TaskStatus.RUNNING, kw_only=True)
     message: str = field(default="", kw_only=True)
@@ -256,7 +259,7 @@ class StationTask(Generic[R]):
             if not record.status:
                 message = f"Interrupted after {len(record.log)} pushes."
                 record.status, record.message = TaskStatus.INTERRUPTED, message
-        record.stream = station.FindStream(context)
+        record.stream, record.sight = station.FindStream(context), station.FindSight(context)
         self.finish(record)
         return record
 

@@ -15,7 +15,7 @@ from gridpush_drake.bench.pregrasp import (
     tabulate_slides,
 )
 from gridpush_drake.bench.pregrasp_exploration import ALONG, MAX_POKES, explore
-from gridpush_drake.bench.pregrasp_world import EdgeWorld, MujocoWorld, Outcome, see
+from gridpush_drake.bench.pregrasp_world import EdgeWorld, MujocoWorld, Outcome, add_pose_noise
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
 
@@ -83,7 +83,7 @@ def test_a_body_in_mujoco_moves_alike_and_drops():
 
 def test_noise_is_as_large_as_it_says():
     rng = np.random.default_rng(0)
-    noise = np.array([see(np.zeros(3), rng) for _ in range(2000)])
+    noise = np.array([add_pose_noise(np.zeros(3), rng) for _ in range(2000)])
     np.testing.assert_allclose(noise.std(axis=0), [0.0005, 0.0005, 0.003], rtol=0.1)
 
 

@@ -136,6 +136,10 @@ def test_refuses_a_scenario_that_makes_no_sense(refuses, tmp_path, text, says):
     refuses("demo", "--task", "identify", "--scenario", path, "--out", tmp_path / "demo", says=says)
 
 
+def test_refuses_an_unknown_camera(refuses, tmp_path):
+    refuses("demo", "--camera", "lidar", "--out", tmp_path / "demo", says=["--camera", "lidar", "rgbd"])
+
+
 def test_refuses_an_object_larger_than_the_table(refuses, tmp_path):
     door = tmp_path / "door.yaml"
     door.write_text("name: door\noutline: [[-1, -0.4], [1, -0.4], [1, 0.4], [-1, 0.4]]\nmax_cells: 60\n")

@@ -34,5 +34,5 @@ def make_identification(obj: GridObject | None = None, seed: int = 0) -> Identif
     known = calc_identifiability(obj, params, posterior)
     return Identification(
         obj, params, std, posterior, known, "default", "quasi_static", IdentificationStatus.LEARNED,
-        "learned from 4 pushes.", history, 80, 4e-4, seed, ("push_1", "push_2", "push_3", "push_4"), ("push_5",),
+        "learned from 4 pushes.", history, 80, 4e-4, 2e-3, seed, ("push_1", "push_2", "push_3", "push_4"), ("push_5",),
     )  # fmt: skip

@@ -1,34 +1,32 @@
-"""What cross-validation may choose between."""
+"""The average over amplitudes."""
 
 import numpy as np
 
+from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.map_ensemble import MapEnsemble
+from gridpush_drake.objects.parameters import CellParameters
+from tests.helpers.shapes import make_shape
+from tests.identification.simulated_pokes import make_pokes
+
+NOISE = (5e-4, 3.5e-3)
 
 
-class Problem:
-    """Cell errors that grow with the distance from what was learned, z = 1, times a scale."""
-
-    def __init__(self, scale):
-        self._scale = scale
-
-    def residuals(self, z):
-        return z
-
-    def calc_cell_errors(self, z):
-        return 1e-3 + self._scale * np.abs(1.0 - z)
+def learn(mass_ratio: float, amplitudes: tuple[float, ...] = MapEnsemble().amplitudes):
+    obj = make_shape("l_bracket", 20)
+    truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.03, mass_ratio, 1.0), np.full(obj.n, 0.4), 0.35)
+    return identify(obj, make_pokes(obj, truth, 4, 5, noise=NOISE), ensemble=MapEnsemble(amplitudes=amplitudes))
 
 
-def explained(scale):
-    return MapEnsemble()._explains(Problem(scale), np.zeros(4), np.ones(4)).tolist()
+def test_evidence_chooses_the_amplitude_that_the_pushes_ask_for() -> None:
+    even, uneven = learn(1.0), learn(8.0)
+    assert even.status == "prior_kept" and uneven.status == "learned"
+    prior_variance = [np.diag(found.posterior.prior_covariance)[:-1].mean() for found in (even, uneven)]
+    assert prior_variance[0] < 0.5**2 < prior_variance[1]
 
 
-def test_every_mixture_counts_where_all_explain_the_pushes():
-    assert explained(4e-3) == [True] * 5
-
-
-def test_a_mixture_that_predicts_no_training_push_does_not_count():
-    assert explained(20e-3) == [False, False, False, True, True]
-
-
-def test_what_was_learned_always_counts():
-    assert explained(1.0)[-1]
+def test_average_lies_among_its_fits_and_its_spread_covers_theirs() -> None:
+    found = learn(4.0)
+    fits = np.array([start.z for start in found.starts])
+    assert (found.posterior.mean >= fits.min(axis=0)).all() and (found.posterior.mean <= fits.max(axis=0)).all()
+    alone = [learn(4.0, (amplitude,)).posterior.covariance for amplitude in MapEnsemble().amplitudes]
+    assert np.trace(found.posterior.covariance) >= min(np.trace(covariance) for covariance in alone)

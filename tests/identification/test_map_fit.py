@@ -1,14 +1,15 @@
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from gridpush_drake.identification.map_ensemble import calc_prior_factor
 from gridpush_drake.identification.map_fit import (
     CenterOfMass,
-    NoiseModel,
-    calc_effective_count,
+    MapFit,
     calc_smooth_covariance,
     fit_map,
 )
+from gridpush_drake.identification.noise import NoiseModel, NoiseScale, calc_effective_count
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -54,8 +55,8 @@ def test_evidence_prefers_the_prior_that_can_explain_the_data() -> None:
 
 def test_covariance_shrinks_from_the_prior_and_more_data_shrink_it_further() -> None:
     problem, _, z0, A = make_problem()
-    few = fit_map(problem, z0, A, NoiseModel(), pushes=[0, 1], scale=1.0)
-    many = fit_map(problem, z0, A, NoiseModel(), scale=1.0)
+    fewer, _, _, _ = make_problem(2)
+    few, many = fit_map(fewer, z0, A, NoiseModel()), fit_map(problem, z0, A, NoiseModel())
     prior = A @ A.T
     assert np.linalg.eigvalsh(prior - many.covariance).min() > -1e-8
     assert np.trace(many.covariance) < np.trace(few.covariance) < np.trace(prior)
@@ -83,3 +84,44 @@ def test_an_outlier_counts_for_less() -> None:
 def test_many_observations_of_one_push_count_as_their_square_root() -> None:
     assert calc_effective_count(3) == pytest.approx(3)
     assert calc_effective_count(3 * 16) == pytest.approx(12)
+
+
+def make_stacked(problem: PushProblem, z0: np.ndarray, A: np.ndarray, fit: MapFit, noise: NoiseModel):
+    """The problem in u, whole: residuals and Jacobian with the noise dense and weights held as they are at the fit."""
+    whitening, weights = [], []
+    for inputs, r in zip(fit.linear.by_inputs, fit.linear.residuals, strict=True):
+        whitening.append(np.linalg.inv(np.linalg.cholesky(noise.calc_covariance(inputs, fit.scale))))
+        weights.append(np.sqrt(noise.calc_weight(whitening[-1] @ r)))
+
+    def evaluate(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        linear = problem.linearize(z0 + A @ u)
+        rows = [w * W @ r for w, W, r in zip(weights, whitening, linear.residuals, strict=True)]
+        slopes = [w * W @ J @ A for w, W, J in zip(weights, whitening, linear.by_z, strict=True)]
+        return np.concatenate([u, *rows]), np.concatenate([np.eye(len(u)), *slopes])
+
+    return evaluate
+
+
+@pytest.mark.parametrize("count", [1, 2, 6])  # fewer residuals than unknowns, and more
+def test_fit_is_that_of_the_whole_problem_solved_densely(count: int) -> None:
+    problem, _, z0, A = make_problem(count)
+    noise = NoiseModel()
+    fit = fit_map(problem, z0, A, noise)
+    evaluate = make_stacked(problem, z0, A, fit, noise)
+    u = np.linalg.solve(A, fit.z - z0)
+    slow = least_squares(lambda v: evaluate(v)[0], u, jac=lambda v: evaluate(v)[1], ftol=1e-12, xtol=1e-12, gtol=None)
+    std = np.sqrt(np.diag(fit.covariance))
+    assert (np.abs(z0 + A @ slow.x - fit.z) < 0.1 * std).all()
+    J = evaluate(u)[1]
+    np.testing.assert_allclose(fit.covariance, A @ np.linalg.inv(J.T @ J) @ A.T, rtol=1e-6, atol=1e-9)
+
+
+def test_whitening_is_the_inverse_root_of_the_noise() -> None:
+    problem, _, z0, _ = make_problem(1)
+    linear, noise = problem.linearize(z0), NoiseModel()
+    scale = NoiseScale(1.3, 0.7)
+    sigma = noise.calc_covariance(linear.by_inputs[0], scale)
+    W = noise.make_whitening(linear.by_inputs[0], scale)
+    twice = W.apply(W.apply(np.eye(len(sigma))))
+    np.testing.assert_allclose(twice @ sigma, np.eye(len(sigma)), atol=1e-8)
+    assert W.log_determinant == pytest.approx(0.5 * np.linalg.slogdet(sigma)[1])

@@ -8,7 +8,8 @@ import pytest
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification.learning import describe_prior, identify
 from gridpush_drake.identification.map_ensemble import MapEnsemble, calc_prior_factor
-from gridpush_drake.identification.map_fit import NoiseModel, calc_smooth_covariance, fit_map
+from gridpush_drake.identification.map_fit import calc_smooth_covariance, fit_map
+from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import FitStart
 from gridpush_drake.objects.grid_object import GridObject
@@ -50,7 +51,7 @@ def test_bad_start_does_no_harm() -> None:
     obj, log = make_case("l_bracket", 3)
     start = identify(obj, log[:3])
     rng = np.random.default_rng(0)
-    astray = tuple(FitStart(fit.z + rng.normal(0, 3, len(fit.z)), 1.0) for fit in start.starts)
+    astray = tuple(FitStart(fit.z + rng.normal(0, 3, len(fit.z)), NoiseScale()) for fit in start.starts)
     cold, warm = identify(obj, log), identify(obj, log, start=replace(start, starts=astray))
     std = np.sqrt(np.diag(cold.posterior.covariance))
     assert (np.abs(warm.posterior.mean - cold.posterior.mean) < 0.3 * std).all()

@@ -8,13 +8,14 @@ from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake import GridIdentifier, MakePushStation, PushCommand, PushScenario, read_scenario
 from gridpush_drake.errors import ScenarioError
+from gridpush_drake.station.identify_task import IdentifyTask
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.others import place_others
 from gridpush_drake.station.pregrasp_task import PreGraspTask
 from gridpush_drake.station.push_station import MakeFingerRegion
-from gridpush_drake.station.push_task import make_rules
+from gridpush_drake.station.push_task import PushTask, make_rules
 from gridpush_drake.station.scene import check_scenario
-from gridpush_drake.station.task import make_surface
+from gridpush_drake.station.task import TaskStatus, make_surface
 
 SCENARIO = """
 object: open_book
@@ -111,6 +112,20 @@ def test_pushes_keep_clear_of_where_they_lie(station):
     rules = make_rules(station, make_surface(station))
     checker = rules.constraints.start_at(station.obj, np.array([0.6, 0.0, 0.0]), rules.contact.radius)
     assert checker.allows_poses(np.array([[0.6, 0.0, 0.0], [0.6, 0.2, 0.0]])).tolist() == [True, False]
+
+
+@pytest.mark.slow
+def test_pokes_and_pushes_to_a_goal_leave_them_where_they_are():
+    others = [{"object": "pliers", "pose": list(POSES[0])}, {"object": "toothpaste_tube", "pose": [0.65, -0.25, 0.0]}]
+    scenario = PushScenario(object="claw_hammer", object_pose=[0.6, 0.0, 0.5], others=others)
+    scenario.pokes.count, scenario.pokes.test_count, scenario.pokes.speed = 1, 0, 0.06
+    scenario.goal.pose = [0.62, -0.03, 0.7]
+    for task in (IdentifyTask(scenario), PushTask(scenario)):
+        record = task.run(0)
+        assert record.status in (TaskStatus.FINISHED, TaskStatus.REACHED), record.message
+        assert record.limit_report.ok, record.limit_report
+        for number, other in enumerate(others):
+            np.testing.assert_allclose(task.read(f"other_{number}.pose"), other["pose"], atol=4 * NOISE)
 
 
 @pytest.mark.parametrize(

@@ -121,7 +121,10 @@ def test_an_object_file_is_looked_up_beside_the_scenario(tmp_path, monkeypatch):
     ("text", "message"),
     [
         ("camra: {rate: 3}", "camra: unknown key; did you mean camera?"),
-        ("camera: {rte: 3}", r"camera\.rte: unknown key; did you mean rate\? expected one of rate, position_noise"),
+        (
+            "camera: {rte: 3}",
+            r"camera\.rte: unknown key; did you mean rate\? expected one of kind, rate, position_noise",
+        ),
         ("truth: {parts: [{lable: 3}]}", r"truth\.parts\[0\]\.lable: unknown key; did you mean label"),
         ("directives: [{add_modle: {}}]", r"directives\[0\]\.add_modle: unknown key; did you mean add_model"),
         ("directives: [{add_model: {fil: x}}]", r"directives\[0\]\.add_model\.fil: unknown key; did you mean file"),

@@ -133,7 +133,8 @@ def test_two_stations_stand_in_one_diagram(alone):
 
 
 def test_a_station_that_is_dropped_is_freed():
-    experiment = IdentifyTask(make_scenario())
+    others = [{"object": "pliers", "pose": [0.6, 0.25, 0.5]}]
+    experiment = IdentifyTask(PushScenario(object="open_book", others=others))
     simulator, station = experiment.simulator, experiment.station
     station.SetStart(simulator.get_mutable_context())
     simulator.set_monitor(LimitMonitor(station))

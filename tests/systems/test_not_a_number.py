@@ -63,7 +63,6 @@ GOOD = {
 }
 """What the ports show on good days, by name; others keep their default message."""
 
-NAN = np.full(3, np.nan)
 SYSTEMS = {
     "lcp": lambda: GridLcpSystem(OBJ),
     "identifier": lambda: GridIdentifier(OBJ),

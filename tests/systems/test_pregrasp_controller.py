@@ -91,7 +91,7 @@ class Robot:
             belief = (
                 None
                 if not seen
-                else self.controller.loop.believe_identification(
+                else self.controller.loop.infer_from_identification(
                     identify(BAR, PushLog(tuple(seen))), PushLog(tuple(seen))
                 )
             )

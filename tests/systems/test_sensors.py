@@ -8,7 +8,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
-from gridpush_drake.systems.planar_pose_sensor import CalcPlanarPose, PlanarPoseSensor
+from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor, project_pose
 from gridpush_drake.systems.pusher_state_sensor import PusherStateSensor
 
 SPIN = 2.0  # rad/s
@@ -125,7 +125,7 @@ def test_pusher_state_moves_with_its_point():
 
 @pytest.mark.parametrize("near", [-7.0, 0.0, 9.0])
 def test_planar_pose_takes_the_nearest_turn(near):
-    q = CalcPlanarPose(RigidTransform(RollPitchYaw(0, 0, 0.5), [1, 2, 3]), near)
+    q = project_pose(RigidTransform(RollPitchYaw(0, 0, 0.5), [1, 2, 3]), near)
     np.testing.assert_allclose(q[:2], [1, 2])
     assert abs(q[2] - near) <= np.pi
     np.testing.assert_allclose((q[2] - 0.5) / (2 * np.pi), round((q[2] - 0.5) / (2 * np.pi)), atol=1e-12)

@@ -4,7 +4,7 @@ A method (`SearchMethod`) works on a `Search`: a loss over points u of the unit 
 and friction, logarithmic between its bounds. `run_search` runs a method on a log.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, Protocol
 
@@ -56,7 +56,7 @@ class Bounds:
     def clip(self, params: CellParameters) -> CellParameters:
         """The nearest parameters within the bounds."""
         mass, friction = np.clip(params.mass, *self.mass), np.clip(params.friction, *self.friction)
-        return CellParameters(mass, friction, params.contact_friction)
+        return replace(params, mass=mass, friction=friction)
 
 
 LOSS_THRESHOLD = 1e-4
@@ -216,7 +216,7 @@ class Search:
         values = np.concatenate([self.first.mass, self.first.friction])
         low, width = self._low[self._free], self._width[self._free]
         values[self._free] = np.exp(low + width * np.clip(u, 0, 1))
-        return CellParameters(values[:n], values[n:], self.first.contact_friction)
+        return replace(self.first, mass=values[:n], friction=values[n:])
 
 
 class SearchMethod(Protocol):

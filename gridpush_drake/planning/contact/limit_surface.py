@@ -17,14 +17,11 @@ from functools import lru_cache
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
-from gridpush_drake.geometry.se2 import rotate
+from gridpush_drake.geometry.se2 import Array, rotate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-
-Array = NDArray[np.float64]
 
 TABLE_STEP = 0.003
 """m, of the table of signed distances."""

@@ -9,10 +9,11 @@ from time import perf_counter
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.reachable_outline import find_reachable_outline
@@ -20,7 +21,6 @@ from gridpush_drake.planning.contact.search import METHODS
 from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush, TrialRunner, calc_goal_error
 from gridpush_drake.planning.push_constraints import PushConstraints
 
-Array = NDArray[np.float64]
 ContactMethod = Literal["gradient", "finite_difference", "exhaustive"]
 
 STATUS_OK = "ok"

@@ -15,9 +15,8 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
-
-Array = NDArray[np.float64]
 
 TOUCHING = 1e-6
 """m; a disc this much inside the object still counts as touching."""

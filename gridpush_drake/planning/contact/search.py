@@ -1,6 +1,6 @@
 """Three ways to search for the push that comes nearest to a goal pose.
 
-"gradient" minimizes f(s, phi) (see `push_trial`) by Levenberg-Marquardt steps
+"gradient" minimizes f(s, phi) (see `trial`) by Levenberg-Marquardt steps
 
     (H + lambda diag H) dx = -grad C,   x = (s, phi, d),
 
@@ -25,11 +25,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.geometry.se2 import compose, rotate, transform
+from gridpush_drake.geometry.se2 import Array, compose, rotate, transform
 from gridpush_drake.planning.contact.limit_surface import predict_roughly
 from gridpush_drake.planning.contact.trial import Trial, TrialRunner
-
-Array = NDArray[np.float64]
 
 PLACES, ANGLES = 96, 9
 """Places along the outline and directions at each that are ranked."""
@@ -161,8 +159,8 @@ MAX_STEP, MAX_TURN = 0.12, 0.5
 SAME_PLACE, SAME_TURN = 0.03, 0.2
 """Share of the perimeter and rad within which a start has run into a better one, and ends."""
 
-HOPE = 2.0
-"""How many times its next step's promise a start may still improve."""
+GAIN_FACTOR = 2.0
+"""How many times its next step's predicted gain a start may still improve."""
 
 DIFFERENCE_PLACE, DIFFERENCE_TURN = 0.04, 0.25
 """First steps of the finite-difference walk: share of the perimeter, and rad."""
@@ -182,11 +180,11 @@ class _Walk:
     trial: Trial
     damping: float = FIRST_DAMPING
     step: Array | None = None
-    promise: float = 0.0
+    gain: float = 0.0
 
     @property
-    def hoped_cost(self) -> float:
-        return self.trial.cost - HOPE * self.promise
+    def attainable_cost(self) -> float:
+        return self.trial.cost - GAIN_FACTOR * self.gain
 
 
 def search_by_gradient(runner: TrialRunner) -> list[Trial]:
@@ -200,11 +198,11 @@ def search_by_gradient(runner: TrialRunner) -> list[Trial]:
             walks.append(walk)
     while walks and runner.simulations < options.budget:
         best = min(walk.trial.cost for walk in walks)
-        walk = min(walks, key=lambda walk: walk.hoped_cost if walk.step is not None else np.inf)
-        if walk.step is None or walk.hoped_cost > best - options.min_improvement:
+        walk = min(walks, key=lambda walk: walk.attainable_cost if walk.step is not None else np.inf)
+        if walk.step is None or walk.attainable_cost > best - options.min_improvement:
             break
         if any(_has_run_into(walk, other, runner) for other in walks):
-            walk.step, walk.promise = None, 0.0
+            walk.step, walk.gain = None, 0.0
             continue
         _advance(walk, runner)
     return sorted((walk.trial for walk in walks), key=lambda trial: trial.cost)
@@ -220,7 +218,7 @@ def _has_run_into(walk: _Walk, other: _Walk, runner: TrialRunner) -> bool:
 
 
 def _plan_step(walk: _Walk, runner: TrialRunner) -> None:
-    """Solves for the next step and what it promises; none where it is not worth a simulation."""
+    """Solves for the next step and what it is predicted to gain; none where it is not worth a simulation."""
     slope, H = walk.trial.slope, walk.trial.curvature
     assert slope is not None and H is not None
     free = np.ones(3, dtype=bool)
@@ -233,10 +231,10 @@ def _plan_step(walk: _Walk, runner: TrialRunner) -> None:
         x = np.zeros(3)
         x[free] = np.linalg.solve(damped[np.ix_(free, free)], -slope[free])
         x *= min(1.0, float(np.min(limit / np.maximum(np.abs(x), 1e-12))))
-        walk.step, walk.promise = x, float(-(slope @ x + x @ H @ x / 2))
+        walk.step, walk.gain = x, float(-(slope @ x + x @ H @ x / 2))
         break
-    if walk.damping > MAX_DAMPING or walk.promise * HOPE < runner.options.min_improvement:
-        walk.step, walk.promise = None, 0.0
+    if walk.damping > MAX_DAMPING or walk.gain * GAIN_FACTOR < runner.options.min_improvement:
+        walk.step, walk.gain = None, 0.0
 
 
 def _advance(walk: _Walk, runner: TrialRunner) -> None:

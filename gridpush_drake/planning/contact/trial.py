@@ -15,19 +15,18 @@ A push that was chosen, and what the model expects of it.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.reachable_outline import ReachableOutline
 from gridpush_drake.planning.push_constraints import PushChecker
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,7 +211,7 @@ class TrialRunner:
         slope, curvature = calc_cost_derivatives(self.obj, trial.pose, self.goal, dq)
         # A distance that cannot change, for the range or a rule ends here, is no unknown.
         if best in (first, usable - 1):
-            slope, curvature = _hold(slope, curvature, 2)
+            slope, curvature = _exclude(slope, curvature, 2)
         return Trial(arc_length, piece, angle, trial.distance, trial.pose, trial.cost, slope, curvature)
 
     def _find_nearest(self, poses: Array, first: int, end: int) -> tuple[int, float]:
@@ -252,7 +251,7 @@ def calc_cost_derivatives(obj: GridObject, pose: Array, goal: Array, dq: Array) 
     return slope, np.einsum("ijk,ijl,i->kl", dx, dx, 1.0 / length) / obj.n
 
 
-def _hold(slope: Array, curvature: Array, index: int) -> tuple[Array, Array]:
+def _exclude(slope: Array, curvature: Array, index: int) -> tuple[Array, Array]:
     slope, curvature = slope.copy(), curvature.copy()
     slope[index] = 0.0
     curvature[index, :] = curvature[:, index] = 0.0

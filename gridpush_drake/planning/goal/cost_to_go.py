@@ -10,16 +10,13 @@ The path is a slid object's, not a pushed one's: it says where to go next, and p
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from gridpush_drake.geometry.se2 import rotate, transform, wrap_angle
+from gridpush_drake.geometry.se2 import Array, rotate, transform, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.push_constraints import PushChecker
-
-Array = NDArray[np.float64]
 
 LATTICE_STEP = 0.03
 """m between positions of the lattice; made wider where MAX_POSITIONS would be exceeded."""

@@ -11,10 +11,9 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import rotate, transform, wrap_angle
+from gridpush_drake.geometry.se2 import Array, rotate, transform, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import (
@@ -26,9 +25,6 @@ from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.goal.robustness import Robustness, RobustnessOptions
 from gridpush_drake.planning.push_constraints import PushConstraints
-
-Array = NDArray[np.float64]
-
 
 DEFAULT_TOLERANCE = 0.02
 """Mean cell error at which a goal counts as reached, m: the paper's."""

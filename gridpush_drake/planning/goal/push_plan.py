@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from shapely import Point
 
 from gridpush_drake.files import write_whole
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import check_pose
@@ -21,8 +22,6 @@ from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.goal.next_push import GoalRules, choose_push
 from gridpush_drake.planning.push_constraints import PushConstraints
-
-Array = NDArray[np.float64]
 
 REACHED = "reached"
 GOAL_OFF_TABLE, START_OFF_TABLE = "goal_off_table", "start_off_table"

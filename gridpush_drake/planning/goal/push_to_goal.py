@@ -15,10 +15,11 @@ from math import nan
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -47,8 +48,6 @@ from gridpush_drake.planning.goal.push_plan import (
 from gridpush_drake.planning.goal.robustness import Robustness, draw_model_samples
 from gridpush_drake.planning.simulated_world import Learner, PushWorld, run_loop
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-
-Array = NDArray[np.float64]
 
 ALIKE_WITHIN, ALIKE_TURN = 0.01, 0.2
 """Pushes that begin nearer to a refused one, m, in a direction less different, rad, are like it, and not tried."""

@@ -13,19 +13,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
-from gridpush_drake.geometry.se2 import make_direction, transform
+from gridpush_drake.geometry.se2 import Array, make_direction, transform
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush
 from gridpush_drake.planning.push_constraints import PushConstraints
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -71,11 +68,7 @@ def draw_model_samples(
     axis = np.linalg.eigh(arm.T @ arm)[1][:, -1]
     turns = np.arctan2(axis[1], axis[0]) + 2 * np.pi * np.arange(options.sides) / options.sides
     slopes = make_direction(turns) @ arm.T / farthest
-    return [
-        CellParameters(params.mass * np.exp(tilt * slope), params.friction, params.contact_friction)
-        for tilt in options.tilts
-        for slope in slopes
-    ]
+    return [replace(params, mass=params.mass * np.exp(tilt * slope)) for tilt in options.tilts for slope in slopes]
 
 
 @dataclass(eq=False)

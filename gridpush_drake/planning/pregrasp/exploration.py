@@ -1,7 +1,7 @@
 """Which poke to make next: the one that is expected to tell most about what matters.
 
 What was learned is z = (log k_1 .. log k_n, log mu_c) ~ N(mean, S). A push whose end would be seen as the residual
-r = J z + noise, with J exact from its simulation and noise ~ N(0, R) (`identification.map_fit.NoiseModel`), leaves
+r = J z + noise, with J exact from its simulation and noise ~ N(0, R) (`identification.noise.NoiseModel`), leaves
 
     S' = S - S J^T (J S J^T + R)^-1 J S
 
@@ -16,15 +16,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import transform_back
-from gridpush_drake.identification.map_fit import NoiseModel
+from gridpush_drake.geometry.se2 import Array, transform_back
+from gridpush_drake.identification.noise import NoiseModel
 from gridpush_drake.identification.posterior import calc_center_jacobian
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.planning.contact.reachable_outline import find_reachable_outline
@@ -32,8 +32,6 @@ from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -172,8 +170,7 @@ def calc_observation(model: UncertainModel, push: Push, pose: ArrayLike) -> tupl
     J = linear.by_z[0]
     if not J.any():
         return None
-    factor = NoiseModel().calc_factor(linear.by_inputs[0], model.noise_scale)
-    return J, factor @ factor.T
+    return J, NoiseModel().calc_covariance(linear.by_inputs[0], model.noise_scale)
 
 
 def calc_remaining(S: Array, F: Array, J: Array, R: Array) -> Array:

@@ -16,12 +16,12 @@ from itertools import islice
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.convex import calc_margin_inside, find_weakest_direction, hull_of
-from gridpush_drake.geometry.se2 import make_direction, rotate, transform
+from gridpush_drake.geometry.se2 import Array, make_direction, rotate, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart
@@ -51,8 +51,6 @@ class ArmLimits:
 ANY_ARM = ArmLimits()
 """An arm that can do anything."""
 
-
-Array = NDArray[np.float64]
 
 TOUCH = 1e-9
 """m, for round-off."""

@@ -15,14 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely import Polygon, affinity
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import make_rotation
+from gridpush_drake.geometry.se2 import Array, make_rotation
 from gridpush_drake.objects.grid_object import GridObject
-
-Array = NDArray[np.float64]
 
 PIECE_SHARE = 0.95
 """Of the finger's depth that a piece must be long."""

@@ -18,9 +18,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from gridpush_drake.geometry.se2 import make_rotation
-
-Array = NDArray[np.float64]
+from gridpush_drake.geometry.se2 import Array, make_rotation
 
 TOUCH = 1e-6
 """m, for round-off: rectangles may cross an edge by as much."""

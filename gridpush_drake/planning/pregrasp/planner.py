@@ -16,10 +16,11 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.push import Push
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.exploration import (
     PokeChoice,
@@ -50,7 +51,6 @@ from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 
-Array = NDArray[np.float64]
 Action = Literal["poke", "slide", "grasp", "fail"]
 
 MM = 1e3
@@ -61,7 +61,7 @@ ACCEPTED_SHARE = 2 / 3
 """Of the margin asked of a goal, that it must still have where the object ends up: pushes end only nearly there."""
 
 
-HOPE_SIGMAS = 4.0
+REACHABLE_SIGMAS = 4.0
 """How many of the center's standard deviations across the edge further pokes may add to a margin."""
 
 
@@ -206,8 +206,8 @@ class PreGraspPlanner:
         arm = self.options.max_arm
         near = f" within {arm * MM:.0f} mm of the center of mass" if np.isfinite(arm) else ""
         why = f"no pose lets a graspable part{near} hang over the edge where the arm can take it"
-        hoped = self._find_parts_near(model, arm + HOPE_SIGMAS * _calc_center_std(model))
-        if len(hoped) == len(parts) or not self._find_goals(pose, model, hoped):
+        reachable = self._find_parts_near(model, arm + REACHABLE_SIGMAS * _calc_center_std(model))
+        if len(reachable) == len(parts) or not self._find_goals(pose, model, reachable):
             return _fail(why, None)
         return self._poke(pose, model, None, pokes, why)
 
@@ -227,7 +227,7 @@ class PreGraspPlanner:
         choice = suggest_poke(model, pose, self.surface, direction, self.options, self.limits)
         if choice is None:
             return _fail(f"{why}, and no poke keeps the object on the table", best)
-        if best is not None and best.margin + HOPE_SIGMAS * choice.std < self.options.goal.margin:
+        if best is not None and best.margin + REACHABLE_SIGMAS * choice.std < self.options.goal.margin:
             return _fail(f"{why}; pokes cannot tell mass from friction, only closer friction bounds would help", best)
         reason = (
             f"{why}; this poke is expected to bring the center's standard deviation"

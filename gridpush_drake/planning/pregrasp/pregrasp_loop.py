@@ -19,11 +19,9 @@ from enum import StrEnum
 from math import nan
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.planning.closed_loop import (
     FAILED,
@@ -45,12 +43,10 @@ from gridpush_drake.planning.pregrasp.slides import TippingMonitor
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.pushes.push_log import PushLog
 
-Array = NDArray[np.float64]
-
 FindGrasp = Callable[[Array, Array], SideGrasp | None]
 """From the object's pose (3,) in W and its estimated center of mass (2,) in B to the grasp to take; None for none."""
 
-Believe = Callable[[Identification | None, PushLog], UncertainModel | None]
+Infer = Callable[[Identification | None, PushLog], UncertainModel | None]
 """From what was learned, and the pushes so far, to what is held possible; None where more must be seen first."""
 
 
@@ -159,7 +155,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         planner: PreGraspPlanner,
         find_grasp: FindGrasp,
         *,
-        believe: Believe | None = None,
+        infer: Infer | None = None,
         seed: int = 0,
         options: PreGraspLoopOptions | None = None,
     ) -> None:
@@ -168,19 +164,19 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         Args:
             planner: decides, for one object on one table.
             find_grasp: finds how to take the object where it lies.
-            believe: says what is held possible; by default what the identification's posterior says.
+            infer: says what is held possible; by default what the identification's posterior says.
             seed: of the draws from that.
             options: how to go about it.
         """
         self.planner, self.seed, self._find_grasp = planner, seed, find_grasp
         self.options: PreGraspLoopOptions = options or PreGraspLoopOptions()
-        self._believe = believe or self.believe_identification
+        self._infer = infer or self.infer_from_identification
 
     def begin(self) -> PreGraspState:
         """The state before the first observation."""
         return PreGraspState()
 
-    def believe_identification(self, found: Identification | None, log: PushLog) -> UncertainModel | None:
+    def infer_from_identification(self, found: Identification | None, log: PushLog) -> UncertainModel | None:
         """What the posterior says; None before anything was learned."""
         if found is None:
             return None
@@ -224,7 +220,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
     def _decide(self, now: PreGraspState, seen: Observation) -> PreGraspState:
         pose = now.filter.calc_mean()
         try:
-            uncertain = self._believe(seen.identification, seen.log)
+            uncertain = self._infer(seen.identification, seen.log)
             decision = self.planner.decide(pose, uncertain, now.status.pokes, now.status.slides)
         except GridPushError as error:
             return now.turn_to(FAILED, f"Nothing could be planned: {error}.", goal=None)

@@ -19,16 +19,13 @@ from dataclasses import dataclass, fields
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
-from shapely.affinity import affine_transform
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import make_rotation, transform, wrap_angle
+from gridpush_drake.geometry.se2 import Array, make_rotation, transform, transform_shape, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.pad_placement import TOUCH, Handle, Walls, find_handles, find_places, get_edges
 from gridpush_drake.planning.support_surface import SupportSurface
-
-Array = NDArray[np.float64]
 
 HEADINGS = 72
 """Tried over a full turn, beside those of narrow handles."""
@@ -159,7 +156,7 @@ def find_side_grasps(
             f"{obj.name}: {height:g} m thick; expected at most the gripper's opening less its clearances, "
             f"{gripper.opening - 2 * gripper.height_clearance:g} m"
         )
-    outline = _place(obj.outline, q)
+    outline = transform_shape(q, obj.outline)
     R = make_rotation(q[2])
     points, angles = _propose(outline, surface, gripper, R @ target + q[:2], step, headings)
     kept = _filter(outline, points, angles, surface, gripper)
@@ -264,11 +261,6 @@ def _make_rectangles(points: Array, angles: Array, back: float, front: float, wi
     """Rectangles from `back` to `front` along the headings, seen from the points, m."""
     corners = np.array([(back, -width / 2), (front, -width / 2), (front, width / 2), (back, width / 2)])
     return shapely.polygons(transform(np.column_stack([points, angles]), corners))
-
-
-def _place(outline: shapely.Polygon, q: Array) -> shapely.Polygon:
-    c, s = np.cos(q[2]), np.sin(q[2])
-    return affine_transform(outline, [c, -s, s, c, q[0], q[1]])
 
 
 def _check_vector(name: str, value: ArrayLike, size: int) -> Array:

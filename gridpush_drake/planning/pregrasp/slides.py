@@ -26,6 +26,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import calc_loads, simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.geometry.convex import calc_margin_inside, hull_of
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
@@ -35,8 +36,6 @@ from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, calc_stabi
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.push_constraints import PoseRule, PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
-
-Array = NDArray[np.float64]
 
 FREE_OVERHANG = 1.0
 """m that cells may hang over the edge as far as the push search is concerned; stability is the limit."""

@@ -9,15 +9,14 @@ y; the order is the body frame's, the same at every pose.
 from math import sqrt
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
 from gridpush_drake.geometry.convex import hull_of
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
-
-Array = NDArray[np.float64]
 
 SUPPORT_INSET = 0.002
 """m inside the edge that a cell's center must be to count as supported: what a pose may be wrong by."""

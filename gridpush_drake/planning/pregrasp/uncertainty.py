@@ -19,23 +19,21 @@ from functools import cached_property
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.convex import bound_by_half_planes
-from gridpush_drake.geometry.se2 import transform_back
+from gridpush_drake.geometry.se2 import Array, make_direction, transform_back
 from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.map_ensemble import MapEnsemble
-from gridpush_drake.identification.map_fit import NoiseModel
+from gridpush_drake.identification.noise import NoiseScale
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
-
-Array = NDArray[np.float64]
 
 PRIOR_AMPLITUDE = 1.0
 """Standard deviation of log k before the first poke: a half to twice, or so."""
@@ -141,7 +139,7 @@ class PlausibleMassSet:
         A center of mass known beforehand (`obj.prior.center_of_mass`) cuts it down to a square about that.
         """
         angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-        directions = np.column_stack([np.cos(angle), np.sin(angle)])
+        directions = make_direction(angle)
         corners = bound_by_half_planes(directions, self.calc_support(directions))
         at = self.obj.prior.center_of_mass
         if at is None:
@@ -171,7 +169,7 @@ class UncertainModel:
     obj: GridObject
     params: CellParameters
     posterior: Posterior | None = None
-    noise_scale: float = 1.0
+    noise_scale: NoiseScale = field(default_factory=NoiseScale)
     friction_range: tuple[float, float] | None = None
     sample_count: int = 0
     seed: int = 0
@@ -198,7 +196,7 @@ class UncertainModel:
         """
         starts = [transform_back(seen.pose, seen.push.start[None])[0] for seen in log or ()]
         return cls(
-            found.obj, found.params, found.posterior, found.noise_std / NoiseModel().pose, friction_range, sample_count,
+            found.obj, found.params, found.posterior, found.noise_scale, friction_range, sample_count,
             seed, np.array(starts).reshape(-1, 2),
         )  # fmt: skip
 

@@ -5,7 +5,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.map_ensemble import MapEnsemble
-from gridpush_drake.identification.map_fit import NoiseModel
+from gridpush_drake.identification.noise import NoiseModel
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.uncertainty import PRIOR_AMPLITUDE, PlausibleMassSet, UncertainModel
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -22,7 +22,9 @@ def test_one_path_leads_from_an_identification_to_samples_and_masses(found):
     model = UncertainModel.of_identification(found, friction_range=(0.2, 0.5), sample_count=3, seed=7)
     assert model.params is found.params
     assert model.posterior is found.posterior
-    assert model.noise_scale == pytest.approx(found.noise_std / NoiseModel().pose)
+    noise = NoiseModel()
+    expected = (found.noise_std / noise.pose, found.load_shift_std / noise.load_shift)
+    assert model.noise_scale == pytest.approx(expected)
     for sample, expected in zip(model.samples, found.samples(3, seed=7), strict=True):
         np.testing.assert_array_equal(sample.mass, expected.mass)
     expected = PlausibleMassSet.from_posterior(found.obj, found.posterior, (0.2, 0.5), seed=7)
@@ -36,7 +38,7 @@ def test_the_prior_is_described_as_any_identification():
     prior = describe_prior(obj, MapEnsemble(amplitudes=(PRIOR_AMPLITUDE,)))
     np.testing.assert_array_equal(model.posterior.covariance, prior.posterior.covariance)
     np.testing.assert_allclose(np.diag(model.posterior.covariance)[:-1].mean(), PRIOR_AMPLITUDE**2)
-    assert (model.samples, model.noise_scale, len(model.poke_starts)) == ((), 1.0, 0)
+    assert (model.samples, model.noise_scale, len(model.poke_starts)) == ((), (1.0, 1.0), 0)
 
 
 def test_parameters_taken_for_granted_leave_nothing_to_learn():

@@ -1,0 +1,326 @@
+"""The station's cameras: an ideal one, or one of color and depth, rendered, through which the robot sees all it knows.
+
+With a color and depth camera (`camera.kind: rgbd` in the scenario) the robot is told neither outline nor height:
+`find_object` takes a photograph of the scene at its beginning, and what the detector makes of it is the robot's object.
+Its body frame F is chosen then; the plant's object is given in it, so that poses mean the same on both sides.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from pydrake.common import MemoryFile
+from pydrake.geometry import (
+    ClippingRange,
+    ColorRenderCamera,
+    DepthRange,
+    DepthRenderCamera,
+    InMemoryMesh,
+    LightParameter,
+    MakeRenderEngineVtk,
+    Mesh,
+    RenderCameraCore,
+    RenderEngineVtkParams,
+    Role,
+    SceneGraph,
+)
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
+from pydrake.systems.framework import Context, DiagramBuilder, System
+from pydrake.systems.sensors import CameraInfo, RgbdSensor
+from shapely.geometry.base import BaseGeometry
+
+from gridpush_drake.errors import PerceptionError, ScenarioError
+from gridpush_drake.geometry.se2 import transform_back
+from gridpush_drake.multibody.contact_material import TABLE
+from gridpush_drake.multibody.grid_object import GridObjectInPlant
+from gridpush_drake.multibody.ground_truth import SetGridObjectPose
+from gridpush_drake.multibody.meshcat_shapes import make_outline_mesh
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.perception.camera import Camera
+from gridpush_drake.perception.detection import DetectedObject, detect_object
+from gridpush_drake.perception.tracking import PoseTracker
+from gridpush_drake.station.scenario import CameraConfig, PushScenario, RgbdConfig
+from gridpush_drake.systems.object_pose_estimator import ObjectPoseEstimator
+from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
+from gridpush_drake.systems.rgbd_noise import RgbdNoise
+
+RENDERER = "station_camera"
+
+NEAREST, FARTHEST = 0.1, 5.0
+"""Of what is rendered, and of what depth is measured, m."""
+
+LIGHT, BACKGROUND = (0.15, 0.25, 1.0), (0.30, 0.31, 0.33)
+"""Direction of the light in the camera's frame; color of what is beyond the scene."""
+
+OBJECT_COLOR = (0.42, 0.13, 0.11, 1.0)
+"""Of the plant's object in the camera's pictures: red, green, blue and opacity."""
+
+PIXEL_MIDDLE = 0.5
+"""Drake's renderer counts pixels from the corner of the upper left one, `perception.Camera` from its middle."""
+
+TABLE_SHARE = 75
+"""Percent of what is seen, nearest to its median in color, that is taken for table."""
+
+VERTICAL = np.array([0.0, 0.0, 1.0])
+
+
+def make_camera(config: RgbdConfig) -> Camera:
+    """The camera that a scenario describes, upright, with its pose in W.
+
+    Raises:
+        ScenarioError: it looks straight down, or at itself.
+    """
+    p_WC, target = np.array(config.position), np.array(config.target)
+    right = np.cross(target - p_WC, VERTICAL)
+    if not np.linalg.norm(right) > 0:
+        raise ScenarioError("camera.rgbd.target is above or below camera.rgbd.position; expected it to one side")
+    X_WC = np.eye(4)
+    X_WC[:3, 0] = right / np.linalg.norm(right)
+    X_WC[:3, 2] = (target - p_WC) / np.linalg.norm(target - p_WC)
+    X_WC[:3, 1] = np.cross(X_WC[:3, 2], X_WC[:3, 0])
+    X_WC[:3, 3] = p_WC
+    K = CameraInfo(config.width, config.height, config.fov_y).intrinsic_matrix()
+    K[:2, 2] -= PIXEL_MIDDLE
+    return Camera(config.width, config.height, K, np.zeros(0), X_WC)
+
+
+def calc_pose_age(config: CameraConfig) -> float:
+    """How old a pose is when the identifier reads it, s: it sees the picture before the one being taken, or older."""
+    pictures = 1.0 if config.kind == "ideal" else max(1.0, np.ceil(config.rgbd.latency * config.rate))
+    return float(pictures / config.rate)
+
+
+def AddSeenVisual(plant: MultibodyPlant, scene_graph: SceneGraph, part: GridObjectInPlant) -> None:
+    """Gives the plant's object a color and a height that cameras see, and Meshcat does not; before Finalize."""
+    file = MemoryFile(
+        make_outline_mesh(part.obj.outline, part.height, normals=True), ".obj", f"{part.obj.name}_seen.obj"
+    )
+    mesh = Mesh(InMemoryMesh(mesh_file=file))
+    geometry = plant.RegisterVisualGeometry(part.body, RigidTransform(), mesh, "seen", np.array(OBJECT_COLOR))
+    scene_graph.RemoveRole(plant.get_source_id(), geometry, Role.kIllustration)
+
+
+@dataclass(frozen=True)
+class RgbdCamera:
+    """A color and depth camera in a builder.
+
+    Attributes:
+        sensor: Drake's.
+        noise: what its pictures go through.
+        camera: its measures and pose.
+        hidden_by: labels of the robot's bodies in its label image.
+    """
+
+    sensor: System
+    noise: RgbdNoise
+    camera: Camera
+    hidden_by: tuple[int, ...]
+
+
+def AddRgbdCamera(
+    builder: DiagramBuilder, scene_graph: SceneGraph, scenario: PushScenario, part: GridObjectInPlant
+) -> RgbdCamera:
+    """Adds the scenario's camera to a builder, and connects it to the scene.
+
+    Args:
+        builder: plant and scene graph are in it.
+        scene_graph: of the plant, which is finalised.
+        scenario: its `camera.rgbd`.
+        part: the object in the plant.
+
+    Returns:
+        The camera, as yet connected to nothing that reads it.
+    """
+    config, camera = scenario.camera.rgbd, make_camera(scenario.camera.rgbd)
+    light = LightParameter(type="directional", direction=LIGHT, frame="camera")
+    params = RenderEngineVtkParams(lights=[light], default_clear_color=np.array(BACKGROUND))
+    scene_graph.AddRenderer(RENDERER, MakeRenderEngineVtk(params))
+    info = CameraInfo(config.width, config.height, config.fov_y)
+    core = RenderCameraCore(RENDERER, info, ClippingRange(NEAREST, FARTHEST), RigidTransform())
+    X_WC = RigidTransform(RotationMatrix(camera.pose[:3, :3]), camera.center)
+    sensor = builder.AddNamedSystem(
+        "rgbd_sensor",
+        RgbdSensor(
+            scene_graph.world_frame_id(),
+            X_WC,
+            ColorRenderCamera(core),
+            DepthRenderCamera(core, DepthRange(NEAREST, FARTHEST)),
+        ),
+    )
+    noise = builder.AddNamedSystem(
+        "rgbd_noise",
+        RgbdNoise(
+            config.width,
+            config.height,
+            1 / scenario.camera.rate,
+            depth_noise=config.depth_noise,
+            depth_edge=config.depth_edge,
+            color_noise=config.color_noise,
+            exposure_noise=config.exposure_noise,
+            seed=scenario.seed,
+        ),
+    )
+    builder.Connect(scene_graph.get_query_output_port(), sensor.query_object_input_port())
+    builder.Connect(sensor.color_image_output_port(), noise.GetInputPort("color_image"))
+    builder.Connect(sensor.depth_image_32F_output_port(), noise.GetInputPort("depth_image"))
+    return RgbdCamera(sensor, noise, camera, _find_labels(part.plant, part))
+
+
+def _find_labels(plant: MultibodyPlant, part: GridObjectInPlant) -> tuple[int, ...]:
+    """Of all bodies but the table's and the object's: a MultibodyPlant labels what it renders with a body's index."""
+    seen = {plant.GetModelInstanceByName(TABLE), part.model_instance}
+    bodies = map(BodyIndex, range(1, plant.num_bodies()))
+    return tuple(int(body) for body in bodies if plant.get_body(body).model_instance() not in seen)
+
+
+def AddPoseEstimator(
+    builder: DiagramBuilder, camera: RgbdCamera, scenario: PushScenario, found: "FoundObject"
+) -> ObjectPoseEstimator:
+    """Adds what tracks the object that was found through the camera's pictures."""
+    config = scenario.camera
+    height = found.obj.height or scenario.object_height
+    estimator = builder.AddNamedSystem(
+        "camera",
+        ObjectPoseEstimator(
+            PoseTracker(found.obj.outline, height, camera.camera),
+            config.rgbd.width,
+            config.rgbd.height,
+            period=1 / config.rate,
+            latency=config.rgbd.latency,
+            guess=found.pose,
+            hidden_by=camera.hidden_by,
+        ),
+    )
+    for name in ("color_image", "depth_image"):
+        builder.Connect(camera.noise.GetOutputPort(name), estimator.GetInputPort(name))
+    builder.Connect(camera.sensor.label_image_output_port(), estimator.GetInputPort("label_image"))
+    return estimator
+
+
+class StationCamera:
+    """What a station's run sets in its camera, of either kind."""
+
+    def __init__(self, source: PlanarPoseSensor | ObjectPoseEstimator, noise: RgbdNoise | None = None) -> None:
+        """Takes what tells the poses, and what spoils the pictures; where there are none, the poses are spoilt."""
+        self.source, self._noise = source, noise
+
+    def SetSeed(self, root_context: Context, seed: int) -> None:
+        """Sets the seed of the noise in a Diagram's Context."""
+        noisy = self._noise or self.source
+        assert not isinstance(noisy, ObjectPoseEstimator)
+        noisy.SetSeed(root_context, seed)
+
+    def SetCovered(self, root_context: Context, covered: bool) -> None:
+        """Covers the lens in a Diagram's Context, or uncovers it; it counts from the next picture."""
+        self.source.SetCovered(root_context, covered)
+
+
+@dataclass(frozen=True, eq=False)
+class FoundObject:
+    """What the robot makes of its photograph, and what only the simulated world knows of it.
+
+    Attributes:
+        obj: the robot's object, in the frame F that it chose.
+        pose: (3,) X_WF in the photograph, m and rad.
+        detected: what the detector says.
+        true_obj: the plant's object, in F.
+    """
+
+    obj: GridObject
+    pose: NDArray[np.float64]
+    detected: DetectedObject
+    true_obj: GridObject
+
+
+def find_object(
+    scenario: PushScenario, true_obj: GridObject, builder: DiagramBuilder, scene: "PhotographedScene"
+) -> FoundObject:
+    """Photographs the scene at its beginning and finds the object in it.
+
+    Args:
+        scenario: with a color and depth camera.
+        true_obj: the plant's object, in its own frame.
+        builder: of a Diagram with nothing else in it, with the scene.
+        scene: what is in the builder.
+
+    Returns:
+        The object; its frame's heading is the scenario's, which is as good as any.
+
+    Raises:
+        ScenarioError: the camera does not see an object there.
+    """
+    color, depth, labels, camera = _take_photograph(scenario, builder, scene)
+    hidden = np.isin(labels, camera.hidden_by) | _find_off_table(camera.camera, scene.table_top)
+    color, depth = _fill(color, hidden, scenario.seed), np.where(hidden, np.float32(0), depth)
+    try:
+        detected = detect_object(color, depth, camera.camera)
+    except PerceptionError as error:
+        raise ScenarioError(f"camera: no object is found in the first picture: {error}") from error
+    x, y, _ = detected.X_WB
+    detected = replace(detected, X_WB=np.array([x, y, scenario.object_pose[2]]))
+    obj = replace(detected.make_grid_object(), name=true_obj.name, prior=true_obj.prior)
+    shift = transform_back(np.array(scenario.object_pose), detected.X_WB[:2])
+    moved = replace(
+        true_obj,
+        p_BC=true_obj.p_BC - shift,
+        outline=shapely.transform(true_obj.outline, lambda points: points - shift),
+    )
+    return FoundObject(obj, detected.X_WB, detected, moved)
+
+
+@dataclass(frozen=True, eq=False)
+class PhotographedScene:
+    """What stands before the camera.
+
+    Attributes:
+        plant: finalised, in the builder.
+        scene_graph: of the plant.
+        arm: its model instance.
+        part: the object in the plant.
+        q_start: of the arm, rad.
+        table_top: W, m.
+    """
+
+    plant: MultibodyPlant
+    scene_graph: SceneGraph
+    arm: ModelInstanceIndex
+    part: GridObjectInPlant
+    q_start: NDArray[np.float64]
+    table_top: BaseGeometry
+
+
+def _take_photograph(
+    scenario: PushScenario, builder: DiagramBuilder, scene: PhotographedScene
+) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.int16], RgbdCamera]:
+    plant = scene.plant
+    camera = AddRgbdCamera(builder, scene.scene_graph, scenario, scene.part)
+    diagram = builder.Build()
+    root = diagram.CreateDefaultContext()
+    context = plant.GetMyMutableContextFromRoot(root)
+    plant.SetPositions(context, scene.arm, scene.q_start)
+    SetGridObjectPose(plant, context, scene.part, scenario.object_pose)
+    noise, sensor = (system.GetMyContextFromRoot(root) for system in (camera.noise, camera.sensor))
+    color = camera.noise.GetOutputPort("color_image").Eval(noise).data[..., :3]
+    depth = camera.noise.GetOutputPort("depth_image").Eval(noise).data[..., 0]
+    labels = camera.sensor.label_image_output_port().Eval(sensor).data[..., 0]
+    return color.copy(), depth.copy(), labels.copy(), camera
+
+
+def _find_off_table(camera: Camera, table_top: BaseGeometry) -> NDArray[np.bool_]:
+    """Pixels (height, width) whose rays do not meet the table's top."""
+    pixels = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1)
+    xy = camera.cast(pixels)
+    return ~np.asarray(shapely.contains_xy(table_top, xy[..., 0], xy[..., 1]))
+
+
+def _fill(color: NDArray[np.uint8], hidden: NDArray[np.bool_], seed: int) -> NDArray[np.uint8]:
+    """A picture in which colors drawn from the table's, the most common ones, stand where robot or no table is."""
+    seen = color[~hidden]
+    off = np.abs(seen - np.median(seen, axis=0)).max(axis=1)
+    table = seen[off <= np.percentile(off, TABLE_SHARE)]
+    filled = color.copy()
+    filled[hidden] = np.random.default_rng(seed).choice(table, int(hidden.sum()))
+    return filled

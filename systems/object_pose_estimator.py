@@ -1,0 +1,176 @@
+"""Where an object lies, from what a color and depth camera sees: the tracker as a Drake system."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.common.value import AbstractValue, Value
+from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
+from pydrake.systems.sensors import ImageDepth32F, ImageLabel16I, ImageRgba8U
+
+from gridpush_drake.errors import PerceptionError
+from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.perception.frames import Frame
+from gridpush_drake.perception.tracking import PoseTracker, TrackedPose, TrackerState
+
+DEFAULT_PERIOD = 1 / 30
+"""Between two pictures, s."""
+
+MAX_LABEL = 2**15
+"""Labels that an `ImageLabel16I` may hold are less."""
+
+UNSEEN = TrackedPose(np.full(3, np.nan), np.full((3, 3), np.nan), False, np.nan)
+"""What is told of an object that is not seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class EstimatorState:
+    """All that the estimator remembers; never changed, only replaced.
+
+    Attributes:
+        tracker: after the last picture; None before the first in which the object was found.
+        told: when a pose may be told, s, and the pose; the latest last.
+        message: why the object was not found, before it was for the first time.
+    """
+
+    tracker: TrackerState | None = None
+    told: tuple[tuple[float, TrackedPose], ...] = ((-np.inf, UNSEEN),)
+    message: str = ""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "EstimatorState":
+        """Itself: Drake copies the state at every update, and nothing in it is ever changed."""
+        return self
+
+
+class ObjectPoseEstimator(LeafSystem):
+    """Tracks an object through the pictures of a color and depth camera.
+
+    .. pydrake_system::
+
+        name: ObjectPoseEstimator
+        input_ports:
+        - color_image
+        - depth_image
+        - label_image
+        output_ports:
+        - object_pose
+        - covariance
+        - seen
+        - message
+
+    * color_image: abstract `ImageRgba8U`; depth_image: abstract `ImageDepth32F`, m, registered to it.
+    * label_image: abstract `ImageLabel16I`, rendered from where the camera is: what of the robot hides the table. It
+      need not be connected.
+    * object_pose: vector of 3, (x, y, theta) of B in W, m and rad, theta without jumps; NaN where it was not seen.
+    * covariance: vector of 9, of the pose, row-major, m², m rad and rad²; NaN where it was not seen.
+    * seen: vector of 1, 1 where the object was seen in the picture that the pose is of, 0 where not.
+    * message: abstract `str`, why the object was not found, before it was for the first time.
+
+    A picture is taken every `period`; what it tells is there `latency` later. While the lens is covered, which numeric
+    parameter 0 says, nothing is seen. Abstract state: one `EstimatorState`.
+    """
+
+    __slots__ = NO_SLOTS
+
+    def __init__(
+        self,
+        tracker: PoseTracker,
+        width: int,
+        height: int,
+        *,
+        period: float = DEFAULT_PERIOD,
+        latency: float = 0.0,
+        guess: ArrayLike | None = None,
+        hidden_by: Iterable[int] = (),
+    ) -> None:
+        """Declares the system.
+
+        Args:
+            tracker: of the object, by its camera.
+            width: of the images, pixels.
+            height: of the images, pixels.
+            period: between two pictures, s.
+            latency: from a picture to when its pose is told, s.
+            guess: (3,) the pose in the first picture, about, m and rad; None to search for it.
+            hidden_by: labels in `label_image` of what may hide the object.
+        """
+        super().__init__()
+        self._tracker, self._latency = tracker, latency
+        self._guess = None if guess is None else np.array(guess, dtype=np.float64)
+        self._hidden = np.zeros(MAX_LABEL, dtype=bool)
+        self._hidden[list(hidden_by)] = True
+        self._covered = self.DeclareNumericParameter(BasicVector([0.0]))
+        self._color = self.DeclareAbstractInputPort("color_image", Value(ImageRgba8U(width, height)))
+        self._depth = self.DeclareAbstractInputPort("depth_image", Value(ImageDepth32F(width, height)))
+        self._labels = self.DeclareAbstractInputPort("label_image", Value(ImageLabel16I(width, height)))
+        self._state = self.DeclareAbstractState(AbstractValue.Make(EstimatorState()))
+        self._declare_outputs()
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._look_first)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._take_picture)
+
+    def SetCovered(self, root_context: Context, covered: bool) -> None:
+        """Covers the lens in a Diagram's Context, or uncovers it; it counts from the next picture."""
+        context = self.GetMyMutableContextFromRoot(root_context)
+        context.get_mutable_numeric_parameter(self._covered).SetFromVector([float(covered)])
+
+    def _declare_outputs(self) -> None:
+        def declare(name: str, size: int, calc: Callable[[TrackedPose], Any]) -> None:
+            self.DeclareVectorOutputPort(name, size, weakly(self._calc_told, calc), depends)
+
+        depends = {self.abstract_state_ticket(self._state), self.time_ticket()}
+        declare("object_pose", 3, lambda told: told.pose)
+        declare("covariance", 9, lambda told: np.ravel(told.covariance))
+        declare("seen", 1, lambda told: [float(told.seen)])
+        self.DeclareAbstractOutputPort("message", lambda: AbstractValue.Make(""), weakly(self._calc_message), depends)
+
+    def _get_state(self, context: Context) -> EstimatorState:
+        return context.get_abstract_state(int(self._state)).get_value()
+
+    def _calc_told(self, context: Context, output: BasicVector, calc: Callable[[TrackedPose], Any]) -> None:
+        output.SetFromVector(calc(find_told(self._get_state(context), context.get_time())))
+
+    def _calc_message(self, context: Context, output: Any) -> None:
+        output.set_value(self._get_state(context).message)
+
+    def _look_first(self, context: Context, state: State) -> None:
+        """Sees what the first picture will show, so that something is known from the beginning."""
+        if self._get_state(context).tracker is None:
+            self._take_picture(context, state)
+
+    def _take_picture(self, context: Context, state: State) -> None:
+        before, time = self._get_state(context), context.get_time()
+        after, pose = before, UNSEEN
+        if not context.get_numeric_parameter(self._covered).value()[0]:
+            after, pose = self._track(before, self._take_frame(context), self._find_hidden(context))
+        ready = time + self._latency
+        due = max((at for at, _ in after.told if at <= time), default=-np.inf)
+        told = tuple(item for item in after.told if item[0] >= due and item[0] < ready)
+        after = replace(after, told=(*told, (ready, pose)))
+        state.get_mutable_abstract_state(int(self._state)).set_value(after)
+
+    def _take_frame(self, context: Context) -> Frame:
+        color: NDArray[np.uint8] = self._color.Eval(context).data[..., :3]
+        depth: NDArray[np.float32] = self._depth.Eval(context).data[..., 0]
+        return Frame(np.ascontiguousarray(color), np.ascontiguousarray(depth), context.get_time())
+
+    def _find_hidden(self, context: Context) -> NDArray[np.bool_] | None:
+        if not self._hidden.any() or not self._labels.HasValue(context):
+            return None
+        return self._hidden[self._labels.Eval(context).data[..., 0]]
+
+    def _track(
+        self, state: EstimatorState, frame: Frame, hidden: NDArray[np.bool_] | None
+    ) -> tuple[EstimatorState, TrackedPose]:
+        try:
+            tracker = state.tracker or self._tracker.start(frame, self._guess)
+            tracker, pose = self._tracker.track(tracker, frame, hidden)
+        except PerceptionError as error:
+            return replace(state, message=str(error)), UNSEEN
+        return replace(state, tracker=tracker, message=""), pose
+
+
+def find_told(state: EstimatorState, time: float) -> TrackedPose:
+    """What is known at a time, s."""
+    return next((pose for ready, pose in reversed(state.told) if ready <= time), UNSEEN)

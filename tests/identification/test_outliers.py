@@ -1,0 +1,129 @@
+"""Trackers that jump or flip, and pushes of another object."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gridpush_drake.geometry.se2 import rotate
+from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.outliers import find_jumps, remove_outliers
+from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import PushLog
+from tests.helpers.shapes import make_shape
+from tests.identification.simulated_pokes import make_pokes
+
+NOISE = (5e-4, 3.5e-3)
+PUSHES, OBSERVATIONS = 8, 5
+WORST = 1.5
+"""Times the clean error that outliers may make of it."""
+
+CASES, FOREIGN = (("square", 0), ("l_bracket", 0), ("claw_hammer", 1)), (5, 3, 7)
+"""Shapes and seeds of the pushes; which push of each is another object's."""
+
+
+def make_case(name: str = "square", seed: int = 1, reverse: bool = False) -> tuple:
+    obj = make_shape(name, 40)
+    order = np.argsort(obj.p_BC[:, 0])
+    heavy = np.isin(np.arange(obj.n), (order if reverse else order[::-1])[: int(0.4 * obj.n)])
+    truth = CellParameters(np.where(heavy, 0.3, 0.06), np.full(obj.n, 0.4), 0.35)
+    return obj, truth, make_pokes(obj, truth, PUSHES, seed, noise=NOISE, observations=OBSERVATIONS)
+
+
+def calc_held_out_error(obj, truth, params) -> float:
+    problem = PushProblem(obj, make_pokes(obj, truth, 12, 900, observations=1), params.friction)
+    return float(problem.calc_cell_errors(problem.residuals(problem.unknowns(params))).mean())
+
+
+def turn(obj, pose, angle):
+    """The pose turned about the cells' centroid, which stays in place."""
+    c = obj.p_BC.mean(axis=0)
+    return np.append(pose[:2] + rotate(pose[2], c) - rotate(pose[2] + angle, c), pose[2] + angle)
+
+
+def spoil(obj, log: PushLog, kind: str) -> tuple[PushLog, dict[str, tuple[int, ...]]]:
+    """One pose in five of every push flipped, turned by a quarter, or moved elsewhere."""
+    rng, pushes, spoiled = np.random.default_rng(5), [], {}
+    for seen in log:
+        i = int(rng.integers(OBSERVATIONS))
+        poses = seen.poses_observed.copy()
+        if kind == "jump":
+            poses[i] += np.append(rng.choice([-1, 1], 2) * rng.uniform(0.03, 0.15, 2), rng.uniform(-3, 3))
+        else:
+            poses[i] = turn(obj, poses[i], np.pi if kind == "flip" else np.pi / 2)
+        pushes.append(replace(seen, poses_observed=poses))
+        spoiled[seen.name] = (i + 1,)
+    return replace(log, pushes=tuple(pushes)), spoiled
+
+
+@pytest.fixture(scope="module")
+def clean() -> float:
+    """Mean held-out error of the cases, learned from what was really seen."""
+    return float(np.mean([learn_and_judge(*case, case[2])[1] for case in map(make_case, *zip(*CASES, strict=True))]))
+
+
+def learn_and_judge(obj, truth, _, log: PushLog) -> tuple:
+    found = identify(obj, log)
+    return found, calc_held_out_error(obj, truth, found.params)
+
+
+@pytest.mark.parametrize("kind", ["flip", "quarter", "jump"])
+def test_a_fifth_of_wrong_poses_costs_little_and_is_named_exactly(kind: str, clean: float) -> None:
+    errors = []
+    for name, seed in CASES:
+        case = make_case(name, seed)
+        bad, spoiled = spoil(case[0], case[2], kind)
+        found, error = learn_and_judge(*case, bad)
+        assert {outlier.push: outlier.poses for outlier in found.outliers} == spoiled
+        assert not any(outlier.whole for outlier in found.outliers)
+        assert found.outliers[0].share == pytest.approx(1 / (OBSERVATIONS + 1))
+        errors.append(error)
+    assert np.mean(errors) <= WORST * clean
+
+
+def test_a_push_of_another_object_costs_little_and_is_named(clean: float) -> None:
+    errors = []
+    for which, (name, seed) in zip(FOREIGN, CASES, strict=True):
+        case = make_case(name, seed)
+        log, foreign = case[2], make_case(name, seed, reverse=True)[2][which]
+        assert np.linalg.norm(foreign.poses_observed[-1, :2] - log[which].poses_observed[-1, :2]) > 0.005
+        mixed = replace(log, pushes=tuple(foreign if i == which else seen for i, seen in enumerate(log)))
+        found, error = learn_and_judge(*case, mixed)
+        assert [(outlier.push, outlier.whole) for outlier in found.outliers] == [(log[which].name, True)]
+        assert log[which].name not in found.push_names
+        errors.append(error)
+    assert np.mean(errors) <= WORST * clean
+
+
+def test_nothing_is_refused_of_a_clean_log() -> None:
+    for name, seed in (("square", 1), ("l_bracket", 2), ("claw_hammer", 0)):
+        obj, _, log = make_case(name, seed)
+        assert identify(obj, log).outliers == ()
+
+
+def test_a_small_slip_within_reach_of_the_push_is_found_by_the_fit() -> None:
+    obj, _, log = make_case()
+    poses = log[2].poses_observed.copy()
+    poses[3] += [0.006, -0.006, 0.0]
+    slipped = replace(log, pushes=tuple(replace(s, poses_observed=poses) if i == 2 else s for i, s in enumerate(log)))
+    assert all(mask.all() for mask in find_jumps(obj, slipped))
+    assert [(outlier.push, outlier.poses) for outlier in identify(obj, slipped).outliers] == [(log[2].name, (4,))]
+
+
+def test_a_push_whose_first_pose_is_wrong_begins_at_the_next() -> None:
+    obj, _, log = make_case()
+    wrong = replace(log[0], pose=turn(obj, log[0].pose, np.pi))
+    found = identify(obj, replace(log, pushes=(wrong, *log.pushes[1:])))
+    (outlier,) = found.outliers
+    assert (outlier.push, outlier.poses, outlier.whole) == (wrong.name, (0,), False)
+    rest = remove_outliers(PushLog((wrong,)), found.outliers)[0]
+    np.testing.assert_array_equal(rest.pose, log[0].poses_observed[0])
+    np.testing.assert_allclose(rest.t_observed, log[0].t_observed[1:] - log[0].t_observed[0])
+    np.testing.assert_allclose(rest.push.xy[-1], log[0].push.xy[-1])
+
+
+def test_a_log_in_which_most_poses_jump_is_left_to_be_judged_as_a_whole() -> None:
+    obj, _, log = make_case()
+    far = replace(log, pushes=tuple(replace(s, poses_observed=s.poses_observed * [1e3, 1e3, 1.0]) for s in log))
+    assert all(mask.all() for mask in find_jumps(obj, far))

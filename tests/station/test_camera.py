@@ -1,0 +1,134 @@
+"""The color and depth camera of the station: where things are in its pictures; what the robot makes of the first."""
+
+import numpy as np
+import pytest
+import shapely
+from scipy import ndimage
+
+from gridpush_drake.errors import ScenarioError
+from gridpush_drake.multibody.ground_truth import resample_parameters, sample_ground_truth
+from gridpush_drake.multibody.parser import find_models
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
+from gridpush_drake.pushes.stream import record_pushes
+from gridpush_drake.station import camera as station_camera
+from gridpush_drake.station.camera import calc_pose_age, make_camera
+from gridpush_drake.station.identify_task import FINISHED, IdentifyTask
+from gridpush_drake.station.push_station import LoadPushedObject, TakePhotograph
+from gridpush_drake.station.scenario import CameraConfig, PushScenario, RgbdConfig, read_scenario
+from tests.helpers.shapes import make_shape
+
+
+def make_scenario(name="claw_hammer"):
+    scenario = read_scenario(find_models() / "scenarios/grasp.yaml")
+    scenario.object, scenario.camera.kind, scenario.camera.rate = name, "rgbd", 10.0
+    return scenario
+
+
+@pytest.fixture(scope="module")
+def photograph():
+    """The hammer, found; and the labels as they were rendered."""
+    taken = []
+    take = station_camera._take_photograph
+
+    def keep(*args):
+        taken.append((*take(*args), int(args[2].part.body_index)))
+        return taken[-1][:4]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(station_camera, "_take_photograph", keep)
+        scenario = make_scenario()
+        true_obj = LoadPushedObject(scenario)
+        return scenario, true_obj, TakePhotograph(scenario, true_obj), taken[0]
+
+
+def test_the_camera_is_where_the_pictures_are_taken_from(photograph):
+    """The pixels of the object lie about where the camera says: to a tenth of a pixel, taken together."""
+    scenario, true_obj, _, (_, depth, labels, camera, body) = photograph
+    mask = labels == body
+    rows, columns = np.nonzero(mask)
+    x, y, _ = scenario.object_pose
+    samples = np.array([[x0, y0] for x0 in np.linspace(-0.2, 0.2, 401) for y0 in np.linspace(-0.1, 0.1, 201)])
+    inside = shapely.contains_xy(true_obj.outline, samples[:, 0], samples[:, 1])
+    top = np.column_stack([samples[inside] + (x, y), np.full(inside.sum(), scenario.object_height)])
+    pixels = np.unique(np.round(camera.camera.project(top)).astype(int), axis=0)
+    seen = mask[pixels[:, 1], pixels[:, 0]]
+    assert seen.mean() > 0.985, "what is on top of the object is seen as the object"
+    shifts = [(mask[pixels[:, 1] + dy, pixels[:, 0] + dx].mean(), (dx, dy)) for dx in (-1, 0, 1) for dy in (-1, 0)]
+    assert max(shifts)[1] == (0, 0), "one pixel up or aside would be worse; below it the sides are seen"
+    distance = np.linalg.norm(camera.camera.center - (x, y, scenario.object_height))
+    assert np.median(depth[rows, columns]) == pytest.approx(distance, rel=0.05)
+
+
+def test_the_robot_finds_the_object_that_lies_there(photograph):
+    scenario, true_obj, found, _ = photograph
+    seen, true = found.obj.outline, found.true_obj.outline
+    assert seen.intersection(true).area / seen.union(true).area > 0.95
+    assert seen.area == pytest.approx(true.area, rel=0.02)
+    assert found.obj.height == pytest.approx(scenario.object_height, abs=0.001)
+    assert found.obj.prior == true_obj.prior and found.obj.name == true_obj.name
+    assert found.pose[2] == scenario.object_pose[2]
+    shift = true_obj.p_BC - found.true_obj.p_BC
+    np.testing.assert_allclose(shift, np.tile(found.pose[:2] - scenario.object_pose[:2], (true_obj.n, 1)), atol=1e-12)
+    assert found.detected.picture.shape == (480, 640, 3)
+
+
+def test_depth_has_holes_along_the_object_s_edge(photograph):
+    *_, (_, depth, labels, _, body) = photograph
+    mask = labels == body
+    inner = ndimage.binary_erosion(mask, iterations=3)
+    edge = mask & ~ndimage.binary_erosion(mask)
+    assert (depth[inner] > 0).mean() > 0.9
+    assert (depth[edge] == 0).mean() > 0.3
+
+
+def test_what_is_out_of_view_is_said(monkeypatch):
+    scenario = make_scenario()
+    scenario.camera.rgbd.target = [0.6, -1.5, 0.0]
+    with pytest.raises(ScenarioError, match="camera: no object"):
+        TakePhotograph(scenario, LoadPushedObject(scenario))
+    with pytest.raises(ScenarioError, match="target"):
+        make_camera(RgbdConfig(position=[0.0, 0.0, 1.0], target=[0.0, 0.0, 0.0]))
+
+
+@pytest.mark.slow
+def test_a_push_is_tracked_and_learned_from_by_the_camera_alone():
+    """The poses are the true ones to a millimeter, within what the tracker states; so is the log's last one."""
+    scenario = PushScenario(object="open_book")
+    scenario.camera.kind, scenario.camera.rate = "rgbd", 10.0
+    scenario.pokes.count, scenario.pokes.test_count, scenario.pokes.speed = 1, 0, 0.06
+    task = IdentifyTask(scenario)
+    record = task.run()
+    assert record.status == FINISHED and len(record.log) == 1 and len(record.estimates) == 1
+    sight = record.sight
+    assert sight.seen.mean() > 0.9
+    position, angle = sight.calc_rms()
+    assert position < 1e-3 and angle < np.radians(0.5)
+    assert (np.abs(sight.errors[sight.seen]) < 4 * sight.std[sight.seen] + 1e-9).mean() > 0.99
+    off = record.log[0].final_pose - task.read("object.pose_true")
+    assert np.linalg.norm(off[:2]) < 1e-3
+    assert record.obj is task.station.found.obj and record.truth.n == record.obj.n
+    again = record_pushes(
+        record.stream, record.obj, record.obj.prior.pusher_radius, SegmenterOptions(engaged_below=record.obj.height),
+        RecordOptions(pose_delay=0.1),
+    ).log  # fmt: skip
+    np.testing.assert_array_equal(again[0].poses_observed, record.log[0].poses_observed)
+
+
+@pytest.mark.parametrize(("latency", "age"), [(0.0, 0.1), (0.05, 0.1), (0.1, 0.1), (0.25, 0.3)])
+def test_how_old_a_pose_is(latency, age):
+    config = CameraConfig(kind="rgbd", rate=10.0, rgbd=RgbdConfig(latency=latency))
+    assert calc_pose_age(config) == pytest.approx(age)
+    assert calc_pose_age(CameraConfig(rate=10.0)) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("cells", [20, 90])
+def test_the_truth_on_another_grid_keeps_mass_and_center(cells):
+    obj = make_shape("claw_hammer", 60)
+    truth = sample_ground_truth(obj, 3)
+    other = GridObject.from_outline(obj.outline.buffer(0.0005), max_cells=cells)
+    seen = resample_parameters(obj, truth, other)
+    assert seen.total_mass == pytest.approx(truth.total_mass)
+    np.testing.assert_allclose(seen.center_of_mass(other), truth.center_of_mass(obj), atol=1e-9)
+    assert seen.friction.min() >= truth.friction.min() and seen.friction.max() <= truth.friction.max()
+    assert resample_parameters(obj, truth, obj) is truth
