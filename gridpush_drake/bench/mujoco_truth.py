@@ -66,7 +66,8 @@ REGULARIZATION = 1e3
 SLIP_DAMPING = 200.0
 """b, 1/s."""
 
-IMPRATIO = 1e5
+IMPRATIO, TOLERANCE = 1e5, 1e-12
+"""Of the cone, and of MuJoCo's solver."""
 
 MIN_IMPEDANCE = 1e-4
 """MuJoCo's least."""
@@ -265,64 +266,24 @@ FAR = (0.0, 50.0)
 
 def _describe(body: TruthBody, radius: float, table: Bounds) -> str:
     """The scene in MJCF; all contacts are between pairs that are named."""
-    obj, z, (left, low, right, high) = body.obj, body.push_height, table
-    p, w = obj.p_BC, body.params.mass
-    center = body.params.center_of_mass(obj)
-    arm = p - center
-    vertical = body.params.total_mass * BODY_HEIGHT**2 / 12
-    plate = obj.cell_size**2 / 12 * w.sum()
-    ixx, iyy = w @ arm[:, 1] ** 2 + plate + vertical, w @ arm[:, 0] ** 2 + plate + vertical
-    ixy, izz = -w @ (arm[:, 0] * arm[:, 1]), w @ (arm**2).sum(axis=1) + 2 * plate
-    feet = "".join(
-        f'<geom name="f{i}" type="sphere" size="{FOOT_RADIUS}" pos="{x} {y} {FOOT_RADIUS + gap}"/>'
-        for i, ((x, y), gap) in enumerate(zip(body.feet, body.gap, strict=True))
-    )
-    walls = "".join(
-        f'<geom name="w{i}" type="capsule" size="{WALL_RADIUS}" fromto="{a[0]} {a[1]} {z} {b[0]} {b[1]} {z}"/>'
-        for i, (a, b) in enumerate(zip(obj.edges.start, obj.edges.end, strict=True))
-    )
-    corners = [(left, low), (right, low), (right, high), (left, high)]
-    edges = [
-        (a, b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)
-        if max(abs((a[i] + b[i]) / 2) for i in (0, 1)) < TABLE_HALF
-    ]  # fmt: skip
+    left, low, right, high = table
+    edges = _find_edges(table)
     rims = "".join(
         f'<geom name="e{i}" type="capsule" size="{EDGE_RADIUS}" '
         f'fromto="{a[0]} {a[1]} {-EDGE_RADIUS} {b[0]} {b[1]} {-EDGE_RADIUS}"/>'
         for i, (a, b) in enumerate(edges)
     )
-    half = obj.cell_size / 2
-    plates = "".join(
-        f'<geom name="p{i}" type="box" size="{half} {half} {PLATE_HALF}" pos="{x} {y} {body.bottom + PLATE_HALF}"/>'
-        for i, (x, y) in enumerate(p)
-    )
-    mu_c, friction = body.params.contact_friction, body.params.friction[body.cell]
-    pairs = "".join(
-        f'<pair name="foot{i}" geom1="table" geom2="f{i}" condim="3" friction="{mu} {mu} 0 0 0"/>'
-        for i, mu in enumerate(friction)
-    ) + "".join(
-        f'<pair name="wall{i}" geom1="pusher" geom2="w{i}" condim="3" friction="{mu_c} {mu_c} 0 0 0"/>'
-        for i in range(len(obj.edges.start))
-    ) + "".join(
-        f'<pair name="edge{e}_{i}" geom1="e{e}" geom2="p{i}" condim="3" friction="{mu} {mu} 0 0 0"/>'
-        for e in range(len(edges)) for i, mu in enumerate(body.params.friction)
-    )  # fmt: skip
     return f"""
 <mujoco>
   <compiler inertiafromgeom="false"/>
-  <option timestep="{body.time_step}" cone="elliptic" impratio="{IMPRATIO}" tolerance="1e-12" iterations="100"
+  <option timestep="{body.time_step}" cone="elliptic" impratio="{IMPRATIO}" tolerance="{TOLERANCE}"
    gravity="0 0 {-GRAVITY}"/>
   <default><geom contype="0" conaffinity="0" mass="0"/></default>
   <worldbody>
     <geom name="table" type="box" pos="{(left + right) / 2} {(low + high) / 2} -0.5"
-     size="{(right - left) / 2} {(high - low) / 2} 0.5"/>
-    <body>
-      <freejoint/>
-      <inertial pos="{center[0]} {center[1]} {BODY_HEIGHT / 2}" mass="{body.params.total_mass}"
-       fullinertia="{ixx} {iyy} {izz} {ixy} 0 0"/>{feet}{walls}{plates}
-    </body>
-    {rims}
-    <body pos="0 0 0" gravcomp="1">
+     size="{(right - left) / 2} {(high - low) / 2} 0.5"/>{rims}
+    <body><freejoint/>{_describe_inertia(body)}{_describe_geoms(body)}</body>
+    <body gravcomp="1">
       <inertial pos="0 0 0" mass="{PUSHER_MASS}" diaginertia="1 1 1"/>
       <joint type="slide" axis="1 0 0" armature="{PUSHER_INERTIA}"/>
       <joint type="slide" axis="0 1 0" armature="{PUSHER_INERTIA}"/>
@@ -330,8 +291,57 @@ def _describe(body: TruthBody, radius: float, table: Bounds) -> str:
       <geom name="pusher" type="capsule" size="{radius - WALL_RADIUS} {PUSHER_HALF_LENGTH}"/>
     </body>
   </worldbody>
-  <contact>{pairs}</contact>
+  <contact>{_describe_pairs(body, len(edges))}</contact>
 </mujoco>"""
+
+
+def _find_edges(table: Bounds) -> list[tuple[tuple[float, float], tuple[float, float]]]:
+    """The ends of those of the table's sides that are within reach."""
+    left, low, right, high = table
+    corners = [(left, low), (right, low), (right, high), (left, high)]
+    sides = zip(corners, corners[1:] + corners[:1], strict=True)
+    return [(a, b) for a, b in sides if max(abs(a[0] + b[0]), abs(a[1] + b[1])) < 2 * TABLE_HALF]
+
+
+def _describe_inertia(body: TruthBody) -> str:
+    obj, mass = body.obj, body.params.mass
+    x, y = body.params.center_of_mass(obj)
+    arm_x, arm_y = (obj.p_BC - (x, y)).T
+    cell = mass.sum() * obj.cell_size**2 / 12
+    flat = mass.sum() * BODY_HEIGHT**2 / 12 + cell
+    ixx, iyy, ixy = mass @ arm_y**2 + flat, mass @ arm_x**2 + flat, -mass @ (arm_x * arm_y)
+    izz = mass @ (arm_x**2 + arm_y**2) + 2 * cell
+    return f'<inertial pos="{x} {y} {BODY_HEIGHT / 2}" mass="{mass.sum()}" fullinertia="{ixx} {iyy} {izz} {ixy} 0 0"/>'
+
+
+def _describe_geoms(body: TruthBody) -> str:
+    """Feet f, walls w along the outline at the pusher's height, and plates p: the flat bottom."""
+    z, half, edges = body.push_height, body.obj.cell_size / 2, body.obj.edges
+    feet = (
+        f'<geom name="f{i}" type="sphere" size="{FOOT_RADIUS}" pos="{x} {y} {FOOT_RADIUS + gap}"/>'
+        for i, ((x, y), gap) in enumerate(zip(body.feet, body.gap, strict=True))
+    )
+    walls = (
+        f'<geom name="w{i}" type="capsule" size="{WALL_RADIUS}" fromto="{a[0]} {a[1]} {z} {b[0]} {b[1]} {z}"/>'
+        for i, (a, b) in enumerate(zip(edges.start, edges.end, strict=True))
+    )
+    plates = (
+        f'<geom name="p{i}" type="box" size="{half} {half} {PLATE_HALF}" pos="{x} {y} {body.bottom + PLATE_HALF}"/>'
+        for i, (x, y) in enumerate(body.obj.p_BC)
+    )
+    return "".join([*feet, *walls, *plates])
+
+
+def _describe_pairs(body: TruthBody, edges: int) -> str:
+    """Feet on the table, the pusher on walls, plates on the table's edges, with their frictions."""
+    params = body.params
+    feet = [("foot", "table", f"f{i}", mu) for i, mu in enumerate(params.friction[body.cell])]
+    walls = [("wall", "pusher", f"w{i}", params.contact_friction) for i in range(len(body.obj.edges.start))]
+    rims = [("edge", f"e{e}", f"p{i}", mu) for e in range(edges) for i, mu in enumerate(params.friction)]
+    return "".join(
+        f'<pair name="{kind}_{a}_{b}" geom1="{a}" geom2="{b}" condim="3" friction="{mu} {mu} 0 0 0"/>'
+        for kind, a, b, mu in (*feet, *walls, *rims)
+    )
 
 
 def _set_contacts(model: "mujoco.MjModel", body: TruthBody) -> None:
@@ -339,7 +349,7 @@ def _set_contacts(model: "mujoco.MjModel", body: TruthBody) -> None:
     weight = np.array([body.params.total_mass * GRAVITY])
     foot, pusher = (float(value) for value in model.body_invweight0[1:, 0])
     names = [model.pair(i).name for i in range(model.npair)]  # MuJoCo sorts them
-    feet = [names.index(f"foot{i}") for i in range(len(body.load))]
+    feet = [names.index(f"foot_table_f{i}") for i in range(len(body.load))]
     walls, edges = ([i for i, name in enumerate(names) if name.startswith(kind)] for kind in ("wall", "edge"))
     _set_springs(model, feet, body.load, body.sinkage, foot)
     _set_springs(model, walls, weight, PUSHER_SINKAGE, foot + pusher)
