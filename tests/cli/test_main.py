@@ -14,7 +14,7 @@ COMMANDS = [
     (), ("demo",), ("identify",), ("predict",), ("simulate",), ("show",), ("import",), ("import", "cmu"),
     ("import", "mit"), ("bench",), ("bench", "speed"), ("bench", "paper"), ("bench", "real"),
     ("bench", "drake"), ("bench", "planning"), ("bench", "pregrasp"), ("bench", "grasp"), ("export",), ("view",),
-    ("plan",), ("slide",),
+    ("plan",), ("slide",), ("object",), ("calibrate",), ("track",), ("record",), ("bench", "perception"),
 ]  # fmt: skip
 
 
