@@ -117,7 +117,7 @@ class ObjectSchema(StrictSchema):
     max_cells: int = Field(
         DEFAULT_MAX_CELLS, ge=1, le=MAX_CELLS, description=f"a whole number, 1 or more, at most {MAX_CELLS}"
     )
-    height: Length | None = None
+    height: float | None = Field(None, gt=0, description="a positive number, in meters")
     seen: SeenSchema | None = Field(None, description="pixel, pose and, where there is one, tag")
     total_mass: float | None = Field(None, gt=0, description="a positive number, in kg")
     center_of_mass: CenterOfMassSchema | None = Field(None, description="at: [x, y] and std, in meters")

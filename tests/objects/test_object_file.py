@@ -7,7 +7,14 @@ from PIL import Image
 
 from gridpush_drake.errors import ObjectError, OutputError
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
-from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
+from gridpush_drake.objects.object_file import (
+    SeenSchema,
+    TagSchema,
+    dump_object,
+    find_shipped_object,
+    list_shipped_objects,
+    read_object_file,
+)
 
 FULL = """\
 name: triangle_block
@@ -219,3 +226,21 @@ def test_existing_file_is_kept_unless_forced(tmp_path):
         obj.write_yaml(tmp_path / "object.yaml")
     obj.write_yaml(tmp_path / "object.yaml", force=True)
     assert GridObject.from_yaml(tmp_path / "object.yaml").outline.equals(obj.outline)
+
+
+def test_height_and_where_it_was_seen_are_kept(tmp_path):
+    plain = GridObject.from_outline([[0, 0], [0.1, 0], [0.1, 0.05], [0, 0.05]], max_cells=8)
+    tall = GridObject("tall", *plain.grid, plain.prior, 0.04)
+    tall.write_yaml(tmp_path / "tall.yaml")
+    assert GridObject.from_yaml(tmp_path / "tall.yaml").height == 0.04
+    plain.write_yaml(tmp_path / "plain.yaml")
+    assert GridObject.from_yaml(tmp_path / "plain.yaml").height is None
+    seen = SeenSchema(pixel=(321.5, 200.0), pose=(0.1, 0.2, 0.3), tag=TagSchema(id=3, size=0.03, pose=(0, 0, 1.0)))
+    path = tmp_path / "seen.yaml"
+    path.write_text(dump_object("seen", tall.grid, tall.prior, tall.height, seen))
+    assert read_object_file(path).seen == seen
+    path.write_text(path.read_text().replace("height: 0.04", "height: -1"))
+    with pytest.raises(ObjectError, match="height is -1; expected a positive number, in meters"):
+        GridObject.from_yaml(path)
+    with pytest.raises(ObjectError, match=r"height is 0\.0; expected a positive number"):
+        GridObject("flat", *plain.grid, plain.prior, 0.0)
