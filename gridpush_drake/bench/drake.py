@@ -12,7 +12,7 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from gridpush_drake.bench.jobs import QUIET, Execution, ObjectJob, Report, count_steps, run_jobs
 from gridpush_drake.bench.speed import DT, DURATION, RADIUS, make_bench_push
-from gridpush_drake.bench.table import Table, Value
+from gridpush_drake.bench.table import MM, MS, Table, Value
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
@@ -23,8 +23,6 @@ from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
 
 OBJECTS = ("claw_hammer", "combination_wrench", "spray_bottle")
 SEEDS = (0, 1, 2)
-
-MM = 1e3
 
 
 @dataclass(frozen=True)
@@ -139,8 +137,6 @@ LCP_OBJECTS = ("claw_hammer", "toolbox")
 LCP_REGIMES = ("inertial", "quasi_static")
 LCP_RUNS = 10
 """Of each push."""
-
-MS = 1e3
 
 
 def run_lcp_system(report: Report | None = None) -> list[Table]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gridpush_drake.bench.jobs import QUIET, Execution, ObjectJob, run_jobs
-from gridpush_drake.bench.table import Table, Value, calc_mean
+from gridpush_drake.bench.table import MM, Table, Value, calc_mean
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.objects.object_file import find_shipped_object
@@ -27,8 +27,6 @@ SCENARIO = "scenarios/grasp.yaml"
 HELD, DROPPED = "held", "dropped"
 """Of the statuses that `station.pregrasp_task` ends with; with any other the object was given up."""
 
-MM = 1e3
-"""Millimeters in a meter."""
 
 COLUMNS = (
     "object", "runs", "held", "dropped", "given up", "pokes", "slides", "raised, mm", "CoM error, mm", "simulated, s",

@@ -28,7 +28,7 @@ from gridpush_drake.bench.protocol import (
     make_case,
     make_protocol,
 )
-from gridpush_drake.bench.table import Table, Value, check_figure, write_panels
+from gridpush_drake.bench.table import MM, Table, Value, check_figure, write_panels
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import METHODS, identify
@@ -41,7 +41,6 @@ DEFAULT = "default"
 
 CONFIDENCE = 0.95
 RESAMPLES = 9999
-MM = 1e3
 
 PAPER_MM = 15.3
 """The paper's mean test cell error in simulation."""

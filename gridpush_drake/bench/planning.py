@@ -18,7 +18,7 @@ from gridpush_drake.bench.protocol import (
     make_planning_protocol,
     read_planning_object,
 )
-from gridpush_drake.bench.table import Table, Value, calc_mean
+from gridpush_drake.bench.table import MM, MS, PERCENT, Table, Value, calc_mean
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
@@ -35,9 +35,6 @@ WITHIN = 0.001
 """m by which a decision may be worse than the exhaustive search's and count as good as it."""
 
 ALL = "all"
-MM = 1e3
-MS = 1e3
-PERCENT = 100.0
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ from pydrake.systems.framework import DiagramBuilder
 from shapely import Point
 
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
-from gridpush_drake.bench.table import Table, Value
+from gridpush_drake.bench.table import MM, Table, Value
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
@@ -70,7 +70,6 @@ MODEL_TIME_STEP = 1e-3
 TRIES = 100
 BASES: tuple[Literal["planar", "free"], ...] = ("planar", "free")
 SPINS: tuple[Literal["none", "coupled"], ...] = ("none", "coupled")
-MM = 1e3
 
 
 @dataclass(frozen=True)

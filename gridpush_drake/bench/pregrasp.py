@@ -28,7 +28,7 @@ from gridpush_drake.bench.pregrasp_exploration import (
 from gridpush_drake.bench.pregrasp_world import EdgeWorld, MujocoWorld, Outcome, PaperLearner, run_pregrasp
 from gridpush_drake.bench.protocol import MASS_RANGE, PLANNING_METERS_PER_PIXEL
 from gridpush_drake.bench.public_data import find_masks
-from gridpush_drake.bench.table import Table, Value
+from gridpush_drake.bench.table import MM, PERCENT, Table, Value
 from gridpush_drake.bench.truth_sets import KINDS
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import make_direction
@@ -100,10 +100,6 @@ def make_table(seed: int) -> SupportSurface:
         return SupportSurface.round((0.0, 0.0), RADIUS)
     return SupportSurface.from_polygon(HEXAGON * make_direction(np.pi / 3 * np.arange(6)))
 
-
-PERCENT = 100.0
-MM = 1e3
-"""Millimeters in a meter."""
 
 LIKELY = {BOTH: 5.991 / 2, ALONG: 3.841}
 """What 95 % of chi squares stay below, per direction: of two degrees of freedom, and of one."""

@@ -24,7 +24,7 @@ from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.plant import DISTANCE, SPEED, draw_push
 from gridpush_drake.bench.protocol import ANGLE_STD, MASS_RANGE, POSITION_STD, hide_parts
 from gridpush_drake.bench.public_data import find_push_logs
-from gridpush_drake.bench.table import Table, Value, check_figure, write_panels
+from gridpush_drake.bench.table import MM, Table, Value, check_figure, write_panels
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import identify
@@ -97,7 +97,6 @@ SHOWN_COUNTS = (5, 25)
 MIT_SHARE = 0.2
 SPLITS, QUICK_SPLITS = 10, 2
 CONFIDENCE = 0.95
-MM = 1e3
 POSE_COLUMNS = ("training", "position, mm", "angle, °")
 UNIFORM, POSES, CENTER = "uniform pressure", "poses only", "poses + center of mass"
 

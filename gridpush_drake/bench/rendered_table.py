@@ -50,6 +50,9 @@ TABLE_COLOR, ARM_COLOR = (0.75, 0.74, 0.70), (0.2, 0.2, 0.22)
 LAMPS = (("camera", 0.75, (0.0, 0.0, 1.0)), ("world", 0.25, (0.3, 0.5, -1.0)))
 """Of each: the frame of its direction, its intensity, its direction."""
 
+SHADOW_MAP = 2048
+"""Side of what shadows are computed on, pixels; with Drake's default objects shade themselves in blocks."""
+
 ROD, HAND, HAND_HEIGHT = 0.12, (0.08, 0.05, 0.06), 0.15
 """Length of the rod that pushes, m; sides and height over the table of the hand that holds it."""
 
@@ -87,7 +90,8 @@ class RenderedTable:
             LightParameter(type="directional", frame=frame, intensity=intensity, direction=list(direction))
             for frame, intensity, direction in LAMPS
         ]
-        self._scene.AddRenderer(RENDERER, MakeRenderEngineVtk(RenderEngineVtkParams(lights=lights, cast_shadows=True)))
+        parameters = RenderEngineVtkParams(lights=lights, cast_shadows=True, shadow_map_size=SHADOW_MAP)
+        self._scene.AddRenderer(RENDERER, MakeRenderEngineVtk(parameters))
         self._add(None, Box(TABLE, TABLE, THICKNESS), TABLE_COLOR, TABLE_LABEL, [0, 0, -THICKNESS / 2])
         mesh = Mesh(InMemoryMesh(mesh_file=MemoryFile(_make_mesh(outline, height), ".obj", "outline.obj")))
         self._object = self._add_frame("object")

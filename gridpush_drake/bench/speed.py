@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from gridpush_drake.bench.jobs import Report, count_steps
 from gridpush_drake.bench.pregrasp import find_mask
 from gridpush_drake.bench.protocol import METERS_PER_PIXEL
-from gridpush_drake.bench.table import Table, Value
+from gridpush_drake.bench.table import MS, Table, Value
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.objects.grid_object import GridObject
@@ -98,7 +98,6 @@ LINEAR_FROM = 300
 START_UPS = 7
 """Of each command that starts Python."""
 
-MS = 1e3
 
 Announce = Callable[[str], None]
 

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 Value = str | float | int | None
 
+MM, MS, PERCENT = 1e3, 1e3, 100.0
+"""Millimeters in a meter, milliseconds in a second, percent in the whole."""
+
 FRAME, PADDING = 1, 3
 """Characters of a shown table: its left border, and what a column has beside its text."""
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gridpush_drake.bench import truth_overhang
-from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
+from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
 from gridpush_drake.bench.paper import calc_interval
 from gridpush_drake.bench.table import Table, Value
 from gridpush_drake.bench.truth_overhang import OVERHANG, TIPPED_BODIES
@@ -268,10 +268,7 @@ def _sum_up(scores: Sequence[TruthScore]) -> list[Value]:
 
 
 def _check(kinds: Sequence[str], sets: int, counts: Sequence[int]) -> None:
-    known = (*KINDS, OVERHANG)
-    unknown = [kind for kind in kinds if kind not in known]
-    if unknown or not kinds:
-        raise GridPushError(f"kind: {', '.join(unknown) or 'none'}; expected some of {', '.join(known)}")
+    check_known("kind", kinds, (*KINDS, OVERHANG))
     if sets < 1:
         raise GridPushError(f"sets: {sets}; expected at least 1")
     if not counts or not 1 <= counts[0] <= counts[-1] <= TRAINING:

@@ -16,7 +16,7 @@ from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.mujoco_truth import BODY_HEIGHT, TABLE_HALF, TruthWorld
 from gridpush_drake.bench.paper import calc_interval
 from gridpush_drake.bench.plant import PUSH_HEIGHT, PlantPusher
-from gridpush_drake.bench.table import Table, Value
+from gridpush_drake.bench.table import MM, Table, Value
 from gridpush_drake.bench.truth_sets import CLEARANCE, HALF_HEIGHT, MIN_MOTION, OUTLINES, SLANT, draw_masses, make_body
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
@@ -75,7 +75,6 @@ TIPPED_BODIES = 20
 """Of each outline."""
 
 TRIES = 300
-MM = 1e3
 
 
 @dataclass(frozen=True)

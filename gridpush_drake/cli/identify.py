@@ -90,6 +90,12 @@ def describe_result(result: "Identification", log: "PushLog") -> dict[str, Any]:
         "simulations": result.simulations,
         "training_pushes": result.push_names,
         "unused_pushes": result.unused_pushes,
+        "outliers": [
+            {"push": out.push, "poses": out.poses, "observed": out.observed, "share": out.share, "whole": out.whole}
+            for out in result.outliers
+        ],
+        "noise_std": result.noise_std,
+        "load_shift_std": result.load_shift_std,
         "mean_cell_error_before": before,
         "mean_cell_error": after,
         "contact_friction": result.params.contact_friction,
@@ -118,6 +124,8 @@ def print_result(result: "Identification", found: dict[str, Any]) -> None:
     print_line(f"contact friction: {result.params.contact_friction:.2f} ± {result.std.contact_friction:.2f}")
     if result.unused_pushes:
         print_line(f"left out, as the pusher never touched the object: {', '.join(result.unused_pushes)}")
+    for outlier in result.outliers:
+        print_line(outlier.describe())
     if found["overhanging_pushes"]:
         print_line(options.describe_overhanging(found["overhanging_pushes"]))
     print_line("What these pushes say, and what they cannot:")

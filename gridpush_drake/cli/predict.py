@@ -15,7 +15,7 @@ from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_json, print_line, print_table
 
 if TYPE_CHECKING:
-    from gridpush_drake.identification.prediction import ErrorSummary, PoseError, Prediction
+    from gridpush_drake.identification.prediction import ErrorSummary, PoseError, Prediction, Spread
 
 COLUMNS = ("push", "x", "y", "theta")
 """Final pose of each push, m and rad, world frame."""
@@ -38,7 +38,7 @@ def predict(
     from gridpush_drake.errors import PushLogError
     from gridpush_drake.files import check_writable, write_whole
     from gridpush_drake.identification.learning import choose_regime
-    from gridpush_drake.identification.prediction import calc_final_errors, summarize_errors
+    from gridpush_drake.identification.prediction import calc_final_errors, predict_spread, summarize_errors
     from gridpush_drake.identification.prediction import predict as predict_log
     from gridpush_drake.pushes.plausibility import explain_no_contact
 
@@ -53,6 +53,9 @@ def predict(
         raise PushLogError(explain_no_contact(target.obj, log))
     write_whole(out, _make_csv(predictions), force)
 
+    errors = calc_final_errors(target.obj, predictions, log)
+    spreads = predict_spread(target.model, log, chosen) if target.model else []
+    seen = [(error, spread) for error, spread in zip(errors, spreads, strict=False) if error is not None]
     found: dict[str, Any] = {
         "object": target.obj.name,
         "model": "learned" if target.model else "prior",
@@ -61,13 +64,16 @@ def predict(
         "untouched": [prediction.name for prediction in predictions if prediction.status == MotionStatus.NO_CONTACT],
         "overhanging": [seen.name for seen in full.overhanging],
         "errors": summarize_errors(target.obj, predictions, log),
+        "within_interval": [sum(error.cell <= spread.cell_error for error, spread in seen), len(seen)],
         "written": [str(out)],
     }
     if json:
-        rho, errors = target.obj.radius_of_gyration, calc_final_errors(target.obj, predictions, log)
+        rho = target.obj.radius_of_gyration
         by_push = [_describe_error(made.name, error, rho) for made, error in zip(predictions, errors, strict=True)]
         summaries = [_describe_summary(error) for error in found["errors"]]
-        print_json({**found, "errors": summaries, "rho_mm": rho * MM, "errors_by_push": by_push})
+        spread_by_push = [_describe_spread(spread) for spread in spreads]
+        more = {"rho_mm": rho * MM, "errors_by_push": by_push, "spread_by_push": spread_by_push}
+        print_json({**found, "errors": summaries, **more})
     else:
         _print_found(found, model)
 
@@ -81,6 +87,9 @@ def _print_found(found: dict[str, Any], name: str) -> None:
         print_line(options.describe_overhanging(found["overhanging"]))
     if found["errors"]:
         print_errors(f"Errors of {found['errors'][0].pushes} final poses", found["errors"])
+    within, of = found["within_interval"]
+    if of:
+        print_line(f"{within} of {of} cell errors are within what the model expects of 90 %.")
     print_line(f"Wrote {found['written'][0]}.")
 
 
@@ -101,6 +110,15 @@ def _describe_error(name: str, error: "PoseError | None", rho: float) -> dict[st
     return {
         "push": name, "position_mm": error.position * MM, "angle_deg": error.angle * DEGREES,
         "cell_mm": error.cell * MM, "combined_mm": error.combined(rho) * MM,
+    }  # fmt: skip
+
+
+def _describe_spread(spread: "Spread") -> dict[str, Any]:
+    """How far a push may be off, for machines: standard deviations, and the cell error that 90 % stay below."""
+    x, y, theta = spread.std.tolist()
+    return {
+        "push": spread.name, "x_std_mm": x * MM, "y_std_mm": y * MM, "theta_std_deg": theta * DEGREES,
+        "cell_90_mm": spread.cell_error * MM,
     }  # fmt: skip
 
 

@@ -49,6 +49,9 @@ def track(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="PUSHES.csv", help="The push log to write.")],
     tip_offset: Annotated[str, typer.Option(metavar="X,Y,Z", help="Of the tip in its tag's frame, m.")] = "0,0,0",
     tag_size: TagSize = 0.03,
+    tag_height: Annotated[
+        float | None, typer.Option(help="Of the pusher's tag over the table, m, where it stays level: far more exact.")
+    ] = None,
     height: Annotated[
         float | None, typer.Option(min=0, help="Of the object, m.", show_default="as its file says, or 0")
     ] = None,
@@ -85,7 +88,7 @@ def track(
         raise options.OptionError(f"--by: is {by!r}; expected auto, outline or, where the object's file has one, tag")
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
     tall = height if height is not None else obj.height or 0.0
-    find_tip = _TipFinder(tip, seen_by, tag_size, np.array(offset))
+    find_tip = _TipFinder(tip, seen_by, tag_size, np.array(offset), tag_height)
     found = _follow_tag if by != "outline" and tag is not None else _follow_outline
     rows: list[tuple[float, Array, Array]] = []
     pictures: list[tuple[Frame, Array]] = []
@@ -105,9 +108,12 @@ def track(
             outline = shapely.transform(obj.outline, lambda points, pose=pose: transform(pose, points))
             drawn = draw_outline(drawn, seen_by, outline, tall, pose)
         write_picture(picture, drawn, force)
-    log = record_pushes(samples, obj, radius, source=str(video)).log
+    recording = record_pushes(samples, obj, radius, source=str(video))
+    log = recording.log
     if not len(log):
-        raise PushLogError(f"{video}: holds no push; the object was seen in {len(t) - lost} of {len(t)} frames")
+        why = ["it ends within a push: expected the tip to rest for a second after it"] * recording.unfinished
+        seen_in = f"the object was seen in {len(t) - lost} of {len(t)} frames"
+        raise PushLogError(f"{video}: holds no whole push; {'; '.join([*why, *recording.unusable, seen_in])}")
     log.write_csv(out, force)
     if json:
         print_json({"object": obj.name, "frames": len(t), "lost": lost, "pushes": len(log), "written": str(out)})
@@ -118,8 +124,8 @@ def track(
 class _TipFinder:
     """Where the tip is in a frame: from a CSV file on the same clock, or from a tag on the pusher."""
 
-    def __init__(self, text: str, camera: "Camera", size: float, offset: "Array") -> None:
-        self.text, self.camera, self.size, self.offset = text, camera, size, offset
+    def __init__(self, text: str, camera: "Camera", size: float, offset: "Array", height: float | None) -> None:
+        self.text, self.camera, self.size, self.offset, self.height = text, camera, size, offset, height
         self.tag = None
         self.seen: set[int] = set()
         if text.startswith(TAG):
@@ -139,7 +145,7 @@ class _TipFinder:
             return np.array([np.interp(frame.t, self.times, self.places[:, i]) for i in range(3)])
         from gridpush_drake.perception import detect_tags
 
-        tags = detect_tags(frame.color, self.camera, self.size)
+        tags = detect_tags(frame.color, self.camera, self.size, self.height)
         self.seen |= tags.keys()
         X_WT = tags[self.tag].X_WT if self.tag in tags else None
         return np.full(3, np.nan) if X_WT is None else X_WT[:3, :3] @ self.offset + X_WT[:3, 3]

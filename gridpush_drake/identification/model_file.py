@@ -17,6 +17,7 @@ from pydantic import Field, Strict, model_validator
 from gridpush_drake.errors import GridPushError, IdentificationError
 from gridpush_drake.files import read_head, write_whole
 from gridpush_drake.identification.identifiability import calc_identifiability
+from gridpush_drake.identification.outliers import Outlier
 from gridpush_drake.identification.posterior import GLOBALS, Posterior
 from gridpush_drake.identification.result import HistoryEntry, Identification, IdentificationStatus
 from gridpush_drake.objects.grid_object import GridObject
@@ -58,6 +59,15 @@ class IdentifiabilitySchema(StrictSchema):
     learned_directions: Annotated[int, Field(ge=0)]
 
 
+class OutlierSchema(StrictSchema):
+    """What was refused of a push; see `Outlier`."""
+
+    push: str
+    poses: list[Annotated[int, Field(ge=0)]]
+    observed: Annotated[int, Field(ge=1)]
+    whole: bool
+
+
 class PosteriorSchema(StrictSchema):
     """See `Posterior`. A covariance is base64 of its lower triangle, row by row, float64."""
 
@@ -88,9 +98,10 @@ class ModelSchema(StrictSchema):
     seed: int
     simulations: Annotated[int, Field(ge=0)]
     noise_std: PerhapsInfinite
-    load_shift_std: NotNegative
+    load_shift_std: NotNegative = 0.0
     training_pushes: list[str]
     unused_pushes: list[str]
+    outliers: list[OutlierSchema] = Field(default_factory=list)
     object: LearnedObjectSchema
     contact_friction: NotNegative
     contact_friction_std: NotNegative
@@ -254,6 +265,10 @@ def _describe(result: Identification) -> ModelSchema:
         load_shift_std=float(result.load_shift_std),
         training_pushes=list(result.push_names),
         unused_pushes=list(result.unused_pushes),
+        outliers=[
+            OutlierSchema(push=out.push, poses=list(out.poses), observed=out.observed, whole=out.whole)
+            for out in result.outliers
+        ],
         object=LearnedObjectSchema.model_validate(describe_object(obj.name, obj.grid, obj.prior, obj.height)),
         contact_friction=result.params.contact_friction,
         contact_friction_std=result.std.contact_friction,
@@ -312,6 +327,7 @@ def _restore(schema: ModelSchema) -> Identification:
         seed=schema.seed,
         push_names=tuple(schema.training_pushes),
         unused_pushes=tuple(schema.unused_pushes),
+        outliers=tuple(Outlier(out.push, tuple(out.poses), out.observed, out.whole) for out in schema.outliers),
     )  # fmt: skip
 
 

@@ -68,6 +68,14 @@ class Outlier:
         """Of the push's poses that are refused, 0 to 1."""
         return 1.0 if self.whole else len(self.poses) / self.observed
 
+    def describe(self) -> str:
+        """What was refused, in a sentence."""
+        if self.whole and not self.poses:
+            return f"push {self.push}: refused, as no motion of this object that the other pushes allow"
+        where = f"{len(self.poses)} of {self.observed} poses jump or disagree with the rest"
+        numbers = ", ".join(str(i + 1) for i in self.poses)
+        return f"push {self.push}: {where} (number {numbers})" + (", all of it refused" if self.whole else ", refused")
+
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:

@@ -6,11 +6,13 @@ from math import nan
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.stats import chi2
 
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.geometry.se2 import wrap_angle
+from gridpush_drake.identification.noise import NoiseModel
 from gridpush_drake.identification.outliers import remove_outliers
-from gridpush_drake.identification.problem import TimedPush
+from gridpush_drake.identification.problem import PushProblem, TimedPush
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -24,6 +26,10 @@ MM, DEGREES = 1e3, 180 / np.pi
 
 P90 = 0.9
 """Share of the errors that are below the last figure of a summary."""
+
+
+INTERVAL = 0.9
+"""Probability of a predicted interval."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +87,53 @@ def predict(obj: GridObject, params: CellParameters, log: PushLog, regime: Regim
     """
     check_plausible(obj, log, learning=False)
     return [_predict_push(obj, params, push, regime, log.table) for push in log]
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """How far a push's predicted final pose may be off.
+
+    Attributes:
+        name: of the push.
+        std: (3,) of the cells' centroid, x and y, m, world frame, and of theta, rad.
+        cell_error: below which the cell error is with probability INTERVAL, m.
+    """
+
+    name: str
+    std: Array
+    cell_error: float
+
+
+def predict_spread(model: Identification, log: PushLog, regime: Regime | None = None) -> list[Spread]:
+    """Predicts how far the final poses of a log's pushes may be off: J S J^T + Sigma, S what is left open of z.
+
+    Args:
+        model: what was learned, with its posterior, and the noise that its pushes showed.
+        log: pushes, with or without later observations.
+        regime: of the simulation; the model's by default.
+
+    Returns:
+        One spread a push.
+    """
+    obj, noise = model.obj, NoiseModel()
+    ends = [
+        ObservedPush(seen.name, seen.push, seen.pose, np.array([seen.push.duration]), np.zeros((1, 3))) for seen in log
+    ]  # in the axes of the pose given as the final one, here the world's
+    problem = PushProblem(obj, PushLog(tuple(ends)), model.params.friction, regime or model.regime)
+    linear = problem.linearize(model.posterior.mean)
+    found = []
+    for seen, J, inputs in zip(log, linear.by_z, linear.by_inputs, strict=True):
+        covariance = J @ model.posterior.covariance @ J.T + noise.calc_covariance(inputs, model.noise_scale)
+        std = np.sqrt(np.diag(covariance)) / (1.0, 1.0, obj.radius_of_gyration)
+        found.append(Spread(seen.name, std, calc_norm_quantile(covariance)))
+    return found
+
+
+def calc_norm_quantile(covariance: Array) -> float:
+    """Quantile INTERVAL of |r|, r ~ N(0, covariance), |r|² taken for a scaled chi-square of the same two moments."""
+    values = np.linalg.eigvalsh(covariance)
+    scale, freedom = (values**2).sum() / values.sum(), values.sum() ** 2 / (values**2).sum()
+    return float(np.sqrt(scale * chi2.ppf(INTERVAL, freedom)))
 
 
 def calc_pose_error(obj: GridObject, predicted: ArrayLike, observed: ArrayLike) -> PoseError:

@@ -250,6 +250,8 @@ class Camera:
             return cls(**(_read_drake(data) if _is_drake(data) else _read_ros(data)))
         except CameraError as error:
             raise CameraError(f"{path}: {error}") from error
+        except OverflowError as error:
+            raise CameraError(f"{path}: a number is too large; expected pixels and meters") from error
 
     def write(self, path: Path | str, force: bool = False) -> None:
         """Writes the camera as ROS's camera_info, and X_WC besides, so that `read` gives it back, bit for bit.

@@ -82,6 +82,9 @@ BOUNDARY_ROUNDS, BOUNDARY_SMOOTHING = 4, 1.0
 MIN_CONTRAST = 9.0
 """Squared difference of color at which the boundary is as uncertain as the pixels are noisy."""
 
+HALF_STEP = 0.5
+"""Half of the way from the table's color to the object's; a pixel beyond either counts as either."""
+
 HEIGHT_SAYS = 0.15
 """Most that height moves the boundary's level, which is 0.5 of the way from one color to the other."""
 
@@ -232,7 +235,7 @@ def refine_boundary(mask: Mask, found: Foreground, covered: Mask | None = None) 
         outside = _calc_nearby_mean(colors, ~dilate(mask, MEAN_GAP) & shown)
         step = inside - outside
         along = ((colors - (inside + outside) / 2) * step).sum(axis=-1) / ((step**2).sum(axis=-1) + MIN_CONTRAST)
-        level = _blur(along + found.heights, BOUNDARY_SMOOTHING)
+        level = _blur(np.clip(along, -HALF_STEP, HALF_STEP) + found.heights, BOUNDARY_SMOOTHING)
         level = np.where(band, level, np.where(mask, 1, -1)).astype(np.float32)
         mask = keep_largest(level > 0) if covered is None else level > 0
     mask = fill_holes(mask, found.score)

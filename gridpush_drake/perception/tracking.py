@@ -7,8 +7,9 @@ and table is looked for, d_i pixels off, and the pose q moves until these vanish
     min_q  sum_i w_i (d_i - n_i' J_i dq)^2 / sigma^2 + |dq|^2_P,       J_i = d(pixel of p_i)/dq
 
 with Tukey's weights w_i, and a prior P as wide as the object can move between two frames. Points that something covers
-have no part. The covariance is the inverse of the information left, sum w_i J_i' n_i n_i' J_i / sigma^2, of edges whose
-errors neighbors share: what no edge tells, such as the angle of a disc, keeps the prior's width.
+have no part. The covariance is the inverse of the information left, sum w_i J_i' n_i n_i' J_i / sigma^2 + P: what no
+edge tells, such as the angle of a disc, keeps the prior's width. In sigma^2 is what neighboring edges share, and the
+outline's own error, which all of them do.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -37,7 +38,7 @@ from gridpush_drake.perception.foreground import (
     to_lab,
 )
 from gridpush_drake.perception.frames import Color, Frame
-from gridpush_drake.perception.table_plane import TablePlane, make_rays
+from gridpush_drake.perception.table_plane import TO_DEVIATION, TablePlane, make_rays
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -54,8 +55,11 @@ CONVERGED = 1e-3
 TUKEY, MIN_SPREAD = 3.0, 0.3
 """Deviations at which an edge counts for nothing, and the least deviation, pixels."""
 
-SHARED_LENGTH = 24.0
+SHARED_LENGTH = 12.0
 """Along the boundary within which errors of edges are alike, pixels."""
+
+OUTLINE_ERROR = 0.07
+"""Of the outline itself, pixels: alike from frame to frame, so that no number of edges takes it away."""
 
 DIFFERENCE = 1e-5
 """Step of numerical derivatives, m."""
@@ -99,7 +103,7 @@ class TrackerOptions:
     max_step: float = 0.03
     max_turn: float = 0.3
     lost_share: float = 0.5
-    pixel_noise: float = 0.3
+    pixel_noise: float = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +270,7 @@ class PoseTracker:
         if unseen is not None:
             self.camera.check_size(unseen, "the mask of what is covered")
             covered = self.camera.undistort(unseen.astype(np.uint16)) > 0
-        fit = self._find(state.appearance, color, depth, covered, state.pose, everywhere=state.lost)
+        fit = self._find(state.appearance, color, depth, covered, state.pose)
         if fit is None:
             return replace(state, lost=True, t=frame.t), NOT_SEEN
         pose = fit.pose.copy()
@@ -277,7 +281,7 @@ class PoseTracker:
 
     def _find(
         self, appearance: Appearance, color: Color, depth: NDArray[np.float32] | None, covered: Mask,
-        before: Array | None, everywhere: bool = False,
+        before: Array | None,
     ) -> _Fit | None:  # fmt: skip
         """Near the last pose first, then everywhere; None where it is nowhere."""
         if before is not None:
@@ -376,10 +380,11 @@ class PoseTracker:
         share = found.sum() / max(1, visible.sum())
         hold = float((inside[visible] > HALF).mean()) if visible.any() else 0.0
         J, d = rows.J[found], offsets[found]
-        spread = max(MIN_SPREAD, 1.4826 * float(np.median(np.abs(d)))) if len(d) else MIN_SPREAD
+        spread = max(MIN_SPREAD, TO_DEVIATION * float(np.median(np.abs(d)))) if len(d) else MIN_SPREAD
         weight = np.clip(1 - (d / (TUKEY * spread + self.options.pixel_noise)) ** 2, 0, None) ** 2
-        rms = float(np.sqrt((weight * d**2).sum() / max(weight.sum(), 1e-12)))
+        rms = float(np.sqrt((weight * d**2).sum() / max(weight.sum(), np.finfo(float).tiny)))
         noise = max(rms, self.options.pixel_noise) ** 2 * max(1.0, SHARED_LENGTH / rows.spacing)
+        noise += OUTLINE_ERROR**2 * weight.sum()
         information = (J * weight[:, None]).T @ J / noise
         back = start - pose
         moved = np.linalg.solve(information + self._prior, (J * weight[:, None]).T @ d / noise + self._prior @ back)

@@ -12,6 +12,7 @@ from jinja2 import Environment, StrictUndefined
 from matplotlib.figure import Figure
 
 from gridpush_drake import __version__
+from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.prediction import (
     ErrorSummary,
     Prediction,
@@ -191,7 +192,8 @@ def make_report(
         An HTML page that needs nothing else.
     """
     obj = identification.obj
-    used = log.subset([i for i, seen in enumerate(log) if seen.name not in identification.unused_pushes])
+    used = remove_outliers(log, identification.outliers)
+    used = used.subset([i for i, seen in enumerate(used) if seen.name not in identification.unused_pushes])
     training = _compare(identification, used, held_out=False)
     fresh = _compare(identification, held_out, held_out=True) if held_out else None
     compared = [training, *([fresh] if fresh else [])]
@@ -220,6 +222,7 @@ def make_report(
         line_by_line=len(outcomes) <= MAX_DUMBBELLS,
         error_tables=[_tabulate_errors(comparison, comparison is fresh) for comparison in compared],
         unused=identification.unused_pushes,
+        refused=[outlier.describe() for outlier in identification.outliers],
         statements=identification.identifiability.statements,
         numbers=list_numbers(identification, truth),
         making=describe_making(identification, log, __version__),

@@ -5,6 +5,7 @@ With a color and depth camera (`camera.kind: rgbd` in the scenario) the robot is
 Its body frame F is chosen then; the plant's object is given in it, so that poses mean the same on both sides.
 """
 
+import ctypes
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,7 +33,7 @@ from pydrake.systems.framework import Context, DiagramBuilder, System
 from pydrake.systems.sensors import CameraInfo, RgbdSensor
 from shapely.geometry.base import BaseGeometry
 
-from gridpush_drake.errors import PerceptionError, ScenarioError
+from gridpush_drake.errors import PerceptionError, ScenarioError, StationError
 from gridpush_drake.geometry.se2 import transform_back
 from gridpush_drake.multibody.contact_material import TABLE
 from gridpush_drake.multibody.grid_object import GridObjectInPlant
@@ -65,6 +66,17 @@ TABLE_SHARE = 75
 """Percent of what is seen, nearest to its median in color, that is taken for table."""
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
+
+
+def check_renderer() -> None:
+    """Raises StationError where pictures cannot be rendered: VTK wants EGL, with a display or without."""
+    try:
+        ctypes.CDLL("libEGL.so.1")
+    except OSError as error:
+        raise StationError(
+            "camera.kind is rgbd, but pictures cannot be rendered here, as there is no EGL; get it with "
+            "apt-get install libegl1 libgl1-mesa-dri"
+        ) from error
 
 
 def make_camera(config: RgbdConfig) -> Camera:
@@ -133,7 +145,12 @@ def AddRgbdCamera(
 
     Returns:
         The camera, as yet connected to nothing that reads it.
+
+    Raises:
+        ScenarioError: the camera makes no sense, see `make_camera`.
+        StationError: nothing can be rendered here.
     """
+    check_renderer()
     config, camera = scenario.camera.rgbd, make_camera(scenario.camera.rgbd)
     light = LightParameter(type="directional", direction=LIGHT, frame="camera")
     params = RenderEngineVtkParams(lights=[light], default_clear_color=np.array(BACKGROUND))

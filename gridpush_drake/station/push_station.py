@@ -222,9 +222,13 @@ def AddLogs(builder: DiagramBuilder, ports: dict[str, OutputPort], period: float
 
 
 def LoadPushedObject(scenario: PushScenario) -> GridObject:
-    """Reads the scenario's object, with its finger as the pusher. Raises ScenarioError where there is none."""
+    """Reads the scenario's object, with its finger as the pusher. Raises ScenarioError where there is none.
+
+    In a planar plant every cell bears its own weight, however high it is pushed.
+    """
     obj, finger = load_object(scenario), find_robot(scenario.directives).finger
-    return replace(obj, prior=replace(obj.prior, pusher_radius=finger.tip_radius))
+    height = scenario.finger.push_height if scenario.base == "free" else None
+    return replace(obj, prior=replace(obj.prior, pusher_radius=finger.tip_radius, push_height=height))
 
 
 def AddStationScene(

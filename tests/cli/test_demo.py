@@ -67,18 +67,25 @@ def test_learns_and_reports(gridpush, tmp_path):
     assert len(held_out) == 1
 
     # and from what was seen all along the same pushes, to the last digit
-    recorded = record_again(gridpush, out, tmp_path / "recorded.csv", "--engaged-below", 0.03)
-    of_it = (out / "held_out.csv").read_text().splitlines()[1:]
-    assert recorded.splitlines() == (out / "pushes.csv").read_text().splitlines() + of_it
+    both = (*PushLog.read_csv(out / "pushes.csv"), *held_out)
+    check_recorded_again(gridpush, out, tmp_path / "recorded.csv", both, "rectangle:0.8x1.2@0.6,0")
 
 
-def record_again(gridpush, out, path, *options):
-    """What `gridpush record` makes of a demo's stream."""
+def check_recorded_again(gridpush, out, path, pushes, table):
+    """`gridpush record` makes the demo's pushes of its stream."""
     outcome = gridpush(
-        "record", out / "stream.csv", "--object", out / "object.yaml", "--pose-delay", 1 / 30, *options, "--out", path
-    )
+        "record", out / "stream.csv", "--object", out / "object.yaml", "--out", path, "--pose-delay", 1 / 30,
+        "--engaged-below", 0.03, "--table", table,
+    )  # fmt: skip
     assert outcome.code == 0, outcome.err
-    return path.read_text()
+    log, of_demo = PushLog.read_csv(path), PushLog.read_csv(out / "pushes.csv")
+    np.testing.assert_allclose(sorted(log.table.tolist()), sorted(of_demo.table.tolist()), atol=1e-9)
+    for one, other in zip(log, pushes, strict=True):
+        assert (one.name, one.overhang) == (other.name, other.overhang)
+        for name in ("pose", "t_observed", "poses_observed"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+        np.testing.assert_array_equal(one.push.t, other.push.t)
+        np.testing.assert_array_equal(one.push.xy, other.push.xy)
 
 
 def check_recording(out, duration, tmp_path):
@@ -225,9 +232,8 @@ def test_pokes_slides_and_lifts_as_readme_says(gridpush, tmp_path, monkeypatch):
     assert sorted(path.name for path in out.iterdir()) == sorted(TASKS["pregrasp"].files)
     assert "What the robot did" in (out / "report.html").read_text()
     check_same_offline(gridpush, out, tmp_path)
-    table = "rectangle:0.8x1.2@0.6,-0.45"
-    recorded = record_again(gridpush, out, tmp_path / "recorded.csv", "--engaged-below", 0.03, "--table", table)
-    assert recorded == (out / "pushes.csv").read_text()
+    log = PushLog.read_csv(out / "pushes.csv")
+    check_recorded_again(gridpush, out, tmp_path / "recorded.csv", log, "rectangle:0.8x1.2@0.6,-0.45")
 
 
 def check_same_offline(gridpush, out, tmp_path):

@@ -40,6 +40,12 @@ def test_prints_one_json_document(gridpush, model, pushes, tmp_path):
     assert [error["name"].split(",")[0] for error in document["errors"]] == ["position", "angle", "cell", "combined"]
     assert all(error["pushes"] == 5 for error in document["errors"])
     assert [error["unit"] for error in document["errors"]] == ["mm", "deg", "mm", "mm"]
+    spread = document["spread_by_push"]
+    assert [push["push"] for push in spread] == [push["push"] for push in document["errors_by_push"]]
+    pairs = zip(spread, document["errors_by_push"], strict=True)
+    within = sum(expected["cell_90_mm"] >= error["cell_mm"] for expected, error in pairs)
+    assert document["within_interval"] == [within, 5]
+    assert all(push[key] > 0 for push in spread for key in ("x_std_mm", "y_std_mm", "theta_std_deg"))
 
 
 def test_errors_of_each_push_and_their_summary_say_their_units(gridpush, model, pushes, tmp_path):

@@ -7,10 +7,12 @@ import pytest
 
 from gridpush_drake.geometry.se2 import rotate
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model_file import read_model, write_model
 from gridpush_drake.identification.outliers import find_jumps, remove_outliers
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.report.page import make_report
 from tests.helpers.shapes import make_shape
 from tests.identification.simulated_pokes import make_pokes
 
@@ -127,3 +129,20 @@ def test_a_log_in_which_most_poses_jump_is_left_to_be_judged_as_a_whole() -> Non
     obj, _, log = make_case()
     far = replace(log, pushes=tuple(replace(s, poses_observed=s.poses_observed * [1e3, 1e3, 1.0]) for s in log))
     assert all(mask.all() for mask in find_jumps(obj, far))
+
+
+def test_what_was_refused_is_in_words_in_the_file_and_in_the_report(tmp_path) -> None:
+    obj, _, log = make_case()
+    bad, spoiled = spoil(obj, log[:3], "flip")
+    found = identify(obj, bad)
+    write_model(tmp_path / "model.yaml", found)
+    assert read_model(tmp_path / "model.yaml").outliers == found.outliers
+    page = make_report(found, bad)
+    for outlier in found.outliers:
+        (pose,) = spoiled[outlier.push]
+        assert outlier.describe() == (
+            f"push {outlier.push}: 1 of 6 poses jump or disagree with the rest (number {pose + 1}), refused"
+        )
+        assert outlier.describe() in page
+    whole = replace(found.outliers[0], poses=(), whole=True)
+    assert "refused, as no motion of this object" in whole.describe() and whole.share == 1.0

@@ -154,6 +154,8 @@ def test_drakes_camera_config(tmp_path):
         (DRAKE.replace("{y: 60}", "{y: 200}"), "focal.y is 200.0; expected degrees"),
         (DRAKE.replace("!Rpy", "!Uniform"), "X_PB.rotation is"),
         (DRAKE + "  base_frame: gripper", "base_frame is world"),
+        (ROS.replace("[600", "[1" + "0" * 320), "a number is too large"),
+        (DRAKE.replace("width: 800", "width: 1" + "0" * 320), "a number is too large"),
         ("- 1", "expected a camera file"),
     ],
 )

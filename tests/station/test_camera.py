@@ -5,14 +5,14 @@ import pytest
 import shapely
 from scipy import ndimage
 
-from gridpush_drake.errors import ScenarioError
+from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.multibody.ground_truth import resample_parameters, sample_ground_truth
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
 from gridpush_drake.pushes.stream import record_pushes
 from gridpush_drake.station import camera as station_camera
-from gridpush_drake.station.camera import calc_pose_age, make_camera
+from gridpush_drake.station.camera import calc_pose_age, check_renderer, make_camera
 from gridpush_drake.station.identify_task import FINISHED, IdentifyTask
 from gridpush_drake.station.push_station import LoadPushedObject, TakePhotograph
 from gridpush_drake.station.scenario import CameraConfig, PushScenario, RgbdConfig, read_scenario
@@ -26,7 +26,16 @@ def make_scenario(name="claw_hammer"):
 
 
 @pytest.fixture(scope="module")
-def photograph():
+def renderer():
+    """Skips where nothing can be rendered."""
+    try:
+        check_renderer()
+    except StationError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture(scope="module")
+def photograph(renderer):
     """The hammer, found; and the labels as they were rendered."""
     taken = []
     take = station_camera._take_photograph
@@ -82,7 +91,7 @@ def test_depth_has_holes_along_the_object_s_edge(photograph):
     assert (depth[edge] == 0).mean() > 0.3
 
 
-def test_what_is_out_of_view_is_said(monkeypatch):
+def test_what_is_out_of_view_is_said(renderer):
     scenario = make_scenario()
     scenario.camera.rgbd.target = [0.6, -1.5, 0.0]
     with pytest.raises(ScenarioError, match="camera: no object"):
@@ -92,7 +101,7 @@ def test_what_is_out_of_view_is_said(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_push_is_tracked_and_learned_from_by_the_camera_alone():
+def test_a_push_is_tracked_and_learned_from_by_the_camera_alone(renderer):
     """The poses are the true ones to a millimeter, within what the tracker states; so is the log's last one."""
     scenario = PushScenario(object="open_book")
     scenario.camera.kind, scenario.camera.rate = "rgbd", 10.0
@@ -113,6 +122,16 @@ def test_a_push_is_tracked_and_learned_from_by_the_camera_alone():
         RecordOptions(pose_delay=0.1),
     ).log  # fmt: skip
     np.testing.assert_array_equal(again[0].poses_observed, record.log[0].poses_observed)
+
+
+def test_where_nothing_can_be_rendered_it_says_what_is_missing(monkeypatch):
+    def refuse(name):
+        raise OSError
+
+    monkeypatch.setattr(station_camera.ctypes, "CDLL", refuse)
+    scenario = make_scenario()
+    with pytest.raises(StationError, match="libegl1"):
+        TakePhotograph(scenario, LoadPushedObject(scenario))
 
 
 @pytest.mark.parametrize(("latency", "age"), [(0.0, 0.1), (0.05, 0.1), (0.1, 0.1), (0.25, 0.3)])

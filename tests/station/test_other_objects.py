@@ -12,10 +12,10 @@ from gridpush_drake.station.identify_task import IdentifyTask
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.others import place_others
 from gridpush_drake.station.pregrasp_task import PreGraspTask
-from gridpush_drake.station.push_station import MakeFingerRegion
+from gridpush_drake.station.push_station import MakeFingerRegion, make_surface
 from gridpush_drake.station.push_task import PushTask, make_rules
 from gridpush_drake.station.scene import check_scenario
-from gridpush_drake.station.task import TaskStatus, make_surface
+from gridpush_drake.station.task import TaskStatus
 
 SCENARIO = """
 object: open_book
@@ -109,7 +109,7 @@ def test_one_that_is_pushed_moves_and_is_learned_and_the_others_stay(scene, stat
 def test_pushes_keep_clear_of_where_they_lie(station):
     region, outlines = MakeFingerRegion(station), place_others(station.others)
     assert region.distance(shapely.union_all(outlines)) > 0.99 * station.robot.finger.tip_radius
-    rules = make_rules(station, make_surface(station))
+    rules = make_rules(station, make_surface(station.table_top))
     checker = rules.constraints.start_at(station.obj, np.array([0.6, 0.0, 0.0]), rules.contact.radius)
     assert checker.allows_poses(np.array([[0.6, 0.0, 0.0], [0.6, 0.2, 0.0]])).tolist() == [True, False]
 

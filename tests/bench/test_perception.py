@@ -1,0 +1,54 @@
+"""The rendered benches on one object: outline and pose as good as the tables say, and errors to act on."""
+
+import numpy as np
+import pytest
+
+from gridpush_drake.bench.perception import (
+    OutlineJob,
+    OutlineScore,
+    PhotoScore,
+    TrackJob,
+    TrackScore,
+    find_photographs,
+    run_outline,
+    run_track,
+    tabulate_outlines,
+    tabulate_photos,
+    tabulate_tracks,
+)
+from gridpush_drake.errors import GridPushError
+
+
+@pytest.mark.slow
+def test_a_rendered_object_is_found():
+    score = run_outline(OutlineJob("spray_bottle", 2, 1))
+    assert max(score.errors) < 1e-3
+    assert np.abs(score.areas).max() < 0.02
+    assert np.abs(score.heights).max() < 1e-3
+
+
+@pytest.mark.slow
+def test_a_rendered_push_is_tracked_past_the_arm():
+    score = run_track(TrackJob("claw_hammer", 1, 0))
+    errors = np.array(score.errors)
+    assert score.lost == 0
+    assert len(errors) == score.frames
+    assert np.sqrt((errors[:, :2] ** 2).sum(axis=1).mean()) < 1e-3
+    assert np.sqrt((errors[:, 2] ** 2).mean()) < np.radians(0.5)
+
+
+def test_tables():
+    photos = tabulate_photos([PhotoScore("a", (0.9, 0.8, 0.7)), PhotoScore("b", (1.0, 0.6, 0.5))])
+    assert photos.rows[-1][1:] == pytest.approx((0.95, 0.7, 0.6))
+    outlines = tabulate_outlines([OutlineScore("a", [1e-3, float("nan"), 3e-3], [0.01, -0.02], [1e-3, 0.0])])
+    assert outlines.rows[0] == pytest.approx(("a", 3, 1, 2.0, 3.0, -0.5, 2.0, 1.0))
+    sure, errors = (1e-3, 1e-3, 1e-2), [(1e-3, 0.0, 0.0), (-1e-3, 0.0, 0.03)]
+    (row, _) = tabulate_tracks([TrackScore("a", 5, 1, errors, [sure, sure])]).rows
+    assert row[:4] == ("a", 5, 1, 2)
+    assert row[4:] == pytest.approx((1.0, np.degrees(0.03 / np.sqrt(2)), 100 * 5 / 6))
+
+
+def test_a_folder_without_photographs_is_named(tmp_path):
+    (tmp_path / "a_label.pgm").write_bytes(b"P5 1 1 255\n\x01")
+    with pytest.raises(GridPushError, match="holds no NAME_color"):
+        find_photographs(tmp_path)

@@ -1,0 +1,213 @@
+"""`gridpush object`, `calibrate` and `track`, from image files to an object file and a push log."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from shapely import Polygon
+
+from gridpush_drake.geometry.se2 import compose, transform
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import read_object_file
+from gridpush_drake.perception import Camera, TagBoard
+from gridpush_drake.pushes.push_log import PushLog
+from tests.helpers.command_line import run_gridpush
+from tests.helpers.pictures import calc_outline_error, make_camera, paint, paint_tag
+
+L_SHAPE = np.array([[0, 0], [0.14, 0], [0.14, 0.04], [0.05, 0.04], [0.05, 0.12], [0, 0.12]]) - [0.05, 0.04]
+POSE, HEIGHT, BROWN = np.array([0.02, 0.01, 0.3]), 0.03, (150, 120, 80)
+TAG_SIZE = 0.03
+RADIUS = 0.005
+
+
+@pytest.fixture
+def folder(tmp_path):
+    make_camera().write(tmp_path / "camera.yaml")
+    frame = paint(make_camera(), [(L_SHAPE, POSE, HEIGHT, BROWN)])
+    save(tmp_path / "photo.png", frame.color)
+    cv2.imwrite(str(tmp_path / "depth.png"), (1000 * frame.depth).round().astype(np.uint16))
+    return tmp_path
+
+
+def save(path, color):
+    cv2.imwrite(str(path), color[..., ::-1])
+
+
+def square(pose, size, z):
+    half = size / 2
+    flat = transform(pose, np.array([[-half, half], [half, half], [half, -half], [-half, -half]]))
+    return np.column_stack([flat, np.full(4, z)])
+
+
+def test_object_from_a_photograph(capsys, folder):
+    out = folder / "object.yaml"
+    arguments = ("--depth", folder / "depth.png", "--camera", folder / "camera.yaml", "--out", out)
+    done = run_gridpush(capsys, "object", folder / "photo.png", *arguments, "--picture", folder / "seen.png", "--json")
+    assert done.code == 0, done.err
+    told = json.loads(done.out)
+    obj, seen = GridObject.from_yaml(out), read_object_file(out).seen
+    assert abs(obj.height - HEIGHT) < 0.0015
+    assert obj.n == told["cells"]
+    assert calc_outline_error(Polygon(transform(seen.pose, obj.outline.exterior.coords[:])), Polygon(
+        transform(POSE, L_SHAPE))) < 6e-4  # fmt: skip
+    np.testing.assert_allclose(make_camera().project([*seen.pose[:2], 0.0]), seen.pixel)
+    assert cv2.imread(str(folder / "seen.png")).shape == (480, 640, 3)
+    again = run_gridpush(capsys, "object", folder / "photo.png", *arguments)
+    assert again.code == 2
+    assert "exists already" in again.err
+
+
+def test_a_tag_on_the_object_is_aligned_once_and_then_tells_its_pose(capsys, folder):
+    t, tips, poses = make_push()
+    X_BT = np.array([-0.02, 0.02, 0.4])
+    (folder / "video").mkdir()
+    for k, pose in enumerate(poses):
+        color = paint(make_camera(), [(L_SHAPE, pose, HEIGHT, BROWN)], seed=k, depth=False).color
+        color = paint_tag(color, make_camera(), 4, square(compose(pose, X_BT), TAG_SIZE, HEIGHT), k)
+        save(folder / "video" / f"{k:03d}.png", color)
+    lines = "".join(f"{k:03d},{time}\n" for k, time in enumerate(t))
+    (folder / "video" / "times.csv").write_text("name,t\n" + lines)
+    tip_lines = "".join(f"{time},{x},{y}\n" for time, (x, y) in zip(t, tips, strict=True))
+    (folder / "tip.csv").write_text("t,tip_x,tip_y\n" + tip_lines)
+    camera = ("--camera", folder / "camera.yaml")
+    size = ("--height", HEIGHT, "--tag-size", TAG_SIZE)
+    done = run_gridpush(
+        capsys, "object", folder / "video" / "000.png", *camera, "--out", folder / "o.yaml", "--tag", 4, *size
+    )
+    assert done.code == 0, done.err
+    seen = read_object_file(folder / "o.yaml").seen
+    assert seen.tag.id == 4
+    tracked = ("track", folder / "video", *camera, "--object", folder / "o.yaml", "--tip", folder / "tip.csv")
+    done = run_gridpush(capsys, *tracked, "--by", "tag", "--out", folder / "pushes.csv")
+    assert done.code == 0, done.err
+    (push,) = PushLog.read_csv(folder / "pushes.csv")
+    np.testing.assert_allclose(push.pose, seen.pose, atol=3e-4)
+    moved = push.final_pose - push.pose
+    assert np.hypot(*(moved - (poses[-1] - poses[0]))[:2]) < 3e-4
+    assert abs(moved[2]) < np.radians(0.3)
+    absent = run_gridpush(
+        capsys, "object", folder / "photo.png", *camera, "--out", folder / "p.yaml", "--tag", 5, *size
+    )
+    assert absent.code == 2
+    assert "tag 5 is not in view; there are: none" in absent.err
+
+
+def test_object_says_what_is_wrong_and_shows_it(capsys, folder):
+    save(folder / "empty.png", paint(make_camera(), []).color)
+    save(folder / "cut.png", paint(make_camera(), [(L_SHAPE, (0.36, 0, 0), HEIGHT, BROWN)]).color)
+    save(folder / "small.png", np.zeros((100, 100, 3), np.uint8))
+    Camera(640, 480, make_camera().K, []).write(folder / "unplaced.yaml")
+    cases = [
+        (("empty.png", "camera.yaml"), "no object is in view"),
+        (("cut.png", "camera.yaml"), "the object touches the picture's border"),
+        (("small.png", "camera.yaml"), "has 100x100 pixels; expected 640x480"),
+        (("photo.png", "unplaced.yaml"), "X_WC is not known and there is no depth image"),
+        (("absent.png", "camera.yaml"), "cannot be read"),
+        (("photo.png", "photo.png"), "is not UTF-8 text"),
+    ]
+    for (photo, camera), message in cases:
+        done = run_gridpush(
+            capsys, "object", folder / photo, "--camera", folder / camera, "--out", folder / "o.yaml", "--picture",
+            folder / f"{photo}_seen.png",
+        )  # fmt: skip
+        assert done.code == 2
+        assert message in done.err
+        assert photo in done.err or camera in done.err
+        assert not (folder / "o.yaml").exists()
+    assert (folder / "cut.png_seen.png").exists()
+
+
+def test_calibrate_prints_a_board_and_finds_the_camera(capsys, tmp_path):
+    board, true = TagBoard(3, 4, 0.04, 0.012), make_camera(distance=0.55, rpy=(176, 3, 20))
+    done = run_gridpush(capsys, "calibrate", "--print", tmp_path / "board.pdf", "--board", "3x4:0.04")
+    assert done.code == 0, done.err
+    assert (tmp_path / "board.pdf").read_bytes().startswith(b"%PDF")
+    color = paint(true, [], depth=False).color
+    for number, corners in board.corners.items():
+        color = paint_tag(color, true, number, corners)
+    save(tmp_path / "photo.png", color)
+    Camera(640, 480, true.K, []).write(tmp_path / "plain.yaml")
+    arguments = ("--camera", tmp_path / "plain.yaml", "--out", tmp_path / "camera.yaml")
+    done = run_gridpush(capsys, "calibrate", tmp_path / "photo.png", "--board", "3x4:0.04", *arguments)
+    assert done.code == 0, done.err
+    np.testing.assert_allclose(Camera.read(tmp_path / "camera.yaml").center, true.center, atol=2e-3)
+    for extra, message in [
+        ((tmp_path / "photo.png", "--board", "3by4"), "--board: is '3by4'; expected COLUMNSxROWS:SIZE"),
+        ((tmp_path / "photo.png", "--board", "2x2:0.04:0.01:300"), "0 of the board's tags (300 to 303) are in view"),
+        ((), "expected a photograph, or --print"),
+    ]:
+        done = run_gridpush(capsys, "calibrate", *extra, *arguments, "--force")
+        assert done.code == 2
+        assert message in done.err
+
+
+def make_push(count=18):
+    """Times, tips and poses: the tip rests, pushes along x for 40 mm, and rests."""
+    t = np.arange(count) * 0.2
+    moved = np.clip((np.arange(count) - 4) / 7, 0, 1) * 0.04
+    poses = POSE + np.column_stack([moved, 0 * moved, 0 * moved])
+    x = transform(POSE, L_SHAPE)[:, 0].min() - RADIUS - 0.001
+    tips = np.column_stack([x + moved, np.full(count, transform(POSE, [L_SHAPE[5]])[0, 1]) - 0.02])
+    return t, tips, poses
+
+
+def write_video(folder, with_tags):
+    (folder / "video").mkdir()
+    t, tips, poses = make_push()
+    for k in range(len(t)):
+        color = paint(make_camera(), [(L_SHAPE, poses[k], HEIGHT, BROWN)], seed=k, depth=False).color
+        if with_tags:
+            color = paint_tag(color, make_camera(), 9, square([*tips[k] - [0.06, 0], 0], TAG_SIZE, 0.04), k)
+        save(folder / "video" / f"{k:03d}.png", color)
+    lines = "".join(f"{k:03d},{time}\n" for k, time in enumerate(t))
+    (folder / "video" / "times.csv").write_text("name,t\n" + lines)
+    tip_lines = "".join(f"{time},{x},{y}\n" for time, (x, y) in zip(t, tips, strict=True))
+    (folder / "tip.csv").write_text("t,tip_x,tip_y\n" + tip_lines)
+    obj = GridObject.from_outline(L_SHAPE, max_cells=40, name="l_shape")
+    GridObject("l_shape", *obj.grid, obj.prior, HEIGHT).write_yaml(folder / "object.yaml")
+    return t, tips, poses
+
+
+@pytest.mark.parametrize("with_tags", [False, True], ids=["csv", "tag"])
+def test_track_writes_the_pushes_of_a_folder_of_images(capsys, folder, with_tags):
+    _, tips, poses = write_video(folder, with_tags)
+    by_tag = ("tag:9", "--tip-offset", "0.06,0,-0.035", "--tag-size", TAG_SIZE, "--tag-height", 0.04)
+    tip = by_tag if with_tags else (folder / "tip.csv",)
+    done = run_gridpush(
+        capsys, "track", folder / "video", "--camera", folder / "camera.yaml", "--object", folder / "object.yaml",
+        "--tip", *tip, "--out", folder / "pushes.csv", "--picture", folder / "seen.png", "--json",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    told = json.loads(done.out)
+    assert (told["pushes"], told["lost"]) == (1, 0)
+    (push,) = PushLog.read_csv(folder / "pushes.csv")
+    np.testing.assert_allclose(push.pose, poses[0], atol=1e-3)
+    np.testing.assert_allclose(push.final_pose, poses[-1], atol=1e-3)
+    np.testing.assert_allclose(push.push.xy[[0, -1]], tips[[0, -1]], atol=6e-4)
+    assert cv2.imread(str(folder / "seen.png")).shape == (480, 640, 3)
+
+
+def test_track_says_what_is_wrong(capsys, folder):
+    write_video(folder, with_tags=False)
+    (folder / "late.csv").write_text("t,tip_x,tip_y\n100,0,0\n101,0,0\n")
+    (folder / "odd.csv").write_text("t,tip_x,tip_y\n1,0\n2,0,0\n")
+    (folder / "nothing").mkdir()
+    (folder / "text.mp4").write_text("no video")
+    for video, tip, message in [
+        ("video", "late.csv", "expected clocks that overlap"),
+        ("video", "odd.csv", "line 2: is '1,0'"),
+        ("video", "tag:5", "tag 5 is in no frame; there are: none"),
+        ("video", "tag:x", "expected TIP.csv, or tag:ID"),
+        ("nothing", "tip.csv", "holds no images"),
+        ("text.mp4", "tip.csv", "no frame can be read"),
+        ("absent.mp4", "tip.csv", "no such file"),
+    ]:
+        named = tip if tip.startswith("tag:") else folder / tip
+        done = run_gridpush(
+            capsys, "track", folder / video, "--camera", folder / "camera.yaml", "--object", folder / "object.yaml",
+            "--tip", named, "--out", folder / "pushes.csv",
+        )  # fmt: skip
+        assert done.code == 2, video
+        assert message in done.err
+        assert not (folder / "pushes.csv").exists()
