@@ -122,10 +122,15 @@ class MujocoWorld(EdgeWorld):
         motion = self._truth.push(push)
         self._truth.wait(REST_TIME)
         poses = np.column_stack([np.interp(times, motion.times, column) for column in motion.poses.T])
-        poses[-1] = self._truth.read_pose()
+        fell = bool(self._truth.read_tilt() >= FALLEN)
+        if (motion.tilt >= FALLEN).any():
+            fallen = motion.times[np.argmax(motion.tilt >= FALLEN)]
+            fell, poses = True, poses[: max(int(np.searchsorted(times, fallen)), 1)]
+        elif not fell:
+            poses[-1] = self._truth.read_pose()
         poses[:, 2] = np.unwrap(np.append(self.true_pose[2], poses[:, 2]))[1:]
         self._on_table = bool(find_supported(self.obj, poses, self.surface).all())
-        return poses, max(float(motion.tilt.max()), self._truth.read_tilt()) >= float(FALLEN)
+        return poses, fell
 
     def hangs_safely(self) -> bool:
         """Whether the object, as it lies, stays on the table."""

@@ -16,15 +16,14 @@ from gridpush_drake.bench.paper import calc_interval
 from gridpush_drake.bench.table import Table, Value
 from gridpush_drake.bench.truth_overhang import OVERHANG, TIPPED_BODIES
 from gridpush_drake.bench.truth_sets import KINDS, OUTLINES, TRAINING, TruthSet, make_set, read_set, write_set
-from gridpush_drake.dynamics.simulation import Regime, simulate_batch
+from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
-from gridpush_drake.identification.prediction import predict
+from gridpush_drake.identification.prediction import INTERVAL, predict, predict_spread
 from gridpush_drake.identification.result import Identification, calc_center_of_mass
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.push_log import PushLog
 
 SETS, QUICK_SETS = 3, 1
 """Seeds of each outline."""
@@ -39,12 +38,6 @@ and what was learned."""
 
 CHI_SQUARE = 5.991
 """What 95 % of chi squares of two degrees of freedom stay below."""
-
-DRAWS = 40
-"""From the posterior, for the spread of predicted poses."""
-
-PREDICTED_SHARE = 0.9
-"""Of the draws' final poses, within the predicted distance."""
 
 MIN_LOAD = 1e-6
 """N of a cell that bears nothing: a mass must be positive."""
@@ -180,7 +173,7 @@ def _score(
     if found is None:
         return TruthScore(*key)
     chi_square, radius = calc_center_region(found, made.center_of_mass)
-    within = errors <= calc_predicted_distances(found, made.held_out, poses)
+    within = errors <= [spread.cell_error for spread in predict_spread(found, made.held_out)]
     return TruthScore(*key, chi_square <= CHI_SQUARE, float(within.mean()), radius)
 
 
@@ -205,30 +198,6 @@ def calc_center_region(found: Identification, center: Array) -> tuple[float, flo
     return float(off @ np.linalg.solve(covariance, off)), float(radius)
 
 
-def calc_predicted_distances(found: Identification, log: PushLog, poses: Array, seed: int = 0) -> Array:
-    """How far from its prediction each push's final pose is held to end, with PREDICTED_SHARE probability.
-
-    Parameters are drawn from the posterior, and what the model leaves unexplained is added to each draw's pose.
-
-    Args:
-        found: the identification.
-        log: the L pushes.
-        poses: (L, 3) final poses that its estimate predicts, m and rad.
-        seed: of the draws.
-
-    Returns:
-        (L,) mean distances of the cells, m.
-    """
-    drawn, rng = found.samples(DRAWS, seed), np.random.default_rng([seed, 1])
-    distances = []
-    for seen, pose in zip(log, poses, strict=True):
-        motions = simulate_batch(found.obj, drawn, seen.push, seen.pose, regime=found.regime, workers=1)
-        ends = np.array([motion.final_pose for motion in motions])
-        ends[:, :2] += found.noise_std * rng.standard_normal((DRAWS, 2))
-        distances.append(np.quantile(calc_distances(found.obj, ends, pose), PREDICTED_SHARE))
-    return np.array(distances)
-
-
 def tabulate(scores: Sequence[TruthScore]) -> Table:
     """Sums up scores by kind and model."""
     rows: list[list[Value]] = []
@@ -242,7 +211,7 @@ def tabulate(scores: Sequence[TruthScore]) -> Table:
         "True masses, true loads: what the model does when it is given each cell's mass, or its load at rest, N/g.",
         "Center: mean distance from the true center of mass; within: bodies whose center is in the 95 % region;",
         "region: median radius of a circle as large as that region.",
-        f"Held-out within: pushes that end as near to the prediction as is said of {PREDICTED_SHARE:.0%} of them.",
+        f"Held-out within: pushes that end as near to the prediction as is said of {INTERVAL:.0%} of them.",
     )
     columns = (
         "truth", "model", "bodies", "held-out, mm", "from", "to", "center, mm", "within, %", "region, mm",
