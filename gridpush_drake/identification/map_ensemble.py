@@ -29,6 +29,9 @@ Array = NDArray[np.float64]
 WEAKNESS = 0.75
 """Power of 1/a that an amplitude a weighs beforehand: few noisy pushes are not to talk the model out of uniformity."""
 
+SHARED_SHIFT = 0.3
+"""Of the load's shift from push to push, how much all pushes may share, so that no number of them averages it out."""
+
 FITTING = "fitting"
 """Word for the only stage of a fit."""
 
@@ -116,11 +119,12 @@ class MapEnsemble:
         z = weights @ np.array([fit.z for fit in fits])
         best = int(np.argmax(weights))
         noise = self.noise.scaled(NoiseScale(*(weights @ np.array([fit.scale for fit in fits])).tolist()))
+        shared = SHARED_SHIFT * noise.load_shift
         # Leaning on weak variation predicts better; it is no knowledge, and must not make the estimate look surer.
         spread = [fit.covariance + np.outer(fit.z - z, fit.z - z) for fit in fits]
         return MapEnsembleFit(
             z,
-            np.einsum("a,aij->ij", plausible, np.array(spread)),
+            np.einsum("a,aij->ij", plausible, np.array(spread)) + problem.calc_tilt_covariance(shared),
             np.einsum("a,aij->ij", plausible, np.array([A @ A.T for A in factors])),
             noise.pose,
             noise.load_shift,
