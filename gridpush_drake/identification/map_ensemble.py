@@ -2,7 +2,7 @@
 
 For each amplitude of the smoothness prior, weakest variation first, z is fitted by Gauss-Newton (`map_fit`), each fit
 starting where the last one ended: coarse to fine. The fits are averaged, z = sum_a w_a z_a, by their evidence and a
-prior weight a^-1/2 (`docs/theory/identification.md`, section 5).
+prior weight a^-3/4 (`docs/theory/identification.md`, section 5).
 """
 
 from collections.abc import Callable
@@ -25,6 +25,12 @@ from gridpush_drake.identification.result import FitStart, HistoryEntry, Identif
 from gridpush_drake.objects.grid_object import GridObject
 
 Array = NDArray[np.float64]
+
+WEAKNESS = 0.75
+"""Power of 1/a that an amplitude a weighs beforehand: few noisy pushes are not to talk the model out of uniformity."""
+
+SHARED_SHIFT = 0.3
+"""Of the load's shift from push to push, how much all pushes may share, so that no number of them averages it out."""
 
 FITTING = "fitting"
 """Word for the only stage of a fit."""
@@ -108,16 +114,17 @@ class MapEnsemble:
                 )
             )  # fmt: skip
         plausible = _calc_weights(fits)
-        weights = plausible / np.sqrt(self.amplitudes)
+        weights = plausible * np.power(self.amplitudes, -WEAKNESS)
         weights /= weights.sum()
         z = weights @ np.array([fit.z for fit in fits])
         best = int(np.argmax(weights))
         noise = self.noise.scaled(NoiseScale(*(weights @ np.array([fit.scale for fit in fits])).tolist()))
+        shared = SHARED_SHIFT * noise.load_shift
         # Leaning on weak variation predicts better; it is no knowledge, and must not make the estimate look surer.
         spread = [fit.covariance + np.outer(fit.z - z, fit.z - z) for fit in fits]
         return MapEnsembleFit(
             z,
-            np.einsum("a,aij->ij", plausible, np.array(spread)),
+            np.einsum("a,aij->ij", plausible, np.array(spread)) + problem.calc_tilt_covariance(shared),
             np.einsum("a,aij->ij", plausible, np.array([A @ A.T for A in factors])),
             noise.pose,
             noise.load_shift,

@@ -22,7 +22,7 @@ from gridpush_drake.dynamics.motion import Motion, MotionStatus
 from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.geometry.se2 import rotate, transform, wrap_angle
-from gridpush_drake.identification.posterior import CELLS, CONTACT_FRICTION
+from gridpush_drake.identification.posterior import CELLS, CONTACT_FRICTION, GLOBALS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
@@ -130,6 +130,12 @@ class PushProblem:
         """The cells' parameters at z (n+1,)."""
         mass, contact_friction = np.exp(z[CELLS]) / self.friction, float(np.exp(z[CONTACT_FRICTION]))
         return CellParameters(mass, self.friction, contact_friction, self.obj.prior.push_height or 0.0)
+
+    def calc_tilt_covariance(self, std: float) -> Array:
+        """(n+1, n+1) of z where the load's center is off by `std` per axis, m, all loads tilted along it."""
+        tilts = np.zeros((self.obj.n + len(GLOBALS), 2))
+        tilts[CELLS] = std * self._tilts
+        return np.asarray(tilts @ tilts.T)
 
     def unknowns(self, params: CellParameters) -> Array:
         """The unknowns z (n+1,) of some parameters."""

@@ -56,6 +56,9 @@ SPREAD_MAP = "BuPu"
 SHARE_MAP = "YlGnBu"
 """Color map of what was learned, 0 to 1."""
 
+FAINTEST = 0.25
+"""Opacity of a cell of which nothing was learned."""
+
 GRAM = 1e3
 """Grams in a kilogram."""
 
@@ -185,36 +188,38 @@ def _draw_arrow(ax: Axes, path: Array, color: str, label: str | None) -> None:
 
 
 def draw_learned_maps(result: Identification, truth: CellParameters | None = None) -> Figure:
-    """Draws relative support friction and mass beside their standard deviations, and beside the truth if known.
+    """Draws the load and the mass that would go with it beside their standard deviations, and the truth if known.
 
-    Relative friction is in units of the even share, so 1 everywhere where the object's friction is uniform.
+    The load is a cell's share of the support's friction in units of the even share, so 1 everywhere where it is even.
+    What was learned is drawn full, what is the prior's faint.
 
     Args:
         result: the model.
         truth: what the object's cells really are.
 
     Returns:
-        The figure: a row for friction and one for mass.
+        The figure: a row for the load and one for mass.
     """
     obj, known = result.obj, result.identifiability
     friction = known.relative_friction * obj.n
     rows = [
         (
-            "relative friction", friction, known.relative_friction_std * obj.n,
+            "load", friction, known.relative_friction_std * obj.n,
             None if truth is None else truth.relative_friction() * obj.n, "× even share",
         ),
         (
-            "mass", result.params.mass * GRAM, result.std.mass * GRAM,
+            "mass, if friction is even", result.params.mass * GRAM, result.std.mass * GRAM,
             None if truth is None else truth.mass * (result.params.total_mass / truth.total_mass) * GRAM, "g a cell",
         ),
     ]  # fmt: skip
+    shown = FAINTEST + (1 - FAINTEST) * known.learned_share
     figure, axes = make_panels(obj, len(rows), 2 if truth is None else 3)
     for ax_row, (name, estimate, spread, true, unit) in zip(axes, rows, strict=True):
         limits = _limits(estimate, true)
         columns = list(ax_row)
         if true is not None:
             _draw_map(columns.pop(0), obj, true, f"{name}: truth", unit, limits)
-        _draw_map(columns[0], obj, estimate, f"{name}: learned", unit, limits)
+        _draw_map(columns[0], obj, estimate, f"{name}: learned", unit, limits, alpha=shown)
         _draw_map(columns[1], obj, spread, "standard deviation", unit, _limits(spread, zero=True), SPREAD_MAP)
     add_scale_bar(axes[-1, 0], obj)
     return figure
@@ -246,11 +251,14 @@ def _draw_map(
     unit: str,
     limits: tuple[float, float],
     cmap: str = CELL_MAP,
+    alpha: Array | None = None,
 ) -> None:
     cells = draw_cells(ax, obj, values, limits=limits, cmap=cmap)
     hide_axes(ax, f"{title}, {unit}")
     frame_object(ax, obj)
     add_color_bar(ax, cells, "")
+    if alpha is not None:
+        cells.set_alpha(alpha)  # type: ignore[arg-type]  # one a cell will do
 
 
 def _limits(values: Array, others: Array | None = None, zero: bool = False) -> tuple[float, float]:
