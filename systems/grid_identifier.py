@@ -17,6 +17,7 @@ from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification.learning import METHODS, REGIMES, describe_prior, identify
 from gridpush_drake.identification.map_ensemble import MapEnsemble
+from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import HistoryEntry, Identification, calc_center_of_mass
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
@@ -282,7 +283,8 @@ def _make_estimate(found: Identification, log: PushLog | None) -> Estimate:
     """Calculates what the ports show; `log` holds the pushes offered, None before any."""
     loss = np.nan
     if log is not None and found.push_names:
-        used = log.subset([i for i, seen in enumerate(log) if seen.name in found.push_names])
+        used = remove_outliers(log, found.outliers)
+        used = used.subset([i for i, seen in enumerate(used) if seen.name in found.push_names])
         problem = PushProblem(found.obj, used, found.params.friction, found.regime)
         residuals = problem.residuals(problem.unknowns(found.params))
         loss = float(problem.calc_cell_errors(residuals).mean())
