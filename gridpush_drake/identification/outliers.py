@@ -108,14 +108,11 @@ class Screening:
 
     @classmethod
     def of_jumps(cls, obj: GridObject, log: PushLog) -> "Screening":
-        """Refuses the poses that `find_jumps` finds, and the pushes of which no two are left."""
-        masks = find_jumps(obj, log)
+        """Refuses the poses that `find_jumps` finds; not in a push of which no two would be left."""
+        masks = [mask if mask.sum() > 1 else np.ones_like(mask) for mask in find_jumps(obj, log)]
         chosen = select_poses(log, masks)
-        if not len(chosen):
-            masks, chosen = [np.ones_like(mask) for mask in masks], log
         kept = {seen.name: np.flatnonzero(mask) for seen, mask in zip(log, masks, strict=True)}
-        refused = frozenset(kept) - {seen.name for seen in chosen}
-        return cls(chosen, kept, {seen.name: len(seen.t_observed) + 1 for seen in log}, refused)
+        return cls(chosen, kept, {seen.name: len(seen.t_observed) + 1 for seen in log})
 
     def keep(self, log: PushLog) -> "Screening":
         """The same with some of its pushes."""

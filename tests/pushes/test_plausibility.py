@@ -96,17 +96,32 @@ def test_units_of_real_logs_are_told_apart(name):
 def test_a_pose_that_no_push_leads_to_is_refused_to_learn_from():
     obj = make_block()
     log = simulated(obj, 3)
-    for pose, says in (
-        ([9.9, 0, 0], r"push 'push_2', column object_x: the object moves 9\.\d+ m by t = .* in a push of 0\.0\d+ m"),
-        ([0, -30.0, 0], "push 'push_2', column object_y: the object moves"),
-        (log[1].poses_observed[-1] + [0, 0, 6.0], "push 'push_2', column object_theta: the object turns"),
+    last = len(log[1].t_observed)
+    for pose, says, jumps_back in (
+        (
+            [9.9, 0, 0],
+            r"push 'push_2', column object_x: the object moves 9\.\d+ m by t = .* in a push of 0\.0\d+ m",
+            True,
+        ),
+        ([0, -30.0, 0], "push 'push_2', column object_y: the object moves", True),
+        (log[1].poses_observed[-1] + [0, 0, 6.0], "push 'push_2', column object_theta: the object turns", False),
     ):
-        jumps = changed(log, 1, pose)
-        with pytest.raises(PushLogError, match=says):
-            identify(obj, jumps)
+        wrong = changed(log, 1, pose)
         with pytest.warns(PushLogWarning, match=says):
-            found = predict(obj, CellParameters.uniform(obj), jumps)
+            found = predict(obj, CellParameters.uniform(obj), wrong)
         assert len(found) == 3
+        if jumps_back:  # a tracker's jump among good poses: that pose is left out, and named
+            learned = identify(obj, wrong)
+            assert [(out.push, out.poses, out.whole) for out in learned.outliers] == [("push_2", (last,), False)]
+            wrong = PushLog(
+                tuple(
+                    replace(seen, t_observed=seen.t_observed[-1:], poses_observed=seen.poses_observed[-1:])
+                    for seen in wrong
+                ),
+                "log.csv",
+            )
+        with pytest.raises(PushLogError, match=says):
+            identify(obj, wrong)
 
 
 def test_fast_pushers_are_refused():
