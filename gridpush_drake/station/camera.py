@@ -40,7 +40,7 @@ from gridpush_drake.multibody.grid_object import GridObjectInPlant
 from gridpush_drake.multibody.ground_truth import SetGridObjectPose
 from gridpush_drake.multibody.meshcat_shapes import make_outline_mesh
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.perception.camera import Camera
+from gridpush_drake.perception.camera import DRAKE_PIXEL_MIDDLE, Camera
 from gridpush_drake.perception.detection import DetectedObject, detect_object
 from gridpush_drake.perception.tracking import PoseTracker
 from gridpush_drake.station.scenario import CameraConfig, PushScenario, RgbdConfig
@@ -58,9 +58,6 @@ LIGHT, BACKGROUND = (0.15, 0.25, 1.0), (0.30, 0.31, 0.33)
 
 OBJECT_COLOR = (0.42, 0.13, 0.11, 1.0)
 """Of the plant's object in the camera's pictures: red, green, blue and opacity."""
-
-PIXEL_MIDDLE = 0.5
-"""Drake's renderer counts pixels from the corner of the upper left one, `perception.Camera` from its middle."""
 
 TABLE_SHARE = 75
 """Percent of what is seen, nearest to its median in color, that is taken for table."""
@@ -95,7 +92,7 @@ def make_camera(config: RgbdConfig) -> Camera:
     X_WC[:3, 1] = np.cross(X_WC[:3, 2], X_WC[:3, 0])
     X_WC[:3, 3] = p_WC
     K = CameraInfo(config.width, config.height, config.fov_y).intrinsic_matrix()
-    K[:2, 2] -= PIXEL_MIDDLE
+    K[:2, 2] -= DRAKE_PIXEL_MIDDLE
     return Camera(config.width, config.height, K, np.zeros(0), X_WC)
 
 
