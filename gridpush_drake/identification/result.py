@@ -133,7 +133,9 @@ class Identification:
 def calc_center_of_mass(found: Identification) -> tuple[Array, Array]:
     """Calculates where the center of mass is held to be: c = sum_i a_i p_i with a_i = m_i / sum m, to first order.
 
-    The cells' frictions are held; what they may be is left out: see `Identifiability.center_of_mass_box`.
+    The cells' frictions are held; what they may be is left out: see `Identifiability.center_of_mass_box`. Where next to
+    nothing is known, first order says more than can be: along no direction is the center less sure than one that may be
+    anywhere in the object.
 
     Args:
         found: the identification.
@@ -144,4 +146,15 @@ def calc_center_of_mass(found: Identification) -> tuple[Array, Array]:
     center = found.params.center_of_mass(found.obj)
     share = found.params.mass / found.params.total_mass
     J = calc_center_jacobian(share, found.obj.p_BC)
-    return center, J @ found.posterior.covariance @ J.T
+    return center, _cap(J @ found.posterior.covariance @ J.T, found.obj)
+
+
+def _cap(covariance: Array, obj: GridObject) -> Array:
+    """A covariance (2, 2) of a place in the object, m²: along no direction more than that of its cells' points."""
+    arm = obj.p_BC - obj.p_BC.mean(axis=0)
+    root = np.linalg.cholesky(arm.T @ arm / obj.n + obj.cell_size**2 / 12 * np.eye(2))
+    ratio, directions = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, covariance).T))
+    if ratio.max() <= 1:
+        return covariance
+    half = root @ directions
+    return np.asarray((half * np.minimum(ratio, 1.0)) @ half.T)
