@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from gridpush_drake.errors import CameraError, ImageError
 from gridpush_drake.perception import Camera
+from tests.helpers.renderer import require_renderer
 
 DISTORTION = [0.08, -0.05, 0.001, -0.0005, 0.01]
 
@@ -167,6 +168,7 @@ def test_a_bad_file_is_named_with_its_field(tmp_path, text, message):
 
 
 def test_drakes_renderer_shows_a_point_where_the_camera_of_the_same_config_would(tmp_path):
+    require_renderer()
     camera = Camera.read(write(tmp_path, DRAKE))
     at = np.array([0.16, 0.11, 0.05])
     scene = SceneGraph()

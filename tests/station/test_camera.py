@@ -12,10 +12,11 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
 from gridpush_drake.pushes.stream import record_pushes
 from gridpush_drake.station import camera as station_camera
-from gridpush_drake.station.camera import calc_pose_age, check_renderer, make_camera
+from gridpush_drake.station.camera import calc_pose_age, make_camera
 from gridpush_drake.station.identify_task import FINISHED, IdentifyTask
 from gridpush_drake.station.push_station import LoadPushedObject, TakePhotograph
 from gridpush_drake.station.scenario import CameraConfig, PushScenario, RgbdConfig, read_scenario
+from tests.helpers.renderer import require_renderer
 from tests.helpers.shapes import make_shape
 
 
@@ -28,10 +29,7 @@ def make_scenario(name="claw_hammer"):
 @pytest.fixture(scope="module")
 def renderer():
     """Skips where nothing can be rendered."""
-    try:
-        check_renderer()
-    except StationError as error:
-        pytest.skip(str(error))
+    require_renderer()
 
 
 @pytest.fixture(scope="module")
