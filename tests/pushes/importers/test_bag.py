@@ -9,9 +9,12 @@ import pytest
 from gridpush_drake.errors import PushLogError, PushLogWarning
 from gridpush_drake.pushes.importers.bag import BagImporter, Track, interpolate
 from gridpush_drake.pushes.stream import record_pushes
-from tests.helpers.ros_bags import Topic, sample_topic, write_bag
 from tests.helpers.scripted_stream import RADIUS, Script, poke_four_times
 from tests.helpers.shapes import make_shape
+
+pytest.importorskip("rosbags", reason="rosbags is in the extra `bags`")
+
+from tests.helpers.ros_bags import Topic, sample_topic, write_bag
 
 SPEED = 0.03
 """Of the tip while it pushes, m/s."""
