@@ -5,14 +5,14 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Literal
 
 import numpy as np
-import shapely
 from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.dynamics.arguments import check_number, check_record, check_regime, check_vector
-from gridpush_drake.dynamics.kernels.call import find_rest_loads, make_method, run_kernel, shifts_loads
+from gridpush_drake.dynamics.kernels.call import calc_reach, find_rest_loads, make_method, run_kernel, shifts_loads
 from gridpush_drake.dynamics.kernels.forward_sensitivity import OTHER
 from gridpush_drake.dynamics.kernels.inputs import Load, Steps
 from gridpush_drake.dynamics.kernels.step import CONVERGED
+from gridpush_drake.dynamics.kernels.support_loads import measure_depth
 from gridpush_drake.dynamics.motion import Jacobian, Motion, MotionStatus, RawJacobian
 from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.dynamics.reference.paper_rollout import calc_paper_jacobian
@@ -113,11 +113,15 @@ def simulate(
     row_of_step = np.full(steps + 1, -1)
     row_of_step[rows] = np.arange(len(rows))
     edges = None if table is None else _get_edges(table)
-    if edges is not None and not shapely.contains_xy(shapely.Polygon(edges[:, :2]), *obj.cells_at(q).T).any():
-        where = ", ".join(f"{value:g}" for value in q)
-        raise SimulationError(f"table: no cell of {obj.name} is on it at the pose ({where}); expected an object on it")
-    if edges is not None and not inertial and isinstance(push, Push) and _stays_clear(obj, edges, q, push):
-        edges = None
+    if edges is not None:
+        inside = measure_depth(edges, q[0], q[1])[0] - calc_reach(obj)
+        if inside < 0 and not any(measure_depth(edges, x, y)[0] > 0 for x, y in obj.cells_at(q)):
+            where = ", ".join(f"{value:g}" for value in q)
+            raise SimulationError(
+                f"table: no cell of {obj.name} is on it at the pose ({where}); expected an object on it"
+            )
+        if not inertial and isinstance(push, Push) and inside > obj.cell_size + MOVED_MOST * push.length:
+            edges = None  # so slow a push cannot bring the object to the edge
     shifted = shifts_loads(params, edges)
     if shifted and gradients == "paper":
         raise SimulationError("gradients: 'paper' knows no shifting loads; expected a push_height of 0 and no table")
@@ -212,13 +216,6 @@ def simulate_batch(
     ]
     with ThreadPoolExecutor(workers) as pool:
         return list(pool.map(lambda job: simulate(obj, job[0], job[1], job[2], **options), jobs))
-
-
-def _stays_clear(obj: GridObject, edges: Array, pose: Array, push: Push) -> bool:
-    """Whether a slow push cannot bring the object to the edge: the pusher goes less far than it is away."""
-    origin = shapely.Point(pose[:2])
-    reach = float(np.linalg.norm(obj.p_BC, axis=1).max()) + obj.cell_size
-    return float(origin.distance(shapely.LinearRing(edges[:, :2]))) > reach + MOVED_MOST * push.length
 
 
 def _get_edges(table: ArrayLike) -> Array:

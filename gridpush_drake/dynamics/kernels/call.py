@@ -128,6 +128,11 @@ def make_support(obj: GridObject, params: CellParameters, gravity: float, table:
     )  # fmt: skip
 
 
+def calc_reach(obj: GridObject) -> float:
+    """The farthest cell's distance from B's origin, m."""
+    return _cell_lines(obj)[0]
+
+
 def _cell_lines(obj: GridObject) -> tuple[float, Array, Array, NDArray[np.int64], NDArray[np.int64]]:
     """The cells' reach from B's origin, m, the x and the y that occur, m, and which are each cell's; made once."""
     cached = obj.__dict__.get("_kernel_lines")

@@ -145,7 +145,7 @@ def find_loads(support, cells, cell_size, state, loads, k):
     if support.table.shape[0] > 0:
         x = state.x + state.c * center[0] - state.s * center[1]
         y = state.y + state.s * center[0] + state.c * center[1]
-        found = found and _measure_depth(support.table, x, y)[0] > 0.0
+        found = found and measure_depth(support.table, x, y)[0] > 0.0
     scale = 1.0 / S if S > 0.0 else 0.0
     for i in range(n):
         across = scale * loads.exp_x[support.column[i]] * loads.exp_y[support.row[i]]
@@ -165,13 +165,13 @@ def _cover(table, cells, cell_size, reach, state, covered, slope):
     near = False
     if table.shape[0] > 0:
         slope[:, :] = 0.0
-        inside, nx, ny = _measure_depth(table, state.x, state.y)
+        inside, nx, ny = measure_depth(table, state.x, state.y)
         near = inside < reach + cell_size
         if near:
             for i in range(n):
                 px, py = cells[0, i], cells[1, i]
                 x, y = state.x + state.c * px - state.s * py, state.y + state.s * px + state.c * py
-                depth, nx, ny = _measure_depth(table, x, y)
+                depth, nx, ny = measure_depth(table, x, y)
                 covered[i] = min(max(0.5 + depth / cell_size, 0.0), 1.0)
                 if 0.0 < covered[i] < 1.0:
                     bx, by = state.c * nx + state.s * ny, -state.s * nx + state.c * ny
@@ -181,7 +181,7 @@ def _cover(table, cells, cell_size, reach, state, covered, slope):
 
 
 @kernel(allocates=False)
-def _measure_depth(table, x, y):
+def measure_depth(table, x, y):
     """How far a point is inside the table's edge, m, negative beyond it, and the direction in which that grows."""
     nearest = np.inf
     inside = on_edge = False
