@@ -16,7 +16,7 @@ from gridpush_drake.cli.console import MM, print_json, print_line
 if TYPE_CHECKING:
     from gridpush_drake.objects.grid_object import GridObject
     from gridpush_drake.planning.support_surface import SupportSurface
-    from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+    from gridpush_drake.pushes.push_log import PushLog
     from gridpush_drake.pushes.stream import Delay
 
 MS = 1e3
@@ -100,14 +100,9 @@ def record(
 
 def _mark_overhang(log: "PushLog", obj: "GridObject", surface: "SupportSurface") -> "PushLog":
     """The log with the table, and with what was seen of each push: whether a part of the object hung over the edge."""
-    import numpy as np
+    from gridpush_drake.planning.support_surface import stayed_supported
 
-    from gridpush_drake.planning.support_surface import find_supported
-
-    def hangs(seen: "ObservedPush") -> bool:
-        return not find_supported(obj, np.vstack([seen.pose, seen.poses_observed]), surface).all()
-
-    pushes = tuple(replace(seen, overhang=hangs(seen)) for seen in log)
+    pushes = tuple(replace(seen, overhang=not stayed_supported(obj, seen, surface)) for seen in log)
     return replace(log, pushes=pushes, table=surface.corners)
 
 

@@ -25,6 +25,7 @@ from shapely.geometry.polygon import orient
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import make_direction, rotate
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.push_log import ObservedPush
 
 Array = NDArray[np.float64]
 
@@ -304,3 +305,8 @@ def find_supported(obj: GridObject, poses: ArrayLike, surface: SupportSurface, i
     if not near.any():
         return np.ones((*q.shape[:-1], obj.n), dtype=bool)
     return np.asarray((offsets[near] - obj.cells_at(q) @ normals[near].T).min(axis=-1) >= inset)
+
+
+def stayed_supported(obj: GridObject, seen: ObservedPush, surface: SupportSurface) -> bool:
+    """Whether every cell's center was on the table in every pose that was seen of a push."""
+    return bool(find_supported(obj, np.vstack([seen.pose, seen.poses_observed]), surface).all())

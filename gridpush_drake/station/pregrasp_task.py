@@ -22,8 +22,7 @@ from gridpush_drake.planning.pregrasp.goals import ArmLimits, GoalOptions, PreGr
 from gridpush_drake.planning.pregrasp.planner import ACCEPTED_SHARE, PreGraspOptions, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp, SideGripper, choose_varied, find_side_grasps
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
-from gridpush_drake.planning.support_surface import SupportSurface, find_supported
-from gridpush_drake.pushes.push_log import ObservedPush
+from gridpush_drake.planning.support_surface import SupportSurface, stayed_supported
 from gridpush_drake.station.push_station import Learning, MakeFingerRegion, MakePushStation, PushStation, make_surface
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.task import (
@@ -193,12 +192,10 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         """Says of each push whether a part hung over the edge; what was seen counts until the object is grasped."""
         grasped = next((step.time for step in record.steps if step.status.mode == PreGraspMode.GRASPING), np.inf)
         record.sight = record.sight and record.sight.until(grasped)
-        pushes = tuple(replace(seen, overhang=not self._stayed_on_table(seen)) for seen in record.log)
+        pushes = tuple(
+            replace(seen, overhang=not stayed_supported(self.obj, seen, self.surface)) for seen in record.log
+        )
         record.log = replace(record.log, pushes=pushes)
-
-    def _stayed_on_table(self, seen: ObservedPush) -> bool:
-        poses = np.vstack([seen.pose[None], seen.poses_observed])
-        return bool(find_supported(self.obj, poses, self.surface).all())
 
     def calc_raised(self) -> float:
         """How far the lowest corner of the object is above the table now, m."""
