@@ -114,6 +114,7 @@ def AddGrasping(
     for source, target in (
         (executor.GetOutputPort("tip_pose"), grasping.GetInputPort("push_tip_pose")),
         (executor.GetOutputPort("status"), grasping.GetInputPort("push_status")),
+        (grasping.GetOutputPort("status"), executor.GetInputPort("grasp_status")),
         (state, grasping.GetInputPort("gripper_state")),
         (state, controller.get_state_input_port()),
         (grasping.GetOutputPort("gripper_position"), controller.get_desired_position_input_port()),

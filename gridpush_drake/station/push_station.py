@@ -540,7 +540,8 @@ def MakePushStation(
     q_start = CalcStartPosture(control_plant, robot, home)
     control = AddArmControl(builder, plant, robot, instances.arm, control_plant, q_start)
     reach, style = ArmReach(control_plant, robot, q_start), make_style(scenario, robot)
-    executor = builder.AddNamedSystem("executor", PushExecutor(home, obj.outline, reach, style))
+    lookout = None if found is None else home
+    executor = builder.AddNamedSystem("executor", PushExecutor(home, obj.outline, reach, style, lookout))
     sensors = AddSensors(builder, scene_graph, scenario, robot, object_in_plant, found)
     camera, tip = sensors.camera.source, sensors.tip
     other_cameras = AddOtherCameras(builder, plant, scenario, others, LOST_BELOW)
