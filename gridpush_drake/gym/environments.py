@@ -59,7 +59,7 @@ def make_game(game: str, options: dict[str, Any]) -> PushGame[Any]:
     return GAMES[game](GameOptions(**DEFAULTS.get(game, {}) | options))
 
 
-class PushEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
+class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
     """One episode after another.
 
     An action is (place on the outline, direction, distance), each from -1 to 1 (`KnownShape.make_push`). An observation
@@ -97,7 +97,7 @@ class PushEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.episode = self.game.begin(self.np_random)
         return self._observe(), {"score": self.episode.score, "is_success": False}
 
-    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Makes one push."""
         assert self.episode is not None, "call reset first"
         (turn,) = self.game.play([self.episode], [np.asarray(action)])
@@ -121,7 +121,7 @@ class PushEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         }
 
 
-class PushVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]]):
+class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     """Many episodes at once, whose pushes are simulated in one batch.
 
     An episode that is over begins anew with the next step, whose action it does not heed (`AutoresetMode.NEXT_STEP`).
@@ -165,7 +165,7 @@ class PushVectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[
         return self._observe(), self._inform(np.zeros(self.num_envs, dtype=bool))
 
     def step(
-        self, actions: NDArray[np.float32]
+        self, actions: NDArray[Any]
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Makes one push in each episode that is not over."""
         rewards, (terminated, cut_off, won) = np.zeros(self.num_envs), np.zeros((3, self.num_envs), dtype=bool)

@@ -4,7 +4,7 @@ After every push a learner that is the same for all players takes in where the o
 z = (log k, log mu_c) ~ N(mean, S) of `identification.posterior`, r the residual of the push, J its exact derivative by
 z and R its noise, it makes one step of the extended Kalman filter, taken twice, the second time at the new mean:
 
-    K = S J^T (J S J^T + R)^-1,   mean' = mean - K (r + J (mean - at)),   S' = S - K J S
+    K = S J^T (J S J^T + R)^-1,   mean' = mean - K (r + J (mean - at)),   S' = (I - K J) S (I - K J)^T + K R K^T
 
 Its score is the held-out error: how far, on average, the learner puts the cells from where they truly end under pushes
 that nobody makes, m. Reward: the score's decrease in centimeters, and -1 for pushing the object off the table.
@@ -126,7 +126,8 @@ def learn(model: UncertainModel, seen: ObservedPush) -> UncertainModel:
         R = NoiseModel().calc_covariance(linear.by_inputs[0], NoiseScale())
         gain = np.linalg.solve(J @ S @ J.T + R, J @ S).T
         mean = before.mean - gain @ (r + J @ (before.mean - mean))
-    after = Posterior(mean, S - gain @ J @ S, before.prior_covariance)
+    left = np.eye(len(mean)) - gain @ J
+    after = Posterior(mean, left @ S @ left.T + gain @ R @ gain.T, before.prior_covariance)
     return replace(model, params=problem.params(mean), posterior=after)
 
 
