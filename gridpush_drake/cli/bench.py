@@ -349,6 +349,31 @@ def perception(
     _show(tables, out, force, json)
 
 
+@app.command("gym")
+def gym(
+    quick: Quick = False,
+    games: Annotated[
+        list[str] | None,
+        typer.Option("--game", metavar="NAME", help="A game; may be repeated.", show_default="all three"),
+    ] = None,
+    episodes: Annotated[int, typer.Option(min=2, help="Of each game, that each player plays.")] = 20,
+    seed: options.Seed = 0,
+    workers: Workers = WORKERS,
+    results: KeptIn = None,
+    out: Out = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Time the Gymnasium environments; let our planner, a small learned player and chance play them."""
+    from gridpush_drake.bench.gym import run
+
+    _check((out,), force)
+    settings = {"quick": quick, "games": games, "episodes": episodes, "seed": seed}
+    with _run_bench("gym", settings, results, workers, force) as execution:
+        tables = run(games, episodes, seed, execution, quick=quick)
+    _show(tables, out, force, json)
+
+
 @contextmanager
 def _run_bench(
     bench: str, settings: dict[str, Any], path: Path | None, workers: int, force: bool
