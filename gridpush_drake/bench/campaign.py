@@ -225,8 +225,9 @@ class Campaign:
     def tabulate(self) -> Table:
         """A row an object and one of all; a note for each failure, with its reason and its replay."""
         rows: list[tuple[Value, ...]] = []
+        averaged = [name for name, (key, _) in AVERAGED.items() if _list_known(self.episodes, key)]
         for name, group, shares in self.count():
-            means = [_average(group, key, scale) for key, scale in AVERAGED.values()]
+            means = [AVERAGED[each][1] * calc_mean(_list_known(group, AVERAGED[each][0])) for each in averaged]
             rows.append((Path(name).stem, len(group), *(share.describe() for share in shares.values()), *means))
         notes = [
             f"In brackets: {PERCENT * CONFIDENCE:g} % Wilson intervals. {DROPPED}: off the table or out of the gripper."
@@ -235,7 +236,7 @@ class Campaign:
         for failure in self.failures:
             reason = f"{Path(failure.object).stem}, seed {failure.seed}: {failure.status}. {failure.message}"
             notes += [reason, self.make_replay(failure)]
-        columns = ("object", "episodes", self.done, DROPPED, GAVE_UP, *AVERAGED)
+        columns = ("object", "episodes", self.done, DROPPED, GAVE_UP, *averaged)
         return Table(f"Episodes of {self.task} in the station", columns, rows, notes)
 
     def to_dict(self) -> dict[str, Any]:
@@ -258,9 +259,8 @@ AVERAGED = {
 """Columns of means: fields of an episode, and what they are multiplied by."""
 
 
-def _average(episodes: Sequence[Episode], key: str, scale: float) -> float:
-    known = [getattr(episode, key) for episode in episodes if getattr(episode, key) is not None]
-    return scale * calc_mean(known)
+def _list_known(episodes: Sequence[Episode], key: str) -> list[float]:
+    return [getattr(episode, key) for episode in episodes if getattr(episode, key) is not None]
 
 
 def describe_settings(task: str, scenario: PushScenario) -> dict[str, Any]:

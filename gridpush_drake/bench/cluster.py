@@ -4,6 +4,7 @@ The cluster's scheduler hands out the jobs, and those of a worker that was lost 
 same sources of this package; a worker does one job at a time, so that one thread each is best.
 """
 
+import logging
 import socket
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -49,6 +50,7 @@ def _connect(address: str) -> "Client":
         from distributed import Client
     except ImportError as error:
         raise GridPushError("--dask: needs distributed; pip install 'gridpush-drake[cluster]'") from error
+    logging.getLogger(Client.__module__).setLevel(logging.CRITICAL)  # what it has to say is said here
     answer: Queue[Client | Exception] = Queue()
 
     def connect() -> None:

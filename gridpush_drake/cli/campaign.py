@@ -116,6 +116,10 @@ def _find_objects(scenario: "PushScenario", names: str | None) -> dict[str, str]
 
     found = {}
     for name in [scenario.object] if names is None else names.split(","):
+        if not name:
+            raise options.OptionError(
+                f"--objects: is {names!r}; expected names with commas between, none of them empty"
+            )
         path = options.object_path(name)
         if name in list_shipped_objects() and not exists(name):
             found[name] = ""
