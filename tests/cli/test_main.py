@@ -15,7 +15,7 @@ COMMANDS = [
     ("import", "mit"), ("bench",), ("bench", "speed"), ("bench", "paper"), ("bench", "real"),
     ("bench", "drake"), ("bench", "planning"), ("bench", "pregrasp"), ("bench", "grasp"), ("bench", "truth"),
     ("export",), ("view",), ("plan",), ("slide",), ("object",), ("calibrate",), ("track",), ("record",),
-    ("bench", "perception"), ("import", "bag"),
+    ("bench", "perception"), ("import", "bag"), ("campaign",),
 ]  # fmt: skip
 
 
