@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.kernels.call import make_method, run_pushes, shifts_loads
-from gridpush_drake.dynamics.kernels.forward_sensitivity import OTHER
+from gridpush_drake.dynamics.kernels.forward_sensitivity import CONTACT_FRICTION, OTHER, START_X, START_Y
 from gridpush_drake.dynamics.kernels.inputs import Pushes
-from gridpush_drake.dynamics.motion import Jacobian, RawJacobian
+from gridpush_drake.dynamics.motion import RawJacobian
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import (
     GRAVITY,
@@ -129,29 +129,25 @@ class PushBatch:
             The wanted poses (R, 3), m and rad, push by push; and their derivatives (R, 3, n+3) by the n masses, 1/kg,
             by the contact friction, and by the place (x, y) where the push begins, 1/m.
         """
-        poses = np.empty((self.offsets[-1], 3))
-        derivatives = np.empty((self.offsets[-1], 3, self.obj.n + 3))
+        n = self.obj.n
+        poses, derivatives = np.empty((self.offsets[-1], 3)), np.empty((self.offsets[-1], 3, n + 3))
         for group in self._groups:
             shifted = shifts_loads(params, group.table)
-            J = np.empty((len(group.rows), 3, self.obj.n + OTHER + int(shifted)))
+            J = np.empty((len(group.rows), 3, n + OTHER + int(shifted)))
             poses[group.rows], _ = self._run(group, params, J)
-            blocks = self._expand(group, params, J, shifted)
-            derivatives[group.rows] = np.concatenate(
-                [blocks.mass, blocks.contact_friction[..., None], blocks.start], axis=2
-            )
+            raw = RawJacobian(
+                group.steps, J, self.obj.p_BC, self.obj.cell_size, params.mass, params.friction, GRAVITY,
+                self.regime == "inertial", None, shifted,
+            )  # fmt: skip
+            derivatives[group.rows, :, :n] = raw.calc_mass()
+            derivatives[group.rows, :, n] = raw.other[..., CONTACT_FRICTION]
+            derivatives[group.rows, :, n + 1 :] = raw.other[..., START_X : START_Y + 1]
         return poses, derivatives
 
     def _run(self, group: _Group, params: CellParameters, J: Array) -> tuple[Array, NDArray[np.bool_]]:
         return run_pushes(
             self.obj, params, GRAVITY, self._method, group.pushes, group.row_of_step, J, len(group.rows), group.table
         )
-
-    def _expand(self, group: _Group, params: CellParameters, J: Array, shifted: bool) -> Jacobian:
-        inertial = self.regime == "inertial"
-        return RawJacobian(
-            group.steps, J, self.obj.p_BC, self.obj.cell_size, params.mass, params.friction, GRAVITY, inertial, None,
-            shifted,
-        ).expand()  # fmt: skip
 
     def _make_group(self, pushes: Sequence[BatchPush], chosen: IntArray, table: Array | None) -> _Group:
         some = [pushes[i] for i in chosen]

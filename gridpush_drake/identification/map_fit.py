@@ -16,6 +16,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg.lapack import dtrtri
 
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale, calc_effective_count
 from gridpush_drake.identification.outliers import LeftOut
@@ -125,7 +126,7 @@ def fit_map(
     Returns:
         The fit.
     """
-    make = partial(System, problem, z0, A, noise, center_of_mass)
+    make = partial(System.of, problem, z0, A, noise, center_of_mass)
     start = start or FitStart(z0, NoiseScale())
     system = make(_solve_factor(A, start.z - z0), linear or problem.linearize(start.z), start.scale)
     if warm_start is not None:
@@ -137,7 +138,7 @@ def fit_map(
         if expected < SETTLED or evaluations >= EVALUATIONS:
             scale, gamma = system.renew_scale()
             settled = np.abs(np.log(np.divide(scale, system.scale))).max() < SCALE_TOLERANCE
-            system = make(system.u, system.linear, scale)
+            system = system.rescale(scale)
             if settled or evaluations >= EVALUATIONS:
                 break
             continue
@@ -170,8 +171,9 @@ def calc_laplace(problem: PushProblem, z: Array, A: Array, noise: NoiseModel) ->
         The covariance (n+1, n+1) of z by Laplace's approximation, and the noise scale.
     """
     u, linear = np.zeros(len(z)), problem.linearize(z)
-    scale, _ = System(problem, z, A, noise, None, u, linear, NoiseScale()).renew_scale()
-    return System(problem, z, A, noise, None, u, linear, scale).calc_covariance(), scale
+    system = System.of(problem, z, A, noise, None, u, linear, NoiseScale())
+    scale, _ = system.renew_scale()
+    return system.rescale(scale).calc_covariance(), scale
 
 
 class System:
@@ -183,33 +185,43 @@ class System:
     """
 
     def __init__(
-        self,
-        problem: PushProblem,
-        z0: Array,
-        A: Array,
-        noise: NoiseModel,
-        center_of_mass: CenterOfMass | None,
-        u: Array,
-        linear: Linearization,
-        scale: NoiseScale,
-    ) -> None:
+        self, problem: PushProblem, z0: Array, A: Array, noise: NoiseModel, center_of_mass: CenterOfMass | None,
+        u: Array, linear: Linearization, slopes: list[Array], scale: NoiseScale,
+    ) -> None:  # fmt: skip
+        """Takes over a point; `slopes` (3K, n+1) are the residuals' derivatives by u, one entry a push."""
         self.problem, self.z0, self.A, self.noise, self.center_of_mass = problem, z0, A, noise, center_of_mass
-        self.u, self.linear, self.scale = u, linear, scale
-        self.whitenings = [noise.make_whitening(inputs, scale) for inputs in linear.by_inputs]
+        self.u, self.linear, self.slopes, self.scale = u, linear, slopes, scale
+        self.whitenings = noise.make_whitenings(linear.by_inputs, scale)
         whitened = [W.apply(r) for W, r in zip(self.whitenings, linear.residuals, strict=True)]
         self.weights = [noise.calc_weight(r) for r in whitened]
         roots = np.sqrt(self.weights)
         self.rows = [root * r for root, r in zip(roots, whitened, strict=True)]
-        jacobians = [root * W.apply(J) for root, W, J in zip(roots, self.whitenings, linear.by_z, strict=True)]
+        jacobians = [root * W.apply(J) for root, W, J in zip(roots, self.whitenings, slopes, strict=True)]
         rows = list(self.rows)
         if center_of_mass is not None:
             r, J = center_of_mass.linearize(problem.obj, z0 + A @ u)
             rows.append(r)
-            jacobians.append(J)
-        self.r, self.J = np.concatenate(rows), np.concatenate(jacobians) @ A
+            jacobians.append(J @ A)
+        self.r, self.J = np.concatenate(rows), np.concatenate(jacobians)
         self.by_residuals = len(self.r) < len(u)
         self.gram = self.J @ self.J.T if self.by_residuals else self.J.T @ self.J
         self.factor = self._factorize(1.0)
+
+    @classmethod
+    def of(
+        cls, problem: PushProblem, z0: Array, A: Array, noise: NoiseModel, center_of_mass: CenterOfMass | None,
+        u: Array, linear: Linearization, scale: NoiseScale,
+    ) -> "System":  # fmt: skip
+        """The problem about u (n+1,), where the pushes' residuals and derivatives are `linear`."""
+        ends = np.cumsum([len(r) for r in linear.residuals])[:-1]
+        slopes = np.split(np.concatenate(linear.by_z) @ A, ends)
+        return cls(problem, z0, A, noise, center_of_mass, u, linear, slopes, scale)
+
+    def rescale(self, scale: NoiseScale) -> "System":
+        """The same about the same point, with another scale of the noise."""
+        return System(
+            self.problem, self.z0, self.A, self.noise, self.center_of_mass, self.u, self.linear, self.slopes, scale
+        )
 
     def calc_step(self, damping: float) -> tuple[Array, float]:
         """Step of u, damped by so much as if the prior were that much stronger about u, and the expected decrease."""
@@ -247,7 +259,8 @@ class System:
         known = 2 if self.center_of_mass is not None else 0
         squares = sum(float(r @ r) for r in self.rows)
         count = sum(calc_effective_count(len(r)) for r in self.linear.residuals)
-        gamma = len(self.gram) - float(np.trace(cho_solve(self.factor, np.eye(len(self.gram))))) - known
+        root, _ = dtrtri(self.factor[0], lower=1)  # whose squares add up to the trace of the inverse
+        gamma = len(self.gram) - float((np.tril(root) ** 2).sum()) - known
         gamma = float(np.clip(gamma, 0.0, MAX_INFORMED_SHARE * count))
         weight = self.noise.prior_weight
         pose = np.sqrt((squares * self.scale.pose**2 + weight) / (count - gamma + weight))
@@ -258,16 +271,17 @@ class System:
     def _calc_shifts(self) -> tuple[float, float]:
         """Sums over pushes of |xi|², xi the expected shift of the load's center in its deviations, and of gamma_c."""
         std = self.scale.shift * self.noise.load_shift
-        moved, sure, first = 0.0, 0.0, 0
+        moved, sure, first, pulls = 0.0, 0.0, 0, []
         for r, root, W, inputs in zip(
             self.rows, np.sqrt(self.weights), self.whitenings, self.linear.by_inputs, strict=True
         ):
             T = root * std * W.apply(inputs[:, SHIFT])
-            v = self.J[first : first + len(r)].T @ T
+            pulls.append(self.J[first : first + len(r)].T @ T)
             first += len(r)
             moved += float(((T.T @ r) ** 2).sum())
-            sure += float((T * T).sum() - (v * self.solve(v)).sum())
-        return moved, sure
+            sure += float((T * T).sum())
+        v = np.concatenate(pulls, axis=1)
+        return moved, sure - float((v * self.solve(v)).sum())
 
     def solve(self, v: Array) -> Array:
         """(I + J^T J)^-1 v."""
@@ -304,9 +318,9 @@ class System:
         (I - w h)^-1 r with covariance I + h (I - w h)^-1, all whitened.
         """
         found = []
-        for weight, W, r, J in zip(self.weights, self.whitenings, self.linear.residuals, self.linear.by_z, strict=True):
+        for weight, W, r, J in zip(self.weights, self.whitenings, self.linear.residuals, self.slopes, strict=True):
             identity = np.eye(len(r))
-            whitened = W.apply(J) @ self.A
+            whitened = W.apply(J)
             h = whitened @ self.solve(whitened.T)
             alone = np.linalg.inv(identity - weight * h)
             root = np.asarray(np.linalg.solve(identity + h @ alone, W.apply(identity)), dtype=np.float64)

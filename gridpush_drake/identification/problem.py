@@ -179,8 +179,11 @@ class PushProblem:
             return np.empty(0)
         rows, counts = np.concatenate(residuals).reshape(-1, 3), np.array([len(one) // 3 for one in residuals])
         arm = self.obj.p_BC - self._centroid
-        moved = rows[:, None, :2] + rotate(rows[:, 2:] / self._rho, arm) - arm
-        errors = np.hypot(moved[..., 0], moved[..., 1]).mean(axis=1)
+        x, y, turn = rows[:, 0], rows[:, 1], rows[:, 2] / self._rho
+        c, s = -2.0 * np.sin(turn / 2) ** 2, np.sin(turn)  # the rotation less the identity
+        cells = np.vstack([np.ones(self.obj.n), arm.T])
+        moved_x, moved_y = np.column_stack([x, c, -s]) @ cells, np.column_stack([y, s, c]) @ cells
+        errors = np.sqrt(moved_x**2 + moved_y**2).mean(axis=1)
         return np.asarray(np.add.reduceat(errors, np.append(0, np.cumsum(counts[:-1]))) / counts)
 
     @cached_property
