@@ -85,6 +85,11 @@ class Linearization:
     by_z: list[Array]
     by_inputs: list[Array]
 
+    def choose(self, pushes: Sequence[int]) -> "Linearization":
+        """Those of some pushes."""
+        chosen = ([values[i] for i in pushes] for values in (self.residuals, self.by_z, self.by_inputs))
+        return Linearization(*chosen)
+
 
 class PushProblem:
     """Residuals of a log as a function of z, for one object and regime; counts the simulations it makes."""
