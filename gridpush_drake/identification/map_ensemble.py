@@ -30,10 +30,10 @@ Array = NDArray[np.float64]
 WEAKNESS = 0.75
 """Power of 1/a that an amplitude a weighs beforehand: few noisy pushes are not to talk the model out of uniformity."""
 
-FIRST_EVALUATIONS = 8
+FIRST_EVALUATIONS = 6
 """Of the pushes by each fit, before all have begun; only those that may count for something are then gone on with."""
 
-HOPELESS = 60.0
+HOPELESS = 30.0
 """Of log evidence below the best: more than a fit gains once it has begun to settle, and than leaves it any weight."""
 
 SHARED_SHIFT = 0.3
