@@ -60,7 +60,7 @@ def speed(
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Time a simulated push, its gradient, MuJoCo beside, the cost against the number of cells, and start-up."""
+    """Time a push, its gradient, MuJoCo beside, the cost against the number of cells, identification and start-up."""
     from gridpush_drake.bench.speed import load_hammer, run
 
     _check((out,), force)
