@@ -1,3 +1,7 @@
+from .arm_guard import ArmGuard as ArmGuard
+from .arm_guard import GuardLimits as GuardLimits
+from .arm_guard import GuardMode as GuardMode
+from .arm_guard import GuardStatus as GuardStatus
 from .contact_point_controller import ContactPointController as ContactPointController
 from .estimate_visualizer import EstimateVisualizer as EstimateVisualizer
 from .grasp_executor import GraspExecutor as GraspExecutor
