@@ -23,6 +23,8 @@ MAX_OBJECT_SPEED = 0.5
 
 PUSHER_STATE_SIZE = 6
 
+STOPPED_BY_USER = "stopped by the user"
+
 
 @dataclass(frozen=True, eq=False)
 class GuardLimits:
@@ -67,6 +69,11 @@ class GuardStatus:
     mode: GuardMode = GuardMode.WAITING
     reason: str = ""
     since: float = float("nan")
+
+    @property
+    def by_user(self) -> bool:
+        """Whether the arm was stopped because `stop` said so."""
+        return self.reason == STOPPED_BY_USER
 
     @property
     def stopped(self) -> bool:
@@ -233,7 +240,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         """What is wrong, None for nothing; and whether the arm has run into something."""
         limits, torque = self.limits, np.abs(self._torque.Eval(context))
         if self._stop.Eval(context)[0]:
-            return "stopped by the user", False
+            return STOPPED_BY_USER, False
         if time - now.fresh > limits.status_age:
             age, most = 1e3 * (time - now.fresh), 1e3 * limits.status_age
             return f"the robot has sent no status for {age:.0f} ms; {most:.0f} ms are allowed", False
