@@ -57,6 +57,8 @@ STOPPING_TIME = 2.0
 ROUNDING = 1e-9
 """s."""
 
+HALF = 0.5
+
 
 def open_lcm(url: str) -> DrakeLcm:
     """Opens LCM. Raises StationError where the URL is none, or there is no network for it."""
@@ -275,7 +277,8 @@ class HardwareLink:
             if self._robot is not None or monotonic() - self._arm.came > OVERDUE / self._rate:
                 self._wait_period()
                 return now + ARM_PERIOD
-        target = self._arm.utime / MICROSECONDS - self._base
+        # in whole periods, and half of one beyond: so that a status that is a little early or late brings one command
+        target = (round((self._arm.utime / MICROSECONDS - self._base) / ARM_PERIOD) + HALF) * ARM_PERIOD
         assert self._station is not None
         if target - now > self._station.scenario.safety.status_age:
             self.report.pauses += 1

@@ -300,6 +300,19 @@ class StationTask(Generic[R]):
         self.station.SetStart(context, seed)
         self.prepare(context, seed)
 
+    def preview(self, drive: Drive, within: float) -> PushCommand | None:
+        """The first push that the task would make, while nothing moves; None where there is none within a time, s."""
+        self.begin(drive=drive)
+        self.simulator.Initialize()
+        time = 0.0
+        while time < within:
+            time += ADVANCE
+            drive.advance(self.simulator, time)
+            command = PushCommand.from_vector(self.read("push_command", self._controller))
+            if command.command_id:
+                return command
+        return None
+
     def read(self, port: str, system: System | None = None) -> Any:
         """What an output port shows at present: of the station, or of another `system` of the Diagram."""
         system = system or self.station
