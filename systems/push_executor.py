@@ -235,6 +235,12 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
             "status", lambda: AbstractValue.Make(PushStatus()), weakly(self._calc_status), {self._remembered}
         )
 
+    def SetRest(self, root_context: Context, p_WP: ArrayLike) -> None:
+        """Lets it begin with the tip at p_WP (3,), m, instead of at home, in a fresh Context of a Diagram."""
+        x, y, z = np.asarray(p_WP, float).tolist()
+        context = self.GetMyMutableContextFromRoot(root_context)
+        context.SetAbstractState(int(self._state), ExecutorState((x, y, z)))
+
     def _calc_tip_pose(self, context: Context, output: AbstractValue) -> None:
         state = self._get_state(context)
         output.set_value(RigidTransform(R_WP_DOWN, state.position(context.get_time())))

@@ -280,24 +280,39 @@ def AddArmControl(
     Returns:
         The systems and the port to be connected.
     """
-    SharedPointerSystem.AddToBuilder(builder, control_plant)
-    control = robot.arm.control
     q = np.array(q_start, float)
     plant.SetDefaultPositions(arm, q)
-    gains = np.full(plant.num_positions(arm), control.stiffness)
+    driver = AddArmDriver(builder, plant, robot, arm, control_plant)
+    kinematics = AddArmKinematics(builder, robot, control_plant, q)
+    builder.Connect(kinematics.GetOutputPort("joint_positions"), driver.GetInputPort("position"))
+    return ArmControl(driver, kinematics, kinematics.GetInputPort("X_AE_desired"), q)
+
+
+def AddArmDriver(
+    builder: DiagramBuilder, plant: MultibodyPlant, robot: Robot, arm: ModelInstanceIndex, control_plant: MultibodyPlant
+) -> System:
+    """Adds the arm's driver alone, a `SimIiwaDriver`, and keeps the control plant alive; see `AddArmControl`."""
+    SharedPointerSystem.AddToBuilder(builder, control_plant)
+    gains = np.full(plant.num_positions(arm), robot.arm.control.stiffness)
     config = IiwaDriver(control_mode="position_only", desired_kp_gains=gains)
-    driver = SimIiwaDriver.AddToBuilder(builder, plant, arm, config, control_plant)
-    kinematics = builder.AddNamedSystem(
+    return SimIiwaDriver.AddToBuilder(builder, plant, arm, config, control_plant)
+
+
+def AddArmKinematics(
+    builder: DiagramBuilder, robot: Robot, control_plant: MultibodyPlant, q_nominal: Array
+) -> DifferentialInverseKinematicsIntegrator:
+    """Adds the inverse kinematics alone, drawn to the posture `q_nominal` (n,), rad; see `AddArmControl`."""
+    control = robot.arm.control
+    kinematics: DifferentialInverseKinematicsIntegrator = builder.AddNamedSystem(
         "iiwa_kinematics",
         DifferentialInverseKinematicsIntegrator(
             control_plant,
             control_plant.GetFrameByName(robot.finger.tip_frame),
             control.period,
-            _make_parameters(control_plant, q, control),
+            _make_parameters(control_plant, q_nominal, control),
         ),
     )
-    builder.Connect(kinematics.GetOutputPort("joint_positions"), driver.GetInputPort("position"))
-    return ArmControl(driver, kinematics, kinematics.GetInputPort("X_AE_desired"), q)
+    return kinematics
 
 
 def SetArmStart(

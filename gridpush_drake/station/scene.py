@@ -111,7 +111,7 @@ def check_scenario(scenario: PushScenario) -> None:
     scenario.check()
     obj = load_object(scenario)
     _check_truth(scenario, obj)
-    plant, scene_graph = _parse_scene(scenario)
+    plant, scene_graph = ParseScene(scenario)
     robot = find_robot(scenario.directives)
     GetRobotInPlant(plant, robot)
     _check_heights(scenario, robot.finger.tip_radius)
@@ -154,7 +154,8 @@ def CalcHome(plant: MultibodyPlant, robot: Robot) -> tuple[float, float, float]:
     return float(p_WR[0] + x), float(p_WR[1] + y), z
 
 
-def _parse_scene(scenario: PushScenario) -> tuple[MultibodyPlant, SceneGraph]:
+def ParseScene(scenario: PushScenario) -> tuple[MultibodyPlant, SceneGraph]:
+    """Makes a plant, finalised, of what stands in the scene besides the object; it is part of no Diagram."""
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, scenario.simulation.time_step)
     AddScene(MakeParser(plant), scenario)

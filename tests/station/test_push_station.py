@@ -4,9 +4,10 @@ from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.station.limit_monitor import LimitMonitor
-from gridpush_drake.station.push_station import ESTIMATE_OUTPUTS, IIWA_OUTPUTS, MakePushStation
+from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import MakeTruth
+from gridpush_drake.station.station import ESTIMATE_OUTPUTS, IIWA_OUTPUTS
 from gridpush_drake.systems.messages import PushCommand
 
 
