@@ -32,12 +32,14 @@ from gridpush_drake.pushes.segmentation import RecordOptions, Sample
 from gridpush_drake.pushes.stream import make_samples
 from gridpush_drake.report.camera_figure import Sight
 from gridpush_drake.station.arm import (
+    DRIVER_OUTPUTS,
     AddArmControl,
     ArmControl,
     ArmReach,
     CalcStartPosture,
     MakeControlPlant,
     SetArmStart,
+    SetJointServos,
 )
 from gridpush_drake.station.camera import (
     AddPoseEstimator,
@@ -245,7 +247,9 @@ def AddStationScene(
     )
     tip = plant.GetBodyByName(robot.finger.tip_frame)
     SetPartner(plant, scene_graph, [*table, *plant.GetCollisionGeometriesForBody(tip)])
-    return GetRobotInPlant(plant, robot), table
+    instances = GetRobotInPlant(plant, robot)
+    SetJointServos(plant, robot, instances.arm)
+    return instances, table
 
 
 def TakePhotograph(scenario: PushScenario, true_obj: GridObject) -> FoundObject:
@@ -264,18 +268,6 @@ def TakePhotograph(scenario: PushScenario, true_obj: GridObject) -> FoundObject:
     table_top = FindTableOutline(plant, scene_graph.model_inspector())
     scene = PhotographedScene(plant, scene_graph, instances.arm, part, q_start, table_top)
     return find_object(scenario, true_obj, builder, scene)
-
-
-IIWA_OUTPUTS = (
-    "position_commanded",
-    "position_measured",
-    "velocity_estimated",
-    "state_estimated",
-    "torque_commanded",
-    "torque_measured",
-    "torque_external",
-)
-"""Of the driver, exported as `iiwa.position_commanded` and so on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,6 +341,7 @@ class PushStation(Diagram):
     - ``pusher.state``: (6,) p_WP, m, and v_WP, m/s, of the tip's center, from the joints.
     - ``object.pose``: (3,) as the camera sees it, m and rad; ``object.pose_true``: as it is, for display and judgment.
     - ``estimate.*``: see `GridIdentifier`; ``iiwa.*``: see Drake's `SimIiwaDriver`; the three after: the plant's own.
+      Another arm's ports have the name that the scene gives to its model: ``panda.*``.
     - Where the scene has a gripper: ``grasp_command``: (6,) see `GraspCommand`, need not be connected;
       ``grasp.status``: abstract `GraspStatus`; ``gripper.state``: (4,) the fingers' positions, left and right, m, and
       velocities, m/s. ``executor.tip_pose`` is then what push and grasp executor together desire.
@@ -577,7 +570,7 @@ def MakePushStation(
     builder.ExportOutput(camera.GetOutputPort("object_pose"), "object.pose")
     builder.ExportOutput(sensors.ground_truth.GetOutputPort("object_pose"), "object.pose_true")
     ExportOutputs(builder, identifier, "estimate", ESTIMATE_OUTPUTS)
-    ExportOutputs(builder, control.driver, "iiwa", IIWA_OUTPUTS)
+    ExportOutputs(builder, control.driver, robot.arm_model, DRIVER_OUTPUTS)
     builder.ExportOutput(plant.get_body_poses_output_port(), "body_poses")
     builder.ExportOutput(plant.get_contact_results_output_port(), "contact_results")
     builder.ExportOutput(scene_graph.get_query_output_port(), "query_object")
@@ -622,13 +615,16 @@ def MakeFingerRegion(station: PushStation, inset: float = 0.0) -> BaseGeometry:
         inset: least distance from the region's edge, m.
 
     Returns:
-        The region, W, m: the ring that the arm reaches, and in it the workspace, without the places where the tip would
-        touch another object; it may be empty.
+        The region, W, m: where the arm reaches, and in it the workspace, without the places where the tip would touch
+        another object; it may be empty.
     """
-    workspace = station.scenario.workspace
+    workspace, height = station.scenario.workspace, station.scenario.finger.push_height
     box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
-    axis, least, greatest = CalcTipReach(station.plant, station.robot, station.scenario.finger.push_height)
-    region = MakeRing(axis, least + inset, greatest - inset) & box.buffer(-inset)
+    if station.robot.arm.reach is None:
+        region = station._reach.find_region(box.bounds, height).buffer(-inset)
+    else:
+        axis, least, greatest = CalcTipReach(station.plant, station.robot, height)
+        region = MakeRing(axis, least + inset, greatest - inset) & box.buffer(-inset)
     return leave_out(region, station.others, station.robot.finger.tip_radius + inset)
 
 
