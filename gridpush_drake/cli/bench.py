@@ -363,7 +363,8 @@ def gym(
     ] = None,
     episodes: Annotated[int, typer.Option(min=2, help="Of each game, that each player plays.")] = 20,
     seed: options.Seed = 0,
-    workers: Workers = WORKERS,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
     results: KeptIn = None,
     out: Out = None,
     force: options.Force = False,
@@ -374,7 +375,7 @@ def gym(
 
     _check((out,), force)
     settings = {"quick": quick, "games": games, "episodes": episodes, "seed": seed}
-    with _run_bench("gym", settings, results, workers, force) as execution:
+    with _run_bench("gym", settings, results, workers, dask, force) as execution:
         tables = run(games, episodes, seed, execution, quick=quick)
     _show(tables, out, force, json)
 

@@ -75,8 +75,9 @@ def make_grasp_trajectory_options(
     return GraspTrajectoryOptions(
         p_PG=(x, y, z),
         travel_height=scenario.finger.travel_height,
-        force=pregrasp.force,
+        force=min(pregrasp.force, gripper.max_force),
         opening=gripper.opening,
+        closing_speed=gripper.closing_speed,
         hold_time=pregrasp.hold,
     )
 
