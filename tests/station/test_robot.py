@@ -13,10 +13,11 @@ from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
 from gridpush_drake.station.arm import ArmReach, CalcStartPosture, MakeControlPlant
 from gridpush_drake.station.limit_monitor import LimitMonitor
-from gridpush_drake.station.push_station import MakePushStation, MakeRing
+from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.robot import FingerMeasures, find_robot, make_robot_directives, read_measures
 from gridpush_drake.station.scenario import PushScenario, read_scenario
 from gridpush_drake.station.scene import CalcTipReach, check_scenario
+from gridpush_drake.station.station import MakeRing
 from gridpush_drake.systems.messages import PushCommand
 
 BASE = (0.05, -0.02, 0.08)
