@@ -14,7 +14,8 @@ COMMANDS = [
     (), ("demo",), ("identify",), ("predict",), ("simulate",), ("show",), ("import",), ("import", "cmu"),
     ("import", "mit"), ("bench",), ("bench", "speed"), ("bench", "paper"), ("bench", "real"),
     ("bench", "drake"), ("bench", "planning"), ("bench", "pregrasp"), ("bench", "grasp"), ("bench", "truth"),
-    ("export",), ("view",), ("plan",), ("slide",), ("object",), ("calibrate",), ("track",), ("record",),
+    ("export",), ("view",), ("plan",), ("slide",), ("object",), ("calibrate",), ("track",), ("record",), ("twin",),
+    ("robot",),
     ("bench", "perception"), ("import", "bag"),
 ]  # fmt: skip
 
