@@ -153,6 +153,7 @@ def _make_episode(job: EpisodeJob, record: TaskRecord, outcome: str, wall: float
 
 def calc_center_error(record: TaskRecord, params: CellParameters) -> float:
     """Distance of an estimate's center of mass from the true one, m."""
+    assert record.truth is not None  # a simulated object's is known
     found, truth = (each.center_of_mass(record.obj) for each in (params, record.truth))
     return float(np.linalg.norm(found - truth))
 

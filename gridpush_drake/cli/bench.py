@@ -60,7 +60,7 @@ def speed(
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Time a simulated push, its gradient, MuJoCo beside, the cost against the number of cells, and start-up."""
+    """Time a push, its gradient, MuJoCo beside, the cost against the number of cells, identification and start-up."""
     from gridpush_drake.bench.speed import load_hammer, run
 
     _check((out,), force)
@@ -351,6 +351,32 @@ def perception(
     settings = {"data": _resolve(data), "quick": quick, "objects": objects, "seed": seed}
     with _run_bench("perception", settings, results, workers, dask, force) as execution:
         tables = run(data, objects, seed=seed, quick=quick, execution=execution)
+    _show(tables, out, force, json)
+
+
+@app.command("gym")
+def gym(
+    quick: Quick = False,
+    games: Annotated[
+        list[str] | None,
+        typer.Option("--game", metavar="NAME", help="A game; may be repeated.", show_default="all three"),
+    ] = None,
+    episodes: Annotated[int, typer.Option(min=2, help="Of each game, that each player plays.")] = 20,
+    seed: options.Seed = 0,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
+    results: KeptIn = None,
+    out: Out = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Time the Gymnasium environments; let our planner, a small learned player and chance play them."""
+    from gridpush_drake.bench.gym import run
+
+    _check((out,), force)
+    settings = {"quick": quick, "games": games, "episodes": episodes, "seed": seed}
+    with _run_bench("gym", settings, results, workers, dask, force) as execution:
+        tables = run(games, episodes, seed, execution, quick=quick)
     _show(tables, out, force, json)
 
 

@@ -25,8 +25,9 @@ from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp, check_thickne
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface, stayed_supported
-from gridpush_drake.station.push_station import Learning, MakeFingerRegion, MakePushStation, PushStation, make_surface
+from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.station import Learning, MakeFingerRegion, Station, StationMaker, make_surface
 from gridpush_drake.station.task import (
     GO_ON,
     ControlledRecord,
@@ -59,7 +60,7 @@ class GraspFinder:
         pads: the gripper's measures, and what its pads can hold.
     """
 
-    station: PushStation
+    station: Station
     obj: GridObject
     surface: SupportSurface
     pads: PadLimit
@@ -110,7 +111,7 @@ class PreGraspRecord(ControlledRecord[PreGraspStatus]):
     """What came of a run: "held", "dropped", "failed", "lost", "stuck" or "interrupted"; filled while it runs.
 
     Attributes:
-        raised: how far the object's lowest point was above the table at the end, m.
+        raised: how far the object's lowest point was above the table at the end, m; NaN where nobody knows.
     """
 
     raised: float = float("nan")
@@ -138,12 +139,15 @@ class PreGraspTask(StationTask[PreGraspRecord]):
     lost_after = 10.0
     timeout = 60.0
 
-    def __init__(self, scenario: PushScenario, meshcat: Meshcat | None = None) -> None:
+    def __init__(
+        self, scenario: PushScenario, meshcat: Meshcat | None = None, make_station: StationMaker = MakePushStation
+    ) -> None:
         """Makes the Diagram.
 
         Args:
             scenario: what stands where, and how it is done; its scene has a gripper.
             meshcat: to show it in; None for none.
+            make_station: of a scenario; a simulated one by default.
 
         Raises:
             ScenarioError: the scenario makes no sense, has other objects, or its scene has no gripper.
@@ -152,8 +156,8 @@ class PreGraspTask(StationTask[PreGraspRecord]):
                 than it.
         """
         builder = DiagramBuilder()
-        self.station: PushStation = builder.AddSystem(
-            MakePushStation(scenario, meshcat, show_object=False, learning=Learning())
+        self.station: Station = builder.AddSystem(
+            make_station(scenario, meshcat, show_object=False, learning=Learning())
         )
         station = self.station
         if station.others:
@@ -176,15 +180,18 @@ class PreGraspTask(StationTask[PreGraspRecord]):
 
     def note(self, record: PreGraspRecord, time: float) -> bool:
         """Writes down how high the object is and what the controller does."""
-        record.raised = self.calc_raised()
+        if self.simulated:
+            record.raised = self.calc_raised()
         return self.note_step(record, time)
 
     def judge(self, record: PreGraspRecord, waiting: Waiting) -> Judgment:
         """Status and message."""
         status = record.last
-        if np.isnan(self.read("object.pose_true")).any():
+        if self.simulated and np.isnan(self.read(self.judged_pose)).any():
             return DROPPED, f"The object fell: {status.reason}"
         if status.mode == PreGraspMode.HOLDING:
+            if not self.simulated:
+                return HELD, "The gripper lifted the object and holds it."
             if record.raised >= LIFTED_SHARE * self.station.scenario.pregrasp.lift:
                 return HELD, f"The object was lifted and held, {1e3 * record.raised:.0f} mm above the table."
             return DROPPED, f"The gripper holds something, but the object is not up: {1e3 * record.raised:.0f} mm."
@@ -233,7 +240,7 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         )
 
 
-def make_options(station: PushStation, pads: PadLimit) -> PreGraspOptions:
+def make_options(station: Station, pads: PadLimit) -> PreGraspOptions:
     """The planner's options, by a station's scenario and robot and what its gripper's pads can hold."""
     scenario = station.scenario
     pregrasp, radius, speed = scenario.pregrasp, station.robot.finger.tip_radius, scenario.pokes.speed

@@ -299,6 +299,26 @@ class SimulationConfig(_Config):
     stiction_tolerance: Annotated[Number, _positive("m/s", low=1e-9)] = 1e-4
 
 
+class SafetyConfig(_Config):
+    """What stops a real arm; see `ArmGuard`.
+
+    Attributes:
+        status_age: greatest age of what the robot says of itself, s.
+        acceleration: greatest of a joint, rad/s² (m/s² where it slides).
+        torque_share: greatest torque on a joint from outside, as a share of what the joint can give.
+        pose_jump: farthest that the object may be seen to move at once, m.
+        pose_turn: likewise, rad.
+        margin: beyond workspace and home, that the tip may go, m.
+    """
+
+    status_age: Annotated[Number, _positive("s")] = 0.05
+    acceleration: Annotated[Number, _positive("rad/s²")] = 10.0
+    torque_share: Annotated[Number, _positive("of the joint's own", high=1.0)] = 0.1
+    pose_jump: Annotated[Number, _positive("m")] = 0.03
+    pose_turn: Annotated[Number, _positive("rad")] = 0.3
+    margin: Annotated[Number, _not_negative("m")] = 0.1
+
+
 class WorkspaceConfig(_Config):
     """The box in which the finger's tip may move, frame W.
 
@@ -379,6 +399,7 @@ class PushScenario(_Config):
         workspace: of the finger's tip.
         goal: where to push the object to, where that is the task.
         pregrasp: how to slide it to the edge and grasp it, where that is the task; the scene has a `gripper`.
+        safety: what stops the arm, where it is a real one.
         others: further objects on the table, which pushes keep clear of, see `station.others`.
         seed: of everything random.
         directives: what stands in the scene besides the object, as Drake's model directives: a robot with a finger,
@@ -404,6 +425,7 @@ class PushScenario(_Config):
     workspace: WorkspaceConfig = WorkspaceConfig()
     goal: GoalConfig = GoalConfig()
     pregrasp: PreGraspConfig = PreGraspConfig()
+    safety: SafetyConfig = SafetyConfig()
     others: Annotated[list[OtherConfig], Field(description="a list of objects, each with a pose")] = []
     seed: Annotated[int, _count(0, MAX_SEED)] = 0
     directives: Annotated[
