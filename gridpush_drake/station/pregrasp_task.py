@@ -168,7 +168,7 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         self.obj = station.obj
         gripper = station.robot.gripper.make_side_gripper()
         check_thickness(self.obj, scenario.object_height, gripper)
-        pads = PadLimit.of_object(self.obj, gripper, scenario.pregrasp.force)
+        pads = PadLimit.of_object(self.obj, gripper, min(scenario.pregrasp.force, station.robot.gripper.max_force))
         self._finder = GraspFinder(station, self.obj, self.surface, pads)
         self.planner = PreGraspPlanner(self.obj, self.surface, make_options(station, pads), limits=self._make_limits())
         self.controller = builder.AddNamedSystem("controller", self._make_controller())
