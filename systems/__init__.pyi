@@ -22,3 +22,4 @@ from .pusher_gate import PusherGate as PusherGate
 from .pusher_state_sensor import PusherStateSensor as PusherStateSensor
 from .rgbd_noise import RgbdNoise as RgbdNoise
 from .true_parameters import TrueParameters as TrueParameters
+from .worker import Worker as Worker

@@ -156,4 +156,5 @@ def _make_policy(station: PushStation) -> PokePolicy:
         reach=lambda command: station.FindObstacle(command) is None,
         test_pushes=pokes.test_count,
         test_distance=pokes.test_distance,
+        answer_delay=scenario.simulation.answer_delay,
     )
