@@ -18,6 +18,7 @@ import typer
 from gridpush_drake.cli import (
     bench,
     calibrate,
+    campaign,
     demo,
     export,
     identify,
@@ -61,6 +62,7 @@ app = typer.Typer(
 )
 
 app.command("demo")(demo.demo)
+app.command("campaign")(campaign.campaign)
 app.command("identify")(identify.identify)
 app.command("predict")(predict.predict)
 app.command("simulate")(simulate.simulate)

@@ -142,7 +142,7 @@ def _look(task: "StationTask[Any]", link: "HardwareLink", json: bool) -> None:
     pose, tip = task.read("object.pose"), task.read("pusher.state")[:3]
     seen: dict[str, Any] = {
         "status_age": link.status_age,
-        "joints": task.read("iiwa.position_measured").tolist(),
+        "joints": task.read(f"{task.station.robot.arm_model}.position_measured").tolist(),
         "tip": tip.tolist(),
         "object_pose": pose.tolist(),
         "first_push": None if push is None else [push.x, push.y, push.direction, push.distance],

@@ -75,8 +75,9 @@ def make_grasp_trajectory_options(
     return GraspTrajectoryOptions(
         p_PG=(x, y, z),
         travel_height=scenario.finger.travel_height,
-        force=pregrasp.force,
+        force=min(pregrasp.force, gripper.max_force),
         opening=gripper.opening,
+        closing_speed=gripper.closing_speed,
         hold_time=pregrasp.hold,
     )
 
@@ -107,6 +108,7 @@ def AddGraspExecutor(
     )
     builder.Connect(executor.GetOutputPort("tip_pose"), grasping.GetInputPort("push_tip_pose"))
     builder.Connect(executor.GetOutputPort("status"), grasping.GetInputPort("push_status"))
+    builder.Connect(grasping.GetOutputPort("status"), executor.GetInputPort("grasp_status"))
     return grasping
 
 

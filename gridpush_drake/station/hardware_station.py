@@ -19,7 +19,7 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.contact_material import FindTableOutline
 from gridpush_drake.multibody.tool_motion import R_WP_DOWN
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
-from gridpush_drake.station.arm import ArmPosture
+from gridpush_drake.station.arm import DRIVER_OUTPUTS, ArmPosture
 from gridpush_drake.station.grasping import ExportOutputs
 from gridpush_drake.station.robot import find_robot
 from gridpush_drake.station.robot_messages import (
@@ -32,7 +32,6 @@ from gridpush_drake.station.robot_messages import (
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import ParseScene, check_scenario
 from gridpush_drake.station.station import (
-    IIWA_OUTPUTS,
     AddRobotControl,
     Learning,
     LoadPushedObject,
@@ -139,7 +138,7 @@ class HardwareStation(Station):
             StationError: the finger does not point down there, or its tip is where it may not be.
         """
         context = self.GetMyMutableContextFromRoot(root_context)
-        q = np.array(self.GetOutputPort("iiwa.position_measured").Eval(context))
+        q = np.array(self.GetOutputPort(f"{self.robot.arm_model}.position_measured").Eval(context))
         X_WP = ArmPosture(self._setting.control_plant, self.robot).calc_tip_pose(q)
         self._check_start(q, X_WP)
         kinematics: DifferentialInverseKinematicsIntegrator = self._control.kinematics
@@ -230,8 +229,8 @@ def MakeHardwareStation(
     state = builder.AddNamedSystem("arm_state", Multiplexer([n, n]))
     for index, port in enumerate(("position_measured", "velocity_estimated")):
         builder.Connect(status.GetOutputPort(port), state.get_input_port(index))
-    builder.ExportOutput(state.get_output_port(), "iiwa.state_estimated")
-    ExportOutputs(builder, status, "iiwa", [port for port in IIWA_OUTPUTS if status.HasOutputPort(port)])
+    builder.ExportOutput(state.get_output_port(), f"{robot.arm_model}.state_estimated")
+    ExportOutputs(builder, status, robot.arm_model, [port for port in DRIVER_OUTPUTS if status.HasOutputPort(port)])
     station = HardwareStation(builder, setting, control, messages)
     station.set_name(name)
     return station

@@ -70,6 +70,7 @@ class LimitMonitor:
             np.array([limits(joint)[0] for joint in joints])
             for limits in (lambda j: j.position_lower_limits(), lambda j: j.position_upper_limits())
         )
+        self._arm = station.robot.arm_model
         self._middle, self._half = (lower + upper) / 2, (upper - lower) / 2
         self._speed = np.array([joint.velocity_upper_limits()[0] for joint in joints])
         self._torque = np.array(
@@ -106,9 +107,11 @@ class LimitMonitor:
         def share(now: float, values: np.ndarray, limits: np.ndarray) -> float:
             return max(now, float(np.max(np.abs(values) / limits)))
 
-        seen.position_share = share(seen.position_share, read("iiwa.position_measured") - self._middle, self._half)
-        seen.velocity_share = share(seen.velocity_share, read("iiwa.velocity_estimated"), self._speed)
-        seen.torque_share = share(seen.torque_share, read("iiwa.torque_commanded"), self._torque)
+        seen.position_share = share(
+            seen.position_share, read(f"{self._arm}.position_measured") - self._middle, self._half
+        )
+        seen.velocity_share = share(seen.velocity_share, read(f"{self._arm}.velocity_estimated"), self._speed)
+        seen.torque_share = share(seen.torque_share, read(f"{self._arm}.torque_commanded"), self._torque)
         if read("executor.status").phase == PushPhase.PUSHING:
             gap = read("executor.tip_pose").translation() - read("pusher.state")[:3]
             seen.tracking_error = max(seen.tracking_error, float(np.linalg.norm(gap)))

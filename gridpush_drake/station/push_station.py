@@ -23,7 +23,13 @@ from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.report.camera_figure import Sight
-from gridpush_drake.station.arm import AddArmDriver, CalcStartPosture, MakeControlPlant
+from gridpush_drake.station.arm import (
+    DRIVER_OUTPUTS,
+    AddArmDriver,
+    CalcStartPosture,
+    MakeControlPlant,
+    SetJointServos,
+)
 from gridpush_drake.station.camera import (
     AddPoseEstimator,
     AddRgbdCamera,
@@ -40,7 +46,6 @@ from gridpush_drake.station.robot import GetRobotInPlant, Robot, RobotInPlant, f
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import AddScene, CalcBasePose, CalcHome, MakeSupport, MakeTruth, check_scenario
 from gridpush_drake.station.station import (
-    IIWA_OUTPUTS,
     POSE_LOG,
     AddRobotControl,
     Learning,
@@ -143,7 +148,9 @@ def AddStationScene(
     )
     tip = plant.GetBodyByName(robot.finger.tip_frame)
     SetPartner(plant, scene_graph, [*table, *plant.GetCollisionGeometriesForBody(tip)])
-    return GetRobotInPlant(plant, robot), table
+    instances = GetRobotInPlant(plant, robot)
+    SetJointServos(plant, robot, instances.arm)
+    return instances, table
 
 
 def TakePhotograph(scenario: PushScenario, true_obj: GridObject) -> FoundObject:
@@ -425,7 +432,7 @@ def MakePushStation(
     if found is not None:
         ExportOutputs(builder, camera, "camera", ("covariance", "seen"))
     builder.ExportOutput(true_pose, "object.pose_true")
-    ExportOutputs(builder, driver, "iiwa", IIWA_OUTPUTS)
+    ExportOutputs(builder, driver, setting.robot.arm_model, DRIVER_OUTPUTS)
     builder.ExportOutput(plant.get_body_poses_output_port(), "body_poses")
     builder.ExportOutput(plant.get_contact_results_output_port(), "contact_results")
     builder.ExportOutput(world.scene_graph.get_query_output_port(), "query_object")

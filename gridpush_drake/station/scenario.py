@@ -471,7 +471,12 @@ def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushSce
             the message names the file, the field and the expected form.
     """
     path = Path(path)
-    data = _parse(path, read_text(path, WHAT, ScenarioError, MAX_YAML_SIZE))
+    return parse_scenario(path, read_text(path, WHAT, ScenarioError, MAX_YAML_SIZE), child_name=child_name)
+
+
+def parse_scenario(path: Path, text: str, *, child_name: str | None = None) -> PushScenario:
+    """Makes a scenario of the text of a file, which need not be there; otherwise as `read_scenario`."""
+    data = _parse(path, text)
     where = str(path)
     if child_name is not None:
         where, data = f"{path}, {child_name}", _pick_child(path, data, child_name)
@@ -502,11 +507,16 @@ def write_scenario(path: Path | str, scenario: PushScenario, force: bool = False
         ScenarioError: a field holds what will not do.
         OutputError: the file exists and `force` is not set, or it cannot be written.
     """
+    write_whole(path, format_scenario(scenario), force)
+
+
+def format_scenario(scenario: PushScenario) -> str:
+    """A scenario with every field, as YAML. Raises ScenarioError where a field holds what will not do."""
     scenario.check()
     fields = scenario.model_dump(exclude={"directives"})
     text = yaml.safe_dump(fields, sort_keys=False, default_flow_style=None, allow_unicode=True, width=LINE_LENGTH)
     directives = ModelDirectives(directives=scenario.directives)
-    write_whole(path, text + yaml_dump_typed(directives, schema=ModelDirectives), force)
+    return text + str(yaml_dump_typed(directives, schema=ModelDirectives))
 
 
 def _parse(path: Path, text: str) -> dict[str, Any]:

@@ -62,18 +62,6 @@ ESTIMATE_OUTPUTS = (
 """Of the identifier, exported as `estimate.mass` and so on."""
 
 
-IIWA_OUTPUTS = (
-    "position_commanded",
-    "position_measured",
-    "velocity_estimated",
-    "state_estimated",
-    "torque_commanded",
-    "torque_measured",
-    "torque_external",
-)
-"""Of the driver, exported as `iiwa.position_commanded` and so on."""
-
-
 @dataclass(frozen=True)
 class Learning:
     """What the station's identifier learns from.
@@ -236,7 +224,10 @@ def AddRobotControl(
     scenario, robot, control_plant = setting.scenario, setting.robot, setting.control_plant
     kinematics = AddArmKinematics(builder, robot, control_plant, setting.q_start)
     reach, style = ArmReach(control_plant, robot, setting.q_start), make_style(scenario, robot)
-    executor = builder.AddNamedSystem("executor", PushExecutor(setting.home, setting.obj.outline, reach, style))
+    lookout = None if setting.found is None else setting.home  # the arm may hide the object from a real camera
+    executor = builder.AddNamedSystem(
+        "executor", PushExecutor(setting.home, setting.obj.outline, reach, style, lookout)
+    )
     identifier = builder.AddNamedSystem(
         "identifier", make_identifier(scenario, setting.obj, setting.table_top, learning)
     )
@@ -293,6 +284,7 @@ class Station(Diagram):
     - ``pusher.state``: (6,) p_WP, m, and v_WP, m/s, of the tip's center, from the joints.
     - ``object.pose``: (3,) as the camera sees it, m and rad.
     - ``estimate.*``: see `GridIdentifier`; ``iiwa.*``: see Drake's `SimIiwaDriver`.
+      Another arm's ports have the name that the scene gives to its model: ``panda.*``.
     - Where the scene has a gripper: ``grasp_command``: (6,) see `GraspCommand`, need not be connected;
       ``grasp.status``: abstract `GraspStatus`; ``gripper.state``: (4,) the fingers' positions, left and right, m, and
       velocities, m/s. ``executor.tip_pose`` is then what push and grasp executor together desire.
@@ -317,12 +309,12 @@ class Station(Diagram):
             setting.plant, setting.robot, setting.table_top, setting.home,
         )  # fmt: skip
         self.truth, self.style = truth, control.executor.style
-        self._reach, self._grasping = control.reach, control.grasping
+        self.reach, self._grasping = control.reach, control.grasping
         builder.BuildInto(self)
 
     def FindObstacle(self, command: PushCommand) -> str | None:
         """Says why the arm cannot carry out a push, come from its home; None where it can."""
-        return plan_push(command, self.home, self.style, self._reach)[1]
+        return plan_push(command, self.home, self.style, self.reach)[1]
 
     def FindGraspObstacle(self, command: GraspCommand) -> str | None:
         """Says why the arm cannot carry out a grasp, come from its home; None where it can.
@@ -378,13 +370,16 @@ def MakeFingerRegion(station: Station, inset: float = 0.0) -> BaseGeometry:
         inset: least distance from the region's edge, m.
 
     Returns:
-        The region, W, m: the ring that the arm reaches, and in it the workspace, without the places where the tip would
-        touch another object; it may be empty.
+        The region, W, m: where the arm reaches, and in it the workspace, without the places where the tip would touch
+        another object; it may be empty.
     """
-    workspace = station.scenario.workspace
+    workspace, height = station.scenario.workspace, station.scenario.finger.push_height
     box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
-    axis, least, greatest = CalcTipReach(station.plant, station.robot, station.scenario.finger.push_height)
-    region = MakeRing(axis, least + inset, greatest - inset) & box.buffer(-inset)
+    if station.robot.arm.reach is None:
+        region = station.reach.find_region(box.bounds, height).buffer(-inset)
+    else:
+        axis, least, greatest = CalcTipReach(station.plant, station.robot, height)
+        region = MakeRing(axis, least + inset, greatest - inset) & box.buffer(-inset)
     return leave_out(region, station.others, station.robot.finger.tip_radius + inset)
 
 

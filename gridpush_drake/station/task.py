@@ -356,7 +356,8 @@ class StationTask(Generic[R]):
         found = self.read("estimate.identification")
         if found.push_names and (not record.estimates or found is not record.estimates[-1]):
             record.estimates.append(found)
-        if np.isfinite(self.read("object.pose")).all():
+        hidden = self.station.found is not None and not self.read("executor.status").ready  # by the arm at work
+        if hidden or np.isfinite(self.read("object.pose")).all():
             self._last_seen = time
         if self.note(record, time):
             self._last_new = time

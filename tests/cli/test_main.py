@@ -15,8 +15,7 @@ COMMANDS = [
     ("import", "mit"), ("bench",), ("bench", "speed"), ("bench", "paper"), ("bench", "real"),
     ("bench", "drake"), ("bench", "planning"), ("bench", "pregrasp"), ("bench", "grasp"), ("bench", "truth"),
     ("export",), ("view",), ("plan",), ("slide",), ("object",), ("calibrate",), ("track",), ("record",), ("twin",),
-    ("robot",),
-    ("bench", "perception"), ("import", "bag"),
+    ("robot",), ("bench", "perception"), ("import", "bag"), ("campaign",),
 ]  # fmt: skip
 
 
