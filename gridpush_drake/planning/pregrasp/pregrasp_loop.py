@@ -188,13 +188,14 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         """Whether nothing more is done."""
         return now.status.over
 
-    def step(self, now: PreGraspState, seen: Observation) -> PreGraspState:
-        """The state after an observation; `now` itself where nothing is new."""
+    def observe(self, now: PreGraspState, seen: Observation) -> tuple[PreGraspState, bool]:
+        """The state after an observation but for the decision, and whether that is due."""
         if now.status.over:
-            return now
+            return now, False
         if now.status.mode == PreGraspMode.GRASPING:
-            return self._follow_grasp(replace(now, filter=now.filter.wait(seen.time, seen.pose)), seen.gripper)
-        return super().step(now, seen)
+            now = replace(now, filter=now.filter.wait(seen.time, seen.pose))
+            return self._follow_grasp(now, seen.gripper), False
+        return super().observe(now, seen)
 
     def _wait(self, now: PreGraspState, seen: Observation) -> PreGraspState:
         """While the robot is at work; breaks a push off in which the object might fall."""
