@@ -40,14 +40,16 @@ MARKUP = re.compile(r"(?<!\\)(\||(?<=\S)\*|\*(?=\S)|(?<=\w)_(?!\w))")
 
 ARRAY = re.compile(r"~?numpy\.ndarray\[~?tuple\[.*?\], ~?numpy\.dtype\[~?numpy\.(\w+?)\d*\]\]")
 ARRAY_LIKE = re.compile(r"~?numpy\._typing\._array_like\._Buffer.*?_NestedSequence\[complex \| bytes \| str\]")
+FUNCTION = re.compile(r"(<m[io]>(?:log|exp|det|cov|diag|tr|asinh|clip|Huber)</m[io]>)")
 LITERAL = re.compile(r"(^ *::\n\n(?:(?: {4,}.*)?\n)+|^ *\.\. \w+::\n(?:(?: {3,}.*)?\n)+)", re.MULTILINE)
 INDENT = 4
 """Columns by which an equation stands to the right of the text about it."""
 
 
 def to_mathml(latex: str, display: str) -> str:
-    """Converts an equation; `aligned` is not known to the converter, `align*` is."""
-    return convert(latex.replace("{aligned}", "{align*}"), display=display)
+    """Converts an equation; `aligned` is not known to the converter, `align*` is. Functions get a thin space."""
+    text: str = convert(latex.replace("{aligned}", "{align*}"), display=display)
+    return FUNCTION.sub(r'\1<mspace width="0.17em" />', text)
 
 
 def visit_inline(translator: Any, node: nodes.math) -> None:
