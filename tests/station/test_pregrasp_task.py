@@ -13,8 +13,8 @@ def test_a_scene_without_a_gripper_is_refused():
         PreGraspTask(PushScenario())
 
 
-def test_an_object_without_a_graspable_part_is_refused():
+def test_an_object_too_thick_for_the_gripper_is_refused():
     scenario = PreGraspDemo().make_scenario()
-    scenario.object = "open_book"
-    with pytest.raises(PlanningError, match="no graspable part"):
+    scenario.object, scenario.object_height = "open_book", 0.085
+    with pytest.raises(PlanningError, match=r"0\.085 m thick; expected at most .* 0\.08 m"):
         PreGraspTask(scenario)
