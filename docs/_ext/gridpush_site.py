@@ -22,12 +22,7 @@ from sphinx.application import Sphinx
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
-PACKAGES = (
-    "objects", "dynamics", "pushes", "identification", "planning", "planning.contact", "planning.goal",
-    "planning.pregrasp", "perception", "multibody", "systems", "station", "report", "geometry", "dynamics.reference",
-    "dynamics.kernels", "identification.baselines", "errors",
-)  # fmt: skip
-"""Packages with public names of their own, in the order of the reference."""
+import gridpush_drake
 
 LOGGER = logging.getLogger(__name__)
 
@@ -110,8 +105,6 @@ class PublicNames(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Makes the list."""
-        import gridpush_drake
-
         public = self.env.app.gridpush_public
         lines = []
         for name in gridpush_drake.__all__:
@@ -238,7 +231,10 @@ def write_pages(app: Sphinx) -> None:
     (folder / "python").mkdir(parents=True, exist_ok=True)
     _write(folder / "command_line.md", make_command_line_page())
     public: dict[str, str] = {}
-    for package in PACKAGES:
+    home = Path(gridpush_drake.__file__).parent
+    stubs = [*home.glob("*/__init__.pyi"), *home.glob("*/*/__init__.pyi")]
+    packages = sorted(".".join(stub.parent.relative_to(home).parts) for stub in stubs)
+    for package in [*packages, "errors"]:
         module = import_module(f"gridpush_drake.{package}")
         for name in getattr(module, "__all__", vars(module)):
             if name.startswith("_"):
