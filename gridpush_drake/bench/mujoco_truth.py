@@ -12,15 +12,7 @@ A rigid body whose feet are as stiff as their cells are heavy sinks evenly, so e
 model's assumption, in a body with six degrees of freedom. Nothing changes that while the pusher's force and friction
 act at one height; pushed above the table, it loads its front and unloads its rear, as does every kind but the first.
 
-MuJoCo's contacts slip a little when they stick, and are lifted by slip when they slide. Both follow from four numbers.
-With R the regularization of a contact's normal force f, d its impedance (`solimp`) and b what its slip v is
-damped with (`solreffriction`), R f is the body's weight on the foot as acceleration over d, and
-
-    creep of a sticking foot at the cone's edge        mu R f / (b impratio)
-    load that slip feigns, relative to the foot's own  mu b v / (R f)
-    time by which friction's direction lags            1 / b
-
-so R f, here REGULARIZATION, is to be large, which a small impedance gives, and `impratio` very large.
+How MuJoCo's contacts are set is said in `multibody.mjcf`.
 """
 
 from dataclasses import dataclass, replace
@@ -33,44 +25,29 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import GRAVITY
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.multibody.mjcf import (
+    FOOT_RADIUS,
+    IMPRATIO,
+    TABLE_HALF,
+    TIME_STEP,
+    TOLERANCE,
+    WALL_RADIUS,
+    calc_springs,
+)
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
 if TYPE_CHECKING:
     import mujoco
 
-TIME_STEP, RIGID_TIME_STEP = 1e-3, 5e-4
-"""s, of bodies on compliant and on rigid feet."""
+RIGID_TIME_STEP = 5e-4
+"""s, of bodies on rigid feet."""
 
 BODY_HEIGHT = 0.03
 """m, of every object; its mass is spread evenly over it."""
 
-FOOT_RADIUS = 0.002
-"""m, of the spheres that stand on the table."""
-
-WALL_RADIUS = 1e-4
-"""m, of the capsules along the outline, which the pusher touches; its own radius is less by as much."""
-
-SINKAGE = 2e-4
-"""m that a compliant bottom sinks under its weight."""
-
 RIGID_SINKAGE = 1e-4
-"""The same of a rigid foot that bears its share of the weight."""
-
-DAMPING_RATIO = 0.3
-"""Of the body's motion up and down on its feet; explicit in time, so that rocking, which is faster, stays stable."""
-
-REGULARIZATION = 1e3
-"""R f of a foot, m/s²."""
-
-SLIP_DAMPING = 200.0
-"""b, 1/s."""
-
-IMPRATIO, TOLERANCE = 1e5, 1e-12
-"""Of the cone, and of MuJoCo's solver."""
-
-MIN_IMPEDANCE = 1e-4
-"""MuJoCo's least."""
+"""m that a rigid foot that bears its share of the weight sinks; a compliant bottom sinks by SINKAGE."""
 
 PUSHER_INERTIA = 1000.0
 """kg that resists a change of the pusher's given speed within a step."""
@@ -90,7 +67,6 @@ SETTLE_TIME = 1.0
 Bounds = tuple[float, float, float, float]
 """Least x and y, greatest x and y, m."""
 
-TABLE_HALF = 5.0
 ENDLESS: Bounds = (-TABLE_HALF, -TABLE_HALF, TABLE_HALF, TABLE_HALF)
 """A table that nothing comes to the end of."""
 
@@ -357,14 +333,7 @@ def _set_contacts(model: "mujoco.MjModel", body: TruthBody) -> None:
 
 
 def _set_springs(model: "mujoco.MjModel", rows: list[int], load: Array, sinkage: float, inverse: float) -> None:
-    """Lets pairs of geoms give way by `sinkage` under a load; `inverse` is the inertia that MuJoCo takes for granted.
-
-    The force is stiffness times depth, at any depth, as the impedance does not vary with it.
-    """
-    impedance = np.maximum(inverse / (inverse + REGULARIZATION / load), MIN_IMPEDANCE)
-    stiffness = load / sinkage
-    damping = 2 * DAMPING_RATIO * load / np.sqrt(sinkage * GRAVITY)
-    scale = inverse * (1 - impedance)
-    model.pair_solref[rows] = np.column_stack([-stiffness * scale, -damping * scale])
-    model.pair_solreffriction[rows] = np.column_stack([-np.ones_like(load), -SLIP_DAMPING * impedance])
+    """Lets pairs of geoms give way by `sinkage` under a load, see `calc_springs`."""
+    springs, slip, impedance = calc_springs(load, sinkage, inverse)
+    model.pair_solref[rows], model.pair_solreffriction[rows] = springs, slip
     model.pair_solimp[rows, :2] = impedance[:, None]

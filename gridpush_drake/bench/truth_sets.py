@@ -13,7 +13,6 @@ from gridpush_drake.bench.mujoco_truth import (
     BODY_HEIGHT,
     RIGID_SINKAGE,
     RIGID_TIME_STEP,
-    SINKAGE,
     TruthBody,
     TruthWorld,
 )
@@ -23,6 +22,7 @@ from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import read_text, write_whole
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.ground_truth import FEET_SLACK, draw_feet
+from gridpush_drake.multibody.mjcf import SINKAGE
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters

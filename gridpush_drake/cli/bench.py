@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import print_json, print_notice, print_table, to_json, work_progress
+from gridpush_drake.cli.console import print_json, print_table, to_json, work_progress
 
 if TYPE_CHECKING:
     from gridpush_drake.bench.jobs import Execution
@@ -38,7 +38,6 @@ Objects = Annotated[
     list[str] | None,
     typer.Option(metavar="NAME", help="An object; may be repeated.", show_default="all of the bench's"),
 ]
-Workers = Annotated[int, typer.Option(min=1, help="Processes.")]
 KeptIn = Annotated[
     Path | None,
     typer.Option(
@@ -50,8 +49,6 @@ KeptIn = Annotated[
 Out = Annotated[
     Path | None, typer.Option("--out", "-o", metavar="FILE", help="Also write the tables: .md, or .json for JSON.")
 ]
-WORKERS = 2
-"""Processes by default."""
 
 
 @app.command("speed")
@@ -89,7 +86,8 @@ def paper(
     figure: Annotated[
         Path | None, typer.Option(metavar="FIGURE.png", help="Also draw the error against the number of simulations.")
     ] = None,
-    workers: Workers = WORKERS,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
     results: KeptIn = None,
     out: Out = None,
     force: options.Force = False,
@@ -104,7 +102,7 @@ def paper(
         "data": _resolve(data), "quick": quick, "objects": objects, "sets": sets, "methods": methods, "budget": budget,
         "seed": seed, "figure": figure is not None,
     }  # fmt: skip
-    with _run_bench("paper", settings, results, workers, force) as execution:
+    with _run_bench("paper", settings, results, workers, dask, force) as execution:
         tables = run(
             data, sets, objects, methods or METHODS, budget, seed, execution, quick=quick, figure=figure, force=force
         )
@@ -121,7 +119,8 @@ def real(
     figure: Annotated[
         Path | None, typer.Option(metavar="FIGURE.png", help="Also draw the error against the number of pushes.")
     ] = None,
-    workers: Workers = WORKERS,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
     results: KeptIn = None,
     out: Out = None,
     force: options.Force = False,
@@ -132,7 +131,7 @@ def real(
 
     _check((out, figure), force)
     settings = {"data": _resolve(data), "quick": quick, "objects": objects, "splits": splits, "seed": seed}
-    with _run_bench("real", settings, results, workers, force) as execution:
+    with _run_bench("real", settings, results, workers, dask, force) as execution:
         tables = run(
             data,
             objects=objects,
@@ -154,7 +153,8 @@ def planning(
     sets: Annotated[int, typer.Option(min=1, help="Parameter and mass sets of each object.")] = 10,
     part: Annotated[Literal["all", "contact", "push"], typer.Option(help="Which to measure.")] = "all",
     seed: options.Seed = 0,
-    workers: Workers = WORKERS,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
     results: KeptIn = None,
     out: Out = None,
     force: options.Force = False,
@@ -168,7 +168,7 @@ def planning(
         "data": _resolve(data), "quick": quick, "objects": objects, "sets": sets, "part": part, "seed": seed
     }  # fmt: skip
     parts = PARTS if part == "all" else (part,)
-    with _run_bench("planning", settings, results, workers, force) as execution:
+    with _run_bench("planning", settings, results, workers, dask, force) as execution:
         tables = run(data, sets, objects, parts=parts, seed=seed, execution=execution, quick=quick)
     _show(tables, out, force, json)
 
@@ -196,7 +196,8 @@ def pregrasp(
         typer.Option(metavar="LEAST GREATEST", help="Of any part against the table, true and known."),
     ] = (0.3, 0.4),
     seed: options.Seed = 0,
-    workers: Workers = WORKERS,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
     results: KeptIn = None,
     out: Out = None,
     force: options.Force = False,
@@ -211,7 +212,7 @@ def pregrasp(
         "depth": depth, "experiment": experiment, "world": world, "support": support, "friction": friction,
         "seed": seed,
     }  # fmt: skip
-    with _run_bench("pregrasp", settings, results, workers, force) as execution:
+    with _run_bench("pregrasp", settings, results, workers, dask, force) as execution:
         tables = run(
             objects, mass_sets or MASS_SETS, seeds or SEEDS, seed=seed, execution=execution, depth=depth,
             experiment=experiment, quick=quick, data=data, friction=friction,
@@ -228,7 +229,8 @@ def grasp(
     ] = None,
     seeds: Annotated[int | None, typer.Option(min=1, help="Hidden truths and noises an object.")] = None,
     seed: options.Seed = 0,
-    workers: Workers = WORKERS,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
     results: KeptIn = None,
     out: Out = None,
     force: options.Force = False,
@@ -240,7 +242,7 @@ def grasp(
     _check((out,), force)
     chosen = range(seed, seed + (seeds or len(SEEDS)))
     settings = {"quick": quick, "objects": objects, "seeds": seeds, "seed": seed}
-    with _run_bench("grasp", settings, results, workers, force) as execution:
+    with _run_bench("grasp", settings, results, workers, dask, force) as execution:
         tables = run(objects or OBJECTS, chosen, quick=quick, execution=execution)
     _show(tables, out, force, json)
 
@@ -264,7 +266,8 @@ def truth(
         typer.Option(min=1, help="How many pushes to learn from; may be repeated.", show_default="3, 5, 8, 18"),
     ] = None,
     seed: options.Seed = 0,
-    workers: Workers = WORKERS,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
     results: KeptIn = None,
     out: Annotated[
         Path | None,
@@ -287,7 +290,7 @@ def truth(
         "quick": quick, "kinds": kinds, "objects": objects, "sets": sets, "pushes": pushes, "seed": seed,
         "out": _resolve(out),
     }  # fmt: skip
-    with _run_bench("truth", settings, results, workers, force) as execution:
+    with _run_bench("truth", settings, results, workers, dask, force) as execution:
         tables = run(
             kinds or KINDS, objects, sets, pushes or COUNTS, seed, execution, quick=quick, out=_resolve(out),
             force=force,
@@ -299,7 +302,8 @@ def truth(
 def drake(
     quick: Quick = False,
     seed: options.Seed = 0,
-    workers: Workers = WORKERS,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
     results: KeptIn = None,
     out: Out = None,
     force: options.Force = False,
@@ -309,7 +313,7 @@ def drake(
     from gridpush_drake.bench import drake, plant
 
     _check((out,), force)
-    with _run_bench("drake", {"quick": quick, "seed": seed}, results, workers, force) as execution:
+    with _run_bench("drake", {"quick": quick, "seed": seed}, results, workers, dask, force) as execution:
         options.compile_kernels()
         tables = drake.run_lcp_system(report=execution.report)
         tables += [] if quick else drake.run_updates(report=execution.report)
@@ -334,7 +338,8 @@ def perception(
     quick: Quick = False,
     objects: Objects = None,
     seed: options.Seed = 0,
-    workers: Workers = WORKERS,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
     results: KeptIn = None,
     out: Out = None,
     force: options.Force = False,
@@ -345,27 +350,50 @@ def perception(
 
     _check((out,), force)
     settings = {"data": _resolve(data), "quick": quick, "objects": objects, "seed": seed}
-    with _run_bench("perception", settings, results, workers, force) as execution:
+    with _run_bench("perception", settings, results, workers, dask, force) as execution:
         tables = run(data, objects, seed=seed, quick=quick, execution=execution)
+    _show(tables, out, force, json)
+
+
+@app.command("gym")
+def gym(
+    quick: Quick = False,
+    games: Annotated[
+        list[str] | None,
+        typer.Option("--game", metavar="NAME", help="A game; may be repeated.", show_default="all three"),
+    ] = None,
+    episodes: Annotated[int, typer.Option(min=2, help="Of each game, that each player plays.")] = 20,
+    seed: options.Seed = 0,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
+    results: KeptIn = None,
+    out: Out = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:
+    """Time the Gymnasium environments; let our planner, a small learned player and chance play them."""
+    from gridpush_drake.bench.gym import run
+
+    _check((out,), force)
+    settings = {"quick": quick, "games": games, "episodes": episodes, "seed": seed}
+    with _run_bench("gym", settings, results, workers, dask, force) as execution:
+        tables = run(games, episodes, seed, execution, quick=quick)
     _show(tables, out, force, json)
 
 
 @contextmanager
 def _run_bench(
-    bench: str, settings: dict[str, Any], path: Path | None, workers: int, force: bool
+    bench: str, settings: dict[str, Any], path: Path | None, workers: int, dask: str | None, force: bool
 ) -> "Iterator[Execution]":
     """How a bench's jobs are run: their results are kept, and what is done is shown."""
-    from gridpush_drake.bench.jobs import Execution, open_results
+    from gridpush_drake.bench.jobs import open_results
 
     results = open_results(path, bench, settings, force)
-    known = f", {len(results.lines)} of them from before" if results.lines else ""
-
-    def prepare() -> None:
-        print_notice(f"{bench}: results are kept in {results.path}{known}")
-        options.compile_kernels()
-
-    with work_progress(bench) as report:
-        yield Execution(workers, report, results, prepare)
+    with (
+        options.connecting(dask) as executor,
+        options.executing(bench, results, workers, executor) as execution,
+    ):
+        yield execution
 
 
 def _resolve(path: Path | None) -> Path | None:

@@ -11,38 +11,66 @@ import typer
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import print_json, print_line
 
-SUFFIX = ".sdf"
+Format = Literal["sdf", "urdf", "mjcf"]
+
+SUFFIXES: dict[str, Format] = {".sdf": "sdf", ".urdf": "urdf", ".xml": "mjcf", ".mjcf": "mjcf"}
 
 
 def export(
     target: options.ObjectOrModel,
-    out: Annotated[Path, typer.Argument(metavar="OUT.sdf", help="The file to write.", show_default=False)],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write.", show_default=False)],
+    file_format: Annotated[
+        Format | None,
+        typer.Option(
+            "--format",
+            help="SDFormat or URDF for Drake, MJCF for MuJoCo. All say every cell's mass and friction; what they cannot"
+            " say stands in the file.",
+            show_default="by the file's name: .sdf, .urdf, .xml or .mjcf",
+        ),
+    ] = None,
     base: Annotated[
         Literal["free", "planar"],
-        typer.Option(help="Six degrees of freedom, or held to the table's plane, each cell bearing its own weight."),
+        typer.Option(
+            help="Six degrees of freedom, or, in SDFormat, held to the table's plane, each cell bearing its own weight."
+        ),
     ] = "free",
     height: Annotated[float, typer.Option(help="Of the object, m.")] = 0.03,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Write an object or a learned model as an SDFormat model, for Drake."""
+    """Write an object or a learned model for Drake (SDFormat, URDF) or MuJoCo (MJCF)."""
     from gridpush_drake.files import check_writable
 
-    if out.suffix != SUFFIX:
-        raise options.OptionError(f"OUT.sdf: is {str(out)!r}; expected a name that ends in {SUFFIX}")
+    chosen = file_format or SUFFIXES.get(out.suffix)
+    if chosen is None:
+        raise options.OptionError(
+            f"OUT: is {str(out)!r}; expected a name that ends in {', '.join(SUFFIXES)}, or --format"
+        )
+    if base == "planar" and chosen != "sdf":
+        raise options.OptionError(f"base: is 'planar'; expected 'free', or the format sdf: {chosen} cannot say it here")
     check_writable(out, force)
     loaded = options.load_target(target, largest_piece)
 
-    from gridpush_drake.multibody.sdformat import WriteSdf
+    if chosen == "sdf":
+        from gridpush_drake.multibody.sdformat import WriteSdf
 
-    WriteSdf(loaded.obj, loaded.params, out, force, base=base, height=height)
+        WriteSdf(loaded.obj, loaded.params, out, force, base=base, height=height)
+    elif chosen == "urdf":
+        from gridpush_drake.multibody.urdf import WriteUrdf
+
+        WriteUrdf(loaded.obj, loaded.params, out, force, height=height)
+    else:
+        from gridpush_drake.multibody.mjcf import WriteMjcf
+
+        WriteMjcf(loaded.obj, loaded.params, out, force, height=height)
     if json:
         print_json(
             {
                 "object": loaded.obj.name,
                 "cells": loaded.obj.n,
                 "total_mass": loaded.params.total_mass,
+                "format": chosen,
                 "base": base,
                 "height": height,
                 "written": [str(out)],

@@ -165,7 +165,7 @@ def calc_loads(
 
 
 def simulate_batch(
-    obj: GridObject,
+    obj: GridObject | Sequence[GridObject],
     params: CellParameters | Sequence[CellParameters],
     pushes: Push | ForcePush | Sequence[Push | ForcePush],
     poses: ArrayLike = (0.0, 0.0, 0.0),
@@ -173,10 +173,10 @@ def simulate_batch(
     workers: int | None = None,
     **options: Any,
 ) -> list[Motion]:
-    """Simulates many pushes, or parameter sets, or pairs of the two, on all cores.
+    """Simulates many pushes, parameter sets or objects, or combinations of them, on all cores.
 
     Args:
-        obj: the object.
+        obj: one object for all, or one for each simulation.
         params: one set for all, or one for each simulation.
         pushes: one push for all, or one for each simulation.
         poses: (3,) one pose for all, or (count, 3).
@@ -192,21 +192,26 @@ def simulate_batch(
     starts = np.array(poses, dtype=np.float64)
     if starts.ndim not in (1, 2) or starts.shape[-1] != 3:
         raise SimulationError(f"poses of shape {starts.shape}; expected (3,) or (count, 3)")
-    lengths = [len(value) for value in (params, pushes) if isinstance(value, Sequence)]
+    lengths = [len(value) for value in (obj, params, pushes) if isinstance(value, Sequence)]
     lengths += [len(starts)] if starts.ndim == 2 else []
     count = max(lengths, default=1)
     if any(length != count for length in lengths):
-        raise SimulationError(f"params, pushes and poses of lengths {lengths}; expected equal lengths, or one for all")
+        raise SimulationError(
+            f"objects, params, pushes and poses of lengths {lengths}; expected equal lengths, or one for all"
+        )
     jobs = [
         (
+            obj[i] if isinstance(obj, Sequence) else obj,
             params[i] if isinstance(params, Sequence) else params,
             pushes[i] if isinstance(pushes, Sequence) else pushes,
             starts[i] if starts.ndim == 2 else starts,
         )
         for i in range(count)
     ]
+    if workers == 1:
+        return [simulate(*job, **options) for job in jobs]
     with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(lambda job: simulate(obj, job[0], job[1], job[2], **options), jobs))
+        return list(pool.map(lambda job: simulate(*job, **options), jobs))
 
 
 def find_edges_near(

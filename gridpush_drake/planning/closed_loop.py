@@ -132,6 +132,7 @@ class PushPhase(StrEnum):
     PUSHING = "pushing"
     SETTLING = "settling"
     RETRACTING = "retracting"
+    CLEARING = "clearing"
 
 
 @dataclass(frozen=True)
@@ -139,7 +140,8 @@ class PushStatus:
     """Where an executor stands.
 
     Attributes:
-        phase: "idle", "approaching", "descending", "pushing", "settling" or "retracting".
+        phase: "idle", "approaching", "descending", "pushing", "settling", "retracting" or "clearing" (it goes
+            out of the camera's way).
         command_id: of the last command taken up or refused; 0 before the first.
         executed: commands carried out to the end, or broken off.
         refused: commands refused.

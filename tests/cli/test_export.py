@@ -27,6 +27,24 @@ def test_writes_an_object_held_to_the_plane(gridpush, tmp_path):
     assert plant.num_positions() == 3
 
 
+@pytest.mark.parametrize(
+    ("name", "given", "begins"),
+    [
+        ("book.urdf", (), '<?xml version="1.0"?>\n<robot'),
+        ("book.xml", (), "<mujoco"),
+        ("book.mjcf", (), "<mujoco"),
+        ("book.txt", ("--format", "mjcf"), "<mujoco"),
+    ],
+)
+def test_the_format_follows_the_name_or_is_given(gridpush, tmp_path, name, given, begins):
+    out = tmp_path / name
+    document = json.loads(gridpush("export", "open_book", out, *given, "--json").out)
+    assert document["format"] in ("urdf", "mjcf")
+    text = out.read_text()
+    assert text.startswith(begins)
+    assert text.count("friction") >= document["cells"] or text.count("mu_static") >= document["cells"]
+
+
 def test_replaces_a_file_only_when_told(gridpush, refuses, block, tmp_path):
     out = tmp_path / "block.sdf"
     out.write_text("mine")
@@ -38,7 +56,8 @@ def test_replaces_a_file_only_when_told(gridpush, refuses, block, tmp_path):
 
 def test_refuses_what_makes_no_sense(refuses, block, tmp_path):
     out = tmp_path / "block.sdf"
-    refuses("export", block, tmp_path / "block.urdf", says=["OUT.sdf", "block.urdf", ".sdf"])
+    refuses("export", block, tmp_path / "block.usd", says=["OUT", "block.usd", ".sdf", ".urdf", ".xml", "--format"])
+    refuses("export", block, tmp_path / "block.xml", "--base", "planar", says=["base", "planar", "mjcf"])
     refuses("export", block, tmp_path / "missing" / "block.sdf", says=["missing", "does not exist"])
     refuses("export", block, out, "--height", "0", says=["height"])
     refuses("export", block, out, "--base", "flying", says=["flying"])

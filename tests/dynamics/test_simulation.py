@@ -210,6 +210,19 @@ def test_batch_of_one_push_with_many_parameters_and_the_other_way_round():
             np.testing.assert_array_equal(result.poses, simulate(obj, p, push, q).poses)
 
 
+def test_batch_of_many_objects_is_the_loop():
+    rng = np.random.default_rng(2)
+    objects = [make_shape(name, 30) for name in ("l_bracket", "square", "l_bracket")]
+    params = [make_random_contents(rng, obj) for obj in objects]
+    pushes = [make_random_push(rng, obj, length=0.05) for obj in objects]
+    for workers in (1, 2):
+        batch = simulate_batch(objects, params, pushes, workers=workers, regime="quasi_static")
+        for motion, *job in zip(batch, objects, params, pushes, strict=True):
+            np.testing.assert_array_equal(motion.poses, simulate(*job, regime="quasi_static").poses)
+    with pytest.raises(SimulationError, match="lengths"):
+        simulate_batch(objects[:2], params, pushes)
+
+
 def test_kernel_is_compiled_once_whatever_the_caller_s_arrays():
     """Numba compiles anew, for some 15 s, for a read-only or a strided array where it knew others."""
     obj = make_shape("l_bracket", 30)

@@ -55,6 +55,11 @@ class ReachableOutline:
         return float((self.high - self.low).sum())
 
     @property
+    def _ends(self) -> Array:
+        """(P,) length of the pieces up to the end of each, m."""
+        return np.cumsum(self.high - self.low)
+
+    @property
     def normal(self) -> Array:
         """(P, 2) outward unit normals, body frame."""
         return np.column_stack([self.tangent[:, 1], -self.tangent[:, 0]])
@@ -72,11 +77,20 @@ class ReachableOutline:
 
     def spread(self, spacing: float) -> tuple[Array, NDArray[np.int64]]:
         """Arc lengths `spacing` or less apart, m, and their pieces; evenly, short pieces taken together."""
-        ends = np.cumsum(self.high - self.low)
-        count = max(1, int(np.ceil(ends[-1] / spacing)))
-        traveled = ends[-1] * (np.arange(count) + 0.5) / count
+        count = max(1, int(np.ceil(self._ends[-1] / spacing)))
+        return self.locate((np.arange(count) + 0.5) / count)
+
+    def locate(self, share: ArrayLike) -> tuple[Array, NDArray[np.int64]]:
+        """Arc lengths (..., m) at shares (...,) of the pieces' length, 0 to below 1, and the pieces (...,) there."""
+        ends = self._ends
+        traveled = ends[-1] * np.asarray(share, dtype=np.float64)
         piece = np.searchsorted(ends, traveled, side="right")
         return self.high[piece] - (ends[piece] - traveled), piece
+
+    def calc_share(self, arc_length: float, piece: int) -> float:
+        """The share of the pieces' length at which an arc length (m) of a piece lies: the inverse of `locate`."""
+        ends = self._ends
+        return float((ends[piece] - (self.high[piece] - arc_length)) / ends[-1])
 
     def point(self, arc_length: Array, piece: NDArray[np.int64]) -> Array:
         """(..., 2) outline points, body frame, m."""

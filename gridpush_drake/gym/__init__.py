@@ -1,0 +1,18 @@
+"""Pushing as reinforcement learning sees it: Gymnasium environments in which the project's own simulator moves objects.
+
+Importing this package registers, for `gymnasium.make` and `gymnasium.make_vec`,
+
+    gridpush/PushToGoal-v0    push an object of hidden masses to a goal pose
+    gridpush/SlideToEdge-v0   push it over the table's edge so far that it can be grasped; falling ends the episode
+    gridpush/Explore-v0       poke it so that its motion under other pushes can be foretold
+
+It needs `pip install 'gridpush-drake[gym]'`.
+"""
+
+import lazy_loader
+
+from gridpush_drake.gym.environments import register_environments
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+register_environments()

@@ -1,0 +1,217 @@
+"""The environments: `PushEnvironment`, one episode, and `PushVectorEnvironment`, many that are simulated together.
+
+The i-th of a vector environment that is seeded with s does what an environment seeded with s + i does, bit for bit.
+"""
+
+from collections.abc import Callable
+from typing import Any, cast
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box, Dict, Space
+from gymnasium.utils.seeding import np_random
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.gym.episode import Episode, GameOptions, PushGame
+from gridpush_drake.gym.explore import Explore
+from gridpush_drake.gym.push_to_goal import PushToGoal
+from gridpush_drake.gym.rendering import draw_scene
+from gridpush_drake.gym.slide_to_edge import SlideToEdge
+
+GAMES: dict[str, Callable[[GameOptions], PushGame[Any]]] = {
+    "PushToGoal": PushToGoal,
+    "SlideToEdge": SlideToEdge,
+    "Explore": Explore,
+}
+"""By the environment's name."""
+
+DEFAULTS: dict[str, dict[str, Any]] = {"SlideToEdge": {"max_pushes": 30}, "Explore": {"max_pushes": 8}}
+"""Options that a game has other defaults for."""
+
+CAMERA_SIZE, PICTURE_SIZE = 96, 480
+"""Pixels along each side of what the camera sees, and of what `render` gives."""
+
+FPS = 2
+"""Pushes a second, of a film of pictures."""
+
+METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": FPS}
+
+Observation = dict[str, NDArray[Any]]
+
+
+def register_environments() -> None:
+    """Makes the environments known to Gymnasium, as `gridpush/NAME-v0`."""
+    for name in GAMES:
+        if f"gridpush/{name}-v0" not in gymnasium.registry:
+            gymnasium.register(
+                f"gridpush/{name}-v0",
+                entry_point=f"{__name__}:PushEnvironment",
+                vector_entry_point=f"{__name__}:PushVectorEnvironment",
+                kwargs={"game": name},
+            )
+
+
+def make_game(game: str, options: dict[str, Any]) -> PushGame[Any]:
+    """Makes a game by its name, of GAMES, with fields of `GameOptions`."""
+    return GAMES[game](GameOptions(**DEFAULTS.get(game, {}) | options))
+
+
+class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
+    """One episode after another.
+
+    An action is (place on the outline, direction, distance), each from -1 to 1 (`KnownShape.make_push`). An observation
+    is a dictionary, see `PushGame.make_spaces`; `info` has "score", the game's own measure, and "is_success".
+
+    Attributes:
+        game: what is drawn, seen and rewarded.
+        episode: the present one.
+    """
+
+    metadata = METADATA
+
+    def __init__(
+        self, game: str = "PushToGoal", render_mode: str | None = None, camera: bool = False, **options: Any
+    ) -> None:
+        """Makes the environment.
+
+        Args:
+            game: of GAMES.
+            render_mode: "rgb_array", or None for no pictures.
+            camera: whether the observation has "rgb", the scene seen from above, which shows no masses.
+            options: fields of `GameOptions`.
+        """
+        self.game, self.render_mode, self._camera = make_game(game, options), render_mode, camera
+        self._spaces = _make_spaces(self.game, camera)
+        self.observation_space = _to_dict(self._spaces)
+        self.action_space = Box(-1.0, 1.0, (3,), np.float32)
+        self.episode: Episode | None = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begins another episode."""
+        super().reset(seed=seed, options=options)
+        self.episode = self.game.begin(self.np_random)
+        return self._observe(), {"score": self.episode.score, "is_success": False}
+
+    def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Makes one push."""
+        assert self.episode is not None, "call reset first"
+        (turn,) = self.game.play([self.episode], [np.asarray(action)])
+        self.episode = turn.episode
+        cut_off = not turn.terminated and self.game.is_cut_off(turn.episode)
+        info = {"score": turn.episode.score, "is_success": turn.won}
+        return self._observe(), float(turn.reward), turn.terminated, cut_off, info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """(PICTURE_SIZE, PICTURE_SIZE, 3) the scene from above, cells colored by their hidden masses."""
+        if self.render_mode is None or self.episode is None:
+            return None
+        return draw_scene(self.game, self.episode, PICTURE_SIZE, show_hidden=True)
+
+    def _observe(self) -> Observation:
+        assert self.episode is not None
+        values = _observe(self.game, self.episode, self._camera)
+        return {
+            name: np.clip(values[name], space.low, space.high).astype(space.dtype)
+            for name, space in self._spaces.items()
+        }
+
+
+class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
+    """Many episodes at once, whose pushes are simulated in one batch.
+
+    An episode that is over begins anew with the next step, whose action it does not heed (`AutoresetMode.NEXT_STEP`).
+
+    Attributes:
+        game: what is drawn, seen and rewarded.
+        episodes: the present ones.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        game: str = "PushToGoal",
+        render_mode: str | None = None,
+        camera: bool = False,
+        **options: Any,
+    ) -> None:
+        """Makes the environment; `num_envs` is how many episodes there are, the rest as of `PushEnvironment`."""
+        self.num_envs, self.game, self.render_mode, self._camera = (
+            num_envs, make_game(game, options), render_mode, camera,
+        )  # fmt: skip
+        self.metadata = {**METADATA, "autoreset_mode": AutoresetMode.NEXT_STEP}
+        self._spaces = _make_spaces(self.game, camera)
+        self.single_observation_space = _to_dict(self._spaces)
+        self.single_action_space = Box(-1.0, 1.0, (3,), np.float32)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.episodes: list[Episode] = []
+        self._generators: list[np.random.Generator] = []
+        self._over = np.zeros(num_envs, dtype=bool)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begins all episodes; the i-th is seeded with `seed` + i."""
+        if seed is not None or not self._generators:
+            seeds = [None if seed is None else seed + i for i in range(self.num_envs)]
+            self._generators = [np_random(one)[0] for one in seeds]
+        self.episodes = [self.game.begin(rng) for rng in self._generators]
+        self._over[:] = False
+        return self._observe(), self._inform(np.zeros(self.num_envs, dtype=bool))
+
+    def step(
+        self, actions: NDArray[Any]
+    ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """Makes one push in each episode that is not over."""
+        rewards, (terminated, cut_off, won) = np.zeros(self.num_envs), np.zeros((3, self.num_envs), dtype=bool)
+        for i in np.flatnonzero(self._over):
+            self.episodes[i] = self.game.begin(self._generators[i])
+        going_on = np.flatnonzero(~self._over)
+        turns = self.game.play([self.episodes[i] for i in going_on], [np.asarray(actions[i]) for i in going_on])
+        for i, turn in zip(going_on, turns, strict=True):
+            self.episodes[i], rewards[i], terminated[i], won[i] = turn.episode, turn.reward, turn.terminated, turn.won
+            cut_off[i] = not turn.terminated and self.game.is_cut_off(turn.episode)
+        self._over = terminated | cut_off
+        return self._observe(), rewards, terminated, cut_off, self._inform(won)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """A picture of each episode, as `PushEnvironment.render` has it."""
+        if self.render_mode is None or not self.episodes:
+            return None
+        return tuple(draw_scene(self.game, episode, PICTURE_SIZE, show_hidden=True) for episode in self.episodes)
+
+    def _inform(self, won: NDArray[np.bool_]) -> dict[str, Any]:
+        every = np.ones(self.num_envs, dtype=bool)
+        scores = np.array([episode.score for episode in self.episodes])
+        return {"score": scores, "_score": every, "is_success": won, "_is_success": every}
+
+    def _observe(self) -> Observation:
+        values = [_observe(self.game, episode, self._camera) for episode in self.episodes]
+        return {
+            name: np.clip(np.stack([value[name] for value in values]), space.low, space.high).astype(space.dtype)
+            for name, space in self._spaces.items()
+        }
+
+
+def _to_dict(spaces: dict[str, Box[Any]]) -> Space[Observation]:
+    """The spaces as one, whose type Gymnasium's stubs leave open."""
+    return cast(Space[Observation], Dict(cast(dict[str, Space[Any]], spaces)))
+
+
+def _make_spaces(game: PushGame[Any], camera: bool) -> dict[str, Box]:
+    spaces = game.make_spaces()
+    if camera:
+        spaces["rgb"] = Box(0, np.iinfo(np.uint8).max, (CAMERA_SIZE, CAMERA_SIZE, 3), np.uint8)
+    return spaces
+
+
+def _observe(game: PushGame[Any], episode: Episode, camera: bool) -> dict[str, Array]:
+    values = game.observe(episode)
+    if camera:
+        values["rgb"] = draw_scene(game, episode, CAMERA_SIZE, show_hidden=False)
+    return values

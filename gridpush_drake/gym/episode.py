@@ -1,0 +1,266 @@
+"""An episode: one hidden object, pushed a number of times; and the game that says what pushes are worth.
+
+A game holds what never changes, an episode all that does. `play` makes one push in each of many episodes, all of them
+simulated together; an environment is one episode, a vector environment many.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from gymnasium.spaces import Box
+
+from gridpush_drake.dynamics.motion import Motion
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulation import calc_loads, simulate_batch
+from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import Array, rotate, wrap_angle
+from gridpush_drake.gym.known_shape import FINGER, KnownShape, load_shape
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.support_surface import SupportSurface, find_supported
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+
+OBJECTS = ("claw_hammer", "combination_wrench", "pliers", "spray_bottle", "spring_clamp", "toothpaste_tube")
+"""One of them is drawn for each episode."""
+
+MASS_RANGE, FRICTION_RANGE, CONTACT_FRICTION_RANGE = (0.1, 5.0), (0.3, 0.4), (0.35, 0.65)
+"""What the parts' masses (kg a cell) and frictions, and the finger's friction, are drawn from."""
+
+TIP_STEP = 0.002
+"""m that the finger moves in a step of the simulation."""
+
+OBSERVATIONS = 4
+"""Poses that are seen during a push, after the first, its end among them."""
+
+ROOM = 1.0
+"""m beyond the table's edge that the space of poses reaches."""
+
+
+@dataclass(frozen=True)
+class GameOptions:
+    """What an episode is drawn from.
+
+    Attributes:
+        objects: names of shipped objects, or objects; one is drawn for each episode.
+        max_pushes: after which an episode is cut off.
+        position_std: standard deviation of seen positions, per axis, m.
+        angle_std: of seen angles, rad.
+        workers: threads that simulate; no result depends on it.
+
+    Raises:
+        PlanningError: a number is out of range, or there is no object.
+        ObjectError: no shipped object has one of the names.
+    """
+
+    objects: Sequence[str | GridObject] = OBJECTS
+    max_pushes: int = 20
+    position_std: float = 0.0005
+    angle_std: float = 0.003
+    workers: int = 1
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "objects", tuple(self.objects))
+        if not self.objects:
+            raise PlanningError("objects: none is given; expected the names of shipped objects, or objects")
+        for name in ("max_pushes", "workers"):
+            if getattr(self, name) < 1:
+                raise PlanningError(f"{name} is {getattr(self, name)!r}; expected 1 or more")
+        if not (self.position_std >= 0 and self.angle_std >= 0):
+            raise PlanningError("position_std and angle_std must be >= 0")
+
+    def load_shapes(self) -> tuple[KnownShape, ...]:
+        """The objects' shapes."""
+        return tuple(load_shape(one) if isinstance(one, str) else KnownShape(one) for one in self.objects)
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """Where an episode stands. `hidden`, `true_pose` and `score` are the truth, which no player is shown.
+
+    Attributes:
+        shape: of the object.
+        hidden: its true masses and frictions.
+        rng: draws the noise.
+        true_pose: (3,) q_W of the object, m and rad.
+        pose: (3,) as it was last seen.
+        score: what the game is about, see there; NaN before it was measured.
+        last_action: (3,) zeros before the first.
+        last_motion: (3,) by which the last push was seen to move the object, in its own frame before, m and rad.
+        pushes: what was seen of every push, in order.
+        fallen: whether the object fell off the table.
+    """
+
+    shape: KnownShape
+    hidden: CellParameters
+    rng: np.random.Generator
+    true_pose: Array
+    pose: Array
+    score: float = np.nan
+    last_action: Array = field(default_factory=lambda: np.zeros(3))
+    last_motion: Array = field(default_factory=lambda: np.zeros(3))
+    pushes: tuple[ObservedPush, ...] = ()
+    fallen: bool = False
+
+    @property
+    def log(self) -> PushLog:
+        """The pushes, as a learner takes them."""
+        return PushLog(self.pushes)
+
+
+E_ = TypeVar("E_", bound=Episode)
+
+
+@dataclass(frozen=True, eq=False)
+class Turn(Generic[E_]):
+    """What came of one push.
+
+    Attributes:
+        episode: after it.
+        reward: for it.
+        won: whether the aim is reached, which ends the episode.
+    """
+
+    episode: E_
+    reward: float
+    won: bool = False
+
+    @property
+    def terminated(self) -> bool:
+        """Whether the episode is over: won, or lost as the object fell."""
+        return self.won or self.episode.fallen
+
+
+class PushGame(Generic[E_]):
+    """What is drawn, seen and rewarded; a game is a subclass.
+
+    Attributes:
+        options: what an episode is drawn from.
+        surface: the table, a rectangle about the world's origin.
+    """
+
+    def __init__(self, options: GameOptions, table: tuple[float, float]) -> None:
+        """Takes the options, and the table's sides along x and y, m."""
+        self.options, self.shapes = options, options.load_shapes()
+        self.surface = SupportSurface.rectangle((0.0, 0.0), table)
+        self._half = np.array(table) / 2
+
+    def begin(self, rng: np.random.Generator) -> E_:
+        """Draws an episode; `rng` also draws its noise."""
+        raise NotImplementedError
+
+    def judge(self, before: E_, after: E_) -> Turn[E_]:
+        """What a push was worth; the episode with its `score`."""
+        raise NotImplementedError
+
+    def make_own_spaces(self) -> dict[str, Box]:
+        """What this game adds to the observation."""
+        return {}
+
+    def observe_own(self, episode: E_) -> dict[str, Array]:
+        """The values of that."""
+        return {}
+
+    def find_goal(self, episode: E_) -> Array | None:
+        """The goal pose (3,) that is drawn into pictures; None where there is none."""
+        return None
+
+    def draw_object(self, rng: np.random.Generator) -> tuple[KnownShape, CellParameters]:
+        """Draws an object and what is hidden of it."""
+        shape = self.shapes[int(rng.integers(len(self.shapes)))]
+        seed = int(rng.integers(np.iinfo(np.int64).max))
+        hidden = CellParameters.random(shape.obj, seed, MASS_RANGE, FRICTION_RANGE)
+        return shape, replace(hidden, contact_friction=float(rng.uniform(*CONTACT_FRICTION_RANGE)))
+
+    def add_noise(self, poses: Array, rng: np.random.Generator) -> Array:
+        """Poses (..., 3) as they are seen."""
+        std = (self.options.position_std, self.options.position_std, self.options.angle_std)
+        return np.asarray(poses + np.array(std) * rng.standard_normal(np.shape(poses)))
+
+    def make_spaces(self) -> dict[str, Box]:
+        """Of the observation; lengths in m, angles as cosine and sine."""
+        far = (self._half + ROOM).astype(np.float32)
+        limit = np.array([*far, 1.0, 1.0], dtype=np.float32)
+        step = np.array([*(2 * far), np.pi], dtype=np.float32)
+        shape = self.shapes[0]
+        return {
+            "pose": Box(-limit, limit),
+            "outline": Box(-1.0, 1.0, (shape.outline.size,)),
+            "occupancy": Box(0, np.iinfo(np.uint8).max, shape.occupancy.shape, np.uint8),
+            "last_action": Box(-1.0, 1.0, (3,)),
+            "last_motion": Box(-step, step),
+            "table": Box(0.0, far),
+            **self.make_own_spaces(),
+        }
+
+    def observe(self, episode: E_) -> dict[str, Any]:
+        """What a player sees."""
+        return {
+            "pose": flatten_pose(episode.pose),
+            "outline": episode.shape.outline.ravel(),
+            "occupancy": episode.shape.occupancy,
+            "last_action": episode.last_action,
+            "last_motion": episode.last_motion,
+            "table": self._half,
+            **self.observe_own(episode),
+        }
+
+    def play(self, episodes: Sequence[E_], actions: Sequence[Array]) -> list[Turn[E_]]:
+        """Makes one push in each of the episodes, which are simulated in one batch.
+
+        Args:
+            episodes: none of them over.
+            actions: (3,) for each, see `KnownShape.make_push`.
+
+        Returns:
+            What came of each.
+        """
+        pushes = [
+            episode.shape.make_push(action, episode.pose) for episode, action in zip(episodes, actions, strict=True)
+        ]
+        motions = simulate_batch(
+            [episode.shape.obj for episode in episodes],
+            [episode.hidden for episode in episodes],
+            pushes,
+            np.reshape([episode.true_pose for episode in episodes], (-1, 3)),
+            workers=self.options.workers,
+            dt=TIP_STEP / FINGER.speed,
+            regime="quasi_static",
+            table=self.surface.corners,
+        )
+        played = zip(episodes, actions, pushes, motions, strict=True)
+        return [
+            self.judge(episode, self._go_on(episode, action, push, motion)) for episode, action, push, motion in played
+        ]
+
+    def _go_on(self, episode: E_, action: Array, push: Push, motion: Motion) -> E_:
+        """The episode after a push, not yet judged."""
+        poses, fallen = motion.poses, bool(motion.tips.any())
+        if fallen:
+            poses = poses[: int(np.argmax(motion.tips)) + 1]
+        rows = np.unique(np.rint(np.linspace(0, len(poses) - 1, OBSERVATIONS + 1)).astype(int))[1:]
+        seen, on_table = self.add_noise(poses[rows], episode.rng), True
+        if not find_supported(episode.shape.obj, poses, self.surface).all():
+            on_table = False
+            at_rest = calc_loads(episode.shape.obj, episode.hidden, poses[-1], self.surface.corners)
+            fallen = fallen or at_rest is None
+        name = f"push_{len(episode.pushes) + 1}"
+        observed = ObservedPush(name, push, episode.pose, motion.times[rows], seen, overhang=not on_table)
+        pose = seen[-1] if len(seen) else self.add_noise(poses[-1], episode.rng)
+        change = pose - episode.pose
+        moved = np.append(rotate(-episode.pose[2], change[:2]), wrap_angle(change[2]))
+        return replace(
+            episode, true_pose=poses[-1].copy(), pose=pose, fallen=fallen,
+            last_action=np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0), last_motion=moved,
+            pushes=(*episode.pushes, observed),
+        )  # fmt: skip
+
+    def is_cut_off(self, episode: E_) -> bool:
+        """Whether all pushes were made."""
+        return len(episode.pushes) >= self.options.max_pushes
+
+
+def flatten_pose(pose: Array) -> Array:
+    """(4,) x and y, m, cosine and sine of theta, of a pose (3,)."""
+    return np.array([pose[0], pose[1], np.cos(pose[2]), np.sin(pose[2])])

@@ -1,0 +1,119 @@
+"""What a player knows of an object beforehand: its shape, as arrays whose sizes are the same for every object.
+
+A place on the outline is a share of its reachable length (`planning.contact.reachable_outline`), from 0 to 1, so that
+the finger fits at every place.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import Array, transform_back
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.planning.contact.reachable_outline import ReachableOutline, find_reachable_outline
+from gridpush_drake.planning.contact.trial import ContactOptions
+from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, find_grasp_parts
+
+PLACES = 64
+"""On the outline, that are observed."""
+
+PIXELS, WINDOW = 48, 0.48
+"""Of the occupancy picture along each side, and the side's length, m."""
+
+OCCUPIED = 255
+"""Of a pixel within the object."""
+
+FINGER = ContactOptions(distance_range=(0.01, 0.15))
+"""The finger and the pushes that it can make."""
+
+
+@dataclass(frozen=True, eq=False)
+class KnownShape:
+    """An object as a player sees it.
+
+    Attributes:
+        obj: the object.
+    """
+
+    obj: GridObject
+
+    def __post_init__(self) -> None:
+        width = np.ptp(np.reshape(self.obj.outline.bounds, (2, 2)), axis=0).max()
+        if width > WINDOW:
+            raise PlanningError(f"{self.obj.name}: is {width:.3g} m wide; expected at most {WINDOW:g} m in these games")
+
+    @cached_property
+    def reachable(self) -> ReachableOutline:
+        """Where the finger can touch."""
+        return find_reachable_outline(self.obj, FINGER.radius, FINGER.clearance)
+
+    @cached_property
+    def outline(self) -> Array:
+        """(PLACES, 4) the points at the shares 0, 1/PLACES, ..., m, and the inward unit normals there, body frame."""
+        s, piece = self.reachable.locate(np.arange(PLACES) / PLACES)
+        return np.column_stack([self.reachable.point(s, piece), -self.reachable.normal[piece]])
+
+    @cached_property
+    def occupancy(self) -> NDArray[np.uint8]:
+        """(PIXELS, PIXELS, 1) OCCUPIED where a cell is, about the cells' centroid; rows along -y, columns along x."""
+        along = WINDOW * ((np.arange(PIXELS) + 0.5) / PIXELS - 0.5)
+        pixels = np.stack(np.meshgrid(along, -along), axis=-1).reshape(-1, 2) + self.obj.p_BC.mean(axis=0)
+        half = self.obj.cell_size / 2
+        inside = (np.abs(pixels[:, None] - self.obj.p_BC).max(axis=-1) <= half).any(axis=1)
+        return np.where(inside, OCCUPIED, 0).astype(np.uint8).reshape(PIXELS, PIXELS, 1)
+
+    @cached_property
+    def grasp_parts(self) -> tuple[GraspPart, ...]:
+        """Where the gripper can take it."""
+        return tuple(find_grasp_parts(self.obj))
+
+    def make_push(self, action: Array, pose: Array) -> Push:
+        """Makes the push of an action.
+
+        Args:
+            action: (3,) place, direction and distance, each from -1 to 1, which stand for shares of the outline from 0
+                to 1 (which is 0 again), and for the least and the greatest of `FINGER.angle_range` and
+                `FINGER.distance_range`.
+            pose: (3,) where the object is seen, m and rad.
+
+        Returns:
+            The push.
+        """
+        share, angle, distance = (np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0) + 1.0) / 2.0
+        s, _ = self.reachable.locate(share % 1.0)
+        low, high = FINGER.angle_range
+        least, greatest = FINGER.distance_range
+        return Push.on_outline(
+            self.obj, float(s), low + (high - low) * angle, least + (greatest - least) * distance,
+            radius=FINGER.radius, speed=FINGER.speed, pose=pose, clearance=FINGER.clearance,
+        )  # fmt: skip
+
+    def find_action(self, push: Push, pose: Array) -> NDArray[np.float32]:
+        """Finds the action (3,) that comes nearest to a straight push of an object seen at a pose (3,).
+
+        `make_push` of it gives that push again where it touches the outline as `Push.on_outline` would have it, with
+        the finger's radius and clearance, and its direction and distance are among those that can be made.
+        """
+        reach, normal = self.reachable, self.reachable.normal
+        start = transform_back(pose, push.start[None])[0] - (FINGER.radius + FINGER.clearance) * normal
+        along = np.clip(((start - reach.origin) * reach.tangent).sum(axis=1), reach.low, reach.high)
+        off = np.linalg.norm(reach.origin + along[:, None] * reach.tangent - start, axis=1)
+        piece = int(off.argmin())
+        heading = np.arctan2(push.velocity[1], push.velocity[0]) - pose[2]
+        inwards = np.arctan2(-normal[piece, 1], -normal[piece, 0])
+        angle = (heading - inwards + np.pi) % (2 * np.pi) - np.pi
+        ranges = np.array([(0.0, 1.0), FINGER.angle_range, FINGER.distance_range])
+        values = np.array([reach.calc_share(float(along[piece]), piece), angle, push.length])
+        action = 2 * (values - ranges[:, 0]) / np.ptp(ranges, axis=1) - 1
+        return np.clip(action, -1.0, 1.0).astype(np.float32)
+
+
+@lru_cache(maxsize=32)
+def load_shape(name: str) -> KnownShape:
+    """Loads a shipped object by its name. Raises ObjectError where there is none."""
+    return KnownShape(GridObject.from_yaml(find_shipped_object(name)))

@@ -1,0 +1,196 @@
+"""A grid object as a MuJoCo model (MJCF), in one file: a free rigid body on a table, a foot under every cell.
+
+The body's feet are as stiff as their cells are heavy, so that it sinks evenly and each cell bears its own weight, the
+model's assumption. A finger touches a thin ring along the outline at the height that the model supposes, 0 unless it
+was told another: pushed above the table, a rigid body's load moves forward.
+
+MuJoCo's contacts slip a little when they stick, and are lifted by slip when they slide. Both follow from four numbers.
+With R the regularization of a contact's normal force f, d its impedance (`solimp`) and b what its slip v is
+damped with (`solreffriction`), R f is the body's weight on the foot as acceleration over d, and
+
+    creep of a sticking foot at the cone's edge        mu R f / (b impratio)
+    load that slip feigns, relative to the foot's own  mu b v / (R f)
+    time by which friction's direction lags            1 / b
+
+so R f, here REGULARIZATION, is to be large, which a small impedance gives, and `impratio` very large.
+"""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gridpush_drake.dynamics.simulation import GRAVITY
+from gridpush_drake.errors import ObjectError
+from gridpush_drake.files import write_whole
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+
+TIME_STEP = 1e-3
+"""s."""
+
+FOOT_RADIUS = 0.002
+"""m, of the spheres that stand on the table."""
+
+WALL_RADIUS = 1e-4
+"""m, of the capsules along the outline, which the pusher touches; its own radius should be less by as much."""
+
+SINKAGE = 2e-4
+"""m that a compliant bottom sinks under its weight."""
+
+DAMPING_RATIO = 0.3
+"""Of the body's motion up and down on its feet; explicit in time, so that rocking, which is faster, stays stable."""
+
+REGULARIZATION = 1e3
+"""R f of a foot, m/s²."""
+
+SLIP_DAMPING = 200.0
+"""b, 1/s."""
+
+IMPRATIO, TOLERANCE = 1e5, 1e-12
+"""Of the cone, and of MuJoCo's solver."""
+
+MIN_IMPEDANCE = 1e-4
+"""MuJoCo's least."""
+
+TABLE_HALF = 5.0
+"""m, half a side of the table."""
+
+WALL_IMPEDANCE, WALL_TIME = 0.99, 0.002
+"""Of the ring where a finger touches it: its impedance, and in how many seconds it gives back what it gave way."""
+
+NOTICE = """
+  A grid object on a table. Units: m, kg, rad. The object's frame has its origin at the bottom, z = 0.
+
+  What is said: each cell's mass (cell_0, ...), each cell's friction against the table (the pairs), the pusher's
+  friction (wall_0, ..., whose priority puts it before the finger's own).
+  What MJCF cannot say: that a cell spins on its patch (a foot is a point). That a finger pushes at a given height: here
+  it touches the ring of walls at z = {height:g} alone, however long it is. How stiff feet are relative to each other is
+  made for this table's gravity and for feet that all stand on it: beyond an edge loads would shift otherwise.
+  The options belong to the model: elliptic cones and a large impratio keep feet from creeping.
+  Use: a finger is a vertical capsule or cylinder of a body of yours that reaches below z = {height:g}, its radius less
+  by {wall:g} m, kept from the table by an exclude of world and that body; move it slowly.
+"""
+
+Element = ElementTree.Element
+
+
+def calc_springs(load: Array, sinkage: float, inverse: float) -> tuple[Array, Array, Array]:
+    """Calculates MuJoCo's numbers for contacts that give way by `sinkage` under a load.
+
+    The force is stiffness times depth, at any depth, as the impedance does not vary with it.
+
+    Args:
+        load: (K,) N.
+        sinkage: m.
+        inverse: of the mass that MuJoCo takes for granted (`body_invweight0`), 1/kg.
+
+    Returns:
+        `solref` (K, 2), `solreffriction` (K, 2), and the impedance (K,), the first two entries of `solimp`.
+    """
+    impedance = np.maximum(inverse / (inverse + REGULARIZATION / load), MIN_IMPEDANCE)
+    stiffness = load / sinkage
+    damping = 2 * DAMPING_RATIO * load / np.sqrt(sinkage * GRAVITY)
+    scale = inverse * (1 - impedance)
+    springs = np.column_stack([-stiffness * scale, -damping * scale])
+    return springs, np.column_stack([-np.ones_like(load), -SLIP_DAMPING * impedance]), impedance
+
+
+def make_mjcf(obj: GridObject, params: CellParameters, height: float) -> str:
+    """Makes the model's text.
+
+    Args:
+        obj: the object.
+        params: what its cells weigh and how they rub.
+        height: of the object, m.
+
+    Returns:
+        MJCF: a table at z = 0 and the object on it, at the world's origin; body and joint have the object's name.
+
+    Raises:
+        ObjectError: the object's name is empty, or the height is not more than the feet's.
+    """
+    if not obj.name:
+        raise ObjectError("name is empty; expected one for the body")
+    if not FOOT_RADIUS < height < np.inf:
+        raise ObjectError(f"height is {height!r}; expected more than {FOOT_RADIUS} m")
+    mujoco = Element("mujoco", model=obj.name)
+    mujoco.append(ElementTree.Comment(NOTICE.format(height=params.push_height, wall=WALL_RADIUS)))
+    _add(
+        mujoco, "option", timestep=TIME_STEP, cone="elliptic", impratio=IMPRATIO, tolerance=TOLERANCE,
+        gravity=(0, 0, -GRAVITY),
+    )  # fmt: skip
+    world = ElementTree.SubElement(mujoco, "worldbody")
+    _add(world, "geom", name="table", type="plane", size=(TABLE_HALF, TABLE_HALF, 1), friction=(1, 0, 0))
+    body = _add(world, "body", name=obj.name, pos=(0, 0, 0))
+    _add(body, "freejoint", name=obj.name)
+    _add_cells(body, obj, params, height)
+    for i, p in enumerate(obj.p_BC):
+        _add(
+            body, "geom", name=f"foot_{i}", type="sphere", size=FOOT_RADIUS, pos=(*p, FOOT_RADIUS), mass=0, contype=0,
+            conaffinity=0, group=3,
+        )  # fmt: skip
+    _add_walls(body, obj, params)
+    contact = ElementTree.SubElement(mujoco, "contact")
+    _add(contact, "exclude", body1="world", body2=obj.name)  # but for the pairs
+    springs, slip, impedance = calc_springs(params.mass * GRAVITY, SINKAGE, 1 / params.total_mass)
+    for i, mu in enumerate(params.friction):
+        _add(
+            contact, "pair", geom1="table", geom2=f"foot_{i}", condim=3, friction=(mu, mu, 0, 0, 0), solref=springs[i],
+            solreffriction=slip[i], solimp=(impedance[i], impedance[i], 0.001, 0.5, 2),
+        )  # fmt: skip
+    ElementTree.indent(mujoco)
+    return ElementTree.tostring(mujoco, encoding="unicode") + "\n"
+
+
+def WriteMjcf(obj: GridObject, params: CellParameters, path: Path | str, force: bool, *, height: float) -> None:
+    """Writes the model to a file.
+
+    Args:
+        obj: the object.
+        params: what its cells weigh and how they rub.
+        path: the file.
+        force: whether an existing file may be replaced.
+        height: of the object, m.
+
+    Raises:
+        OutputError: the file cannot be written.
+        ObjectError: as `make_mjcf`.
+    """
+    write_whole(path, make_mjcf(obj, params, height), force)
+
+
+def _add_cells(body: Element, obj: GridObject, params: CellParameters, height: float) -> None:
+    """What is seen and weighs, but touches nothing."""
+    half = obj.cell_size / 2
+    for i, (p, mass) in enumerate(zip(obj.p_BC, params.mass, strict=True)):
+        _add(
+            body, "geom", name=f"cell_{i}", type="box", size=(half, half, height / 2), pos=(*p, height / 2), mass=mass,
+            contype=0, conaffinity=0,
+        )  # fmt: skip
+
+
+def _add_walls(body: Element, obj: GridObject, params: CellParameters) -> None:
+    """The ring that a finger touches."""
+    z, edges = params.push_height, obj.edges
+    for i, (a, b) in enumerate(zip(edges.start, edges.end, strict=True)):
+        _add(
+            body, "geom", name=f"wall_{i}", type="capsule", size=WALL_RADIUS, fromto=(*a, z, *b, z), mass=0, group=3,
+            friction=(params.contact_friction, 0, 0), priority=1, condim=3, solref=(WALL_TIME, 1),
+            solimp=(WALL_IMPEDANCE, WALL_IMPEDANCE, 0.001, 0.5, 2),
+        )  # fmt: skip
+
+
+def _add(parent: Element, tag: str, **values: ArrayLike) -> Element:
+    """Adds an element, its numbers so written that they are read back exactly."""
+    return ElementTree.SubElement(
+        parent, tag, {name: value if isinstance(value, str) else _write(value) for name, value in values.items()}
+    )
+
+
+def _write(values: ArrayLike) -> str:
+    return " ".join(
+        repr(int(value)) if float(value).is_integer() else repr(float(value)) for value in np.ravel(np.asarray(values))
+    )
