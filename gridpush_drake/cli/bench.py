@@ -316,6 +316,7 @@ def drake(
     with _run_bench("drake", {"quick": quick, "seed": seed}, results, workers, dask, force) as execution:
         options.compile_kernels()
         tables = drake.run_lcp_system(report=execution.report)
+        tables += [] if quick else drake.run_updates(report=execution.report)
         if quick:
             tables += plant.run(plant.OBJECTS[:1], 2, seed=seed, execution=execution)
             tables += drake.run(drake.OBJECTS[:1], (seed,), execution)
