@@ -29,3 +29,4 @@ from .pusher_state_sensor import ArmTipSensor as ArmTipSensor
 from .pusher_state_sensor import PusherStateSensor as PusherStateSensor
 from .rgbd_noise import RgbdNoise as RgbdNoise
 from .true_parameters import TrueParameters as TrueParameters
+from .worker import Worker as Worker

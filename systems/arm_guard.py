@@ -23,7 +23,10 @@ MAX_OBJECT_SPEED = 0.5
 
 PUSHER_STATE_SIZE = 6
 
-STOPPED_BY_USER = "stopped by the user"
+ROUNDING = 1e-9
+"""s, of times that are compared."""
+
+STOPPED_BY_USER, WORK_DONE = "stopped by the user", "the work is done"
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,11 +139,11 @@ class ArmGuard(AbstractStateSystem[GuardState]):
     * time_measured: vector of 1, of the robot's status by the robot's clock, s; it changes with every status.
     * pusher_state: vector of 6, the tip's center p_WP in m and its velocity v_WP in m/s, in W, as measured.
     * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN while the object is not seen.
-    * stop: vector of 1; anything but 0 stops the arm.
+    * stop: vector of 1; anything but 0 stops the arm: 1 for the user, else because the work is done.
     * position: vector of n, for the robot, rad; it begins where the joints were first measured. NaN before.
     * status: abstract `GuardStatus`.
 
-    The arm is stopped where the status is older than `GuardLimits.status_age`, a torque from outside is beyond its
+    The arm is stopped where the status is as old as `GuardLimits.status_age`, a torque from outside is beyond its
     limit, the pose of the object jumps, the tip leaves where it may be, a number is not finite, or `stop` says so. A
     stop is a straight line in the joints' space, as short as the accelerations allow; after a collision the arm goes
     back to where it was when that was noticed, so that it does not press. Where the robot's clock went on by more than
@@ -239,9 +242,10 @@ class ArmGuard(AbstractStateSystem[GuardState]):
     def _find_fault(self, context: Context, now: GuardState, time: float) -> tuple[str | None, bool]:
         """What is wrong, None for nothing; and whether the arm has run into something."""
         limits, torque = self.limits, np.abs(self._torque.Eval(context))
-        if self._stop.Eval(context)[0]:
-            return STOPPED_BY_USER, False
-        if time - now.fresh > limits.status_age:
+        stop = self._stop.Eval(context)[0]
+        if stop:
+            return (STOPPED_BY_USER if stop == 1 else WORK_DONE), False
+        if time - now.fresh > limits.status_age - ROUNDING:
             age, most = 1e3 * (time - now.fresh), 1e3 * limits.status_age
             return f"the robot has sent no status for {age:.0f} ms; {most:.0f} ms are allowed", False
         for port in (self._measured, self._torque, self._desired):

@@ -57,6 +57,7 @@ def robot(
     from gridpush_drake.station.scene import check_scenario
 
     chosen, scenario = TASKS[task], read_robot_scenario(scenario_file, object_file, seed)
+    scenario.simulation.answer_delay = None  # a real arm waits for nobody
     check_scenario(scenario)
     if go:
         make_folder(out)

@@ -16,6 +16,7 @@ arrived (7 paths of 10 instead of 6); Drake's `InverseKinematics` by SNOPT 510 m
 """
 
 from dataclasses import dataclass
+from threading import RLock
 
 import numpy as np
 import shapely
@@ -72,6 +73,7 @@ class ArmPosture:
         """Takes the plant that `MakeControlPlant` makes of a robot."""
         self._plant = control_plant
         self._context = control_plant.CreateDefaultContext()
+        self._lock = RLock()  # of the Context: planning may go on beside the Diagram (`systems.worker`)
         self._tip, self._world = control_plant.GetFrameByName(robot.finger.tip_frame), control_plant.world_frame()
         self.lower, self.upper = control_plant.GetPositionLowerLimits(), control_plant.GetPositionUpperLimits()
         self.speed = control_plant.GetVelocityUpperLimits()
@@ -87,13 +89,15 @@ class ArmPosture:
 
     def calc_tip_pose(self, q: Array) -> RigidTransform:
         """X_WP of the tip's frame at the joint angles q (n,), rad."""
-        self._plant.SetPositions(self._context, q)
-        return self._tip.CalcPoseInWorld(self._context)
+        with self._lock:
+            self._plant.SetPositions(self._context, q)
+            return self._tip.CalcPoseInWorld(self._context)
 
     def calc_jacobian(self, q: Array) -> Array:
         """(6, n) of the tip's rotation and translation, in the tip's frame, at the joint positions q (n,)."""
-        self.calc_tip_pose(q)
-        return self._calc_jacobian(self._tip)
+        with self._lock:
+            self.calc_tip_pose(q)
+            return self._calc_jacobian(self._tip)
 
     def _calc_jacobian(self, frame: Frame) -> Array:
         return np.asarray(
@@ -116,8 +120,9 @@ class ArmPosture:
         Returns:
             dq (n,), rad, and the error's norm before the step, m and rad.
         """
-        X_WP = self.calc_tip_pose(q)
-        J = self._calc_jacobian(self._world)
+        with self._lock:
+            X_WP = self.calc_tip_pose(q)
+            J = self._calc_jacobian(self._world)
         e = np.concatenate([_calc_rotation_error(X_WP.rotation().matrix(), R_WP.matrix()), p_WP - X_WP.translation()])
         J_plus = np.linalg.pinv(J)
         away = q_nominal - q

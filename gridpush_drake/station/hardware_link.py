@@ -59,6 +59,9 @@ ROUNDING = 1e-9
 
 HALF = 0.5
 
+BY_USER, DONE = 1.0, 2.0
+"""What the guard is told to stop for."""
+
 
 def open_lcm(url: str) -> DrakeLcm:
     """Opens LCM. Raises StationError where the URL is none, or there is no network for it."""
@@ -170,7 +173,7 @@ class HardwareLink:
             self.bus.Subscribe(name, self._make_collector(name))
         self._fault = ""
         self._station: HardwareStation | None = None
-        self._stop = False
+        self._stop = 0.0
         self._stepped = self._told = 0.0
         self._base = 0.0  # the robot's time when the station's was 0, s
         self._said = GuardStatus()
@@ -212,11 +215,11 @@ class HardwareLink:
 
     def request_stop(self) -> None:
         """Stops the arm as soon as it can; a signal's handler may call it."""
-        self._stop = True
+        self._stop = BY_USER
 
     def begin(self, diagram: Diagram, station: Any, context: Context) -> None:
         """Writes the robot's status into a fresh Context of the Diagram that the station is in; see `Drive`."""
-        self._station, self._stop, self._said = station, False, GuardStatus()
+        self._station, self._stop, self._said = station, 0.0, GuardStatus()
         self._listen()
         for channel in self._channels.values():
             channel.passed = channel.data is None
@@ -233,7 +236,7 @@ class HardwareLink:
 
     def finish(self, simulator: Simulator) -> None:
         """Brings the arm to rest and holds it; from then on no command goes out. See `Drive`."""
-        self.request_stop()
+        self._stop = self._stop or DONE
         end = simulator.get_context().get_time() + STOPPING_TIME
         while self._said.mode == GuardMode.STOPPING or not self._said.stopped:
             if simulator.get_context().get_time() > end or self._said.mode == GuardMode.WAITING:
@@ -252,7 +255,7 @@ class HardwareLink:
         now, target = context.get_time(), self._receive(context.get_time())
         self._pass_in()
         if self._stop:
-            self._station.RequestStop(context)
+            self._station.RequestStop(context, self._stop)
         if target > now + ROUNDING:
             simulator.AdvanceTo(target)
         self._told = context.get_time()

@@ -114,7 +114,7 @@ class HardwareStation(Station):
         - guard.status
         - guard.position
 
-    - ``stop``: (1,) anything but 0 stops the arm; need not be connected.
+    - ``stop``: (1,) see `ArmGuard`; need not be connected.
     - ``guard.status``: abstract `GuardStatus`; ``guard.position``: (n,) as sent to the robot, rad.
     """
 
@@ -144,12 +144,12 @@ class HardwareStation(Station):
         kinematics: DifferentialInverseKinematicsIntegrator = self._control.kinematics
         kinematics.SetPositions(kinematics.GetMyMutableContextFromRoot(root_context), q)
         self._control.executor.SetRest(root_context, X_WP.translation())
-        self.RequestStop(root_context, False)
+        self.RequestStop(root_context, 0.0)
 
-    def RequestStop(self, root_context: Context, wanted: bool = True) -> None:
-        """Stops the arm, or does not, in a Context in which nothing is connected to ``stop``."""
+    def RequestStop(self, root_context: Context, stop: float) -> None:
+        """Gives ``stop`` a value, in a Context in which nothing is connected to it."""
         context = self.GetMyMutableContextFromRoot(root_context)
-        self.GetInputPort("stop").FixValue(context, [float(wanted)])
+        self.GetInputPort("stop").FixValue(context, [stop])
 
     def PublishCommand(self, root_context: Context) -> None:
         """Sends the arm's present command: one for every status, however the two sides' periods lie."""

@@ -160,4 +160,5 @@ def _make_policy(station: Station) -> PokePolicy:
         reach=lambda command: station.FindObstacle(command) is None,
         test_pushes=pokes.test_count,
         test_distance=pokes.test_distance,
+        answer_delay=scenario.simulation.answer_delay,
     )

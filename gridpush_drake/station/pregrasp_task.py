@@ -247,6 +247,7 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             grasp_height=self.station.scenario.object_height / 2,
             lift=pregrasp.lift,
             seed=self.station.scenario.seed,
+            answer_delay=self.station.scenario.simulation.answer_delay,
         )
 
 

@@ -112,7 +112,10 @@ class PushTask(StationTask[PushTaskRecord]):
         self.surface = make_surface(station.table_top)
         goal = builder.AddNamedSystem("goal", ConstantVectorSource(np.array(scenario.goal.pose)))
         self.controller = builder.AddNamedSystem(
-            "controller", ContactPointController(station.obj, make_rules(station, self.surface))
+            "controller",
+            ContactPointController(
+                station.obj, make_rules(station, self.surface), answer_delay=scenario.simulation.answer_delay
+            ),
         )
         builder.Connect(goal.get_output_port(), self.controller.GetInputPort("goal_pose"))
         super().__init__(builder, station, self.controller, meshcat)

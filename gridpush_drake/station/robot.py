@@ -304,14 +304,14 @@ def make_robot_directives(robot: str, *, grasping: bool) -> list[ModelDirective]
         path = path / "robot.yaml"
     if not is_file(path):
         near = suggest(robot, list_robots())
-        raise ScenarioError(f"robot {robot}: is not known{near}, or the folder of a robot.yaml")
+        raise ScenarioError(f"robot {robot} is not known{near}, or the folder of a robot.yaml")
     scenes = read_measures(path, ArmMeasures).scenes
     scene = scenes and (scenes.grasp if grasping else scenes.push)
     if not scene:
         what = "grasp" if grasping else "push"
-        why = "has no gripper, as " if grasping else ""
+        why = "has no gripper:" if grasping else "cannot be had:"
         able = ", ".join(list_robots(grasping=grasping))
-        raise ScenarioError(f"robot {robot}: {why}its robot.yaml names no scene to {what} in; expected one of {able}")
+        raise ScenarioError(f"robot {robot} {why} its robot.yaml names no scene to {what} in; expected one of {able}")
     url = scene if "://" in scene else (path.resolve().parent / scene).as_uri()
     return [ModelDirective(add_directives=AddDirectives(file=url))]
 

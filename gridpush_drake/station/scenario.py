@@ -55,6 +55,10 @@ def _read_number(value: Any) -> Any:
 Number = Annotated[float, BeforeValidator(_read_number)]
 
 
+MAX_DELAY = 60.0
+"""s, of an answer."""
+
+
 def _positive(unit: str, low: float = MIN_SIZE, high: float = MAX_SIZE) -> Any:
     return Field(ge=low, le=high, description=f"a positive number, in {unit}, from {low:g} to {high:g}")
 
@@ -87,6 +91,8 @@ def _is_within(low: float, high: float) -> AfterValidator:
 
     return AfterValidator(check)
 
+
+Delay = Annotated[Number, Field(ge=0, le=MAX_DELAY)]
 
 Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
@@ -293,10 +299,14 @@ class SimulationConfig(_Config):
     Attributes:
         time_step: of the plant, s.
         stiction_tolerance: speed below which the plant takes contacts for sticking, m/s.
+        answer_delay: simulated, after which what takes long, learning and planning, is answered, s: 0 in the same
+            update, while the Diagram waits; otherwise beside the Diagram, which waits only when the delay is over, so
+            that a run is the same every time. null for real time: outputs hold until the answer comes.
     """
 
     time_step: Annotated[Number, _positive("s", low=1e-5, high=0.1)] = 0.002
     stiction_tolerance: Annotated[Number, _positive("m/s", low=1e-9)] = 1e-4
+    answer_delay: Annotated[Delay | None, Field(description="a number of seconds, 0 or more, or null")] = 0.0
 
 
 class SafetyConfig(_Config):

@@ -58,6 +58,7 @@ ESTIMATE_OUTPUTS = (
     "identification",
     "push_log",
     "message",
+    "age",
 )
 """Of the identifier, exported as `estimate.mass` and so on."""
 
@@ -98,6 +99,7 @@ def make_identifier(
         table=make_surface(table_top).corners if isinstance(table_top, Polygon) else None,
         warm_start=False,  # it gains little, and so `gridpush identify` finds the same from the log, bit for bit
         record=RecordOptions(pose_delay=calc_pose_age(scenario.camera)),
+        answer_delay=scenario.simulation.answer_delay,
     )
 
 

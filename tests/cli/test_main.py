@@ -14,8 +14,8 @@ COMMANDS = [
     (), ("demo",), ("identify",), ("predict",), ("simulate",), ("show",), ("import",), ("import", "cmu"),
     ("import", "mit"), ("bench",), ("bench", "speed"), ("bench", "paper"), ("bench", "real"),
     ("bench", "drake"), ("bench", "planning"), ("bench", "pregrasp"), ("bench", "grasp"), ("bench", "truth"),
-    ("export",), ("view",), ("plan",), ("slide",), ("object",), ("calibrate",), ("track",), ("record",),
-    ("bench", "perception"), ("import", "bag"), ("campaign",),
+    ("export",), ("view",), ("plan",), ("slide",), ("object",), ("calibrate",), ("track",), ("record",), ("twin",),
+    ("robot",), ("campaign",), ("bench", "perception"), ("bench", "gym"), ("import", "bag"),
 ]  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,39 +14,41 @@ from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
 from gridpush_drake.station.arm import ArmReach, CalcStartPosture, MakeControlPlant
 from gridpush_drake.station.limit_monitor import LimitMonitor
-from gridpush_drake.station.push_station import MakePushStation, MakeRing
+from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.robot import FingerMeasures, find_robot, make_robot_directives, read_measures
 from gridpush_drake.station.scenario import PushScenario, read_scenario
 from gridpush_drake.station.scene import CalcTipReach, check_scenario
+from gridpush_drake.station.station import MakeRing
 from gridpush_drake.systems.messages import PushCommand
 
 BASE = (0.05, -0.02, 0.08)
 """Of the second arm's base in the world, m."""
 
-SCENARIO = """
-object_pose: [0.65, 0.0, 0.0]
-directives:
-- add_model: {{name: other, file: file://{folder}/arm.urdf}}
-- add_weld: {{parent: world, child: 'other::other_link_0', X_PC: {{translation: [{x}, {y}, {z}]}}}}
-- add_model: {{name: stick, file: 'package://gridpush_drake/fingers/rod/finger.sdf'}}
-- add_weld: {{parent: 'other::other_link_ee_kuka', child: 'stick::finger'}}
-- add_model: {{name: table, file: 'package://gridpush_drake/tables/rectangle.sdf'}}
-- add_weld: {{parent: world, child: 'table::table', X_PC: {{translation: [0.6, 0.0, 0.0]}}}}
-"""
+DOCS = Path(__file__).parents[2] / "docs/extending.md"
+
+
+def read_docs():
+    """The robot.yaml and the directives that stand under "A robot of your own"."""
+    section = DOCS.read_text().partition("## A robot of your own")[2]
+    measures, directives = re.findall("```yaml\n(.*?)```", section, re.DOTALL)[:2]
+    return measures, directives
 
 
 @pytest.fixture
 def second_arm(tmp_path):
-    """A scenario with an arm of six joints and other names at another height, its folder outside the package."""
-    iiwa = find_models() / "robots/iiwa14"
-    urdf, measures = ((iiwa / name).read_text() for name in ("iiwa14_primitives.urdf", "robot.yaml"))
+    """A scenario as the docs say, with an arm of six joints at another height, its folder outside the package."""
+    measures, directives = read_docs()
+    (tmp_path / "robot.yaml").write_text(measures)
+    urdf = (find_models() / "robots/iiwa14/iiwa14_primitives.urdf").read_text()
     urdf = re.sub('<transmission name="iiwa_transmission_3">.*?</transmission>', "", urdf, flags=re.DOTALL)
     urdf = urdf.replace('"iiwa_joint_3" type="revolute"', '"iiwa_joint_3" type="fixed"')
-    measures = measures.replace("[0.0, 0.6, 0.0, -1.75, 0.0, 0.8, 0.0]", "[0.0, 0.6, -1.75, 0.0, 0.8, 0.0]")
-    for target, text in (("arm.urdf", urdf), ("robot.yaml", measures)):
-        (tmp_path / target).write_text(text.replace("iiwa_", "other_"))
+    urdf = urdf.replace("iiwa_link_0", "base").replace("iiwa_link_ee_kuka", "flange").replace("iiwa_", "other_")
+    (tmp_path / "arm.urdf").write_text(urdf)
+    directives = directives.replace("file:///home/me/my_arm", tmp_path.as_uri())
+    directives = directives.replace("arm::base}", f"arm::base, X_PC: {{translation: {list(BASE)}}}}}")
+    (tmp_path / "scene.dmd.yaml").write_text(directives)
     path = tmp_path / "scenario.yaml"
-    path.write_text(SCENARIO.format(folder=tmp_path, x=BASE[0], y=BASE[1], z=BASE[2]))
+    path.write_text(f"object_pose: [0.65, 0.0, 0.0]\n{directives}")
     return path
 
 
@@ -68,7 +71,7 @@ def test_a_second_arm_pushes(second_arm):
     station.SetStart(context)
     home = np.array(station.robot.arm.home) + [BASE[0], BASE[1], 0.0]
     assert station.GetOutputPort("pusher.state").Eval(context)[:3] == pytest.approx(home, abs=1e-5)
-    push = PushCommand(1, 0.65, -0.12, np.pi / 2, 0.16, 0.05)
+    push = PushCommand(1, 0.65, -0.09, np.pi / 2, 0.13, 0.1)
     assert station.FindObstacle(push) is None
     station.GetInputPort("push_command").FixValue(context, push.to_vector())
     simulator.Initialize()
@@ -77,7 +80,7 @@ def test_a_second_arm_pushes(second_arm):
     assert (status.executed, status.refused) == (1, 0)
     moved = station.GetOutputPort("object.pose_true").Eval(context) - before
     assert moved[1] > 0.01
-    assert station.GetOutputPort("other.position_measured").size() == 6
+    assert station.GetOutputPort("arm.position_measured").size() == 6
 
 
 @pytest.mark.parametrize("name", ["panda", "gantry"])
@@ -131,6 +134,9 @@ def test_inverse_kinematics_finds_the_ring_that_the_formula_says():
 
 
 def test_reach_is_measured_from_the_base_wherever_it_stands(second_arm):
+    iiwa = (find_models() / "robots/iiwa14/robot.yaml").read_text()
+    with second_arm.with_name("robot.yaml").open("a") as measures:
+        measures.write(iiwa[iiwa.index("reach:") : iiwa.index("control:")])
     station = MakePushStation(read_scenario(second_arm))
     axis, low, high = CalcTipReach(station.plant, station.robot, 0.012)
     assert axis == pytest.approx(BASE[:2])
@@ -176,11 +182,11 @@ def test_measures_that_will_not_do_are_refused(tmp_path, text, message):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("base_frame: other_link_0", "base_frame: foot", "there is no frame other::foot"),
-        ("flange_frame: other_link_ee_kuka", "flange_frame: hand", "there is no frame other::hand"),
-        ("posture: [0.0, ", "posture: [", "posture in the robot.yaml of other has 5 numbers; expected 6, one for each"),
-        ("stiffness: 4000.0", "stiffness: [1, 2]", "stiffness in the robot.yaml of other has 2 numbers; expected 6"),
-        ("driver: iiwa", "driver: ur", "control.driver is 'ur'; expected one of iiwa, position"),
+        ("base_frame: base", "base_frame: foot", "there is no frame arm::foot"),
+        ("flange_frame: flange", "flange_frame: hand", "there is no frame arm::hand"),
+        ("posture: [0.0, ", "posture: [", "posture in the robot.yaml of arm has 5 numbers; expected 6, one for each"),
+        ("stiffness: [3000.0, ", "stiffness: [", "stiffness in the robot.yaml of arm has 5 numbers; expected 6"),
+        ("driver: position", "driver: ur", "control.driver is 'ur'; expected one of iiwa, position"),
         ("home: [0.5, 0.0, 0.2]", "home: [1.5, 0.0, 0.2]", r"does not reach its home, \(1\.55, -0\.02, 0\.2\) m"),
         ("robot.yaml", None, "there is no robot; expected a model in whose folder there is a robot"),
     ],
@@ -199,12 +205,12 @@ def test_a_robot_that_is_not_there_is_refused(second_arm, old, new, message):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (' lower=".*?" upper=".*?"', "", "joint other_joint_1 of other has no limits; expected its model"),
-        (' velocity=".*?"', "", "joint other_joint_1 of other has no limits; expected its model"),
+        (' lower=".*?" upper=".*?"', "", "joint other_joint_1 of arm has no limits; expected its model"),
+        (' velocity=".*?"', "", "joint other_joint_1 of arm has no limits; expected its model"),
         (
             '<transmission name="other_transmission_6.*?</transmission>',
             "",
-            "joints of other with a motor are .*_7; ",
+            "joints of arm with a motor are .*_7; ",
         ),
     ],
 )
@@ -233,9 +239,9 @@ def test_a_base_from_where_nothing_is_reached_is_refused(name, tmp_path):
 @pytest.mark.parametrize(
     ("robot", "grasping", "message"),
     [
-        ("pandaa", False, "robot pandaa: is not known; did you mean panda.* gantry, iiwa14, panda"),
-        ("gantry", True, "robot gantry: has no gripper, .*expected one of iiwa14, panda"),
-        ("/nowhere", False, "robot /nowhere: is not known"),
+        ("pandaa", False, "robot pandaa is not known; did you mean panda.* gantry, iiwa14, panda"),
+        ("gantry", True, "robot gantry has no gripper: .*expected one of iiwa14, panda"),
+        ("/nowhere", False, "robot /nowhere is not known"),
     ],
 )
 def test_a_robot_that_cannot_be_had_is_refused(robot, grasping, message):
@@ -244,10 +250,9 @@ def test_a_robot_that_cannot_be_had_is_refused(robot, grasping, message):
 
 
 def test_a_folder_of_ones_own_names_its_scene(second_arm):
-    scene = second_arm.with_name("scene.dmd.yaml")
-    scene.write_text(second_arm.read_text().partition("\ndirectives:")[2].join(["directives:", ""]))
-    measures = second_arm.with_name("robot.yaml")
-    measures.write_text(re.sub("push: .*\n(.*\n)?", "push: scene.dmd.yaml\n", measures.read_text()))
-    for robot in (measures.parent, measures):
+    for robot in (second_arm.parent, second_arm.with_name("robot.yaml")):
         directives = make_robot_directives(str(robot), grasping=False)
-        assert find_robot(directives).arm_model == "other"
+        assert find_robot(directives).arm_model == "arm"
+        check_scenario(PushScenario(directives=directives, object_pose=[0.65, 0.0, 0.0]))
+    with pytest.raises(ScenarioError, match="has no gripper"):
+        make_robot_directives(str(second_arm.parent), grasping=True)

@@ -188,13 +188,14 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         """Whether nothing more is done."""
         return now.status.over
 
-    def step(self, now: PreGraspState, seen: Observation) -> PreGraspState:
-        """The state after an observation; `now` itself where nothing is new."""
+    def observe(self, now: PreGraspState, seen: Observation) -> tuple[PreGraspState, bool]:
+        """The state after an observation but for the decision, and whether that is due."""
         if now.status.over:
-            return now
+            return now, False
         if now.status.mode == PreGraspMode.GRASPING:
-            return self._follow_grasp(replace(now, filter=now.filter.wait(seen.time, seen.pose)), seen.gripper)
-        return super().step(now, seen)
+            now = replace(now, filter=now.filter.wait(seen.time, seen.pose))
+            return self._follow_grasp(now, seen.gripper), False
+        return super().observe(now, seen)
 
     def _wait(self, now: PreGraspState, seen: Observation) -> PreGraspState:
         """While the robot is at work; breaks a push off in which the object might fall."""
@@ -256,9 +257,8 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         masses = uncertain.masses
         grasp = self._find_grasp(pose, masses.center_of_mass_polygon.mean(axis=0), masses)
         if grasp is None and said["goal"] is not None:
-            grasp = self._find_grasp(
-                pose, said["goal"].part.p_BG, masses
-            )  # what the plan found: farther off, but within reach
+            # what the plan found: farther off, but within reach
+            grasp = self._find_grasp(pose, said["goal"].part.p_BG, masses)
         if grasp is None:
             return now.turn_to(
                 FAILED, "The gripper reaches no part that hangs over and by which its pads hold the object.", **said
