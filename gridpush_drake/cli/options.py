@@ -63,7 +63,7 @@ Dask = Annotated[
     str | None,
     typer.Option(
         metavar="ADDRESS", help="Use the workers of the Dask cluster whose scheduler is there, such as"
-        " tcp://host:8786, instead of processes here (pip install '.\\[cluster]'; workers of one thread each are best).",
+        " tcp://host:8786, instead of processes here (pip install '.\\[cluster]'; best: one thread each).",
     ),
 ]  # fmt: skip
 
