@@ -142,7 +142,8 @@ def run_episode(job: EpisodeJob) -> Episode:
 def _make_episode(job: EpisodeJob, record: TaskRecord, outcome: str, wall: float) -> Episode:
     pokes = slides = raised = error = None
     if isinstance(record, PreGraspRecord):
-        pokes, slides, raised = record.last.pokes, record.last.slides, record.raised
+        pokes, slides = record.last.pokes, record.last.slides
+        raised = None if np.isnan(record.raised) else record.raised
     if record.estimates:
         error = calc_center_error(record, record.estimates[-1].params)
     return Episode(

@@ -55,15 +55,15 @@ Regime = Annotated[
     typer.Option(help="Slow pushes are quasi_static, fast ones inertial."),
 ]
 
-Seed = Annotated[int, typer.Option(min=0, help="Of everything random.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 
 Workers = Annotated[int, typer.Option(min=1, help="Processes.")]
 
 Dask = Annotated[
     str | None,
     typer.Option(
-        metavar="ADDRESS", help="Use the workers of the Dask cluster whose scheduler is there, such as"
-        " tcp://host:8786, instead of processes here (pip install '.\\[cluster]'; best: one thread each).",
+        metavar="ADDRESS", help="Use the workers of the Dask cluster whose scheduler is there, such as tcp://host:8786,"
+        " instead of processes here (pip install '.\\[cluster]'; workers of one thread each are best).",
     ),
 ]  # fmt: skip
 

@@ -18,7 +18,7 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.pregrasp.exploration import PokeOptions
-from gridpush_drake.planning.pregrasp.flat_parts import PadLimit
+from gridpush_drake.planning.pregrasp.flat_parts import FlatPart, PadLimit
 from gridpush_drake.planning.pregrasp.goals import ArmLimits, GoalOptions, PreGraspGoal
 from gridpush_drake.planning.pregrasp.planner import ACCEPTED_SHARE, PreGraspOptions, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp, check_thickness, choose_varied, find_side_grasps
@@ -65,8 +65,11 @@ class GraspFinder:
     surface: SupportSurface
     pads: PadLimit
 
-    def find_grasp(self, pose: Array, aim: Array, masses: PlausibleMassSet) -> SideGrasp | None:
-        """How the gripper takes the object at `pose` (3,) and holds it, as near `aim` (2,), body frame, as it can."""
+    def find_grasp(self, pose: Array, aim: Array, masses: PlausibleMassSet | None) -> SideGrasp | None:
+        """How the gripper takes the object at `pose` (3,), as near `aim` (2,), body frame, as it can.
+
+        Where `masses` are given, the pads hold the object whichever of them it has.
+        """
         found = find_side_grasps(
             self.obj,
             pose,
@@ -75,17 +78,23 @@ class GraspFinder:
             aim,
             height=self.station.scenario.object_height,
         )
-        points = np.array([grasp.p_BG for grasp in found]).reshape(-1, 2)
-        headings = np.array([grasp.approach for grasp in found]) - pose[2]
-        held = self.pads.holds(points, headings, masses.center_of_mass_polygon)
-        for grasp in choose_varied([found[i] for i in np.flatnonzero(held)], GRASPS_TRIED):
+        if masses is not None:
+            points = np.array([grasp.p_BG for grasp in found]).reshape(-1, 2)
+            headings = np.array([grasp.approach for grasp in found]) - pose[2]
+            held = self.pads.holds(points, headings, masses.center_of_mass_polygon)
+            found = [found[i] for i in np.flatnonzero(held)]
+        for grasp in choose_varied(found, GRASPS_TRIED):
             if self._is_reached(grasp.p_WG, grasp.approach):
                 return grasp
         return None
 
     def can_grasp(self, goal: PreGraspGoal, masses: PlausibleMassSet) -> bool:
-        """Whether the object can be taken at a goal, and held, whichever of some masses it has."""
-        return self.find_grasp(goal.pose, goal.part.p_BG, masses) is not None
+        """Whether the object can be taken at a goal; by a flat part also held, whichever of some masses it has.
+
+        A narrow part is but near where it will be taken, which is as near the center of mass as can be.
+        """
+        flat = isinstance(goal.part, FlatPart)
+        return self.find_grasp(goal.pose, goal.part.p_BG, masses if flat else None) is not None
 
     def find_edge(self) -> BaseGeometry:
         """Where on the edge the gripper can take something, coming straight in. Raises StationError for nowhere."""
@@ -166,9 +175,10 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             raise ScenarioError("directives: there is no model gripper; expected a scene that can grasp")
         self.surface = make_surface(station.table_top)
         self.obj = station.obj
-        gripper = station.robot.gripper.make_side_gripper()
+        measures = station.robot.gripper
+        gripper, force = measures.make_side_gripper(), min(scenario.pregrasp.force, measures.max_force)
         check_thickness(self.obj, scenario.object_height, gripper)
-        pads = PadLimit.of_object(self.obj, gripper, scenario.pregrasp.force)
+        pads = PadLimit.of_object(self.obj, gripper, force)
         self._finder = GraspFinder(station, self.obj, self.surface, pads)
         self.planner = PreGraspPlanner(self.obj, self.surface, make_options(station, pads), limits=self._make_limits())
         self.controller = builder.AddNamedSystem("controller", self._make_controller())

@@ -71,7 +71,7 @@ def test_a_second_arm_pushes(second_arm):
     station.SetStart(context)
     home = np.array(station.robot.arm.home) + [BASE[0], BASE[1], 0.0]
     assert station.GetOutputPort("pusher.state").Eval(context)[:3] == pytest.approx(home, abs=1e-5)
-    push = PushCommand(1, 0.65, -0.12, np.pi / 2, 0.16, 0.05)
+    push = PushCommand(1, 0.65, -0.09, np.pi / 2, 0.13, 0.1)
     assert station.FindObstacle(push) is None
     station.GetInputPort("push_command").FixValue(context, push.to_vector())
     simulator.Initialize()

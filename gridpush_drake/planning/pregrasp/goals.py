@@ -39,8 +39,7 @@ class ArmLimits:
         finger_region: where the finger's center may be, W.
         edge_region: where on the table's edge the gripper may take something, W.
         can_push: whether the arm can carry out a push.
-        can_grasp: whether the gripper can take the object where a goal has it, and hold it, whichever of the masses it
-            has.
+        can_grasp: whether the gripper can take the object where a goal has it, given the masses that it may have.
     """
 
     finger_region: BaseGeometry | None = None

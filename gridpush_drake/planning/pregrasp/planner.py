@@ -176,9 +176,17 @@ class PreGraspPlanner:
         if model is None:
             return self._poke(q, UncertainModel.of_prior(self.obj), None, pokes, "nothing is known of the object yet")
         decision = self._decide_with(self._find_parts_near(model, self.options.max_arm), q, model, pokes, slides)
-        pads = self.options.pads
-        if decision.action != "fail" or pads is None or not self.flat_parts:
+        if decision.action != "fail" or not self.flat_parts:
             return decision
+        flat = self._decide_by_rim(q, model, pokes, slides)
+        if flat.action != "fail" or not self.parts:
+            return flat
+        return replace(flat, reason=f"{decision.reason}; and by the rim, {flat.reason}")
+
+    def _decide_by_rim(self, q: Array, model: UncertainModel, pokes: int, slides: int) -> PreGraspDecision:
+        """Decides what to do next to take one of the flat parts by which the pads hold the object at the worst."""
+        pads = self.options.pads
+        assert pads is not None  # or there would be no flat parts
         centers = model.masses.center_of_mass_polygon
         held = find_held_parts(self.flat_parts, pads, centers)
         if held:
@@ -186,7 +194,7 @@ class PreGraspPlanner:
         why = pads.describe_best(self.flat_parts, centers)
         if model.posterior is not None and find_held_parts(self.flat_parts, pads, centers.mean(axis=0)[None]):
             return self._poke(q, model, None, pokes, why)
-        return _fail(f"{decision.reason}; by its rim, {why}" if self.parts else why, None)
+        return _fail(why, None)
 
     def _decide_with(
         self, parts: Sequence[GraspPart], q: Array, model: UncertainModel, pokes: int, slides: int
@@ -227,7 +235,7 @@ class PreGraspPlanner:
     ) -> PreGraspDecision:
         """No goal with `parts`: a poke where the center of mass may still turn out to be near others that allow one."""
         if any(isinstance(part, FlatPart) for part in parts):
-            return _fail("no pose lets a part of the rim that the pads hold hang over where the arm can take it", None)
+            return _fail("no pose lets a part that the pads hold hang over the edge where the arm can take it", None)
         arm = self.options.max_arm
         near = f" within {arm * MM:.0f} mm of the center of mass" if np.isfinite(arm) else ""
         why = f"no pose lets a graspable part{near} hang over the edge where the arm can take it"

@@ -261,7 +261,9 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
                 pose, said["goal"].part.p_BG, masses
             )  # what the plan found: farther off, but within reach
         if grasp is None:
-            return now.turn_to(FAILED, "The gripper reaches no part that hangs over.", **said)
+            return now.turn_to(
+                FAILED, "The gripper reaches no part that hangs over and by which its pads hold the object.", **said
+            )
         return replace(now, grasp=grasp, grasp_id=now.grasp_id + 1).turn_to(
             PreGraspMode.GRASPING, "A part that hangs over is taken.", grasps=now.status.grasps + 1, **said
         )

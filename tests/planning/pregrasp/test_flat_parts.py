@@ -145,6 +145,21 @@ def test_what_the_pads_cannot_hold_is_refused_with_figures():
     assert plan_pregrasp(strong, UncertainModel.of_parameters(obj, params), (0.1, 0.2, 0.3)).status == STATUS_READY
 
 
+def test_narrow_parts_go_first_and_both_reasons_are_given():
+    handle = shapely.box(-0.02, -0.2, 0.02, -0.05)
+    prior = replace(PRIOR, total_mass=3.0)
+    obj = GridObject.from_outline(shapely.box(-0.1, -0.05, 0.1, 0.15).union(handle), max_cells=80, prior=prior)
+    planner, model = make_planner(obj), UncertainModel.of_parameters(obj, CellParameters.uniform(obj))
+    alone = PreGraspPlanner(obj, TABLE, PreGraspOptions(min_pokes=1))
+    pose = (0.1, 0.2, 0.3)
+    np.testing.assert_array_equal(planner.decide(pose, model).push.xy, alone.decide(pose, model).push.xy)
+    near = PreGraspPlanner(obj, TABLE, replace(planner.options, max_arm=0.02))
+    decision = near.decide(pose, model)
+    assert decision.action == "fail"
+    assert "within 20 mm of the center of mass" in decision.reason
+    assert "; and by the rim, the pads cannot hold it: " in decision.reason
+
+
 def test_pokes_are_made_while_the_center_of_mass_may_be_where_the_pads_hold_it():
     obj = make_tray(total_mass=1.2)
     planner, prior = make_planner(obj), UncertainModel.of_prior(obj)
