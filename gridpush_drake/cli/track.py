@@ -50,7 +50,7 @@ def track(
     tip_offset: Annotated[str, typer.Option(metavar="X,Y,Z", help="Place of the tip in its tag's frame, m.")] = "0,0,0",
     tag_size: TagSize = 0.03,
     tag_height: Annotated[
-        float | None, typer.Option(help="Height of the pusher's tag over the table, m, if it stays level: far more exact.")
+        float | None, typer.Option(help="Height of the pusher's tag over the table, m, if it stays level: more exact.")
     ] = None,
     height: Annotated[
         float | None, typer.Option(min=0, help="Height of the object, m.", show_default="as its file says, or 0")
