@@ -180,7 +180,7 @@ def pregrasp(
     objects: Objects = None,
     mass_sets: Annotated[int | None, typer.Option(min=1, help="Hidden sets of masses and frictions an object.")] = None,
     seeds: Annotated[int | None, typer.Option(min=1, help="Tables, starts and noises a set.")] = None,
-    depth: Annotated[float, typer.Option(help="Of the gripper's fingers: what must hang over, m.")] = 0.03,
+    depth: Annotated[float, typer.Option(help="Depth of the gripper's fingers, which must hang over, m.")] = 0.03,
     experiment: Annotated[
         Literal["all", "sliding", "exploring"], typer.Option(help="Which of the two to measure.")
     ] = "all",
@@ -193,7 +193,9 @@ def pregrasp(
     ] = "foundation",
     friction: Annotated[
         tuple[float, float],
-        typer.Option(metavar="LEAST GREATEST", help="Of any part against the table, true and known."),
+        typer.Option(
+            metavar="LEAST GREATEST", help="Bounds of the friction of any part against the table, true and known."
+        ),
     ] = (0.3, 0.4),
     seed: options.Seed = 0,
     workers: options.Workers = options.WORKERS,
