@@ -54,6 +54,7 @@ class ContactPointController(ObjectController[PushToGoalState]):
         *,
         params: CellParameters | None = None,
         options: LoopOptions | None = None,
+        answer_delay: float | None = 0.0,
     ) -> None:
         """Declares the system.
 
@@ -62,8 +63,9 @@ class ContactPointController(ObjectController[PushToGoalState]):
             rules: table, obstacles, finger, arm, how near to the goal, and how pushes are chosen.
             params: the model before anything was learned; the prior's by default.
             options: how to go about it.
+            answer_delay: s after which a decision is taken; None for real time, see `worker.make_worker`.
         """
-        super().__init__(obj, PushToGoalLoop(obj, rules, params, options))
+        super().__init__(obj, PushToGoalLoop(obj, rules, params, options), answer_delay)
         self._goal_pose = self.DeclareVectorInputPort("goal_pose", 3)
         self._declare_command(
             "push_command", PUSH_COMMAND_SIZE, lambda now: PushCommand.from_push(now.push_id, now.push).to_vector()

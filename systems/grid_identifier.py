@@ -6,6 +6,8 @@ and `identify` learns from the log when a push has ended. The estimate is that o
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
+from math import nan
 from typing import Any, Literal
 
 import numpy as np
@@ -34,6 +36,7 @@ from gridpush_drake.pushes.segmentation import (
     make_observed_push,
     name_push,
 )
+from gridpush_drake.systems.worker import Answer, Request, make_worker
 
 Array = NDArray[np.float64]
 
@@ -69,6 +72,9 @@ class IdentifierState:
         segmenter: where the present push stands.
         log: the pushes so far.
         estimate: from them.
+        learned_at: when the estimate was asked for, s; NaN before the first.
+        considered: how many of the log's pushes the estimate may be from.
+        request: under way, to learn from one more; None where none is.
         left_out: names of pushes that nothing could be learned from.
         message: why not, of the last push; empty where it was learned from, or not meant to be.
     """
@@ -76,6 +82,9 @@ class IdentifierState:
     segmenter: SegmenterState = field(default_factory=SegmenterState)
     log: PushLog = field(default_factory=lambda: PushLog((), SOURCE))
     estimate: Estimate | None = None
+    learned_at: float = nan
+    considered: int = 0
+    request: Request | None = None
     left_out: tuple[str, ...] = ()
     message: str = ""
 
@@ -106,6 +115,7 @@ class GridIdentifier(LeafSystem):
         - identification
         - push_log
         - message
+        - age
 
     * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object was not seen.
     * pusher_state: vector of 6, the tip's center p_WP in m and its velocity v_WP in m/s, in W; a sample with NaN is
@@ -123,8 +133,11 @@ class GridIdentifier(LeafSystem):
     * push_log: abstract `PushLog`, all pushes so far.
     * message: abstract `str`, why the last push could not be learned from; empty where there is nothing to say. The
       estimate stays as it was then, and later ones do without that push.
+    * age: vector of 1, since the estimate was asked for, when a push had ended, s; NaN before the first.
 
-    Before the first push the outputs are the prior's. Abstract state: one `IdentifierState`.
+    Learning takes long. With an answer delay it is done beside the Diagram, see `systems.worker`: one push after
+    another, while the outputs hold and pushes are logged. Before the first push the outputs are the prior's. Abstract
+    state: one `IdentifierState`.
     """
 
     __slots__ = NO_SLOTS
@@ -146,6 +159,7 @@ class GridIdentifier(LeafSystem):
         record: RecordOptions | None = None,
         table: ArrayLike | None = None,
         progress: Callable[[HistoryEntry], None] | None = None,
+        answer_delay: float | None = 0.0,
     ) -> None:
         """Declares the system.
 
@@ -166,9 +180,10 @@ class GridIdentifier(LeafSystem):
             record: options of writing them down; its `pose_delay` where the sensor's poses are old when they are read.
             table: (K, 2) corners in W of the table's top, m, which the log carries; None where its edge is far away.
             progress: called now and then while learning.
+            answer_delay: s after which what was learned is taken; None for real time, see `worker.make_worker`.
 
         Raises:
-            IdentificationError: an argument is out of range.
+            IdentificationError, PlanningError: an argument is out of range.
         """
         super().__init__()
         for name, value, known in (("method", method, METHODS), ("regime", regime, REGIMES)):
@@ -181,6 +196,7 @@ class GridIdentifier(LeafSystem):
         if pusher_radius is not None:
             obj = replace(obj, prior=replace(obj.prior, pusher_radius=pusher_radius))
         self.obj, self.max_learning_pushes, self.warm_start = obj, max_learning_pushes, warm_start
+        self._worker = make_worker(answer_delay)
         self._radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
         self._segmenter = replace(segmenter or SegmenterOptions(), engaged_below=engaged_below)
         self._record = record or RecordOptions()
@@ -223,6 +239,7 @@ class GridIdentifier(LeafSystem):
         )
         self.DeclareAbstractOutputPort("push_log", lambda: AbstractValue.Make(log), weakly(self._calc_push_log), state)
         self.DeclareAbstractOutputPort("message", lambda: AbstractValue.Make(""), weakly(self._calc_message), state)
+        self.DeclareVectorOutputPort("age", 1, weakly(self._calc_age), state | {self.time_ticket()})
 
     def _get_state(self, context: Context) -> IdentifierState:
         return context.get_abstract_state(int(self._state)).get_value()
@@ -245,17 +262,20 @@ class GridIdentifier(LeafSystem):
     def _calc_message(self, context: Context, output: Any) -> None:
         output.set_value(self._get_state(context).message)
 
+    def _calc_age(self, context: Context, output: Any) -> None:
+        output.SetFromVector([context.get_time() - self._get_state(context).learned_at])
+
     def _update(self, context: Context, state: State) -> None:
         before = self._get_state(context)
         pusher = tuple(self._pusher_state.Eval(context).tolist())
         pose = tuple(self._object_pose.Eval(context).tolist())
         sample = Sample(context.get_time(), pose, pusher[:3], pusher[3:])
         segmenter, episode = advance(before.segmenter, sample, self._segmenter)
-        after = replace(before, segmenter=segmenter)
-        state.get_mutable_abstract_state(int(self._state)).set_value(self._take_in(after, episode))
+        after = self._take_in(replace(before, segmenter=segmenter), episode)
+        state.get_mutable_abstract_state(int(self._state)).set_value(self._learn(after, context.get_time()))
 
     def _take_in(self, state: IdentifierState, episode: Episode | None) -> IdentifierState:
-        """Logs a push that has ended, and learns from it."""
+        """Logs a push that has ended."""
         if episode is None:
             return state
         name = name_push(len(state.log))
@@ -265,18 +285,51 @@ class GridIdentifier(LeafSystem):
             return replace(state, message=f"A push could not be written down: {error}.")
         if observed is None:
             return state
-        log = replace(state.log, pushes=(*state.log.pushes, observed))
+        return replace(state, log=replace(state.log, pushes=(*state.log.pushes, observed)), message="")
+
+    def _learn(self, state: IdentifierState, time: float) -> IdentifierState:
+        """Takes what was learned beside the Diagram, and learns from the log's next pushes, one after another."""
+        if state.request is not None and self._worker is not None:
+            answer = self._worker.take(state.request, time)
+            if answer is None:
+                return state
+            state = self._take_answer(state, answer, state.request.time)
+        while state.considered < len(state.log):
+            work = self._find_work(state)
+            if work is None:
+                state = replace(state, considered=state.considered + 1)
+            elif self._worker is not None:
+                return replace(state, request=self._worker.ask(work, time))
+            else:
+                state = self._take_answer(state, Answer(work()), time)
+        return state
+
+    def _find_work(self, state: IdentifierState) -> Callable[[], Estimate | str] | None:
+        """What is to be calculated because of the first push that was not considered yet; None for nothing."""
+        log = state.log[: state.considered + 1]
         chosen = self.select(log)
         chosen = chosen.subset([i for i, seen in enumerate(chosen) if seen.name not in state.left_out])
-        if not len(chosen) or chosen[-1] is not observed:
-            return replace(state, log=log, message="")
+        if not len(chosen) or chosen[-1] is not log[-1]:
+            return None
         start = state.estimate.found if state.estimate is not None and self.warm_start else None
-        try:
-            estimate = _make_estimate(self.Learn(chosen, start), chosen)
-        except UNUSABLE as error:
-            message = f"Nothing could be learned from {name}: {error}."
-            return replace(state, log=log, left_out=(*state.left_out, name), message=message)
-        return replace(state, log=log, estimate=estimate, message="")
+        return partial(_learn_from, weakly(self.Learn), chosen, start)
+
+    def _take_answer(self, state: IdentifierState, answer: Answer, asked: float) -> IdentifierState:
+        """With another estimate, or with what was wrong with the push, and not under way any more."""
+        found, name = answer.value, state.log[state.considered].name
+        state = replace(state, request=None, considered=state.considered + 1)
+        if isinstance(found, Estimate):
+            return replace(state, estimate=found, learned_at=asked, message="")
+        message = f"Nothing could be learned from {name}: {found or answer.error}."
+        return replace(state, left_out=(*state.left_out, name), message=message)
+
+
+def _learn_from(learn: Callable[..., Identification], log: PushLog, start: Identification | None) -> Estimate | str:
+    """The estimate, or what is wrong with the last push."""
+    try:
+        return _make_estimate(learn(log, start), log)
+    except UNUSABLE as error:
+        return str(error)
 
 
 def _make_estimate(found: Identification, log: PushLog | None) -> Estimate:

@@ -80,9 +80,9 @@ class GridLcpSystem(LeafSystem):
     * unsolved_steps: vector of 1, how many steps the solver did not solve to tolerance (as in `simulate`, the motion
       goes on from what it had).
 
-    Discrete state: (q, nu); the solver's memory (`dynamics.kernels.step_memory`); the last contact force; the
+    * Discrete state: (q, nu); the solver's memory (`dynamics.kernels.step_memory`); the last contact force; the
       unsolved steps.
-    Numeric parameters: mass (n), kg; friction (n); contact friction (1).
+    * Numeric parameters: mass (n), kg; friction (n); contact friction (1).
     """
 
     __slots__ = NO_SLOTS

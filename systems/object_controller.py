@@ -4,6 +4,8 @@
 """
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from typing import Generic, TypeVar
 
 from pydrake.common.value import AbstractValue
@@ -14,8 +16,9 @@ from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.planning.closed_loop import ClosedLoop, L, Observation, PushStatus
+from gridpush_drake.planning.closed_loop import FAILED, ClosedLoop, L, Observation, PushStatus
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.systems.worker import Worker, make_worker
 
 S = TypeVar("S")
 
@@ -74,20 +77,26 @@ class ObjectController(AbstractStateSystem[L]):
     * push_status: abstract `PushStatus` of the push executor.
     * status: abstract, the loop's status.
 
-    Abstract state: the loop's.
+    A decision takes long. With an answer delay it is made beside the Diagram, see `systems.worker`: the outputs hold
+    until then, and it is passed over where the object does not lie any more where it did. Abstract state: the loop's.
     """
 
     __slots__ = NO_SLOTS
 
-    def __init__(self, obj: GridObject, loop: ClosedLoop[L]) -> None:
+    def __init__(self, obj: GridObject, loop: ClosedLoop[L], answer_delay: float | None = 0.0) -> None:
         """Declares the ports.
 
         Args:
             obj: the object.
             loop: decides.
+            answer_delay: see `make_worker`.
+
+        Raises:
+            PlanningError: the delay is negative.
         """
         begin = loop.begin()
         super().__init__(begin, loop.options.period)
+        self._worker = make_worker(answer_delay)
         self.obj, self.loop = obj, loop
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
         self._identification = self.DeclareAbstractInputPort("identification", AbstractValue.Make(describe_prior(obj)))
@@ -102,7 +111,28 @@ class ObjectController(AbstractStateSystem[L]):
         )
 
     def _go_on(self, context: Context, now: L) -> L:
-        return self.loop.step(now, self._observe(context))
+        seen = self._observe(context)
+        if self._worker is None:
+            return self.loop.step(now, seen)
+        if now.request is not None:
+            return self._take_decision(self._worker, now, seen)
+        now, due = self.loop.observe(now, seen)
+        if not due:
+            return now
+        return replace(now, request=self._worker.ask(partial(self.loop.decide, now, seen), seen.time))
+
+    def _take_decision(self, worker: Worker, now: L, seen: Observation) -> L:
+        """The state once a decision was made, if it was and still fits what is seen; `now` while none was."""
+        answer = worker.take(now.request, seen.time)
+        if answer is None:
+            return now
+        now = replace(now, request=None)
+        if answer.error:
+            return now.turn_to(FAILED, f"No decision could be made: {answer.error}.")
+        if self.loop.is_outdated(now, seen):
+            return replace(now, filter=now.filter.forget())
+        decided: L = answer.value
+        return decided
 
     def _observe(self, context: Context) -> Observation:
         """What is on the ports."""

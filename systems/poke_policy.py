@@ -7,6 +7,7 @@ it.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from math import atan2, isfinite, pi, radians
 from typing import Any
 
@@ -23,9 +24,11 @@ from gridpush_drake.geometry.se2 import Array, transform_shape
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.closed_loop import LoopOptions, Pose
 from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
 from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, PushCommand, PushStatus
 from gridpush_drake.systems.object_controller import AbstractStateSystem
+from gridpush_drake.systems.worker import Request, Worker, make_worker
 
 Reach = Callable[[PushCommand], bool]
 """Whether the arm can carry out a command."""
@@ -193,10 +196,16 @@ class PokePolicyState:
     Attributes:
         command: on the port.
         attempts: candidates looked at for the next command, where none was found so far.
+        request: the choice under way; None where none is.
+        looked_at: (3,) where the object lay then, m and rad.
+        reason: why no choice could be made, the last time; empty where it could.
     """
 
     command: PushCommand = field(default_factory=PushCommand)
     attempts: int = 0
+    request: Request | None = None
+    looked_at: Pose | None = None
+    reason: str = ""
 
 
 class PokePolicy(AbstractStateSystem[PokePolicyState]):
@@ -210,11 +219,13 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
         - status
         output_ports:
         - push_command
+        - message
 
     * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; while it is NaN the policy waits.
     * status: abstract `PushStatus` of the executor.
     * push_command: vector of 6, see `PushCommand`; id 0 before the first. It stays until the executor is ready
       again and has taken up, or refused, its id.
+    * message: abstract `str`, why no push could be chosen, where what chooses beside the Diagram failed; else empty.
 
     A refused command is replaced by another one, with the next id. After `num_pushes` executed commands, and
     `test_pushes` more of their own style, the last one stays. Abstract state: one `PokePolicyState`. Numeric parameter
@@ -236,6 +247,7 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
         test_pushes: int = 0,
         test_distance: float = 0.10,
         period: float = DEFAULT_PERIOD,
+        answer_delay: float | None = 0.0,
     ) -> None:
         """Declares the system.
 
@@ -250,9 +262,11 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
             test_pushes: to be executed after that.
             test_distance: of those, m.
             period: between two looks at the status, s.
+            answer_delay: s after which a choice is taken; None for real time, see `worker.make_worker`.
 
         Raises:
             PushError: a number is negative, or the period is not positive.
+            PlanningError: the delay is negative.
         """
         for name, value in (("num_pushes", num_pushes), ("test_pushes", test_pushes)):
             if value < 0:
@@ -260,6 +274,7 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
         if not (np.isfinite(period) and period > 0):
             raise PushError(f"period is {period!r}; expected a positive number (s)")
         super().__init__(PokePolicyState(), period)
+        self._worker = make_worker(answer_delay)
         self.obj, self.region, self.style = obj, region, style or RandomPokeOptions()
         self._seed = self.DeclareNumericParameter(BasicVector([float(seed)]))
         self.num_pushes, self.test_pushes = num_pushes, test_pushes
@@ -272,6 +287,10 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
             "push_command", PUSH_COMMAND_SIZE, weakly(self._calc_push_command), {self._remembered}
         )
 
+        self.DeclareAbstractOutputPort(
+            "message", lambda: AbstractValue.Make(""), weakly(self._calc_message), {self._remembered}
+        )
+
     def SetSeed(self, root_context: Context, seed: int) -> None:
         """Sets the seed of the draws in a Diagram's Context."""
         context = self.GetMyMutableContextFromRoot(root_context)
@@ -280,16 +299,40 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
     def _calc_push_command(self, context: Context, output: Any) -> None:
         output.SetFromVector(self._get_state(context).command.to_vector())
 
+    def _calc_message(self, context: Context, output: Any) -> None:
+        output.set_value(self._get_state(context).reason)
+
     def _go_on(self, context: Context, now: PokePolicyState) -> PokePolicyState:
         status: PushStatus = self._status.Eval(context)
         pose = self._object_pose.Eval(context)
         wanted = status.executed < self.num_pushes + self.test_pushes
         if not (wanted and status.ready and status.command_id == now.command.command_id and np.isfinite(pose).all()):
-            return now
+            return now if now.request is None else replace(now, request=None, looked_at=None)
+        if now.request is not None and self._worker is not None:
+            return self._take_choice(self._worker, now, pose, context.get_time())
         style = self.style if status.executed < self.num_pushes else self._test_style
         seed = int(context.get_numeric_parameter(int(self._seed)).value()[0])
-        command, attempts = choose_poke(
-            self.obj, self._params, pose, now.command.command_id + 1, seed, style, self.region, self._reach,
-            now.attempts,
+        work = partial(
+            choose_poke, self.obj, self._params, np.array(pose), now.command.command_id + 1, seed, style, self.region,
+            self._reach, now.attempts,
         )  # fmt: skip
-        return PokePolicyState(command) if command else PokePolicyState(now.command, attempts)
+        if self._worker is None:
+            return _choose(now, *work())
+        x, y, theta = pose.tolist()
+        return replace(now, request=self._worker.ask(work, context.get_time()), looked_at=(x, y, theta))
+
+    def _take_choice(self, worker: Worker, now: PokePolicyState, pose: Array, time: float) -> PokePolicyState:
+        """The state once a choice was made, which counts if the object still lies there; `now` while none was."""
+        assert now.request is not None and now.looked_at is not None
+        answer = worker.take(now.request, time)
+        if answer is None:
+            return now
+        lay, now = now.looked_at, replace(now, request=None, looked_at=None, reason=answer.error)
+        if answer.error or not LoopOptions().are_of_one_rest([lay], pose):
+            return now
+        return _choose(now, *answer.value)
+
+
+def _choose(now: PokePolicyState, command: PushCommand | None, attempts: int) -> PokePolicyState:
+    """The state after `choose_poke`."""
+    return PokePolicyState(command) if command else PokePolicyState(now.command, attempts)

@@ -67,6 +67,7 @@ class PreGraspController(ObjectController[PreGraspState]):
         lift: float = 0.1,
         seed: int = 0,
         options: PreGraspLoopOptions | None = None,
+        answer_delay: float | None = 0.0,
     ) -> None:
         """Declares the system.
 
@@ -77,9 +78,10 @@ class PreGraspController(ObjectController[PreGraspState]):
             lift: how high to lift, m.
             seed: of the draws from what is held possible.
             options: how to go about it.
+            answer_delay: s after which a decision is taken; None for real time, see `worker.make_worker`.
         """
         self.planner = planner
-        super().__init__(planner.obj, PreGraspLoop(planner, find_grasp, seed=seed, options=options))
+        super().__init__(planner.obj, PreGraspLoop(planner, find_grasp, seed=seed, options=options), answer_delay)
         self._height, self._lift = grasp_height, lift
         self._grasp_status = self.DeclareAbstractInputPort("grasp_status", AbstractValue.Make(GraspStatus()))
         self._declare_command(

@@ -5,6 +5,7 @@ The tip goes over the object, down beside it, along, pauses, and goes up again.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -17,7 +18,7 @@ from gridpush_drake.geometry.se2 import Array, transform_shape
 from gridpush_drake.multibody.tool_motion import R_WP_DOWN, Point, TrajectorySegment
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
-from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, PushCommand, PushPhase, PushStatus
+from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, GraspStatus, PushCommand, PushPhase, PushStatus
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 
 
@@ -83,6 +84,17 @@ def make_push_trajectory(
     return tuple(segments)
 
 
+def make_lookout_trajectory(rest: Point, lookout: Point, style: PushTrajectoryOptions) -> tuple[TrajectorySegment, ...]:
+    """Makes the way from rest to the lookout: up as far as both are high, over, and to its height."""
+    (x, y, z), (x1, y1, z1) = rest, lookout
+    high = max(z, z1, style.travel_height)
+    places = [(x, y, z), (x, y, high), (x1, y1, high), (x1, y1, z1)]
+    travel = (SPEED_SCALES[-1] * style.travel_speed, style.travel_acceleration)
+    return tuple(
+        TrajectorySegment(PushPhase.CLEARING, start, end, *travel) for start, end in pairwise(places) if start != end
+    )
+
+
 def break_off(segments: tuple[TrajectorySegment, ...], t: float) -> tuple[TrajectorySegment, ...]:
     """What is left of a push that is to stop as soon as it can; then, as ever, a pause, and up.
 
@@ -123,6 +135,7 @@ class ExecutorState:
         segments: the current one and those still to come.
         segment_start: when the current one began, s.
         status: as on the port, but for the reason while a command cannot be read.
+        unseen_since: when the object went out of sight, with nothing to do, s; None where it is seen.
         unreadable: whether the command on the port has a number that is not finite.
     """
 
@@ -130,6 +143,7 @@ class ExecutorState:
     segments: tuple[TrajectorySegment, ...] = ()
     segment_start: float = 0.0
     status: PushStatus = field(default_factory=PushStatus)
+    unseen_since: float | None = None
     unreadable: bool = False
 
     @property
@@ -141,6 +155,9 @@ class ExecutorState:
         """(3,) p_WP desired at `time`, m."""
         return self.segments[0].position(time - self.segment_start) if self.segments else np.array(self.rest)
 
+
+HIDDEN_AFTER = 0.3
+"""Out of sight for so long, s, the object is looked out for."""
 
 NOT_FINITE = "the command has numbers that are not finite"
 
@@ -156,12 +173,16 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
     says so until another one is there. A command that is withdrawn, by another with id 0, is broken off: the finger
     stops as soon as it can, and goes up. The desired position, velocity and acceleration are continuous.
 
+    Where the object has been out of sight for a while and nothing is to be done, the arm may be what hides it: the
+    finger goes to its lookout, if it has one.
+
     .. pydrake_system::
 
         name: PushExecutor
         input_ports:
         - push_command
         - object_pose
+        - grasp_status
         output_ports:
         - tip_pose
         - status
@@ -170,6 +191,7 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
       speed (m/s).
     * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; read when a command is taken up, which
       waits while they are NaN (the object is not seen). Need not be connected where there is no outline.
+    * grasp_status: abstract `GraspStatus`: while a grasp is under way nothing is looked out for. Need not be connected.
     * tip_pose: abstract `RigidTransform`, X_WP desired: P at the tip's center, its z axis pointing down, m.
     * status: abstract `PushStatus`.
 
@@ -184,6 +206,7 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         outline: shapely.Polygon | None = None,
         reach: Reach | None = None,
         style: PushTrajectoryOptions | None = None,
+        lookout: ArrayLike | None = None,
     ):
         """Makes an executor.
 
@@ -192,13 +215,16 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
             outline: of the object in B, m; None asks no questions about the object.
             reach: whether the arm can follow a path; None trusts it.
             style: heights, speeds and times.
+            lookout: (3,) p_WP where the tip goes when the object is out of sight, m; None where it stays.
         """
         self.style = style or PushTrajectoryOptions()
         x, y, z = np.asarray(home, float).tolist()
         super().__init__(ExecutorState((x, y, z)), self.style.period)
         self._outline, self._reach = outline, reach
+        self._lookout: Point | None = None if lookout is None else tuple(np.asarray(lookout, float).tolist())
         self._command_port = self.DeclareVectorInputPort("push_command", PUSH_COMMAND_SIZE)
         self._pose_port = self.DeclareVectorInputPort("object_pose", 3)
+        self._grasp_port = self.DeclareAbstractInputPort("grasp_status", AbstractValue.Make(GraspStatus()))
         self.DeclareAbstractOutputPort(
             "tip_pose",
             lambda: AbstractValue.Make(RigidTransform()),
@@ -208,6 +234,12 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         self.DeclareAbstractOutputPort(
             "status", lambda: AbstractValue.Make(PushStatus()), weakly(self._calc_status), {self._remembered}
         )
+
+    def SetRest(self, root_context: Context, p_WP: ArrayLike) -> None:
+        """Lets it begin with the tip at p_WP (3,), m, instead of at home, in a fresh Context of a Diagram."""
+        x, y, z = np.asarray(p_WP, float).tolist()
+        context = self.GetMyMutableContextFromRoot(root_context)
+        context.SetAbstractState(int(self._state), ExecutorState((x, y, z)))
 
     def _calc_tip_pose(self, context: Context, output: AbstractValue) -> None:
         state = self._get_state(context)
@@ -230,7 +262,7 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         if time - now.segment_start < done.duration:
             return now
         phase = PushPhase(left[0].phase) if left else PushPhase.IDLE
-        executed = now.status.executed + (not left)
+        executed = now.status.executed + (not left and done.phase != PushPhase.CLEARING)
         status = replace(now.status, phase=phase, executed=executed)
         return ExecutorState((x, y, z), tuple(left), time, status)
 
@@ -241,15 +273,28 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
             status = replace(now.status, refused=now.status.refused + unreadable)
             now = replace(now, unreadable=unreadable, status=status)
         command = PushCommand.from_vector(vector)
-        if command.command_id in (0, now.status.command_id):
-            return now
-        if self._outline is not None and not np.isfinite(self._pose_port.Eval(context)).all():
-            return now  # the object is not seen: wait until it is
+        seen = self._outline is None or bool(np.isfinite(self._pose_port.Eval(context)).all())
+        if command.command_id in (0, now.status.command_id) or not seen:
+            return self._look_out(now, time, seen or self._is_grasping(context))
         segments, reason = self._plan(context, command, now.rest)
         status = replace(now.status, command_id=command.command_id, reason=reason)
         if reason:
             return replace(now, status=replace(status, refused=status.refused + 1))
         return ExecutorState(now.rest, segments, time, replace(status, phase=PushPhase(segments[0].phase)))
+
+    def _is_grasping(self, context: Context) -> bool:
+        return self._grasp_port.HasValue(context) and not self._grasp_port.Eval(context).ready
+
+    def _look_out(self, now: ExecutorState, time: float, content: bool) -> ExecutorState:
+        """Waits; goes to the lookout where it has not been content with what it sees for too long."""
+        if self._lookout is None or content:
+            return now if now.unseen_since is None else replace(now, unseen_since=None)
+        since = time if now.unseen_since is None else now.unseen_since
+        if time - since < HIDDEN_AFTER or now.rest == self._lookout:
+            return now if now.unseen_since == since else replace(now, unseen_since=since)
+        segments = make_lookout_trajectory(now.rest, self._lookout, self.style)
+        status = replace(now.status, phase=PushPhase.CLEARING)
+        return replace(now, segments=segments, segment_start=time, unseen_since=None, status=status)
 
     def _plan(self, context: Context, command: PushCommand, rest: Point) -> tuple[tuple[TrajectorySegment, ...], str]:
         """The segments of a command, and why it is refused or ""."""

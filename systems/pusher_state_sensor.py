@@ -4,6 +4,7 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialVelocity
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
@@ -54,3 +55,47 @@ class PusherStateSensor(LeafSystem):
         p_BP_W = X_WB.rotation() @ self._p_BP
         v_WP = V_WB.translational() + np.cross(V_WB.rotational(), p_BP_W)
         output.SetFromVector(np.concatenate([X_WB.translation() + p_BP_W, v_WP]))
+
+
+class ArmTipSensor(LeafSystem):
+    """Position and velocity of the finger's tip of an arm that is not simulated, from its joints.
+
+    .. pydrake_system::
+
+        name: ArmTipSensor
+        input_ports:
+        - position_measured
+        - velocity_estimated
+        output_ports:
+        - pusher_state
+
+    * position_measured: vector of n, the joints' angles, rad.
+    * velocity_estimated: vector of n, their velocities, rad/s.
+    * pusher_state: vector of 6, the tip's center p_WP, m, and its velocity v_WP, m/s, in W.
+    """
+
+    __slots__ = NO_SLOTS
+
+    def __init__(self, control_plant: MultibodyPlant, tip_frame: str) -> None:
+        """Makes the sensor.
+
+        Args:
+            control_plant: the robot alone, with n positions.
+            tip_frame: name of the tip's frame in it.
+        """
+        super().__init__()
+        self._plant, self._tip_frame = control_plant, tip_frame
+        self._plant_context = control_plant.CreateDefaultContext()
+        self._q = self.DeclareVectorInputPort("position_measured", control_plant.num_positions())
+        self._v = self.DeclareVectorInputPort("velocity_estimated", control_plant.num_velocities())
+        self.DeclareVectorOutputPort(
+            "pusher_state", 6, weakly(self._calc_pusher_state), {self._q.ticket(), self._v.ticket()}
+        )
+
+    def _calc_pusher_state(self, context: Context, output: BasicVector) -> None:
+        plant, scratch = self._plant, self._plant_context
+        plant.SetPositions(scratch, self._q.Eval(context))
+        plant.SetVelocities(scratch, self._v.Eval(context))
+        tip = plant.GetFrameByName(self._tip_frame)
+        v_WP = tip.CalcSpatialVelocityInWorld(scratch).translational()
+        output.SetFromVector(np.concatenate([tip.CalcPoseInWorld(scratch).translation(), v_WP]))

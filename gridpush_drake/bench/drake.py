@@ -92,6 +92,7 @@ def calc_scores(
 def run_job(job: ObjectJob) -> StationScore:
     """Runs one experiment with the default scenario."""
     record = IdentifyTask(PushScenario(object=job.name, seed=job.seed)).run()
+    assert record.truth is not None  # of a simulated object it is known
     obj, truth, limits, held_out = record.obj, record.truth, record.limit_report, record.held_out_log
     uniform = CellParameters.uniform(obj)
     learned = record.estimates[-1].params if record.estimates else uniform

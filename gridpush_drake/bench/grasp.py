@@ -110,6 +110,7 @@ def make_score(job: ObjectJob, record: "PreGraspRecord", wall: float) -> GraspSc
     """What came of a run that took `wall` seconds."""
     error = float("nan")
     if record.estimates:
+        assert record.truth is not None  # of a simulated object it is known
         found, truth = (params.center_of_mass(record.obj) for params in (record.estimates[-1].params, record.truth))
         error = float(np.linalg.norm(found - truth))
     last = record.last

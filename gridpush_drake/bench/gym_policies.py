@@ -147,9 +147,7 @@ def _push_to_goal(world: EnvironmentWorld, seed: int) -> None:
 def _slide_to_edge(world: EnvironmentWorld, seed: int) -> None:
     obj, surface = _hide(world.episode.shape.obj), world.env.game.surface
     planner = PreGraspPlanner(obj, surface, PreGraspOptions(max_arm=MAX_ARM, slide=SLIDE))
-    loop = PreGraspLoop(
-        planner, lambda pose, center: None, seed=seed, options=PreGraspLoopOptions(observations=1, timeout=0.1)
-    )
+    loop = PreGraspLoop(planner, lambda *_: None, seed=seed, options=PreGraspLoopOptions(observations=1, timeout=0.1))
     learner = Learner(memory=14, seed=seed)
 
     def learn(obj: GridObject, log: PushLog, before: Identification | None) -> Identification | None:

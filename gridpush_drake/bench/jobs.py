@@ -1,8 +1,8 @@
 """Runs jobs in worker processes, which end with this one, and keeps what each of them found.
 
-An interrupted run goes on from the file in which the results of finished jobs are kept. It is JSON lines: first the
-settings, then a line for each finished job. Each line is written at once and whole; a last line that was cut off is
-dropped when the file is read.
+What a worker was doing that ended, or was killed, is done again by another. An interrupted run goes on from the file in
+which the results of finished jobs are kept. It is JSON lines: first the settings, then a line for each finished job.
+Each line is written at once and whole; a last line that was cut off is dropped when the file is read.
 """
 
 import hashlib
@@ -10,9 +10,9 @@ import json
 import os
 import signal
 import traceback
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from importlib.resources import files
 from itertools import count
 from multiprocessing import get_context, parent_process, resource_tracker
@@ -21,7 +21,7 @@ from multiprocessing.process import BaseProcess
 from os import _exit
 from pathlib import Path
 from threading import Thread
-from typing import Any, Generic, TypeVar, get_type_hints
+from typing import Any, Generic, Protocol, TypeVar, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -95,8 +95,9 @@ class BoundResults(Generic[Result]):
 
 
 def make_key(job: Any) -> str:
-    """A job, a dataclass, as text: its type and all it holds."""
-    return json.dumps([type(job).__name__, asdict(job)], default=str)
+    """A job, a dataclass, as text: its type and all that it is compared by."""
+    compared, held = {field.name for field in fields(job) if field.compare}, asdict(job)
+    return json.dumps([type(job).__name__, {key: held[key] for key in held if key in compared}], default=str)
 
 
 def open_results(path: Path | str | None, bench: str, settings: dict[str, Any], force: bool = False) -> Results:
@@ -119,7 +120,7 @@ def open_results(path: Path | str | None, bench: str, settings: dict[str, Any], 
     head = {"bench": bench, "program": hash_sources(), "settings": json.loads(json.dumps(settings, default=str))}
     if path is None:
         check_writable(FOLDER / bench if FOLDER.is_dir() else FOLDER, force=True)
-        path = FOLDER / f"{bench}-{_hash(_to_line(head))}.jsonl"
+        path = FOLDER / f"{bench}-{hash_content(_to_line(head))}.jsonl"
     else:
         path = check_writable(path, force=True)
     if path.exists() and not force:
@@ -156,11 +157,12 @@ def hash_sources() -> str:
         if Path(folder) == package:
             folders.remove(NO_SOURCES)
         paths = [Path(folder, name) for name in names if name.endswith(SOURCES)]
-        sums += [f"{path.relative_to(package)} {_hash(path.read_bytes())}" for path in paths]
-    return _hash("\n".join(sorted(sums)).encode())
+        sums += [f"{path.relative_to(package)} {hash_content(path.read_bytes())}" for path in paths]
+    return hash_content("\n".join(sorted(sums)).encode())
 
 
-def _hash(content: bytes) -> str:
+def hash_content(content: bytes) -> str:
+    """A hash of a file's content."""
     return hashlib.sha256(content).hexdigest()[:DIGITS]
 
 
@@ -181,6 +183,9 @@ REPORT_EVERY = 1.0
 END_WITHIN = 1.0
 """s that a killed worker is waited for."""
 
+MAX_LOST = 3
+"""Workers that a job may lose; then it is taken to be what ends them."""
+
 
 @dataclass(frozen=True)
 class ObjectJob:
@@ -194,6 +199,33 @@ class ObjectJob:
         return f"{self.name}, seed {self.seed}"
 
 
+Found = tuple[int, Any] | None
+"""A job's number and its result; None where none came for a while."""
+
+
+class Executor(Protocol):
+    """What runs jobs in place of worker processes here, such as a cluster."""
+
+    def run(self, function: Callable[[Any], Any], jobs: Sequence[tuple[int, Any]]) -> Iterator[Found]:
+        """Runs a function on numbered jobs; yields their results as they come, and None every REPORT_EVERY without.
+
+        Raises LostJobsError, once all others are done, where jobs lost MAX_LOST workers each.
+        """
+
+
+class LostJobsError(GridPushError):
+    """Jobs lost every worker that they were given to.
+
+    Attributes:
+        jobs: their numbers.
+        why: what the last worker ended with.
+    """
+
+    def __init__(self, jobs: Sequence[int], why: str) -> None:
+        super().__init__(f"{len(jobs)} jobs lost {MAX_LOST} workers each: {why}")
+        self.jobs, self.why = tuple(jobs), why
+
+
 @dataclass(frozen=True)
 class Execution:
     """How jobs are run; it changes no result.
@@ -203,12 +235,14 @@ class Execution:
         report: what to call now and then; None where nobody looks.
         results: where results are kept, and found again; None keeps none.
         prepare: what to call before the first job, where there is any to do.
+        executor: runs the jobs instead of processes here; None for those.
     """
 
     workers: int = WORKERS
     report: Report | None = None
     results: Results | None = None
     prepare: Callable[[], None] | None = None
+    executor: Executor | None = None
 
 
 QUIET = Execution()
@@ -233,7 +267,8 @@ def run_jobs(
         The results in the jobs' order, which does not depend on the workers.
 
     Raises:
-        GridPushError: a worker ended without an answer, or the results cannot be kept.
+        GridPushError: a job lost MAX_LOST workers, which is said when all others are done, or the results cannot be
+            kept.
     """
     kept = execution.results.bind(function) if execution.results is not None else None
     done = {} if kept is None else kept.find(jobs)
@@ -243,13 +278,17 @@ def run_jobs(
     if left and execution.prepare is not None:
         execution.prepare()
     report(said, len(done), len(jobs))
-    for found in _run(function, left, execution.workers):
-        if found is not None:
-            i, result = found
-            done[i], said = result, describe(jobs[i])
-            if kept is not None:
-                kept.append(jobs[i], result)
-        report(said, len(done), len(jobs))
+    try:
+        for found in _run(function, left, execution):
+            if found is not None:
+                i, result = found
+                done[i], said = result, describe(jobs[i])
+                if kept is not None:
+                    kept.append(jobs[i], result)
+            report(said, len(done), len(jobs))
+    except LostJobsError as lost:
+        names = "; ".join(describe(jobs[i]) for i in lost.jobs)
+        raise GridPushError(f"{names}: ended {MAX_LOST} workers without an answer, {lost.why}") from lost
     return [done[i] for i in range(len(jobs))]
 
 
@@ -267,66 +306,99 @@ def count_steps(report: Report | None, total: int) -> Callable[[str], None]:
 
 
 def _run(
-    function: Callable[[Job], Result], jobs: Sequence[tuple[int, Job]], workers: int
+    function: Callable[[Job], Result], jobs: Sequence[tuple[int, Job]], execution: Execution
 ) -> Iterator[tuple[int, Result] | None]:
     """Yields numbers and results as they come, and None where none came for a while."""
-    if workers == 0 or not jobs:
-        yield from ((i, function(job)) for i, job in jobs)
+    if not jobs:
         return
-    with _pool(function, min(workers, len(jobs))) as pool:
-        waiting = list(reversed(jobs))
-        for connection in pool:
-            connection.send(waiting.pop())
-        busy = dict(pool)
-        while busy:
+    if execution.executor is not None:
+        yield from execution.executor.run(function, jobs)
+    elif execution.workers == 0:
+        yield from ((i, function(job)) for i, job in jobs)
+    else:
+        yield from _run_in_processes(function, jobs, execution.workers)
+
+
+def _run_in_processes(
+    function: Callable[[Job], Result], jobs: Sequence[tuple[int, Job]], workers: int
+) -> Iterator[tuple[int, Result] | None]:
+    """As `_run`; a worker that ends is replaced, and its job is done again."""
+    waiting, lost = deque(jobs), Counter[int]()
+    idle, busy = list[Connection](), dict[Connection, tuple[int, Job]]()
+    given_up, code = list[int](), None
+    with _Pool(function) as pool:
+        while waiting or busy:
+            while waiting and len(busy) < workers:
+                connection = idle.pop() if idle else pool.start()
+                try:
+                    connection.send(waiting[0])
+                    busy[connection] = waiting.popleft()
+                except ConnectionError:
+                    pool.drop(connection)
             ready = wait(list(busy), REPORT_EVERY)
             if not ready:
                 yield None
-            for connection in [each for each in pool if each in ready]:
-                found = _receive(connection, busy[connection])
-                if waiting:
-                    connection.send(waiting.pop())
-                else:
-                    del busy[connection]
+            for connection in [each for each in list(busy) if each in ready]:
+                i, job = busy.pop(connection)
+                try:
+                    found = _receive(connection)
+                except (EOFError, ConnectionError):
+                    code, lost[i] = pool.drop(connection), lost[i] + 1
+                    if lost[i] < MAX_LOST:
+                        waiting.append((i, job))
+                    else:
+                        given_up.append(i)
+                    continue
+                idle.append(connection)
                 yield found
+    if given_up:
+        raise LostJobsError(given_up, f"exit code {code}")
 
 
-def _receive(connection: Connection, process: BaseProcess) -> Any:
-    try:
-        i, result, error = connection.recv()
-    except (EOFError, ConnectionError) as ended:
-        process.join(END_WITHIN)
-        raise GridPushError(f"worker {process.pid} ended without an answer, exit code {process.exitcode}") from ended
+def _receive(connection: Connection) -> Any:
+    i, result, error = connection.recv()
     if error is not None:
         raise error
     return i, result
 
 
-@contextmanager
-def _pool(function: Callable[[Any], Any], workers: int) -> Iterator[dict[Connection, BaseProcess]]:
-    """Worker processes by the pipe to each; they are killed in the end, whatever they do."""
-    context = get_context("spawn")  # fresh processes: a fork would copy other threads' locks
-    pool: dict[Connection, BaseProcess] = {}
-    resource_tracker.ensure_running()  # begun along with the first worker, it would unblock the signals
-    try:
-        for _ in range(workers):
-            # an interrupt waits until the new process is known here; the process itself inherits it blocked
-            blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
-            try:
-                here, there = context.Pipe()
-                process = context.Process(target=_work, args=(there, function), daemon=True)
-                process.start()
-                there.close()
-                pool[here] = process
-            finally:
-                signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
-        yield pool
-    finally:
-        for worker in pool.values():
+class _Pool:
+    """Worker processes by the pipe to each; as a context, at whose end they are killed, whatever they do."""
+
+    def __init__(self, function: Callable[[Any], Any]) -> None:
+        self._function, self._context = function, get_context("spawn")  # a fork would copy other threads' locks
+        self._workers: dict[Connection, BaseProcess] = {}
+
+    def __enter__(self) -> "_Pool":
+        resource_tracker.ensure_running()  # begun along with the first worker, it would unblock the signals
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for worker in self._workers.values():
             worker.kill()
-        for connection, worker in pool.items():
-            worker.join(END_WITHIN)
-            connection.close()
+        for connection in list(self._workers):
+            self.drop(connection)
+
+    def start(self) -> Connection:
+        """Starts a worker; returns the pipe to it."""
+        # an interrupt waits until the new process is known here; the process itself inherits it blocked
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
+        try:
+            here, there = self._context.Pipe()
+            process = self._context.Process(target=_work, args=(there, self._function), daemon=True)
+            process.start()
+            there.close()
+            self._workers[here] = process
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        return here
+
+    def drop(self, connection: Connection) -> int | None:
+        """Forgets a worker that has ended; returns its exit code."""
+        worker = self._workers.pop(connection)
+        worker.join(END_WITHIN)
+        connection.close()
+        return worker.exitcode
 
 
 def _work(connection: Connection, function: Callable[[Any], Any]) -> None:

@@ -382,7 +382,8 @@ def _draw_pregrasp(
         ax.bar(places + (i - 1) * BAR / len(ends), shares, BAR / len(ends), color=color, label=label)
     ax.set_ylabel(f"{hammer}: share of {counts.tries} runs, %")
     ax.set_xticks(places, SLIDE_METHODS)
-    ax.legend(fontsize="small")
+    ax.margins(y=0.35)  # room for the legend
+    ax.legend(fontsize="x-small")
     write("pregrasp", figure)
     said = "; ".join(f"{method} {grasped[method]:.0f} % ({dropped[method]:.0f} % dropped)" for method in SLIDE_METHODS)
     paper_said = "; ".join(f"{method} {share} %" for method, share in PAPER_SUCCESS.items())

@@ -3,8 +3,8 @@
 The photographs are real (--data, see `find_photographs`); everything else is rendered, see `rendered_table`.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +21,25 @@ from gridpush_drake.bench.rendered_table import RenderedTable
 from gridpush_drake.bench.table import Table, Value
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError, PerceptionError
-from gridpush_drake.geometry.se2 import transform, wrap_angle
+from gridpush_drake.geometry.se2 import compose, transform, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.perception import Camera, DetectorOptions, PoseTracker, detect_object, read_color, read_depth
+from gridpush_drake.perception import (
+    Camera,
+    DetectedTag,
+    DetectorOptions,
+    Frame,
+    PoseTracker,
+    TrackedPose,
+    detect_object,
+    detect_tags,
+    read_color,
+    read_depth,
+    solve_tag_to_body,
+)
 from gridpush_drake.perception.foreground import Cues
+from gridpush_drake.perception.tracking import NOT_SEEN
 
 POSES, PUSHES = 10, 5
 """Of each object."""
@@ -49,6 +62,9 @@ MAX_SHIFT, MAX_TILT = 0.03, 3.0
 ROD_RADIUS = 0.006
 FRAMES = 11
 """Of a push."""
+
+TAG = (7, 0.04)
+"""Number and side, m, of the tag on the objects."""
 
 MAX_DEVIATION = np.array([3e-3, 3e-3, np.radians(3)])
 """Of a covariance with which the outline determines the pose, m and rad."""
@@ -110,11 +126,12 @@ class OutlineScore:
 
 @dataclass(frozen=True)
 class TrackJob:
-    """One object, pushed several times."""
+    """One object, pushed several times, and followed by its outline or by a tag on it."""
 
     name: str
     pushes: int
     seed: int
+    tag: bool = False
 
 
 @dataclass(frozen=True)
@@ -126,7 +143,7 @@ class TrackScore:
         frames: how many.
         lost: in how many it was not found.
         errors: of each frame found in which the outline determines the pose: x, y, theta, m and rad.
-        deviations: likewise, as the tracker states them.
+        deviations: likewise, as the tracker states them; NaN of a tag, which states none.
     """
 
     name: str
@@ -177,6 +194,8 @@ def run(
     tables.append(tabulate_outlines(run_jobs(run_outline, outline_jobs, lambda job: job.name, execution)))
     track_jobs = [TrackJob(name, pushes, seed) for name in names]
     tables.append(tabulate_tracks(run_jobs(run_track, track_jobs, lambda job: f"{job.name}, pushed", execution)))
+    tag_jobs = [replace(job, tag=True) for job in track_jobs]
+    tables.append(tabulate_tags(run_jobs(run_track, tag_jobs, lambda job: f"{job.name}, with a tag", execution)))
     return tables
 
 
@@ -248,21 +267,55 @@ def run_track(job: TrackJob) -> TrackScore:
         push, pose = draw_push(obj, params, job.seed + k, ROD_RADIUS)
         motion = simulate(obj, params, push, pose)
         camera = make_overhead_camera(FAR, at=motion.poses[:, :2].mean(axis=0))
-        table = RenderedTable(obj.outline, HEIGHT, COLORS[k % len(COLORS)], camera, ROD_RADIUS)
-        tracker = PoseTracker(obj.outline, HEIGHT, camera)
-        state = tracker.start(table.look(pose, seed=k)[0], pose)
+        tag = TAG if job.tag else None
+        table = RenderedTable(obj.outline, HEIGHT, COLORS[k % len(COLORS)], camera, ROD_RADIUS, tag)
+        follow = (_follow_tag if job.tag else _follow_outline)(obj, table.look(pose, seed=k)[0], pose, camera)
         for i in np.linspace(0, len(motion.times) - 1, FRAMES).astype(int):
             q = motion.poses[i]
-            frame, arm = table.look(q, motion.tip[i], seed=FRAMES * k + int(i), t=float(motion.times[i]))
-            state, tracked = tracker.track(state, frame, arm)
+            tracked = follow(*table.look(q, motion.tip[i], seed=FRAMES * k + int(i), t=float(motion.times[i])))
             frames += 1
             lost += not tracked.seen
             deviation = np.sqrt(np.diag(tracked.covariance))
-            if tracked.seen and (deviation <= MAX_DEVIATION).all():
+            if tracked.seen and not (deviation > MAX_DEVIATION).any():
                 off = tracked.pose - q
                 errors.append(np.array([*off[:2], wrap_angle(off[2])]))
                 deviations.append(deviation)
     return TrackScore(job.name, frames, lost, _to_rows(errors), _to_rows(deviations))
+
+
+Follow = Callable[[Frame, NDArray[np.bool_]], TrackedPose]
+"""Of the next frame, and where the arm is in it."""
+
+
+def _follow_outline(obj: GridObject, first: Frame, pose: NDArray[np.float64], camera: Camera) -> Follow:
+    tracker = PoseTracker(obj.outline, HEIGHT, camera)
+    state = tracker.start(first, pose)
+
+    def follow(frame: Frame, arm: NDArray[np.bool_]) -> TrackedPose:
+        nonlocal state
+        state, tracked = tracker.track(state, frame, arm)
+        return tracked
+
+    return follow
+
+
+def _follow_tag(obj: GridObject, first: Frame, pose: NDArray[np.float64], camera: Camera) -> Follow:
+    """By the tag, whose pose on the object is solved from the first frame."""
+    number, size = TAG
+
+    def find(frame: Frame) -> DetectedTag | None:
+        return detect_tags(frame.color, camera, size, HEIGHT).get(number)
+
+    tag = find(first)
+    if tag is None:
+        raise GridPushError(f"the tag on {obj.name} is not found in its first picture")
+    X_TB = solve_tag_to_body(tag, pose)
+
+    def follow(frame: Frame, arm: NDArray[np.bool_]) -> TrackedPose:
+        tag = find(frame)
+        return NOT_SEEN if tag is None else replace(NOT_SEEN, pose=compose(tag.planar_pose, X_TB), seen=True)
+
+    return follow
 
 
 def make_overhead_camera(distance: float, tilt: ArrayLike = (0.0, 0.0), at: ArrayLike = (0.0, 0.0)) -> Camera:
@@ -326,13 +379,10 @@ def tabulate_tracks(scores: Sequence[TrackScore]) -> Table:
     """A row an object, and one of all."""
 
     def make_row(name: str, some: Sequence[TrackScore]) -> tuple[Value, ...]:
-        e = np.concatenate([np.reshape(score.errors, (-1, 3)) for score in some])
-        s = np.concatenate([np.reshape(score.deviations, (-1, 3)) for score in some])
-        frames, lost = sum(score.frames for score in some), sum(score.lost for score in some)
-        place = float(np.sqrt((e[:, :2] ** 2).sum(axis=1).mean())) if len(e) else float("nan")
-        angle = float(np.sqrt((e[:, 2] ** 2).mean())) if len(e) else float("nan")
+        frames, lost, place, angle = _summarize_track(some)
+        e, s = (np.concatenate([np.reshape(rows, (-1, 3)) for rows in both]) for both in _list_errors(some))
         within = float((np.abs(e) <= NORMAL_95 * s).mean()) if len(e) else float("nan")
-        return name, frames, lost, frames - lost - len(e), MM * place, float(np.degrees(angle)), PERCENT * within
+        return name, frames, lost, frames - lost - len(e), place, angle, PERCENT * within
 
     rows = [make_row(score.name, [score]) for score in scores] + [make_row("all", scores)]
     columns = ("object", "frames", "lost", "not determined", "place, RMS, mm", "angle, RMS, deg", "within 95 %, %")
@@ -343,6 +393,28 @@ def tabulate_tracks(scores: Sequence[TrackScore]) -> Table:
         " within the stated 95 % interval.",
     ]
     return Table("Pose during pushes", columns, rows, notes)
+
+
+def tabulate_tags(scores: Sequence[TrackScore]) -> Table:
+    """A row an object, and one of all."""
+    rows = [(score.name, *_summarize_track([score])) for score in scores] + [("all", *_summarize_track(scores))]
+    columns = ("object", "frames", "hidden", "place, RMS, mm", "angle, RMS, deg")
+    notes = [f"The same pushes, by a tag of {TAG[1] * MM:g} mm on the object; hidden: the arm covers a part of it."]
+    return Table("Pose during pushes, by a tag", columns, rows, notes)
+
+
+def _list_errors(scores: Sequence[TrackScore]) -> tuple[list[Any], list[Any]]:
+    return [score.errors for score in scores], [score.deviations for score in scores]
+
+
+def _summarize_track(scores: Sequence[TrackScore]) -> tuple[int, int, float, float]:
+    """Frames, how many without the object, and RMS errors of place, mm, and angle, deg."""
+    e = np.concatenate([np.reshape(score.errors, (-1, 3)) for score in scores])
+    frames, lost = sum(score.frames for score in scores), sum(score.lost for score in scores)
+    if not len(e):
+        return frames, lost, float("nan"), float("nan")
+    place = float(np.sqrt((e[:, :2] ** 2).sum(axis=1).mean()))
+    return frames, lost, MM * place, float(np.degrees(np.sqrt((e[:, 2] ** 2).mean())))
 
 
 def _load(name: str) -> GridObject:

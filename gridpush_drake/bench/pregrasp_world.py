@@ -173,7 +173,7 @@ def run_pregrasp(
     Returns:
         The outcome.
     """
-    loop = PreGraspLoop(planner, lambda pose, center_of_mass: None, infer=infer, options=ONE_OBSERVATION)
+    loop = PreGraspLoop(planner, lambda *_: None, infer=infer, options=ONE_OBSERVATION)
     state = run_loop(loop, planner.obj, world, _is_over, learn=learn, surface=world.surface).state
     status = state.status
     if world.fallen:

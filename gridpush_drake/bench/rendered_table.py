@@ -41,6 +41,7 @@ from trimesh.exchange.obj import export_obj
 from gridpush_drake.multibody.meshcat_shapes import make_outline_mesh
 from gridpush_drake.perception import Camera, Frame
 from gridpush_drake.perception.camera import DRAKE_PIXEL_MIDDLE
+from gridpush_drake.perception.tags import draw_tag
 
 RENDERER = "vtk"
 TABLE, THICKNESS = 1.6, 0.02
@@ -52,6 +53,9 @@ LAMPS = (("camera", 0.75, (0.0, 0.0, 1.0)), ("world", 0.25, (0.3, 0.5, -1.0)))
 
 SHADOW_MAP = 2048
 """Side of what shadows are computed on, pixels; with Drake's default objects shade themselves in blocks."""
+
+SHEET, WHITE, BLACK = 2e-4, (0.95, 0.95, 0.95), (0.03, 0.03, 0.03)
+"""Thickness of a tag's paper and of its ink, m, and their colors."""
 
 ROD, HAND, HAND_HEIGHT = 0.12, (0.08, 0.05, 0.06), 0.15
 """Length of the rod that pushes, m; sides and height over the table of the hand that holds it."""
@@ -72,8 +76,9 @@ class RenderedTable:
     """The scene; each look is a pure function of the poses and a seed."""
 
     def __init__(
-        self, outline: Polygon, height: float, color: ArrayLike, camera: Camera, rod_radius: float | None = None
-    ) -> None:
+        self, outline: Polygon, height: float, color: ArrayLike, camera: Camera, rod_radius: float | None = None,
+        tag: tuple[int, float] | None = None,
+    ) -> None:  # fmt: skip
         """Makes it.
 
         Args:
@@ -82,6 +87,7 @@ class RenderedTable:
             color: of it, red, green and blue, 0 to 1.
             camera: without distortion, with X_WC.
             rod_radius: of the rod that an arm's hand holds, m; None without an arm.
+            tag: number and side, m, of an AprilTag on the object, level over the middle of its outline's bounds.
         """
         self.camera = camera
         self._scene = SceneGraph()
@@ -96,6 +102,8 @@ class RenderedTable:
         mesh = Mesh(InMemoryMesh(mesh_file=MemoryFile(_make_mesh(outline, height), ".obj", "outline.obj")))
         self._object = self._add_frame("object")
         self._add(self._object, mesh, color, OBJECT_LABEL, [0, 0, 0])
+        if tag is not None:
+            self._add_tag(*tag, [*np.reshape(outline.bounds, (2, 2)).mean(axis=0), height])
         self._arm = None if rod_radius is None else self._add_frame("arm")
         if rod_radius is not None:
             self._add(self._arm, Cylinder(rod_radius, ROD), ARM_COLOR, ARM_LABEL, [0, 0, ROD / 2])
@@ -145,11 +153,23 @@ class RenderedTable:
     def _add_frame(self, name: str) -> FrameId:
         return self._scene.RegisterFrame(self._source, GeometryFrame(name))
 
-    def _add(self, frame: FrameId | None, shape: Shape, color: ArrayLike, label: int, at: ArrayLike) -> None:
+    def _add_tag(self, number: int, size: float, at: list[float]) -> None:
+        """Adds a white plate, with a margin of one bit, and on it the tag's black bits."""
+        bits = draw_tag(number)
+        bit, (x, y, z) = size / len(bits), at
+        self._add(self._object, Box(size + 2 * bit, size + 2 * bit, SHEET), WHITE, OBJECT_LABEL, [x, y, z + SHEET / 2])
+        for row, column in np.argwhere(bits == 0):
+            right, up = (np.array([column, len(bits) - 1 - row]) - (len(bits) - 1) / 2) * bit
+            ink = [x + right, y + up, z + SHEET]
+            self._add(self._object, Box(bit, bit, SHEET), BLACK, OBJECT_LABEL, ink, f"bit_{row}_{column}")
+
+    def _add(
+        self, frame: FrameId | None, shape: Shape, color: ArrayLike, label: int, at: ArrayLike, name: str = ""
+    ) -> None:
         properties = PerceptionProperties()
         properties.AddProperty("phong", "diffuse", Rgba(*np.asarray(color, dtype=np.float64), 1.0))
         properties.AddProperty("label", "id", RenderLabel(label))
-        name = f"{type(shape).__name__}_{label}"
+        name = name or f"{type(shape).__name__}_{label}"
         instance = GeometryInstance(RigidTransform(np.asarray(at, dtype=np.float64)), shape, name)
         instance.set_perception_properties(properties)
         if frame is None:

@@ -1,6 +1,6 @@
-"""How fast a push is simulated and differentiated, beside MuJoCo and the paper.
+"""How fast a push is simulated and differentiated, beside MuJoCo and the paper, and how fast an object is identified.
 
-Wall-clock timing on one core.
+Timing on one core: by the clock on the wall, and of identification by that of the processor.
 """
 
 import os
@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 
 import numpy as np
 from shapely import LineString
@@ -23,9 +23,13 @@ from gridpush_drake.bench.protocol import METERS_PER_PIXEL
 from gridpush_drake.bench.table import MS, Table, Value
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import Regime, simulate
+from gridpush_drake.dynamics.time_grid import make_path_times
+from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.problem import PushProblem, TimedPush
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 
 @dataclass(frozen=True)
@@ -38,13 +42,16 @@ class Timing:
     repetitions: int
 
 
-def measure(work: Callable[[], object], repetitions: int, warm_up: int = 1) -> Timing:
+def measure(
+    work: Callable[[], object], repetitions: int, warm_up: int = 1, clock: Callable[[], float] = perf_counter
+) -> Timing:
     """Times `work`.
 
     Args:
         work: what is timed.
         repetitions: how often.
         warm_up: runs before, not counted.
+        clock: gives s.
 
     Returns:
         Median and quartiles.
@@ -53,9 +60,9 @@ def measure(work: Callable[[], object], repetitions: int, warm_up: int = 1) -> T
         work()
     seconds = []
     for _ in range(repetitions):
-        begin = perf_counter()
+        begin = clock()
         work()
-        seconds.append(perf_counter() - begin)
+        seconds.append(clock() - begin)
     low, median, high = np.quantile(seconds, [0.25, 0.5, 0.75])
     return Timing(float(median), float(low), float(high), repetitions)
 
@@ -99,6 +106,29 @@ START_UPS = 7
 """Of each command that starts Python."""
 
 
+LOGS = ((60, 5), (132, 6), (132, 12), (132, 25), (132, 50), (132, 100), (132, 200))
+"""Cells and pushes of the logs that are identified."""
+
+BAR = np.array([[0.0, 0.0], [0.22, 0.0], [0.22, 0.055], [0.0, 0.055]])
+"""The outline of the object that is identified, m."""
+
+HEAD, HEAD_LOAD = 0.3, 5.0
+"""Share of its cells at one end, and how much heavier they are."""
+
+BAR_MASS, BAR_FRICTION, TIP_FRICTION = 0.5, 0.35, 0.3
+"""kg, against the table, against the tip."""
+
+POKE, POKE_SPEED, POKE_SLANT, POKE_RADIUS = 0.06, 0.03, 0.4, 0.01
+"""How it is poked: m, m/s, rad off the normal at most, and the tip's radius, m."""
+
+OBSERVED, POSE_NOISE = 10, (3e-4, 3e-4, 3e-3)
+"""Poses seen of each push, and their noise, m and rad."""
+
+FEW = 25
+"""Pushes from which on an identification is timed once, not IDENTIFY_REPETITIONS times."""
+
+IDENTIFY_REPETITIONS = 5
+
 Announce = Callable[[str], None]
 
 
@@ -107,6 +137,7 @@ def run(
     *,
     repetitions: int = 50,
     sizes: Sequence[int] = SIZES,
+    logs: Sequence[tuple[int, int]] = LOGS,
     with_mujoco: bool = True,
     report: Report | None = None,
 ) -> list[Table]:
@@ -116,17 +147,19 @@ def run(
         obj: to push.
         repetitions: of each simulation.
         sizes: numbers of cells for the cost against n.
+        logs: numbers of cells and pushes to identify from.
         with_mujoco: whether to run MuJoCo beside, where it is installed.
         report: called with what begins, as of jobs.
 
     Returns:
-        The tables: one push, cost against n, start-up.
+        The tables: one push, cost against n, identification, start-up.
     """
-    announce = count_steps(report, len(_simulations(obj)) + int(with_mujoco) + len(sizes) + 1)
+    announce = count_steps(report, len(_simulations(obj)) + int(with_mujoco) + len(sizes) + len(logs) + 1)
     with one_core() as pinned:
         tables = [
             _measure_push(obj, repetitions, with_mujoco, pinned, announce),
             _measure_sizes(sizes, repetitions, announce),
+            _measure_identification(logs, announce),
         ]
         announce("start-up")
         tables.append(_measure_start_up())
@@ -232,6 +265,63 @@ def _describe_slopes(medians: np.ndarray) -> str:
         return f"Too few sizes of {LINEAR_FROM} cells or more to fit a slope."
     plain, jacobian = (np.polyfit(large[:, 0], large[:, column], 1)[0] for column in (1, 2))
     return f"Log-log slope from {LINEAR_FROM} cells: simulation {plain:.2f}, with Jacobian {jacobian:.2f}; 1 is linear."
+
+
+def make_bench_log(cells: int, pushes: int) -> tuple[GridObject, PushLog]:
+    """Makes a bar with a heavy end, of about so many cells, and noisy pokes of it all around."""
+    obj = GridObject.from_outline(BAR, max_cells=cells)
+    mass = np.where(obj.p_BC[:, 0] < np.quantile(obj.p_BC[:, 0], HEAD), HEAD_LOAD, 1.0)
+    truth = CellParameters(BAR_MASS * mass / mass.sum(), np.full(obj.n, BAR_FRICTION), TIP_FRICTION)
+    rng, seen = np.random.default_rng(0), []
+    for i in range(pushes):
+        push = Push.on_outline(
+            obj, rng.uniform(0, obj.edges.perimeter), rng.uniform(-POKE_SLANT, POKE_SLANT), POKE,
+            radius=POKE_RADIUS, speed=POKE_SPEED,
+        )  # fmt: skip
+        times = np.linspace(0.0, push.duration, OBSERVED + 1)[1:]
+        steps = np.union1d(make_path_times(push, "quasi_static"), times)
+        motion = simulate(obj, truth, push, regime="quasi_static", times=steps)
+        poses = motion.poses[np.searchsorted(steps, times)] + rng.normal(0.0, POSE_NOISE, (OBSERVED, 3))
+        seen.append(ObservedPush(f"poke_{i}", push, np.zeros(3), times, poses))
+    return obj, PushLog(tuple(seen))
+
+
+def _measure_identification(logs: Sequence[tuple[int, int]], announce: Announce) -> Table:
+    rows: list[list[Value]] = []
+    for cells, pushes in logs:
+        announce(f"identification, {cells} cells, {pushes} pushes")
+        obj, log = make_bench_log(cells, pushes)
+        identify(obj, log.subset(range(min(2, pushes))))  # compiles
+        repetitions = IDENTIFY_REPETITIONS if pushes < FEW else 1
+        whole = measure(lambda obj=obj, log=log: identify(obj, log), repetitions, 0, process_time)  # type: ignore[misc]
+        found = identify(obj, log)
+        problem = PushProblem(obj, log, found.params.friction)
+        timed = [TimedPush.of(seen, problem.regime) for seen in log]
+        batch, single = (
+            measure(work, repetitions, 1, process_time).median
+            for work in (
+                partial(problem.linearize, problem.unknowns(found.params)),
+                partial(_simulate_singly, obj, found.params, timed, problem.regime),
+            )
+        )
+        rows.append(
+            [obj.n, pushes, whole.median, whole.median / pushes * MS, found.simulations / pushes, batch * MS,
+             single * MS]
+        )  # fmt: skip
+    columns = (
+        "cells", "pushes", "identify, s", "a push, ms", "simulations of each", "all pushes and Jacobians, ms",
+        "the same one by one, ms",
+    )  # fmt: skip
+    note = (
+        f"Processor time; {OBSERVED} poses of each push. The last two columns are one evaluation of the log: in one "
+        "call, which also makes residuals of it, and by `simulate`, push by push."
+    )
+    return Table("Identification", columns, rows, [note])
+
+
+def _simulate_singly(obj: GridObject, params: CellParameters, timed: Sequence[TimedPush], regime: Regime) -> None:
+    for one in timed:
+        _ = one.simulate(obj, params, regime=regime, gradients="mass", record=one.rows).jacobian
 
 
 def _measure_start_up() -> Table:

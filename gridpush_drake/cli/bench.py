@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import print_json, print_notice, print_table, to_json, work_progress
+from gridpush_drake.cli.console import print_json, print_table, to_json, work_progress
 
 if TYPE_CHECKING:
     from gridpush_drake.bench.jobs import Execution
@@ -38,7 +38,6 @@ Objects = Annotated[
     list[str] | None,
     typer.Option(metavar="NAME", help="An object; may be repeated.", show_default="all of the bench's"),
 ]
-Workers = Annotated[int, typer.Option(min=1, help="Processes.")]
 KeptIn = Annotated[
     Path | None,
     typer.Option(
@@ -50,8 +49,6 @@ KeptIn = Annotated[
 Out = Annotated[
     Path | None, typer.Option("--out", "-o", metavar="FILE", help="Also write the tables: .md, or .json for JSON.")
 ]
-WORKERS = 2
-"""Processes by default."""
 
 
 @app.command("speed")
@@ -63,7 +60,7 @@ def speed(
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Time a simulated push, its gradient, MuJoCo beside, the cost against the number of cells, and start-up."""
+    """Time a push, its gradient, MuJoCo beside, the cost against the number of cells, identification and start-up."""
     from gridpush_drake.bench.speed import load_hammer, run
 
     _check((out,), force)
@@ -97,7 +94,8 @@ def paper(
             " simulations, real pushes, contact points, the hammer at the edge. About 15 minutes on two cores.",
         ),
     ] = None,
-    workers: Workers = WORKERS,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
     results: KeptIn = None,
     out: Out = None,
     force: options.Force = False,
@@ -113,7 +111,7 @@ def paper(
 
         counts = paper_figures.QUICK if quick else paper_figures.Counts()
         chosen = {"data": _resolve(data), "quick": quick, "objects": objects, "methods": methods, "seed": seed}
-        with _run_bench("paper_figures", chosen, results, workers, force) as execution:
+        with _run_bench("paper_figures", chosen, results, workers, dask, force) as execution:
             tables = paper_figures.run(
                 figures, data, objects, methods or METHODS, seed, execution, counts=counts, force=force
             )
@@ -123,7 +121,7 @@ def paper(
         "data": _resolve(data), "quick": quick, "objects": objects, "sets": sets, "methods": methods, "budget": budget,
         "seed": seed, "figure": figure is not None,
     }  # fmt: skip
-    with _run_bench("paper", settings, results, workers, force) as execution:
+    with _run_bench("paper", settings, results, workers, dask, force) as execution:
         tables = run(
             data, sets, objects, methods or METHODS, budget, seed, execution, quick=quick, figure=figure, force=force
         )
@@ -140,7 +138,8 @@ def real(
     figure: Annotated[
         Path | None, typer.Option(metavar="FIGURE.png", help="Also draw the error against the number of pushes.")
     ] = None,
-    workers: Workers = WORKERS,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
     results: KeptIn = None,
     out: Out = None,
     force: options.Force = False,
@@ -151,7 +150,7 @@ def real(
 
     _check((out, figure), force)
     settings = {"data": _resolve(data), "quick": quick, "objects": objects, "splits": splits, "seed": seed}
-    with _run_bench("real", settings, results, workers, force) as execution:
+    with _run_bench("real", settings, results, workers, dask, force) as execution:
         tables = run(
             data,
             objects=objects,
@@ -173,7 +172,8 @@ def planning(
     sets: Annotated[int, typer.Option(min=1, help="Parameter and mass sets of each object.")] = 10,
     part: Annotated[Literal["all", "contact", "push"], typer.Option(help="Which to measure.")] = "all",
     seed: options.Seed = 0,
-    workers: Workers = WORKERS,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
     results: KeptIn = None,
     out: Out = None,
     force: options.Force = False,
@@ -187,7 +187,7 @@ def planning(
         "data": _resolve(data), "quick": quick, "objects": objects, "sets": sets, "part": part, "seed": seed
     }  # fmt: skip
     parts = PARTS if part == "all" else (part,)
-    with _run_bench("planning", settings, results, workers, force) as execution:
+    with _run_bench("planning", settings, results, workers, dask, force) as execution:
         tables = run(data, sets, objects, parts=parts, seed=seed, execution=execution, quick=quick)
     _show(tables, out, force, json)
 
@@ -215,7 +215,8 @@ def pregrasp(
         typer.Option(metavar="LEAST GREATEST", help="Of any part against the table, true and known."),
     ] = (0.3, 0.4),
     seed: options.Seed = 0,
-    workers: Workers = WORKERS,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
     results: KeptIn = None,
     out: Out = None,
     force: options.Force = False,
@@ -230,7 +231,7 @@ def pregrasp(
         "depth": depth, "experiment": experiment, "world": world, "support": support, "friction": friction,
         "seed": seed,
     }  # fmt: skip
-    with _run_bench("pregrasp", settings, results, workers, force) as execution:
+    with _run_bench("pregrasp", settings, results, workers, dask, force) as execution:
         tables = run(
             objects, mass_sets or MASS_SETS, seeds or SEEDS, seed=seed, execution=execution, depth=depth,
             experiment=experiment, quick=quick, data=data, friction=friction,
@@ -247,7 +248,8 @@ def grasp(
     ] = None,
     seeds: Annotated[int | None, typer.Option(min=1, help="Hidden truths and noises an object.")] = None,
     seed: options.Seed = 0,
-    workers: Workers = WORKERS,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
     results: KeptIn = None,
     out: Out = None,
     force: options.Force = False,
@@ -259,7 +261,7 @@ def grasp(
     _check((out,), force)
     chosen = range(seed, seed + (seeds or len(SEEDS)))
     settings = {"quick": quick, "objects": objects, "seeds": seeds, "seed": seed}
-    with _run_bench("grasp", settings, results, workers, force) as execution:
+    with _run_bench("grasp", settings, results, workers, dask, force) as execution:
         tables = run(objects or OBJECTS, chosen, quick=quick, execution=execution)
     _show(tables, out, force, json)
 
@@ -283,7 +285,8 @@ def truth(
         typer.Option(min=1, help="How many pushes to learn from; may be repeated.", show_default="3, 5, 8, 18"),
     ] = None,
     seed: options.Seed = 0,
-    workers: Workers = WORKERS,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
     results: KeptIn = None,
     out: Annotated[
         Path | None,
@@ -306,7 +309,7 @@ def truth(
         "quick": quick, "kinds": kinds, "objects": objects, "sets": sets, "pushes": pushes, "seed": seed,
         "out": _resolve(out),
     }  # fmt: skip
-    with _run_bench("truth", settings, results, workers, force) as execution:
+    with _run_bench("truth", settings, results, workers, dask, force) as execution:
         tables = run(
             kinds or KINDS, objects, sets, pushes or COUNTS, seed, execution, quick=quick, out=_resolve(out),
             force=force,
@@ -318,7 +321,8 @@ def truth(
 def drake(
     quick: Quick = False,
     seed: options.Seed = 0,
-    workers: Workers = WORKERS,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
     results: KeptIn = None,
     out: Out = None,
     force: options.Force = False,
@@ -328,7 +332,7 @@ def drake(
     from gridpush_drake.bench import drake, plant
 
     _check((out,), force)
-    with _run_bench("drake", {"quick": quick, "seed": seed}, results, workers, force) as execution:
+    with _run_bench("drake", {"quick": quick, "seed": seed}, results, workers, dask, force) as execution:
         options.compile_kernels()
         tables = drake.run_lcp_system(report=execution.report)
         if quick:
@@ -352,7 +356,8 @@ def perception(
     quick: Quick = False,
     objects: Objects = None,
     seed: options.Seed = 0,
-    workers: Workers = WORKERS,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
     results: KeptIn = None,
     out: Out = None,
     force: options.Force = False,
@@ -363,7 +368,7 @@ def perception(
 
     _check((out,), force)
     settings = {"data": _resolve(data), "quick": quick, "objects": objects, "seed": seed}
-    with _run_bench("perception", settings, results, workers, force) as execution:
+    with _run_bench("perception", settings, results, workers, dask, force) as execution:
         tables = run(data, objects, seed=seed, quick=quick, execution=execution)
     _show(tables, out, force, json)
 
@@ -377,7 +382,8 @@ def gym(
     ] = None,
     episodes: Annotated[int, typer.Option(min=2, help="Of each game, that each player plays.")] = 20,
     seed: options.Seed = 0,
-    workers: Workers = WORKERS,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
     results: KeptIn = None,
     out: Out = None,
     force: options.Force = False,
@@ -388,27 +394,24 @@ def gym(
 
     _check((out,), force)
     settings = {"quick": quick, "games": games, "episodes": episodes, "seed": seed}
-    with _run_bench("gym", settings, results, workers, force) as execution:
+    with _run_bench("gym", settings, results, workers, dask, force) as execution:
         tables = run(games, episodes, seed, execution, quick=quick)
     _show(tables, out, force, json)
 
 
 @contextmanager
 def _run_bench(
-    bench: str, settings: dict[str, Any], path: Path | None, workers: int, force: bool
+    bench: str, settings: dict[str, Any], path: Path | None, workers: int, dask: str | None, force: bool
 ) -> "Iterator[Execution]":
     """How a bench's jobs are run: their results are kept, and what is done is shown."""
-    from gridpush_drake.bench.jobs import Execution, open_results
+    from gridpush_drake.bench.jobs import open_results
 
     results = open_results(path, bench, settings, force)
-    known = f", {len(results.lines)} of them from before" if results.lines else ""
-
-    def prepare() -> None:
-        print_notice(f"{bench}: results are kept in {results.path}{known}")
-        options.compile_kernels()
-
-    with work_progress(bench) as report:
-        yield Execution(workers, report, results, prepare)
+    with (
+        options.connecting(dask) as executor,
+        options.executing(bench, results, workers, executor) as execution,
+    ):
+        yield execution
 
 
 def _resolve(path: Path | None) -> Path | None:

@@ -53,6 +53,14 @@ def demo(
         str | None,
         typer.Option("--object", metavar="NAME|FILE", help="A shipped object's name, or an object file."),
     ] = None,
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|DIR",
+            help="gantry, iiwa14 or panda, or the folder of a robot.yaml that names its scenes: such a scene takes the "
+            "place of the scenario's directives.  [default: the scenario's, an iiwa14]",
+        ),
+    ] = None,
     scenario_file: Annotated[
         Path | None,
         typer.Option("--scenario", metavar="FILE", help="What stands where, as YAML; see models/scenarios."),
@@ -83,19 +91,22 @@ def demo(
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Let a simulated iiwa deal with an object whose weights are hidden from it; write a report and a recording.
+    """Let a simulated robot deal with an object whose weights are hidden from it; write a report and a recording.
 
     Exit code 1 where the robot did not get there.
     """
     from gridpush_drake.cli.demo_tasks import TASKS, print_summary, write_files
     from gridpush_drake.files import check_writable, make_folder
     from gridpush_drake.multibody.meshcat_server import StartMeshcatServer
+    from gridpush_drake.station.robot import make_robot_directives
     from gridpush_drake.station.scene import check_scenario
 
     if pushes is not None and task is not TaskName.identify:
         raise options.OptionError(f"--pushes: is for --task identify; {task} decides itself how many to make")
     chosen = TASKS[task]
     scenario = _make_scenario(chosen, scenario_file, object_file, pushes, camera, seed)
+    if robot is not None:
+        scenario.directives = make_robot_directives(robot, grasping=task is TaskName.pregrasp)
     check_scenario(scenario)
     make_folder(out)
     for name in chosen.files:

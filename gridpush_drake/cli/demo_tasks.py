@@ -119,7 +119,7 @@ class DemoTask(Protocol):
 
 
 def write_files(
-    task: DemoTask, folder: Path, scenario: PushScenario, record: Any, meshcat: Meshcat, force: bool
+    task: DemoTask, folder: Path, scenario: PushScenario, record: Any, meshcat: Meshcat | None, force: bool
 ) -> list[Path]:
     """Writes what a run came to.
 
@@ -130,7 +130,7 @@ def write_files(
         folder: where; it exists.
         scenario: of the run.
         record: of the run; what it was too short for is not written.
-        meshcat: with its recording.
+        meshcat: with its recording; None where there is none.
         force: whether existing files may be replaced.
 
     Returns:
@@ -143,13 +143,17 @@ def write_files(
     overlay = Overlay(
         make_color_scale(obj, CellColors()), (*list_estimate_marks(), *task.marks), tuple(task.list_phases(record))
     )
-    write_recording(meshcat, folder / "recording.html", force, overlay)
+    written = {"object.yaml", "stream.csv", "scenario.yaml"}
+    if meshcat is not None:
+        write_recording(meshcat, folder / "recording.html", force, overlay)
+        written.add("recording.html")
     obj.write_yaml(folder / "object.yaml", force=force)
-    truth = yaml.safe_dump(describe_truth(obj, record.truth), sort_keys=False)
-    write_whole(folder / "truth.yaml", truth, force)
+    if record.truth is not None:
+        truth = yaml.safe_dump(describe_truth(obj, record.truth), sort_keys=False)
+        write_whole(folder / "truth.yaml", truth, force)
+        written.add("truth.yaml")
     write_scenario(folder / "scenario.yaml", scenario, force)
     write_stream_csv(record.stream, folder / "stream.csv", force)
-    written = {"recording.html", "object.yaml", "stream.csv", "truth.yaml", "scenario.yaml"}
     training, held_out = task.split_log(record)
     if record.estimates:
         training.write_csv(folder / "pushes.csv", force)
@@ -233,11 +237,12 @@ class IdentifyDemo:
         }
         if record.estimates:
             summary["learned"] = record.estimates[-1].message
-            for name, error in _calc_center_errors(record).items():
-                params = CellParameters.uniform(record.obj) if name == "before" else record.estimates[-1].params
-                regime = record.estimates[-1].regime
-                held_out = calc_mean_cell_error(record.obj, params, record.held_out_log, regime)
-                summary[name] = {"held_out_cell_error": held_out, "center_of_mass_error": error}
+            found, centers = record.estimates[-1], _calc_center_errors(record)
+            for name, params in (("before", CellParameters.uniform(record.obj)), ("after", found.params)):
+                held_out = calc_mean_cell_error(record.obj, params, record.held_out_log, found.regime)
+                summary[name] = {"held_out_cell_error": held_out}
+                if centers:
+                    summary[name]["center_of_mass_error"] = centers[name]
         return summary
 
     def describe(self, summary: dict[str, Any]) -> list[str]:
@@ -249,7 +254,9 @@ class IdentifyDemo:
         lines.append(f"The {name} after {summary['pushes']} pushes: {summary['learned']}")
         if summary["held_out"]:
             lines.append(_compare(f"error of {summary['held_out']} pushes held out", "held_out_cell_error", summary))
-        return [*lines, _compare("error of the center of mass", "center_of_mass_error", summary)]
+        if "center_of_mass_error" in summary["after"]:
+            lines.append(_compare("error of the center of mass", "center_of_mass_error", summary))
+        return lines
 
 
 class PushDemo:
@@ -418,7 +425,7 @@ class PreGraspDemo:
                 ("pokes", str(last.pokes)),
                 ("slides", str(last.slides)),
                 ("simulated", f"{record.duration:.0f} s"),
-                ("raised by", f"{record.raised * MM:.0f} mm"),
+                ("raised by", f"{record.raised * MM:.0f} mm" if np.isfinite(record.raised) else "not measured"),
             ),
             figure=draw_pre_grasp(record.obj, record.surface, poses, pushes, masses, record.truth, drawn),
             caption="Left: pokes to learn, then slides to the table's edge. Right: as long as its center of mass is "
@@ -477,7 +484,9 @@ def _describe_limit_report(limit_report: LimitReport) -> dict[str, Any]:
 
 
 def _calc_center_errors(record: Any) -> dict[str, float]:
-    """Distance of the center of mass from the true one, m, "before", assuming an even object, and "after"."""
+    """Distance of the center of mass from the true one, m, "before", assuming an even object, and "after"; or {}."""
+    if record.truth is None:
+        return {}
     obj, true = record.obj, record.truth.center_of_mass(record.obj)
     compared = {"before": CellParameters.uniform(obj), "after": record.estimates[-1].params}
     return {name: float(np.linalg.norm(params.center_of_mass(obj) - true)) for name, params in compared.items()}

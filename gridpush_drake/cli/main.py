@@ -18,6 +18,7 @@ import typer
 from gridpush_drake.cli import (
     bench,
     calibrate,
+    campaign,
     demo,
     export,
     identify,
@@ -25,10 +26,12 @@ from gridpush_drake.cli import (
     plan,
     predict,
     record,
+    robot,
     show,
     simulate,
     slide,
     track,
+    twin,
     view,
 )
 from gridpush_drake.cli import object as object_from_photo
@@ -46,19 +49,19 @@ EXIT_INTERRUPTED, EXIT_TERMINATED = (SIGNALED + number for number in SIGNALS)
 UNWIND_WITHIN = 1.5
 """s that the work has to clear up after itself; then the process ends as it is."""
 
-GRACEFUL = {"demo", "view"}
+GRACEFUL = {"demo", "view", "twin", "robot"}
 """Commands that answer an interrupt themselves: they end in order, and write what was done."""
 
 app = typer.Typer(
     name="gridpush",
     help="Learn an object's friction and mass by pushing it, and predict where the next push takes it.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["--help", "-h"]},
 )
 
 app.command("demo")(demo.demo)
+app.command("campaign")(campaign.campaign)
 app.command("identify")(identify.identify)
 app.command("predict")(predict.predict)
 app.command("simulate")(simulate.simulate)
@@ -71,6 +74,8 @@ app.command("object")(object_from_photo.make_object)
 app.command("calibrate")(calibrate.calibrate)
 app.command("track")(track.track)
 app.command("record")(record.record)
+app.command("twin")(twin.twin)
+app.command("robot")(robot.robot)
 app.add_typer(import_logs.app, name="import")
 app.add_typer(bench.app, name="bench")
 

@@ -3,6 +3,7 @@
 What is slow to import is imported when a function runs, so that `gridpush` starts fast.
 """
 
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Timer
@@ -10,13 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from gridpush_drake.cli.console import print_line, print_notice
+from gridpush_drake.cli.console import print_line, print_notice, work_progress
 from gridpush_drake.errors import GridPushError, PlanningError
 from gridpush_drake.files import check_writable, exists
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
+    from gridpush_drake.bench.jobs import Execution, Executor, Results
     from gridpush_drake.dynamics.simulation import Regime as SimulatedRegime
     from gridpush_drake.identification.result import Identification
     from gridpush_drake.objects.grid_object import GridObject
@@ -54,6 +56,19 @@ Regime = Annotated[
 ]
 
 Seed = Annotated[int, typer.Option(min=0, help="Of everything random.")]
+
+Workers = Annotated[int, typer.Option(min=1, help="Processes.")]
+
+Dask = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS", help="Use the workers of the Dask cluster whose scheduler is there, such as tcp://host:8786,"
+        " instead of processes here (pip install '.\\[cluster]'; workers of one thread each are best).",
+    ),
+]  # fmt: skip
+
+WORKERS = 2
+"""Processes by default."""
 
 
 EXIT_NO_PLAN = 1
@@ -155,6 +170,43 @@ class Target:
         if regime != "auto":
             return regime
         return self.model.regime if self.model else default
+
+
+@contextmanager
+def connecting(dask: str | None) -> "Iterator[Executor | None]":
+    """Connects to the cluster at an address; yields None without one. Raises GridPushError where none answers."""
+    if dask is None:
+        yield None
+        return
+    from gridpush_drake.bench.cluster import open_cluster
+
+    with open_cluster(dask) as cluster:
+        yield cluster
+
+
+@contextmanager
+def executing(what: str, results: "Results", workers: int, executor: "Executor | None") -> "Iterator[Execution]":
+    """How jobs are run: their results are kept, and what is done is shown.
+
+    Args:
+        what: they are of, in a word.
+        results: where they are kept.
+        workers: processes here.
+        executor: instead of those; None for them.
+
+    Yields:
+        What `run_jobs` takes.
+    """
+    from gridpush_drake.bench.jobs import Execution
+
+    known = f", {len(results.lines)} of them from before" if results.lines else ""
+
+    def prepare() -> None:
+        print_notice(f"{what}: results are kept in {results.path}{known}")
+        compile_kernels()
+
+    with work_progress(what) as report:
+        yield Execution(workers, report, results, prepare, executor)
 
 
 def check_outputs(force: bool, *paths: Path | None) -> None:

@@ -135,10 +135,16 @@ class RawJacobian:
     start_tangent: Array | None
     shifted: bool = False
 
-    def expand(self) -> Jacobian:
-        """Applies the chain rule."""
+    @property
+    def other(self) -> Array:
+        """(R, 3, OTHER) the columns after those of the cells' frictions."""
         n = len(self.mass)
-        load, other, more = np.split(self.J, [n, n + columns.OTHER], axis=2)
+        return self.J[..., n : n + columns.OTHER]
+
+    def calc_mass(self) -> Array:
+        """(R, 3, n) by the cells' masses, 1/kg."""
+        n, other = len(self.mass), self.other
+        load = self.J[..., :n]
         mass = load if self.shifted else load * (self.friction * self.gravity)
         if self.inertial:
             total = self.mass.sum()
@@ -152,10 +158,16 @@ class RawJacobian:
                 ]
             )
             mass = mass + other[..., columns.MASS : columns.INERTIA + 1] @ moments
+        return np.asarray(mass)
+
+    def expand(self) -> Jacobian:
+        """Applies the chain rule."""
+        n, other = len(self.mass), self.other
+        load, more = self.J[..., :n], self.J[..., n + columns.OTHER :]
         start = other[..., columns.START_X : columns.START_Y + 1]
         return Jacobian(
             steps=self.steps,
-            mass=mass,
+            mass=self.calc_mass(),
             friction=more[..., 1:] if self.shifted else load * (self.mass * self.gravity),
             contact_friction=other[..., columns.CONTACT_FRICTION],
             start=start,

@@ -112,16 +112,7 @@ def simulate(
     rows = np.arange(steps + 1) if record is None else check_record(record, steps)
     row_of_step = np.full(steps + 1, -1)
     row_of_step[rows] = np.arange(len(rows))
-    edges = None if table is None else _get_edges(table)
-    if edges is not None:
-        inside = measure_depth(edges, q[0], q[1])[0] - calc_reach(obj)
-        if inside < 0 and not any(measure_depth(edges, x, y)[0] > 0 for x, y in obj.cells_at(q)):
-            where = ", ".join(f"{value:g}" for value in q)
-            raise SimulationError(
-                f"table: no cell of {obj.name} is on it at the pose ({where}); expected an object on it"
-            )
-        if not inertial and isinstance(push, Push) and inside > obj.cell_size + MOVED_MOST * push.length:
-            edges = None  # so slow a push cannot bring the object to the edge
+    edges = find_edges_near(obj, push, q, table, inertial)
     shifted = shifts_loads(params, edges)
     if shifted and gradients == "paper":
         raise SimulationError("gradients: 'paper' knows no shifting loads; expected a push_height of 0 and no table")
@@ -221,6 +212,33 @@ def simulate_batch(
         return [simulate(*job, **options) for job in jobs]
     with ThreadPoolExecutor(workers) as pool:
         return list(pool.map(lambda job: simulate(*job, **options), jobs))
+
+
+def find_edges_near(
+    obj: GridObject, push: Push | ForcePush, q: Array, table: ArrayLike | None, inertial: bool
+) -> Array | None:
+    """Finds the edges (K, 4) of a table that a push may bring an object to, m; None where it cannot.
+
+    Args:
+        obj: the object.
+        push: the push.
+        q: (3,) pose at the beginning.
+        table: (K, 2) corners in W, m; None for an endless one.
+        inertial: the regime.
+
+    Raises:
+        SimulationError: the corners are none, or the object is not on the table.
+    """
+    if table is None:
+        return None
+    edges = _get_edges(table)
+    inside = measure_depth(edges, q[0], q[1])[0] - calc_reach(obj)
+    if inside < 0 and not any(measure_depth(edges, x, y)[0] > 0 for x, y in obj.cells_at(q)):
+        where = ", ".join(f"{value:g}" for value in q)
+        raise SimulationError(f"table: no cell of {obj.name} is on it at the pose ({where}); expected an object on it")
+    if not inertial and isinstance(push, Push) and inside > obj.cell_size + MOVED_MOST * push.length:
+        return None  # so slow a push cannot bring the object to the edge
+    return edges
 
 
 def _get_edges(table: ArrayLike) -> Array:

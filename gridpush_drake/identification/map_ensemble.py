@@ -7,6 +7,7 @@ prior weight a^-3/4 (`docs/theory/identification.md`, section 5).
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,12 @@ Array = NDArray[np.float64]
 
 WEAKNESS = 0.75
 """Power of 1/a that an amplitude a weighs beforehand: few noisy pushes are not to talk the model out of uniformity."""
+
+FIRST_EVALUATIONS = 6
+"""Of the pushes by each fit, before all have begun; only those that may count for something are then gone on with."""
+
+HOPELESS = 30.0
+"""Of log evidence below the best: more than a fit gains once it has begun to settle, and than leaves it any weight."""
 
 SHARED_SHIFT = 0.3
 """Of the load's shift from push to push, how much all pushes may share, so that no number of them averages it out."""
@@ -102,17 +109,21 @@ class MapEnsemble:
         """
         C = calc_smooth_covariance(problem.obj, self.range_cells)
         factors = [calc_prior_factor(C, amplitude, log_contact_friction_std) for amplitude in self.amplitudes]
+        fit_one = partial(fit_map, problem, z0, noise=self.noise, center_of_mass=center_of_mass, on_step=on_step)
         fits: list[MapFit] = []
         for i, A in enumerate(factors):
             last = fits[-1] if fits else None
+            begin = None if last is None else FitStart(last.z, NoiseScale(*np.minimum(last.scale, 1.0).tolist()))
             fits.append(
-                fit_map(
-                    problem, z0, A, self.noise, center_of_mass,
-                    start=None if last is None else FitStart(last.z, NoiseScale()),
-                    linear=None if last is None else last.linear,
-                    warm_start=starts[i] if starts else None, on_step=on_step,
+                fit_one(
+                    A, start=begin, linear=None if last is None else last.linear,
+                    warm_start=starts[i] if starts else None, max_evaluations=FIRST_EVALUATIONS,
                 )
             )  # fmt: skip
+        best_evidence = max(fit.log_evidence for fit in fits)
+        for i, fit in enumerate(fits):
+            if not fit.settled and fit.log_evidence > best_evidence - HOPELESS:
+                fits[i] = fit_one(factors[i], start=FitStart(fit.z, fit.scale), linear=fit.linear)
         plausible = _calc_weights(fits)
         weights = plausible * np.power(self.amplitudes, -WEAKNESS)
         weights /= weights.sum()

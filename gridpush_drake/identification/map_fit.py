@@ -16,6 +16,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg.lapack import dtrtri
 
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale, calc_effective_count
 from gridpush_drake.identification.outliers import LeftOut
@@ -32,14 +33,22 @@ EVALUATIONS = 25
 SETTLED = 0.001
 """Expected decrease of the loss at which a fit has settled for its noise scale."""
 
+ROUGHLY_SETTLED = 0.05
+"""The same at which the noise scale is renewed, as long as that still changes."""
+
+MAX_REJECTED = 3
+"""Steps in a row, each shorter, that make things worse: then the fit is in a kink of the loss, where contacts change,
+and stays there."""
+
 SCALE_TOLERANCE = 0.03
 """Relative change of the noise scale at which it has settled too."""
 
 MAX_STEP = 2.0
 """Of any unknown, in one step."""
 
-LEAST_DAMPING, DAMPING_FACTOR = 0.1, 4.0
-"""Of a step that follows one which made things worse, relative to the prior, and what it grows by each time."""
+DAMPING_FACTOR = 8.0
+"""What damping grows by when a step makes things worse. It begins at the loss's curvature along that step, which about
+halves it."""
 
 MAX_INFORMED_SHARE = 0.8
 """Of the residuals, that parameters may use up; the rest speaks of the noise."""
@@ -81,6 +90,7 @@ class MapFit:
         scale: of the noise.
         log_evidence: for the prior, up to a constant shared by all priors on the same data.
         informed: number of directions of u that the data, not the prior, hold in place (MacKay's gamma).
+        settled: whether it ended by itself, not because it was not to simulate the pushes any more.
         system: the least-squares problem about z.
     """
 
@@ -89,6 +99,7 @@ class MapFit:
     scale: NoiseScale
     log_evidence: float
     informed: float
+    settled: bool
     system: "System"
 
     @property
@@ -108,6 +119,7 @@ def fit_map(
     linear: Linearization | None = None,
     warm_start: FitStart | None = None,
     on_step: Callable[[Array, Linearization], None] | None = None,
+    max_evaluations: int = EVALUATIONS,
 ) -> MapFit:
     """Fits z.
 
@@ -121,40 +133,77 @@ def fit_map(
         linear: the pushes' residuals and derivatives there, where they are known.
         warm_start: where a fit to fewer pushes ended; it is taken instead where it is the more probable beginning.
         on_step: called with z and the residuals and derivatives there after every step that is taken.
+        max_evaluations: most times that the pushes are simulated.
 
     Returns:
         The fit.
     """
-    make = partial(System, problem, z0, A, noise, center_of_mass)
+    make = partial(System.of, problem, z0, A, noise, center_of_mass)
     start = start or FitStart(z0, NoiseScale())
     system = make(_solve_factor(A, start.z - z0), linear or problem.linearize(start.z), start.scale)
     if warm_start is not None:
         other = make(_solve_factor(A, warm_start.z - z0), problem.linearize(warm_start.z), warm_start.scale)
         system = min(system, other, key=System.objective)
-    damping, evaluations = 0.0, 0
-    while True:
-        step, expected = system.calc_step(damping)
-        if expected < SETTLED or evaluations >= EVALUATIONS:
-            scale, gamma = system.renew_scale()
-            settled = np.abs(np.log(np.divide(scale, system.scale))).max() < SCALE_TOLERANCE
-            system = make(system.u, system.linear, scale)
-            if settled or evaluations >= EVALUATIONS:
-                break
-            continue
-        u = system.u + step
-        linear = problem.linearize(z0 + A @ u)
-        evaluations += 1
-        if system.calc_loss(u, linear.residuals) < system.calc_loss(system.u, system.linear.residuals):
-            system = make(u, linear, system.scale)
-            damping = damping / DAMPING_FACTOR if damping > LEAST_DAMPING else 0.0
-            if on_step is not None:
-                on_step(z0 + A @ u, linear)
-        else:
-            damping = max(LEAST_DAMPING, DAMPING_FACTOR * damping)
+    descent = _Descent(problem, system, max_evaluations, on_step)
+    gamma = descent.run()
+    system = descent.system
     evidence = -system.objective() - 0.5 * system.calc_log_determinant()
     if center_of_mass is not None:
         evidence -= _calc_center_evidence(problem.obj, z0, A, center_of_mass)
-    return MapFit(z0 + A @ system.u, system.calc_covariance(), system.scale, float(evidence), gamma, system)
+    return MapFit(
+        z0 + A @ system.u, system.calc_covariance(), system.scale, float(evidence), gamma, not descent.is_spent, system
+    )
+
+
+class _Descent:
+    """Damped Gauss-Newton from one point, and what it remembers from step to step."""
+
+    def __init__(
+        self, problem: PushProblem, system: "System", max_evaluations: int,
+        on_step: Callable[[Array, Linearization], None] | None,
+    ) -> None:  # fmt: skip
+        self.problem, self.system, self._on_step = problem, system, on_step
+        self._left, self._rejected, self._damping = max_evaluations, 0, 0.0
+
+    @property
+    def is_spent(self) -> bool:
+        """Whether the pushes are not to be simulated any more."""
+        return self._left <= 0
+
+    def run(self) -> float:
+        """Goes down until steps and noise scale have settled; returns gamma there."""
+        settling = True  # the scale
+        while True:
+            step, expected = self.system.calc_step(self._damping)
+            settled = expected < SETTLED or self._rejected >= MAX_REJECTED
+            if settled or self.is_spent or (settling and expected < ROUGHLY_SETTLED):
+                scale, gamma = self.system.renew_scale()
+                settling = bool(np.abs(np.log(np.divide(scale, self.system.scale))).max() >= SCALE_TOLERANCE)
+                if settling or settled or self.is_spent:
+                    self.system = self.system.rescale(scale)
+                if self.is_spent or (settled and not settling):
+                    return gamma
+                if settling:
+                    self._damping, self._rejected = 0.0, min(self._rejected, MAX_REJECTED - 1)
+                    continue
+            self._try_step(step)
+
+    def _try_step(self, step: Array) -> None:
+        """Takes a step if it makes things better; if not, the next one is shorter."""
+        system = self.system
+        u = system.u + step
+        z = system.z0 + system.A @ u
+        linear = self.problem.linearize(z)
+        self._left -= 1
+        if not system.calc_loss(u, linear.residuals) < system.calc_loss(system.u, system.linear.residuals):
+            self._damping = max(DAMPING_FACTOR * self._damping, system.calc_curvature(step))
+            self._rejected += 1
+            return
+        self.system = system.move(u, linear)
+        self._damping = self._damping / DAMPING_FACTOR if self._rejected else 0.0
+        self._rejected = 0
+        if self._on_step is not None:
+            self._on_step(z, linear)
 
 
 def calc_laplace(problem: PushProblem, z: Array, A: Array, noise: NoiseModel) -> tuple[Array, NoiseScale]:
@@ -170,8 +219,9 @@ def calc_laplace(problem: PushProblem, z: Array, A: Array, noise: NoiseModel) ->
         The covariance (n+1, n+1) of z by Laplace's approximation, and the noise scale.
     """
     u, linear = np.zeros(len(z)), problem.linearize(z)
-    scale, _ = System(problem, z, A, noise, None, u, linear, NoiseScale()).renew_scale()
-    return System(problem, z, A, noise, None, u, linear, scale).calc_covariance(), scale
+    system = System.of(problem, z, A, noise, None, u, linear, NoiseScale())
+    scale, _ = system.renew_scale()
+    return system.rescale(scale).calc_covariance(), scale
 
 
 class System:
@@ -183,33 +233,47 @@ class System:
     """
 
     def __init__(
-        self,
-        problem: PushProblem,
-        z0: Array,
-        A: Array,
-        noise: NoiseModel,
-        center_of_mass: CenterOfMass | None,
-        u: Array,
-        linear: Linearization,
-        scale: NoiseScale,
-    ) -> None:
+        self, problem: PushProblem, z0: Array, A: Array, noise: NoiseModel, center_of_mass: CenterOfMass | None,
+        u: Array, linear: Linearization, slopes: list[Array], scale: NoiseScale,
+    ) -> None:  # fmt: skip
+        """Takes over a point; `slopes` (3K, n+1) are the residuals' derivatives by u, one entry a push."""
         self.problem, self.z0, self.A, self.noise, self.center_of_mass = problem, z0, A, noise, center_of_mass
-        self.u, self.linear, self.scale = u, linear, scale
-        self.whitenings = [noise.make_whitening(inputs, scale) for inputs in linear.by_inputs]
+        self.u, self.linear, self.slopes, self.scale = u, linear, slopes, scale
+        self.whitenings = noise.make_whitenings(linear.by_inputs, scale)
         whitened = [W.apply(r) for W, r in zip(self.whitenings, linear.residuals, strict=True)]
         self.weights = [noise.calc_weight(r) for r in whitened]
         roots = np.sqrt(self.weights)
         self.rows = [root * r for root, r in zip(roots, whitened, strict=True)]
-        jacobians = [root * W.apply(J) for root, W, J in zip(roots, self.whitenings, linear.by_z, strict=True)]
+        jacobians = [root * W.apply(J) for root, W, J in zip(roots, self.whitenings, slopes, strict=True)]
         rows = list(self.rows)
         if center_of_mass is not None:
             r, J = center_of_mass.linearize(problem.obj, z0 + A @ u)
             rows.append(r)
-            jacobians.append(J)
-        self.r, self.J = np.concatenate(rows), np.concatenate(jacobians) @ A
+            jacobians.append(J @ A)
+        self.r, self.J = np.concatenate(rows), np.concatenate(jacobians)
         self.by_residuals = len(self.r) < len(u)
         self.gram = self.J @ self.J.T if self.by_residuals else self.J.T @ self.J
         self.factor = self._factorize(1.0)
+
+    @classmethod
+    def of(
+        cls, problem: PushProblem, z0: Array, A: Array, noise: NoiseModel, center_of_mass: CenterOfMass | None,
+        u: Array, linear: Linearization, scale: NoiseScale,
+    ) -> "System":  # fmt: skip
+        """The problem about u (n+1,), where the pushes' residuals and derivatives are `linear`."""
+        ends = np.cumsum([len(r) for r in linear.residuals])[:-1]
+        slopes = np.split(np.concatenate(linear.by_z) @ A, ends)
+        return cls(problem, z0, A, noise, center_of_mass, u, linear, slopes, scale)
+
+    def move(self, u: Array, linear: Linearization) -> "System":
+        """The same about another point."""
+        return self.of(self.problem, self.z0, self.A, self.noise, self.center_of_mass, u, linear, self.scale)
+
+    def rescale(self, scale: NoiseScale) -> "System":
+        """The same about the same point, with another scale of the noise."""
+        return System(
+            self.problem, self.z0, self.A, self.noise, self.center_of_mass, self.u, self.linear, self.slopes, scale
+        )
 
     def calc_step(self, damping: float) -> tuple[Array, float]:
         """Step of u, damped by so much as if the prior were that much stronger about u, and the expected decrease."""
@@ -220,6 +284,11 @@ class System:
         d *= min(1.0, MAX_STEP / max(float(np.abs(self.A @ d).max()), np.finfo(float).tiny))
         slope = self.J @ d
         return d, float(-g @ d - 0.5 * (d @ d + slope @ slope))
+
+    def calc_curvature(self, step: Array) -> float:
+        """Of the loss along a step, in that of the prior, which is 1."""
+        slope = self.J @ step
+        return 1.0 + float(slope @ slope) / float(step @ step)
 
     def calc_loss(self, u: Array, residuals: list[Array]) -> float:
         """Negative log posterior at u but for normalization; Huber's, not the weighted quadratic."""
@@ -247,7 +316,8 @@ class System:
         known = 2 if self.center_of_mass is not None else 0
         squares = sum(float(r @ r) for r in self.rows)
         count = sum(calc_effective_count(len(r)) for r in self.linear.residuals)
-        gamma = len(self.gram) - float(np.trace(cho_solve(self.factor, np.eye(len(self.gram))))) - known
+        root, _ = dtrtri(self.factor[0], lower=1)  # whose squares add up to the trace of the inverse
+        gamma = len(self.gram) - float((np.tril(root) ** 2).sum()) - known
         gamma = float(np.clip(gamma, 0.0, MAX_INFORMED_SHARE * count))
         weight = self.noise.prior_weight
         pose = np.sqrt((squares * self.scale.pose**2 + weight) / (count - gamma + weight))
@@ -258,16 +328,17 @@ class System:
     def _calc_shifts(self) -> tuple[float, float]:
         """Sums over pushes of |xi|², xi the expected shift of the load's center in its deviations, and of gamma_c."""
         std = self.scale.shift * self.noise.load_shift
-        moved, sure, first = 0.0, 0.0, 0
+        moved, sure, first, pulls = 0.0, 0.0, 0, []
         for r, root, W, inputs in zip(
             self.rows, np.sqrt(self.weights), self.whitenings, self.linear.by_inputs, strict=True
         ):
             T = root * std * W.apply(inputs[:, SHIFT])
-            v = self.J[first : first + len(r)].T @ T
+            pulls.append(self.J[first : first + len(r)].T @ T)
             first += len(r)
             moved += float(((T.T @ r) ** 2).sum())
-            sure += float((T * T).sum() - (v * self.solve(v)).sum())
-        return moved, sure
+            sure += float((T * T).sum())
+        v = np.concatenate(pulls, axis=1)
+        return moved, sure - float((v * self.solve(v)).sum())
 
     def solve(self, v: Array) -> Array:
         """(I + J^T J)^-1 v."""
@@ -290,8 +361,10 @@ class System:
     def fit_without(self, index: int) -> LeftOut:
         """Fits the other pushes again, and gives what they say of one."""
         chosen = [i for i in range(len(self.problem)) if i != index]
-        here = FitStart(self.z0 + self.A @ self.u, NoiseScale())
-        fit = fit_map(self.problem.choose(chosen), self.z0, self.A, self.noise, self.center_of_mass, warm_start=here)
+        fit = fit_map(
+            self.problem.choose(chosen), self.z0, self.A, self.noise, self.center_of_mass,
+            start=FitStart(self.z0 + self.A @ self.u, self.scale), linear=self.linear.choose(chosen),
+        )  # fmt: skip
         one = self.problem.linearize(fit.z, [index])
         J, noise = one.by_z[0], self.noise.calc_covariance(one.by_inputs[0], fit.scale)
         Q = np.asarray(np.linalg.inv(noise + J @ fit.covariance @ J.T), dtype=np.float64)
@@ -304,9 +377,9 @@ class System:
         (I - w h)^-1 r with covariance I + h (I - w h)^-1, all whitened.
         """
         found = []
-        for weight, W, r, J in zip(self.weights, self.whitenings, self.linear.residuals, self.linear.by_z, strict=True):
+        for weight, W, r, J in zip(self.weights, self.whitenings, self.linear.residuals, self.slopes, strict=True):
             identity = np.eye(len(r))
-            whitened = W.apply(J) @ self.A
+            whitened = W.apply(J)
             h = whitened @ self.solve(whitened.T)
             alone = np.linalg.inv(identity - weight * h)
             root = np.asarray(np.linalg.solve(identity + h @ alone, W.apply(identity)), dtype=np.float64)

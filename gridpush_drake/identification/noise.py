@@ -8,7 +8,9 @@ with K_eff = sqrt(K) of K observations, J_c the derivatives by a shift of the lo
 make of the stated deviations (`docs/theory/identification.md`, section 4).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import log, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -26,25 +28,23 @@ class NoiseScale(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
-    """W = (I - U diag(c) U^T) / a, which makes a push's residuals independent with unit variance.
+    """W = (I - M T M^T) / a, which makes a push's residuals independent with unit variance.
 
     Attributes:
         std: a, m.
-        basis: (3K, m) U, orthonormal columns.
-        shrink: (m,) c.
+        inputs: (3K, 5) M, the residuals' derivatives by the inputs, in standard deviations, over a.
+        inner: (5, 5) T = 1 / (r (r + 1)) with r = (I + M^T M)^(1/2).
         log_determinant: half log det Sigma, Sigma^-1 = W².
     """
 
     std: float
-    basis: Array
-    shrink: Array
+    inputs: Array
+    inner: Array
     log_determinant: float
 
     def apply(self, values: Array) -> Array:
         """W times (3K,) or (3K, p)."""
-        part = self.basis.T @ values
-        shrink = self.shrink if values.ndim == 1 else self.shrink[:, None]
-        return np.asarray((values - self.basis @ (shrink * part)) / self.std)
+        return np.asarray((values - self.inputs @ (self.inner @ (self.inputs.T @ values))) / self.std)
 
 
 @dataclass(frozen=True)
@@ -88,11 +88,21 @@ class NoiseModel:
             input_jacobian: as of `calc_covariance`.
             scale: s and t.
         """
-        rows = len(input_jacobian)
-        std = scale.pose * self.pose * (rows / 3) ** 0.25
-        basis, size, _ = np.linalg.svd(input_jacobian * (self._calc_stds(scale) / std), full_matrices=False)
-        log_determinant = rows * np.log(std) + 0.5 * np.log1p(size**2).sum()
-        return Whitening(std, basis, 1 - 1 / np.sqrt(1 + size**2), float(log_determinant))
+        return self.make_whitenings([input_jacobian], scale)[0]
+
+    def make_whitenings(self, input_jacobians: Sequence[Array], scale: NoiseScale) -> list[Whitening]:
+        """Makes those of many pushes; arguments as of `make_whitening`."""
+        stds, floor = self._calc_stds(scale), scale.pose * self.pose
+        std = [floor * (len(J) / 3) ** 0.25 for J in input_jacobians]
+        inputs = [J * (stds / one) for J, one in zip(input_jacobians, std, strict=True)]
+        size2, V = np.linalg.eigh(np.array([M.T @ M for M in inputs]))
+        root = np.sqrt(1 + np.maximum(size2, 0.0))
+        inner = (V / (root * (root + 1))[:, None]) @ np.swapaxes(V, 1, 2)
+        log_roots = np.log(root).sum(axis=1).tolist()
+        return [
+            Whitening(a, M, T, len(M) * log(a) + spread)
+            for a, M, T, spread in zip(std, inputs, inner, log_roots, strict=True)
+        ]
 
     def calc_scale_loss(self, scale: NoiseScale) -> float:
         """Negative log prior of s and t, but for a constant."""
@@ -130,9 +140,9 @@ class NoiseModel:
 
 def calc_effective_count(rows: int) -> float:
     """How many independent residuals a push's 3K count for: 3 K_eff."""
-    return 3.0 * float(np.sqrt(rows / 3))
+    return 3.0 * sqrt(rows / 3)
 
 
 def _calc_size(whitened: Array) -> float:
     """Root mean square of the whitened residuals, one where the noise is as large as supposed."""
-    return float(np.sqrt(whitened @ whitened / calc_effective_count(len(whitened))))
+    return sqrt(float(whitened @ whitened) / calc_effective_count(len(whitened)))

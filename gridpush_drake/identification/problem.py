@@ -13,12 +13,15 @@ frictions mu_i stay those of the prior and the masses follow, m_i = k_i / mu_i; 
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
-from typing import Any, Literal
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.dynamics.motion import Motion, MotionStatus
+from gridpush_drake.dynamics.motion import Motion
+from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
 from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.geometry.se2 import rotate, transform, wrap_angle
@@ -82,6 +85,11 @@ class Linearization:
     by_z: list[Array]
     by_inputs: list[Array]
 
+    def choose(self, pushes: Sequence[int]) -> "Linearization":
+        """Those of some pushes."""
+        chosen = ([values[i] for i in pushes] for values in (self.residuals, self.by_z, self.by_inputs))
+        return Linearization(*chosen)
+
 
 class PushProblem:
     """Residuals of a log as a function of z, for one object and regime; counts the simulations it makes."""
@@ -116,14 +124,16 @@ class PushProblem:
 
     def replace_log(self, log: PushLog) -> "PushProblem":
         """The same problem of another log; simulations are counted together."""
-        other = copy(self)
-        other._pushes = [TimedPush.of(push, self.regime, log.table) for push in log]
-        return other
+        return self._take([TimedPush.of(push, self.regime, log.table) for push in log])
 
     def choose(self, pushes: Sequence[int]) -> "PushProblem":
         """The same problem of some of its pushes; simulations are counted together."""
+        return self._take([self._pushes[i] for i in pushes])
+
+    def _take(self, pushes: list[TimedPush]) -> "PushProblem":
         other = copy(self)
-        other._pushes = [self._pushes[i] for i in pushes]
+        other.__dict__.pop("_observed", None)
+        other._pushes = pushes
         return other
 
     def params(self, z: Array) -> CellParameters:
@@ -143,60 +153,82 @@ class PushProblem:
 
     def residuals(self, z: Array, pushes: Sequence[int] | None = None) -> list[Array]:
         """The residuals (3 K,) of each push (of those chosen), m."""
-        return [self._residual(push, simulation) for push, simulation in self._simulate(z, pushes, gradients=False)]
+        if pushes is not None:
+            return self.choose(pushes).residuals(z)
+        self._spent[0] += len(self)
+        poses, _ = self._observed.batch.simulate(self.params(z))
+        return self._split(self._calc_residuals(poses).ravel())
 
     def linearize(self, z: Array, pushes: Sequence[int] | None = None) -> Linearization:
         """The residuals of each push (of those chosen) and their exact derivatives at z."""
+        if pushes is not None:
+            return self.choose(pushes).linearize(z)
+        self._spent[0] += len(self)
         params, n = self.params(z), self.obj.n
-        linear = Linearization([], [], [])
-        for push, simulation in self._simulate(z, pushes, gradients="mass"):
-            J = simulation.jacobian
-            columns = np.empty((len(push.rows), 3, n + 3))
-            columns[..., :n] = J.mass * params.mass
-            columns[..., n] = J.contact_friction * params.contact_friction
-            columns[..., n + 1 :] = J.start
-            derivatives = self._to_residual(push, simulation, columns)
-            linear.residuals.append(self._residual(push, simulation))
-            linear.by_z.append(derivatives[:, : n + 1])
-            shift = derivatives[:, :n] @ self._tilts
-            linear.by_inputs.append(np.concatenate([derivatives[:, [n + 1, n + 2, n]], shift], axis=1))
-        return linear
+        poses, J = self._observed.batch.differentiate(params)
+        J[..., :n] *= params.mass
+        J[..., n] *= params.contact_friction
+        J = self._to_residuals(poses, J)
+        inputs = np.concatenate([J[:, [n + 1, n + 2, n]], J[:, :n] @ self._tilts], axis=1)
+        residuals = self._calc_residuals(poses).ravel()
+        return Linearization(self._split(residuals), self._split(J[:, : n + 1]), self._split(inputs))
 
     def touched(self, z: Array) -> NDArray[np.bool_]:
         """Whether the pusher touches the object, by push."""
-        return np.array([sim.status != MotionStatus.NO_CONTACT for _, sim in self._simulate(z, None, gradients=False)])
+        self._spent[0] += len(self)
+        return self._observed.batch.simulate(self.params(z))[1]
 
     def calc_cell_errors(self, residuals: Sequence[Array]) -> Array:
         """Mean distance of the cells' centers, m, by push: the paper's ADD, averaged over a push's observations."""
-        return np.array([self._cell_error(residual.reshape(-1, 3)) for residual in residuals])
-
-    def _cell_error(self, residual: Array) -> float:
+        if not len(residuals):
+            return np.empty(0)
+        rows, counts = np.concatenate(residuals).reshape(-1, 3), np.array([len(one) // 3 for one in residuals])
         arm = self.obj.p_BC - self._centroid
-        moved = residual[:, None, :2] + rotate(residual[:, 2:] / self._rho, arm) - arm
-        return float(np.linalg.norm(moved, axis=-1).mean())
+        x, y, turn = rows[:, 0], rows[:, 1], rows[:, 2] / self._rho
+        c, s = -2.0 * np.sin(turn / 2) ** 2, np.sin(turn)  # the rotation less the identity
+        cells = np.vstack([np.ones(self.obj.n), arm.T])
+        moved_x, moved_y = np.column_stack([x, c, -s]) @ cells, np.column_stack([y, s, c]) @ cells
+        errors = np.sqrt(moved_x**2 + moved_y**2).mean(axis=1)
+        return np.asarray(np.add.reduceat(errors, np.append(0, np.cumsum(counts[:-1]))) / counts)
 
-    def _simulate(
-        self, z: Array, pushes: Sequence[int] | None, gradients: Literal["mass"] | bool
-    ) -> list[tuple[TimedPush, Motion]]:
-        params = self.params(z)
-        chosen = self._pushes if pushes is None else [self._pushes[i] for i in pushes]
-        self._spent[0] += len(chosen)
-        return [
-            (push, push.simulate(self.obj, params, regime=self.regime, gradients=gradients, record=push.rows))
-            for push in chosen
-        ]
+    @cached_property
+    def _observed(self) -> "_Observations":
+        pushes = [BatchPush(p.observed.push, p.observed.pose, p.times, p.rows, p.table) for p in self._pushes]
+        poses = np.concatenate([np.empty((0, 3)), *(p.observed.poses_observed for p in self._pushes)])
+        return _Observations(PushBatch(self.obj, pushes, self.regime), poses, self._centroid_at(poses))
 
-    def _residual(self, push: TimedPush, simulation: Motion) -> Array:
-        predicted, observed = simulation.poses[push.rows], push.observed.poses_observed
-        shift = rotate(-observed[:, 2], self._centroid_at(predicted) - self._centroid_at(observed))
-        return np.column_stack([shift, self._rho * wrap_angle(predicted[:, 2] - observed[:, 2])]).ravel()
+    def _split(self, values: Array) -> list[Array]:
+        """Cuts (3R, ...) of all pushes into those of each."""
+        ends = (3 * self._observed.batch.offsets).tolist()
+        return [values[begin:end] for begin, end in pairwise(ends)]
+
+    def _calc_residuals(self, predicted: Array) -> Array:
+        """(R, 3) of all pushes' predicted poses (R, 3)."""
+        observed, centroids = self._observed.poses, self._observed.centroids
+        shift = rotate(-observed[:, 2], self._centroid_at(predicted) - centroids)
+        return np.column_stack([shift, self._rho * wrap_angle(predicted[:, 2] - observed[:, 2])])
 
     def _centroid_at(self, poses: Array) -> Array:
         return transform(poses, self._centroid[None])[:, 0]
 
-    def _to_residual(self, push: TimedPush, simulation: Motion, J: Array) -> Array:
-        """Turns derivatives of the poses (K, 3, p) into those of the residual (3K, p)."""
-        arm = self._centroid_at(simulation.poses[push.rows]) - simulation.poses[push.rows, :2]
-        c, s = np.cos(push.observed.poses_observed[:, 2:]), np.sin(push.observed.poses_observed[:, 2:])
+    def _to_residuals(self, predicted: Array, J: Array) -> Array:
+        """Turns derivatives of the predicted poses, (R, 3, p), into those of the residuals, (3R, p)."""
+        arm = self._centroid_at(predicted) - predicted[:, :2]
+        c, s = np.cos(self._observed.poses[:, 2:]), np.sin(self._observed.poses[:, 2:])
         x, y = J[:, 0] - arm[:, 1:] * J[:, 2], J[:, 1] + arm[:, :1] * J[:, 2]
         return np.stack([c * x + s * y, c * y - s * x, self._rho * J[:, 2]], axis=1).reshape(-1, J.shape[2])
+
+
+@dataclass(frozen=True, eq=False)
+class _Observations:
+    """All pushes' observations, one after another.
+
+    Attributes:
+        batch: simulates the pushes.
+        poses: (R, 3) observed.
+        centroids: (R, 2) the cells' centroid there, m.
+    """
+
+    batch: PushBatch
+    poses: Array
+    centroids: Array

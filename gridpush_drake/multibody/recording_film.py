@@ -36,7 +36,6 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
     "--no-first-run",
-    "--dump-dom",
 )
 """Of a browser without window, display or graphics card."""
 
@@ -161,7 +160,7 @@ def draw_frames(page: str, count: int) -> tuple[float, list[Image.Image]]:
         held.write_text(f"{head}{script}{body}{tail}", encoding="utf-8")
         command = [
             find_browser(), *FLAGS, f"--user-data-dir={folder}/profile", f"--window-size={SIZE[0]},{SIZE[1]}",
-            f"--virtual-time-budget={PAGE_TIME}", held.as_uri(),
+            f"--virtual-time-budget={PAGE_TIME}", "--dump-dom", held.as_uri(),
         ]  # fmt: skip
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)

@@ -222,6 +222,11 @@ def calibrate_pose(gray: NDArray[np.uint8], camera: Camera, board: TagBoard) -> 
     return placed, error
 
 
+def draw_tag(number: int) -> NDArray[np.uint8]:
+    """Draws a tag, a pixel a bit: (BITS, BITS), 0 for black and 255 for white, with its black border."""
+    return np.asarray(cv2.aruco.generateImageMarker(_family(), number, BITS), dtype=np.uint8)
+
+
 def draw_tags(gray: NDArray[np.uint8], found: dict[int, Array]) -> Color:
     """Draws tags' corners (4, 2) by number into a photograph; returns a new one, in color."""
     picture = np.array(gray if gray.ndim == 3 else np.repeat(gray[..., None], 3, axis=-1))

@@ -20,6 +20,7 @@ import cv2
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import eigh
 from shapely import Polygon
 from shapely.geometry.polygon import orient
 
@@ -98,12 +99,15 @@ class TrackerOptions:
         max_turn: likewise, rad.
         lost_share: the object is lost where less of its visible outline than this is found.
         pixel_noise: least standard deviation of an edge's place, pixels.
+        max_dilution: the object counts as not seen where what covers it makes its pose less sure by more than this: a
+            ratio of standard deviations, in the worst direction.
     """
 
     max_step: float = 0.03
     max_turn: float = 0.3
     lost_share: float = 0.5
     pixel_noise: float = 0.2
+    max_dilution: float = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,10 +179,20 @@ class _View(NamedTuple):
 
 
 class _Fit(NamedTuple):
-    """A registration: the pose, its covariance, and how well it explains the picture."""
+    """A registration: the pose, its covariance, and how well it explains the picture.
+
+    Attributes:
+        pose: (3,) m and rad.
+        covariance: (3, 3) of it.
+        dilution: by how much less sure it is than with nothing covered, a ratio of standard deviations.
+        share: of the visible boundary that was found.
+        inside: share of the visible silhouette that is foreground.
+        rms: of the edges found, pixels.
+    """
 
     pose: Array
     covariance: Array
+    dilution: float
     share: float
     inside: float
     rms: float
@@ -276,6 +290,8 @@ class PoseTracker:
         pose = fit.pose.copy()
         pose[2] = state.pose[2] + wrap_angle(pose[2] - state.pose[2])
         pose.setflags(write=False)
+        if fit.dilution > self.options.max_dilution:
+            return replace(state, pose=pose, t=frame.t), NOT_SEEN
         tracked = TrackedPose(pose, fit.covariance, True, fit.rms)
         return replace(state, pose=pose, lost=False, t=frame.t), tracked
 
@@ -360,7 +376,7 @@ class PoseTracker:
 
     def _register(self, view: _View, pose: Array) -> _Fit:
         """Moves the silhouette onto the edges, from coarse to fine."""
-        fit = _Fit(pose, np.full((3, 3), np.nan), 0.0, 0.0, np.inf)
+        fit = _Fit(pose, np.full((3, 3), np.nan), np.inf, 0.0, 0.0, np.inf)
         for reach, step, rounds in SEARCHES:
             start = fit.pose
             for _ in range(rounds):
@@ -383,14 +399,16 @@ class PoseTracker:
         spread = max(MIN_SPREAD, TO_DEVIATION * float(np.median(np.abs(d)))) if len(d) else MIN_SPREAD
         weight = np.clip(1 - (d / (TUKEY * spread + self.options.pixel_noise)) ** 2, 0, None) ** 2
         rms = float(np.sqrt((weight * d**2).sum() / max(weight.sum(), np.finfo(float).tiny)))
-        noise = max(rms, self.options.pixel_noise) ** 2 * max(1.0, SHARED_LENGTH / rows.spacing)
-        noise += OUTLINE_ERROR**2 * weight.sum()
+        shared = max(rms, self.options.pixel_noise) ** 2 * max(1.0, SHARED_LENGTH / rows.spacing)
+        noise = shared + OUTLINE_ERROR**2 * weight.sum()
         information = (J * weight[:, None]).T @ J / noise
         back = start - pose
         moved = np.linalg.solve(information + self._prior, (J * weight[:, None]).T @ d / noise + self._prior @ back)
         covariance = np.asarray(np.linalg.inv(information + self._prior), dtype=np.float64)
+        all_seen = rows.J.T @ rows.J / (shared + OUTLINE_ERROR**2 * len(rows.J))
+        dilution = calc_dilution(all_seen + self._prior, information + self._prior)
         largest = float(np.abs(rows.J @ moved).max(initial=0.0))
-        return _Fit(pose + moved, covariance, float(share), hold, rms), largest
+        return _Fit(pose + moved, covariance, dilution, float(share), hold, rms), largest
 
     def _spacing(self, pose: Array) -> float:
         """Of the points of the boundary, m."""
@@ -425,6 +443,19 @@ class _Rows(NamedTuple):
     J: Array
     normals: Array
     spacing: float
+
+
+def calc_dilution(whole: Array, left: Array) -> float:
+    """By how much the standard deviation of some combination of unknowns grows at most, where information is lost.
+
+    Args:
+        whole: (3, 3) information, positive definite.
+        left: (3, 3) of it that is left.
+
+    Returns:
+        The ratio of the standard deviations.
+    """
+    return float(np.sqrt(eigh(whole, left, eigvals_only=True)[-1]))
 
 
 def make_silhouette(outline: Polygon, pose: ArrayLike, height: float, camera: Camera) -> Polygon:

@@ -14,6 +14,7 @@ A single observation is noisy, and may show an object that moves still. The late
 and their mean says where the object lies. A pose that differs from the last one ends the rest that it was of.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from typing import Any, Generic, TypeVar
@@ -63,6 +64,11 @@ class LoopOptions:
                     raise PlanningError(f"{name} is {value!r}; expected 1 or more")
             elif not (np.isfinite(value) and value > 0):
                 raise PlanningError(f"{name} is {value!r}; expected a positive number")
+
+    def are_of_one_rest(self, poses: Sequence[Pose], pose: Array) -> bool:
+        """Whether a pose (3,), m and rad, may be of one rest with others, at their mean; not where it is NaN."""
+        off = np.abs(pose - np.mean(poses, axis=0))
+        return bool(off[:2].max() <= self.rest and off[2] <= self.rest_angle)
 
 
 @dataclass(frozen=True)
@@ -126,6 +132,7 @@ class PushPhase(StrEnum):
     PUSHING = "pushing"
     SETTLING = "settling"
     RETRACTING = "retracting"
+    CLEARING = "clearing"
 
 
 @dataclass(frozen=True)
@@ -133,7 +140,8 @@ class PushStatus:
     """Where an executor stands.
 
     Attributes:
-        phase: "idle", "approaching", "descending", "pushing", "settling" or "retracting".
+        phase: "idle", "approaching", "descending", "pushing", "settling", "retracting" or "clearing" (it goes
+            out of the camera's way).
         command_id: of the last command taken up or refused; 0 before the first.
         executed: commands carried out to the end, or broken off.
         refused: commands refused.
@@ -236,6 +244,7 @@ class LoopState:
         push: the last one asked for; None before the first, and where it was withdrawn.
         push_id: of the last one asked for, counted from 1; an id is never used again.
         refused: pushes that were refused since the last one that was not.
+        request: the decision under way beside the loop; None where none is.
     """
 
     status: Any
@@ -243,6 +252,7 @@ class LoopState:
     push: Push | None = None
     push_id: int = 0
     refused: tuple[Push, ...] = ()
+    request: Any = None
 
     def __deepcopy__(self: "L", memo: dict[int, Any]) -> "L":
         """Itself: Drake copies the state at every update, and nothing in it is ever changed."""
@@ -286,15 +296,29 @@ class ClosedLoop(Generic[L]):
 
         The robot is waited for, then the object until it lies still; then the next push, or the end, is decided on.
         """
+        now, due = self.observe(now, seen)
+        return self.decide(now, seen) if due else now
+
+    def observe(self, now: L, seen: Observation) -> tuple[L, bool]:
+        """The state after an observation but for the decision, which takes long; and whether that is due."""
         if not seen.robot.ready or not seen.gripper.ready or now.is_pending(seen.robot):
-            return self._wait(now, seen)
+            return self._wait(now, seen), False
         if now.status.mode in self.pushing_modes:
             now = self._end_push(now, seen)
         now = self._prepare(now, seen)
         if self.is_idle(now):
-            return now
+            return now, False
         now = self._observe(now, seen)
-        return self._decide(now, seen) if len(now.filter) >= self.options.observations else now
+        return now, len(now.filter) >= self.options.observations
+
+    def decide(self, now: L, seen: Observation) -> L:
+        """The state after the decision that is due: a pure function, which may be calculated beside the loop."""
+        return self._decide(now, seen)
+
+    def is_outdated(self, now: L, seen: Observation) -> bool:
+        """Whether a decision for `now` is of no use any more: the robot is at work, or the object not where it was."""
+        at_rest = seen.robot.ready and seen.gripper.ready and self.options.are_of_one_rest(now.filter.poses, seen.pose)
+        return not at_rest or now.is_pending(seen.robot)
 
     pushing_modes: tuple[str, ...] = ()
     """Modes that last as long as a push."""

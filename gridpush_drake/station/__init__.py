@@ -1,4 +1,4 @@
-"""The whole cell in one Diagram: plant, iiwa, controllers, identifier and Meshcat."""
+"""The whole cell in one Diagram: plant, robot, controllers, identifier and Meshcat."""
 
 import lazy_loader
 

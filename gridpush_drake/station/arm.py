@@ -6,9 +6,9 @@ angles, J(q) the tip's Jacobian (rotation above translation) and e the pose's er
     dq = J+ e + (I - J+ J)(q_nominal - q)
 
 moves the tip where it should be and, in the null space, as near to q_nominal as possible. Drake's differential inverse
-kinematics with joint centering, which moves the arm by way of its iiwa driver (it drives any arm), has the same fixed
-point: what is found here is what the moving arm does. The tool points down; its turn about the vertical (yaw) is zero
-at `R_WP_DOWN`.
+kinematics with joint centering, which moves the arm by way of its driver, has the same fixed point: what is found here
+is what the moving arm does. The tool points down; its turn about the vertical (yaw) is zero at `R_WP_DOWN`. An arm of
+fewer than six joints, such as a gantry, need not be able to turn its tool, only to keep it pointing down.
 
 Path: followed in steps before the arm goes. Measured on 30 pushes' paths, of which 19 can be followed: this search
 takes 8 ms a path; Drake's differential inverse kinematics in its place 11 ms, and takes joints at their limits for
@@ -16,8 +16,10 @@ arrived (7 paths of 10 instead of 6); Drake's `InverseKinematics` by SNOPT 510 m
 """
 
 from dataclasses import dataclass
+from threading import RLock
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike
 from pydrake.manipulation import IiwaDriver, SimIiwaDriver
 from pydrake.math import RigidTransform, RotationMatrix
@@ -26,20 +28,33 @@ from pydrake.multibody.inverse_kinematics import (
     DifferentialInverseKinematicsParameters,
 )
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import JacobianWrtVariable, ModelInstanceIndex
+from pydrake.multibody.tree import Frame, JacobianWrtVariable, ModelInstanceIndex, PdControllerGains, PrismaticJoint
+from pydrake.systems.controllers import InverseDynamics
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, System
-from pydrake.systems.primitives import SharedPointerSystem
+from pydrake.systems.primitives import (
+    Demultiplexer,
+    PassThrough,
+    SharedPointerSystem,
+    StateInterpolatorWithDiscreteDerivative,
+)
+from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.tool_motion import R_WP_DOWN, TURNING_RADIUS, calc_tool_rotation
-from gridpush_drake.station.robot import AddRobot, ControlMeasures, Robot
+from gridpush_drake.station.robot import AddRobot, Robot
 
 POSITION_TOLERANCE = 1e-6
 """m and rad, of a pose that counts as reached."""
 
 CENTERING_TOLERANCE = 1e-6
 """rad, of the last step."""
+
+SPATIAL = 6
+"""Directions in which a body can turn and move."""
+
+ROUND_OFF = 1e-9
+"""Of a Jacobian's entry that is zero."""
 
 MAX_STEPS = 200
 """Of the search for one posture from another that may be far off."""
@@ -49,23 +64,47 @@ class ArmPosture:
     """The tip's kinematics and their inverse.
 
     Attributes:
-        lower: (7,) joint limits, rad.
+        lower: (n,) joint limits, rad.
         upper: likewise.
-        speed: (7,) rad/s.
+        speed: (n,) rad/s.
     """
 
     def __init__(self, control_plant: MultibodyPlant, robot: Robot):
         """Takes the plant that `MakeControlPlant` makes of a robot."""
         self._plant = control_plant
         self._context = control_plant.CreateDefaultContext()
+        self._lock = RLock()  # of the Context: planning may go on beside the Diagram (`systems.worker`)
         self._tip, self._world = control_plant.GetFrameByName(robot.finger.tip_frame), control_plant.world_frame()
         self.lower, self.upper = control_plant.GetPositionLowerLimits(), control_plant.GetPositionUpperLimits()
         self.speed = control_plant.GetVelocityUpperLimits()
+        joints = (control_plant.get_joint(index) for index in control_plant.GetJointIndices())
+        self._slides = {joint.position_start() for joint in joints if joint.type_name() == PrismaticJoint.kTypeName}
+
+    def describe_speed(self, k: int, speed: float) -> str:
+        """Says that joint k, counted from 0, would have to move at a speed, rad/s or m/s."""
+        slides = k in self._slides
+        return f"joint {k + 1} of the arm would have to {'slide' if slides else 'turn'} at {speed:.2f} " + (
+            "m/s" if slides else "rad/s"
+        )
 
     def calc_tip_pose(self, q: Array) -> RigidTransform:
-        """X_WP of the tip's frame at the joint angles q (7,), rad."""
-        self._plant.SetPositions(self._context, q)
-        return self._tip.CalcPoseInWorld(self._context)
+        """X_WP of the tip's frame at the joint angles q (n,), rad."""
+        with self._lock:
+            self._plant.SetPositions(self._context, q)
+            return self._tip.CalcPoseInWorld(self._context)
+
+    def calc_jacobian(self, q: Array) -> Array:
+        """(6, n) of the tip's rotation and translation, in the tip's frame, at the joint positions q (n,)."""
+        with self._lock:
+            self.calc_tip_pose(q)
+            return self._calc_jacobian(self._tip)
+
+    def _calc_jacobian(self, frame: Frame) -> Array:
+        return np.asarray(
+            self._plant.CalcJacobianSpatialVelocity(
+                self._context, JacobianWrtVariable.kV, self._tip, np.zeros(3), self._world, frame
+            )
+        )
 
     def calc_step(
         self, q: Array, p_WP: Array, q_nominal: Array, R_WP: RotationMatrix = R_WP_DOWN
@@ -73,18 +112,17 @@ class ArmPosture:
         """One step towards the tool pointing down with its tip at p_WP.
 
         Args:
-            q: (7,) rad.
+            q: (n,) rad.
             p_WP: (3,) m.
-            q_nominal: (7,) rad.
+            q_nominal: (n,) rad.
             R_WP: of the tool, see `calc_tool_rotation`.
 
         Returns:
-            dq (7,), rad, and the error's norm before the step, m and rad.
+            dq (n,), rad, and the error's norm before the step, m and rad.
         """
-        X_WP = self.calc_tip_pose(q)
-        J = self._plant.CalcJacobianSpatialVelocity(
-            self._context, JacobianWrtVariable.kV, self._tip, np.zeros(3), self._world, self._world
-        )
+        with self._lock:
+            X_WP = self.calc_tip_pose(q)
+            J = self._calc_jacobian(self._world)
         e = np.concatenate([_calc_rotation_error(X_WP.rotation().matrix(), R_WP.matrix()), p_WP - X_WP.translation()])
         J_plus = np.linalg.pinv(J)
         away = q_nominal - q
@@ -95,11 +133,11 @@ class ArmPosture:
 
         Args:
             p_WP: (3,) m.
-            q_nominal: (7,) posture to stay near to, rad.
-            q_seed: (7,) where the search begins, rad.
+            q_nominal: (n,) posture to stay near to, rad.
+            q_seed: (n,) where the search begins, rad.
 
         Returns:
-            (7,) rad, or None where the search does not arrive. Joint limits are not looked at.
+            (n,) rad, or None where the search does not arrive. Joint limits are not looked at.
         """
         q, target = q_seed, np.asarray(p_WP, float)
         for _ in range(MAX_STEPS):
@@ -121,7 +159,7 @@ def CalcStartPosture(control_plant: MultibodyPlant, robot: Robot, p_WP: ArrayLik
         p_WP: (3,) m.
 
     Returns:
-        (7,) rad.
+        (n,) rad.
 
     Raises:
         StationError: there is none within the joint limits.
@@ -152,6 +190,9 @@ STEPS_PER_POSTURE = 8
 ARRIVED = 1e-5
 """m and rad, of a posture that is reached."""
 
+REGION_STEP = 0.025
+"""m, between places that are tried to find out how far an arm reaches."""
+
 
 class ArmReach:
     """Leads the arm along a path in steps and says what stops it.
@@ -171,7 +212,7 @@ class ArmReach:
         Args:
             control_plant: as `MakeControlPlant` makes it.
             robot: the robot; its `control` says how far paths keep from the joints' limits.
-            q_nominal: (7,) the posture that the arm is drawn to, rad.
+            q_nominal: (n,) the posture that the arm is drawn to, rad.
         """
         self._posture = ArmPosture(control_plant, robot)
         margin, share = robot.arm.control.path_limit_margin, robot.arm.control.path_speed_share
@@ -198,6 +239,39 @@ class ArmReach:
             q, reason = self._follow(q, start, end, float(speed))
         return reason
 
+    def find_region(self, bounds: ArrayLike, height: float, step: float = REGION_STEP) -> BaseGeometry:
+        """Finds where the tip can be, led from the start's posture from place to place.
+
+        Args:
+            bounds: (4,) least x and y, greatest x and y, W, m.
+            height: of the tip's center, z in W, m.
+            step: between places, m.
+
+        Returns:
+            The squares of that side about the places that are reached, within the bounds, W, m; it may be empty.
+        """
+        x0, y0, x1, y1 = np.asarray(bounds, float).tolist()
+        xs, ys = (np.arange(low + step / 2, high, step) for low, high in ((x0, x1), (y0, y1)))
+        places = {(i, j): np.array([x, y, height, 0.0]) for i, x in enumerate(xs) for j, y in enumerate(ys)}
+        reached: dict[tuple[int, int], Array] = {}
+        home = np.append(self._p_WN, 0.0)
+        for first in sorted(places, key=lambda at: float(np.linalg.norm(places[at] - home))):
+            q, reason = self._follow(self._nominal, home, places[first], None)
+            if reason is None:
+                reached[first] = q
+                break
+        front = list(reached)
+        while front:
+            i, j = at = front.pop(0)
+            for near in ((i - 1, j), (i + 1, j), (i, j - 1), (i, j + 1)):
+                if near in places and near not in reached:
+                    q, reason = self._follow(reached[at], places[at], places[near], None)
+                    if reason is None:
+                        reached[near] = q
+                        front.append(near)
+        squares = [shapely.Point(places[at][:2]).buffer(step / 2, cap_style="square") for at in reached]
+        return shapely.union_all(squares) & shapely.box(x0, y0, x1, y1)
+
     def _follow(self, q: Array, start: Array, end: Array, speed: float | None) -> tuple[Array, str | None]:
         """Leads the arm from posture q, tip and yaw at `start` (4,), to `end`; returns its last posture and stop."""
         turn = float(end[3] - start[3])
@@ -221,9 +295,20 @@ class ArmReach:
                 share = np.abs(q - before) * speed * count / length / self._speed
                 if share.max() > 1.0:
                     k = int(share.argmax())
-                    needed = share[k] * self._speed[k]
-                    return q, f"joint {k + 1} of the arm would have to turn at {needed:.2f} rad/s at {where}"
+                    return q, f"{self._posture.describe_speed(k, share[k] * self._speed[k])} at {where}"
         return q, None
+
+
+DRIVER_OUTPUTS = (
+    "position_commanded",
+    "position_measured",
+    "velocity_estimated",
+    "state_estimated",
+    "torque_commanded",
+    "torque_measured",
+    "torque_external",
+)
+"""Ports of an arm's driver."""
 
 
 @dataclass(frozen=True)
@@ -231,10 +316,10 @@ class ArmControl:
     """What `AddArmControl` put into a builder.
 
     Attributes:
-        driver: the `SimIiwaDriver`; its output ports are those of Drake's stations (`position_measured`, ...).
+        driver: of the joints; whichever it is, its output ports are those of Drake's `SimIiwaDriver`, `DRIVER_OUTPUTS`.
         kinematics: the differential inverse kinematics.
         tip_pose: the port for the tip's desired pose X_WP.
-        q_start: (7,) the posture at the beginning, rad.
+        q_start: (n,) the posture at the beginning, rad.
     """
 
     driver: System
@@ -271,7 +356,7 @@ def AddArmControl(
 
     Args:
         builder: the plant is in it.
-        plant: has the arm.
+        plant: has the arm, on which `SetJointServos` was called.
         robot: the robot.
         arm: its arm's model instance.
         control_plant: as `MakeControlPlant` makes it.
@@ -280,24 +365,100 @@ def AddArmControl(
     Returns:
         The systems and the port to be connected.
     """
-    SharedPointerSystem.AddToBuilder(builder, control_plant)
-    control = robot.arm.control
     q = np.array(q_start, float)
     plant.SetDefaultPositions(arm, q)
-    gains = np.full(plant.num_positions(arm), control.stiffness)
+    driver = AddArmDriver(builder, plant, robot, arm, control_plant)
+    kinematics = AddArmKinematics(builder, robot, control_plant, q)
+    builder.Connect(kinematics.GetOutputPort("joint_positions"), driver.GetInputPort("position"))
+    return ArmControl(driver, kinematics, kinematics.GetInputPort("X_AE_desired"), q)
+
+
+def AddArmDriver(
+    builder: DiagramBuilder, plant: MultibodyPlant, robot: Robot, arm: ModelInstanceIndex, control_plant: MultibodyPlant
+) -> System:
+    """Adds the arm's driver alone, as its measures say, and keeps the control plant alive; see `AddArmControl`."""
+    SharedPointerSystem.AddToBuilder(builder, control_plant)
+    control = robot.arm.control
+    if control.driver == "position":
+        return _AddServoDriver(builder, plant, arm, control_plant, control.period)
+    gains = _expand(control.stiffness, plant.num_positions(arm))
     config = IiwaDriver(control_mode="position_only", desired_kp_gains=gains)
-    driver = SimIiwaDriver.AddToBuilder(builder, plant, arm, config, control_plant)
-    kinematics = builder.AddNamedSystem(
-        "iiwa_kinematics",
+    return SimIiwaDriver.AddToBuilder(builder, plant, arm, config, control_plant)
+
+
+def AddArmKinematics(
+    builder: DiagramBuilder, robot: Robot, control_plant: MultibodyPlant, q_nominal: Array
+) -> DifferentialInverseKinematicsIntegrator:
+    """Adds the inverse kinematics alone, drawn to the posture `q_nominal` (n,), rad; see `AddArmControl`."""
+    kinematics: DifferentialInverseKinematicsIntegrator = builder.AddNamedSystem(
+        f"{robot.arm_model}_kinematics",
         DifferentialInverseKinematicsIntegrator(
             control_plant,
             control_plant.GetFrameByName(robot.finger.tip_frame),
-            control.period,
-            _make_parameters(control_plant, q, control),
+            robot.arm.control.period,
+            _make_parameters(control_plant, q_nominal, robot),
         ),
     )
-    builder.Connect(kinematics.GetOutputPort("joint_positions"), driver.GetInputPort("position"))
-    return ArmControl(driver, kinematics, kinematics.GetInputPort("X_AE_desired"), q)
+    return kinematics
+
+
+def SetJointServos(plant: MultibodyPlant, robot: Robot, arm: ModelInstanceIndex) -> None:
+    """Gives the joints of an arm whose driver is "position" their servos. Call it before Finalize."""
+    control = robot.arm.control
+    if control.driver != "position":
+        return
+    motors = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices()]
+    motors = [motor for motor in motors if motor.model_instance() == arm]
+    gains = (_expand(gain, len(motors)).tolist() for gain in (control.stiffness, control.damping))
+    for motor, p, d in zip(motors, *gains, strict=True):
+        motor.set_controller_gains(PdControllerGains(p=p, d=d))
+
+
+def _expand(gains: tuple[float, ...], count: int) -> Array:
+    """One for each joint, where one may stand for all."""
+    return np.array(np.broadcast_to(gains, count), float)
+
+
+def _AddServoDriver(
+    builder: DiagramBuilder,
+    plant: MultibodyPlant,
+    arm: ModelInstanceIndex,
+    control_plant: MultibodyPlant,
+    period: float,
+) -> Diagram:
+    """Adds what asks the joints' servos for positions, and compensates gravity; connects it to the plant."""
+    n, inner = plant.num_positions(arm), DiagramBuilder()
+    wanted = inner.AddNamedSystem("wanted", StateInterpolatorWithDiscreteDerivative(n, period, True))
+    gravity = InverseDynamics(control_plant, InverseDynamics.InverseDynamicsMode.kGravityCompensation)
+    gravity = inner.AddNamedSystem("gravity", gravity)
+    parts = inner.AddNamedSystem("parts", Demultiplexer([n, n]))
+    passed = [inner.AddNamedSystem(f"passed_{k}", PassThrough(size)) for k, size in enumerate((n, 2 * n, n, n))]
+    position, state, torque, external = passed
+    inner.ExportInput(position.get_input_port(), "position")
+    inner.ConnectInput("position", wanted.get_input_port())
+    inner.ExportInput(state.get_input_port(), "state")
+    for consumer in (gravity.get_input_port_estimated_state(), parts.get_input_port()):
+        inner.ConnectInput("state", consumer)
+    inner.ExportInput(torque.get_input_port(), "torque")
+    inner.ExportInput(external.get_input_port(), "external")
+    outputs = (
+        position.get_output_port(), parts.get_output_port(0), parts.get_output_port(1), state.get_output_port(),
+        torque.get_output_port(), torque.get_output_port(), external.get_output_port(),
+    )  # fmt: skip
+    for name, port in zip(DRIVER_OUTPUTS, outputs, strict=True):
+        inner.ExportOutput(port, name)
+    inner.ExportOutput(wanted.get_output_port(), "wanted_state")
+    inner.ExportOutput(gravity.get_output_port(), "gravity_torque")
+    driver: Diagram = builder.AddNamedSystem("servo_driver", inner.Build())
+    for source, target in (
+        (plant.get_state_output_port(arm), driver.GetInputPort("state")),
+        (plant.get_net_actuation_output_port(arm), driver.GetInputPort("torque")),
+        (plant.get_generalized_contact_forces_output_port(arm), driver.GetInputPort("external")),
+        (driver.GetOutputPort("wanted_state"), plant.get_desired_state_input_port(arm)),
+        (driver.GetOutputPort("gravity_torque"), plant.get_actuation_input_port(arm)),
+    ):
+        builder.Connect(source, target)
+    return driver
 
 
 def SetArmStart(
@@ -314,10 +475,10 @@ def SetArmStart(
 
 
 def _make_parameters(
-    control_plant: MultibodyPlant, q_nominal: Array, control: ControlMeasures
+    control_plant: MultibodyPlant, q_nominal: Array, robot: Robot
 ) -> DifferentialInverseKinematicsParameters:
-    """Limits and centering of the inverse kinematics."""
-    n = control_plant.num_positions()
+    """Limits and centering of the inverse kinematics, and what of the tool's motion the arm can choose."""
+    n, control = control_plant.num_positions(), robot.arm.control
     parameters = DifferentialInverseKinematicsParameters(n, n)
     parameters.set_nominal_joint_position(q_nominal)
     parameters.set_joint_centering_gain(control.centering_gain * np.eye(n))
@@ -325,4 +486,7 @@ def _make_parameters(
     parameters.set_joint_position_limits((lower + control.limit_margin, upper - control.limit_margin))
     slowest, fastest = control_plant.GetVelocityLowerLimits(), control_plant.GetVelocityUpperLimits()
     parameters.set_joint_velocity_limits((slowest, fastest))
+    if n < SPATIAL:
+        J = ArmPosture(control_plant, robot).calc_jacobian(q_nominal)
+        parameters.set_end_effector_velocity_flag(np.abs(J).max(axis=1) > ROUND_OFF)
     return parameters

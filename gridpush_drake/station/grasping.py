@@ -75,28 +75,25 @@ def make_grasp_trajectory_options(
     return GraspTrajectoryOptions(
         p_PG=(x, y, z),
         travel_height=scenario.finger.travel_height,
-        force=pregrasp.force,
+        force=min(pregrasp.force, gripper.max_force),
         opening=gripper.opening,
+        closing_speed=gripper.closing_speed,
         hold_time=pregrasp.hold,
     )
 
 
-def AddGrasping(
+def AddGraspExecutor(
     builder: DiagramBuilder,
-    plant: MultibodyPlant,
-    gripper: ModelInstanceIndex,
     measures: GripperMeasures,
     executor: PushExecutor,
     reach: ArmReach,
     table_top: BaseGeometry,
     style: GraspTrajectoryOptions,
 ) -> GraspExecutor:
-    """Adds what moves the gripper, and the tool while it grasps.
+    """Adds what moves the tool while it grasps; what moves the gripper is to be connected to it.
 
     Args:
-        builder: the plant is in it.
-        plant: has the arm with its gripper.
-        gripper: its model instance.
+        builder: the executor of pushes is in it.
         measures: the gripper's.
         executor: of pushes, whose pose is passed on where nothing is grasped.
         reach: of the arm.
@@ -109,33 +106,32 @@ def AddGrasping(
     grasping: GraspExecutor = builder.AddNamedSystem(
         "grasp_executor", GraspExecutor(reach, style, GraspClearance(table_top, style, measures.make_side_gripper()))
     )
-    controller = builder.AddNamedSystem("gripper_controller", SchunkWsgPositionController())
-    state: OutputPort = plant.get_state_output_port(gripper)
-    for source, target in (
-        (executor.GetOutputPort("tip_pose"), grasping.GetInputPort("push_tip_pose")),
-        (executor.GetOutputPort("status"), grasping.GetInputPort("push_status")),
-        (state, grasping.GetInputPort("gripper_state")),
-        (state, controller.get_state_input_port()),
-        (grasping.GetOutputPort("gripper_position"), controller.get_desired_position_input_port()),
-        (grasping.GetOutputPort("gripper_force_limit"), controller.get_force_limit_input_port()),
-        (controller.get_generalized_force_output_port(), plant.get_actuation_input_port(gripper)),
-    ):
-        builder.Connect(source, target)
+    builder.Connect(executor.GetOutputPort("tip_pose"), grasping.GetInputPort("push_tip_pose"))
+    builder.Connect(executor.GetOutputPort("status"), grasping.GetInputPort("push_status"))
+    builder.Connect(grasping.GetOutputPort("status"), executor.GetInputPort("grasp_status"))
     return grasping
 
 
-def AddPusherGate(builder: DiagramBuilder, tip: System, grasping: GraspExecutor) -> PusherGate:
+def AddGripperController(
+    builder: DiagramBuilder, plant: MultibodyPlant, gripper: ModelInstanceIndex
+) -> SchunkWsgPositionController:
+    """Adds what moves a plant's gripper to the opening, m, and with the force, N, on its input ports."""
+    controller = builder.AddNamedSystem("gripper_controller", SchunkWsgPositionController())
+    builder.Connect(plant.get_state_output_port(gripper), controller.get_state_input_port())
+    builder.Connect(controller.get_generalized_force_output_port(), plant.get_actuation_input_port(gripper))
+    return controller
+
+
+def AddPusherGate(builder: DiagramBuilder, pusher_state: OutputPort, grasping: GraspExecutor) -> PusherGate:
     """Keeps the tip's motions in a grasp from being taken for pushes."""
     gate: PusherGate = builder.AddNamedSystem("pusher_gate", PusherGate())
-    builder.Connect(tip.GetOutputPort("pusher_state"), gate.GetInputPort("pusher_state"))
+    builder.Connect(pusher_state, gate.GetInputPort("pusher_state"))
     builder.Connect(grasping.GetOutputPort("status"), gate.GetInputPort("grasp_status"))
     return gate
 
 
-def ExportGrasping(
-    builder: DiagramBuilder, plant: MultibodyPlant, gripper: ModelInstanceIndex, grasping: GraspExecutor
-) -> None:
-    """Exports the ports that the station has only with a gripper."""
+def ExportGrasping(builder: DiagramBuilder, state: OutputPort, grasping: GraspExecutor) -> None:
+    """Exports the ports that a station has only with a gripper; `state` is the gripper's (4,)."""
     builder.ExportInput(grasping.GetInputPort("grasp_command"), "grasp_command")
     ExportOutputs(builder, grasping, "grasp", ("status",))
-    builder.ExportOutput(plant.get_state_output_port(gripper), "gripper.state")
+    builder.ExportOutput(state, "gripper.state")

@@ -8,8 +8,9 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from gridpush_drake.errors import StationError
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.station.others import leave_out
-from gridpush_drake.station.push_station import MakeFingerRegion, MakePushStation, PushStation
+from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.station import MakeFingerRegion, Station, StationMaker
 from gridpush_drake.station.task import GO_ON, Judgment, StationTask, TaskRecord, TaskStatus, Waiting
 from gridpush_drake.systems.messages import PushStatus
 from gridpush_drake.systems.poke_policy import PokePolicy, PokeRegion, RandomPokeOptions
@@ -92,18 +93,21 @@ class IdentifyTask(StationTask[IdentifyTaskRecord]):
     lost_after = LOST_AFTER
     timeout = 10.0
 
-    def __init__(self, scenario: PushScenario, meshcat: Meshcat | None = None) -> None:
+    def __init__(
+        self, scenario: PushScenario, meshcat: Meshcat | None = None, make_station: StationMaker = MakePushStation
+    ) -> None:
         """Makes the Diagram.
 
         Args:
             scenario: what stands where, and how it is poked.
             meshcat: to show it in; None for none.
+            make_station: of a scenario; a simulated one by default.
 
         Raises:
             ScenarioError, StationError: see `MakePushStation`.
         """
         builder = DiagramBuilder()
-        station = builder.AddSystem(MakePushStation(scenario, meshcat, show_object=False))
+        station = builder.AddSystem(make_station(scenario, meshcat, show_object=False))
         self.controller = builder.AddNamedSystem("policy", _make_policy(station))
         super().__init__(builder, station, self.controller, meshcat)
 
@@ -135,7 +139,7 @@ class IdentifyTask(StationTask[IdentifyTaskRecord]):
             raise StationError(record.message)
 
 
-def _make_policy(station: PushStation) -> PokePolicy:
+def _make_policy(station: Station) -> PokePolicy:
     scenario, pokes = station.scenario, station.scenario.pokes
     keep_in = leave_out(station.table_top.buffer(-EDGE_MARGIN), station.others, EDGE_MARGIN)
     middle = MakeFingerRegion(station, MIDDLE_MARGIN)
@@ -156,4 +160,5 @@ def _make_policy(station: PushStation) -> PokePolicy:
         reach=lambda command: station.FindObstacle(command) is None,
         test_pushes=pokes.test_count,
         test_distance=pokes.test_distance,
+        answer_delay=scenario.simulation.answer_delay,
     )

@@ -6,9 +6,11 @@ from weakref import ref
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import Context, EventStatus
 
-from gridpush_drake.station.push_station import PushStation
+from gridpush_drake.station.robot import GetRobotInPlant
+from gridpush_drake.station.station import Station
 from gridpush_drake.systems.messages import GraspPhase, PushPhase
 
 GRIPPING = (GraspPhase.CLOSING, GraspPhase.LIFTING, GraspPhase.HOLDING, GraspPhase.OPENING)
@@ -43,13 +45,13 @@ class LimitReport:
 
 
 class LimitMonitor:
-    """Watches a station: `simulator.set_monitor(LimitMonitor(station))`.
+    """Watches a station: `simulator.set_monitor(LimitMonitor(station))`. What a real one touches it does not see.
 
     Attributes:
         limit_report: what was seen up to now.
     """
 
-    def __init__(self, station: PushStation, period: float = DEFAULT_PERIOD) -> None:
+    def __init__(self, station: Station, period: float = DEFAULT_PERIOD) -> None:
         """Makes the monitor.
 
         Args:
@@ -59,23 +61,32 @@ class LimitMonitor:
         self.limit_report = LimitReport()
         # a Simulator holds its monitor where the garbage collector does not see it
         self._station, self._period, self._next = ref(station), period, -np.inf
-        plant, arm, robot = station.plant, station.robot_in_plant.arm, station.robot
+        plant, robot = station.plant, station.robot
+        instances = GetRobotInPlant(plant, robot)
+        arm = instances.arm
         joints = [plant.get_joint(index) for index in plant.GetJointIndices(arm)]
         joints = [joint for joint in joints if joint.num_positions() == 1]
         lower, upper = (
             np.array([limits(joint)[0] for joint in joints])
             for limits in (lambda j: j.position_lower_limits(), lambda j: j.position_upper_limits())
         )
+        self._arm = station.robot.arm_model
         self._middle, self._half = (lower + upper) / 2, (upper - lower) / 2
         self._speed = np.array([joint.velocity_upper_limits()[0] for joint in joints])
         self._torque = np.array(
             [plant.get_joint_actuator(index).effort_limit() for index in plant.GetJointActuatorIndices(arm)]
         )
+        self._speaks_of_contacts = station.HasOutputPort("contact_results")
+        if self._speaks_of_contacts:
+            self._note_bodies(station, instances.gripper)
+
+    def _note_bodies(self, station: Any, gripper: ModelInstanceIndex | None) -> None:
+        plant, robot = station.plant, station.robot
         self._object = station.object_in_plant.body.index()
         self._others = {other.part.body_index for other in station.others}
         self._tip = plant.GetBodyByName(robot.finger.tip_frame).index()
         fingers = () if robot.gripper is None else robot.gripper.fingers
-        self._fingers = {plant.GetBodyByName(name, station.gripper).index() for name in fingers}
+        self._fingers = {plant.GetBodyByName(name, gripper).index() for name in fingers}
         inspector = station.scene_graph.model_inspector()
         self._table = {plant.GetBodyFromFrameId(inspector.GetFrameId(geometry)).index() for geometry in station.table}
 
@@ -87,7 +98,7 @@ class LimitMonitor:
             self._observe(station, station.GetMyContextFromRoot(root_context))
         return EventStatus.DidNothing()
 
-    def _observe(self, station: PushStation, context: Context) -> None:
+    def _observe(self, station: Station, context: Context) -> None:
         seen = self.limit_report
 
         def read(port: str) -> Any:
@@ -96,14 +107,18 @@ class LimitMonitor:
         def share(now: float, values: np.ndarray, limits: np.ndarray) -> float:
             return max(now, float(np.max(np.abs(values) / limits)))
 
-        seen.position_share = share(seen.position_share, read("iiwa.position_measured") - self._middle, self._half)
-        seen.velocity_share = share(seen.velocity_share, read("iiwa.velocity_estimated"), self._speed)
-        seen.torque_share = share(seen.torque_share, read("iiwa.torque_commanded"), self._torque)
+        seen.position_share = share(
+            seen.position_share, read(f"{self._arm}.position_measured") - self._middle, self._half
+        )
+        seen.velocity_share = share(seen.velocity_share, read(f"{self._arm}.velocity_estimated"), self._speed)
+        seen.torque_share = share(seen.torque_share, read(f"{self._arm}.torque_commanded"), self._torque)
         if read("executor.status").phase == PushPhase.PUSHING:
             gap = read("executor.tip_pose").translation() - read("pusher.state")[:3]
             seen.tracking_error = max(seen.tracking_error, float(np.linalg.norm(gap)))
+        if not self._speaks_of_contacts:
+            return
         contacts = read("contact_results")
-        gripping = station.gripper is not None and read("grasp.status").phase in GRIPPING
+        gripping = station.HasOutputPort("grasp.status") and read("grasp.status").phase in GRIPPING
         allowed = {self._tip, *self._table, *(self._fingers if gripping else ())}
         for i in range(contacts.num_point_pair_contacts()):
             contact = contacts.point_pair_contact_info(i)

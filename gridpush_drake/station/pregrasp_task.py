@@ -18,13 +18,16 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.pregrasp.exploration import PokeOptions
+from gridpush_drake.planning.pregrasp.flat_parts import FlatPart, PadLimit
 from gridpush_drake.planning.pregrasp.goals import ArmLimits, GoalOptions, PreGraspGoal
 from gridpush_drake.planning.pregrasp.planner import ACCEPTED_SHARE, PreGraspOptions, PreGraspPlanner
-from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp, SideGripper, choose_varied, find_side_grasps
+from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp, check_thickness, choose_varied, find_side_grasps
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
+from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface, stayed_supported
-from gridpush_drake.station.push_station import Learning, MakeFingerRegion, MakePushStation, PushStation, make_surface
+from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.station import Learning, MakeFingerRegion, Station, StationMaker, make_surface
 from gridpush_drake.station.task import (
     GO_ON,
     ControlledRecord,
@@ -54,36 +57,48 @@ class GraspFinder:
         station: the station; it has a gripper.
         obj: the object.
         surface: the table.
-        gripper: its measures.
+        pads: the gripper's measures, and what its pads can hold.
     """
 
-    station: PushStation
+    station: Station
     obj: GridObject
     surface: SupportSurface
-    gripper: SideGripper
+    pads: PadLimit
 
-    def find_grasp(self, pose: Array, center_of_mass: Array) -> SideGrasp | None:
-        """How the gripper takes the object at `pose` (3,), as near its center of mass (2,), body frame, as it can."""
+    def find_grasp(self, pose: Array, aim: Array, masses: PlausibleMassSet | None) -> SideGrasp | None:
+        """How the gripper takes the object at `pose` (3,), as near `aim` (2,), body frame, as it can.
+
+        Where `masses` are given, the pads hold the object whichever of them it has.
+        """
         found = find_side_grasps(
             self.obj,
             pose,
             self.surface,
-            self.gripper,
-            center_of_mass,
+            self.pads.gripper,
+            aim,
             height=self.station.scenario.object_height,
         )
+        if masses is not None:
+            points = np.array([grasp.p_BG for grasp in found]).reshape(-1, 2)
+            headings = np.array([grasp.approach for grasp in found]) - pose[2]
+            held = self.pads.holds(points, headings, masses.center_of_mass_polygon)
+            found = [found[i] for i in np.flatnonzero(held)]
         for grasp in choose_varied(found, GRASPS_TRIED):
             if self._is_reached(grasp.p_WG, grasp.approach):
                 return grasp
         return None
 
-    def can_grasp(self, goal: PreGraspGoal) -> bool:
-        """Whether the object can be taken at a goal."""
-        return self.find_grasp(goal.pose, goal.part.p_BG) is not None
+    def can_grasp(self, goal: PreGraspGoal, masses: PlausibleMassSet) -> bool:
+        """Whether the object can be taken at a goal; by a flat part also held, whichever of some masses it has.
+
+        A narrow part is but near where it will be taken, which is as near the center of mass as can be.
+        """
+        flat = isinstance(goal.part, FlatPart)
+        return self.find_grasp(goal.pose, goal.part.p_BG, masses if flat else None) is not None
 
     def find_edge(self) -> BaseGeometry:
         """Where on the edge the gripper can take something, coming straight in. Raises StationError for nowhere."""
-        out = self.gripper.jaw_reach + self.gripper.table_clearance + EDGE_SPARE
+        out = self.pads.gripper.jaw_reach + self.pads.gripper.table_clearance + EDGE_SPARE
         places = []
         for s in np.arange(0.0, self.surface.perimeter, EDGE_STEP):
             point, normal = self.surface.edge_at(float(s))
@@ -105,7 +120,7 @@ class PreGraspRecord(ControlledRecord[PreGraspStatus]):
     """What came of a run: "held", "dropped", "failed", "lost", "stuck" or "interrupted"; filled while it runs.
 
     Attributes:
-        raised: how far the object's lowest point was above the table at the end, m.
+        raised: how far the object's lowest point was above the table at the end, m; NaN where nobody knows.
     """
 
     raised: float = float("nan")
@@ -133,21 +148,25 @@ class PreGraspTask(StationTask[PreGraspRecord]):
     lost_after = 10.0
     timeout = 60.0
 
-    def __init__(self, scenario: PushScenario, meshcat: Meshcat | None = None) -> None:
+    def __init__(
+        self, scenario: PushScenario, meshcat: Meshcat | None = None, make_station: StationMaker = MakePushStation
+    ) -> None:
         """Makes the Diagram.
 
         Args:
             scenario: what stands where, and how it is done; its scene has a gripper.
             meshcat: to show it in; None for none.
+            make_station: of a scenario; a simulated one by default.
 
         Raises:
             ScenarioError: the scenario makes no sense, has other objects, or its scene has no gripper.
             StationError: see `MakePushStation`.
-            PlanningError: the object has no graspable part, or the table is smaller than it.
+            PlanningError: the object is too thick for the gripper, its pads fit nowhere on it, or the table is smaller
+                than it.
         """
         builder = DiagramBuilder()
-        self.station: PushStation = builder.AddSystem(
-            MakePushStation(scenario, meshcat, show_object=False, learning=Learning())
+        self.station: Station = builder.AddSystem(
+            make_station(scenario, meshcat, show_object=False, learning=Learning())
         )
         station = self.station
         if station.others:
@@ -156,8 +175,12 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             raise ScenarioError("directives: there is no model gripper; expected a scene that can grasp")
         self.surface = make_surface(station.table_top)
         self.obj = station.obj
-        self._finder = GraspFinder(station, self.obj, self.surface, station.robot.gripper.make_side_gripper())
-        self.planner = PreGraspPlanner(self.obj, self.surface, make_options(station), limits=self._make_limits())
+        measures = station.robot.gripper
+        gripper, force = measures.make_side_gripper(), min(scenario.pregrasp.force, measures.max_force)
+        check_thickness(self.obj, scenario.object_height, gripper)
+        pads = PadLimit.of_object(self.obj, gripper, force)
+        self._finder = GraspFinder(station, self.obj, self.surface, pads)
+        self.planner = PreGraspPlanner(self.obj, self.surface, make_options(station, pads), limits=self._make_limits())
         self.controller = builder.AddNamedSystem("controller", self._make_controller())
         super().__init__(builder, station, self.controller, meshcat)
 
@@ -167,15 +190,18 @@ class PreGraspTask(StationTask[PreGraspRecord]):
 
     def note(self, record: PreGraspRecord, time: float) -> bool:
         """Writes down how high the object is and what the controller does."""
-        record.raised = self.calc_raised()
+        if self.simulated:
+            record.raised = self.calc_raised()
         return self.note_step(record, time)
 
     def judge(self, record: PreGraspRecord, waiting: Waiting) -> Judgment:
         """Status and message."""
         status = record.last
-        if np.isnan(self.read("object.pose_true")).any():
+        if self.simulated and np.isnan(self.read(self.judged_pose)).any():
             return DROPPED, f"The object fell: {status.reason}"
         if status.mode == PreGraspMode.HOLDING:
+            if not self.simulated:
+                return HELD, "The gripper lifted the object and holds it."
             if record.raised >= LIFTED_SHARE * self.station.scenario.pregrasp.lift:
                 return HELD, f"The object was lifted and held, {1e3 * record.raised:.0f} mm above the table."
             return DROPPED, f"The gripper holds something, but the object is not up: {1e3 * record.raised:.0f} mm."
@@ -221,11 +247,12 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             grasp_height=self.station.scenario.object_height / 2,
             lift=pregrasp.lift,
             seed=self.station.scenario.seed,
+            answer_delay=self.station.scenario.simulation.answer_delay,
         )
 
 
-def make_options(station: PushStation) -> PreGraspOptions:
-    """The planner's options, by a station's scenario and robot."""
+def make_options(station: Station, pads: PadLimit) -> PreGraspOptions:
+    """The planner's options, by a station's scenario and robot and what its gripper's pads can hold."""
     scenario = station.scenario
     pregrasp, radius, speed = scenario.pregrasp, station.robot.finger.tip_radius, scenario.pokes.speed
     slide = SlideOptions()
@@ -238,4 +265,5 @@ def make_options(station: PushStation) -> PreGraspOptions:
         max_pokes=pregrasp.max_pokes,
         max_slides=pregrasp.max_slides,
         max_arm=pregrasp.max_arm,
+        pads=pads,
     )

@@ -18,8 +18,9 @@ from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.station.others import place_others
-from gridpush_drake.station.push_station import Learning, MakeFingerRegion, MakePushStation, PushStation, make_surface
+from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.station import Learning, MakeFingerRegion, Station, StationMaker, make_surface
 from gridpush_drake.station.task import (
     GO_ON,
     ControlledRecord,
@@ -39,7 +40,7 @@ class PushTaskRecord(ControlledRecord[ContactPointStatus]):
     Attributes:
         goal: (3,) where it should lie, X_WB, m and rad.
         tolerance: mean cell error at which the goal counts as reached, m.
-        pose: (3,) where the object truly lay at the end, X_WB, m and rad; NaN where it had fallen.
+        pose: (3,) where the object truly lay at the end, X_WB, m and rad; NaN where it had fallen. A real one: as seen.
         error: mean cell error to the goal there, m.
     """
 
@@ -92,23 +93,29 @@ class PushTask(StationTask[PushTaskRecord]):
     lost_after = 5.0
     timeout = 15.0
 
-    def __init__(self, scenario: PushScenario, meshcat: Meshcat | None = None) -> None:
+    def __init__(
+        self, scenario: PushScenario, meshcat: Meshcat | None = None, make_station: StationMaker = MakePushStation
+    ) -> None:
         """Makes the Diagram.
 
         Args:
             scenario: what stands where, and where the object should go.
             meshcat: to show it in; None for none.
+            make_station: of a scenario; a simulated one by default.
 
         Raises:
             ScenarioError: the scenario makes no sense.
             StationError: see `MakePushStation`.
         """
         builder = DiagramBuilder()
-        station = builder.AddSystem(MakePushStation(scenario, meshcat, show_object=False, learning=Learning()))
+        station = builder.AddSystem(make_station(scenario, meshcat, show_object=False, learning=Learning()))
         self.surface = make_surface(station.table_top)
         goal = builder.AddNamedSystem("goal", ConstantVectorSource(np.array(scenario.goal.pose)))
         self.controller = builder.AddNamedSystem(
-            "controller", ContactPointController(station.obj, make_rules(station, self.surface))
+            "controller",
+            ContactPointController(
+                station.obj, make_rules(station, self.surface), answer_delay=scenario.simulation.answer_delay
+            ),
         )
         builder.Connect(goal.get_output_port(), self.controller.GetInputPort("goal_pose"))
         super().__init__(builder, station, self.controller, meshcat)
@@ -123,14 +130,16 @@ class PushTask(StationTask[PushTaskRecord]):
 
     def note(self, record: PushTaskRecord, time: float) -> bool:
         """Writes down where the object is and what the controller says."""
-        record.pose = np.array(self.read("object.pose_true"))
+        pose = np.array(self.read(self.judged_pose))
+        if self.simulated or np.isfinite(pose).all():
+            record.pose = pose
         record.error = float(calc_goal_error(record.obj, record.pose, record.goal))
         return self.note_step(record, time) or not self.read("executor.status").ready
 
     def judge(self, record: PushTaskRecord, waiting: Waiting) -> Judgment:
         """Status and message."""
         status = record.last
-        if np.isnan(record.pose).any():
+        if self.simulated and np.isnan(record.pose).any():
             push = status.pushes + (status.mode == ContactPointMode.PUSHING)
             return LOST, f"The object left the table during push {push}."
         if waiting.unseen > self.lost_after and self.read("executor.status").ready:
@@ -142,7 +151,7 @@ class PushTask(StationTask[PushTaskRecord]):
         return GO_ON
 
 
-def make_rules(station: PushStation, surface: SupportSurface) -> GoalRules:
+def make_rules(station: Station, surface: SupportSurface) -> GoalRules:
     """How the controller pushes, by a station's scenario."""
     scenario = station.scenario
     clearance = scenario.pokes.clearance

@@ -4,8 +4,9 @@ An arm's model has a `robot.yaml` in its folder, a finger's a `finger.yaml`, a g
 says which robot there is by the models it adds, and another robot is another folder: nothing here or anywhere else
 in the station knows a robot's measures or the names of its frames.
 
-Of an arm whose tool points down, the wrist stands over the finger's tip; from the shoulder it is as far as the elbow
-lets it be:
+How far an arm reaches is found by its inverse kinematics (`station.arm`). Where shoulder, elbow and wrist lie on one
+line when it is stretched, as an iiwa's do, a formula says it at once. While the tool points down the wrist stands over
+the finger's tip; from the shoulder it is as far as the elbow lets it be:
 
     d^2 = a^2 + b^2 + 2 a b cos(q4),   |q4| <= elbow_limit
 
@@ -13,14 +14,16 @@ with upper arm a and forearm b. At a given height of the tip its distance from t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import cos, sqrt
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Literal, TypeVar, get_args
 
-from pydantic import ConfigDict, Field, Strict
+import numpy as np
+from pydantic import BeforeValidator, ConfigDict, Field, Strict
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import (
+    AddDirectives,
     AddWeld,
     FlattenModelDirectives,
     GetScopedFrameByName,
@@ -30,13 +33,13 @@ from pydrake.multibody.parsing import (
     ProcessModelDirectives,
 )
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import FixedOffsetFrame, ModelInstanceIndex
+from pydrake.multibody.tree import FixedOffsetFrame, Joint, ModelInstanceIndex
 
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.files import is_file
-from gridpush_drake.multibody.parser import AddModelsPackage, MakeParser
+from gridpush_drake.multibody.parser import AddModelsPackage, MakeParser, find_models
 from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
-from gridpush_drake.yaml_file import StrictSchema, check_mapping, read_mapping
+from gridpush_drake.yaml_file import StrictSchema, check_mapping, read_mapping, suggest
 
 Length = Annotated[float, Field(gt=0, description="a positive number, in m")]
 Positive = Annotated[float, Field(gt=0, description="a positive number")]
@@ -49,7 +52,7 @@ class _Measures(StrictSchema):
 
 
 class ReachMeasures(_Measures):
-    """How far the arm gets while the tool points down.
+    """How far an arm gets while the tool points down whose shoulder, elbow and wrist have no offsets.
 
     Attributes:
         shoulder_height: above the base, m.
@@ -82,44 +85,75 @@ class ReachMeasures(_Measures):
         return sqrt(least), sqrt(greatest)
 
 
+Gains = Annotated[
+    tuple[Positive, ...],
+    Strict(False),
+    BeforeValidator(lambda value: value if isinstance(value, list | tuple) else (value,)),
+    Field(min_length=1, description="a positive number, or one for each joint"),
+]
+"""Of the joints, or one for all."""
+
+Driver = Literal["iiwa", "position"]
+
+
 class ControlMeasures(_Measures):
-    """How the arm is moved.
+    """How the arm is moved. What is said in rad is in m for joints that slide.
 
     Attributes:
+        driver: what stands between the wanted joint positions and the joints. "iiwa": Drake's `SimIiwaDriver`, inverse
+            dynamics and torques (it drives any arm); "position": each joint's own servo, with gravity compensated.
         period: of the inverse kinematics, s.
-        stiffness: kp of the driver's inverse dynamics controller, critically damped, 1/s².
+        stiffness: kp of an iiwa's inverse dynamics controller, critically damped, 1/s²; of a joint's servo, N m/rad, or
+            N/m; one number for all joints, or one for each.
+        damping: of a joint's servo, N m s/rad or N s/m, likewise; an iiwa driver has none.
         centering_gain: of the pull to the nominal posture in the null space, 1/s.
         limit_margin: kept from the joints' limits by the inverse kinematics, rad.
         path_limit_margin: kept from them by paths that are planned, rad.
         path_speed_share: of the joints' greatest speeds that such paths may use.
     """
 
+    driver: Annotated[Driver, Field(description=f"one of {', '.join(get_args(Driver))}")] = "iiwa"
     period: Positive
-    stiffness: Positive
+    stiffness: Gains
+    damping: Gains = (1.0,)
     centering_gain: Positive
     limit_margin: Positive
     path_limit_margin: Positive
     path_speed_share: Positive
 
 
+class SceneFiles(_Measures):
+    """Scenes with the robot at a table, as URLs of Drake's model directives or paths beside the robot.yaml.
+
+    Attributes:
+        push: to push in.
+        grasp: to grasp in too; null where the robot has no gripper.
+    """
+
+    push: Name
+    grasp: Name | None = None
+
+
 class ArmMeasures(_Measures):
-    """A robot's `robot.yaml`: what the model of the arm does not say.
+    """A robot's `robot.yaml`: what the model of the arm does not say. Joint limits are the model's.
 
     Attributes:
         base_frame: of the body that stands in the world.
         flange_frame: carries the tool.
         home: (3,) p_WP of the tip at the beginning, x and y from the robot's base, z from the table's top, m.
-        posture: where the search for the posture at home begins, about as it will be, rad.
-        reach: how far the arm gets.
+        posture: where the search for the posture at home begins, about as it will be, rad, or m where a joint slides.
+        reach: how far the arm gets, where a formula says it; null for the inverse kinematics to find out.
         control: how it is moved.
+        scenes: that have it, to name the robot instead of a scene; null for none.
     """
 
     base_frame: Name
     flange_frame: Name
     home: Annotated[Numbers, Field(min_length=3, max_length=3, description="a point [x, y, z], in m")]
-    posture: Annotated[Numbers, Field(min_length=1, description="joint angles, in rad")]
-    reach: ReachMeasures
+    posture: Annotated[Numbers, Field(min_length=1, description="joint positions, in rad or m")]
+    reach: ReachMeasures | None = None
     control: ControlMeasures
+    scenes: SceneFiles | None = None
 
 
 class FingerMeasures(_Measures):
@@ -141,11 +175,15 @@ class GripperMeasures(_Measures):
         mount_frame: by which it is carried.
         grasp_frame: in the middle between the pads.
         fingers: the bodies that may touch what is grasped.
+        max_force: that it grasps with, N.
+        closing_speed: greatest, of the opening, m/s.
     """
 
     mount_frame: Name
     grasp_frame: Name
     fingers: Annotated[tuple[str, ...], Strict(False), Field(min_length=2, description="names of bodies")]
+    max_force: Positive = 80.0
+    closing_speed: Positive = 0.15
     opening: Length
     pad_length: Length
     pad_width: Length
@@ -157,7 +195,8 @@ class GripperMeasures(_Measures):
 
     def make_side_gripper(self) -> SideGripper:
         """The gripper as grasps from the side are planned with it."""
-        return SideGripper(**self.model_dump(exclude={"mount_frame", "grasp_frame", "fingers"}))
+        lengths = {field.name for field in fields(SideGripper)} & set(GripperMeasures.model_fields)
+        return SideGripper(**self.model_dump(include=lengths))
 
 
 M = TypeVar("M", bound=_Measures)
@@ -238,6 +277,49 @@ def find_robot(directives: Sequence[ModelDirective]) -> Robot:
     return Robot(arm, finger, gripper, arm_model, finger_model, gripper_model, carried)
 
 
+def list_robots(*, grasping: bool = False) -> list[str]:
+    """Names of the robots that come with the package, or of those of them that can grasp."""
+    found = {path.parent.name: read_measures(path, ArmMeasures).scenes for path in _find_shipped().glob("*/robot.yaml")}
+    return sorted(name for name, scenes in found.items() if scenes and (scenes.grasp or not grasping))
+
+
+def make_robot_directives(robot: str, *, grasping: bool) -> list[ModelDirective]:
+    """Makes the directives of a scene that has a robot at a table.
+
+    Args:
+        robot: name of one that comes with the package; or the folder of one, or its robot.yaml.
+        grasping: whether it is to grasp, or only to push.
+
+    Returns:
+        The directives.
+
+    Raises:
+        ScenarioError: there is no such robot, its robot.yaml is not what it should be, or names no such scene.
+    """
+    path = Path(robot)
+    shipped = _find_shipped() / path.name / "robot.yaml"
+    if robot == path.name and is_file(shipped):
+        path = shipped
+    elif path.name != "robot.yaml":
+        path = path / "robot.yaml"
+    if not is_file(path):
+        near = suggest(robot, list_robots())
+        raise ScenarioError(f"robot {robot} is not known{near}, or the folder of a robot.yaml")
+    scenes = read_measures(path, ArmMeasures).scenes
+    scene = scenes and (scenes.grasp if grasping else scenes.push)
+    if not scene:
+        what = "grasp" if grasping else "push"
+        why = "has no gripper:" if grasping else "cannot be had:"
+        able = ", ".join(list_robots(grasping=grasping))
+        raise ScenarioError(f"robot {robot} {why} its robot.yaml names no scene to {what} in; expected one of {able}")
+    url = scene if "://" in scene else (path.resolve().parent / scene).as_uri()
+    return [ModelDirective(add_directives=AddDirectives(file=url))]
+
+
+def _find_shipped() -> Path:
+    return find_models() / "robots"
+
+
 def _find_measures(folders: dict[str, Path], file: str, schema: type[M]) -> tuple[str, M | None]:
     found = [(name, folder / file) for name, folder in folders.items() if is_file(folder / file)]
     if len(found) > 1:
@@ -283,6 +365,64 @@ def GetRobotInPlant(plant: MultibodyPlant, robot: Robot) -> RobotInPlant:
     return RobotInPlant(arm, finger, plant.GetModelInstanceByName(robot.gripper_model) if robot.gripper_model else None)
 
 
+def list_moving_joints(plant: MultibodyPlant, instance: ModelInstanceIndex) -> list[Joint]:
+    """A model's joints that move, in the order of its positions."""
+    joints = [plant.get_joint(index) for index in plant.GetJointIndices(instance)]
+    return [joint for joint in joints if joint.num_positions() > 0]
+
+
+def check_robot(plant: MultibodyPlant, robot: Robot) -> None:
+    """Checks a robot's joints in a finalised plant.
+
+    Raises:
+        ScenarioError: a body or frame that the measures name is not there, the arm's joints are not as many as they say
+            or have no limits or motors, or the gripper does not open as it should.
+    """
+    instances = GetRobotInPlant(plant, robot)
+    _check_joints(plant, robot, instances.arm)
+    if instances.gripper is not None:
+        _check_gripper(plant, robot, instances.gripper)
+
+
+def _check_joints(plant: MultibodyPlant, robot: Robot, arm: ModelInstanceIndex) -> None:
+    joints, model, measures = list_moving_joints(plant, arm), robot.arm_model, robot.arm
+    names = ", ".join(joint.name() for joint in joints)
+    one_each = {"posture": len(measures.posture)}
+    one_each |= {name: len(getattr(measures.control, name)) for name in ("stiffness", "damping")}
+    for name, count in one_each.items():
+        if count != len(joints) and (name == "posture" or count != 1):
+            raise ScenarioError(
+                f"directives: {name} in the robot.yaml of {model} has {count} numbers; "
+                f"expected {len(joints)}, one for each joint: {names}"
+            )
+    for joint in joints:
+        limits = [joint.position_lower_limits(), joint.position_upper_limits(), joint.velocity_upper_limits()]
+        if joint.num_positions() > 1 or not np.isfinite(limits).all():
+            raise ScenarioError(
+                f"directives: joint {joint.name()} of {model} has no limits; expected its model to limit position and "
+                "velocity"
+            )
+    motors = [plant.get_joint_actuator(index).joint().name() for index in plant.GetJointActuatorIndices(arm)]
+    if motors != [joint.name() for joint in joints]:
+        raise ScenarioError(
+            f"directives: joints of {model} with a motor are {', '.join(motors) or 'none'}; expected transmissions for "
+            f"{names}, in this order"
+        )
+
+
+def _check_gripper(plant: MultibodyPlant, robot: Robot, gripper: ModelInstanceIndex) -> None:
+    """Drake's controller takes two fingers that slide, the first the negative way."""
+    limits = [
+        (joint.position_lower_limits().tolist(), joint.position_upper_limits().tolist())
+        for joint in list_moving_joints(plant, gripper)
+    ]
+    if not (len(limits) == 2 and limits[0][1] == [0.0] and limits[1][0] == [0.0]):
+        raise ScenarioError(
+            f"directives: gripper {robot.gripper_model} does not open by two joints; expected the first to go "
+            "from -x to 0 and the second from 0 to x, m"
+        )
+
+
 def AddRobot(plant: MultibodyPlant, robot: Robot, X_WB: RigidTransform | None = None) -> RobotInPlant:
     """Adds a robot alone, and nothing else of its scene, to a plant. Call it before Finalize.
 
@@ -323,7 +463,8 @@ def _AddRigidGripper(plant: MultibodyPlant, robot: Robot, measures: GripperMeasu
     rigid = plant.AddRigidBody(base.name(), instance, inertia)
     for name in (measures.mount_frame, measures.grasp_frame):
         X_BF = whole.GetFrameByName(name, gripper).CalcPose(context, base.body_frame())
-        plant.AddFrame(FixedOffsetFrame(name, rigid.body_frame(), X_BF, instance))
+        if not plant.HasFrameNamed(name, instance):  # the body's own name
+            plant.AddFrame(FixedOffsetFrame(name, rigid.body_frame(), X_BF, instance))
     for weld in (d.add_weld for d in own if d.add_weld):
         _Weld(plant, weld)
 

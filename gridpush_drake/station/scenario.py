@@ -55,6 +55,10 @@ def _read_number(value: Any) -> Any:
 Number = Annotated[float, BeforeValidator(_read_number)]
 
 
+MAX_DELAY = 60.0
+"""s, of an answer."""
+
+
 def _positive(unit: str, low: float = MIN_SIZE, high: float = MAX_SIZE) -> Any:
     return Field(ge=low, le=high, description=f"a positive number, in {unit}, from {low:g} to {high:g}")
 
@@ -87,6 +91,8 @@ def _is_within(low: float, high: float) -> AfterValidator:
 
     return AfterValidator(check)
 
+
+Delay = Annotated[Number, Field(ge=0, le=MAX_DELAY)]
 
 Pair = Annotated[list[Number], Field(min_length=2, max_length=2)]
 
@@ -293,10 +299,34 @@ class SimulationConfig(_Config):
     Attributes:
         time_step: of the plant, s.
         stiction_tolerance: speed below which the plant takes contacts for sticking, m/s.
+        answer_delay: simulated, after which what takes long, learning and planning, is answered, s: 0 in the same
+            update, while the Diagram waits; otherwise beside the Diagram, which waits only when the delay is over, so
+            that a run is the same every time. null for real time: outputs hold until the answer comes.
     """
 
     time_step: Annotated[Number, _positive("s", low=1e-5, high=0.1)] = 0.002
     stiction_tolerance: Annotated[Number, _positive("m/s", low=1e-9)] = 1e-4
+    answer_delay: Annotated[Delay | None, Field(description="a number of seconds, 0 or more, or null")] = 0.0
+
+
+class SafetyConfig(_Config):
+    """What stops a real arm; see `ArmGuard`.
+
+    Attributes:
+        status_age: greatest age of what the robot says of itself, s.
+        acceleration: greatest of a joint, rad/s² (m/s² where it slides).
+        torque_share: greatest torque on a joint from outside, as a share of what the joint can give.
+        pose_jump: farthest that the object may be seen to move at once, m.
+        pose_turn: likewise, rad.
+        margin: beyond workspace and home, that the tip may go, m.
+    """
+
+    status_age: Annotated[Number, _positive("s")] = 0.05
+    acceleration: Annotated[Number, _positive("rad/s²")] = 10.0
+    torque_share: Annotated[Number, _positive("of the joint's own", high=1.0)] = 0.1
+    pose_jump: Annotated[Number, _positive("m")] = 0.03
+    pose_turn: Annotated[Number, _positive("rad")] = 0.3
+    margin: Annotated[Number, _not_negative("m")] = 0.1
 
 
 class WorkspaceConfig(_Config):
@@ -379,6 +409,7 @@ class PushScenario(_Config):
         workspace: of the finger's tip.
         goal: where to push the object to, where that is the task.
         pregrasp: how to slide it to the edge and grasp it, where that is the task; the scene has a `gripper`.
+        safety: what stops the arm, where it is a real one.
         others: further objects on the table, which pushes keep clear of, see `station.others`.
         seed: of everything random.
         directives: what stands in the scene besides the object, as Drake's model directives: a robot with a finger,
@@ -404,6 +435,7 @@ class PushScenario(_Config):
     workspace: WorkspaceConfig = WorkspaceConfig()
     goal: GoalConfig = GoalConfig()
     pregrasp: PreGraspConfig = PreGraspConfig()
+    safety: SafetyConfig = SafetyConfig()
     others: Annotated[list[OtherConfig], Field(description="a list of objects, each with a pose")] = []
     seed: Annotated[int, _count(0, MAX_SEED)] = 0
     directives: Annotated[
@@ -449,7 +481,12 @@ def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushSce
             the message names the file, the field and the expected form.
     """
     path = Path(path)
-    data = _parse(path, read_text(path, WHAT, ScenarioError, MAX_YAML_SIZE))
+    return parse_scenario(path, read_text(path, WHAT, ScenarioError, MAX_YAML_SIZE), child_name=child_name)
+
+
+def parse_scenario(path: Path, text: str, *, child_name: str | None = None) -> PushScenario:
+    """Makes a scenario of the text of a file, which need not be there; otherwise as `read_scenario`."""
+    data = _parse(path, text)
     where = str(path)
     if child_name is not None:
         where, data = f"{path}, {child_name}", _pick_child(path, data, child_name)
@@ -480,11 +517,16 @@ def write_scenario(path: Path | str, scenario: PushScenario, force: bool = False
         ScenarioError: a field holds what will not do.
         OutputError: the file exists and `force` is not set, or it cannot be written.
     """
+    write_whole(path, format_scenario(scenario), force)
+
+
+def format_scenario(scenario: PushScenario) -> str:
+    """A scenario with every field, as YAML. Raises ScenarioError where a field holds what will not do."""
     scenario.check()
     fields = scenario.model_dump(exclude={"directives"})
     text = yaml.safe_dump(fields, sort_keys=False, default_flow_style=None, allow_unicode=True, width=LINE_LENGTH)
     directives = ModelDirectives(directives=scenario.directives)
-    write_whole(path, text + yaml_dump_typed(directives, schema=ModelDirectives), force)
+    return text + str(yaml_dump_typed(directives, schema=ModelDirectives))
 
 
 def _parse(path: Path, text: str) -> dict[str, Any]:

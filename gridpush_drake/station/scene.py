@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydrake.geometry import SceneGraph, SceneGraphInspector, Sphere
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import ModelDirectives, ModelInstanceInfo, Parser, ProcessModelDirectives
@@ -17,7 +17,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 from shapely.geometry.base import BaseGeometry
 
-from gridpush_drake.errors import ObjectError, ScenarioError
+from gridpush_drake.errors import ObjectError, ScenarioError, StationError
 from gridpush_drake.files import is_file
 from gridpush_drake.geometry.se2 import transform_shape
 from gridpush_drake.multibody.contact_material import FindTableOutline
@@ -26,7 +26,8 @@ from gridpush_drake.multibody.parser import MakeParser
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.station.robot import GetRobotInPlant, Robot, find_robot
+from gridpush_drake.station.arm import ArmReach, CalcStartPosture, MakeControlPlant
+from gridpush_drake.station.robot import Robot, check_robot, find_robot
 from gridpush_drake.station.scenario import PushScenario, TruthConfig
 
 
@@ -111,9 +112,9 @@ def check_scenario(scenario: PushScenario) -> None:
     scenario.check()
     obj = load_object(scenario)
     _check_truth(scenario, obj)
-    plant, scene_graph = _parse_scene(scenario)
+    plant, scene_graph = ParseScene(scenario)
     robot = find_robot(scenario.directives)
-    GetRobotInPlant(plant, robot)
+    check_robot(plant, robot)
     _check_heights(scenario, robot.finger.tip_radius)
     inspector = scene_graph.model_inspector()
     table = FindTableOutline(plant, inspector)
@@ -128,7 +129,7 @@ def CalcTipReach(plant: MultibodyPlant, robot: Robot, tip_height: float) -> tupl
 
     Args:
         plant: finalised, with the robot.
-        robot: the robot.
+        robot: the robot; it has a `reach`.
         tip_height: of the tip's center, z in W, m.
 
     Returns:
@@ -137,6 +138,8 @@ def CalcTipReach(plant: MultibodyPlant, robot: Robot, tip_height: float) -> tupl
     context = plant.CreateDefaultContext()
     flange, tip = (plant.GetFrameByName(name) for name in (robot.arm.flange_frame, robot.finger.tip_frame))
     p_WR = CalcBasePose(plant, robot).translation()
+    if robot.arm.reach is None:
+        raise ScenarioError(f"directives: the robot.yaml of {robot.arm_model} has no reach; expected one")
     length = tip.CalcPose(context, flange).translation()[2]
     return p_WR[:2].copy(), *robot.arm.reach.calc_ring(length, tip_height - p_WR[2])
 
@@ -154,7 +157,8 @@ def CalcHome(plant: MultibodyPlant, robot: Robot) -> tuple[float, float, float]:
     return float(p_WR[0] + x), float(p_WR[1] + y), z
 
 
-def _parse_scene(scenario: PushScenario) -> tuple[MultibodyPlant, SceneGraph]:
+def ParseScene(scenario: PushScenario) -> tuple[MultibodyPlant, SceneGraph]:
+    """Makes a plant, finalised, of what stands in the scene besides the object; it is part of no Diagram."""
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, scenario.simulation.time_step)
     AddScene(MakeParser(plant), scenario)
@@ -238,17 +242,47 @@ def _check_tip(robot: Robot, plant: MultibodyPlant, inspector: SceneGraphInspect
 
 
 def _check_reach(scenario: PushScenario, plant: MultibodyPlant, robot: Robot) -> None:
-    p_WR, least, greatest = CalcTipReach(plant, robot, scenario.finger.push_height)
-    workspace, axis = scenario.workspace, shapely.Point(p_WR)
+    workspace = scenario.workspace
     box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
-    reach = f"between {least:.2f} and {greatest:.2f} m from the robot's axis"
-    if box.distance(axis) >= greatest or box.hausdorff_distance(axis) <= least:
-        raise ScenarioError(f"workspace is out of the arm's reach; expected a box with points {reach}")
+    if robot.arm.reach is not None:
+        p_WR, least, greatest = CalcTipReach(plant, robot, scenario.finger.push_height)
+        reach, axis = f"between {least:.2f} and {greatest:.2f} m from the robot's axis", shapely.Point(p_WR)
+        if box.distance(axis) >= greatest or box.hausdorff_distance(axis) <= least:
+            raise ScenarioError(f"workspace is out of the arm's reach; expected a box with points {reach}")
     x, y = scenario.object_pose[:2]
     if not box.covers(shapely.Point(x, y)):
         raise ScenarioError(
             f"workspace does not contain the object's position, ({x:g}, {y:g}) m; expected that it does"
         )
+    _check_home(scenario, plant, robot, box)
+
+
+WORKSPACE_STEP = 0.1
+"""m, between places of the workspace that an arm is asked about."""
+
+
+def _check_home(scenario: PushScenario, plant: MultibodyPlant, robot: Robot, box: BaseGeometry) -> None:
+    """That the arm reaches its home and, where no formula says it, the workspace from there."""
+    X_WR, home = CalcBasePose(plant, robot), CalcHome(plant, robot)
+    control_plant, base = MakeControlPlant(robot, X_WR), _describe_point(X_WR.translation())
+    try:
+        q_start = CalcStartPosture(control_plant, robot, home)
+    except StationError as error:
+        raise ScenarioError(
+            f"directives: {robot.arm_model} on its base at {base} does not reach its home, {_describe_point(home)}, "
+            "with the finger down; expected a base about as high as the table, and a home and posture that fit it"
+        ) from error
+    height = scenario.finger.push_height
+    reach = ArmReach(control_plant, robot, q_start)
+    if robot.arm.reach is None and reach.find_region(box.bounds, height, WORKSPACE_STEP).is_empty:
+        raise ScenarioError(
+            f"workspace is out of the arm's reach; expected a box with points that {robot.arm_model} on its base at "
+            f"{base} reaches at z = {height:g} m"
+        )
+
+
+def _describe_point(point: ArrayLike) -> str:
+    return "({:.3g}, {:.3g}, {:.3g}) m".format(*np.asarray(point, float))
 
 
 def _describe_size(shape: BaseGeometry) -> str:

@@ -7,14 +7,14 @@ begins, and goes on in short steps: after each the task writes down what is new,
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, DiagramBuilder, System
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
 
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.multibody.meshcat_server import AimCamera
@@ -25,7 +25,8 @@ from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import Sample
 from gridpush_drake.report.camera_figure import Sight
 from gridpush_drake.station.limit_monitor import LimitMonitor, LimitReport
-from gridpush_drake.station.push_station import PushStation
+from gridpush_drake.station.station import Station
+from gridpush_drake.systems.arm_guard import GuardMode
 from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
 from gridpush_drake.systems.messages import GraspCommand, PushCommand, PushStatus
 
@@ -43,6 +44,7 @@ class TaskStatus(StrEnum):
     REACHED = "reached"
     HELD = "held"
     DROPPED = "dropped"
+    STOPPED = "stopped"
 
 
 ADVANCE = 0.1
@@ -69,6 +71,9 @@ SOURCES = {
 COMMANDS = ("push_command", "grasp_command")
 """Ports that command the station, named alike on both sides."""
 
+TRUE_POSE, GUARD_STATUS = "object.pose_true", "guard.status"
+"""Ports that a station has only where it is simulated, and only where it is not."""
+
 SHOWN = ("mass", "friction", "contact_friction", "center_of_mass", "center_of_mass_covariance")
 """Estimates that are drawn."""
 
@@ -89,7 +94,7 @@ class TaskRecord:
 
     Attributes:
         obj: the object.
-        truth: what it really weighs and how it rubs.
+        truth: what it really weighs and how it rubs; None where nobody knows, of a real one.
         log: all pushes, in order.
         stream: all that the identifier saw, of which the pushes were cut.
         sight: what a color and depth camera saw; None where the camera is ideal.
@@ -101,7 +106,7 @@ class TaskRecord:
     """
 
     obj: GridObject
-    truth: CellParameters
+    truth: CellParameters | None
     log: PushLog = field(default_factory=lambda: PushLog(()), kw_only=True)
     stream: list[Sample] = field(default_factory=list, kw_only=True)
     sight: Sight | None = field(default=None, kw_only=True)
@@ -165,6 +170,19 @@ class Waiting:
     idle: float
 
 
+class Drive(Protocol):
+    """What moves the time of a station that is no simulation on; see `HardwareLink`."""
+
+    def begin(self, diagram: Diagram, station: Station, context: Context) -> None:
+        """Writes what is known of the robot into a fresh Context of the Diagram that the station is in."""
+
+    def advance(self, simulator: Simulator, time: float) -> None:
+        """Goes on to a time, s."""
+
+    def finish(self, simulator: Simulator) -> None:
+        """Brings the robot to rest and holds it there."""
+
+
 class StationTask(Generic[R]):
     """A station with what commands it; to be run once or many times.
 
@@ -175,6 +193,8 @@ class StationTask(Generic[R]):
         controller: what commands it.
         diagram: of both.
         simulator: of the diagram.
+        simulated: whether the robot is, so that more is known than what it sees.
+        judged_pose: the port with the object's pose by which its place is judged.
     """
 
     lost_after: ClassVar[float]
@@ -183,9 +203,7 @@ class StationTask(Generic[R]):
     timeout: ClassVar[float]
     """Simulated without anything new, after which the task is stuck, s."""
 
-    def __init__(
-        self, builder: DiagramBuilder, station: PushStation, controller: System, meshcat: Meshcat | None
-    ) -> None:
+    def __init__(self, builder: DiagramBuilder, station: Station, controller: System, meshcat: Meshcat | None) -> None:
         """Connects a station with what commands it, and builds the Diagram.
 
         Args:
@@ -203,6 +221,8 @@ class StationTask(Generic[R]):
         if meshcat is not None:
             AddEstimateVisualizer(builder, station, controller, meshcat)
         self.station, self.diagram, self._controller = station, builder.Build(), controller
+        self.simulated: bool = station.HasOutputPort(TRUE_POSE)
+        self.judged_pose = TRUE_POSE if self.simulated else "object.pose"
         self.diagram.set_name(type(self).__name__)
         self.simulator = Simulator(self.diagram)
         self._last_seen = self._last_new = 0.0
@@ -225,32 +245,37 @@ class StationTask(Generic[R]):
     def finish(self, record: R) -> None:
         """Completes the record of a run that has ended."""
 
-    def run(self, seed: int | None = None, progress: Progress | None = None, realtime_rate: float = 0.0) -> R:
+    def run(
+        self,
+        seed: int | None = None,
+        progress: Progress | None = None,
+        realtime_rate: float = 0.0,
+        drive: Drive | None = None,
+    ) -> R:
         """Runs the task from its beginning.
 
         Args:
             seed: of everything random, instead of the scenario's.
             progress: told after every step.
             realtime_rate: at most so many simulated seconds a second; 0 for as fast as possible.
+            drive: of a station that is no simulation; it has a rate of its own.
 
         Returns:
             What came of it. Ctrl-C ends it early, with what there is by then.
         """
         simulator, station = self.simulator, self.station
-        simulator.reset_context(self.diagram.CreateDefaultContext())
+        self.begin(seed, drive)
         context = simulator.get_mutable_context()
-        seed = station.scenario.seed if seed is None else seed
-        station.SetStart(context, seed)
-        self.prepare(context, seed)
         monitor, record = LimitMonitor(station), self.make_record()
         record.truth, record.limit_report = station.GetTruth(context), monitor.limit_report
         self._last_seen = self._last_new = 0.0
         simulator.set_target_realtime_rate(realtime_rate)
         simulator.set_monitor(monitor)
+        advance = Simulator.AdvanceTo if drive is None else drive.advance
         try:
             simulator.Initialize()
             while not record.status:
-                simulator.AdvanceTo(context.get_time() + ADVANCE)
+                advance(simulator, context.get_time() + ADVANCE)
                 self._observe(record)
                 if progress is not None:
                     progress(self.read("executor.status"), len(record.log))
@@ -259,9 +284,34 @@ class StationTask(Generic[R]):
             if not record.status:
                 message = f"Interrupted after {len(record.log)} pushes."
                 record.status, record.message = TaskStatus.INTERRUPTED, message
+        if drive is not None:
+            drive.finish(simulator)
         record.stream, record.sight = station.FindStream(context), station.FindSight(context)
         self.finish(record)
         return record
+
+    def begin(self, seed: int | None = None, drive: Drive | None = None) -> None:
+        """Gives the simulator a fresh Context in which all is where it begins; see `run`."""
+        self.simulator.reset_context(self.diagram.CreateDefaultContext())
+        context = self.simulator.get_mutable_context()
+        seed = self.station.scenario.seed if seed is None else seed
+        if drive is not None:
+            drive.begin(self.diagram, self.station, context)
+        self.station.SetStart(context, seed)
+        self.prepare(context, seed)
+
+    def preview(self, drive: Drive, within: float) -> PushCommand | None:
+        """The first push that the task would make, while nothing moves; None where there is none within a time, s."""
+        self.begin(drive=drive)
+        self.simulator.Initialize()
+        time = 0.0
+        while time < within:
+            time += ADVANCE
+            drive.advance(self.simulator, time)
+            command = PushCommand.from_vector(self.read("push_command", self._controller))
+            if command.command_id:
+                return command
+        return None
 
     def read(self, port: str, system: System | None = None) -> Any:
         """What an output port shows at present: of the station, or of another `system` of the Diagram."""
@@ -306,15 +356,20 @@ class StationTask(Generic[R]):
         found = self.read("estimate.identification")
         if found.push_names and (not record.estimates or found is not record.estimates[-1]):
             record.estimates.append(found)
-        if np.isfinite(self.read("object.pose")).all():
+        hidden = self.station.found is not None and not self.read("executor.status").ready  # by the arm at work
+        if hidden or np.isfinite(self.read("object.pose")).all():
             self._last_seen = time
         if self.note(record, time):
             self._last_new = time
         record.status, record.message = self.judge(record, Waiting(time - self._last_seen, time - self._last_new))
+        guard = self.read(GUARD_STATUS) if self.station.HasOutputPort(GUARD_STATUS) else None
+        if guard is not None and guard.mode == GuardMode.HOLDING:
+            record.status = TaskStatus.INTERRUPTED if guard.by_user else TaskStatus.STOPPED
+            record.message = f"The arm was stopped at {guard.since:.2f} s and is held: {guard.reason}."
 
 
 def AddEstimateVisualizer(
-    builder: DiagramBuilder, station: PushStation, controller: System, meshcat: Meshcat
+    builder: DiagramBuilder, station: Station, controller: System, meshcat: Meshcat
 ) -> EstimateVisualizer:
     """Shows the station's estimate and what the controller commands, in Meshcat."""
     part = station.object_in_plant

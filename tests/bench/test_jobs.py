@@ -48,6 +48,18 @@ def leave(job: Job) -> list[Found]:
     os._exit(7)
 
 
+def leave_some(job: Job) -> list[Found]:
+    return leave(job) if job.number < 0 else double(job)
+
+
+def stumble(job: Job) -> list[Found]:
+    with (job.folder / "tries").open("a") as file:
+        file.write(f"{job.number}\n")
+    if job.number == 1 and (job.folder / "tries").read_text().count("1") < 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return double(job)
+
+
 def make_jobs(tmp_path, numbers):
     return [Job(number, tmp_path) for number in numbers]
 
@@ -73,9 +85,21 @@ def test_a_jobs_error_is_the_benchs(tmp_path, workers):
         run_jobs(double, make_jobs(tmp_path, [1, -1]), describe, Execution(workers))
 
 
-def test_a_worker_that_ends_is_an_error(tmp_path):
-    with pytest.raises(GridPushError, match="exit code 7"):
-        run_jobs(leave, make_jobs(tmp_path, [1]), describe, Execution(1))
+def test_a_killed_workers_job_is_done_again(tmp_path):
+    found = run_jobs(stumble, make_jobs(tmp_path, [1, 2, 3]), describe, Execution(2))
+    assert [results[0].double for results in found] == [2, 4, 6]
+    assert sorted((tmp_path / "tries").read_text().split()) == ["1", "1", "1", "2", "3"]
+    assert sorted((tmp_path / "runs").read_text().split()) == ["1", "2", "3"]
+
+
+def test_a_job_that_ends_every_worker_is_named_when_the_others_are_done(tmp_path):
+    def told(job):
+        return f"job {job.number}"
+
+    results = open_results(tmp_path / "kept.jsonl", "leaving", {})
+    with pytest.raises(GridPushError, match="job -7: ended 3 workers without an answer, exit code 7"):
+        run_jobs(leave_some, make_jobs(tmp_path, [-7, 2, 3]), told, Execution(1, None, results))
+    assert len(open_results(tmp_path / "kept.jsonl", "leaving", {}).lines) == 2
 
 
 def test_finished_jobs_are_not_run_again(tmp_path):

@@ -14,6 +14,7 @@ from gridpush_drake.bench.perception import (
     run_track,
     tabulate_outlines,
     tabulate_photos,
+    tabulate_tags,
     tabulate_tracks,
 )
 from gridpush_drake.errors import GridPushError
@@ -37,6 +38,15 @@ def test_a_rendered_push_is_tracked_past_the_arm():
     assert np.sqrt((errors[:, 2] ** 2).mean()) < np.radians(0.5)
 
 
+@pytest.mark.slow
+def test_a_tag_is_tracked():
+    score = run_track(TrackJob("claw_hammer", 1, 0, tag=True))
+    errors = np.array(score.errors)
+    assert len(errors) == score.frames - score.lost > score.frames / 2
+    assert np.sqrt((errors[:, :2] ** 2).sum(axis=1).mean()) < 3e-4
+    assert np.sqrt((errors[:, 2] ** 2).mean()) < np.radians(0.3)
+
+
 def test_tables():
     photos = tabulate_photos([PhotoScore("a", (0.9, 0.8, 0.7)), PhotoScore("b", (1.0, 0.6, 0.5))])
     assert photos.rows[-1][1:] == pytest.approx((0.95, 0.7, 0.6))
@@ -46,6 +56,8 @@ def test_tables():
     (row, _) = tabulate_tracks([TrackScore("a", 5, 1, errors, [sure, sure])]).rows
     assert row[:4] == ("a", 5, 1, 2)
     assert row[4:] == pytest.approx((1.0, np.degrees(0.03 / np.sqrt(2)), 100 * 5 / 6))
+    (row, _) = tabulate_tags([TrackScore("a", 5, 3, errors, [(float("nan"),) * 3] * 2)]).rows
+    assert row == pytest.approx(("a", 5, 3, 1.0, np.degrees(0.03 / np.sqrt(2))))
 
 
 def test_a_folder_without_photographs_is_named(tmp_path):

@@ -13,10 +13,14 @@ from tests.helpers.made_identifications import make_block
 
 
 def test_measures_everything():
-    push, sizes, start_up = run(load_hammer(None), repetitions=3, sizes=(4, 400, 900), with_mujoco=False)
+    push, sizes, identification, start_up = run(
+        load_hammer(None), repetitions=3, sizes=(4, 400, 900), logs=((16, 3),), with_mujoco=False
+    )
     assert push.rows[0][0] == "inertial"
     assert [row[0] for row in sizes.rows] == [4, 400, 900]
     assert "slope" in sizes.notes[-1]
+    assert [row[:2] for row in identification.rows] == [[16, 3]]
+    assert all(value > 0 for value in identification.rows[0][2:])
     assert len(start_up.rows) == 3
 
 
@@ -35,5 +39,5 @@ def test_the_command(capsys, tmp_path):
     out = tmp_path / "speed.md"
     outcome = run_gridpush(capsys, "bench", "speed", "--repetitions", "3", "--no-mujoco", "--out", out, "--json")
     assert outcome.code == 0, outcome.err
-    assert len(json.loads(outcome.out)["tables"]) == 3
+    assert len(json.loads(outcome.out)["tables"]) == 4
     assert out.read_text().startswith("### One push")

@@ -142,6 +142,17 @@ def test_refuses_a_scenario_that_makes_no_sense(refuses, tmp_path, text, says):
     refuses("demo", "--task", "identify", "--scenario", path, "--out", tmp_path / "demo", says=says)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--robot", "pandaa"], ["pandaa", "did you mean panda", "gantry, iiwa14, panda"]),
+        (["--robot", "gantry"], ["gantry has no gripper", "expected one of iiwa14, panda"]),
+    ],
+)
+def test_refuses_a_robot_that_it_cannot_have(refuses, tmp_path, arguments, says):
+    refuses("demo", *arguments, "--out", tmp_path / "demo", says=says)
+
+
 def test_refuses_an_unknown_camera(refuses, tmp_path):
     refuses("demo", "--camera", "lidar", "--out", tmp_path / "demo", says=["--camera", "lidar", "rgbd"])
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from pydrake.geometry import Box, Capsule, Cylinder, Role
+from pydrake.geometry import Box, Capsule, Cylinder, Role, Sphere
 from pydrake.math import RollPitchYaw
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.multibody.tree import BodyIndex
@@ -25,6 +25,8 @@ SCENARIOS = [file for file in FILES if file.startswith("scenarios/")]
 OBJECTS = [file for file in FILES if file.startswith("objects/")]
 MEASURES = [file for file in FILES if file.endswith(("/robot.yaml", "/finger.yaml", "/gripper.yaml"))]
 MODELS = [file for file in FILES if file.endswith((".sdf", ".urdf"))]
+ARMS = ("iiwa", "panda", "gantry")
+ROBOTS = [file for file in MODELS if file.startswith("robots/")]
 TABLE_SCENES = [file for file in SCENES if "name: table" in (find_models() / file).read_text()]
 
 
@@ -90,12 +92,52 @@ def test_inertia_is_that_of_a_body_within_the_shapes(file):
         assert np.sqrt(np.trace(G) / 2) < reach, body.name()
 
 
+def surface(shape):
+    """Points on a shape's surface, in its frame."""
+    turns = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    ring = np.column_stack([np.cos(turns), np.sin(turns), 0 * turns])
+    up = np.array([0, 0, 1.0])
+    if isinstance(shape, Box):
+        corners = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5])).reshape(3, -1).T
+        return corners * [shape.width(), shape.depth(), shape.height()]
+    if isinstance(shape, Cylinder):
+        return np.vstack([shape.radius() * ring + s * shape.length() * up for s in (-0.5, 0, 0.5)])
+    length = shape.length() if isinstance(shape, Capsule) else 0.0
+    assert isinstance(shape, Capsule | Sphere)
+    caps = []
+    for lift in np.linspace(0, np.pi / 2, 7):
+        for side in (-1, 1):
+            z = side * (length / 2 + shape.radius() * np.sin(lift))
+            caps.append(shape.radius() * np.cos(lift) * ring + z * up)
+    return np.vstack(caps)
+
+
+@pytest.mark.parametrize("file", ROBOTS)
+def test_collision_shapes_of_an_arm_contain_the_visible_ones(file):
+    plant, scene_graph, diagram = parse(file)
+    root = diagram.CreateDefaultContext()
+    context, inspector = plant.GetMyContextFromRoot(root), scene_graph.model_inspector()
+    query = scene_graph.get_query_output_port().Eval(scene_graph.GetMyContextFromRoot(root))
+    count = 0
+    for index in plant.GetBodyIndices(plant.GetModelInstanceByName(file.split("/")[1])):
+        body = plant.get_body(index)
+        own = set(plant.GetCollisionGeometriesForBody(body))
+        X_WL = plant.EvalBodyPoseInWorld(context, body)
+        for visual in plant.GetVisualGeometriesForBody(body):
+            X_WG = X_WL @ inspector.GetPoseInFrame(visual)
+            for p in surface(inspector.GetShape(visual)):
+                near = query.ComputeSignedDistanceToPoint(X_WG @ p)
+                assert min(d.distance for d in near if d.id_G in own) < 1e-6, inspector.GetName(visual)
+                count += 1
+    assert count > (90 if "gantry" in file else 1000)  # a box has its corners only
+
+
 @pytest.mark.parametrize("file", SCENES)
 def test_scene_is_parsed_and_starts_without_contact(file):
     plant, scene_graph, diagram = parse(file)
     context = diagram.CreateDefaultContext()
     query = scene_graph.get_query_output_port().Eval(scene_graph.GetMyContextFromRoot(context))
-    assert plant.HasModelInstanceNamed("iiwa")
+    assert [name for name in ARMS if plant.HasModelInstanceNamed(name)] == [file.split("/")[1].split("_")[0]]
     assert not query.ComputePointPairPenetration()
 
 
@@ -108,8 +150,9 @@ def test_scene_starts_with_the_finger_down_over_the_table(file):
 
 
 def test_scenes_come_with_and_without_a_gripper():
-    assert [parse(file)[0].HasModelInstanceNamed("gripper") for file in TABLE_SCENES].count(True) == 1
-    assert len(TABLE_SCENES) >= 3
+    able = [file for file in TABLE_SCENES if parse(file)[0].HasModelInstanceNamed("gripper")]
+    assert able == ["scenes/iiwa_grasp.dmd.yaml", "scenes/panda_grasp.dmd.yaml"]
+    assert len(TABLE_SCENES) >= 5
 
 
 @pytest.mark.parametrize(

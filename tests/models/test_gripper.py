@@ -5,13 +5,16 @@ import pytest
 from pydrake.geometry import Box
 from pydrake.manipulation import SchunkWsgPositionController
 from pydrake.math import RigidTransform, RollPitchYaw
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
+from pydrake.multibody.math import SpatialForce
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, ExternallyAppliedSpatialForce
 from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
 from gridpush_drake.multibody.parser import MakeParser, find_models
+from gridpush_drake.planning.pregrasp.flat_parts import PadLimit
+from gridpush_drake.station.robot import GripperMeasures, read_measures
 
 CLOSING_DOWN = RigidTransform(RollPitchYaw(-np.pi / 2, np.pi / 2, 0.0), [0.0, 0.0, 0.0])
 """X_WB of the gripper's body: fingers forward, closing vertically, as the bracket holds it."""
@@ -25,16 +28,16 @@ BAR = Box(0.2, 0.03, 0.03)
 class Grip:
     """A gripper fixed to the world, its controller, and perhaps a bar between the pads."""
 
-    def __init__(self, bar_mass=None, X_WB=CLOSING_DOWN):
+    def __init__(self, bar_mass=None, X_WB=CLOSING_DOWN, shape=BAR):
         builder = DiagramBuilder()
         self.plant, _ = AddMultibodyPlantSceneGraph(builder, 0.002)
         MakeParser(self.plant).AddModelsFromUrl("package://gridpush_drake/grippers/wsg_50/wsg_50.sdf")
         self.gripper = self.plant.GetModelInstanceByName("gripper")
         self.plant.WeldFrames(self.plant.world_frame(), self.plant.GetFrameByName("body"), X_WB)
         if bar_mass is not None:
-            inertia = SpatialInertia.SolidBoxWithMass(bar_mass, *BAR.size())
+            inertia = SpatialInertia.SolidBoxWithMass(bar_mass, *shape.size())
             self.bar = self.plant.AddRigidBody("bar", self.plant.AddModelInstance("bar"), inertia)
-            self.plant.RegisterCollisionGeometry(self.bar, RigidTransform(), BAR, "bar", CoulombFriction(0.5, 0.5))
+            self.plant.RegisterCollisionGeometry(self.bar, RigidTransform(), shape, "bar", CoulombFriction(0.5, 0.5))
         self.plant.Finalize()
         controller = builder.AddSystem(SchunkWsgPositionController())
         self.opening = builder.AddSystem(ConstantVectorSource([0.1]))
@@ -104,6 +107,37 @@ def test_it_holds_a_bar_that_hangs_out_to_one_side():
     assert np.degrees(turned) < 0.5
     assert np.linalg.norm(X_WB.translation() - start.translation()) < 0.003
     assert np.diff(grip.position) == pytest.approx(0.03, abs=1e-3)
+
+
+def calc_tilt(mass, d_x, d_y):
+    """Of a plate gripped where its middle is d_x further along the fingers and d_y across, degrees.
+
+    As when it is lifted off a table, what bears it goes bit by bit.
+    """
+    grip = Grip(bar_mass=mass, shape=Box(0.2, 0.3, 0.03))
+    p_WG = grip.plant.GetFrameByName("grasp").CalcPoseInWorld(grip.plant_context).translation()
+    forward, up = CLOSING_DOWN.rotation().matrix()[:, 1], np.array([0.0, 0.0, 1.0])
+    start = RigidTransform(p_WG + d_x * forward + d_y * np.cross(up, forward))
+    grip.plant.SetFreeBodyPose(grip.plant_context, grip.bar, start)
+    grip.plant.SetPositions(grip.plant_context, grip.gripper, [-0.015, 0.015])
+    support = ExternallyAppliedSpatialForce()
+    support.body_index = grip.bar.index()
+    for borne in np.linspace(1.0, 0.0, 30):
+        support.F_Bq_W = SpatialForce(np.zeros(3), borne * mass * 9.81 * up)
+        grip.plant.get_applied_spatial_force_input_port().FixValue(grip.plant_context, [support])
+        grip.move(FULL_FORCE, 0.05)
+    grip.move(FULL_FORCE, 1.0)
+    return np.degrees(np.arccos(grip.bar.EvalPoseInWorld(grip.plant_context).rotation().matrix()[2, 2]))
+
+
+@pytest.mark.parametrize(("d_x", "d_y"), [(0.05, 0.0), (0.08, 0.0), (0.0, 0.07), (0.08, 0.04)])
+def test_a_plate_is_held_as_far_as_the_pads_limit_says_and_no_further(d_x, d_y):
+    gripper = read_measures(find_models() / "grippers/wsg_50/gripper.yaml", GripperMeasures).make_side_gripper()
+    pads = PadLimit(gripper, 80.0, weight=1.0)
+    (share,) = pads.calc_shares(np.zeros((1, 2)), np.zeros(1), np.array([[d_x, d_y]]))  # of each newton
+    limit = 1.0 / share / 9.81
+    assert calc_tilt(0.95 * limit, d_x, d_y) < 0.5
+    assert calc_tilt(2.5 * limit, d_x, d_y) > 10.0
 
 
 def test_the_bracket_lets_it_close_vertically_with_the_right_finger_below():

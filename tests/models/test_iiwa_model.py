@@ -4,7 +4,7 @@ from math import pi
 
 import numpy as np
 import pytest
-from pydrake.geometry import Box, Capsule, Cylinder, Role, Sphere
+from pydrake.geometry import Role
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
@@ -142,43 +142,6 @@ def test_mass_matrix_is_that_of_the_table(iiwa):
         np.testing.assert_allclose(got, M, atol=1e-12)
         np.testing.assert_allclose(got, got.T, atol=1e-12)
         assert np.linalg.eigvalsh(got).min() > 0.1
-
-
-def surface(shape):
-    """Points on a shape's surface, in its frame."""
-    turns = np.linspace(0, 2 * pi, 24, endpoint=False)
-    ring = np.column_stack([np.cos(turns), np.sin(turns), 0 * turns])
-    up = np.array([0, 0, 1.0])
-    if isinstance(shape, Box):
-        corners = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5])).reshape(3, -1).T
-        return corners * [shape.width(), shape.depth(), shape.height()]
-    if isinstance(shape, Cylinder):
-        return np.vstack([shape.radius() * ring + s * shape.length() * up for s in (-0.5, 0, 0.5)])
-    length = shape.length() if isinstance(shape, Capsule) else 0.0
-    assert isinstance(shape, Capsule | Sphere)
-    caps = []
-    for lift in np.linspace(0, pi / 2, 7):
-        for side in (-1, 1):
-            z = side * (length / 2 + shape.radius() * np.sin(lift))
-            caps.append(shape.radius() * np.cos(lift) * ring + z * up)
-    return np.vstack(caps)
-
-
-def test_collision_shapes_contain_the_visible_ones(iiwa):
-    inspector = iiwa.scene_graph.model_inspector()
-    query = iiwa.scene_graph.get_query_output_port().Eval(iiwa.scene_graph.GetMyContextFromRoot(iiwa.root))
-    count = 0
-    for i in range(8):
-        body = iiwa.plant.GetBodyByName(f"iiwa_link_{i}")
-        own = set(iiwa.plant.GetCollisionGeometriesForBody(body))
-        X_WL = iiwa.plant.EvalBodyPoseInWorld(iiwa.context, body)
-        for visual in iiwa.plant.GetVisualGeometriesForBody(body):
-            X_WG = X_WL @ inspector.GetPoseInFrame(visual)
-            for p in surface(inspector.GetShape(visual)):
-                near = query.ComputeSignedDistanceToPoint(X_WG @ p)
-                assert min(d.distance for d in near if d.id_G in own) < 1e-6, inspector.GetName(visual)
-                count += 1
-    assert count > 1000
 
 
 def test_every_visible_shape_has_a_color(iiwa):

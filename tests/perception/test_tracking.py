@@ -3,6 +3,7 @@ import pytest
 
 from gridpush_drake.errors import CameraError, ImageError, PerceptionError
 from gridpush_drake.perception import Camera, PoseTracker
+from gridpush_drake.perception.tracking import calc_dilution
 from tests.helpers.pictures import make_camera, paint
 
 L_SHAPE = np.array([[0, 0], [0.14, 0], [0.14, 0.04], [0.05, 0.04], [0.05, 0.12], [0, 0.12]]) - [0.05, 0.04]
@@ -84,6 +85,29 @@ def test_what_the_arm_covers_widens_the_covariance():
     with_depth = look(L_SHAPE, START + [0.003, 0, 0], arm)
     _, by_height = tracker.track(before, with_depth)
     np.testing.assert_array_less(np.abs(by_height.pose - START - [0.003, 0, 0]), [1e-3, 1e-3, np.radians(0.5)])
+
+
+def test_what_covers_too_much_hides_the_object():
+    tracker = PoseTracker(L_SHAPE, HEIGHT, make_camera())
+    state = tracker.start(look(L_SHAPE, START))
+    frame = look(L_SHAPE, START)
+    covered = np.ones(frame.color.shape[:2], dtype=bool)
+    column = round(float(make_camera().project(np.array([[*(START[:2] + 0.02), 0.0]]))[0, 0]))
+    covered[:, column - 22 : column + 22] = False  # two nearly parallel edges tell nothing of the place along them
+    state, hidden = tracker.track(state, frame, covered)
+    assert not hidden.seen
+    assert np.isnan(hidden.pose).all()
+    state, free = tracker.track(state, look(L_SHAPE, START + [0.003, 0, 0], seed=1))
+    assert free.seen
+    np.testing.assert_array_less(np.abs(free.pose - START - [0.003, 0, 0]), [1e-3, 1e-3, np.radians(0.5)])
+
+
+def test_dilution_is_the_worst_direction_s():
+    turn, _ = np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))
+    whole = turn @ np.diag([4.0, 9.0, 16.0]) @ turn.T
+    left = turn @ np.diag([4.0, 1.0, 8.0]) @ turn.T
+    assert calc_dilution(whole, left) == pytest.approx(3.0)
+    assert calc_dilution(whole, whole) == pytest.approx(1.0)
 
 
 def test_lost_is_nan_and_found_again_elsewhere():

@@ -14,8 +14,9 @@ from gridpush_drake.pushes.stream import record_pushes
 from gridpush_drake.station import camera as station_camera
 from gridpush_drake.station.camera import calc_pose_age, make_camera
 from gridpush_drake.station.identify_task import FINISHED, IdentifyTask
-from gridpush_drake.station.push_station import LoadPushedObject, TakePhotograph
+from gridpush_drake.station.push_station import TakePhotograph
 from gridpush_drake.station.scenario import CameraConfig, PushScenario, RgbdConfig, read_scenario
+from gridpush_drake.station.station import LoadPushedObject
 from tests.helpers.renderer import require_renderer
 from tests.helpers.shapes import make_shape
 

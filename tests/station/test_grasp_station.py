@@ -10,8 +10,9 @@ from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.planning.pregrasp.side_grasp import choose_varied, find_side_grasps
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.station.limit_monitor import LimitMonitor
-from gridpush_drake.station.push_station import MakePushStation, make_style
+from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.scenario import PushScenario, read_scenario
+from gridpush_drake.station.station import make_style
 from gridpush_drake.systems.messages import GraspCommand, PushCommand
 
 TRIED = 20  # of the best grasps, that the arm is asked about

@@ -12,9 +12,9 @@ from gridpush_drake.station.identify_task import IdentifyTask
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.others import place_others
 from gridpush_drake.station.pregrasp_task import PreGraspTask
-from gridpush_drake.station.push_station import MakeFingerRegion, make_surface
 from gridpush_drake.station.push_task import PushTask, make_rules
 from gridpush_drake.station.scene import check_scenario
+from gridpush_drake.station.station import MakeFingerRegion, make_surface
 from gridpush_drake.station.task import TaskStatus
 
 SCENARIO = """

@@ -3,10 +3,12 @@ import pytest
 from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.errors import ScenarioError
+from gridpush_drake.station.arm import DRIVER_OUTPUTS
 from gridpush_drake.station.limit_monitor import LimitMonitor
-from gridpush_drake.station.push_station import ESTIMATE_OUTPUTS, IIWA_OUTPUTS, MakePushStation
+from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import MakeTruth
+from gridpush_drake.station.station import ESTIMATE_OUTPUTS
 from gridpush_drake.systems.messages import PushCommand
 
 
@@ -37,7 +39,7 @@ def simulator(station):
 
 def test_has_the_ports_it_names(station):
     outputs = {station.get_output_port(i).get_name() for i in range(station.num_output_ports())}
-    assert {f"iiwa.{name}" for name in IIWA_OUTPUTS} | {f"estimate.{name}" for name in ESTIMATE_OUTPUTS} <= outputs
+    assert {f"iiwa.{name}" for name in DRIVER_OUTPUTS} | {f"estimate.{name}" for name in ESTIMATE_OUTPUTS} <= outputs
     assert {"executor.status", "pusher.state", "object.pose", "object.pose_true", "contact_results"} <= outputs
     assert [station.get_input_port(i).get_name() for i in range(station.num_input_ports())] == ["push_command"]
 

@@ -1,44 +1,65 @@
 """A robot is a folder: its measures stand beside its model, and another arm needs no change to the package."""
 
+import re
 from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
+from gridpush_drake.station.arm import ArmReach, CalcStartPosture, MakeControlPlant
+from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.push_station import MakePushStation
-from gridpush_drake.station.robot import FingerMeasures, find_robot, read_measures
-from gridpush_drake.station.scenario import read_scenario
+from gridpush_drake.station.robot import FingerMeasures, find_robot, make_robot_directives, read_measures
+from gridpush_drake.station.scenario import PushScenario, read_scenario
 from gridpush_drake.station.scene import CalcTipReach, check_scenario
+from gridpush_drake.station.station import MakeRing
 from gridpush_drake.systems.messages import PushCommand
 
 BASE = (0.05, -0.02, 0.08)
 """Of the second arm's base in the world, m."""
 
-SCENARIO = """
-object_pose: [0.65, 0.0, 0.0]
-directives:
-- add_model: {{name: other, file: file://{folder}/arm.urdf}}
-- add_weld: {{parent: world, child: 'other::other_link_0', X_PC: {{translation: [{x}, {y}, {z}]}}}}
-- add_model: {{name: stick, file: 'package://gridpush_drake/fingers/rod/finger.sdf'}}
-- add_weld: {{parent: 'other::other_link_ee_kuka', child: 'stick::finger'}}
-- add_model: {{name: table, file: 'package://gridpush_drake/tables/rectangle.sdf'}}
-- add_weld: {{parent: world, child: 'table::table', X_PC: {{translation: [0.6, 0.0, 0.0]}}}}
-"""
+DOCS = Path(__file__).parents[2] / "docs/extending.md"
+
+
+def read_docs():
+    """The robot.yaml and the directives that stand under "A robot of your own"."""
+    section = DOCS.read_text().partition("## A robot of your own")[2]
+    measures, directives = re.findall("```yaml\n(.*?)```", section, re.DOTALL)[:2]
+    return measures, directives
 
 
 @pytest.fixture
 def second_arm(tmp_path):
-    """A scenario with an arm of other names at another height, its folder outside the package."""
-    iiwa = find_models() / "robots/iiwa14"
-    for source, target in (("iiwa14_primitives.urdf", "arm.urdf"), ("robot.yaml", "robot.yaml")):
-        (tmp_path / target).write_text((iiwa / source).read_text().replace("iiwa_", "other_"))
+    """A scenario as the docs say, with an arm of six joints at another height, its folder outside the package."""
+    measures, directives = read_docs()
+    (tmp_path / "robot.yaml").write_text(measures)
+    urdf = (find_models() / "robots/iiwa14/iiwa14_primitives.urdf").read_text()
+    urdf = re.sub('<transmission name="iiwa_transmission_3">.*?</transmission>', "", urdf, flags=re.DOTALL)
+    urdf = urdf.replace('"iiwa_joint_3" type="revolute"', '"iiwa_joint_3" type="fixed"')
+    urdf = urdf.replace("iiwa_link_0", "base").replace("iiwa_link_ee_kuka", "flange").replace("iiwa_", "other_")
+    (tmp_path / "arm.urdf").write_text(urdf)
+    directives = directives.replace("file:///home/me/my_arm", tmp_path.as_uri())
+    directives = directives.replace("arm::base}", f"arm::base, X_PC: {{translation: {list(BASE)}}}}}")
+    (tmp_path / "scene.dmd.yaml").write_text(directives)
     path = tmp_path / "scenario.yaml"
-    path.write_text(SCENARIO.format(folder=tmp_path, x=BASE[0], y=BASE[1], z=BASE[2]))
+    path.write_text(f"object_pose: [0.65, 0.0, 0.0]\n{directives}")
     return path
+
+
+def advance_until_settled(simulator, station, limit):
+    """Goes on until a push is made and the finger lifted, and returns the executor's status."""
+    context = simulator.get_mutable_context()
+    status = station.GetOutputPort("executor.status").Eval(context)
+    while not status.executed and not status.refused and context.get_time() < limit:
+        simulator.AdvanceTo(context.get_time() + 0.1)
+        status = station.GetOutputPort("executor.status").Eval(context)
+    return status
 
 
 def test_a_second_arm_pushes(second_arm):
@@ -50,19 +71,72 @@ def test_a_second_arm_pushes(second_arm):
     station.SetStart(context)
     home = np.array(station.robot.arm.home) + [BASE[0], BASE[1], 0.0]
     assert station.GetOutputPort("pusher.state").Eval(context)[:3] == pytest.approx(home, abs=1e-5)
-    push = PushCommand(1, 0.65, -0.12, np.pi / 2, 0.16, 0.05)
+    push = PushCommand(1, 0.65, -0.09, np.pi / 2, 0.13, 0.1)
     assert station.FindObstacle(push) is None
     station.GetInputPort("push_command").FixValue(context, push.to_vector())
     simulator.Initialize()
     before = station.GetOutputPort("object.pose_true").Eval(context).copy()
-    simulator.AdvanceTo(12.0)
-    status = station.GetOutputPort("executor.status").Eval(context)
+    status = advance_until_settled(simulator, station, 12.0)
     assert (status.executed, status.refused) == (1, 0)
     moved = station.GetOutputPort("object.pose_true").Eval(context) - before
     assert moved[1] > 0.01
+    assert station.GetOutputPort("arm.position_measured").size() == 6
+
+
+@pytest.mark.parametrize("name", ["panda", "gantry"])
+def test_a_robot_that_comes_with_the_package_pushes_within_its_limits(name):
+    station = MakePushStation(PushScenario(directives=make_robot_directives(name, grasping=False)))
+    simulator = Simulator(station)
+    context = simulator.get_mutable_context()
+    station.SetStart(context)
+    assert station.GetOutputPort("pusher.state").Eval(context)[:3] == pytest.approx([0.5, 0.0, 0.2], abs=1e-5)
+    push = PushCommand(1, 0.6, -0.06, np.pi / 2, 0.07, 0.1)
+    station.GetInputPort("push_command").FixValue(context, push.to_vector())
+    monitor = LimitMonitor(station)
+    simulator.set_monitor(monitor)
+    status = advance_until_settled(simulator, station, 5.0)
+    assert (status.executed, status.refused) == (1, 0)
+    assert station.GetOutputPort("object.pose_true").Eval(context)[1] > 0.01
+    seen = monitor.limit_report
+    assert seen.ok
+    assert min(seen.position_share, seen.velocity_share, seen.torque_share) > 0.05
+    assert seen.tracking_error < 2e-3
+    arm = station.robot.arm_model
+    assert station.GetOutputPort(f"{arm}.position_commanded").Eval(context) == pytest.approx(
+        station.GetOutputPort(f"{arm}.position_measured").Eval(context), abs=2e-3
+    )
+
+
+def test_a_gantry_reaches_what_its_axes_do_and_says_where_it_does_not():
+    scenario = PushScenario(directives=make_robot_directives("gantry", grasping=False))
+    robot = find_robot(scenario.directives)
+    plant = MakeControlPlant(robot)
+    reach = ArmReach(plant, robot, CalcStartPosture(plant, robot, robot.arm.home))
+    lower, upper = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
+    assert reach.find_region((0.0, -1.0, 1.2, 1.0), 0.012).bounds == pytest.approx(
+        (lower[0], lower[1], upper[0], upper[1]), abs=0.04
+    )
+    home = (0.5, 0.0, 0.2)
+    assert reach([home, (0.9, 0.5, 0.2)], [0.3]) is None
+    assert "joint 1 of the arm would come to its limit" in reach([home, (1.1, 0.0, 0.2)], [0.3])
+    assert "joint 2 of the arm would have to slide at 0.60 m/s" in reach([home, (0.5, 0.3, 0.2)], [0.6])
+
+
+def test_inverse_kinematics_finds_the_ring_that_the_formula_says():
+    robot = find_robot(PushScenario().directives)
+    plant = MakeControlPlant(robot)
+    reach = ArmReach(plant, robot, CalcStartPosture(plant, robot, (0.5, 0.0, 0.2)))
+    box = shapely.box(0.2, -0.2, 0.9, 0.4)
+    ring = MakeRing(np.zeros(2), *robot.arm.reach.calc_ring(0.16, 0.012)) & box
+    found = reach.find_region(box.bounds, 0.012)
+    assert (found - ring.buffer(0.03)).is_empty
+    assert found.area > 0.85 * ring.area  # the paths' margins from the joints' limits take a little
 
 
 def test_reach_is_measured_from_the_base_wherever_it_stands(second_arm):
+    iiwa = (find_models() / "robots/iiwa14/robot.yaml").read_text()
+    with second_arm.with_name("robot.yaml").open("a") as measures:
+        measures.write(iiwa[iiwa.index("reach:") : iiwa.index("control:")])
     station = MakePushStation(read_scenario(second_arm))
     axis, low, high = CalcTipReach(station.plant, station.robot, 0.012)
     assert axis == pytest.approx(BASE[:2])
@@ -108,7 +182,12 @@ def test_measures_that_will_not_do_are_refused(tmp_path, text, message):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("base_frame: other_link_0", "base_frame: foot", "there is no frame other::foot"),
+        ("base_frame: base", "base_frame: foot", "there is no frame arm::foot"),
+        ("flange_frame: flange", "flange_frame: hand", "there is no frame arm::hand"),
+        ("posture: [0.0, ", "posture: [", "posture in the robot.yaml of arm has 5 numbers; expected 6, one for each"),
+        ("stiffness: [3000.0, ", "stiffness: [", "stiffness in the robot.yaml of arm has 5 numbers; expected 6"),
+        ("driver: position", "driver: ur", "control.driver is 'ur'; expected one of iiwa, position"),
+        ("home: [0.5, 0.0, 0.2]", "home: [1.5, 0.0, 0.2]", r"does not reach its home, \(1\.55, -0\.02, 0\.2\) m"),
         ("robot.yaml", None, "there is no robot; expected a model in whose folder there is a robot"),
     ],
 )
@@ -118,5 +197,62 @@ def test_a_robot_that_is_not_there_is_refused(second_arm, old, new, message):
         path.unlink()
     else:
         path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(ScenarioError, match=message) as caught:
+        check_scenario(read_scenario(second_arm))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (' lower=".*?" upper=".*?"', "", "joint other_joint_1 of arm has no limits; expected its model"),
+        (' velocity=".*?"', "", "joint other_joint_1 of arm has no limits; expected its model"),
+        (
+            '<transmission name="other_transmission_6.*?</transmission>',
+            "",
+            "joints of arm with a motor are .*_7; ",
+        ),
+    ],
+)
+def test_an_arm_whose_joints_will_not_do_is_refused(second_arm, old, new, message):
+    path = second_arm.parent / "arm.urdf"
+    path.write_text(re.sub(old, new, path.read_text(), count=1, flags=re.DOTALL))
     with pytest.raises(ScenarioError, match=message):
         check_scenario(read_scenario(second_arm))
+
+
+@pytest.mark.parametrize("name", ["gantry", "iiwa14"])
+def test_a_base_from_where_nothing_is_reached_is_refused(name, tmp_path):
+    (scene,) = make_robot_directives(name, grasping=False)
+    text = (find_models() / scene.add_directives.file.removeprefix("package://gridpush_drake/")).read_text()
+    if name == "iiwa14":
+        text = (find_models() / "scenes/iiwa_finger.dmd.yaml").read_text()
+        table = (find_models() / "scenes/iiwa_push.dmd.yaml").read_text()
+        text += table[table.index("- add_model") :]
+    base = {"gantry": "child: gantry::gantry_link_0", "iiwa14": "child: iiwa::iiwa_link_0"}[name]
+    path = tmp_path / "scenario.yaml"
+    path.write_text(text.replace(base, base + "\n    X_PC: {translation: [0.0, 0.0, 2.0]}"))
+    with pytest.raises(ScenarioError, match="reach"):
+        check_scenario(read_scenario(path))
+
+
+@pytest.mark.parametrize(
+    ("robot", "grasping", "message"),
+    [
+        ("pandaa", False, "robot pandaa is not known; did you mean panda.* gantry, iiwa14, panda"),
+        ("gantry", True, "robot gantry has no gripper: .*expected one of iiwa14, panda"),
+        ("/nowhere", False, "robot /nowhere is not known"),
+    ],
+)
+def test_a_robot_that_cannot_be_had_is_refused(robot, grasping, message):
+    with pytest.raises(ScenarioError, match=message):
+        make_robot_directives(robot, grasping=grasping)
+
+
+def test_a_folder_of_ones_own_names_its_scene(second_arm):
+    for robot in (second_arm.parent, second_arm.with_name("robot.yaml")):
+        directives = make_robot_directives(str(robot), grasping=False)
+        assert find_robot(directives).arm_model == "arm"
+        check_scenario(PushScenario(directives=directives, object_pose=[0.65, 0.0, 0.0]))
+    with pytest.raises(ScenarioError, match="has no gripper"):
+        make_robot_directives(str(second_arm.parent), grasping=True)

@@ -19,10 +19,10 @@ from gridpush_drake.multibody.contact_material import FindTableOutline
 from gridpush_drake.multibody.parser import MakeParser, find_models
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import list_shipped_objects
-from gridpush_drake.station.push_station import LoadPushedObject
 from gridpush_drake.station.robot import find_robot
 from gridpush_drake.station.scenario import PartTruth, PushScenario, TruthConfig, read_scenario, write_scenario
 from gridpush_drake.station.scene import AddScene, check_scenario, load_object
+from gridpush_drake.station.station import LoadPushedObject
 from tests.helpers.shapes import rectangle
 
 ROUND = "package://gridpush_drake/scenes/iiwa_push_round.dmd.yaml"

@@ -48,7 +48,7 @@ class Robot:
         self.tell()
 
     @staticmethod
-    def find_grasp(pose, aim):
+    def find_grasp(pose, aim, masses):
         return next(iter(find_side_grasps(BAR, pose, TABLE, SideGripper(), aim)), None)
 
     def see(self, pose):

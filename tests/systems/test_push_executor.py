@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 import shapely
+from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
-from gridpush_drake.systems.messages import PushCommand, PushStatus
+from gridpush_drake.systems.messages import GraspStatus, PushCommand, PushStatus
 from gridpush_drake.systems.push_executor import PushExecutor, PushTrajectoryOptions
 
 HOME = (0.6, 0.1, 0.2)
@@ -17,14 +18,17 @@ STYLE = PushTrajectoryOptions()
 class Run:
     """An executor, commands at will, and the desired position as time goes on."""
 
-    def __init__(self, outline=None, reach=None, pose=(0.6, 0.0, 0.0), home=HOME, step=0.005):
+    def __init__(self, outline=None, reach=None, pose=(0.6, 0.0, 0.0), home=HOME, step=0.005, lookout=None):
         self.step = step
-        self.executor = PushExecutor(home, outline, reach, STYLE)
+        self.executor = PushExecutor(home, outline, reach, STYLE, lookout)
         self.simulator = Simulator(self.executor)
         self.context = self.simulator.get_mutable_context()
-        self.executor.GetInputPort("object_pose").FixValue(self.context, pose)
+        self.see(pose)
         self.give(PushCommand())
         self.t, self.p, self.phases = [], [], []
+
+    def see(self, pose):
+        self.executor.GetInputPort("object_pose").FixValue(self.context, pose)
 
     def give(self, command):
         self.executor.GetInputPort("push_command").FixValue(self.context, command.to_vector())
@@ -108,6 +112,37 @@ def test_it_goes_up_before_it_goes_over_and_settles_long_enough(whole):
 def test_tool_points_down_at_all_times(whole):
     np.testing.assert_allclose(whole.pose.rotation().matrix() @ [0, 0, 1], [0, 0, -1], atol=1e-15)
     np.testing.assert_allclose(whole.pose.rotation().matrix() @ [1, 0, 0], [-1, 0, 0], atol=1e-15)
+
+
+UNSEEN = (np.nan, np.nan, np.nan)
+
+
+def test_where_the_object_is_hidden_the_arm_goes_to_its_lookout():
+    run = Run(OUTLINE, lookout=HOME).carry_out(PUSH)
+    run.see(UNSEEN)
+    run.advance(0.25)
+    assert run.status.ready
+    run.advance(0.1)
+    assert run.status.phase == "clearing"
+    run.advance(4.0)
+    assert run.status == PushStatus("idle", 1, executed=1)
+    np.testing.assert_allclose(run.p[-1], HOME, atol=1e-12)
+    assert np.linalg.norm(np.diff(run.p, axis=0), axis=1).max() < 1.01 * STYLE.travel_speed * run.step
+    run.advance(1.0)
+    assert run.status.ready  # there it stays
+    run.see((0.6, 0.0, 0.0))
+    assert run.carry_out(PushCommand(2, 0.7, 0.1, -2.0, 0.06, 0.1)).status.executed == 2
+
+
+def test_no_lookout_while_a_grasp_is_under_way_or_without_one():
+    run = Run(OUTLINE, lookout=HOME).carry_out(PUSH)
+    run.executor.GetInputPort("grasp_status").FixValue(run.context, AbstractValue.Make(GraspStatus("closing", 1)))
+    run.see(UNSEEN)
+    run.advance(1.0)
+    assert run.status.ready
+    run = Run(OUTLINE).carry_out(PUSH)
+    run.see(UNSEEN)
+    assert run.advance(1.0).status.ready
 
 
 def test_low_home_is_left_upwards():

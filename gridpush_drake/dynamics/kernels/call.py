@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from gridpush_drake.dynamics.kernels.contact import Edges
 from gridpush_drake.dynamics.kernels.friction import LAWS
 from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
-from gridpush_drake.dynamics.kernels.inputs import Array, Body, Load, Scheme, Steps
-from gridpush_drake.dynamics.kernels.rollout import rollout
+from gridpush_drake.dynamics.kernels.inputs import Array, Body, Load, Pushes, Scheme, Steps
+from gridpush_drake.dynamics.kernels.rollout import rollout, rollout_pushes
 from gridpush_drake.dynamics.kernels.step_memory import make_memory
 from gridpush_drake.dynamics.kernels.step_start import make_state
 from gridpush_drake.dynamics.kernels.support_loads import Support, find_loads, make_loads
@@ -81,21 +81,46 @@ def run_kernel(
         The record.
     """
     steps = len(dts)
-    cells, edges = _outline_arrays(obj)
-    body = _make_body(obj, params, gravity, method.inertial, cells)
-    support = make_support(obj, params, gravity, table)
-    law = LAWS[method.friction].make(body.k.copy() if support.active else body.k, SPIN_ARM * obj.cell_size, method.spin)
-    scheme = Scheme(method.inertial, method.ahead, method.stiction, method.relative_stiction)
+    prepared = _prepare(obj, params, gravity, method, table)
     record = Steps(
         np.empty((steps + 1, 3)), np.empty((steps, 3)), np.empty((steps + 1, 3)), np.empty((steps, 2, 2)),
         np.empty((steps, 2, 2)), np.empty((steps, 2), np.int64), np.empty(steps + 1), np.empty((steps, 2)),
         np.empty(steps, np.bool_), np.empty((steps, 2), np.int64),
     )  # fmt: skip
-    rollout(
-        law, body, support, edges, scheme, load, q, nu, dts, row_of_step, record, J,
-        make_memory() if memory is None else memory,
-    )  # fmt: skip
+    rollout(*prepared, load, q, nu, dts, row_of_step, record, J, make_memory() if memory is None else memory)
     return record
+
+
+def run_pushes(
+    obj: GridObject,
+    params: CellParameters,
+    gravity: float,
+    method: Method,
+    pushes: Pushes,
+    row_of_step: NDArray[np.int64],
+    J: Array,
+    rows: int,
+    table: Array | None = None,
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Simulates many pushes of one object in one call; arguments as of `run_kernel` and `rollout_pushes`.
+
+    Returns:
+        The poses (rows, 3) that are recorded, and whether the object was touched (P,).
+    """
+    poses, touched = np.empty((rows, 3)), np.empty(len(pushes.radii), np.bool_)
+    rollout_pushes(*_prepare(obj, params, gravity, method, table), pushes, row_of_step, poses, touched, J)
+    return poses, touched
+
+
+def _prepare(
+    obj: GridObject, params: CellParameters, gravity: float, method: Method, table: Array | None
+) -> tuple[Any, Body, Support, Any, Scheme]:
+    """The rollout's first arguments: law, body, support, outline and scheme."""
+    cells, edges = _outline_arrays(obj)
+    body = _make_body(obj, params, gravity, method.inertial, cells)
+    support = make_support(obj, params, gravity, table)
+    law = LAWS[method.friction].make(body.k.copy() if support.active else body.k, SPIN_ARM * obj.cell_size, method.spin)
+    return law, body, support, edges, Scheme(method.inertial, method.ahead, method.stiction, method.relative_stiction)
 
 
 def _make_body(obj: GridObject, params: CellParameters, gravity: float, inertial: bool, cells: Array) -> Body:

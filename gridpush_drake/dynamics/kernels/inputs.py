@@ -51,6 +51,26 @@ class Load(NamedTuple):
     point: Array
 
 
+class Pushes(NamedTuple):
+    """P pushes by a disc, S steps in all.
+
+    Attributes:
+        first: (P+1,) the first step of each push, and S.
+        dts: (S,) steps, s.
+        tips: (S+P, 2) the disc's center before each step and at each push's end, m.
+        path_lengths: (P,) of the disc's whole path, m.
+        radii: (P,) of the disc, m.
+        poses: (P, 3) q at the beginning.
+    """
+
+    first: NDArray[np.int64]
+    dts: Array
+    tips: Array
+    path_lengths: Array
+    radii: Array
+    poses: Array
+
+
 class Scheme(NamedTuple):
     """How the steps are taken.
 

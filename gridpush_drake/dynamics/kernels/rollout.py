@@ -24,6 +24,7 @@ from gridpush_drake.dynamics.kernels.forward_sensitivity import (
     step_columns,
 )
 from gridpush_drake.dynamics.kernels.friction import begin_step, fill_load_derivatives, renew
+from gridpush_drake.dynamics.kernels.inputs import Load, Steps
 from gridpush_drake.dynamics.kernels.integrate_pose import PoseMaps, calc_displacement_maps
 from gridpush_drake.dynamics.kernels.step import CONVERGED, make_step_work, solve_step
 from gridpush_drake.dynamics.kernels.step_derivative import (
@@ -31,7 +32,7 @@ from gridpush_drake.dynamics.kernels.step_derivative import (
     calc_input_derivative,
     calc_step_derivative,
 )
-from gridpush_drake.dynamics.kernels.step_memory import MOVING, recall, remember
+from gridpush_drake.dynamics.kernels.step_memory import MEMORY_SIZE, MOVING, recall, remember
 from gridpush_drake.dynamics.kernels.step_start import advance_state, make_state, make_step_start
 from gridpush_drake.dynamics.kernels.support_loads import (
     add_load_variations,
@@ -162,6 +163,52 @@ def rollout(law, body, support, edges, scheme, load, pose, velocity, dts, row_of
             record_columns(J, row_of_step[t + 1], columns.Q, state.c, state.s)
     remember(memory, xi, last_xi, modes, moving_steps, loads.tilt, loads.friction)
     record.gaps[steps] = _measure_last_gap(edges, load, state, found)
+
+
+@kernel()
+def rollout_pushes(law, body, support, edges, scheme, pushes, row_of_step, poses, touched, J):
+    """Simulates P pushes by a disc, one after another, each as `rollout` does it by itself.
+
+    Args:
+        law, body, support, edges, scheme: as of `rollout`.
+        pushes: `Pushes`.
+        row_of_step: (S+P,) rows of `poses` and J that record each step's end, and a push's beginning; -1 for none.
+        poses: (rows, 3) filled.
+        touched: (P,) filled: whether the disc touched the object, a step was not solved, or the object tipped.
+        J: (rows, 3, width) filled; without columns where no derivative is wanted.
+    """
+    longest = 0
+    for p in range(touched.shape[0]):
+        longest = max(longest, pushes.first[p + 1] - pushes.first[p])
+    whole = Steps(
+        np.empty((longest + 1, 3)), np.empty((longest, 3)), np.empty((longest + 1, 3)), np.empty((longest, 2, 2)),
+        np.empty((longest, 2, 2)), np.empty((longest, 2), np.int64), np.empty(longest + 1), np.empty((longest, 2)),
+        np.empty(longest, np.bool_), np.empty((longest, 2), np.int64),
+    )  # fmt: skip
+    wrench, point, still = np.zeros((longest, 3)), np.zeros(2), np.zeros(3)
+    for p in range(touched.shape[0]):
+        first, last = pushes.first[p], pushes.first[p + 1]
+        steps, begin, end = last - first, first + p, last + p + 1
+        load = Load(pushes.tips[begin:end], pushes.path_lengths[p], pushes.radii[p], wrench[:steps], point)
+        record = Steps(
+            whole.poses[: steps + 1], whole.twists[:steps], whole.velocities[: steps + 1], whole.contact_forces[:steps],
+            whole.contact_points[:steps], whole.modes[:steps], whole.gaps[: steps + 1], whole.load_centers[:steps],
+            whole.tips[:steps], whole.statuses[:steps],
+        )  # fmt: skip
+        rows = row_of_step[begin:end]
+        rollout(
+            law, body, support, edges, scheme, load, pushes.poses[p], still, pushes.dts[first:last], rows, record, J,
+            np.zeros(MEMORY_SIZE),
+        )  # fmt: skip
+        for t in range(steps + 1):
+            if rows[t] >= 0:
+                for i in range(3):
+                    poses[rows[t], i] = record.poses[t, i]
+        touched[p] = False
+        for t in range(steps):
+            modes = record.modes[t, 0] != SEPARATE or record.modes[t, 1] != SEPARATE
+            if modes or record.tips[t] or record.statuses[t, 0] != CONVERGED:
+                touched[p] = True
 
 
 @kernel(allocates=False)

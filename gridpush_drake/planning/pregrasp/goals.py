@@ -39,13 +39,13 @@ class ArmLimits:
         finger_region: where the finger's center may be, W.
         edge_region: where on the table's edge the gripper may take something, W.
         can_push: whether the arm can carry out a push.
-        can_grasp: whether the gripper can take the object where a goal has it.
+        can_grasp: whether the gripper can take the object where a goal has it, given the masses that it may have.
     """
 
     finger_region: BaseGeometry | None = None
     edge_region: BaseGeometry | None = None
     can_push: PushRule | None = None
-    can_grasp: Callable[["PreGraspGoal"], bool] | None = None
+    can_grasp: Callable[["PreGraspGoal", PlausibleMassSet], bool] | None = None
 
 
 ANY_ARM = ArmLimits()
@@ -184,7 +184,7 @@ def find_grasp_at(
     goals = [PreGraspGoal(q.copy(), parts[i], float(overhangs[i]), margin, 0.0, weakest) for i in nearest]
     if limits.can_grasp is None:
         return goals[0]
-    return next((goal for goal in goals[:PARTS_FOR_AN_ARM] if limits.can_grasp(goal)), None)
+    return next((goal for goal in goals[:PARTS_FOR_AN_ARM] if limits.can_grasp(goal, masses)), None)
 
 
 def find_pregrasp_goals(
@@ -242,16 +242,17 @@ def _find_goals(
         goals.append(PreGraspGoal(candidate, part, overhang, margin, travel, weakest))
     safe = [goal for goal in goals if goal.margin >= options.margin]
     if not safe:
-        return _keep(sorted(goals, key=lambda goal: -goal.margin), limits)[:1]
+        return _keep(sorted(goals, key=lambda goal: -goal.margin), masses, limits)[:1]
     rank = sorted(safe, key=lambda goal: goal.travel + options.charge * max(options.comfort - goal.margin, 0.0))
-    return _keep(rank, limits)
+    return _keep(rank, masses, limits)
 
 
-def _keep(goals: list[PreGraspGoal], limits: ArmLimits) -> list[PreGraspGoal]:
+def _keep(goals: list[PreGraspGoal], masses: PlausibleMassSet, limits: ArmLimits) -> list[PreGraspGoal]:
     """The goals, in their order, that the arm can grasp at: the first few."""
     if limits.can_grasp is None:
         return goals
-    return list(islice(filter(limits.can_grasp, goals), GOALS_FOR_AN_ARM))
+    can_grasp = limits.can_grasp
+    return list(islice((goal for goal in goals if can_grasp(goal, masses)), GOALS_FOR_AN_ARM))
 
 
 def check_room(obj: GridObject, parts: Sequence[GraspPart], surface: SupportSurface) -> None:

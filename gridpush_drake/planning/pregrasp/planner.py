@@ -30,6 +30,7 @@ from gridpush_drake.planning.pregrasp.exploration import (
     make_center_functional,
     make_pokes,
 )
+from gridpush_drake.planning.pregrasp.flat_parts import FlatPart, PadLimit, find_flat_parts, find_held_parts
 from gridpush_drake.planning.pregrasp.goals import (
     ANY_ARM,
     ArmLimits,
@@ -78,8 +79,10 @@ class PreGraspOptions:
         max_pokes: made before giving up.
         max_slides: made before giving up.
         poke_margin: how far inside the edge pokes keep every cell, m.
-        max_arm: farthest that a part may be from where the center of mass is estimated, m: held farther off, the object
-            would turn in the gripper.
+        max_arm: farthest that a narrow part may be from where the center of mass is estimated, m: held farther off, the
+            object would turn in the gripper.
+        pads: of the gripper that takes it from beyond the edge, which can so hold what is narrow nowhere; None where
+            only narrow parts are taken.
     """
 
     gripper: Gripper = field(default_factory=Gripper)
@@ -91,6 +94,7 @@ class PreGraspOptions:
     max_slides: int = 30
     poke_margin: float = 0.02
     max_arm: float = np.inf
+    pads: PadLimit | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +125,8 @@ class PreGraspPlanner:
         obj: the object.
         surface: the table.
         options: how far to go, and how carefully.
-        parts: the graspable parts.
+        parts: the narrow parts, which are taken where they can be.
+        flat_parts: places at the rim that the options' pads can take, where no narrow part will do.
         limits: of the arm.
     """
 
@@ -139,7 +144,7 @@ class PreGraspPlanner:
             obj: the object.
             surface: the table.
             options: how far to go, and how carefully.
-            parts: the graspable parts, where they are known already.
+            parts: the narrow parts, where they are known already.
             limits: of the arm that is to do it.
 
         Raises:
@@ -148,7 +153,9 @@ class PreGraspPlanner:
         self.obj, self.surface, self.limits = obj, surface, limits
         self.options = options or PreGraspOptions()
         self.parts = tuple(find_grasp_parts(obj, self.options.gripper) if parts is None else parts)
-        check_room(obj, self.parts, surface)
+        pads = self.options.pads
+        self.flat_parts = () if pads is None else tuple(find_flat_parts(obj, pads.gripper))
+        check_room(obj, [*self.parts, *self.flat_parts], surface)
 
     @threadpool_limits.wrap(limits=1, user_api="blas")
     def decide(
@@ -168,7 +175,31 @@ class PreGraspPlanner:
         q = np.asarray(pose, dtype=np.float64)
         if model is None:
             return self._poke(q, UncertainModel.of_prior(self.obj), None, pokes, "nothing is known of the object yet")
-        parts = self._find_parts_near(model, self.options.max_arm)
+        decision = self._decide_with(self._find_parts_near(model, self.options.max_arm), q, model, pokes, slides)
+        if decision.action != "fail" or not self.flat_parts:
+            return decision
+        flat = self._decide_by_rim(q, model, pokes, slides)
+        if flat.action != "fail" or not self.parts:
+            return flat
+        return replace(flat, reason=f"{decision.reason}; and by the rim, {flat.reason}")
+
+    def _decide_by_rim(self, q: Array, model: UncertainModel, pokes: int, slides: int) -> PreGraspDecision:
+        """Decides what to do next to take one of the flat parts by which the pads hold the object at the worst."""
+        pads = self.options.pads
+        assert pads is not None  # or there would be no flat parts
+        centers = model.masses.center_of_mass_polygon
+        held = find_held_parts(self.flat_parts, pads, centers)
+        if held:
+            return self._decide_with(held, q, model, pokes, slides)
+        why = pads.describe_best(self.flat_parts, centers)
+        if model.posterior is not None and find_held_parts(self.flat_parts, pads, centers.mean(axis=0)[None]):
+            return self._poke(q, model, None, pokes, why)
+        return _fail(why, None)
+
+    def _decide_with(
+        self, parts: Sequence[GraspPart], q: Array, model: UncertainModel, pokes: int, slides: int
+    ) -> PreGraspDecision:
+        """Decides what to do next to take one of some parts, all narrow or all flat."""
         here = find_grasp_at(model.masses, parts, q, self.surface, self.options.goal, self.limits)
         if here is not None and here.margin >= ACCEPTED_SHARE * self.options.goal.margin:
             reason = f"a part hangs over, and the object stays put with {here.margin * MM:.0f} mm to spare"
@@ -194,15 +225,17 @@ class PreGraspPlanner:
         middle = model.masses.center_of_mass_polygon.mean(axis=0)
         return tuple(part for part in self.parts if np.linalg.norm(part.p_BG - middle) <= arm)
 
-    def _find_goals(self, pose: Array, model: UncertainModel, parts: tuple[GraspPart, ...]) -> list[PreGraspGoal]:
+    def _find_goals(self, pose: Array, model: UncertainModel, parts: Sequence[GraspPart]) -> list[PreGraspGoal]:
         if not parts:
             return []
         return find_pregrasp_goals(model.masses, parts, pose, self.surface, self.options.goal, self.limits)
 
     def _poke_or_give_up(
-        self, pose: Array, model: UncertainModel, parts: tuple[GraspPart, ...], pokes: int
+        self, pose: Array, model: UncertainModel, parts: Sequence[GraspPart], pokes: int
     ) -> PreGraspDecision:
         """No goal with `parts`: a poke where the center of mass may still turn out to be near others that allow one."""
+        if any(isinstance(part, FlatPart) for part in parts):
+            return _fail("no pose lets a part that the pads hold hang over the edge where the arm can take it", None)
         arm = self.options.max_arm
         near = f" within {arm * MM:.0f} mm of the center of mass" if np.isfinite(arm) else ""
         why = f"no pose lets a graspable part{near} hang over the edge where the arm can take it"

@@ -40,11 +40,12 @@ from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.pregrasp.planner import PreGraspDecision, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
 from gridpush_drake.planning.pregrasp.slides import TippingMonitor
-from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
+from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
 from gridpush_drake.pushes.push_log import PushLog
 
-FindGrasp = Callable[[Array, Array], SideGrasp | None]
-"""From the object's pose (3,) in W and its estimated center of mass (2,) in B to the grasp to take; None for none."""
+FindGrasp = Callable[[Array, Array, PlausibleMassSet], SideGrasp | None]
+"""From the object's pose (3,) in W, the point (2,) in B near which to take it, its estimated center of mass, and the
+masses that it may have, to the grasp to take; None for none."""
 
 Infer = Callable[[Identification | None, PushLog], UncertainModel | None]
 """From what was learned, and the pushes so far, to what is held possible; None where more must be seen first."""
@@ -187,13 +188,14 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         """Whether nothing more is done."""
         return now.status.over
 
-    def step(self, now: PreGraspState, seen: Observation) -> PreGraspState:
-        """The state after an observation; `now` itself where nothing is new."""
+    def observe(self, now: PreGraspState, seen: Observation) -> tuple[PreGraspState, bool]:
+        """The state after an observation but for the decision, and whether that is due."""
         if now.status.over:
-            return now
+            return now, False
         if now.status.mode == PreGraspMode.GRASPING:
-            return self._follow_grasp(replace(now, filter=now.filter.wait(seen.time, seen.pose)), seen.gripper)
-        return super().step(now, seen)
+            now = replace(now, filter=now.filter.wait(seen.time, seen.pose))
+            return self._follow_grasp(now, seen.gripper), False
+        return super().observe(now, seen)
 
     def _wait(self, now: PreGraspState, seen: Observation) -> PreGraspState:
         """While the robot is at work; breaks a push off in which the object might fall."""
@@ -252,11 +254,16 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         )
 
     def _grasp(self, now: PreGraspState, pose: Array, uncertain: UncertainModel, said: dict[str, Any]) -> PreGraspState:
-        grasp = self._find_grasp(pose, uncertain.masses.center_of_mass_polygon.mean(axis=0))
+        masses = uncertain.masses
+        grasp = self._find_grasp(pose, masses.center_of_mass_polygon.mean(axis=0), masses)
         if grasp is None and said["goal"] is not None:
-            grasp = self._find_grasp(pose, said["goal"].part.p_BG)  # what the plan found: farther off, but within reach
+            grasp = self._find_grasp(
+                pose, said["goal"].part.p_BG, masses
+            )  # what the plan found: farther off, but within reach
         if grasp is None:
-            return now.turn_to(FAILED, "The gripper reaches no part that hangs over.", **said)
+            return now.turn_to(
+                FAILED, "The gripper reaches no part that hangs over and by which its pads hold the object.", **said
+            )
         return replace(now, grasp=grasp, grasp_id=now.grasp_id + 1).turn_to(
             PreGraspMode.GRASPING, "A part that hangs over is taken.", grasps=now.status.grasps + 1, **said
         )

@@ -151,11 +151,7 @@ def find_side_grasps(
         raise PlanningError(
             f"height is {height!r}, step {step!r} and headings {headings!r}; expected positive lengths (m) and a number"
         )
-    if height > gripper.opening - 2 * gripper.height_clearance:
-        raise PlanningError(
-            f"{obj.name}: {height:g} m thick; expected at most the gripper's opening less its clearances, "
-            f"{gripper.opening - 2 * gripper.height_clearance:g} m"
-        )
+    check_thickness(obj, height, gripper)
     outline = transform_shape(q, obj.outline)
     R = make_rotation(q[2])
     points, angles = _propose(outline, surface, gripper, R @ target + q[:2], step, headings)
@@ -171,6 +167,15 @@ def find_side_grasps(
         SideGrasp(points[i].copy(), float(angles[i]), p_BG[i].copy(), float(distance[i]), float(clear[i]))
         for i in order.tolist()
     ]
+
+
+def check_thickness(obj: GridObject, height: float, gripper: SideGripper) -> None:
+    """Raises PlanningError where an object of a height, m, is too thick for the gripper."""
+    if height > gripper.opening - 2 * gripper.height_clearance:
+        raise PlanningError(
+            f"{obj.name}: {height:g} m thick; expected at most the gripper's opening less its clearances, "
+            f"{gripper.opening - 2 * gripper.height_clearance:g} m"
+        )
 
 
 def _propose(

@@ -223,7 +223,7 @@ def test_what_no_poke_can_tell_is_not_poked_for(pan, parts):
 
 
 def test_where_no_pose_can_be_grasped_at_pokes_are_not_wasted(pan, parts):
-    clumsy = ArmLimits(can_grasp=lambda goal: False)
+    clumsy = ArmLimits(can_grasp=lambda goal, masses: False)
     planner = PreGraspPlanner(pan, TABLE, PreGraspOptions(max_arm=0.1), parts, clumsy)
     asks = planner.decide((0.0, 0.0, 0.0), UncertainModel.of_prior(pan), pokes=2)
     assert asks.action == "poke"

@@ -1,0 +1,308 @@
+"""`gridpush campaign`: whole episodes of a station's task with many seeds and objects, and how each of them ended.
+
+An episode is one run of the task: everything that is hidden or random is drawn from its seed, so that whoever runs it
+again sees the same. What came of it is one line of a file (`jobs.Results`).
+"""
+
+import shlex
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from pydrake.common.yaml import yaml_dump_typed
+from pydrake.multibody.parsing import ModelDirectives
+from scipy.stats import binomtest
+
+from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
+from gridpush_drake.bench.table import MM, PERCENT, Table, Value, calc_mean
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.station.identify_task import IdentifyTask
+from gridpush_drake.station.pregrasp_task import PreGraspRecord, PreGraspTask
+from gridpush_drake.station.push_task import PushTask
+from gridpush_drake.station.scenario import PushScenario, format_scenario, parse_scenario
+from gridpush_drake.station.task import StationTask, TaskRecord, TaskStatus
+
+SCENARIO, EPISODES, TABLE, REPLAYS = "scenario.yaml", "episodes.jsonl", "table.md", "replays"
+"""In a campaign's folder: what its episodes are of, a line for each, what came of all, and those that were replayed."""
+
+
+@dataclass(frozen=True)
+class CampaignTask:
+    """A task that episodes are of.
+
+    Attributes:
+        make: the task, of a scenario.
+        done: status of a run in which all went well.
+    """
+
+    make: Callable[[PushScenario], StationTask[Any]]
+    done: TaskStatus
+
+
+TASKS = {
+    "identify": CampaignTask(IdentifyTask, TaskStatus.FINISHED),
+    "push": CampaignTask(PushTask, TaskStatus.REACHED),
+    "pregrasp": CampaignTask(PreGraspTask, TaskStatus.HELD),
+}
+"""By the names that `gridpush demo` has for them."""
+
+REFUSED, BROKEN = "refused", "error"
+"""Statuses, beside a task's, of episodes that could not be run: for a reason that the package gives, and otherwise."""
+
+CONFIDENCE = 0.95
+"""Of the intervals."""
+
+DROPPED, GAVE_UP = "dropped", "gave up"
+"""What an episode came to that did not end as it should."""
+
+
+@dataclass(frozen=True)
+class EpisodeJob:
+    """An episode to be run.
+
+    Attributes:
+        object: name of a shipped object, or an object file.
+        seed: of everything random.
+        object_hash: of the object's file where it is not a shipped one; empty otherwise.
+        task: one of TASKS.
+        scenario: all else, as YAML.
+    """
+
+    object: str
+    seed: int
+    object_hash: str = ""
+    task: str = field(default="pregrasp", compare=False)
+    scenario: str = field(default="", compare=False)
+
+    def describe(self) -> str:
+        """In a few words."""
+        return f"{Path(self.object).stem}, seed {self.seed}"
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What came of an episode.
+
+    Attributes:
+        object: as the job has it.
+        seed: likewise.
+        status: of the run, or REFUSED or BROKEN.
+        message: the status in a sentence.
+        outcome: the task's `done`, DROPPED (off the table, or out of the gripper), or GAVE_UP for anything else.
+        pushes: made.
+        pokes: of them to learn only; None where the task does not tell them apart.
+        slides: of them toward the edge; likewise.
+        raised: how far the object's lowest point was above the table at the end, m; None where it is not lifted.
+        center_of_mass_error: of the last estimate, m; None where nothing was learned.
+        duration: simulated, s.
+        wall: what it took, s, with making the station.
+    """
+
+    object: str
+    seed: int
+    status: str
+    message: str
+    outcome: str
+    pushes: int = 0
+    pokes: int | None = None
+    slides: int | None = None
+    raised: float | None = None
+    center_of_mass_error: float | None = None
+    duration: float = 0.0
+    wall: float = 0.0
+
+
+def run_episode(job: EpisodeJob) -> Episode:
+    """Runs an episode. What the package refuses, and whatever else goes wrong in it, is how it ended."""
+    begin = perf_counter()
+    try:
+        scenario = parse_scenario(Path("scenario.yaml"), job.scenario)
+        scenario.object, scenario.seed = job.object, job.seed
+        task = TASKS[job.task].make(scenario)
+        record = task.run()
+    except GridPushError as error:
+        return Episode(job.object, job.seed, REFUSED, str(error), GAVE_UP, wall=perf_counter() - begin)
+    except Exception as error:
+        *_, last = traceback.extract_tb(error.__traceback__)
+        message = f"{type(error).__name__} in {Path(last.filename).name}, line {last.lineno}: {error}"
+        return Episode(job.object, job.seed, BROKEN, message, GAVE_UP, wall=perf_counter() - begin)
+    if record.status == TaskStatus.INTERRUPTED:
+        raise KeyboardInterrupt
+    fell = bool(np.isnan(task.read("object.pose_true")).any()) or record.status == TaskStatus.DROPPED
+    done = record.status == TASKS[job.task].done
+    outcome = DROPPED if fell else str(record.status) if done else GAVE_UP
+    return _make_episode(job, record, outcome, perf_counter() - begin)
+
+
+def _make_episode(job: EpisodeJob, record: TaskRecord, outcome: str, wall: float) -> Episode:
+    pokes = slides = raised = error = None
+    if isinstance(record, PreGraspRecord):
+        pokes, slides = record.last.pokes, record.last.slides
+        raised = None if np.isnan(record.raised) else record.raised
+    if record.estimates:
+        error = calc_center_error(record, record.estimates[-1].params)
+    return Episode(
+        job.object, job.seed, str(record.status), record.message, outcome, len(record.log), pokes, slides, raised,
+        error, record.duration, wall,
+    )  # fmt: skip
+
+
+def calc_center_error(record: TaskRecord, params: CellParameters) -> float:
+    """Distance of an estimate's center of mass from the true one, m."""
+    assert record.truth is not None  # a simulated object's is known
+    found, truth = (each.center_of_mass(record.obj) for each in (params, record.truth))
+    return float(np.linalg.norm(found - truth))
+
+
+@dataclass(frozen=True)
+class Share:
+    """How many of several episodes ended in one way.
+
+    Attributes:
+        count: of them.
+        total: of all.
+        low: the Wilson interval's lower end, at CONFIDENCE.
+        high: its upper end.
+    """
+
+    count: int
+    total: int
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, count: int, total: int) -> "Share":
+        """With its interval; `total` is 1 or more."""
+        interval = binomtest(count, total).proportion_ci(CONFIDENCE, method="wilson")
+        return cls(count, total, float(interval.low), float(interval.high))
+
+    def describe(self) -> str:
+        """The count, and the interval in percent."""
+        return f"{self.count} ({PERCENT * self.low:.1f} to {PERCENT * self.high:.1f} %)"
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """The episodes of a campaign.
+
+    Attributes:
+        task: one of TASKS.
+        folder: of the campaign, where its scenario lies.
+        episodes: all, by object and seed.
+    """
+
+    task: str
+    folder: Path
+    episodes: Sequence[Episode]
+
+    @property
+    def done(self) -> str:
+        """What an episode came to that ended as it should."""
+        return str(TASKS[self.task].done)
+
+    @property
+    def failures(self) -> list[Episode]:
+        """Those that did not."""
+        return [episode for episode in self.episodes if episode.outcome != self.done]
+
+    def make_replay(self, episode: Episode) -> str:
+        """The command that runs an episode again, and writes its recording and report."""
+        out = self.folder / REPLAYS / f"{Path(episode.object).stem}-{episode.seed}"
+        words = ["gridpush", "demo", "--task", self.task, "--scenario", str(self.folder / SCENARIO)]
+        return shlex.join([*words, "--object", episode.object, "--seed", str(episode.seed), "--out", str(out)])
+
+    def count(self) -> Iterator[tuple[str, list[Episode], dict[str, Share]]]:
+        """For each object, and for "all" where there are several: its episodes, and how many ended in what way."""
+        names = list(dict.fromkeys(episode.object for episode in self.episodes))
+        groups = [(name, [episode for episode in self.episodes if episode.object == name]) for name in names]
+        for name, group in [*groups, ("all", list(self.episodes))][: len(groups) + (len(groups) > 1)]:
+            ends = [episode.outcome for episode in group]
+            yield name, group, {end: Share.of(ends.count(end), len(ends)) for end in (self.done, DROPPED, GAVE_UP)}
+
+    def tabulate(self) -> Table:
+        """A row an object and one of all; a note for each failure, with its reason and its replay."""
+        rows: list[tuple[Value, ...]] = []
+        averaged = [name for name, (key, _) in AVERAGED.items() if _list_known(self.episodes, key)]
+        for name, group, shares in self.count():
+            means = [AVERAGED[each][1] * calc_mean(_list_known(group, AVERAGED[each][0])) for each in averaged]
+            rows.append((Path(name).stem, len(group), *(share.describe() for share in shares.values()), *means))
+        notes = [
+            f"In brackets: {PERCENT * CONFIDENCE:g} % Wilson intervals. {DROPPED}: off the table or out of the gripper."
+            f" {GAVE_UP}: anything else. The rest: means of all episodes in which it was found."
+        ]
+        for failure in self.failures:
+            reason = f"{Path(failure.object).stem}, seed {failure.seed}: {failure.status}. {failure.message}"
+            notes += [reason, self.make_replay(failure)]
+        columns = ("object", "episodes", self.done, DROPPED, GAVE_UP, *averaged)
+        return Table(f"Episodes of {self.task} in the station", columns, rows, notes)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The same for machines, in SI units."""
+        objects = [
+            {"object": name, **{end: asdict(share) for end, share in shares.items()}}
+            for name, _, shares in self.count()
+        ]
+        failures = [{**asdict(failure), "replay": self.make_replay(failure)} for failure in self.failures]
+        return {"task": self.task, "objects": objects, "failures": failures}
+
+
+AVERAGED = {
+    "pushes": ("pushes", 1.0),
+    "pokes": ("pokes", 1.0),
+    "slides": ("slides", 1.0),
+    "CoM error, mm": ("center_of_mass_error", MM),
+    "simulated, s": ("duration", 1.0),
+}
+"""Columns of means: fields of an episode, and what they are multiplied by."""
+
+
+def _list_known(episodes: Sequence[Episode], key: str) -> list[float]:
+    return [getattr(episode, key) for episode in episodes if getattr(episode, key) is not None]
+
+
+def describe_settings(task: str, scenario: PushScenario) -> dict[str, Any]:
+    """All that makes a campaign's episodes what they are, but object and seed, by its place; for `open_results`."""
+    own = {"object", "seed", "directives"}
+    settings = {"task": task, **_flatten("scenario", scenario.model_dump(exclude=own))}
+    directives = yaml_dump_typed(ModelDirectives(directives=scenario.directives), schema=ModelDirectives)
+    return {**settings, "scenario.directives": " ".join(directives.split())}
+
+
+def _flatten(place: str, value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        return {place: value}
+    return {key: inner for name, each in value.items() for key, inner in _flatten(f"{place}.{name}", each).items()}
+
+
+def run(
+    task: str, scenario: PushScenario, objects: dict[str, str], seeds: Sequence[int], folder: Path,
+    execution: Execution = QUIET,
+) -> Campaign:  # fmt: skip
+    """Runs the episodes that are not known yet.
+
+    Args:
+        task: one of TASKS.
+        scenario: of all of them; its object and seed do not matter.
+        objects: names of shipped objects or object files, with the hash of the file of those that are not shipped.
+        seeds: of the episodes with each.
+        folder: of the campaign, where the scenario lies.
+        execution: how they are run.
+
+    Returns:
+        All of them.
+
+    Raises:
+        GridPushError: there is no object or no seed; see `run_jobs`.
+    """
+    if not objects or not seeds:
+        raise GridPushError(f"{'seeds' if objects else 'objects'}: none; expected at least one")
+    text = format_scenario(scenario)
+    jobs = [EpisodeJob(name, seed, digest, task, text) for seed in seeds for name, digest in objects.items()]
+    found = run_jobs(run_episode, jobs, EpisodeJob.describe, execution)
+    order = {name: at for at, name in enumerate(objects)}
+    return Campaign(task, folder, sorted(found, key=lambda episode: (order[episode.object], episode.seed)))

@@ -1,0 +1,142 @@
+"""`gridpush campaign`: whole episodes with many seeds and objects, and how safe the robot is.
+
+What is slow to import is imported when the command runs, so that `gridpush` starts fast.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gridpush_drake.cli import options
+from gridpush_drake.cli.console import print_json, print_line, print_table
+from gridpush_drake.cli.demo import TaskName
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.files import exists, make_folder, read_text, write_whole
+
+if TYPE_CHECKING:
+    from gridpush_drake.station.scenario import PushScenario
+
+MAX_EPISODES = 1_000_000
+"""Of a campaign."""
+
+FORM = "START:STOP (without STOP), or numbers, 0 or more, with commas between, such as 0:1000 or 3,17,20:30"
+
+
+def campaign(
+    scenario_file: Annotated[
+        Path,
+        typer.Argument(metavar="SCENARIO.yaml", help="What stands where; see models/scenarios.", show_default=False),
+    ],
+    seeds: Annotated[str, typer.Option(metavar="START:STOP", help=f"Of the episodes with each object: {FORM}.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", "-o", metavar="DIR", help="Folder of the campaign. Episodes that are there are not run again; one"
+            " of another scenario is refused, and --force begins it anew.",
+        ),
+    ],
+    objects: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,NAME", help="Shipped objects' names or object files, with commas between.",
+            show_default="the scenario's",
+        ),
+    ] = None,
+    task: Annotated[TaskName, typer.Option(help="What the robot is to do; see gridpush demo.")] = TaskName.pregrasp,
+    workers: options.Workers = options.WORKERS,
+    dask: options.Dask = None,
+    force: options.Force = False,
+    json: options.Json = False,
+) -> None:  # fmt: skip
+    """Run whole episodes with many seeds and objects: how many are held, dropped, given up, and why.
+
+    Writes scenario.yaml, episodes.jsonl (a line an episode, at once) and table.md.
+    """
+    from gridpush_drake.bench.campaign import EPISODES, SCENARIO, TABLE, describe_settings, run
+    from gridpush_drake.bench.jobs import open_results
+    from gridpush_drake.station.scenario import format_scenario, read_scenario
+    from gridpush_drake.station.scene import check_scenario
+
+    scenario = read_scenario(scenario_file)
+    chosen = _find_objects(scenario, objects)
+    numbers = parse_seeds("--seeds", seeds, MAX_EPISODES // len(chosen))
+    for name in chosen:
+        check_scenario(scenario.model_copy(update={"object": name}))
+    with options.connecting(dask) as executor:
+        make_folder(out)
+        results = open_results(out / EPISODES, "campaign", describe_settings(task, scenario), force)
+        _write_scenario(out / SCENARIO, format_scenario(scenario), force)
+        with options.executing("campaign", results, workers, executor) as execution:
+            found = run(task, scenario, chosen, numbers, out, execution)
+    table = found.tabulate()
+    write_whole(out / TABLE, table.to_markdown(), force=True)
+    if json:
+        print_json(found.to_dict())
+        return
+    print_table(table)
+    print_line(f"\nIn {out}: {SCENARIO}, {EPISODES}, {TABLE}.")
+
+
+def parse_seeds(option: str, text: str, most: int) -> list[int]:
+    """Reads seeds.
+
+    Args:
+        option: its name, for the message.
+        text: as FORM says.
+        most: seeds that there may be.
+
+    Returns:
+        The seeds, each once, in order.
+
+    Raises:
+        OptionError: the text is something else, or there are none or too many.
+    """
+    from gridpush_drake.station.scenario import MAX_SEED
+
+    ranges = []
+    for part in text.split(","):
+        start, colon, stop = part.partition(":")
+        if not (start.isdecimal() and start.isascii() and (not colon or (stop.isdecimal() and stop.isascii()))):
+            raise options.OptionError(f"{option}: is {text!r}; expected {FORM}")
+        ranges.append(range(int(start), int(stop) if colon else int(start) + 1))
+    if any(not each or each[-1] > MAX_SEED for each in ranges) or sum(map(len, ranges)) > most:
+        raise options.OptionError(
+            f"{option}: is {text!r}; expected at least one seed in each range, none over {MAX_SEED}, and at most {most}"
+        )
+    return sorted({seed for each in ranges for seed in each})
+
+
+def _find_objects(scenario: "PushScenario", names: str | None) -> dict[str, str]:
+    """Shipped objects' names, with "", and object files in full, with their content's hash."""
+    from gridpush_drake.bench.jobs import hash_content
+    from gridpush_drake.errors import ObjectError
+    from gridpush_drake.files import read_bytes
+    from gridpush_drake.objects.object_file import list_shipped_objects
+
+    found = {}
+    for name in [scenario.object] if names is None else names.split(","):
+        if not name:
+            raise options.OptionError(
+                f"--objects: is {names!r}; expected names with commas between, none of them empty"
+            )
+        path = options.object_path(name)
+        if name in list_shipped_objects() and not exists(name):
+            found[name] = ""
+        else:
+            found[str(path.resolve())] = hash_content(read_bytes(path, "an object file", ObjectError))
+    return found
+
+
+def _write_scenario(path: Path, text: str, force: bool) -> None:
+    """Writes the campaign's scenario, where it does not lie there already.
+
+    Raises GridPushError where another one does.
+    """
+    if exists(path) and not force:
+        if read_text(path, "a scenario", GridPushError) != text:
+            raise GridPushError(
+                f"{path}: differs from the scenario given; expected the same, another --out, or --force to begin anew"
+            )
+        return
+    write_whole(path, text, force)

@@ -1,0 +1,89 @@
+"""`gridpush twin`: a simulated robot in a process of its own, which speaks what a real one's drivers speak."""
+
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gridpush_drake.cli.console import print_notice
+
+if TYPE_CHECKING:
+    from gridpush_drake.station.scenario import PushScenario
+
+DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
+
+ADVANCE = 0.1
+"""Simulated between two looks at the clock, s."""
+
+BEHIND = 1.0
+"""Behind the clock, at which the twin says so, s."""
+
+Scenario = Annotated[
+    Path | None,
+    typer.Option(
+        "--scenario",
+        metavar="FILE",
+        help="What stands where, as YAML; twin and robot take the same.  [default: the shipped grasp.yaml]",
+    ),
+]
+
+ObjectFile = Annotated[
+    str | None, typer.Option("--object", metavar="NAME|FILE", help="A shipped object's name, or an object file.")
+]
+
+LcmUrl = Annotated[str, typer.Option("--lcm", metavar="URL", help="Of the LCM network that robot and twin are on.")]
+
+RealtimeRate = Annotated[
+    float,
+    typer.Option(
+        min=0.001, metavar="R", help="The twin's seconds in one second; twin and robot take the same. A real robot: 1."
+    ),
+]
+
+
+def twin(
+    scenario_file: Scenario = None,
+    object_file: ObjectFile = None,
+    lcm: LcmUrl = DEFAULT_URL,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of everything random.  [default: the scenario's]")] = None,
+    realtime_rate: RealtimeRate = 1.0,
+) -> None:
+    """Simulate a robot that speaks drake-iiwa-driver's LCM messages, for `gridpush robot` to move; Ctrl-C ends it."""
+    from pydrake.systems.analysis import Simulator
+
+    from gridpush_drake.station.hardware_link import open_lcm
+    from gridpush_drake.station.twin import MakeTwin
+
+    scenario = read_robot_scenario(scenario_file, object_file, seed)
+    network = open_lcm(lcm)
+    diagram = MakeTwin(scenario, network)
+    simulator = Simulator(diagram)
+    diagram.SetStart(simulator.get_mutable_context())
+    simulator.set_target_realtime_rate(realtime_rate)
+    simulator.Initialize()
+    print_notice(f"The twin speaks on {lcm} as an {diagram.world.setting.robot.arm_model}; Ctrl-C ends it.")
+    begin, told = monotonic(), False
+    try:
+        while True:
+            time = simulator.get_context().get_time() + ADVANCE
+            simulator.AdvanceTo(time)
+            behind = (monotonic() - begin) * realtime_rate - time
+            if behind > BEHIND and not told:
+                print_notice(f"The twin is {behind:.1f} s behind the clock; give both sides a smaller --realtime-rate.")
+                told = True
+    except KeyboardInterrupt:
+        print_notice(f"The twin ends after {simulator.get_context().get_time():.1f} s of its time.")
+
+
+def read_robot_scenario(scenario_file: Path | None, object_file: str | None, seed: int | None) -> "PushScenario":
+    """The scenario that twin and robot agree on, with what the command line says instead."""
+    from gridpush_drake.multibody.parser import find_models
+    from gridpush_drake.station.scenario import read_scenario
+
+    scenario = read_scenario(scenario_file or find_models() / "scenarios/grasp.yaml")
+    if object_file is not None:
+        scenario.object = object_file
+    if seed is not None:
+        scenario.seed = seed
+    return scenario

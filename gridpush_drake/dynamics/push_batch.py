@@ -1,0 +1,173 @@
+"""`PushBatch`: many pushes of one object, simulated again and again with other parameters, in one compiled call.
+
+What does not depend on the parameters is prepared once. Each push is simulated just as `simulate` does it by itself,
+bit for bit.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gridpush_drake.dynamics.kernels.call import make_method, run_pushes, shifts_loads
+from gridpush_drake.dynamics.kernels.forward_sensitivity import CONTACT_FRICTION, OTHER, START_X, START_Y
+from gridpush_drake.dynamics.kernels.inputs import Pushes
+from gridpush_drake.dynamics.motion import RawJacobian
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulation import (
+    GRAVITY,
+    RELATIVE_STICTION,
+    STICTION_TOLERANCE,
+    Regime,
+    find_edges_near,
+)
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+class BatchPush(NamedTuple):
+    """One push of a batch.
+
+    Attributes:
+        push: the pusher's motion.
+        pose: (3,) q of the object at the beginning, m and rad.
+        times: (T+1,) the steps' times, s from the push's beginning.
+        rows: (R,) the poses among the T+1 that are wanted.
+        table: (K, 2) corners in W of the table's top, m; None where it is endless.
+    """
+
+    push: Push
+    pose: Array
+    times: Array
+    rows: IntArray
+    table: Array | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Pushes that one call of the kernel takes: those near the same table's edge, or near none.
+
+    Attributes:
+        chosen: (P,) which pushes of the batch.
+        table: (K, 4) the table's edges, m; None where it is far.
+        pushes: their arrays.
+        row_of_step: (S+P,) see `rollout_pushes`.
+        rows: (R,) the batch's rows that those of this group are.
+        steps: (R,) the step of each row.
+    """
+
+    chosen: IntArray
+    table: Array | None
+    pushes: Pushes
+    row_of_step: IntArray
+    rows: IntArray
+    steps: IntArray
+
+
+class PushBatch:
+    """Pushes of one object in one regime, prepared to be simulated with many parameters.
+
+    Attributes:
+        obj: the object.
+        regime: of the simulations.
+        offsets: (P+1,) the first row of each push among the wanted poses of all, and their number.
+    """
+
+    def __init__(self, obj: GridObject, pushes: Sequence[BatchPush], regime: Regime) -> None:
+        """Prepares pushes.
+
+        Args:
+            obj: the object.
+            pushes: the pushes.
+            regime: "quasi_static" or "inertial".
+
+        Raises:
+            SimulationError: an object is not on its table.
+        """
+        self.obj, self.regime = obj, regime
+        self.offsets = np.append(0, np.cumsum([len(one.rows) for one in pushes], dtype=np.int64))
+        inertial = regime == "inertial"
+        self._method = make_method(inertial, "isotropic", "coupled", STICTION_TOLERANCE, RELATIVE_STICTION)
+        near = [find_edges_near(obj, one.push, one.pose, one.table, inertial) for one in pushes]
+        kinds = [None if edges is None else edges.tobytes() for edges in near]
+        self._groups = []
+        for kind in dict.fromkeys(kinds):
+            chosen = np.array([i for i, one in enumerate(kinds) if one == kind])
+            self._groups.append(self._make_group(pushes, chosen, near[chosen[0]]))
+
+    def __len__(self) -> int:
+        """Number of pushes."""
+        return len(self.offsets) - 1
+
+    def simulate(self, params: CellParameters) -> tuple[Array, NDArray[np.bool_]]:
+        """Simulates all pushes.
+
+        Args:
+            params: the cells' masses and frictions.
+
+        Returns:
+            The wanted poses (R, 3), m and rad, push by push; and whether the pusher touched the object (P,), true also
+            where a step was not solved or the object tips.
+        """
+        poses, touched = np.empty((self.offsets[-1], 3)), np.empty(len(self), dtype=np.bool_)
+        for group in self._groups:
+            poses[group.rows], touched[group.chosen] = self._run(group, params, np.empty((0, 3, 0)))
+        return poses, touched
+
+    def differentiate(self, params: CellParameters) -> tuple[Array, Array]:
+        """Simulates all pushes, with exact derivatives.
+
+        Args:
+            params: the cells' masses and frictions.
+
+        Returns:
+            The wanted poses (R, 3), m and rad, push by push; and their derivatives (R, 3, n+3) by the n masses, 1/kg,
+            by the contact friction, and by the place (x, y) where the push begins, 1/m.
+        """
+        n = self.obj.n
+        poses, derivatives = np.empty((self.offsets[-1], 3)), np.empty((self.offsets[-1], 3, n + 3))
+        for group in self._groups:
+            shifted = shifts_loads(params, group.table)
+            J = np.empty((len(group.rows), 3, n + OTHER + int(shifted)))
+            poses[group.rows], _ = self._run(group, params, J)
+            raw = RawJacobian(
+                group.steps, J, self.obj.p_BC, self.obj.cell_size, params.mass, params.friction, GRAVITY,
+                self.regime == "inertial", None, shifted,
+            )  # fmt: skip
+            derivatives[group.rows, :, :n] = raw.calc_mass()
+            derivatives[group.rows, :, n] = raw.other[..., CONTACT_FRICTION]
+            derivatives[group.rows, :, n + 1 :] = raw.other[..., START_X : START_Y + 1]
+        return poses, derivatives
+
+    def _run(self, group: _Group, params: CellParameters, J: Array) -> tuple[Array, NDArray[np.bool_]]:
+        return run_pushes(
+            self.obj, params, GRAVITY, self._method, group.pushes, group.row_of_step, J, len(group.rows), group.table
+        )
+
+    def _make_group(self, pushes: Sequence[BatchPush], chosen: IntArray, table: Array | None) -> _Group:
+        some = [pushes[i] for i in chosen]
+        first = np.append(0, np.cumsum([len(one.times) - 1 for one in some], dtype=np.int64))
+        row_of_step, rows = np.full(int(first[-1]) + len(some), -1), 0
+        for p, one in enumerate(some):
+            row_of_step[first[p] + p + one.rows] = np.arange(rows, rows + len(one.rows))
+            rows += len(one.rows)
+        return _Group(
+            chosen,
+            table,
+            Pushes(
+                first,
+                np.concatenate([np.diff(one.times) for one in some]),
+                np.concatenate([one.push.tip_at(one.times) for one in some]),
+                np.array([one.push.length for one in some]),
+                np.array([one.push.radius for one in some]),
+                np.array([one.pose for one in some], dtype=np.float64),
+            ),
+            row_of_step,
+            np.concatenate([np.arange(self.offsets[i], self.offsets[i + 1]) for i in chosen]),
+            np.concatenate([one.rows for one in some]),
+        )

@@ -1,0 +1,193 @@
+"""The LCM messages that robots and this package exchange: which, on which channel, how often; and what makes them.
+
+An arm's driver says which messages it speaks (`ARM_MESSAGES`); gripper and tracked object have messages of their own.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from drake import (
+    lcmt_iiwa_command,
+    lcmt_iiwa_status,
+    lcmt_planar_manipuland_status,
+    lcmt_schunk_wsg_command,
+    lcmt_schunk_wsg_status,
+)
+from pydrake.lcm import DrakeLcmInterface
+from pydrake.manipulation import (
+    IiwaCommandReceiver,
+    IiwaCommandSender,
+    IiwaStatusReceiver,
+    IiwaStatusSender,
+    MakeMultibodyStateToWsgStateSystem,
+    SchunkWsgCommandReceiver,
+    SchunkWsgCommandSender,
+    SchunkWsgPositionController,
+    SchunkWsgStatusReceiver,
+    SchunkWsgStatusSender,
+)
+from pydrake.systems.framework import DiagramBuilder, InputPort, OutputPort, System
+from pydrake.systems.lcm import LcmPublisherSystem, LcmSubscriberSystem
+from pydrake.systems.primitives import MatrixGain
+
+from gridpush_drake.systems.planar_manipuland_status import PlanarManipulandStatusReceiver, PlanarManipulandStatusSender
+
+ARM_PERIOD = 0.005
+"""Between two statuses of an arm, and between two commands, s: what drake-iiwa-driver keeps."""
+
+GRIPPER_PERIOD = 0.05
+"""Between two statuses of a gripper, and between two commands, s."""
+
+GRIPPER_STATUS, GRIPPER_COMMAND = "SCHUNK_WSG_STATUS", "SCHUNK_WSG_COMMAND"
+
+OBJECT_STATUS = "PLANAR_MANIPULAND_STATUS"
+"""Channels, as Drake's drivers name them; that of the object is this package's."""
+
+OBJECT_MAX_AGE = 0.5
+"""Since the last message of the object, after which it is not seen, s."""
+
+FROM_OPENING = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
+"""From a gripper's opening, m, and its velocity to its fingers' positions and velocities."""
+
+
+@dataclass(frozen=True)
+class IiwaMessages:
+    """What drake-iiwa-driver speaks.
+
+    Attributes:
+        status: channel of `lcmt_iiwa_status`.
+        command: channel of `lcmt_iiwa_command`.
+    """
+
+    status: str = "IIWA_STATUS"
+    command: str = "IIWA_COMMAND"
+    status_type: Any = lcmt_iiwa_status
+    command_type: Any = lcmt_iiwa_command
+
+    def count_joints(self, message: Any) -> int:
+        """How many joints a status speaks of."""
+        return int(message.num_joints)
+
+    def is_finite(self, command: Any) -> bool:
+        """Whether a command is one: all its numbers are finite, and it has some."""
+        return len(command.joint_position) > 0 and bool(np.isfinite(command.joint_position).all())
+
+    def AddStatusReceiver(self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int) -> System:
+        """Adds what reads the status of n joints; its output ports are `SimIiwaDriver`'s, and `time_measured`."""
+        receiver = builder.AddNamedSystem("arm_status_receiver", IiwaStatusReceiver(n))
+        _Subscribe(builder, lcm, self.status, self.status_type, receiver.get_input_port())
+        return receiver
+
+    def AddCommandSender(self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int) -> InputPort:
+        """Adds what sends commands; returns the port for the positions of the n joints."""
+        sender = builder.AddNamedSystem("arm_command_sender", IiwaCommandSender(n))
+        _Publish(builder, lcm, self.command, self.command_type, sender.get_output_port(), ARM_PERIOD)
+        return sender.GetInputPort("position")
+
+    def AddRobotSide(self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int, driver: System) -> None:
+        """Adds what a robot's driver does: commands go to a `SimIiwaDriver`, statuses come from it.
+
+        Until the first command the arm stays where it is; after the last it stays where that said.
+        """
+        commands = builder.AddNamedSystem("arm_command_receiver", IiwaCommandReceiver(n))
+        _Subscribe(builder, lcm, self.command, self.command_type, commands.GetInputPort("lcmt_iiwa_command"))
+        builder.Connect(driver.GetOutputPort("position_measured"), commands.GetInputPort("position_measured"))
+        builder.Connect(commands.GetOutputPort("position"), driver.GetInputPort("position"))
+        status = builder.AddNamedSystem("arm_status_sender", IiwaStatusSender(n))
+        for port in map(status.get_input_port, range(status.num_input_ports())):
+            if driver.HasOutputPort(port.get_name()):
+                builder.Connect(driver.GetOutputPort(port.get_name()), port)
+        _Publish(builder, lcm, self.status, self.status_type, status.get_output_port(), ARM_PERIOD)
+
+
+ARM_MESSAGES = {"iiwa": IiwaMessages()}
+"""By the arm's driver."""
+
+
+def AddGripperMessages(builder: DiagramBuilder, lcm: DrakeLcmInterface) -> tuple[OutputPort, SchunkWsgCommandSender]:
+    """Adds what reads a gripper's status and sends its commands.
+
+    Returns:
+        The fingers' positions, left and right, m, and velocities, m/s, (4,); and the sender, with the input ports
+        `position`, the opening, m, and `force_limit`, N.
+    """
+    receiver = builder.AddNamedSystem("gripper_status_receiver", SchunkWsgStatusReceiver())
+    _Subscribe(builder, lcm, GRIPPER_STATUS, lcmt_schunk_wsg_status, receiver.get_input_port())
+    fingers = builder.AddNamedSystem("gripper_fingers", MatrixGain(FROM_OPENING))
+    builder.Connect(receiver.GetOutputPort("state"), fingers.get_input_port())
+    sender = builder.AddNamedSystem("gripper_command_sender", SchunkWsgCommandSender())
+    _Publish(builder, lcm, GRIPPER_COMMAND, lcmt_schunk_wsg_command, sender.get_output_port(), GRIPPER_PERIOD)
+    return fingers.get_output_port(), sender
+
+
+def AddGripperSide(
+    builder: DiagramBuilder,
+    lcm: DrakeLcmInterface,
+    controller: SchunkWsgPositionController,
+    state: OutputPort,
+    opening: float,
+) -> None:
+    """Adds what a gripper's driver does, for a simulated one.
+
+    Args:
+        builder: the gripper's controller is in it.
+        lcm: on which it speaks.
+        controller: moves the gripper.
+        state: (4,) of the fingers.
+        opening: until the first command, m.
+    """
+    commands = builder.AddNamedSystem("gripper_command_receiver", SchunkWsgCommandReceiver(opening))
+    _Subscribe(builder, lcm, GRIPPER_COMMAND, lcmt_schunk_wsg_command, commands.GetInputPort("command_message"))
+    builder.Connect(commands.GetOutputPort("position"), controller.get_desired_position_input_port())
+    builder.Connect(commands.GetOutputPort("force_limit"), controller.get_force_limit_input_port())
+    wsg_state = builder.AddNamedSystem("gripper_opening", MakeMultibodyStateToWsgStateSystem())
+    builder.Connect(state, wsg_state.get_input_port())
+    status = builder.AddNamedSystem("gripper_status_sender", SchunkWsgStatusSender())
+    builder.Connect(wsg_state.get_output_port(), status.get_state_input_port())
+    builder.Connect(controller.get_grip_force_output_port(), status.get_force_input_port())
+    _Publish(builder, lcm, GRIPPER_STATUS, lcmt_schunk_wsg_status, status.get_output_port(0), GRIPPER_PERIOD)
+
+
+def AddObjectReceiver(builder: DiagramBuilder, lcm: DrakeLcmInterface) -> OutputPort:
+    """Adds what reads where the object is; returns the port with its pose (3,), m and rad."""
+    receiver = builder.AddNamedSystem("camera", PlanarManipulandStatusReceiver(ARM_PERIOD, OBJECT_MAX_AGE))
+    subscriber = LcmSubscriberSystem.Make(OBJECT_STATUS, lcmt_planar_manipuland_status, lcm)
+    builder.AddNamedSystem("object_subscriber", subscriber)
+    builder.Connect(subscriber.get_output_port(), receiver.GetInputPort("message"))
+    return receiver.GetOutputPort("object_pose")
+
+
+def AddObjectSender(
+    builder: DiagramBuilder, lcm: DrakeLcmInterface, pose: OutputPort, period: float, offset: float
+) -> None:
+    """Adds what says where an object is seen.
+
+    Args:
+        builder: the camera is in it.
+        lcm: on which it is said.
+        pose: (3,) of the object as seen, m and rad.
+        period: between two messages, s.
+        offset: of the first, s.
+    """
+    sender = builder.AddNamedSystem("object_status_sender", PlanarManipulandStatusSender())
+    builder.Connect(pose, sender.get_input_port())
+    publisher = LcmPublisherSystem.Make(
+        OBJECT_STATUS, lcmt_planar_manipuland_status, lcm, publish_period=period, publish_offset=offset
+    )
+    builder.AddNamedSystem("object_publisher", publisher)
+    builder.Connect(sender.get_output_port(), publisher.get_input_port())
+
+
+def _Subscribe(builder: DiagramBuilder, lcm: DrakeLcmInterface, channel: str, kind: Any, port: InputPort) -> None:
+    subscriber = LcmSubscriberSystem.Make(channel, kind, lcm, use_cpp_serializer=True)
+    builder.AddNamedSystem(f"{channel}_subscriber", subscriber)
+    builder.Connect(subscriber.get_output_port(), port)
+
+
+def _Publish(
+    builder: DiagramBuilder, lcm: DrakeLcmInterface, channel: str, kind: Any, port: OutputPort, period: float
+) -> None:
+    publisher = LcmPublisherSystem.Make(channel, kind, lcm, publish_period=period, use_cpp_serializer=True)
+    builder.AddNamedSystem(f"{channel}_publisher", publisher)
+    builder.Connect(port, publisher.get_input_port())

@@ -1,0 +1,84 @@
+"""`MakeTwin`: a simulated robot that speaks what a real one's drivers speak, and what tells the pose it sees."""
+
+from typing import Any
+
+from pydrake.lcm import DrakeLcmInterface
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+from pydrake.systems.lcm import LcmInterfaceSystem
+
+from gridpush_drake.errors import ScenarioError
+from gridpush_drake.multibody.weak_calc import NO_SLOTS
+from gridpush_drake.station.arm import AddArmDriver
+from gridpush_drake.station.camera import StationCamera
+from gridpush_drake.station.grasping import AddGripperController
+from gridpush_drake.station.push_station import AddSensors, AddWorld, World
+from gridpush_drake.station.robot_messages import ARM_MESSAGES, AddGripperSide, AddObjectSender
+from gridpush_drake.station.scenario import PushScenario
+
+
+def check_tracked(scenario: PushScenario) -> None:
+    """Raises ScenarioError where a scenario has what cannot be told over LCM: pictures, or several objects."""
+    if scenario.camera.kind != "ideal":
+        raise ScenarioError(
+            f"camera.kind is {scenario.camera.kind}; expected ideal: over LCM the object's pose is told"
+        )
+    if scenario.others:
+        raise ScenarioError("others: over LCM one object's pose is told; expected an empty list")
+
+
+class Twin(Diagram):
+    """A simulated robot on LCM, in real time or not.
+
+    Attributes:
+        world: plant, robot, object and table.
+    """
+
+    __slots__ = NO_SLOTS
+
+    def __init__(self, builder: DiagramBuilder, world: World, camera: StationCamera) -> None:
+        """Takes over a builder's systems; `MakeTwin` calls it."""
+        super().__init__()
+        self.world, self._camera = world, camera
+        builder.BuildInto(self)
+
+    def SetStart(self, root_context: Context, seed: int | None = None) -> None:
+        """Puts arm and object where the scenario has them, at rest; see `PushStation.SetStart`."""
+        self.world.SetStart(self, root_context, seed)
+        if seed is not None:
+            self._camera.SetSeed(root_context, seed)
+
+
+def MakeTwin(scenario: PushScenario, lcm: DrakeLcmInterface, meshcat: Any = None) -> Twin:
+    """Makes the twin: plant, driver, gripper and camera of a scenario, with LCM in the place of what commands them.
+
+    Args:
+        scenario: what stands where, and what the object truly weighs.
+        lcm: on which it speaks; it hears what came whenever its time moves.
+        meshcat: to show it in; None for none.
+
+    Returns:
+        The twin. Call its `SetStart` on each new Context.
+
+    Raises:
+        ScenarioError: the scenario makes no sense, or has a camera of pictures or several objects.
+        StationError: the arm cannot take the posture in which it begins.
+    """
+    check_tracked(scenario)
+    builder = DiagramBuilder()
+    world = AddWorld(builder, scenario)
+    setting, plant = world.setting, world.plant
+    robot, instances = setting.robot, world.robot_in_plant
+    builder.AddNamedSystem("lcm", LcmInterfaceSystem(lcm))
+    driver = AddArmDriver(builder, plant, robot, instances.arm, setting.control_plant)
+    messages = ARM_MESSAGES["iiwa"]
+    messages.AddRobotSide(builder, lcm, len(setting.q_start), driver)
+    if robot.gripper is not None:
+        controller = AddGripperController(builder, plant, instances.gripper)
+        state = plant.get_state_output_port(instances.gripper)
+        AddGripperSide(builder, lcm, controller, state, robot.gripper.opening)
+    camera = AddSensors(builder, world.scene_graph, setting.scenario, robot, world.object_in_plant, None).camera
+    time_step = scenario.simulation.time_step  # after which a picture is on its port
+    AddObjectSender(builder, lcm, camera.source.GetOutputPort("object_pose"), 1 / scenario.camera.rate, time_step)
+    twin = Twin(builder, world, camera)
+    twin.set_name("twin")
+    return twin

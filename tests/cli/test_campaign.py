@@ -1,0 +1,75 @@
+import socket
+import time
+
+import pytest
+
+from gridpush_drake.cli.campaign import parse_seeds
+from gridpush_drake.cli.options import OptionError
+
+SCENARIO = "object: pliers\nbase: planar\npokes: {count: 1, test_count: 0}\n"
+
+
+@pytest.fixture
+def scenario(tmp_path):
+    path = tmp_path / "scenario.yaml"
+    path.write_text(SCENARIO)
+    return path
+
+
+def test_reads_seeds():
+    assert parse_seeds("--seeds", "0:3", 10) == [0, 1, 2]
+    assert parse_seeds("--seeds", "7,3,5:7,3", 10) == [3, 5, 6, 7]
+
+
+@pytest.mark.parametrize(
+    "text", ["", "a", "1.5", "-1", "0:", ":3", "3:3", "5:2", "0:3:1", "0:99", "0:9,20:30", "²", "9" * 30]
+)
+def test_refuses_other_seeds(text):
+    with pytest.raises(OptionError, match="--seeds"):
+        parse_seeds("--seeds", text, 10)
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        (["--seeds", "0-9"], ["--seeds", "0-9", "0:1000"]),
+        (["--seeds", "0:3", "--objects", "pliers,plyers"], ["plyers", "did you mean pliers"]),
+        (["--seeds", "0:3", "--objects", "pliers,"], ["--objects", "pliers,", "commas"]),
+        (["--seeds", "0:3", "--task", "dance"], ["--task", "dance"]),
+        (["--seeds", "0:3", "--objects", "none/such.yaml"], ["none/such.yaml"]),
+        (["--seeds", "0:3", "--dask", "nowhere"], ["--dask", "nowhere", "tcp://host:8786"]),
+    ],
+)
+def test_refuses_bad_input(refuses, scenario, tmp_path, more, says):
+    refuses("campaign", scenario, "--out", tmp_path / "out", *more, says=says)
+
+
+def test_refuses_a_scenario_that_makes_no_sense(refuses, scenario, tmp_path):
+    scenario.write_text(SCENARIO + "object_pose: [2.0, 0.0, 0.0]\n")
+    refuses("campaign", scenario, "--seeds", "0:3", "--out", tmp_path / "out", says=["object_pose"])
+    refuses("campaign", tmp_path / "none.yaml", "--seeds", "0:3", "--out", tmp_path / "out", says=["none.yaml"])
+
+
+def test_refuses_a_folder_of_another_campaign(refuses, scenario, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "scenario.yaml").write_text("object: toolbox\n")
+    refuses("campaign", scenario, "--seeds", "0:3", "--out", out, says=["differs from the scenario given", "--force"])
+    (out / "scenario.yaml").unlink()
+    (out / "episodes.jsonl").write_text('{"bench": "campaign", "program": "1", "settings": {"task": "push"}}\n')
+    refuses("campaign", scenario, "--seeds", "0:3", "--out", out, says=["other settings", '"push", now "pregrasp"'])
+
+
+@pytest.mark.slow
+def test_refuses_a_cluster_that_does_not_answer(refuses, scenario, tmp_path):
+    with socket.socket() as silent:
+        silent.bind(("127.0.0.1", 0))
+        silent.listen()
+        for port in (silent.getsockname()[1], 9):
+            address, begin = f"tcp://127.0.0.1:{port}", time.monotonic()
+            refuses(
+                "campaign", scenario, "--seeds", "0:3", "--out", tmp_path / "out", "--dask", address,
+                says=["no cluster at", address],
+            )  # fmt: skip
+            assert time.monotonic() - begin < 12.0
+    refuses("bench", "grasp", "--quick", "--dask", address, says=["no cluster at", address])

@@ -1,0 +1,70 @@
+import pytest
+
+from tests.helpers.two_processes import find_obstacle, run_in_namespace
+
+STOPS_WITHIN = 0.1
+"""s of the robot's time after a fault."""
+
+MIN_SPEED = 0.02
+"""rad/s of a joint in the middle of a push."""
+
+
+@pytest.mark.parametrize("command", ["twin", "robot"])
+def test_says_in_one_line_what_is_wrong(refuses, command, tmp_path):
+    refuses(command, "--lcm", "nonsense", says=["--lcm: 'nonsense'", "expected udpm://ADDRESS:PORT"])
+    refuses(command, "--scenario", tmp_path / "missing.yaml", says=["missing.yaml"])
+    refuses(command, "--object", "hamer", says=["hamer", "hammer"])
+
+
+def check_stop(story):
+    assert story["speed_before"] > MIN_SPEED
+    assert story["stopped_within"] < STOPS_WITHIN
+    assert story["held_for"] > 0.5
+
+
+def tell(story, folder):
+    obstacle = find_obstacle()
+    if obstacle:
+        pytest.skip(obstacle)
+    return run_in_namespace(story, folder)
+
+
+@pytest.mark.slow
+def test_two_processes_and_the_controller_is_killed_interrupted_and_begun_again(tmp_path):
+    told = tell("lose_controller", tmp_path)
+    for name in ("killed", "interrupted"):
+        print(name, {key: told[name][key] for key in ("stopped_within", "held_for")})
+        check_stop(told[name])
+    interrupted = told["interrupted"]
+    assert interrupted["code"] == 130
+    assert interrupted["summary"]["status"] == "interrupted"
+    assert "guard holding: stopped by the user" in interrupted["log"]
+    assert "The arm was stopped at" in interrupted["err"]
+    finished = told["finished"]
+    assert finished["code"] == 0, finished["err"]
+    assert (finished["summary"]["status"], finished["summary"]["pushes"]) == ("finished", 1)
+    assert "guard holding: the work is done" in finished["log"]
+    print("the loop", finished["summary"]["loop"])
+    assert finished["summary"]["loop"]["commands"] > 100
+    assert told["twin_code"] == 0
+    assert "model.yaml" in {path.name for path in (tmp_path / "finished").iterdir()}
+
+
+@pytest.mark.slow
+def test_two_processes_and_the_robot_is_lost(tmp_path):
+    told = tell("lose_twin", tmp_path)
+    alone = told["alone"]
+    assert alone["code"] == 2
+    assert alone["err"].startswith("gridpush: error: the robot sends no status on IIWA_STATUS within 5 s")
+    assert alone["err"].count("\n") == 1
+    robot = told["robot"]
+    assert robot["code"] == 1, robot["err"]
+    assert "the robot has sent no status for" in robot["summary"]["message"]
+    assert "guard holding: the robot has sent no status for" in robot["log"]
+    assert "The arm was stopped at" in robot["err"]
+    assert told["commands_after_last_change"] >= 1
+    assert told["largest_step"] < 0.01
+    looked = told["looked"]
+    assert looked["code"] == 0, looked["err"]
+    assert len(looked["summary"]["first_push"]) == 4
+    assert looked["summary"]["status_age"] < 1.0

@@ -1,0 +1,90 @@
+"""A twin and what moves it, in one process and in lockstep; a test may spoil what passes between them."""
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from drake import lcmt_iiwa_command
+from pydrake.lcm import DrakeLcm
+from pydrake.systems.analysis import Simulator
+
+from gridpush_drake.station.hardware_link import HardwareLink
+from gridpush_drake.station.hardware_station import MakeHardwareStation
+from gridpush_drake.station.robot_messages import ARM_PERIOD, OBJECT_STATUS, IiwaMessages
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.twin import MakeTwin
+
+ARM = IiwaMessages()
+
+Spoiler = Callable[[float, bytes], list[bytes]]
+"""Of the twin's time, s, and a message: what comes instead."""
+
+
+class TwinBench:
+    """The twin, the link and a task; what the arm does is written down at every status.
+
+    Attributes:
+        spoil: by the channel, what becomes of the twin's messages.
+        rows: (time, positions, velocities) of the twin's arm, s, rad and rad/s.
+    """
+
+    def __init__(self, scenario: PushScenario, task: type) -> None:
+        self.lcm, self._inside = DrakeLcm("memq://"), DrakeLcm("memq://")
+        self.twin = MakeTwin(scenario, self._inside)
+        self.simulator = Simulator(self.twin)
+        self.spoil: dict[str, Spoiler] = {}
+        self.rows: list[tuple[float, np.ndarray, np.ndarray]] = []
+        for channel in (ARM.status, OBJECT_STATUS):
+            self._inside.Subscribe(channel, partial(self._pass_out, channel))
+        self.lcm.Subscribe(ARM.command, lambda data: self._inside.Publish(ARM.command, data))
+        self._count = 0
+        self._reset()
+        self.link = HardwareLink(self.lcm, 7, gripper=False, robot=self.move)
+        self.task = task(scenario, make_station=partial(MakeHardwareStation, lcm=self.link.bus))
+
+    @property
+    def time(self) -> float:
+        return float(self.simulator.get_context().get_time())
+
+    def begin(self) -> None:
+        """The twin as at its beginning, but for its clock, and all as it should be."""
+        self.spoil.clear()
+        self.rows.clear()
+        self.link.report.events.clear()
+        self._reset()
+        while self.link._object.data is None or len(self.rows) < 10:
+            self.move()
+            self.lcm.HandleSubscriptions(0)
+        self.link.armed = True
+
+    def move(self) -> None:
+        """Moves the twin on by a period; its messages go out, and commands come in."""
+        self._count += 1
+        self.simulator.AdvanceTo((self._count + 0.5) * ARM_PERIOD)
+        self._inside.HandleSubscriptions(0)
+        plant, arm = self.twin.world.plant, self.twin.world.robot_in_plant.arm
+        context = plant.GetMyContextFromRoot(self.simulator.get_context())
+        self.rows.append((self.time, plant.GetPositions(context, arm), plant.GetVelocities(context, arm)))
+
+    def find_stop(self, begin: float, near: float) -> float:
+        """How long after `begin`, s, all joints were where they are now, as near as `near`, rad, for good."""
+        held = self.rows[-1][1]
+        away = [time for time, q, _ in self.rows if time > begin and np.abs(q - held).max() > near]
+        return max(away, default=begin) - begin
+
+    def _reset(self) -> None:
+        context = self.twin.CreateDefaultContext()
+        context.SetTime((self._count + 0.5) * ARM_PERIOD)
+        self.simulator.reset_context(context)
+        self.twin.SetStart(context)
+        stay = lcmt_iiwa_command()  # the driver would begin with the last command of the run before
+        stay.joint_position = self.twin.world.setting.q_start.tolist()
+        stay.num_joints = len(stay.joint_position)
+        self._inside.Publish(ARM.command, stay.encode())
+        self._inside.HandleSubscriptions(0)
+        self.simulator.Initialize()
+
+    def _pass_out(self, channel: str, data: bytes) -> None:
+        spoil = self.spoil.get(channel)
+        for message in [data] if spoil is None else spoil(self.time, data):
+            self.lcm.Publish(channel, message)

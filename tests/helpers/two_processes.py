@@ -1,0 +1,207 @@
+"""Twin and controller as processes of their own on LCM's UDP, in the network namespace that this script is run in.
+
+`run_in_namespace` makes such a namespace and runs this file in it, with the name of a story and a folder; what the
+story came to is one JSON document on standard output.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+URL = "udpm://239.255.76.67:7667?ttl=0"
+
+RATE = 0.2
+"""The twin's seconds in one second: all processes share what computer there is."""
+
+ENTER = 'ip link set lo up multicast on && ip route add 239.0.0.0/8 dev lo && exec "$@"'
+
+SCENARIO = """
+object: open_book
+object_pose: [0.55, 0.0, 0.0]
+base: planar
+pokes: {count: 1, test_count: 0, speed: 0.06}
+"""
+
+NEAR = 1e-3
+"""rad, of a joint that is where it is held."""
+
+MOVED = 0.008
+"""m, that the object has been pushed by in the middle of a push."""
+
+PATIENCE = 240.0
+"""s, wall, for anything."""
+
+
+def find_obstacle() -> str | None:
+    """Why there can be no such namespace here; None where there can."""
+    probe = ["unshare", "-rn", "sh", "-c", ENTER, "sh", "true"]
+    try:
+        done = subprocess.run(probe, capture_output=True, text=True, timeout=20, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"no network namespace can be made here: {error}"
+    return None if done.returncode == 0 else f"no network namespace can be made here: {done.stderr.strip()}"
+
+
+def run_in_namespace(story: str, folder: Path) -> dict:
+    """Runs a story; returns what it came to."""
+    command = ["unshare", "-rn", "sh", "-c", ENTER, "sh", sys.executable, __file__, story, str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=3 * PATIENCE, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+class Watch:
+    """What is said on the network."""
+
+    def __init__(self) -> None:
+        from drake import lcmt_iiwa_command, lcmt_iiwa_status, lcmt_planar_manipuland_status
+        from pydrake.lcm import DrakeLcm
+
+        self.lcm = DrakeLcm(URL)
+        self.statuses: list[tuple[float, list[float], list[float]]] = []
+        self.commands: list[tuple[float, list[float]]] = []
+        self.poses: list[list[float]] = []
+
+        def take_status(data: bytes) -> None:
+            message = lcmt_iiwa_status.decode(data)
+            row = (1e-6 * message.utime, message.joint_position_measured, message.joint_velocity_estimated)
+            self.statuses.append(row)
+
+        def take_command(data: bytes) -> None:
+            self.commands.append((time.monotonic(), lcmt_iiwa_command.decode(data).joint_position))
+
+        self.lcm.Subscribe("IIWA_STATUS", take_status)
+        self.lcm.Subscribe("IIWA_COMMAND", take_command)
+        self.lcm.Subscribe(
+            "PLANAR_MANIPULAND_STATUS",
+            lambda data: self.poses.append(lcmt_planar_manipuland_status.decode(data).position),
+        )
+
+    def until(self, done: Callable[[], bool], what: str) -> None:
+        end = time.monotonic() + PATIENCE
+        while not done():
+            self.lcm.HandleSubscriptions(10)
+            if time.monotonic() > end:
+                raise TimeoutError(what)
+
+    def until_pushing(self) -> None:
+        """Until the object has begun to be pushed."""
+        begin = np.array(self.poses[-1])
+        self.until(lambda: bool(np.linalg.norm(np.array(self.poses[-1]) - begin) > MOVED), "a push")
+
+    def for_seconds(self, seconds: float) -> None:
+        """Through so many of the twin's seconds."""
+        end = self.statuses[-1][0] + seconds
+        self.until(lambda: self.statuses[-1][0] > end, "the twin's time")
+
+    def describe_stop(self, fault: float) -> dict:
+        """How the arm came to rest after a fault, and stayed there; the twin's seconds."""
+        held = np.array(self.statuses[-1][1])
+        away = [row[0] for row in self.statuses if row[0] > fault and np.abs(held - row[1]).max() > NEAR]
+        rest = max(away, default=fault)
+        return {
+            "speed_before": float(np.abs([row[2] for row in self.statuses if row[0] <= fault][-1]).max()),
+            "stopped_within": rest - fault,
+            "held_for": self.statuses[-1][0] - rest,
+        }
+
+
+def start(command: str, folder: Path, *more: str) -> subprocess.Popen:
+    arguments = ["--scenario", str(folder / "scenario.yaml"), "--lcm", URL, "--realtime-rate", str(RATE), *more]
+    return subprocess.Popen(
+        [sys.executable, "-m", "gridpush_drake.cli.main", command, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+    )
+
+
+def start_robot(folder: Path, name: str) -> subprocess.Popen:
+    return start("robot", folder, "--task", "identify", "--go", "--json", "--out", str(folder / name))
+
+
+def end(process: subprocess.Popen, name: str, folder: Path) -> dict:
+    """What a process of the controller ended with."""
+    out, err = process.communicate(timeout=PATIENCE)
+    log = folder / name / "robot.log"
+    return {
+        "code": process.returncode,
+        "summary": json.loads(out) if out.strip() else None,
+        "err": err,
+        "log": log.read_text() if log.exists() else "",
+    }
+
+
+def lose_controller(folder: Path) -> dict:
+    """The controller is killed in the middle of a push; begun again it goes on, is interrupted, and then finishes."""
+    told = {}
+    watch, twin = Watch(), start("twin", folder)
+    watch.until(lambda: bool(watch.statuses and watch.poses), "the twin")
+    killed = start_robot(folder, "killed")
+    watch.until_pushing()
+    killed.kill()
+    fault = watch.statuses[-1][0]
+    watch.for_seconds(1.0)
+    killed.communicate()
+    told["killed"] = watch.describe_stop(fault)
+
+    interrupted = start_robot(folder, "interrupted")
+    watch.until_pushing()
+    interrupted.send_signal(signal.SIGINT)
+    fault = watch.statuses[-1][0]
+    watch.for_seconds(1.0)
+    told["interrupted"] = watch.describe_stop(fault) | end(interrupted, "interrupted", folder)
+
+    finished = start_robot(folder, "finished")
+    watch.until(lambda: finished.poll() is not None, "the end")
+    told["finished"] = end(finished, "finished", folder)
+    twin.send_signal(signal.SIGINT)
+    told["twin_code"] = twin.wait(PATIENCE)
+    return told
+
+
+def lose_twin(folder: Path) -> dict:
+    """The twin is killed in the middle of a push; with another one the controller begins anew."""
+    alone = start("robot", folder, "--task", "identify")
+    told = {"alone": end(alone, "alone", folder)}
+    watch, twin = Watch(), start("twin", folder)
+    watch.until(lambda: bool(watch.statuses and watch.poses), "the twin")
+    robot = start_robot(folder, "robot")
+    watch.until_pushing()
+    twin.kill()
+    twin.communicate()
+    watch.until(lambda: robot.poll() is not None, "the end")
+    told["robot"] = end(robot, "robot", folder)
+    q = np.array([position for _, position in watch.commands])
+    changed = np.flatnonzero(np.abs(np.diff(q, axis=0)).max(axis=1) > 0)
+    told["commands_after_last_change"] = len(q) - 2 - int(changed[-1])
+    told["largest_step"] = float(np.abs(np.diff(q, axis=0)).max())
+
+    again = start("twin", folder)
+    seen = len(watch.statuses)
+    watch.until(lambda: len(watch.statuses) > seen, "the second twin")
+    told["looked"] = end(start("robot", folder, "--task", "identify", "--json"), "looked", folder)
+    again.kill()
+    again.communicate()
+    return told
+
+
+STORIES = {story.__name__: story for story in (lose_controller, lose_twin)}
+
+
+def main(story: str, folder: str) -> None:
+    """Tells a story."""
+    (Path(folder) / "scenario.yaml").write_text(SCENARIO)
+    print(json.dumps(STORIES[story](Path(folder))))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,220 @@
+import numpy as np
+import pytest
+from drake import lcmt_iiwa_status, lcmt_planar_manipuland_status
+from pydrake.lcm import DrakeLcm
+
+from gridpush_drake.errors import ScenarioError, StationError
+from gridpush_drake.station import IdentifyTask, MakePushStation, PushScenario, TaskStatus
+from gridpush_drake.station.hardware_link import HardwareLink, open_lcm
+from gridpush_drake.station.hardware_station import MakeHardwareStation
+from gridpush_drake.station.robot_messages import OBJECT_STATUS
+from gridpush_drake.station.twin import MakeTwin
+from gridpush_drake.systems.messages import PushPhase
+from tests.helpers.twin_bench import ARM, TwinBench
+
+MIN_SPEED = 0.05
+"""rad/s of a joint in the middle of a push."""
+
+STOPS_WITHIN = 0.1
+"""s of the robot's time after a fault."""
+
+NEAR = 1e-3
+"""rad, of a joint that is where it is held."""
+
+
+def make_scenario():
+    """A push of a book that the finger is near to; only exact loads, so that it is simulated fast."""
+    scenario = PushScenario(object="open_book", base="planar", object_pose=[0.55, 0.0, 0.0])
+    scenario.pokes.count, scenario.pokes.test_count, scenario.pokes.speed = 1, 0, 0.08
+    scenario.pokes.distance = [0.05, 0.05]
+    return scenario
+
+
+@pytest.fixture(scope="module")
+def bench():
+    return TwinBench(make_scenario(), IdentifyTask)
+
+
+def test_it_has_the_ports_of_the_simulated_station_but_for_what_nobody_knows(bench):
+    def list_ports(system):
+        inputs = {system.get_input_port(i).get_name() for i in range(system.num_input_ports())}
+        return inputs, {system.get_output_port(i).get_name() for i in range(system.num_output_ports())}
+
+    simulated, real = list_ports(MakePushStation(make_scenario())), list_ports(bench.task.station)
+    assert real[0] - simulated[0] == {"stop"}
+    assert real[1] - simulated[1] == {"guard.status", "guard.position"}
+    assert simulated[0] <= real[0]
+    assert simulated[1] - real[1] == {"object.pose_true", "body_poses", "contact_results", "query_object"}
+
+
+@pytest.fixture(scope="module")
+def finished(bench):
+    """A run in which nothing goes wrong, and what its link reported."""
+    bench.begin()
+    return bench.task.run(drive=bench.link), list(bench.link.report.events), dict(bench.link.report.left_out)
+
+
+def test_a_task_over_lcm_ends_as_in_simulation(bench, finished):
+    record, events, left_out = finished
+    assert (record.status, record.truth, len(record.log)) == (TaskStatus.FINISHED, None, 1), record.message
+    assert record.limit_report.ok
+    assert record.limit_report.tracking_error < 0.003  # at 80 mm/s, three periods late
+    assert bench.link.report.pauses == 0
+    assert left_out == {}
+    # the object is truly where the robot saw it come to rest
+    twin, truth = bench.twin, bench.twin.world.object_in_plant
+    poses = twin.world.plant.get_body_poses_output_port().Eval(
+        twin.world.plant.GetMyContextFromRoot(bench.simulator.get_context())
+    )
+    place = poses[int(truth.body.index())].translation()[:2]
+    np.testing.assert_allclose(record.log[0].final_pose[:2], place, atol=0.003)
+    assert np.linalg.norm(place - [0.55, 0.0]) > 0.02
+    # it ended at rest, and every command that went out kept the limits
+    assert bench.link.armed is False
+    assert [text for _, text in events] == ["guard following", "guard holding: the work is done"]
+
+
+def make_status(data, **changed):
+    message = lcmt_iiwa_status.decode(data)
+    for name, value in changed.items():
+        setattr(message, name, value)
+    return message.encode()
+
+
+class Fault:
+    """Spoils a channel from 0.35 s after a push begins."""
+
+    def __init__(self, bench, channel, spoil):
+        self.bench, self.spoil, self.begun, self.since, self.last = bench, spoil, None, bench.time, b""
+        bench.spoil[channel] = self
+
+    def __call__(self, time, data):
+        if self.begun is None:
+            phase = self.bench.task.read("executor.status").phase
+            self.since = time if phase != PushPhase.PUSHING else self.since
+            if time - self.since < 0.35:
+                self.last = data
+                return [data]
+            self.begun = time
+        return self.spoil(self, time, data)
+
+
+def freeze(fault, time, data):
+    return [fault.last]
+
+
+def vanish(fault, time, data):
+    return []
+
+
+def push_back(fault, time, data):
+    message = lcmt_iiwa_status.decode(data)
+    return [make_status(data, joint_torque_external=[40.0, *message.joint_torque_external[1:]])]
+
+
+def jump(fault, time, data):
+    message = lcmt_planar_manipuland_status.decode(data)
+    message.position = [message.position[0], message.position[1] + 0.1]
+    return [message.encode()]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("channel", "spoil", "says"),
+    [
+        (ARM.status, freeze, "the robot has sent no status for 50 ms; 50 ms are allowed"),
+        (ARM.status, vanish, "the robot has sent no status for 50 ms; 50 ms are allowed"),
+        (ARM.status, push_back, "the external torque on joint 1 is 40.0 N m; 32.0 N m are allowed"),
+        (OBJECT_STATUS, jump, "the object was seen to jump by "),
+    ],
+)
+def test_a_fault_in_the_middle_of_a_push_stops_the_arm_and_holds_it(bench, channel, spoil, says):
+    bench.begin()
+    fault = Fault(bench, channel, spoil)
+    record = bench.task.run(drive=bench.link)
+    assert record.status == TaskStatus.STOPPED
+    assert says in record.message
+    assert any(says in text for _, text in bench.link.report.events)
+    speed = max(np.abs(v).max() for time, _, v in bench.rows if 0 < fault.begun - time < STOPS_WITHIN)
+    assert speed > MIN_SPEED
+    for _ in range(100):
+        bench.move()
+    stop = bench.find_stop(fault.begun, NEAR)
+    print(f"{spoil.__name__}: at rest {1e3 * stop:.0f} ms after the fault")
+    assert stop < STOPS_WITHIN
+    # the object is not thrown: it comes to rest where the finger does
+    assert np.isfinite(bench.task.read("object.pose")).all()
+
+
+@pytest.mark.slow
+def test_doubled_late_and_broken_messages_are_left_out_and_change_nothing(bench, finished):
+    expected = finished[0].log[0].final_pose
+    bench.begin()
+    old = []
+
+    def double(time, data):
+        old.append(data)
+        return [data, data, old[max(len(old) - 4, 0)], data[:-3], make_status(data, num_joints=0)]
+
+    bench.spoil[ARM.status] = double
+    record = bench.task.run(drive=bench.link)
+    assert record.status == TaskStatus.FINISHED, record.message
+    np.testing.assert_allclose(record.log[0].final_pose, expected, atol=0.002)
+    left_out = bench.link.report.left_out
+    assert any("not newer" in why for why in left_out)
+    assert any("is not lcmt_iiwa_status" in why for why in left_out)
+
+
+def test_where_the_arm_may_not_begin_it_says_what_it_needs(bench):
+    bench.begin()
+    q = bench.rows[-1][1]
+    for change, says in (([0, 0, 0, 0, 0, 0.5, 0], "degrees from where it points down"),
+                         ([1.5, 0, 0, 0, 0, 0, -1.5], "bring the arm's joints to about")):  # fmt: skip
+        bench.spoil[ARM.status] = lambda time, data, change=change: [
+            make_status(data, joint_position_measured=(q + change).tolist())
+        ]
+        bench.move()
+        with pytest.raises(StationError, match=says):
+            bench.task.run(drive=bench.link)
+
+
+def test_nothing_goes_out_before_it_is_armed(bench):
+    bench.begin()
+    bench.link.armed = False
+    sent = []
+    bench.lcm.Subscribe(ARM.command, sent.append)
+    push = bench.task.preview(bench.link, within=5.0)
+    assert push is not None and push.command_id == 1
+    bench.lcm.HandleSubscriptions(0)
+    assert sent == []
+    assert bench.find_stop(bench.rows[0][0], NEAR) == 0.0
+
+
+def test_a_silent_or_another_robot_is_refused():
+    lcm = DrakeLcm("memq://")
+    link = HardwareLink(lcm, 7, gripper=True)
+    with pytest.raises(StationError, match=r"the robot sends no status on IIWA_STATUS within 0\.1 s"):
+        link.wait(patience=0.1)
+    message = lcmt_iiwa_status()
+    message.utime, message.num_joints = 1, 6
+    for name in lcmt_iiwa_status.__slots__[2:]:
+        setattr(message, name, [0.0] * 6)
+    lcm.Publish(ARM.status, message.encode())
+    with pytest.raises(StationError, match="IIWA_STATUS speaks of 6 joints; expected 7"):
+        link.wait(patience=0.1)
+
+
+@pytest.mark.parametrize(
+    "url", ["nonsense", "udpm://10.0.0.1:7667", "udpm://239.255.76.67:99999", "udpm://239.1.1.300:1"]
+)
+def test_a_wrong_url_is_refused(url):
+    with pytest.raises(StationError, match="expected udpm://ADDRESS:PORT"):
+        open_lcm(url)
+
+
+def test_what_lcm_cannot_tell_is_refused():
+    scenario = make_scenario()
+    scenario.camera.kind = "rgbd"
+    for make in (MakeTwin, lambda scenario, lcm: MakeHardwareStation(scenario, lcm=lcm)):
+        with pytest.raises(ScenarioError, match=r"camera\.kind is rgbd; expected ideal"):
+            make(scenario, DrakeLcm("memq://"))

@@ -1,0 +1,205 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydrake.systems.analysis import Simulator
+
+from gridpush_drake.systems.arm_guard import ArmGuard, GuardLimits, GuardMode, brake, follow
+
+PERIOD = 0.005
+LIMITS = GuardLimits(speed=np.array([1.0, 2.0]), acceleration=np.array([10.0, 5.0]), torque=np.array([30.0, 4.0]))
+BEGIN = np.array([0.3, -0.7])
+POSE = np.array([0.6, 0.1, 0.2])
+
+
+class Bench:
+    """A guard whose inputs a test sets, one update after another."""
+
+    def __init__(self, validator=None):
+        self.guard = ArmGuard(LIMITS, validator, PERIOD)
+        self.simulator = Simulator(self.guard)
+        self.context = self.simulator.get_mutable_context()
+        self.inputs = {
+            "position_desired": BEGIN, "position_measured": BEGIN, "torque_external": np.zeros(2),
+            "time_measured": np.zeros(1), "pusher_state": np.zeros(6), "object_pose": POSE, "stop": np.zeros(1),
+        }  # fmt: skip
+        self.positions = []
+
+    def step(self, fresh=True, **changed):
+        """One update, with a new status unless told otherwise; returns the guard's status."""
+        self.inputs |= {name: np.asarray(value, float) for name, value in changed.items()}
+        if fresh and "time_measured" not in changed:
+            self.inputs["time_measured"] = self.inputs["time_measured"] + PERIOD
+        for name, value in self.inputs.items():
+            self.guard.GetInputPort(name).FixValue(self.context, value)
+        if self.positions:
+            self.simulator.AdvanceTo(len(self.positions) * PERIOD)
+        self.simulator.AdvancePendingEvents()
+        self.positions.append(np.array(self.guard.GetOutputPort("position").Eval(self.context)))
+        return self.guard.GetOutputPort("status").Eval(self.context)
+
+    def run(self, count, **changed):
+        return [self.step(**changed) for _ in range(count)][-1]
+
+    def follow_ramp(self, count=40, velocity=(0.4, -0.3)):
+        """Brings the joints to a velocity, which the command has by then."""
+        speed = np.zeros(2)
+        for _ in range(count):
+            speed = np.clip(speed + LIMITS.acceleration * PERIOD, -np.abs(velocity), np.abs(velocity))
+            desired = self.inputs["position_desired"] + PERIOD * speed * np.sign(velocity)
+            self.step(position_desired=desired, position_measured=self.positions[-1] if self.positions else BEGIN)
+        np.testing.assert_allclose(self.velocity, velocity, rtol=1e-9)
+
+    @property
+    def velocity(self):
+        return (self.positions[-1] - self.positions[-2]) / PERIOD
+
+    def check_limits(self):
+        velocity = np.diff(self.positions, axis=0) / PERIOD
+        assert (np.abs(velocity) <= LIMITS.speed * (1 + 1e-9)).all()
+        assert (np.abs(np.diff(velocity, axis=0)) <= LIMITS.acceleration * PERIOD * (1 + 1e-9)).all()
+
+
+def check_stopped(bench, says):
+    """It stops at once, as fast as is allowed, keeps the limits, stays where it is, and says why."""
+    status = bench.guard.GetOutputPort("status").Eval(bench.context)
+    assert says in status.reason
+    assert status.mode in (GuardMode.STOPPING, GuardMode.HOLDING)
+    fastest = np.max(np.abs(bench.velocity) / LIMITS.acceleration)
+    noticed = status.since
+    while bench.step(fresh=False).mode != GuardMode.HOLDING:
+        assert bench.context.get_time() - noticed < fastest + 2 * PERIOD + 0.1
+    held = bench.positions[-1]
+    # nothing moves it any more: neither what is wanted, nor that all is well again
+    status = bench.run(20, position_desired=held + 1.0, torque_external=np.zeros(2), object_pose=POSE, stop=[0])
+    assert (status.mode, says in status.reason, status.since) == (GuardMode.HOLDING, True, noticed)
+    np.testing.assert_array_equal(bench.positions[-1], held)
+    bench.check_limits()
+
+
+def test_it_waits_for_the_robot_and_begins_where_that_is():
+    bench = Bench()
+    assert bench.step(position_measured=[np.nan, np.nan]).mode == GuardMode.WAITING
+    assert np.isnan(bench.positions[-1]).all()
+    far = BEGIN + [0.5, -0.5]
+    assert bench.step(position_measured=BEGIN, position_desired=far).mode == GuardMode.FOLLOWING
+    np.testing.assert_array_equal(bench.positions[-1], BEGIN)
+    bench.positions = bench.positions[1:]
+    bench.run(300)
+    np.testing.assert_allclose(bench.positions[-1], far, atol=1e-12)
+    bench.check_limits()
+    assert np.diff(bench.positions, axis=0)[:, 0].min() > -1e-12  # it does not overshoot
+
+
+def test_what_keeps_the_limits_is_passed_on_as_it_is():
+    bench = Bench()
+    bench.step()
+    for t in np.arange(0.0, 2.0, PERIOD):
+        desired = BEGIN + np.array([0.2, -0.3]) * (1 - np.cos(2 * t)) / 2
+        bench.step(position_desired=desired)
+        np.testing.assert_allclose(bench.positions[-1], desired, atol=1e-12)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    targets=st.lists(st.tuples(st.floats(-2, 2), st.floats(-2, 2)), min_size=2, max_size=15),
+    hold=st.integers(1, 30),
+)
+def test_whatever_is_wanted_the_limits_are_kept_and_rest_is_reached(targets, hold):
+    motion, before = [(np.zeros(2), np.zeros(2))], np.zeros(2)
+    for target in [*np.repeat(targets, hold, axis=0), *[np.array(targets[-1])] * 1000]:
+        motion.append(follow(*motion[-1], before, target, LIMITS.speed, LIMITS.acceleration, PERIOD))
+        before = target
+    q, v = (np.array(part) for part in zip(*motion, strict=True))
+    assert (np.abs(v) <= LIMITS.speed * (1 + 1e-9)).all()
+    assert (np.abs(np.diff(v, axis=0)) <= LIMITS.acceleration * PERIOD * (1 + 1e-9)).all()
+    np.testing.assert_allclose(np.diff(q, axis=0), v[1:] * PERIOD, atol=1e-12)
+    np.testing.assert_allclose(q[-1], targets[-1], atol=1e-9)
+    np.testing.assert_allclose(v[-1], 0.0, atol=1e-9)
+
+
+def test_braking_keeps_the_direction_and_takes_as_long_as_the_slowest_joint_needs():
+    v = v0 = np.array([0.2, -0.5])
+    steps = 0
+    while v.any():
+        before, v = v, brake(v, LIMITS.acceleration, PERIOD)
+        assert (np.abs(v - before) <= LIMITS.acceleration * PERIOD * (1 + 1e-9)).all()
+        assert abs(v[0] * v0[1] - v[1] * v0[0]) < 1e-12
+        steps += 1
+    assert steps == pytest.approx(0.5 / 5.0 / PERIOD, abs=1)
+
+
+def test_an_old_status_stops_the_arm_no_sooner_than_is_allowed():
+    bench = Bench()
+    bench.follow_ramp()
+    allowed = round(LIMITS.status_age / PERIOD) - 1
+    for _ in range(allowed):
+        assert bench.step(fresh=False).mode == GuardMode.FOLLOWING
+    assert bench.step(fresh=False).mode == GuardMode.STOPPING
+    check_stopped(bench, "no status for 50 ms; 50 ms are allowed")
+
+
+def test_a_blocked_arm_goes_back_to_where_it_was_when_that_was_noticed():
+    bench = Bench()
+    bench.follow_ramp()
+    touched = bench.positions[-1] - [0.004, -0.003]
+    bench.step(position_measured=touched, torque_external=[12.0, -3.9])
+    assert bench.step(torque_external=[12.0, -4.1]).mode == GuardMode.STOPPING
+    check_stopped(bench, "the external torque on joint 2 is 4.1 N m; 4.0 N m are allowed")
+    np.testing.assert_allclose(bench.positions[-1], touched, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("pose", "says"),
+    [((0.6, 0.14, 0.2), "jump by 40 mm and 0.00 rad"), ((0.6, 0.1, 0.2 - 0.4), "jump by 0 mm and 0.40 rad")],
+)
+def test_a_jump_of_the_pose_stops_the_arm(pose, says):
+    bench = Bench()
+    bench.follow_ramp()
+    assert bench.step(object_pose=pose).mode == GuardMode.STOPPING
+    check_stopped(bench, says)
+
+
+def test_an_object_that_slides_turns_round_or_is_hidden_for_a_while_is_no_jump():
+    bench = Bench()
+    bench.follow_ramp()
+    assert bench.step(object_pose=POSE + [0.005, 0.0, 2 * np.pi]).mode == GuardMode.FOLLOWING
+    bench.run(60, object_pose=np.full(3, np.nan))  # 0.3 s
+    assert bench.step(object_pose=POSE + [0.15, 0.0, 0.0]).mode == GuardMode.FOLLOWING
+    assert bench.step(object_pose=POSE + [0.15, 0.034, 0.0]).stopped
+
+
+def test_leaving_the_workspace_ctrl_c_and_numbers_that_are_none_stop_the_arm():
+    def validator(p_WP):
+        return "the tip is too low" if p_WP[2] < 0 else None
+
+    for change, says in (
+        ({"pusher_state": [0, 0, -0.01, 0, 0, 0]}, "the tip is too low"),
+        ({"stop": [1]}, "stopped by the user"),
+        ({"position_desired": [np.nan, 0.0]}, "position_desired has numbers that are not finite"),
+        ({"position_measured": [np.inf, 0.0]}, "position_measured has numbers that are not finite"),
+    ):
+        bench = Bench(validator)
+        bench.follow_ramp()
+        assert bench.step(**change).mode == GuardMode.STOPPING
+        bench.step(pusher_state=np.zeros(6), position_measured=BEGIN)
+        check_stopped(bench, says)
+
+
+def test_after_a_pause_of_the_commands_they_begin_at_rest():
+    bench = Bench()
+    bench.follow_ramp()
+    last, now = bench.positions[-1], bench.inputs["time_measured"]
+    desired = bench.inputs["position_desired"] + PERIOD * np.array([0.4, -0.3])
+    assert bench.step(time_measured=now + 1.0, position_desired=desired).mode == GuardMode.FOLLOWING
+    assert (np.abs(bench.positions[-1] - last) <= LIMITS.acceleration * PERIOD**2 * (1 + 1e-9)).all()
+
+
+def test_two_contexts_do_not_meet():
+    bench = Bench()
+    bench.follow_ramp()
+    other = bench.context.Clone()
+    bench.step(stop=[1])
+    assert bench.guard.GetOutputPort("status").Eval(other).mode == GuardMode.FOLLOWING
+    fresh = bench.guard.CreateDefaultContext()
+    assert bench.guard.GetOutputPort("status").Eval(fresh).mode == GuardMode.WAITING
