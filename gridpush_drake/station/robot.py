@@ -145,6 +145,7 @@ class ArmMeasures(_Measures):
         posture: where the search for the posture at home begins, about as it will be, rad, or m where a joint slides.
         reach: how far the arm gets, where a formula says it; null for the inverse kinematics to find out.
         control: how it is moved.
+        messages: what its driver speaks over LCM, see `station.robot_messages`; null where nobody knows.
         scenes: that have it, to name the robot instead of a scene; null for none.
     """
 
@@ -154,6 +155,7 @@ class ArmMeasures(_Measures):
     posture: Annotated[Numbers, Field(min_length=1, description="joint positions, in rad or m")]
     reach: ReachMeasures | None = None
     control: ControlMeasures
+    messages: Annotated[Literal["iiwa", "panda"] | None, Field(description="iiwa, panda or null")] = None
     scenes: SceneFiles | None = None
 
 
