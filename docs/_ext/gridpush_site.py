@@ -22,12 +22,7 @@ from sphinx.application import Sphinx
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
-PACKAGES = (
-    "objects", "dynamics", "pushes", "identification", "planning", "planning.contact", "planning.goal",
-    "planning.pregrasp", "perception", "multibody", "systems", "station", "report", "geometry", "dynamics.reference",
-    "dynamics.kernels", "identification.baselines", "errors",
-)  # fmt: skip
-"""Packages with public names of their own, in the order of the reference."""
+import gridpush_drake
 
 LOGGER = logging.getLogger(__name__)
 
@@ -40,14 +35,16 @@ MARKUP = re.compile(r"(?<!\\)(\||(?<=\S)\*|\*(?=\S)|(?<=\w)_(?!\w))")
 
 ARRAY = re.compile(r"~?numpy\.ndarray\[~?tuple\[.*?\], ~?numpy\.dtype\[~?numpy\.(\w+?)\d*\]\]")
 ARRAY_LIKE = re.compile(r"~?numpy\._typing\._array_like\._Buffer.*?_NestedSequence\[complex \| bytes \| str\]")
+FUNCTION = re.compile(r"(<m[io]>(?:log|exp|det|cov|diag|tr|asinh|clip|Huber)</m[io]>)")
 LITERAL = re.compile(r"(^ *::\n\n(?:(?: {4,}.*)?\n)+|^ *\.\. \w+::\n(?:(?: {3,}.*)?\n)+)", re.MULTILINE)
 INDENT = 4
 """Columns by which an equation stands to the right of the text about it."""
 
 
 def to_mathml(latex: str, display: str) -> str:
-    """Converts an equation; `aligned` is not known to the converter, `align*` is."""
-    return convert(latex.replace("{aligned}", "{align*}"), display=display)
+    """Converts an equation; `aligned` is not known to the converter, `align*` is. Functions get a thin space."""
+    text: str = convert(latex.replace("{aligned}", "{align*}"), display=display)
+    return FUNCTION.sub(r'\1<mspace width="0.17em" />', text)
 
 
 def visit_inline(translator: Any, node: nodes.math) -> None:
@@ -108,8 +105,6 @@ class PublicNames(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Makes the list."""
-        import gridpush_drake
-
         public = self.env.app.gridpush_public
         lines = []
         for name in gridpush_drake.__all__:
@@ -236,7 +231,10 @@ def write_pages(app: Sphinx) -> None:
     (folder / "python").mkdir(parents=True, exist_ok=True)
     _write(folder / "command_line.md", make_command_line_page())
     public: dict[str, str] = {}
-    for package in PACKAGES:
+    home = Path(gridpush_drake.__file__).parent
+    stubs = [*home.glob("*/__init__.pyi"), *home.glob("*/*/__init__.pyi")]
+    packages = sorted(".".join(stub.parent.relative_to(home).parts) for stub in stubs)
+    for package in [*packages, "errors"]:
         module = import_module(f"gridpush_drake.{package}")
         for name in getattr(module, "__all__", vars(module)):
             if name.startswith("_"):

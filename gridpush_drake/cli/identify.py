@@ -3,6 +3,7 @@
 What is slow to import is imported when the command runs, so that `gridpush` starts fast.
 """
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -101,6 +102,7 @@ def describe_result(result: "Identification", log: "PushLog") -> dict[str, Any]:
         "contact_friction": result.params.contact_friction,
         "contact_friction_std": result.std.contact_friction,
         "center_of_friction": result.identifiability.center_of_friction,
+        "force": None if result.force is None else asdict(result.force),
         "statements": result.identifiability.statements,
     }
 

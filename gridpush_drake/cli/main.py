@@ -56,7 +56,6 @@ app = typer.Typer(
     name="gridpush",
     help="Learn an object's friction and mass by pushing it, and predict where the next push takes it.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["--help", "-h"]},
 )

@@ -62,8 +62,8 @@ Workers = Annotated[int, typer.Option(min=1, help="Processes.")]
 Dask = Annotated[
     str | None,
     typer.Option(
-        metavar="ADDRESS", help="Use the workers of the Dask cluster whose scheduler is there, such as"
-        " tcp://host:8786, instead of processes here (pip install '.[cluster]'; workers of one thread each are best).",
+        metavar="ADDRESS", help="Use the workers of the Dask cluster whose scheduler is there, such as tcp://host:8786,"
+        " instead of processes here (pip install '.\\[cluster]'; workers of one thread each are best).",
     ),
 ]  # fmt: skip
 

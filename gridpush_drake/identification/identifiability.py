@@ -9,7 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linprog
 
+from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.identification.posterior import CELLS, LEARNED_SHARE, Posterior, compare_covariances
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -55,13 +57,16 @@ class Identifiability:
     statements: tuple[str, ...]
 
 
-def calc_identifiability(obj: GridObject, params: CellParameters, posterior: Posterior) -> Identifiability:
+def calc_identifiability(
+    obj: GridObject, params: CellParameters, posterior: Posterior, force: ForceScale | None = None
+) -> Identifiability:
     """Says what a posterior determines.
 
     Args:
         obj: the object, with its friction bounds in `obj.prior`.
         params: the estimate, whose total mass scales the mass bounds.
         posterior: of the logarithms of the cells' friction.
+        force: the scale that measured forces give; None where there are none.
 
     Returns:
         The report.
@@ -72,11 +77,15 @@ def calc_identifiability(obj: GridObject, params: CellParameters, posterior: Pos
     prior, after = posterior.prior_covariance[CELLS, CELLS], posterior.covariance[CELLS, CELLS]
     null_space = _calc_null_space(prior, after)
     learned_share = np.clip(1 - np.diag(after) / np.diag(prior), 0.0, 1.0)
-    mass_min, mass_max = _calc_mass_bounds(share, params.total_mass, obj)
+    mass_min, mass_max = _calc_mass_bounds(share, params.total_mass, obj, force)
     box = calc_center_of_mass_box(share, obj)
+    mean_friction = None if force is None else force.calc_mean_friction_bounds(obj)
+    wide, box = box, box if mean_friction is None else _calc_box_of_known_scale(share, obj, *mean_friction)
     learned = obj.n - len(null_space)
     covariance = obj.p_BC.T @ share_covariance @ obj.p_BC
-    statements = _describe(obj, learned, learned_share, np.sqrt(np.maximum(np.diag(covariance), 0.0)), box)
+    statements = _describe(obj, learned, learned_share, np.sqrt(np.maximum(np.diag(covariance), 0.0)), wide)
+    if force is not None:
+        statements = (_describe_force(obj, force, wide, box), *statements[1:])
     return Identifiability(
         share, np.sqrt(np.maximum(np.diag(share_covariance), 0.0)), center, covariance, learned, null_space,
         learned_share, mass_min, mass_max, box, statements,
@@ -129,9 +138,39 @@ def _sum_down(values: Array) -> Array:
     return _sum_up(values[:, ::-1])[:, ::-1]
 
 
-def _calc_mass_bounds(share: Array, total_mass: float, obj: GridObject) -> tuple[Array, Array]:
-    """Each cell's least and greatest mass: it rubs the most (least) it may and all others the least (most)."""
+def _calc_box_of_known_scale(share: Array, obj: GridObject, lowest: float, highest: float) -> Array:
+    """The box where the mean coefficient t of an object of known mass M is between two values: linear programs.
+
+    max a·p,    sum a_i = 1,    x_i t / mu_max <= a_i <= x_i t / mu_min,    a_i = m_i / M.
+    """
+    n, identity = obj.n, np.eye(obj.n)
+    A = np.block([
+        [identity, -(share / obj.prior.friction_min)[:, None]],
+        [-identity, (share / obj.prior.friction_max)[:, None]],
+    ])  # fmt: skip
+    bounds = [(0.0, 1.0)] * n + [(lowest, highest)]
+    box = np.empty((2, 2))
+    for axis, p in enumerate(obj.p_BC.T):
+        for row, sign in enumerate((1.0, -1.0)):
+            found = linprog(np.append(sign * p, 0.0), A, np.zeros(2 * n), [np.append(np.ones(n), 0.0)], [1.0], bounds)
+            box[row, axis] = sign * found.fun
+    return box
+
+
+def _calc_mass_bounds(
+    share: Array, total_mass: float, obj: GridObject, force: ForceScale | None
+) -> tuple[Array, Array]:
+    """Each cell's least and greatest mass: it rubs the most (least) it may and all others the least (most).
+
+    With forces, its friction by itself bounds its mass; where the object's mass is not known, that alone does.
+    """
     low, high = obj.prior.friction_min, obj.prior.friction_max
+    if force is not None and (obj.prior.total_mass is None or force.calc_mean_friction_bounds(obj) is not None):
+        lightest, heaviest = force.calc_mass_bounds(obj)
+        if obj.prior.total_mass is None:
+            return share * lightest, share * heaviest
+        least, most = _calc_mass_bounds(share, total_mass, obj, None)
+        return np.maximum(least, share * lightest), np.minimum(most, share * heaviest)
     least = (share / high) / (share / high + (1 - share) / low)
     most = (share / low) / (share / low + (1 - share) / high)
     return total_mass * least, total_mass * most
@@ -146,6 +185,32 @@ def _calc_null_space(prior: Array, after: Array) -> Array:
     basis, triangle = np.linalg.qr(np.concatenate([scale, unknown]).T)
     keep = np.abs(np.diag(triangle)) > RANK_TOLERANCE * np.abs(triangle).max()
     return (basis[:, keep] * np.where(basis[:1, keep] < 0, -1.0, 1.0)).T
+
+
+def _describe_force(obj: GridObject, force: ForceScale, wide: Array, box: Array) -> str:
+    """What the forces added, in place of what poses alone do not show."""
+    known = (
+        f"The forces of {force.pushes} pushes show the common scale of the friction, which poses do not: the table "
+        f"holds the whole object with {force.friction:.2f} N, give or take "
+        f"{force.friction * force.relative_std:.2f} N (one standard deviation). "
+    )
+    if force.against:
+        known += f"Left out are the forces of {force.against} pushes that point against the pusher's motion. "
+    lightest, heaviest = force.calc_mass_bounds(obj)
+    low, high, mass = obj.prior.friction_min, obj.prior.friction_max, obj.prior.total_mass
+    between = (
+        f"with friction coefficients from {low:g} to {high:g} the object weighs {lightest:.3g} to {heaviest:.3g} kg"
+    )
+    if mass is None:
+        return f"{known}Hence {between}."
+    mean = force.calc_mean_friction_bounds(obj)
+    if mean is None:
+        return f"{known}That contradicts what was told: {between}, not {mass:g} kg; the forces are not used."
+    sizes = [f"{x:.0f} mm by {y:.0f} mm" for x, y in (np.diff(each, axis=0)[0] * MM for each in (wide, box))]
+    return (
+        f"{known}As it weighs {mass:g} kg, the mean friction coefficient is between {mean[0]:.3f} and {mean[1]:.3f}, "
+        f"and the box of possible centers of mass is {sizes[1]}; without forces it would be {sizes[0]}."
+    )
 
 
 def _describe(obj: GridObject, learned: int, learned_share: Array, center_std: Array, box: Array) -> tuple[str, ...]:

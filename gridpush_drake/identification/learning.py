@@ -11,6 +11,7 @@ from gridpush_drake.dynamics.simulation import GRAVITY, Regime
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification.baselines.methods import DEFAULT_BUDGET_PER_PUSH, SEARCH_METHODS
 from gridpush_drake.identification.baselines.search import Bounds, SearchMethod, SearchStatus, run_search
+from gridpush_drake.identification.force_scale import calc_force_scale
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.map_ensemble import MapEnsemble, MapEnsembleFit, Tracker
 from gridpush_drake.identification.map_fit import CenterOfMass, System, calc_laplace
@@ -246,6 +247,12 @@ def _make_result(
     mass *= total_mass / mass.sum()
     contact_friction, push_height = float(np.exp(fit.z[CONTACT_FRICTION])), obj.prior.push_height or 0.0
     params = CellParameters(mass, friction, contact_friction, push_height)
+    force = None
+    if regime == "quasi_static" and screened.log:
+        force = calc_force_scale(obj, params, posterior, screened.log, seed)
+    if force is not None:
+        params = force.rescale(obj, params)
+        mass, friction = params.mass, params.friction
     relative_std = np.sqrt(np.maximum(np.diag(posterior.calc_share_covariance()), 0.0)) / share
     # Between its bounds, slow pushes say nothing of a friction coefficient by itself: uniform.
     friction_std = (obj.prior.friction_max - obj.prior.friction_min) / UNIFORM_WIDTH
@@ -255,7 +262,7 @@ def _make_result(
         float(params.contact_friction * np.sqrt(fit.covariance[CONTACT_FRICTION, CONTACT_FRICTION])),
     )
     return Identification(
-        obj, params, std, posterior, calc_identifiability(obj, params, posterior), method, regime, fit.status,
+        obj, params, std, posterior, calc_identifiability(obj, params, posterior, force), method, regime, fit.status,
         fit.message, tuple(tracker.history), tracker.simulations, fit.noise_std, fit.load_shift_std,
-        seed, tuple(push.name for push in screened.log), unused, screened.outliers, fit.starts,
+        seed, tuple(push.name for push in screened.log), unused, screened.outliers, fit.starts, force,
     )  # fmt: skip

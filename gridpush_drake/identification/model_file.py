@@ -6,6 +6,7 @@ base64 of little-endian float64.
 
 import base64
 import binascii
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,6 +17,7 @@ from pydantic import Field, Strict, model_validator
 
 from gridpush_drake.errors import GridPushError, IdentificationError
 from gridpush_drake.files import read_head, write_whole
+from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.outliers import Outlier
 from gridpush_drake.identification.posterior import GLOBALS, Posterior
@@ -68,6 +70,15 @@ class OutlierSchema(StrictSchema):
     whole: bool
 
 
+class ForceSchema(StrictSchema):
+    """What measured forces say; see `ForceScale`."""
+
+    friction: Positive
+    relative_std: NotNegative
+    pushes: Annotated[int, Field(ge=1)]
+    against: Annotated[int, Field(ge=0)] = 0
+
+
 class PosteriorSchema(StrictSchema):
     """See `Posterior`. A covariance is base64 of its lower triangle, row by row, float64."""
 
@@ -107,6 +118,7 @@ class ModelSchema(StrictSchema):
     contact_friction_std: NotNegative
     cells: CellValuesSchema
     identifiability: IdentifiabilitySchema
+    force: ForceSchema | None = None
     history: list[Annotated[tuple[int, float, str], Strict(False)]]
     posterior: PosteriorSchema
 
@@ -290,6 +302,7 @@ def _describe(result: Identification) -> ModelSchema:
             center_of_mass_box=known.center_of_mass_box.tolist(),
             learned_directions=int(known.learned_directions),
         ),
+        force=None if result.force is None else ForceSchema(**asdict(result.force)),
         history=[(entry.simulations, float(entry.loss), entry.stage) for entry in result.history],
         posterior=PosteriorSchema(
             mean=spread.mean.tolist(),
@@ -310,12 +323,13 @@ def _restore(schema: ModelSchema) -> Identification:
         unpack_symmetric("posterior.covariance", schema.posterior.covariance, n + len(GLOBALS)),
         unpack_symmetric("posterior.prior_covariance", schema.posterior.prior_covariance, n + len(GLOBALS)),
     )
+    force = None if schema.force is None else ForceScale(**schema.force.model_dump())
     return Identification(
         obj=obj,
         params=params,
         std=CellParameters(np.array(cells.mass_std), np.array(cells.friction_std), schema.contact_friction_std),
         posterior=posterior,
-        identifiability=calc_identifiability(obj, params, posterior),
+        identifiability=calc_identifiability(obj, params, posterior, force),
         method=schema.method,
         regime=schema.regime,
         status=schema.status,
@@ -328,6 +342,7 @@ def _restore(schema: ModelSchema) -> Identification:
         push_names=tuple(schema.training_pushes),
         unused_pushes=tuple(schema.unused_pushes),
         outliers=tuple(Outlier(out.push, tuple(out.poses), out.observed, out.whole) for out in schema.outliers),
+        force=force,
     )  # fmt: skip
 
 

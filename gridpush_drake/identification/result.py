@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.simulation import Regime
+from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.identification.identifiability import Identifiability
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.outliers import Outlier
@@ -85,6 +86,7 @@ class Identification:
         unused_pushes: of those left out, because the pusher never touched the object in them.
         outliers: what was refused of the pushes, one entry for each of which something was.
         starts: where each of the default method's fits ended, for `identify(start=...)`; empty for other methods.
+        force: what measured forces say of the friction's scale; None where there are none.
     """
 
     obj: GridObject
@@ -105,6 +107,7 @@ class Identification:
     unused_pushes: tuple[str, ...] = ()
     outliers: tuple[Outlier, ...] = ()
     starts: tuple[FitStart, ...] = ()
+    force: ForceScale | None = None
 
     @property
     def noise_scale(self) -> NoiseScale:

@@ -12,6 +12,7 @@ from jinja2 import Environment, StrictUndefined
 from matplotlib.figure import Figure
 
 from gridpush_drake import __version__
+from gridpush_drake.dynamics.simulation import GRAVITY
 from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.prediction import (
     ErrorSummary,
@@ -72,12 +73,22 @@ def list_numbers(result: Identification, truth: CellParameters | None = None) ->
         ),
         (
             "total mass",
-            f"{result.params.total_mass:.3g} kg" + ("" if result.obj.prior.total_mass else ", assumed"),
+            f"{result.params.total_mass:.3g} kg" + _describe_mass_source(result),
             "" if truth is None else f"{truth.total_mass:.3g} kg",
         ),
         ("left unexplained", f"{result.noise_std * MM:.2f} mm per axis", ""),
     ]
+    if result.force is not None:
+        friction, std = result.force.friction, result.force.friction * result.force.relative_std
+        true_friction = "" if truth is None else f"{GRAVITY * float(truth.mass @ truth.friction):.2f} N"
+        rows.append(("friction with the table, of the measured forces", f"{friction:.2f} ± {std:.2f} N", true_friction))
     return rows
+
+
+def _describe_mass_source(result: Identification) -> str:
+    if result.obj.prior.total_mass:
+        return ""
+    return ", assumed" if result.force is None else ", of the measured forces and the friction that was supposed"
 
 
 def describe_making(result: Identification, log: PushLog, version: str) -> list[tuple[str, str]]:

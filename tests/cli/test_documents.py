@@ -1,0 +1,148 @@
+"""README and the pages of the site: their commands, code, files and links are there, and run.
+
+The notebooks among them run when the site is built; `docs/extending.md` in `tests/station/test_own_controller.py`.
+"""
+
+import re
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+import typer
+import yaml
+
+from gridpush_drake.cli.main import app
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import list_shipped_objects
+from gridpush_drake.pushes.push_log import COLUMNS, PushLog
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
+PAGES = [page for page in PAGES if page.is_file() and "generated" not in page.parts]
+TEXTS = {str(page.relative_to(ROOT)): page.read_text(encoding="utf-8") for page in PAGES}
+NOTEBOOKS = {name for name, text in TEXTS.items() if "mystnb" in text}
+RUN_ELSEWHERE = NOTEBOOKS | {"docs/extending.md"}
+EVERYWHERE = {"--help"}
+"""Options of every command."""
+
+STAND_INS = {"lab", "yours"}
+"""Names of importers that the reader writes."""
+
+pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="a wheel's tests have no docs beside them")
+
+
+def find_blocks(name, language):
+    return re.findall(rf"```{language}\n(.*?)```", TEXTS[name], re.DOTALL)
+
+
+EXAMPLES = [
+    pytest.param(name, block, id=f"{name}-{i}")
+    for name in sorted(TEXTS.keys() - RUN_ELSEWHERE)
+    for i, block in enumerate(find_blocks(name, "python"))
+]
+
+
+def find_commands(text):
+    """All command lines of `gridpush` in a page, each once: indented, or in backticks."""
+    lines = re.findall(r"^    (gridpush [^#\n]*)", text, re.MULTILINE) + re.findall(r"`(gridpush [^`\n]*)`", text)
+    return sorted({line.strip() for line in lines})
+
+
+@pytest.mark.parametrize(("name", "example"), EXAMPLES)
+def test_the_python_runs(name, example, block, pushes, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    block.rename("object.yaml")
+    exec(compile(example, name, "exec"), {})
+
+
+def test_the_python_type_checks(tmp_path):
+    mypy = pytest.importorskip("mypy.api", reason="mypy is not installed")
+    files = []
+    for i, example in enumerate(EXAMPLES):
+        files.append(tmp_path / f"example_{i}.py")
+        files[-1].write_text(example.values[1])
+    assert len(files) >= 3
+    settings = ROOT / "pyproject.toml"
+    out, err, code = mypy.run([*map(str, files), f"--config-file={settings}", "--follow-imports=silent", "--strict"])
+    assert code == 0, out + err
+
+
+@pytest.mark.parametrize("name", sorted(name for name, text in TEXTS.items() if "import" in text))
+def test_the_python_names_public_things_only(name):
+    code = "\n".join(
+        re.findall(r"```(?:python|\{code-cell\}|\{code-block\} python).*?\n(.*?)```", TEXTS[name], re.DOTALL)
+    )
+    ours = re.findall(r"^ *from gridpush_drake([\w.]*) import (?:\(([^)]*)\)|([^\n]*))", code, re.MULTILINE)
+    for module, many, few in ours:
+        package = import_module(f"gridpush_drake{module}")
+        names = {part.strip() for part in (many or few).replace("\n", " ").split(",") if part.strip()}
+        public = set(getattr(package, "__all__", ())) or {n for n in vars(package) if n.endswith(("Error", "Warning"))}
+        assert names <= public, f"gridpush_drake{module}: {names - public}"
+
+
+def test_there_are_seven_notebooks():
+    assert len(NOTEBOOKS) >= 7
+
+
+def test_the_object_and_the_pushes_can_be_read(tmp_path):
+    text = find_blocks("docs/howto/own_object.md", "yaml")[0]
+    assert set(yaml.safe_load(text)) >= {"name", "outline", "parts", "total_mass", "center_of_mass", "pusher"}
+    (tmp_path / "object.yaml").write_text(text)
+    obj = GridObject.from_yaml(tmp_path / "object.yaml")
+    assert set(obj.labels) == {1, 2}
+    (text,) = find_blocks("docs/howto/own_pushes.md", "csv")
+    (tmp_path / "pushes.csv").write_text(text)
+    assert len(PushLog.read_csv(tmp_path / "pushes.csv")) == 1
+
+
+def test_every_column_and_object_is_named():
+    for column in COLUMNS:
+        assert f"`{column}`" in TEXTS["docs/howto/own_pushes.md"]
+    for shipped in list_shipped_objects():
+        assert f"`{shipped}`" in TEXTS["docs/first_steps.md"]
+
+
+@pytest.mark.parametrize("name", sorted(name for name, text in TEXTS.items() if find_commands(text)))
+def test_the_commands_are_the_commands(name):
+    for line in find_commands(TEXTS[name]):
+        command, words = typer.main.get_command(app), line.split()[1:]
+        while words and hasattr(command, "commands") and not words[0].startswith("-"):
+            found = command.get_command(None, words[0])
+            assert found is not None or words[0] in STAND_INS or words[0].isupper(), line
+            if found is None:
+                words = []
+            else:
+                command, words = found, words[1:]
+        options = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
+        used = {word.partition("=")[0] for word in words if re.match(r"--?[a-z]", word)}
+        assert used <= options | EVERYWHERE, f"{line}: {used - options}"
+
+
+def test_the_tree_is_the_tree():
+    if not (ROOT / "gridpush_drake").is_dir():
+        pytest.skip("the tests stand beside an installed package, not in its checkout")
+    folders = set(re.findall(r"^ {6}(\w+)/ ", TEXTS["docs/reference/layout.md"], re.MULTILINE))
+    packages = {path.parent.name for path in (ROOT / "gridpush_drake").glob("*/__init__.py")}
+    assert folders | {"systems"} == packages
+
+
+@pytest.mark.parametrize("name", sorted(TEXTS))
+def test_named_files_are_there(name):
+    named = re.findall(r"`((?:gridpush_drake|systems|models|tests|docs)/[\w/.]+)`", TEXTS[name])
+    if name == "docs/theory/paper.md":
+        below = re.findall(r"`((?:dynamics|identification|planning)/[\w/]+\.py)`", TEXTS[name])
+        assert len(below) > 20
+        named += [f"gridpush_drake/{file}" for file in below]
+    assert [file for file in named if not (ROOT / file).exists()] == []
+
+
+def test_the_theory_names_its_files():
+    for name in ("model", "identification", "planning", "perception"):
+        assert TEXTS[f"docs/theory/{name}.md"].count("*In the code:*") >= 4
+
+
+def test_the_links_of_readme_lead_somewhere():
+    links = re.findall(r"\]\(([^)#:]+)\)", TEXTS["README.md"])
+    assert len(links) > 8
+    assert [link for link in links if not (ROOT / link).exists()] == []

@@ -1,0 +1,161 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gridpush_drake.dynamics.simulation import GRAVITY, simulate
+from gridpush_drake.dynamics.time_grid import make_path_times
+from gridpush_drake.identification.identifiability import _calc_box_of_known_scale, calc_center_of_mass_box
+from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.model_file import read_model, write_model
+from gridpush_drake.identification.result import Identification
+from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.importers.cmu import CmuImporter
+from gridpush_drake.pushes.push_log import PushLog
+from tests.helpers.shared_data import shared_data
+from tests.identification.simulated_pokes import make_pokes
+
+RECTANGLE = [[-0.06, -0.03], [0.06, -0.03], [0.06, 0.03], [-0.06, 0.03]]
+FRICTION = (0.25, 0.5)
+MASS = 0.8
+
+
+def make_case(total_mass: float | None = None) -> tuple[GridObject, CellParameters]:
+    """An object, one of whose ends is heavier and rougher than supposed."""
+    prior = PhysicalPrior(friction=0.35, friction_min=FRICTION[0], friction_max=FRICTION[1], total_mass=total_mass)
+    obj = GridObject.from_outline(RECTANGLE, max_cells=18, prior=prior)
+    heavy = obj.p_BC[:, 0] > 0.02
+    mass = np.where(heavy, 4.0, 1.0)
+    return obj, CellParameters(MASS * mass / mass.sum(), np.where(heavy, 0.45, 0.4), 0.35)
+
+
+def add_forces(obj: GridObject, truth: CellParameters, log: PushLog, seed: int, backwards: int = 0) -> PushLog:
+    """With forces at 50 Hz: 15 % off from push to push, with noise and an offset of the sensor.
+
+    Those of the first `backwards` pushes have the wrong sign.
+    """
+    rng, pushes = np.random.default_rng((9, seed)), []
+    for i, seen in enumerate(log):
+        times = make_path_times(seen.push, "quasi_static")
+        motion = simulate(obj, truth, seen.push, seen.pose, regime="quasi_static", times=times)
+        t = np.arange(0.0, seen.push.duration, 0.02)
+        force = motion.contact_forces.sum(axis=1)[np.searchsorted(times, t, side="right") - 1]
+        force = force * np.exp(rng.normal(0, 0.15)) + rng.normal(0, 0.3, force.shape) + rng.normal(0, 0.05, 2)
+        pushes.append(replace(seen, force_t=t, force=-force if i < backwards else force))
+    return PushLog(tuple(pushes))
+
+
+def learn(seed: int = 0, total_mass: float | None = None, backwards: int = 0, count: int = 6) -> Identification:
+    obj, truth = make_case(total_mass)
+    log = make_pokes(obj, truth, count, seed, noise=(3e-4, 3e-3))
+    return identify(obj, add_forces(obj, truth, log, seed, backwards))
+
+
+@pytest.mark.parametrize("count", [1, 3, 8])
+def test_friction_comes_out_as_far_off_as_is_said(count: int) -> None:
+    _, truth = make_case()
+    right = GRAVITY * truth.mass @ truth.friction
+    found = [learn(seed, count=count).force for seed in range(5)]
+    off = np.array([np.log(one.friction / right) / one.relative_std for one in found])
+    assert np.abs(off).max() < 3.0 and 0.2 < np.sqrt((off**2).mean()) < 1.6, off
+    assert max(one.relative_std for one in found) < 0.35 / np.sqrt(count) + 0.05
+    assert all(one.pushes == count and one.against == 0 for one in found)
+
+
+def test_an_unknown_mass_is_bounded_and_the_estimate_has_the_forces_scale() -> None:
+    _, truth = make_case()
+    model = learn(2)
+    low, high = model.force.calc_mass_bounds(model.obj)
+    assert low < MASS < high and high / low < 3.5
+    assert GRAVITY * model.params.mass @ model.params.friction == pytest.approx(model.force.friction)
+    assert np.all(model.params.friction == 0.35)
+    known = model.identifiability
+    assert known.mass_min.sum() == pytest.approx(low) and known.mass_max.sum() == pytest.approx(high)
+    assert (known.mass_min < truth.mass * 1.5).all() and (known.mass_max > truth.mass / 1.5).all()
+    (said,) = [text for text in known.statements if "forces" in text]
+    assert f"{model.force.friction:.2f} N" in said and f"weighs {low:.3g} to {high:.3g} kg" in said
+    assert not any("common scale of the friction. Slow" in text for text in known.statements)
+
+
+def test_a_known_mass_makes_the_box_of_centers_smaller() -> None:
+    obj, truth = make_case(MASS)
+    model = learn(3, MASS)
+    low, high = model.force.calc_mean_friction_bounds(obj)
+    mean = truth.mass @ truth.friction / MASS
+    assert low < mean < high and high - low < 0.8 * (FRICTION[1] - FRICTION[0])
+    assert model.params.total_mass == pytest.approx(MASS)
+    assert low < model.params.friction.mean() < high
+    wide = calc_center_of_mass_box(model.identifiability.relative_friction, obj)
+    box, center = model.identifiability.center_of_mass_box, truth.center_of_mass(obj)
+    assert (box[0] >= wide[0] - 1e-9).all() and (box[1] <= wide[1] + 1e-9).all()
+    assert (np.diff(box, axis=0) < 0.97 * np.diff(wide, axis=0)).all()
+    assert (box[0] < center).all() and (center < box[1]).all()
+    assert any("without forces it would be" in text for text in model.identifiability.statements)
+
+
+def test_the_box_with_a_free_scale_is_that_without_forces() -> None:
+    obj, _ = make_case(MASS)
+    for seed in range(3):
+        share = np.random.default_rng(seed).dirichlet(np.ones(obj.n))
+        np.testing.assert_allclose(
+            _calc_box_of_known_scale(share, obj, *FRICTION), calc_center_of_mass_box(share, obj), atol=1e-9
+        )
+
+
+def test_at_a_bound_of_the_friction_all_cells_are_there_and_the_center_is_known() -> None:
+    obj, _ = make_case(MASS)
+    share = np.random.default_rng(0).dirichlet(np.ones(obj.n))
+    box = _calc_box_of_known_scale(share, obj, FRICTION[1], FRICTION[1])
+    np.testing.assert_allclose(box, np.tile(share @ obj.p_BC, (2, 1)), atol=1e-9)
+
+
+def test_forces_that_point_backwards_are_left_out_or_not_believed_at_all() -> None:
+    some = learn(1, backwards=2)
+    assert (some.force.pushes, some.force.against) == (4, 2)
+    assert any("Left out are the forces of 2 pushes" in text for text in some.identifiability.statements)
+    none = learn(1, backwards=6)
+    assert none.force is None
+    np.testing.assert_array_equal(none.params.mass, learn_without_forces(1).params.mass)
+
+
+def learn_without_forces(seed: int) -> Identification:
+    obj, truth = make_case()
+    return identify(obj, make_pokes(obj, truth, 6, seed, noise=(3e-4, 3e-3)))
+
+
+def test_without_forces_nothing_is_said_of_them() -> None:
+    model = learn_without_forces(0)
+    assert model.force is None
+    assert not any("forces" in text for text in model.identifiability.statements)
+    assert model.identifiability.statements[0].startswith("Not identifiable from these data: the common scale")
+
+
+def test_a_mass_that_contradicts_the_forces_is_said_and_kept() -> None:
+    model = learn(0, total_mass=10 * MASS)
+    assert model.force.calc_mean_friction_bounds(model.obj) is None
+    assert model.params.total_mass == pytest.approx(10 * MASS) and np.all(model.params.friction == 0.35)
+    assert "contradicts what was told" in model.identifiability.statements[0]
+
+
+def test_a_model_file_keeps_it(tmp_path) -> None:
+    model = learn(4, MASS)
+    write_model(tmp_path / "model.yaml", model)
+    back = read_model(tmp_path / "model.yaml")
+    assert back.force == model.force
+    assert back.identifiability.statements == model.identifiability.statements
+    np.testing.assert_allclose(back.identifiability.mass_min, model.identifiability.mass_min, rtol=1e-9)
+    np.testing.assert_allclose(back.identifiability.center_of_mass_box, model.identifiability.center_of_mass_box)
+
+
+@pytest.mark.parametrize("name", ["hardboard_wide", "hardboard_middle", "hardboard_patch", "plywood_wide"])
+def test_real_forces_give_a_steel_block_a_likely_friction(name: str) -> None:
+    """1.518 kg on hardboard and plywood, whose friction is between 0.2 and 0.5."""
+    log, obj = CmuImporter().read(shared_data("cmu_pushes", f"{name}.txt"))
+    model = identify(obj, log[:10])
+    assert model.force is not None and model.force.pushes >= 9 and model.force.relative_std < 0.15
+    low, high = model.force.calc_mean_friction_bounds(obj)
+    assert 0.2 < low < high < 0.5
+    told_less = replace(obj.prior, total_mass=None, friction_min=0.2, friction_max=0.5)
+    lightest, heaviest = model.force.calc_mass_bounds(replace(obj, prior=told_less))
+    assert 0.5 < lightest < 1.518 < heaviest < 4.0
