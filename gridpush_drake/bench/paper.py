@@ -235,8 +235,7 @@ def run(
     _check(protocol, names, methods, budget, sets)
     if figure is not None:
         check_figure(figure, force)
-    shares = BUDGET_SHARES if figure is not None else (1.0,)
-    budgets = tuple(sorted({max(TRAINING_PUSHES, round(budget * share)) for share in shares}))
+    budgets = choose_budgets(budget) if figure is not None else (budget,)
     jobs = _make_jobs(protocol, folder, names, sets, tuple(methods), budgets, seed)
     done = run_jobs(run_job, jobs, _describe, execution)
     scores = [score for scores in done for score in scores]
@@ -247,6 +246,11 @@ def run(
         tables.append(tabulate_budgets(scores, (UNIFORM, *methods), TRAINING_PUSHES))
         write_figure(figure, scores, names, (UNIFORM, *methods), TRAINING_PUSHES, force)
     return tables
+
+
+def choose_budgets(budget: int) -> tuple[int, ...]:
+    """The budgets at which a curve is measured, the last one `budget`."""
+    return tuple(sorted({max(TRAINING_PUSHES, round(budget * share)) for share in BUDGET_SHARES}))
 
 
 def run_job(job: Job) -> list[Score]:
@@ -326,13 +330,13 @@ def write_figure(
 
     def draw(axis: Axes, panel: str) -> None:
         of_panel = {} if panel == ALL_OBJECTS else {"name": panel}
-        _draw_panel(axis, select(scores, training=training, **of_panel), methods)
+        draw_panel(axis, select(scores, training=training, **of_panel), methods)
 
     labels = ("simulated pushes", "mean test cell error, mm")
     write_panels(path, [*names, ALL_OBJECTS], COLUMNS, labels, draw, force)
 
 
-def _draw_panel(axis: Axes, scores: Sequence[Score], methods: Sequence[str]) -> None:
+def draw_panel(axis: Axes, scores: Sequence[Score], methods: Sequence[str]) -> None:
     """A line for each method over the pushes it simulated, with a band: its interval; a point where it ran once."""
     for i, method in enumerate(methods):
         chosen = select(scores, method=method)

@@ -84,6 +84,12 @@ def view(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="FILE.html", help="Write the page instead of serving it.")
     ] = None,
+    film: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.gif", help="Of a recording: write a film of it, GIF or WebP, instead; Chromium draws it."
+        ),
+    ] = None,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,
@@ -97,6 +103,9 @@ def view(
         raise ViewError(f"--height: is {height}; expected a positive number (m)")
     if out is not None:
         check_writable(out, force)
+    if film is not None:
+        _write_film(Path(source), film, force, json)
+        return
     chosen = ViewOptions(shows, height, port, open_page, out, force, json)
     if kind in (".html", ".htm"):
         _play_recording(Path(source), open_page, json)
@@ -117,7 +126,7 @@ def _check_options(kind: str, of_pushes: dict[str, Any], out: Path | None) -> No
         raise ViewError("--out: a recording is a page already; expected a model or a push log with --out")
 
 
-def _play_recording(path: Path, open_page: bool, json: bool) -> None:
+def _check_recording(path: Path) -> None:
     from gridpush_drake.files import is_file
     from gridpush_drake.multibody.meshcat_server import looks_like_recording
 
@@ -125,6 +134,21 @@ def _play_recording(path: Path, open_page: bool, json: bool) -> None:
         raise ViewError(f"{path}: there is no such file")
     if not looks_like_recording(path):
         raise ViewError(f"{path}: is not a recording; expected a page that Meshcat wrote, such as the demo's")
+
+
+def _write_film(path: Path, film: Path, force: bool, json: bool) -> None:
+    from gridpush_drake.multibody.recording_film import write_film
+
+    _check_recording(path)
+    write_film(path, film, force)
+    if json:
+        print_json({"kind": "film", "written": [str(film)]})
+    else:
+        print_line(f"Wrote {film}.")
+
+
+def _play_recording(path: Path, open_page: bool, json: bool) -> None:
+    _check_recording(path)
     address = path.resolve().as_uri()
     opened = open_page and _open(address)
     if json:

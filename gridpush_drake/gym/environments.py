@@ -62,8 +62,22 @@ def make_game(game: str, options: dict[str, Any]) -> PushGame[Any]:
 class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
     """One episode after another.
 
-    An action is (place on the outline, direction, distance), each from -1 to 1 (`KnownShape.make_push`). An observation
-    is a dictionary, see `PushGame.make_spaces`; `info` has "score", the game's own measure, and "is_success".
+    An action is a push: (place, direction, distance), each from -1 to 1. They stand for where along the outline that
+    the finger can reach (once round), for -0.8 to 0.8 rad from the inward normal there, and for 1 to 15 cm. An
+    observation is a dictionary; lengths are in m, and everything is as it was seen, with noise:
+
+        pose          (4,) x, y, cosine and sine of theta of the object's body frame
+        outline       (256,) 64 places, at actions -1, -1 + 2/64, ...: point and inward normal (4 each), body frame
+        occupancy     (48, 48, 1) 255 where the object is, 1 cm a pixel, about its cells' centroid
+        last_action   (3,) zeros before the first push
+        last_motion   (3,) by which it moved the object, in the object's frame before, m and rad
+        table         (2,) half of the sides along x and y; its middle is the world's origin
+        goal          (4,) as the pose (PushToGoal)
+        estimate      (3,) the learner's center of friction, body frame, and its standard deviation (Explore)
+        rgb           (96, 96, 3) the scene from above, where `camera` is set
+
+    `info` has "score", the game's own measure in m (mean distance to the goal; how far a part hangs over; held-out
+    error), and "is_success".
 
     Attributes:
         game: what is drawn, seen and rewarded.

@@ -65,6 +65,6 @@ def test_tables_have_every_player():
     assert table.rows[0][3] == pytest.approx(np.mean([score.reward for score in scores]))
     (row,) = gym.tabulate_speed([("PushToGoal", 1)]).rows
     assert row[2] == gym.SIDE_BY_SIDE
-    assert row[3] == row[4] > 100
+    assert row[4] == row[5] > 100
     with pytest.raises(GridPushError, match="games: Chess"):
         gym.run(["Chess"])

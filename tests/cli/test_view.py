@@ -67,6 +67,12 @@ def test_refuses(refuses, pushes, block, model, tmp_path):
     refuses("view", pushes, *out, says=[pushes, "--object", "model.yaml"])
 
 
+def test_a_film_is_of_a_recording_only(refuses, model, tmp_path):
+    refuses("view", model, "--film", tmp_path / "film.gif", says=["is not a recording"])
+    refuses("view", tmp_path / "none.html", "--film", tmp_path / "film.gif", says=["no such file"])
+    assert not (tmp_path / "film.gif").exists()
+
+
 def test_refuses_a_port_in_use(refuses, model):
     server = StartMeshcatServer(0)
     port = server.port()

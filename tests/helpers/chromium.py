@@ -11,21 +11,7 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-
-FLAGS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--disable-dev-shm-usage",
-    "--hide-scrollbars",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--no-first-run",
-)
+from gridpush_drake.multibody.recording_film import BROWSERS, FLAGS
 
 SIZE = (1280, 800)
 """Of a picture, pixels."""
@@ -58,7 +44,7 @@ MIN_LIGHT = 0.02
 @cache
 def find_chromium() -> str | None:
     """The browser's path; None where there is none."""
-    return next((path for name in NAMES if (path := shutil.which(name))), None)
+    return next((path for name in BROWSERS if (path := shutil.which(name))), None)
 
 
 def require_chromium() -> str:
