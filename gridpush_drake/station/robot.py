@@ -178,7 +178,7 @@ class GripperMeasures(_Measures):
         mount_frame: by which it is carried.
         grasp_frame: in the middle between the pads.
         fingers: the bodies that may touch what is grasped.
-        max_force: that it grasps with, N.
+        max_force: with which both fingers press together, N.
         closing_speed: greatest, of the opening, m/s.
     """
 
