@@ -1,3 +1,6 @@
+from .hardware_link import HardwareLink as HardwareLink
+from .hardware_station import HardwareStation as HardwareStation
+from .hardware_station import MakeHardwareStation as MakeHardwareStation
 from .identify_task import IdentifyTask as IdentifyTask
 from .identify_task import IdentifyTaskRecord as IdentifyTaskRecord
 from .limit_monitor import LimitMonitor as LimitMonitor
@@ -13,6 +16,9 @@ from .robot import find_robot as find_robot
 from .scenario import PushScenario as PushScenario
 from .scenario import read_scenario as read_scenario
 from .scenario import write_scenario as write_scenario
+from .station import Station as Station
 from .task import StationTask as StationTask
 from .task import TaskRecord as TaskRecord
 from .task import TaskStatus as TaskStatus
+from .twin import MakeTwin as MakeTwin
+from .twin import Twin as Twin
