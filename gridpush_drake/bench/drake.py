@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from time import perf_counter
+from time import perf_counter, sleep, thread_time
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource
@@ -20,6 +22,8 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.station.identify_task import IdentifyTask
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
+
+Floats = NDArray[np.float64]
 
 OBJECTS = ("claw_hammer", "combination_wrench", "spray_bottle")
 SEEDS = (0, 1, 2)
@@ -132,6 +136,85 @@ def _figures(score: StationScore) -> list[float]:
         score.pushes, score.held_out, before * MM, after * MM, floor * MM, after / before, uniform * MM, learned * MM,
         score.tracking_error * MM,
     ]  # fmt: skip
+
+
+UPDATE = 0.005
+"""s of the station's shortest control period, which one update of the Diagram is."""
+
+UPDATE_MODES = {"in the same update": 0.0, "beside the Diagram, in real time": None}
+"""How what takes long is answered: `simulation.answer_delay`."""
+
+UPDATE_POKES = 3
+UPDATE_LIMIT = 120.0
+"""Simulated s after which it is given up."""
+
+UPDATE_RATE = 1.0
+"""Simulated seconds a second, at most."""
+
+
+def run_updates(report: Report | None = None) -> list[Table]:
+    """Times each update of the station's Diagram while the robot pokes and learns.
+
+    Args:
+        report: called with what begins, as of jobs.
+
+    Returns:
+        One table, a row for each way of learning.
+    """
+    rows: list[list[Value]] = []
+    announce = count_steps(report, len(UPDATE_MODES))
+    for words, delay in UPDATE_MODES.items():
+        announce(words)
+        times, busy, learned = time_updates(delay)
+        for when, chosen in (("at rest", times[~busy]), ("meanwhile", times[busy])):
+            middle, worst = (np.median(chosen, axis=0) * MS).tolist(), (chosen.max(axis=0) * MS).tolist()
+            rows.append([f"{words}; {when}", learned, len(chosen), middle[0], worst[0], middle[1], worst[1]])
+    columns = (
+        "learning and choosing", "pushes learned from", "updates", "an update, ms", "worst, ms",
+        "its own processor time, ms", "worst, ms of it",
+    )  # fmt: skip
+    notes = [
+        f"An update is {UPDATE * MS:g} ms of the station with its plant, at most {UPDATE_RATE:g} times real time; "
+        "meanwhile: while the identifier or the policy is at work. By the clock on the wall and, apart from what else "
+        "the computer does, by the processor time of the thread that the Diagram runs in."
+    ]
+    return [Table("Single updates of the station's Diagram", columns, rows, notes)]
+
+
+def time_updates(answer_delay: float | None) -> tuple[Floats, NDArray[np.bool_], int]:
+    """Lets the station poke a hammer.
+
+    Args:
+        answer_delay: as of the scenario.
+
+    Returns:
+        (U, 2) each update's time by the clock on the wall and by that of the thread's processor, s; (U,) whether
+        something was being learned or chosen; the pushes learned from.
+    """
+    scenario = PushScenario(object="claw_hammer")
+    simulation = scenario.simulation.model_copy(update={"answer_delay": answer_delay})
+    pokes = scenario.pokes.model_copy(update={"count": UPDATE_POKES, "test_count": 0})
+    task = IdentifyTask(scenario.model_copy(update={"simulation": simulation, "pokes": pokes}))
+    context = task.simulator.get_mutable_context()
+    task.station.SetStart(context)
+    systems = (task.station.GetSubsystemByName("identifier"), task.controller)
+    times, busy = [], []
+
+    def remember() -> list[Any]:
+        return [one.GetMyContextFromRoot(context).get_abstract_state(0).get_value() for one in systems]
+
+    task.simulator.Initialize()
+    while context.get_time() < UPDATE_LIMIT and (
+        task.read("executor.status").executed < UPDATE_POKES or any(one.request for one in remember())
+    ):
+        before, begin, own = remember(), perf_counter(), thread_time()
+        task.simulator.AdvanceTo(context.get_time() + UPDATE)
+        times.append((perf_counter() - begin, thread_time() - own))
+        sleep(max(0.0, UPDATE / UPDATE_RATE - times[-1][0]))
+        after = remember()
+        answered = after[0].considered != before[0].considered or after[1].command != before[1].command
+        busy.append(answered or any(one.request for one in (*before, *after)))
+    return np.array(times), np.array(busy), len(task.read("estimate.identification").push_names)
 
 
 LCP_OBJECTS = ("claw_hammer", "toolbox")

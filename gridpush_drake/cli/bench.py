@@ -199,7 +199,7 @@ def pregrasp(
     objects: Objects = None,
     mass_sets: Annotated[int | None, typer.Option(min=1, help="Hidden sets of masses and frictions an object.")] = None,
     seeds: Annotated[int | None, typer.Option(min=1, help="Tables, starts and noises a set.")] = None,
-    depth: Annotated[float, typer.Option(help="Of the gripper's fingers: what must hang over, m.")] = 0.03,
+    depth: Annotated[float, typer.Option(help="Depth of the gripper's fingers, which must hang over, m.")] = 0.03,
     experiment: Annotated[
         Literal["all", "sliding", "exploring"], typer.Option(help="Which of the two to measure.")
     ] = "all",
@@ -212,7 +212,9 @@ def pregrasp(
     ] = "foundation",
     friction: Annotated[
         tuple[float, float],
-        typer.Option(metavar="LEAST GREATEST", help="Of any part against the table, true and known."),
+        typer.Option(
+            metavar="LEAST GREATEST", help="Bounds of the friction of any part against the table, true and known."
+        ),
     ] = (0.3, 0.4),
     seed: options.Seed = 0,
     workers: options.Workers = options.WORKERS,
@@ -335,6 +337,7 @@ def drake(
     with _run_bench("drake", {"quick": quick, "seed": seed}, results, workers, dask, force) as execution:
         options.compile_kernels()
         tables = drake.run_lcp_system(report=execution.report)
+        tables += [] if quick else drake.run_updates(report=execution.report)
         if quick:
             tables += plant.run(plant.OBJECTS[:1], 2, seed=seed, execution=execution)
             tables += drake.run(drake.OBJECTS[:1], (seed,), execution)

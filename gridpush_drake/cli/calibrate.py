@@ -17,7 +17,7 @@ FORM = "COLUMNSxROWS:SIZE[:GAP[:FIRST]], such as 4x5:0.035 (m)"
 
 def calibrate(
     photo: Annotated[
-        Path | None, typer.Argument(metavar="PHOTO", help="Of the board on the table.", show_default=False)
+        Path | None, typer.Argument(metavar="PHOTO", help="A photograph of the board on the table.", show_default=False)
     ] = None,
     board: Annotated[
         str,

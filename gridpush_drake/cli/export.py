@@ -34,7 +34,7 @@ def export(
             help="Six degrees of freedom, or, in SDFormat, held to the table's plane, each cell bearing its own weight."
         ),
     ] = "free",
-    height: Annotated[float, typer.Option(help="Of the object, m.")] = 0.03,
+    height: Annotated[float, typer.Option(help="Height of the object, m.")] = 0.03,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,

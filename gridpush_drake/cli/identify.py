@@ -36,7 +36,7 @@ def identify(
     method: Annotated[Method, typer.Option(help="How to search; all but the first are for comparison.")] = "default",
     seed: options.Seed = 0,
     regime: options.Regime = "auto",
-    budget: Annotated[int | None, typer.Option(min=1, help="Most pushes to simulate.")] = None,
+    budget: Annotated[int | None, typer.Option(min=1, help="Greatest number of pushes to simulate.")] = None,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,

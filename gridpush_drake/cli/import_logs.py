@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 
 OutDir = Annotated[
     Path | None,
-    typer.Option(metavar="DIR", help="Folder for pushes.csv and object.yaml, made if missing; or name both:"),
+    typer.Option(
+        metavar="DIR",
+        help="Folder for pushes.csv and object.yaml, made if missing; or give --out-csv and --out-object.",
+    ),
 ]
 OutCsv = Annotated[Path | None, typer.Option(metavar="PUSHES.csv", help="The push log to write.")]
 OutObject = Annotated[Path | None, typer.Option(metavar="OBJECT.yaml", help="The object file to write.")]

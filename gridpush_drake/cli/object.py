@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 MM, CM2 = 1e3, 1e4
 """In m and m^2."""
 
-Photo = Annotated[Path, typer.Argument(metavar="PHOTO", help="Of the object on the table.", show_default=False)]
+Photo = Annotated[
+    Path, typer.Argument(metavar="PHOTO", help="A photograph of the object on the table.", show_default=False)
+]
 CameraFile = Annotated[
     Path,
     typer.Option(
@@ -40,9 +42,9 @@ def make_object(
     picture: Annotated[
         Path | None, typer.Option(metavar="SEEN.png", help="What was seen; also where no object was found.")
     ] = None,
-    name: Annotated[str | None, typer.Option(help="Of the object.", show_default="the photograph's")] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the object.", show_default="the photograph's")] = None,
     height: Annotated[
-        float | None, typer.Option(min=1e-4, help="Of the object, m.", show_default="as depth says")
+        float | None, typer.Option(min=1e-4, help="Height of the object, m.", show_default="as depth says")
     ] = None,
     cell_size: Annotated[
         float | None, typer.Option(min=1e-4, help="Side of a cell, m.", show_default="127 cells at most")

@@ -55,7 +55,7 @@ Regime = Annotated[
     typer.Option(help="Slow pushes are quasi_static, fast ones inertial."),
 ]
 
-Seed = Annotated[int, typer.Option(min=0, help="Of everything random.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 
 Workers = Annotated[int, typer.Option(min=1, help="Processes.")]
 

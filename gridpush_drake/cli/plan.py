@@ -21,18 +21,20 @@ def plan(
     start: Annotated[str, typer.Option(metavar="X,Y,THETA", help="Where it lies, m and rad.")] = "0,0,0",
     table: Annotated[
         str | None,
-        typer.Option(metavar="SHAPE", help=f"The table's top: {options.FORMS}; without end where not given."),
+        typer.Option(metavar="SHAPE", help=f"The table's top: {options.FORMS}; endless where not given."),
     ] = None,
     obstacle: Annotated[
         list[str] | None, typer.Option(metavar="SHAPE", help="What is in the way, in the same form; may be repeated.")
     ] = None,
     overhang: Annotated[float, typer.Option(help="How far cells may hang over the table's edge, m.")] = 0.0,
     radius: Annotated[
-        float | None, typer.Option(help="Of the pusher, m; by default what the object's file says, or 0.008.")
+        float | None, typer.Option(help="Radius of the pusher, m; by default what the object's file says, or 0.008.")
     ] = None,
-    speed: Annotated[float, typer.Option(help="Of the pusher, m/s.")] = 0.03,
-    tolerance: Annotated[float, typer.Option(help="Mean error of the cells that counts as there, m.")] = 0.005,
-    max_pushes: Annotated[int, typer.Option(min=0, help="Most pushes.")] = 25,
+    speed: Annotated[float, typer.Option(help="Speed of the pusher, m/s.")] = 0.03,
+    tolerance: Annotated[
+        float, typer.Option(help="Mean error of the cells below which the goal counts as reached, m.")
+    ] = 0.005,
+    max_pushes: Annotated[int, typer.Option(min=0, help="Greatest number of pushes.")] = 25,
     horizon: Annotated[int, typer.Option(min=1, max=2, help="Pushes to look ahead.")] = 2,
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="PLAN.yaml", help="Write the plan.")] = None,
     picture: Annotated[Path | None, typer.Option(metavar="PICTURE.png", help="Draw the plan.")] = None,

@@ -63,13 +63,7 @@ def robot(
         make_folder(out)
         for name in (*chosen.files, LOG):
             check_writable(out / name, force)
-    measures = find_robot(scenario.directives)
-    link = HardwareLink(
-        open_lcm(lcm),
-        len(measures.arm.posture),
-        gripper=measures.gripper is not None,
-        realtime_rate=realtime_rate,
-    )
+    link = HardwareLink(open_lcm(lcm), find_robot(scenario.directives), realtime_rate=realtime_rate)
     link.wait()
     options.compile_kernels()
     station_task = _make_task(task, scenario, link)

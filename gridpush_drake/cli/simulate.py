@@ -24,13 +24,13 @@ PUSH_NAME = "push_1"
 def simulate(
     target: options.ObjectOrModel,
     start: Annotated[str, typer.Option(metavar="X,Y", help="Center of the pusher at the beginning, m.")],
-    velocity: Annotated[str, typer.Option(metavar="VX,VY", help="Of the pusher, m/s.")],
-    duration: Annotated[float, typer.Option(help="s.")],
+    velocity: Annotated[str, typer.Option(metavar="VX,VY", help="Velocity of the pusher, m/s.")],
+    duration: Annotated[float, typer.Option(help="Duration of the push, s.")],
     radius: Annotated[
-        float | None, typer.Option(help="Of the pusher, m; by default what the object's file says, or 0.005.")
+        float | None, typer.Option(help="Radius of the pusher, m; by default what the object's file says, or 0.005.")
     ] = None,
     pose: Annotated[
-        str, typer.Option(metavar="X,Y,THETA", help="Of the object at the beginning, m and rad.")
+        str, typer.Option(metavar="X,Y,THETA", help="Pose of the object at the beginning, m and rad.")
     ] = "0,0,0",
     regime: options.Regime = "auto",
     mass_seed: Annotated[

@@ -20,17 +20,20 @@ def slide(
     model: options.ObjectOrModel,
     table: options.Table,
     start: Annotated[
-        str | None, typer.Option(metavar="x,y,theta", help="Where the object is, m and rad; the table's middle.")
+        str | None,
+        typer.Option(metavar="x,y,theta", help="Where the object is, m and rad; by default in the table's middle."),
     ] = None,
     opening: Annotated[float, typer.Option(help="How far the gripper opens, m.")] = 0.11,
-    depth: Annotated[float, typer.Option(help="Of the gripper's fingers: what must hang over, m.")] = 0.03,
+    depth: Annotated[float, typer.Option(help="Depth of the gripper's fingers, which must hang over, m.")] = 0.03,
     margin: Annotated[float, typer.Option(help="Stability margin asked for, m.")] = 0.003,
     radius: Annotated[
-        float | None, typer.Option(help="Of the pusher, m; by default what the object's file says, or 0.008.")
+        float | None, typer.Option(help="Radius of the pusher, m; by default what the object's file says, or 0.008.")
     ] = None,
     friction: Annotated[
         str | None,
-        typer.Option(metavar="min,max", help="What the support's friction lies between; the object's own bounds."),
+        typer.Option(
+            metavar="min,max", help="Bounds of the friction with the table; by default those of the object's file."
+        ),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="PLAN", help="Write the plan: .yaml, or .json for JSON.")

@@ -47,13 +47,13 @@ def track(
                      " an AprilTag 36h11 on the pusher."),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="PUSHES.csv", help="The push log to write.")],
-    tip_offset: Annotated[str, typer.Option(metavar="X,Y,Z", help="Of the tip in its tag's frame, m.")] = "0,0,0",
+    tip_offset: Annotated[str, typer.Option(metavar="X,Y,Z", help="Place of the tip in its tag's frame, m.")] = "0,0,0",
     tag_size: TagSize = 0.03,
     tag_height: Annotated[
-        float | None, typer.Option(help="Of the pusher's tag over the table, m, where it stays level: far more exact.")
+        float | None, typer.Option(help="Height of the pusher's tag over the table, m, if it stays level: more exact.")
     ] = None,
     height: Annotated[
-        float | None, typer.Option(min=0, help="Of the object, m.", show_default="as its file says, or 0")
+        float | None, typer.Option(min=0, help="Height of the object, m.", show_default="as its file says, or 0")
     ] = None,
     by: Annotated[
         str, typer.Option(metavar="auto|outline|tag", help="What tells the object's pose; auto: its file's tag.")

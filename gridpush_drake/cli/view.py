@@ -76,8 +76,10 @@ def view(
     shows: Annotated[
         Literal["mass", "friction", "relative_friction"], typer.Option(help="What the cells' colors stand for.")
     ] = "mass",
-    height: Annotated[float, typer.Option(help="Of the object, m.")] = DEFAULT_HEIGHT,
-    port: Annotated[int | None, typer.Option(help="Of Meshcat's page; by default a free one from 7000 on.")] = None,
+    height: Annotated[float, typer.Option(help="Height of the object, m.")] = DEFAULT_HEIGHT,
+    port: Annotated[
+        int | None, typer.Option(help="Port of Meshcat's page; by default a free one from 7000 on.")
+    ] = None,
     open_page: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")] = True,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="FILE.html", help="Write the page instead of serving it.")

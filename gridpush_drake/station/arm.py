@@ -405,7 +405,7 @@ def AddArmKinematics(
 def SetJointServos(plant: MultibodyPlant, robot: Robot, arm: ModelInstanceIndex) -> None:
     """Gives the joints of an arm whose driver is "position" their servos. Call it before Finalize."""
     control = robot.arm.control
-    if control.driver != "position":
+    if control.driver != "position" or control.damping is None:
         return
     motors = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices()]
     motors = [motor for motor in motors if motor.model_instance() == arm]

@@ -22,12 +22,13 @@ from pydrake.systems.framework import Context, Diagram
 
 from gridpush_drake.errors import StationError
 from gridpush_drake.station.hardware_station import HardwareStation
+from gridpush_drake.station.robot import Robot
 from gridpush_drake.station.robot_messages import (
-    ARM_MESSAGES,
     ARM_PERIOD,
     GRIPPER_COMMAND,
     GRIPPER_STATUS,
     OBJECT_STATUS,
+    find_arm_messages,
 )
 from gridpush_drake.systems.arm_guard import GuardMode, GuardStatus
 from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS
@@ -140,31 +141,27 @@ class HardwareLink:
     def __init__(
         self,
         lcm: DrakeLcmInterface,
-        num_joints: int,
+        arm: Robot,
         *,
-        gripper: bool,
         realtime_rate: float = 1.0,
         robot: Callable[[], object] | None = None,
-        driver: str = "iiwa",
     ) -> None:
         """Listens from now on.
 
         Args:
             lcm: that the robot is on.
-            num_joints: of the arm.
-            gripper: whether there is one.
+            arm: the robot: how many joints it has, what its driver speaks, and whether there is a gripper.
             realtime_rate: how many of the robot's seconds pass in one, where it is a twin that goes slower.
             robot: moves a twin in the same process on by `ARM_PERIOD`; no clock is looked at then. None for a robot
                 that moves by itself.
-            driver: of the arm, see `ARM_MESSAGES`.
         """
         self.bus, self.report, self.armed = DrakeLcm("memq://"), LinkReport(), False
-        self._lcm, self._rate, self._robot, self._n = lcm, realtime_rate, robot, num_joints
-        self._messages = ARM_MESSAGES[driver]
+        self._lcm, self._rate, self._robot, self._n = lcm, realtime_rate, robot, len(arm.arm.posture)
+        self._messages = find_arm_messages(arm)
         self._arm, self._object = _Channel(self._messages.status_type), _Channel(lcmt_planar_manipuland_status)
         self._gripper = _Channel(lcmt_schunk_wsg_status)
         self._channels = {self._messages.status: self._arm, OBJECT_STATUS: self._object}
-        if gripper:
+        if arm.gripper is not None:
             self._channels[GRIPPER_STATUS] = self._gripper
         for name, channel in self._channels.items():
             lcm.Subscribe(name, self._make_taker(name, channel))

@@ -23,11 +23,11 @@ from gridpush_drake.station.arm import DRIVER_OUTPUTS, ArmPosture
 from gridpush_drake.station.grasping import ExportOutputs
 from gridpush_drake.station.robot import find_robot
 from gridpush_drake.station.robot_messages import (
-    ARM_MESSAGES,
     ARM_PERIOD,
     AddGripperMessages,
     AddObjectReceiver,
     IiwaMessages,
+    find_arm_messages,
 )
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import ParseScene, check_scenario
@@ -204,12 +204,12 @@ def MakeHardwareStation(
     table_top = FindTableOutline(plant, scene_graph.model_inspector())
     robot = find_robot(scenario.directives)
     setting = MakeSetting(scenario, LoadPushedObject(scenario), None, (), plant, robot, table_top)
-    n, messages = len(setting.q_start), ARM_MESSAGES["iiwa"]
+    n, messages = len(setting.q_start), find_arm_messages(robot)
     builder = DiagramBuilder()
     status = messages.AddStatusReceiver(builder, lcm, n)
     tip = builder.AddNamedSystem("tip_sensor", ArmTipSensor(setting.control_plant, robot.finger.tip_frame))
     for port in ("position_measured", "velocity_estimated"):
-        builder.Connect(status.GetOutputPort(port), tip.GetInputPort(port))
+        builder.Connect(status[port], tip.GetInputPort(port))
     pusher_state, object_pose = tip.GetOutputPort("pusher_state"), AddObjectReceiver(builder, lcm)
     gripper_state, gripper = (None, None) if robot.gripper is None else AddGripperMessages(builder, lcm)
     control = AddRobotControl(builder, setting, learning, pusher_state, object_pose, gripper_state)
@@ -220,7 +220,7 @@ def MakeHardwareStation(
     guard = builder.AddNamedSystem("guard", ArmGuard(limits, make_bounds(setting), ARM_PERIOD))
     builder.Connect(control.kinematics.GetOutputPort("joint_positions"), guard.GetInputPort("position_desired"))
     for port in ("position_measured", "torque_external", "time_measured"):
-        builder.Connect(status.GetOutputPort(port), guard.GetInputPort(port))
+        builder.Connect(status[port], guard.GetInputPort(port))
     builder.Connect(pusher_state, guard.GetInputPort("pusher_state"))
     builder.Connect(object_pose, guard.GetInputPort("object_pose"))
     builder.Connect(guard.GetOutputPort("position"), messages.AddCommandSender(builder, lcm, n))
@@ -228,9 +228,11 @@ def MakeHardwareStation(
     ExportOutputs(builder, guard, "guard", ("status", "position"))
     state = builder.AddNamedSystem("arm_state", Multiplexer([n, n]))
     for index, port in enumerate(("position_measured", "velocity_estimated")):
-        builder.Connect(status.GetOutputPort(port), state.get_input_port(index))
+        builder.Connect(status[port], state.get_input_port(index))
     builder.ExportOutput(state.get_output_port(), f"{robot.arm_model}.state_estimated")
-    ExportOutputs(builder, status, robot.arm_model, [port for port in DRIVER_OUTPUTS if status.HasOutputPort(port)])
+    for port in DRIVER_OUTPUTS:
+        if port in status:
+            builder.ExportOutput(status[port], f"{robot.arm_model}.{port}")
     station = HardwareStation(builder, setting, control, messages)
     station.set_name(name)
     return station

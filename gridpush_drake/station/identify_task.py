@@ -11,7 +11,7 @@ from gridpush_drake.station.others import leave_out
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.station import MakeFingerRegion, Station, StationMaker
-from gridpush_drake.station.task import GO_ON, Judgment, StationTask, TaskRecord, TaskStatus, Waiting
+from gridpush_drake.station.task import ADVANCE, GO_ON, Judgment, StationTask, TaskRecord, TaskStatus, Waiting
 from gridpush_drake.systems.messages import PushStatus
 from gridpush_drake.systems.poke_policy import PokePolicy, PokeRegion, RandomPokeOptions
 
@@ -25,6 +25,9 @@ MIDDLE_MARGIN = 0.09
 
 LOST_AFTER, HIDDEN_AFTER = 0.5, 5.0
 """Simulated without the object being seen, after which it has left the table, s; and where the arm may hide it."""
+
+LEARNING_TIME = 10.0
+"""For the last push to be learned from, where that goes on beside the Diagram, s."""
 
 REFUSALS = 20
 """In a row, after which the experiment is stuck."""
@@ -120,6 +123,7 @@ class IdentifyTask(StationTask[IdentifyTaskRecord]):
         pokes = self.station.scenario.pokes
         lost_after = self.lost_after if self.station.found is None else HIDDEN_AFTER
         self._judge = PokeJudge(pokes.count + pokes.test_count, lost_after)
+        self._logged, self._logged_at = 0, -float("inf")
         return IdentifyTaskRecord(self.station.obj, self.station.truth, training=pokes.count)
 
     def note(self, record: IdentifyTaskRecord, time: float) -> bool:
@@ -127,11 +131,20 @@ class IdentifyTask(StationTask[IdentifyTaskRecord]):
         status = self.read("executor.status")
         if not record.phases or record.phases[-1][1] != status:
             record.phases.append((time, status))
+        if len(record.training_log) > self._logged:
+            self._logged, self._logged_at = len(record.training_log), time
         return not status.ready
 
     def judge(self, record: IdentifyTaskRecord, waiting: Waiting) -> Judgment:
-        """Status and message."""
-        return self._judge.judge(self.read("executor.status"), waiting)
+        """Status and message; an experiment is over once its pushes were learned from."""
+        judgment = self._judge.judge(self.read("executor.status"), waiting)
+        return GO_ON if judgment[0] == FINISHED and not self._has_learned(record.duration) else judgment
+
+    def _has_learned(self, time: float) -> bool:
+        """Whether the last push to learn from was learned from, or will not be."""
+        if self.read("estimate.message") or time > self._logged_at + LEARNING_TIME:
+            return True
+        return bool(time - self.read("estimate.age")[0] >= self._logged_at - ADVANCE)
 
     def finish(self, record: IdentifyTaskRecord) -> None:
         """Raises StationError where not a single push could be carried out."""

@@ -89,10 +89,7 @@ class GraspFinder:
         return None
 
     def can_grasp(self, goal: PreGraspGoal, masses: PlausibleMassSet) -> bool:
-        """Whether the object can be taken at a goal; by a flat part also held, whichever of some masses it has.
-
-        A narrow part is but near where it will be taken, which is as near the center of mass as can be.
-        """
+        """Whether the object can be taken at a goal; by a flat part also held, whichever of some masses it has."""
         flat = isinstance(goal.part, FlatPart)
         return self.find_grasp(goal.pose, goal.part.p_BG, masses if flat else None) is not None
 

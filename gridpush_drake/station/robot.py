@@ -85,11 +85,12 @@ class ReachMeasures(_Measures):
         return sqrt(least), sqrt(greatest)
 
 
+GAINS = "a positive number, or one for each joint"
 Gains = Annotated[
     tuple[Positive, ...],
     Strict(False),
     BeforeValidator(lambda value: value if isinstance(value, list | tuple) else (value,)),
-    Field(min_length=1, description="a positive number, or one for each joint"),
+    Field(min_length=1, description=GAINS),
 ]
 """Of the joints, or one for all."""
 
@@ -105,7 +106,7 @@ class ControlMeasures(_Measures):
         period: of the inverse kinematics, s.
         stiffness: kp of an iiwa's inverse dynamics controller, critically damped, 1/s²; of a joint's servo, N m/rad, or
             N/m; one number for all joints, or one for each.
-        damping: of a joint's servo, N m s/rad or N s/m, likewise; an iiwa driver has none.
+        damping: of a joint's servo, N m s/rad or N s/m, likewise; None for an iiwa.
         centering_gain: of the pull to the nominal posture in the null space, 1/s.
         limit_margin: kept from the joints' limits by the inverse kinematics, rad.
         path_limit_margin: kept from them by paths that are planned, rad.
@@ -115,7 +116,7 @@ class ControlMeasures(_Measures):
     driver: Annotated[Driver, Field(description=f"one of {', '.join(get_args(Driver))}")] = "iiwa"
     period: Positive
     stiffness: Gains
-    damping: Gains = (1.0,)
+    damping: Annotated[Gains | None, Field(description=GAINS)] = None
     centering_gain: Positive
     limit_margin: Positive
     path_limit_margin: Positive
@@ -144,6 +145,7 @@ class ArmMeasures(_Measures):
         posture: where the search for the posture at home begins, about as it will be, rad, or m where a joint slides.
         reach: how far the arm gets, where a formula says it; null for the inverse kinematics to find out.
         control: how it is moved.
+        messages: what its driver speaks over LCM, see `station.robot_messages`; null where nobody knows.
         scenes: that have it, to name the robot instead of a scene; null for none.
     """
 
@@ -153,6 +155,7 @@ class ArmMeasures(_Measures):
     posture: Annotated[Numbers, Field(min_length=1, description="joint positions, in rad or m")]
     reach: ReachMeasures | None = None
     control: ControlMeasures
+    messages: Annotated[Literal["iiwa", "panda"] | None, Field(description="iiwa, panda or null")] = None
     scenes: SceneFiles | None = None
 
 
@@ -175,7 +178,7 @@ class GripperMeasures(_Measures):
         mount_frame: by which it is carried.
         grasp_frame: in the middle between the pads.
         fingers: the bodies that may touch what is grasped.
-        max_force: that it grasps with, N.
+        max_force: with which both fingers press together, N.
         closing_speed: greatest, of the opening, m/s.
     """
 
@@ -387,12 +390,17 @@ def check_robot(plant: MultibodyPlant, robot: Robot) -> None:
 def _check_joints(plant: MultibodyPlant, robot: Robot, arm: ModelInstanceIndex) -> None:
     joints, model, measures = list_moving_joints(plant, arm), robot.arm_model, robot.arm
     names = ", ".join(joint.name() for joint in joints)
-    one_each = {"posture": len(measures.posture)}
-    one_each |= {name: len(getattr(measures.control, name)) for name in ("stiffness", "damping")}
-    for name, count in one_each.items():
-        if count != len(joints) and (name == "posture" or count != 1):
+    control = measures.control
+    if control.driver == "position" and control.damping is None:
+        raise ScenarioError(
+            f"directives: control.damping in the robot.yaml of {model} is missing; expected {GAINS}, as its driver is "
+            "position"
+        )
+    one_each = {"posture": measures.posture, "stiffness": control.stiffness, "damping": control.damping or ()}
+    for name, numbers in one_each.items():
+        if len(numbers) != len(joints) and (name == "posture" or len(numbers) > 1):
             raise ScenarioError(
-                f"directives: {name} in the robot.yaml of {model} has {count} numbers; "
+                f"directives: {name} in the robot.yaml of {model} has {len(numbers)} numbers; "
                 f"expected {len(joints)}, one for each joint: {names}"
             )
     for joint in joints:

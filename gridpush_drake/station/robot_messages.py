@@ -10,10 +10,13 @@ import numpy as np
 from drake import (
     lcmt_iiwa_command,
     lcmt_iiwa_status,
+    lcmt_panda_command,
+    lcmt_panda_status,
     lcmt_planar_manipuland_status,
     lcmt_schunk_wsg_command,
     lcmt_schunk_wsg_status,
 )
+from pydrake.common.value import AbstractValue
 from pydrake.lcm import DrakeLcmInterface
 from pydrake.manipulation import (
     IiwaCommandReceiver,
@@ -21,17 +24,29 @@ from pydrake.manipulation import (
     IiwaStatusReceiver,
     IiwaStatusSender,
     MakeMultibodyStateToWsgStateSystem,
+    PandaCommandReceiver,
+    PandaCommandSender,
+    PandaControlMode,
+    PandaStatusReceiver,
+    PandaStatusSender,
     SchunkWsgCommandReceiver,
     SchunkWsgCommandSender,
     SchunkWsgPositionController,
     SchunkWsgStatusReceiver,
     SchunkWsgStatusSender,
 )
-from pydrake.systems.framework import DiagramBuilder, InputPort, OutputPort, System
+from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, InputPort, LeafSystem, OutputPort, System
 from pydrake.systems.lcm import LcmPublisherSystem, LcmSubscriberSystem
 from pydrake.systems.primitives import MatrixGain
 
-from gridpush_drake.systems.planar_manipuland_status import PlanarManipulandStatusReceiver, PlanarManipulandStatusSender
+from gridpush_drake.errors import StationError
+from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.station.robot import Robot
+from gridpush_drake.systems.planar_manipuland_status import (
+    MICROSECONDS,
+    PlanarManipulandStatusReceiver,
+    PlanarManipulandStatusSender,
+)
 
 ARM_PERIOD = 0.005
 """Between two statuses of an arm, and between two commands, s: what drake-iiwa-driver keeps."""
@@ -46,6 +61,8 @@ OBJECT_STATUS = "PLANAR_MANIPULAND_STATUS"
 
 OBJECT_MAX_AGE = 0.5
 """Since the last message of the object, after which it is not seen, s."""
+
+POSITION_MODE = PandaControlMode.kPosition
 
 FROM_OPENING = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]])
 """From a gripper's opening, m, and its velocity to its fingers' positions and velocities."""
@@ -73,11 +90,11 @@ class IiwaMessages:
         """Whether a command is one: all its numbers are finite, and it has some."""
         return len(command.joint_position) > 0 and bool(np.isfinite(command.joint_position).all())
 
-    def AddStatusReceiver(self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int) -> System:
-        """Adds what reads the status of n joints; its output ports are `SimIiwaDriver`'s, and `time_measured`."""
+    def AddStatusReceiver(self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int) -> dict[str, OutputPort]:
+        """Adds what reads the status of n joints; returns its ports by the names that a `SimIiwaDriver` uses."""
         receiver = builder.AddNamedSystem("arm_status_receiver", IiwaStatusReceiver(n))
         _Subscribe(builder, lcm, self.status, self.status_type, receiver.get_input_port())
-        return receiver
+        return {port.get_name(): port for port in map(receiver.get_output_port, range(receiver.num_output_ports()))}
 
     def AddCommandSender(self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int) -> InputPort:
         """Adds what sends commands; returns the port for the positions of the n joints."""
@@ -101,8 +118,92 @@ class IiwaMessages:
         _Publish(builder, lcm, self.status, self.status_type, status.get_output_port(), ARM_PERIOD)
 
 
-ARM_MESSAGES = {"iiwa": IiwaMessages()}
-"""By the arm's driver."""
+PANDA_NAMES = {"velocity_measured": "velocity_estimated"}
+"""Of a Panda's ports that are named otherwise than an iiwa's."""
+
+
+@dataclass(frozen=True)
+class PandaMessages(IiwaMessages):
+    """What drake-franka-driver speaks, in its mode of positions; see `IiwaMessages`."""
+
+    status: str = "PANDA_STATUS"
+    command: str = "PANDA_COMMAND"
+    status_type: Any = lcmt_panda_status
+    command_type: Any = lcmt_panda_command
+
+    def AddStatusReceiver(self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int) -> dict[str, OutputPort]:
+        """Likewise; the time of the status is read from the message."""
+        receiver = builder.AddNamedSystem("arm_status_receiver", PandaStatusReceiver(n))
+        _Subscribe(builder, lcm, self.status, self.status_type, receiver.get_input_port())
+        clock = builder.AddNamedSystem("arm_status_clock", StatusClock(self.status_type))
+        subscriber = LcmSubscriberSystem.Make(self.status, self.status_type, lcm)
+        builder.AddNamedSystem("arm_status_clock_subscriber", subscriber)
+        builder.Connect(subscriber.get_output_port(), clock.get_input_port())
+        ports = map(receiver.get_output_port, range(receiver.num_output_ports()))
+        named = {PANDA_NAMES.get(port.get_name(), port.get_name()): port for port in ports}
+        return named | {"time_measured": clock.get_output_port()}
+
+    def AddCommandSender(self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int) -> InputPort:
+        """Likewise."""
+        sender = builder.AddNamedSystem("arm_command_sender", PandaCommandSender(n, POSITION_MODE))
+        _Publish(builder, lcm, self.command, self.command_type, sender.get_output_port(), ARM_PERIOD)
+        return sender.GetInputPort("position")
+
+    def AddRobotSide(self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int, driver: System) -> None:
+        """Likewise."""
+        commands = builder.AddNamedSystem("arm_command_receiver", PandaCommandReceiver(n, POSITION_MODE))
+        _Subscribe(builder, lcm, self.command, self.command_type, commands.GetInputPort("lcmt_panda_command"))
+        builder.Connect(driver.GetOutputPort("position_measured"), commands.GetInputPort("position_measured"))
+        builder.Connect(commands.GetOutputPort("position"), driver.GetInputPort("position"))
+        status = builder.AddNamedSystem("arm_status_sender", PandaStatusSender(n))
+        for port in map(status.get_input_port, range(status.num_input_ports())):
+            name = PANDA_NAMES.get(port.get_name(), port.get_name())
+            if driver.HasOutputPort(name):
+                builder.Connect(driver.GetOutputPort(name), port)
+        _Publish(builder, lcm, self.status, self.status_type, status.get_output_port(), ARM_PERIOD)
+
+
+class StatusClock(LeafSystem):
+    """Reads the time of a status.
+
+    .. pydrake_system::
+
+        name: StatusClock
+        input_ports:
+        - message
+        output_ports:
+        - time_measured
+
+    * message: abstract, of the kind it was made for, with a `utime`, us.
+    * time_measured: vector of 1, that, s.
+    """
+
+    __slots__ = NO_SLOTS
+
+    def __init__(self, kind: Any) -> None:
+        """Takes messages of a kind."""
+        super().__init__()
+        self._message = self.DeclareAbstractInputPort("message", AbstractValue.Make(kind()))
+        self.DeclareVectorOutputPort("time_measured", 1, weakly(self._calc), {self._message.ticket()})
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        output.SetAtIndex(0, self._message.Eval(context).utime / MICROSECONDS)
+
+
+ARM_MESSAGES: dict[str, IiwaMessages] = {"iiwa": IiwaMessages(), "panda": PandaMessages()}
+"""By what an arm's robot.yaml says of its `messages`."""
+
+
+def find_arm_messages(robot: Robot) -> IiwaMessages:
+    """What a robot's driver speaks. Raises StationError where nobody knows, or there is a hand that none can move."""
+    kind = robot.arm.messages
+    if kind is None:
+        raise StationError(
+            f"robot.yaml of {robot.arm_model} has no messages; expected one of {', '.join(ARM_MESSAGES)} for LCM"
+        )
+    if kind != "iiwa" and robot.gripper is not None:
+        raise StationError(f"the hand of a {kind} has no LCM message in Drake; expected a scene without a gripper")
+    return ARM_MESSAGES[kind]
 
 
 def AddGripperMessages(builder: DiagramBuilder, lcm: DrakeLcmInterface) -> tuple[OutputPort, SchunkWsgCommandSender]:

@@ -12,7 +12,7 @@ from gridpush_drake.station.arm import AddArmDriver
 from gridpush_drake.station.camera import StationCamera
 from gridpush_drake.station.grasping import AddGripperController
 from gridpush_drake.station.push_station import AddSensors, AddWorld, World
-from gridpush_drake.station.robot_messages import ARM_MESSAGES, AddGripperSide, AddObjectSender
+from gridpush_drake.station.robot_messages import AddGripperSide, AddObjectSender, find_arm_messages
 from gridpush_drake.station.scenario import PushScenario
 
 
@@ -70,7 +70,7 @@ def MakeTwin(scenario: PushScenario, lcm: DrakeLcmInterface, meshcat: Any = None
     robot, instances = setting.robot, world.robot_in_plant
     builder.AddNamedSystem("lcm", LcmInterfaceSystem(lcm))
     driver = AddArmDriver(builder, plant, robot, instances.arm, setting.control_plant)
-    messages = ARM_MESSAGES["iiwa"]
+    messages = find_arm_messages(robot)
     messages.AddRobotSide(builder, lcm, len(setting.q_start), driver)
     if robot.gripper is not None:
         controller = AddGripperController(builder, plant, instances.gripper)

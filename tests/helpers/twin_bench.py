@@ -2,19 +2,18 @@
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
-from drake import lcmt_iiwa_command
 from pydrake.lcm import DrakeLcm
 from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.station.hardware_link import HardwareLink
 from gridpush_drake.station.hardware_station import MakeHardwareStation
-from gridpush_drake.station.robot_messages import ARM_PERIOD, OBJECT_STATUS, IiwaMessages
+from gridpush_drake.station.robot import find_robot
+from gridpush_drake.station.robot_messages import ARM_PERIOD, OBJECT_STATUS, find_arm_messages
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.twin import MakeTwin
-
-ARM = IiwaMessages()
 
 Spoiler = Callable[[float, bytes], list[bytes]]
 """Of the twin's time, s, and a message: what comes instead."""
@@ -30,16 +29,18 @@ class TwinBench:
 
     def __init__(self, scenario: PushScenario, task: type) -> None:
         self.lcm, self._inside = DrakeLcm("memq://"), DrakeLcm("memq://")
+        self.messages = find_arm_messages(find_robot(scenario.directives))
         self.twin = MakeTwin(scenario, self._inside)
         self.simulator = Simulator(self.twin)
         self.spoil: dict[str, Spoiler] = {}
         self.rows: list[tuple[float, np.ndarray, np.ndarray]] = []
-        for channel in (ARM.status, OBJECT_STATUS):
+        for channel in (self.messages.status, OBJECT_STATUS):
             self._inside.Subscribe(channel, partial(self._pass_out, channel))
-        self.lcm.Subscribe(ARM.command, lambda data: self._inside.Publish(ARM.command, data))
+        self.lcm.Subscribe(self.messages.command, self._pass_in)
+        self._last: Any = None
         self._count = 0
         self._reset()
-        self.link = HardwareLink(self.lcm, 7, gripper=False, robot=self.move)
+        self.link = HardwareLink(self.lcm, find_robot(scenario.directives), robot=self.move)
         self.task = task(scenario, make_station=partial(MakeHardwareStation, lcm=self.link.bus))
 
     @property
@@ -77,12 +78,15 @@ class TwinBench:
         context.SetTime((self._count + 0.5) * ARM_PERIOD)
         self.simulator.reset_context(context)
         self.twin.SetStart(context)
-        stay = lcmt_iiwa_command()  # the driver would begin with the last command of the run before
-        stay.joint_position = self.twin.world.setting.q_start.tolist()
-        stay.num_joints = len(stay.joint_position)
-        self._inside.Publish(ARM.command, stay.encode())
-        self._inside.HandleSubscriptions(0)
+        if self._last is not None:  # with which the driver would begin
+            self._last.joint_position = self.twin.world.setting.q_start.tolist()
+            self._inside.Publish(self.messages.command, self._last.encode())
+            self._inside.HandleSubscriptions(0)
         self.simulator.Initialize()
+
+    def _pass_in(self, data: bytes) -> None:
+        self._last = self.messages.command_type.decode(data)
+        self._inside.Publish(self.messages.command, data)
 
     def _pass_out(self, channel: str, data: bytes) -> None:
         spoil = self.spoil.get(channel)

@@ -94,7 +94,7 @@ def test_hand_opens_to_8_cm_and_its_pads_meet_when_closed():
     X_HG = plant.GetFrameByName("panda_hand_tcp").CalcPoseInWorld(hand.context)
     assert X_HG.translation() == pytest.approx([0.0, 0.0, 0.1034])
     query = hand.scene_graph.get_query_output_port()
-    corner = X_HG.translation() + [0.0055, 0.0, 0.0065]  # between the spheres at one corner of the pads
+    corner = X_HG.translation() + [0.0075, 0.0, 0.008]  # between the spheres at one corner of the pads
     for opening in (0.0, 0.03, 0.08):
         plant.SetPositions(hand.context, [-opening / 2, opening / 2])
         inspected = query.Eval(hand.scene_graph.GetMyContextFromRoot(hand.root))

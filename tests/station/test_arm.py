@@ -8,6 +8,7 @@ import pytest
 from gridpush_drake.errors import StationError
 from gridpush_drake.station.arm import ArmPosture, CalcStartPosture, MakeControlPlant
 from gridpush_drake.systems.messages import PushCommand
+from gridpush_drake.systems.pusher_state_sensor import ArmTipSensor
 from tests.helpers.arm_bench import HOME, ROBOT, ArmBench, add_box
 
 ACCURACY = 1e-3  # m, of the tip's center at every time of a push
@@ -186,3 +187,16 @@ def test_every_random_push_that_is_not_refused_is_followed():
         assert not record.contacts
         check_limits(bench, record)
     assert bench.status.executed > 22
+
+
+def test_the_tip_is_told_from_the_joints(posture):
+    control_plant = MakeControlPlant(ROBOT)
+    sensor = ArmTipSensor(control_plant, ROBOT.finger.tip_frame)
+    context = sensor.CreateDefaultContext()
+    q, v, h = np.array(ROBOT.arm.posture), np.linspace(-0.5, 0.7, 7), 1e-6
+    sensor.GetInputPort("position_measured").FixValue(context, q)
+    sensor.GetInputPort("velocity_estimated").FixValue(context, v)
+    state = sensor.get_output_port().Eval(context)
+    before, here, after = (posture.calc_tip_pose(q + dt * v).translation() for dt in (-h, 0.0, h))
+    np.testing.assert_allclose(state[:3], here, atol=1e-12)
+    np.testing.assert_allclose(state[3:], (after - before) / (2 * h), atol=1e-8)

@@ -111,6 +111,19 @@ def test_other_objects_are_held(name):
 
 
 @pytest.mark.slow
+def test_a_book_wider_than_the_gripper_opens_is_held_by_its_rim():
+    """Under its 9 N the controller's spring between the fingers' middle and the body's gives way by 4.5 mm."""
+    station = make_station("open_book")
+    run = Run(station, (0.5, 0.115, 0.0), station.scenario.seed)
+    status = run.grasp(run.find_best())
+    assert status.outcome == "held", status
+    height, tilt = run.height
+    assert LIFT - 0.006 < height < LIFT
+    assert tilt < np.radians(0.5)
+    assert run.monitor.limit_report.ok, run.monitor.limit_report
+
+
+@pytest.mark.slow
 def test_a_grasp_at_nothing_goes_back_and_the_station_can_push_again(hammer):
     run = Run(hammer, (0.5, -0.15, 0.0))
     home = run.read("executor.tip_pose").translation().copy()

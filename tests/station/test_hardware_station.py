@@ -2,18 +2,24 @@ import numpy as np
 import pytest
 from drake import lcmt_iiwa_status, lcmt_planar_manipuland_status
 from pydrake.lcm import DrakeLcm
+from pydrake.multibody.parsing import AddDirectives, ModelDirective
 
 from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.station import IdentifyTask, MakePushStation, PushScenario, TaskStatus
 from gridpush_drake.station.hardware_link import HardwareLink, open_lcm
 from gridpush_drake.station.hardware_station import MakeHardwareStation
-from gridpush_drake.station.robot_messages import OBJECT_STATUS
+from gridpush_drake.station.robot import find_robot
+from gridpush_drake.station.robot_messages import ARM_MESSAGES, OBJECT_STATUS
 from gridpush_drake.station.twin import MakeTwin
 from gridpush_drake.systems.messages import PushPhase
-from tests.helpers.twin_bench import ARM, TwinBench
+from tests.helpers.twin_bench import TwinBench
 
 MIN_SPEED = 0.05
 """rad/s of a joint in the middle of a push."""
+
+ARM = ARM_MESSAGES["iiwa"]
+
+ROBOT = find_robot(PushScenario().directives)
 
 STOPS_WITHIN = 0.1
 """s of the robot's time after a fault."""
@@ -190,9 +196,35 @@ def test_nothing_goes_out_before_it_is_armed(bench):
     assert bench.find_stop(bench.rows[0][0], NEAR) == 0.0
 
 
+@pytest.mark.slow
+def test_a_panda_speaks_messages_of_its_own():
+    scenario = make_scenario()
+    scene = "package://gridpush_drake/scenes/panda_push.dmd.yaml"
+    scenario.directives = [ModelDirective(add_directives=AddDirectives(file=scene))]
+    panda = TwinBench(scenario, IdentifyTask)
+    assert (panda.messages.status, panda.messages.command) == ("PANDA_STATUS", "PANDA_COMMAND")
+    panda.begin()
+    record = panda.task.run(drive=panda.link)
+    assert (record.status, len(record.log)) == (TaskStatus.FINISHED, 1), record.message
+    assert record.limit_report.ok
+    assert panda.link.report.left_out == {}
+
+
+def test_a_robot_whose_messages_nobody_knows_is_refused():
+    scenes = {
+        "gantry_push": "robot.yaml of gantry has no messages",
+        "panda_grasp": "the hand of a panda has no LCM message",
+    }
+    for scene, says in scenes.items():
+        file = f"package://gridpush_drake/scenes/{scene}.dmd.yaml"
+        robot = find_robot([ModelDirective(add_directives=AddDirectives(file=file))])
+        with pytest.raises(StationError, match=says):
+            HardwareLink(DrakeLcm("memq://"), robot)
+
+
 def test_a_silent_or_another_robot_is_refused():
     lcm = DrakeLcm("memq://")
-    link = HardwareLink(lcm, 7, gripper=True)
+    link = HardwareLink(lcm, ROBOT)
     with pytest.raises(StationError, match=r"the robot sends no status on IIWA_STATUS within 0\.1 s"):
         link.wait(patience=0.1)
     message = lcmt_iiwa_status()

@@ -150,3 +150,13 @@ def test_learns_a_hammer():
     assert after < 5e-3
     gap = record.estimates[-1].params.center_of_mass(obj) - record.truth.center_of_mass(obj)
     assert np.linalg.norm(gap) < 8e-3
+
+
+@pytest.mark.slow
+def test_does_not_end_before_the_last_push_is_learned_from():
+    scenario = PushScenario(object="open_book", base="planar", object_pose=[0.55, 0.0, 0.0])
+    scenario.pokes.count, scenario.pokes.test_count, scenario.pokes.speed = 1, 0, 0.08
+    scenario.simulation.answer_delay = 2.0  # the finger has long gone up by then
+    record = IdentifyTask(scenario).run()
+    assert record.status == FINISHED
+    assert [found.push_names for found in record.estimates] == [tuple(seen.name for seen in record.log)]

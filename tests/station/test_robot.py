@@ -186,6 +186,12 @@ def test_measures_that_will_not_do_are_refused(tmp_path, text, message):
         ("flange_frame: flange", "flange_frame: hand", "there is no frame arm::hand"),
         ("posture: [0.0, ", "posture: [", "posture in the robot.yaml of arm has 5 numbers; expected 6, one for each"),
         ("stiffness: [3000.0, ", "stiffness: [", "stiffness in the robot.yaml of arm has 5 numbers; expected 6"),
+        (
+            "  damping: [120",
+            "  # damping: [120",
+            "control.damping in the robot.yaml of arm is missing; expected a positive",
+        ),
+        ("stiffness: [3000.0, ", "stiffness: [-3000.0, ", "control.stiffness.* is -3000.0; expected a positive number"),
         ("driver: position", "driver: ur", "control.driver is 'ur'; expected one of iiwa, position"),
         ("home: [0.5, 0.0, 0.2]", "home: [1.5, 0.0, 0.2]", r"does not reach its home, \(1\.55, -0\.02, 0\.2\) m"),
         ("robot.yaml", None, "there is no robot; expected a model in whose folder there is a robot"),
@@ -219,6 +225,16 @@ def test_an_arm_whose_joints_will_not_do_is_refused(second_arm, old, new, messag
     path.write_text(re.sub(old, new, path.read_text(), count=1, flags=re.DOTALL))
     with pytest.raises(ScenarioError, match=message):
         check_scenario(read_scenario(second_arm))
+
+
+def test_a_gripper_that_does_not_open_as_drakes_controller_has_it_is_refused(tmp_path):
+    wsg, scene = find_models() / "grippers/wsg_50", find_models() / "scenes/iiwa_grasp.dmd.yaml"
+    (tmp_path / "gripper.yaml").write_text((wsg / "gripper.yaml").read_text())
+    (tmp_path / "wsg_50.sdf").write_text((wsg / "wsg_50.sdf").read_text().replace("<upper>0<", "<upper>0.01<"))
+    text = scene.read_text().replace("package://gridpush_drake/grippers/wsg_50", tmp_path.as_uri())
+    (tmp_path / "scenario.yaml").write_text(f"object_pose: [0.54, -0.06, 0.0]\n{text}")
+    with pytest.raises(ScenarioError, match="gripper gripper does not open by two joints; expected the first"):
+        check_scenario(read_scenario(tmp_path / "scenario.yaml"))
 
 
 @pytest.mark.parametrize("name", ["gantry", "iiwa14"])

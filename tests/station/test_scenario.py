@@ -152,6 +152,8 @@ def test_an_object_file_is_looked_up_beside_the_scenario(tmp_path, monkeypatch):
         ("truth: {support: jelly}", r"truth\.support is 'jelly'; expected one of own_weight, foundation, three_feet"),
         ("truth: {friction: [0, 1]}", r"truth\.friction is \[0, 1\]; expected \[least, greatest\], positive"),
         ("truth: {parts: [{label: 1, friction: 0}]}", r"truth\.parts\[0\]\.friction is 0; expected a positive"),
+        ("simulation: {answer_delay: -0.1}", r"simulation\.answer_delay is -0.1; expected a number of seconds"),
+        ("simulation: {answer_delay: soon}", r"simulation\.answer_delay is 'soon'; expected a number of seconds"),
         ("simulation: {time_step: 0}", r"simulation\.time_step is 0; expected a positive number, in s"),
         ("workspace: {x: [1, 0]}", r"workspace\.x is \[1, 0\]; expected \[least, greatest\]"),
         ("directives: 3", "directives is 3; expected a list"),

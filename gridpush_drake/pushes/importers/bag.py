@@ -102,16 +102,18 @@ class BagImporter:
     )
     object_topic: str = field(
         default="",
-        metadata={"help": "Of the object: PoseStamped, TransformStamped, Odometry; of tf with the frame, /tf:object."},
+        metadata={
+            "help": "Topic of the object: PoseStamped, TransformStamped, Odometry; of tf with the frame, /tf:object."
+        },
     )
-    tip_topic: str = field(default="", metadata={"help": "Of the pusher's tip, likewise."})
+    tip_topic: str = field(default="", metadata={"help": "Topic of the pusher's tip, likewise."})
     force_topic: str = field(default="", metadata={"help": "Of the force, WrenchStamped, in the frame of the poses."})
     object_delay: float = field(
-        default=0.0, metadata={"help": "By which the object's stamps are later than what was seen, s."}
+        default=0.0, metadata={"help": "How much later the object's stamps are than what was seen, s."}
     )
     tip_delay: float = field(default=0.0, metadata={"help": "The same of the tip's stamps, s."})
     rate: float = field(default=30.0, metadata={"help": "Samples a second, Hz."})
-    table_height: float = field(default=0.0, metadata={"help": "Of the table's top in the bag's frame, m."})
+    table_height: float = field(default=0.0, metadata={"help": "Height of the table's top in the bag's frame, m."})
     engaged_below: float = field(
         default=SegmenterOptions.engaged_below,
         metadata={"help": "Height above the table below which the tip's center can touch the object, m."},
