@@ -219,7 +219,7 @@ def _draw_maps(
     return [
         "mass_maps", f"learned from {paper.TRAINING_PUSHES} pushes: correlation with the hidden mass "
         f"{np.mean(likeness):.2f} ({min(likeness):.2f} to {max(likeness):.2f}); test error {error:.1f} mm",
-        "heavy and light parts are told apart",
+        "converges to the true masses; shown in colors, without a number",
     ]  # fmt: skip
 
 
@@ -249,7 +249,7 @@ def _draw_simulations(
     }
     said = ", ".join(f"{method.replace('_', ' ')} {error:.1f}" for method, error in best.items())
     return [
-        "simulations", f"mm, all of {counts.budget} simulations: {said}",
+        "simulations", f"mm, searches of at most {counts.budget} simulations: {said}",
         f"{paper.PAPER_MM:g} mm at most; its gradient needs the fewest simulations",
     ]  # fmt: skip
 
