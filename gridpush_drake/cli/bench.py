@@ -383,7 +383,7 @@ def gym(
         list[str] | None,
         typer.Option("--game", metavar="NAME", help="A game; may be repeated.", show_default="all three"),
     ] = None,
-    episodes: Annotated[int, typer.Option(min=2, help="Of each game, that each player plays.")] = 20,
+    episodes: Annotated[int, typer.Option(min=2, help="Episodes of each game that each player plays.")] = 20,
     seed: options.Seed = 0,
     workers: options.Workers = options.WORKERS,
     dask: options.Dask = None,

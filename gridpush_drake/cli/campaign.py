@@ -28,7 +28,9 @@ def campaign(
         Path,
         typer.Argument(metavar="SCENARIO.yaml", help="What stands where; see models/scenarios.", show_default=False),
     ],
-    seeds: Annotated[str, typer.Option(metavar="START:STOP", help=f"Of the episodes with each object: {FORM}.")],
+    seeds: Annotated[
+        str, typer.Option(metavar="START:STOP", help=f"Seeds of the episodes, each run with every object: {FORM}.")
+    ],
     out: Annotated[
         Path,
         typer.Option(

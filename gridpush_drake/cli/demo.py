@@ -75,7 +75,9 @@ def demo(
             "finds the object in a photograph and tracks it.  [default: the scenario's, ideal]"
         ),
     ] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Of everything random.  [default: the scenario's]")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of everything random.  [default: the scenario's]")
+    ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for what the demo writes.")] = Path(
         "gridpush_demo"
     ),

@@ -30,25 +30,27 @@ LOOKING = 20.0
 
 
 def robot(
-    task: Annotated[TaskName, typer.Option(help="As of `gridpush demo`.")] = TaskName.pregrasp,
+    task: Annotated[TaskName, typer.Option(help="What the robot is to do; see gridpush demo.")] = TaskName.pregrasp,
     scenario_file: Scenario = None,
     object_file: ObjectFile = None,
     lcm: LcmUrl = DEFAULT_URL,
     go: Annotated[
         bool, typer.Option("--go", help="Move. Without it the command says what it sees and would do, and ends.")
     ] = False,
-    seed: Annotated[int | None, typer.Option(min=0, help="Of pokes drawn.  [default: the scenario's]")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of the pokes that are drawn.  [default: the scenario's]")
+    ] = None,
     realtime_rate: RealtimeRate = 1.0,
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for what it writes.")] = Path(
-        "gridpush_robot"
-    ),
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for log, report, model and pushes.")
+    ] = Path("gridpush_robot"),
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
     """Carry out a task of `gridpush demo` with a real arm over LCM; nothing moves before --go.
 
-    Ctrl-C stops the arm smoothly and holds it, as does all that seems wrong. Exit code 1 where the robot did not get
-    there.
+    Ctrl-C stops the arm smoothly and holds it there. So does anything that seems wrong. Exit code 1 where the task
+    was not done.
     """
     from gridpush_drake.cli.demo_tasks import TASKS, print_summary, write_files
     from gridpush_drake.files import check_writable, make_folder, write_whole

@@ -24,7 +24,7 @@ Scenario = Annotated[
     typer.Option(
         "--scenario",
         metavar="FILE",
-        help="What stands where, as YAML; twin and robot take the same.  [default: the shipped grasp.yaml]",
+        help="What stands where, as YAML; twin and robot need the same file.  [default: the shipped grasp.yaml]",
     ),
 ]
 
@@ -32,12 +32,15 @@ ObjectFile = Annotated[
     str | None, typer.Option("--object", metavar="NAME|FILE", help="A shipped object's name, or an object file.")
 ]
 
-LcmUrl = Annotated[str, typer.Option("--lcm", metavar="URL", help="Of the LCM network that robot and twin are on.")]
+LcmUrl = Annotated[str, typer.Option("--lcm", metavar="URL", help="The LCM network that robot and twin are on.")]
 
 RealtimeRate = Annotated[
     float,
     typer.Option(
-        min=0.001, metavar="R", help="The twin's seconds in one second; twin and robot take the same. A real robot: 1."
+        min=0.001,
+        metavar="R",
+        help="Speed of the twin's time: below 1 for a slow computer. Give twin and robot the same; with a real robot "
+        "leave it at 1.",
     ),
 ]
 
@@ -46,7 +49,9 @@ def twin(
     scenario_file: Scenario = None,
     object_file: ObjectFile = None,
     lcm: LcmUrl = DEFAULT_URL,
-    seed: Annotated[int | None, typer.Option(min=0, help="Of everything random.  [default: the scenario's]")] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of everything random.  [default: the scenario's]")
+    ] = None,
     realtime_rate: RealtimeRate = 1.0,
 ) -> None:
     """Simulate a robot that speaks drake-iiwa-driver's LCM messages, for `gridpush robot` to move; Ctrl-C ends it."""

@@ -87,7 +87,8 @@ def view(
     film: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.gif", help="Of a recording: write a film of it, GIF or WebP, instead; Chromium draws it."
+            metavar="FILE.gif",
+            help="Write a film of a recording, GIF or WebP, instead of showing it; Chromium draws it.",
         ),
     ] = None,
     largest_piece: options.LargestPiece = False,
