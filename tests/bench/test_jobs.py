@@ -85,6 +85,7 @@ def test_a_jobs_error_is_the_benchs(tmp_path, workers):
         run_jobs(double, make_jobs(tmp_path, [1, -1]), describe, Execution(workers))
 
 
+@pytest.mark.slow
 def test_a_killed_workers_job_is_done_again(tmp_path):
     found = run_jobs(stumble, make_jobs(tmp_path, [1, 2, 3]), describe, Execution(2))
     assert [results[0].double for results in found] == [2, 4, 6]
@@ -92,6 +93,7 @@ def test_a_killed_workers_job_is_done_again(tmp_path):
     assert sorted((tmp_path / "runs").read_text().split()) == ["1", "2", "3"]
 
 
+@pytest.mark.slow
 def test_a_job_that_ends_every_worker_is_named_when_the_others_are_done(tmp_path):
     def told(job):
         return f"job {job.number}"

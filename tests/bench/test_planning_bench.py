@@ -34,6 +34,7 @@ def test_every_object_may_lie_where_the_protocol_says(seed):
             assert protocol.surface.contains_cells(obj, pose, -OVERHANG)
 
 
+@pytest.mark.slow
 def test_decisions_are_near_the_exhaustive_search_s(masks):
     (table,) = run(masks, objects=["snack"], quick=True, parts=("contact",), execution=Execution(workers=0))
     assert [row[0] for row in table.rows] == ["snack", "all"]

@@ -56,6 +56,7 @@ def test_the_python_runs(name, example, block, pushes, tmp_path, monkeypatch):
     exec(compile(example, name, "exec"), {})
 
 
+@pytest.mark.slow
 def test_the_python_type_checks(tmp_path):
     mypy = pytest.importorskip("mypy.api", reason="mypy is not installed")
     files = []

@@ -91,6 +91,7 @@ def check_held(run, status):
     assert len(run.read("estimate.push_log")) == 0  # a grasp is no push
 
 
+@pytest.mark.slow
 def test_the_hammer_is_taken_by_its_overhanging_head_lifted_and_held(hammer):
     run = Run(hammer, OVERHANGING["claw_hammer"])
     check_held(run, run.grasp(run.find_best()))

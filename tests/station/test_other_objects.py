@@ -91,6 +91,7 @@ def test_each_weighs_and_rubs_as_its_own_seed_says(scene, station):
     assert (np.abs(first - second)[1] > 1e-5).any()
 
 
+@pytest.mark.slow
 def test_one_that_is_pushed_moves_and_is_learned_and_the_others_stay(scene, station, simulator):
     x, y, _ = POSES[1]
     context = simulator.get_mutable_context()

@@ -145,6 +145,7 @@ def test_a_station_that_is_dropped_is_freed():
     assert [part() for part in parts] == [None] * len(parts)
 
 
+@pytest.mark.slow
 def test_a_task_with_a_gripper_that_is_dropped_is_freed():
     task = PreGraspTask(read_scenario(find_models() / "scenarios/grasp.yaml"))
     station = task.station

@@ -146,6 +146,7 @@ def test_needs_neither_a_center_nor_a_command(obj, meshcat, estimates):
     assert not meshcat.HasPath("bare/object/1/center")
 
 
+@pytest.mark.slow
 def test_an_object_in_the_air_is_drawn_where_its_body_is(obj, meshcat, estimates):
     require_chromium()
     diagram, visualizer = make_diagram(obj, meshcat, estimates, optional=False, body=1)

@@ -119,6 +119,7 @@ def test_finds_none_with_a_heading_that_does_not_point_inwards():
     assert not find_side_grasps(make_block(), (0.5, 0.17, 0.1), TABLE, headings=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "y", "theta"),
     [
