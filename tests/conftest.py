@@ -1,4 +1,4 @@
-"""`--budget SECONDS`: tests that would begin later are skipped, and say so. CI runs the slow ones while there is time."""
+"""`--budget SECONDS`: tests that would begin later are skipped, and say so; CI runs slow ones while there is time."""
 
 from time import monotonic
 
