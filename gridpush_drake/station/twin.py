@@ -1,7 +1,5 @@
 """`MakeTwin`: a simulated robot that speaks what a real one's drivers speak, and what tells the pose it sees."""
 
-from typing import Any
-
 from pydrake.lcm import DrakeLcmInterface
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from pydrake.systems.lcm import LcmInterfaceSystem
@@ -48,13 +46,14 @@ class Twin(Diagram):
             self._camera.SetSeed(root_context, seed)
 
 
-def MakeTwin(scenario: PushScenario, lcm: DrakeLcmInterface, meshcat: Any = None) -> Twin:
+def MakeTwin(scenario: PushScenario, lcm: DrakeLcmInterface, *, listens: bool = True) -> Twin:
     """Makes the twin: plant, driver, gripper and camera of a scenario, with LCM in the place of what commands them.
 
     Args:
         scenario: what stands where, and what the object truly weighs.
-        lcm: on which it speaks; it hears what came whenever its time moves.
-        meshcat: to show it in; None for none.
+        lcm: on which it speaks.
+        listens: whether it hears what came whenever its time moves. Else the caller calls `lcm.HandleSubscriptions`, as
+            it must where it subscribes itself: Drake 1.58 cannot call Python from within an `LcmInterfaceSystem`.
 
     Returns:
         The twin. Call its `SetStart` on each new Context.
@@ -68,7 +67,8 @@ def MakeTwin(scenario: PushScenario, lcm: DrakeLcmInterface, meshcat: Any = None
     world = AddWorld(builder, scenario)
     setting, plant = world.setting, world.plant
     robot, instances = setting.robot, world.robot_in_plant
-    builder.AddNamedSystem("lcm", LcmInterfaceSystem(lcm))
+    if listens:
+        builder.AddNamedSystem("lcm", LcmInterfaceSystem(lcm))
     driver = AddArmDriver(builder, plant, robot, instances.arm, setting.control_plant)
     messages = find_arm_messages(robot)
     messages.AddRobotSide(builder, lcm, len(setting.q_start), driver)

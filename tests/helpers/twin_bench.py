@@ -30,7 +30,7 @@ class TwinBench:
     def __init__(self, scenario: PushScenario, task: type) -> None:
         self.lcm, self._inside = DrakeLcm("memq://"), DrakeLcm("memq://")
         self.messages = find_arm_messages(find_robot(scenario.directives))
-        self.twin = MakeTwin(scenario, self._inside)
+        self.twin = MakeTwin(scenario, self._inside, listens=False)
         self.simulator = Simulator(self.twin)
         self.spoil: dict[str, Spoiler] = {}
         self.rows: list[tuple[float, np.ndarray, np.ndarray]] = []
@@ -61,6 +61,7 @@ class TwinBench:
     def move(self) -> None:
         """Moves the twin on by a period; its messages go out, and commands come in."""
         self._count += 1
+        self._inside.HandleSubscriptions(0)
         self.simulator.AdvanceTo((self._count + 0.5) * ARM_PERIOD)
         self._inside.HandleSubscriptions(0)
         plant, arm = self.twin.world.plant, self.twin.world.robot_in_plant.arm
