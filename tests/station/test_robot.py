@@ -29,6 +29,8 @@ DOCS = Path(__file__).parents[2] / "docs/extending.md"
 
 def read_docs():
     """The robot.yaml and the directives that stand under "A robot of your own"."""
+    if not DOCS.is_file():
+        pytest.skip("a wheel's tests have no docs beside them")
     section = DOCS.read_text().partition("## A robot of your own")[2]
     measures, directives = re.findall("```yaml\n(.*?)```", section, re.DOTALL)[:2]
     return measures, directives
