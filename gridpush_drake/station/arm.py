@@ -15,7 +15,6 @@ takes 8 ms a path; Drake's differential inverse kinematics in its place 11 ms, a
 arrived (7 paths of 10 instead of 6); Drake's `InverseKinematics` by SNOPT 510 ms, and misses a quarter of the postures.
 """
 
-from dataclasses import dataclass
 from threading import RLock
 
 import numpy as np
@@ -30,7 +29,7 @@ from pydrake.multibody.inverse_kinematics import (
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, JacobianWrtVariable, ModelInstanceIndex, PdControllerGains, PrismaticJoint
 from pydrake.systems.controllers import InverseDynamics
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, System
+from pydrake.systems.framework import Diagram, DiagramBuilder, System
 from pydrake.systems.primitives import (
     Demultiplexer,
     PassThrough,
@@ -311,23 +310,6 @@ DRIVER_OUTPUTS = (
 """Ports of an arm's driver."""
 
 
-@dataclass(frozen=True)
-class ArmControl:
-    """What `AddArmControl` put into a builder.
-
-    Attributes:
-        driver: of the joints; whichever it is, its output ports are those of Drake's `SimIiwaDriver`, `DRIVER_OUTPUTS`.
-        kinematics: the differential inverse kinematics.
-        tip_pose: the port for the tip's desired pose X_WP.
-        q_start: (n,) the posture at the beginning, rad.
-    """
-
-    driver: System
-    kinematics: DifferentialInverseKinematicsIntegrator
-    tip_pose: InputPort
-    q_start: Array
-
-
 def MakeControlPlant(robot: Robot, X_WB: RigidTransform | None = None) -> MultibodyPlant:
     """Makes the plant that the controllers know: the robot, its gripper rigid, and nothing else.
 
@@ -342,41 +324,21 @@ def MakeControlPlant(robot: Robot, X_WB: RigidTransform | None = None) -> Multib
     return plant
 
 
-def AddArmControl(
-    builder: DiagramBuilder,
-    plant: MultibodyPlant,
-    robot: Robot,
-    arm: ModelInstanceIndex,
-    control_plant: MultibodyPlant,
-    q_start: ArrayLike,
-) -> ArmControl:
-    """Adds the arm's driver and inverse kinematics. Call it after Finalize.
-
-    The builder keeps the control plant alive.
-
-    Args:
-        builder: the plant is in it.
-        plant: has the arm, on which `SetJointServos` was called.
-        robot: the robot.
-        arm: its arm's model instance.
-        control_plant: as `MakeControlPlant` makes it.
-        q_start: (n,) the posture at the beginning, which is also the one that the arm is drawn to, rad.
-
-    Returns:
-        The systems and the port to be connected.
-    """
-    q = np.array(q_start, float)
-    plant.SetDefaultPositions(arm, q)
-    driver = AddArmDriver(builder, plant, robot, arm, control_plant)
-    kinematics = AddArmKinematics(builder, robot, control_plant, q)
-    builder.Connect(kinematics.GetOutputPort("joint_positions"), driver.GetInputPort("position"))
-    return ArmControl(driver, kinematics, kinematics.GetInputPort("X_AE_desired"), q)
-
-
 def AddArmDriver(
     builder: DiagramBuilder, plant: MultibodyPlant, robot: Robot, arm: ModelInstanceIndex, control_plant: MultibodyPlant
 ) -> System:
-    """Adds the arm's driver alone, as its measures say, and keeps the control plant alive; see `AddArmControl`."""
+    """Adds what stands between the joint positions wanted and the joints, as the robot's measures say.
+
+    Args:
+        builder: the plant is in it; it keeps the control plant alive.
+        plant: has the arm, on which `SetJointServos` was called; finalised.
+        robot: the robot.
+        arm: its arm's model instance.
+        control_plant: as `MakeControlPlant` makes it.
+
+    Returns:
+        The driver; whichever it is, its output ports are those of Drake's `SimIiwaDriver`, `DRIVER_OUTPUTS`.
+    """
     SharedPointerSystem.AddToBuilder(builder, control_plant)
     control = robot.arm.control
     if control.driver == "position":
@@ -389,7 +351,16 @@ def AddArmDriver(
 def AddArmKinematics(
     builder: DiagramBuilder, robot: Robot, control_plant: MultibodyPlant, q_nominal: Array
 ) -> DifferentialInverseKinematicsIntegrator:
-    """Adds the inverse kinematics alone, drawn to the posture `q_nominal` (n,), rad; see `AddArmControl`."""
+    """Adds the inverse kinematics of the tip.
+
+    Its Context begins at zero: on every fresh one call its `SetPositions`.
+
+    Args:
+        builder: to add it to.
+        robot: the robot.
+        control_plant: as `MakeControlPlant` makes it; it must outlive the builder's Diagram, see `AddArmDriver`.
+        q_nominal: (n,) the posture that the arm is drawn to, rad.
+    """
     kinematics: DifferentialInverseKinematicsIntegrator = builder.AddNamedSystem(
         f"{robot.arm_model}_kinematics",
         DifferentialInverseKinematicsIntegrator(
@@ -459,19 +430,6 @@ def _AddServoDriver(
     ):
         builder.Connect(source, target)
     return driver
-
-
-def SetArmStart(
-    diagram: Diagram, root_context: Context, plant: MultibodyPlant, arm: ModelInstanceIndex, control: ArmControl
-) -> None:
-    """Puts arm and inverse kinematics into the start's posture, at rest.
-
-    Call it on every fresh or reset context: the integrator's own default is zero.
-    """
-    plant_context = plant.GetMyMutableContextFromRoot(root_context)
-    plant.SetPositions(plant_context, arm, control.q_start)
-    plant.SetVelocities(plant_context, arm, np.zeros_like(control.q_start))
-    control.kinematics.SetPositions(control.kinematics.GetMyMutableContextFromRoot(root_context), control.q_start)
 
 
 def _make_parameters(

@@ -10,7 +10,7 @@ from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from gridpush_drake.station.arm import AddArmControl, ArmReach, CalcStartPosture, MakeControlPlant, SetArmStart
+from gridpush_drake.station.arm import AddArmDriver, AddArmKinematics, ArmReach, CalcStartPosture, MakeControlPlant
 from gridpush_drake.station.robot import AddRobot, find_robot
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.systems.messages import PushCommand
@@ -52,11 +52,10 @@ class ArmBench:
         style: PushTrajectoryOptions | None = None,
         dress=None,
         reach: bool = True,
-        **options,
     ):
         self.control_plant = MakeControlPlant(ROBOT)
-        q_start = CalcStartPosture(self.control_plant, ROBOT, HOME)
-        self.reach = ArmReach(self.control_plant, ROBOT, q_start)
+        self.q_start = CalcStartPosture(self.control_plant, ROBOT, HOME)
+        self.reach = ArmReach(self.control_plant, ROBOT, self.q_start)
         builder = DiagramBuilder()
         self.plant, self.scene_graph = AddMultibodyPlantSceneGraph(builder, time_step)
         self.arm = AddRobot(self.plant, ROBOT)
@@ -64,11 +63,14 @@ class ArmBench:
         if dress is not None:
             dress(self.plant)
         self.plant.Finalize()
-        self.control = AddArmControl(builder, self.plant, ROBOT, self.arm.arm, self.control_plant, q_start, **options)
+        self.plant.SetDefaultPositions(self.arm.arm, self.q_start)
+        self.driver = AddArmDriver(builder, self.plant, ROBOT, self.arm.arm, self.control_plant)
+        self.kinematics = AddArmKinematics(builder, ROBOT, self.control_plant, self.q_start)
+        builder.Connect(self.kinematics.GetOutputPort("joint_positions"), self.driver.GetInputPort("position"))
         self.executor = builder.AddNamedSystem(
             "executor", PushExecutor(HOME, reach=self.reach if reach else None, style=style)
         )
-        builder.Connect(self.executor.GetOutputPort("tip_pose"), self.control.tip_pose)
+        builder.Connect(self.executor.GetOutputPort("tip_pose"), self.kinematics.GetInputPort("X_AE_desired"))
         builder.ExportInput(self.executor.GetInputPort("push_command"), "push_command")
         self.diagram = builder.Build()
         self.simulator = Simulator(self.diagram)
@@ -79,7 +81,7 @@ class ArmBench:
         context = self.simulator.get_mutable_context()
         context.SetTime(0.0)
         self.diagram.SetDefaultContext(context)
-        SetArmStart(self.diagram, context, self.plant, self.arm.arm, self.control)
+        self.kinematics.SetPositions(self.kinematics.GetMyMutableContextFromRoot(context), self.q_start)
         self.command(PushCommand())
         self.simulator.Initialize()
 

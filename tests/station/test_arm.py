@@ -105,7 +105,7 @@ def test_arm_begins_where_it_should_and_holds(bench):
     record = bench.record(0.01, lambda status: bench.simulator.get_context().get_time() > 0.3)
     np.testing.assert_allclose(record.array("tip"), np.broadcast_to(HOME, (len(record.tip), 3)), atol=1e-5)
     assert np.abs(record.array("v")).max() < 1e-4
-    np.testing.assert_allclose(record.q[-1], bench.control.q_start, atol=1e-5)
+    np.testing.assert_allclose(record.q[-1], bench.q_start, atol=1e-5)
 
 
 def test_diagram_outlives_the_caller_s_control_plant():
@@ -119,7 +119,7 @@ def test_diagram_outlives_the_caller_s_control_plant():
 
 
 def test_driver_s_ports_are_those_of_drake_s_stations(bench):
-    names = {bench.control.driver.get_output_port(i).get_name() for i in range(bench.control.driver.num_output_ports())}
+    names = {bench.driver.get_output_port(i).get_name() for i in range(bench.driver.num_output_ports())}
     assert {"position_commanded", "position_measured", "velocity_estimated", "torque_commanded"} <= names
 
 
@@ -140,7 +140,7 @@ def test_moving_arm_comes_to_the_postures_that_reach_foresees(bench, posture):
     """Both are drawn to the nominal posture, so that the way there does not matter."""
     bench.start()
     record = bench.push(PushCommand(1, 0.5, 0.3, -0.5, DISTANCE, 0.1))
-    nominal = bench.control.q_start
+    nominal = bench.q_start
     for phase in ("settling", "retracting"):
         k = np.flatnonzero(record.array("phase") == phase)[-1]
         q = posture.solve(record.tip[k], nominal, nominal)
