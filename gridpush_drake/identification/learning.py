@@ -206,14 +206,14 @@ def _make_uniform(obj: GridObject) -> CellParameters:
 
 
 def _choose_starts(obj: GridObject, start: Identification | None, ensemble: MapEnsemble) -> tuple[FitStart, ...]:
-    """One start an amplitude, or none."""
+    """One start a fit, or none."""
     if start is None:
         return ()
     if start.obj.n != obj.n:
         raise IdentificationError(f"start: an object of {start.obj.n} cells; expected {obj.n}, as {obj.name} has")
-    if len(start.starts) == len(ensemble.amplitudes):
+    if len(start.starts) == ensemble.count:
         return start.starts
-    return (FitStart(start.posterior.mean, NoiseScale()),) * len(ensemble.amplitudes)
+    return (FitStart(start.posterior.mean, NoiseScale()),) * ensemble.count
 
 
 def _check_log(obj: GridObject, log: PushLog) -> Screening:
@@ -265,4 +265,5 @@ def _make_result(
         obj, params, std, posterior, calc_identifiability(obj, params, posterior, force), method, regime, fit.status,
         fit.message, tuple(tracker.history), tracker.simulations, fit.noise_std, fit.load_shift_std,
         seed, tuple(push.name for push in screened.log), unused, screened.outliers, fit.starts, force,
+        fit.interval_scale,
     )  # fmt: skip

@@ -1,8 +1,9 @@
-"""The default identifier: smooth priors of several strengths, weighed by evidence.
+"""The default identifier: several ideas of how the object bears on the table, weighed by evidence.
 
 For each amplitude of the smoothness prior, weakest variation first, z is fitted by Gauss-Newton (`map_fit`), each fit
-starting where the last one ended: coarse to fine. The fits are averaged, z = sum_a w_a z_a, by their evidence and a
-prior weight a^-3/4 (`docs/theory/identification.md`, section 5).
+starting where the last one ended: coarse to fine. A last one is of a rigid bottom that rests on the outline's corners.
+By their evidence and a prior weight a^-3/4 the fields' logarithms are averaged, z = sum_a w_a z_a, and then the
+shares of friction, x = (1 - w) x_field + w x_bottom (`docs/theory/identification.md`, section 5).
 """
 
 from collections.abc import Callable
@@ -10,8 +11,10 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
+from scipy.special import logsumexp
 
 from gridpush_drake.identification.map_fit import (
     RANGE_CELLS,
@@ -21,6 +24,7 @@ from gridpush_drake.identification.map_fit import (
     fit_map,
 )
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
+from gridpush_drake.identification.posterior import CELLS
 from gridpush_drake.identification.problem import Linearization, PushProblem
 from gridpush_drake.identification.result import FitStart, HistoryEntry, IdentificationStatus
 from gridpush_drake.objects.grid_object import GridObject
@@ -39,6 +43,21 @@ HOPELESS = 30.0
 SHARED_SHIFT = 0.3
 """Of the load's shift from push to push, how much all pushes may share, so that no number of them averages it out."""
 
+NEGLIGIBLE = 1e-3
+"""Of the evidence, below which a fit does not come to count for the spread."""
+
+CORNER_STD = 2.5
+"""Of log k at a corner: some of a rigid bottom's corners bear next to nothing."""
+
+CORNER_REST, CORNER_REST_STD = 0.02, 0.05
+"""Of a rigid bottom's load, what is not on corners, and the standard deviation of log k there."""
+
+TILT_RIDGE = 0.01
+"""Keeps the tilt finite where a corner's place is beyond all cells' centers; it takes off that much of the shift."""
+
+TILT_STEPS, MAX_TILT_STEP = 20, 1.0
+"""Newton's, and the longest, of any cell's log k."""
+
 FITTING = "fitting"
 """Word for the only stage of a fit."""
 
@@ -49,14 +68,15 @@ class MapEnsembleFit:
 
     Attributes:
         z: (n+1,) log k and log mu_c.
-        covariance: (n+1, n+1) of z, over all amplitudes.
+        covariance: (n+1, n+1) of z, over all fits.
         prior_covariance: (n+1, n+1) of z before the pushes, averaged in the same way.
         noise_std: standard deviation of what stays unexplained, per coordinate of the residual, m.
         load_shift_std: of the load's center per axis from push to push, m.
         status: how it ended.
         message: the status in a sentence.
-        starts: where each amplitude's fit ended.
-        best: the fit of the most probable amplitude; None where there was nothing to fit.
+        starts: where each fit ended.
+        best: the most probable fit; None where there was nothing to fit.
+        interval_scale: of predicted intervals, see `Identification`.
     """
 
     z: Array
@@ -68,6 +88,24 @@ class MapEnsembleFit:
     message: str
     starts: tuple[FitStart, ...] = ()
     best: MapFit | None = None
+    interval_scale: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class LoadPrior:
+    """An idea of how the object bears on the table: z ~ N(mean, factor factor^T).
+
+    Attributes:
+        mean: (n+1,).
+        factor: (n+1, n+1).
+        weight: beforehand, up to a constant.
+        p_BC: (n, 2) where the cells' loads are, m, body frame.
+    """
+
+    mean: Array
+    factor: Array
+    weight: float
+    p_BC: Array
 
 
 @dataclass(frozen=True)
@@ -84,6 +122,11 @@ class MapEnsemble:
     range_cells: float = RANGE_CELLS
     noise: NoiseModel = field(default_factory=NoiseModel)
 
+    @property
+    def count(self) -> int:
+        """How many fits there are."""
+        return len(self.amplitudes) + 1
+
     def fit(
         self,
         problem: PushProblem,
@@ -93,7 +136,7 @@ class MapEnsemble:
         on_step: Callable[[Array, Linearization], None],
         starts: tuple[FitStart, ...] = (),
     ) -> MapEnsembleFit:
-        """Fits every amplitude, and averages.
+        """Fits every amplitude and the rigid bottom, and averages.
 
         Args:
             problem: the training pushes; at least one.
@@ -101,48 +144,86 @@ class MapEnsemble:
             log_contact_friction_std: prior standard deviation of log mu_c.
             center_of_mass: prior knowledge, or None.
             on_step: called with z and the pushes' residuals and derivatives there after every step.
-            starts: of a fit to fewer pushes, one an amplitude; each fit begins there or where the last amplitude's
+            starts: of fits to fewer pushes, `count` of them; each fit begins there or where the last amplitude's
                 ended, whichever is more probable.
 
         Returns:
             The fit.
         """
-        C = calc_smooth_covariance(problem.obj, self.range_cells)
-        factors = [calc_prior_factor(C, amplitude, log_contact_friction_std) for amplitude in self.amplitudes]
-        fit_one = partial(fit_map, problem, z0, noise=self.noise, center_of_mass=center_of_mass, on_step=on_step)
+        priors = self._make_priors(problem.obj, z0, log_contact_friction_std)
+        fit_one = partial(fit_map, noise=self.noise, center_of_mass=center_of_mass, on_step=on_step)
         fits: list[MapFit] = []
-        for i, A in enumerate(factors):
-            last = fits[-1] if fits else None
+        for i, prior in enumerate(priors):
+            smooth = prior.p_BC is problem.obj.p_BC
+            last = fits[-1] if fits and smooth else None
             begin = None if last is None else FitStart(last.z, NoiseScale(*np.minimum(last.scale, 1.0).tolist()))
             fits.append(
                 fit_one(
-                    A, start=begin, linear=None if last is None else last.linear,
+                    problem if smooth else problem.move_cells(prior.p_BC), prior.mean, prior.factor,
+                    start=begin, linear=None if last is None else last.linear,
                     warm_start=starts[i] if starts else None, max_evaluations=FIRST_EVALUATIONS,
                 )
             )  # fmt: skip
         best_evidence = max(fit.log_evidence for fit in fits)
-        for i, fit in enumerate(fits):
+        for i, (fit, prior) in enumerate(zip(fits, priors, strict=True)):
             if not fit.settled and fit.log_evidence > best_evidence - HOPELESS:
-                fits[i] = fit_one(factors[i], start=FitStart(fit.z, fit.scale), linear=fit.linear)
+                start = FitStart(fit.z, fit.scale)
+                fits[i] = fit_one(fit.system.problem, prior.mean, prior.factor, start=start, linear=fit.linear)
+        return self._average(problem, priors, fits)
+
+    def _average(self, problem: PushProblem, priors: list[LoadPrior], fits: list[MapFit]) -> MapEnsembleFit:
+        """Averages the fits; the spread is the mixture's, and what the pushes say of each other is in it."""
         plausible = _calc_weights(fits)
-        weights = plausible * np.power(self.amplitudes, -WEAKNESS)
+        weights = plausible * [prior.weight for prior in priors]
         weights /= weights.sum()
-        z = weights @ np.array([fit.z for fit in fits])
-        best = int(np.argmax(weights))
-        noise = self.noise.scaled(NoiseScale(*(weights @ np.array([fit.scale for fit in fits])).tolist()))
-        shared = SHARED_SHIFT * noise.load_shift
+        field, bottom = weights[:-1] / weights[:-1].sum(), weights[-1]
+        z_field = field @ np.array([fit.z for fit in fits[:-1]])
+        z_bottom = _move_center(problem.obj.p_BC, fits[-1].z, priors[-1].p_BC)
+        z = _average_shares(np.array([1 - bottom, bottom]), [z_field, z_bottom])
         # Leaning on weak variation predicts better; it is no knowledge, and must not make the estimate look surer.
-        spread = [fit.covariance + np.outer(fit.z - z, fit.z - z) for fit in fits]
+        covariance, prior_covariance = np.zeros((2, len(z), len(z)))
+        for means, chosen in ((z_field, slice(-1)), (z_bottom, slice(-1, None))):
+            if not plausible[chosen].sum() > NEGLIGIBLE:
+                continue
+            off, T = _compare_shares(means, z)
+            for weight, prior, fit in zip(plausible[chosen], priors[chosen], fits[chosen], strict=True):
+                d = fit.z - means if means is z_field else np.zeros(len(z))
+                covariance += weight * (T @ (fit.covariance + np.outer(d, d)) @ T.T + np.outer(off, off))
+                root = T @ prior.factor
+                prior_covariance += weight * (root @ root.T)
+        residuals, counted = problem.residuals(z), np.flatnonzero(plausible > NEGLIGIBLE)
+        errors = [float(fits[i].system.calc_end_errors(residuals).sum()) for i in counted]
+        discrepancy = self.noise.calc_discrepancy(float(np.average(errors, weights=plausible[counted])), len(problem))
+        wider = max(discrepancy, 1.0)
+        scale = NoiseScale(*(wider * weights @ np.array([fit.scale for fit in fits])).tolist())
+        noise, best = self.noise.scaled(scale), int(np.argmax(weights))
         return MapEnsembleFit(
             z,
-            np.einsum("a,aij->ij", plausible, np.array(spread)) + problem.calc_tilt_covariance(shared),
-            np.einsum("a,aij->ij", plausible, np.array([A @ A.T for A in factors])),
+            wider**2 * covariance + problem.calc_tilt_covariance(SHARED_SHIFT * noise.load_shift),
+            wider**2 * prior_covariance,
             noise.pose,
             noise.load_shift,
             *_describe(uniform_is_best=best == 0),
             tuple(FitStart(fit.z, fit.scale) for fit in fits),
             fits[best],
+            discrepancy / wider,
         )
+
+    def _make_priors(self, obj: GridObject, z0: Array, log_contact_friction_std: float) -> list[LoadPrior]:
+        """A smooth field of each amplitude, weakest first, and a rigid bottom on the outline's corners."""
+        C = calc_smooth_covariance(obj, self.range_cells)
+        priors = [
+            LoadPrior(z0, calc_prior_factor(C, a, log_contact_friction_std), a**-WEAKNESS, obj.p_BC)
+            for a in self.amplitudes
+        ]
+        corners, p_corners = find_corners(obj)
+        rest = np.setdiff1d(np.arange(obj.n), corners)
+        mean, variance, p_BC = z0.copy(), np.full(obj.n, CORNER_STD**2), obj.p_BC.copy()
+        mean[rest] += np.log(CORNER_REST * len(corners) / max(len(rest), 1))
+        variance[rest] = CORNER_REST_STD**2
+        p_BC[corners] = p_corners
+        factor = calc_prior_factor(np.diag(variance), 1.0, log_contact_friction_std)
+        return [*priors, LoadPrior(mean, factor, CORNER_STD**-WEAKNESS, p_BC)]
 
     def fit_prior(self, obj: GridObject, z0: Array, log_contact_friction_std: float) -> MapEnsembleFit:
         """Gives the widest prior, where no push touched the object."""
@@ -172,6 +253,60 @@ def _describe(uniform_is_best: bool) -> tuple[IdentificationStatus, str]:
 def calc_prior_factor(C: Array, amplitude: float, log_contact_friction_std: float) -> Array:
     """Cholesky factor (n+1, n+1) of blockdiag(a² C, sigma²), the prior covariance of z."""
     return np.asarray(block_diag(amplitude * np.linalg.cholesky(C), np.diag([log_contact_friction_std])))
+
+
+def find_corners(obj: GridObject) -> tuple[NDArray[np.int64], Array]:
+    """Finds where a rigid flat bottom comes to rest: the corners of the outline's convex hull.
+
+    Args:
+        obj: the object.
+
+    Returns:
+        The cells nearest to corners, increasing, and the place (corners, 2), m, of each one's corner, or of the mean of
+        its corners.
+    """
+    corners = shapely.get_coordinates(obj.outline.convex_hull)[:-1]
+    nearest = np.linalg.norm(corners[:, None] - obj.p_BC, axis=2).argmin(axis=1)
+    cells = np.unique(nearest)
+    return cells, np.array([corners[nearest == cell].mean(axis=0) for cell in cells])
+
+
+def _move_center(p_BC: Array, z: Array, p_loads: Array) -> Array:
+    """The z of loads at p_loads (n, 2) on cells at p_BC (n, 2), tilted along so that their center stays where it is."""
+    x = _calc_share(z)
+    arm = p_BC - x @ p_loads
+    ridge, b = TILT_RIDGE * float((p_BC.var(axis=0)).sum()) * np.eye(2), np.zeros(2)
+    for _ in range(TILT_STEPS):
+        w = x * np.exp(arm @ b - (arm @ b).max())
+        w /= w.sum()
+        mean = w @ arm
+        step = -np.linalg.solve((arm * w[:, None]).T @ arm - np.outer(mean, mean) + ridge, mean + ridge @ b)
+        b += step / max(1.0, float(np.abs(arm @ step).max()) / MAX_TILT_STEP)
+    moved = z.copy()
+    moved[CELLS] += arm @ b
+    return moved
+
+
+def _calc_share(z: Array) -> Array:
+    k = np.exp(z[CELLS] - z[CELLS].max())
+    return np.asarray(k / k.sum())
+
+
+def _average_shares(weights: Array, z: list[Array]) -> Array:
+    """The z whose shares are the average of others', with the averages of their common scale and of log mu_c."""
+    values = np.array(z)
+    level = logsumexp(values[:, CELLS], axis=1)
+    average = np.asarray(weights @ values)
+    average[CELLS] = logsumexp(values[:, CELLS] - level[:, None], axis=0, b=weights[:, None]) + weights @ level
+    return average
+
+
+def _compare_shares(z: Array, z0: Array) -> tuple[Array, Array]:
+    """How far z is from z0, x/x0 - 1 of the shares, and T (n+1, n+1), by which dz varies that, the scale apart."""
+    ratio, off, T = _calc_share(z) / _calc_share(z0), z - z0, np.eye(len(z))
+    off[CELLS] = ratio - 1
+    T[CELLS, CELLS] = np.diag(ratio) + np.outer(1 - ratio, _calc_share(z))
+    return off, T
 
 
 def _calc_weights(fits: list[MapFit]) -> Array:

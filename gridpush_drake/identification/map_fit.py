@@ -53,6 +53,9 @@ halves it."""
 MAX_INFORMED_SHARE = 0.8
 """Of the residuals, that parameters may use up; the rest speaks of the noise."""
 
+LAST_POSE = slice(-3, None)
+"""Of a push's residuals."""
+
 RANGE_CELLS = 4.0
 """Distance, in cells, at which two cells' log-frictions are nearly independent."""
 
@@ -385,6 +388,23 @@ class System:
             root = np.asarray(np.linalg.solve(identity + h @ alone, W.apply(identity)), dtype=np.float64)
             found.append(LeftOut(W.apply(root), root.T @ (alone @ W.apply(r))))
         return found
+
+    def calc_end_errors(self, residuals: list[Array]) -> Array:
+        """Says how far off the other pushes predict each one's last pose, seen by itself.
+
+        Args:
+            residuals: (3K,) of each push, m, by the parameters that are to predict, which stand in for this fit's.
+
+        Returns:
+            (P,) chi squares of three numbers.
+        """
+        found = []
+        for left_out, r, own in zip(self.leave_out(), residuals, self.linear.residuals, strict=True):
+            covariance = np.linalg.inv(left_out.precision)
+            shared = (self.scale.pose * self.noise.pose) ** 2 * (np.sqrt(len(covariance) / 3) - 1)
+            e = covariance[LAST_POSE] @ left_out.pull + (r - own)[LAST_POSE]
+            found.append(float(e @ np.linalg.solve(covariance[LAST_POSE, LAST_POSE] - shared * np.eye(3), e)))
+        return np.array(found)
 
     def _factorize(self, c: float) -> tuple[Array, bool]:
         return cho_factor(c * np.eye(len(self.gram)) + self.gram, lower=True)

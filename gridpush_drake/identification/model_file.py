@@ -110,6 +110,7 @@ class ModelSchema(StrictSchema):
     simulations: Annotated[int, Field(ge=0)]
     noise_std: PerhapsInfinite
     load_shift_std: NotNegative = 0.0
+    interval_scale: Annotated[float, Field(gt=0, le=1)] = 1.0
     training_pushes: list[str]
     unused_pushes: list[str]
     outliers: list[OutlierSchema] = Field(default_factory=list)
@@ -275,6 +276,7 @@ def _describe(result: Identification) -> ModelSchema:
         simulations=result.simulations,
         noise_std=float(result.noise_std),
         load_shift_std=float(result.load_shift_std),
+        interval_scale=float(result.interval_scale),
         training_pushes=list(result.push_names),
         unused_pushes=list(result.unused_pushes),
         outliers=[
@@ -343,6 +345,7 @@ def _restore(schema: ModelSchema) -> Identification:
         unused_pushes=tuple(schema.unused_pushes),
         outliers=tuple(Outlier(out.push, tuple(out.poses), out.observed, out.whole) for out in schema.outliers),
         force=force,
+        interval_scale=schema.interval_scale,
     )  # fmt: skip
 
 

@@ -19,6 +19,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+POSE = 3
+"""Numbers in a pose."""
+
+NORMAL = 1e6
+"""Freedom at which Student's t is as good as normal."""
+
+
 class NoiseScale(NamedTuple):
     """Of a noise model, as large as the pushes said: s of all but the load's shift, t of that."""
 
@@ -58,6 +65,7 @@ class NoiseModel:
         load_shift: of the load's center per axis from push to push, m.
         prior_weight: how many residuals the prior on scale one is worth.
         shift_weight: how many shifts the prior on the shift's scale one is worth.
+        discrepancy_weight: how many predicted numbers the prior on a discrepancy of one is worth.
         outlier: a push whose whitened residual is this many standard deviations counts less from there on (Huber).
     """
 
@@ -67,6 +75,7 @@ class NoiseModel:
     load_shift: float = 0.0012
     prior_weight: float = 20.0
     shift_weight: float = 3.0
+    discrepancy_weight: float = 3.0
     outlier: float = 0.7
 
     def calc_covariance(self, input_jacobian: Array, scale: NoiseScale) -> Array:
@@ -110,6 +119,20 @@ class NoiseModel:
             weight * float(np.log(value) + 0.5 * value**-2)
             for weight, value in ((self.prior_weight, scale.pose), (self.shift_weight, scale.shift))
         )
+
+    def calc_discrepancy(self, chi_square: float, pushes: int) -> float:
+        """kappa, by how much more than said the pushes' last poses differ from what the others predict.
+
+        Args:
+            chi_square: sum over the pushes, each of POSE numbers.
+            pushes: how many.
+        """
+        weight = self.discrepancy_weight
+        return sqrt((chi_square + weight) / (POSE * pushes + weight))
+
+    def calc_freedom(self, pushes: int) -> float:
+        """Of Student's t of a predicted number, kappa known from so many pushes; a normal's where there are none."""
+        return POSE * pushes + self.discrepancy_weight if pushes else NORMAL
 
     def scaled(self, scale: NoiseScale) -> "NoiseModel":
         """The same with its deviations times s and t."""

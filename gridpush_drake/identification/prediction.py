@@ -6,11 +6,11 @@ from math import nan
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2
+from scipy.stats import f
 
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.geometry.se2 import wrap_angle
-from gridpush_drake.identification.noise import NoiseModel
+from gridpush_drake.identification.noise import NORMAL, NoiseModel
 from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.problem import PushProblem, TimedPush
 from gridpush_drake.identification.result import Identification
@@ -107,6 +107,8 @@ class Spread:
 def predict_spread(model: Identification, log: PushLog, regime: Regime | None = None) -> list[Spread]:
     """Predicts how far the final poses of a log's pushes may be off: J S J^T + Sigma, S what is left open of z.
 
+    The error is Student's t, with the freedom that the pushes learned from leave it, and `interval_scale` as wide.
+
     Args:
         model: what was learned, with its posterior, and the noise that its pushes showed.
         log: pushes, with or without later observations.
@@ -121,19 +123,20 @@ def predict_spread(model: Identification, log: PushLog, regime: Regime | None = 
     ]  # in the axes of the pose given as the final one, here the world's
     problem = PushProblem(obj, PushLog(tuple(ends)), model.params.friction, regime or model.regime)
     linear = problem.linearize(model.posterior.mean)
-    found = []
+    scale2, freedom, found = model.interval_scale**2, noise.calc_freedom(len(model.push_names)), []
     for seen, J, inputs in zip(log, linear.by_z, linear.by_inputs, strict=True):
         covariance = J @ model.posterior.covariance @ J.T + noise.calc_covariance(inputs, model.noise_scale)
+        covariance *= scale2
         std = np.sqrt(np.diag(covariance)) / (1.0, 1.0, obj.radius_of_gyration)
-        found.append(Spread(seen.name, std, calc_norm_quantile(covariance)))
+        found.append(Spread(seen.name, std, calc_norm_quantile(covariance, freedom)))
     return found
 
 
-def calc_norm_quantile(covariance: Array) -> float:
-    """Quantile INTERVAL of |r|, r ~ N(0, covariance), |r|² taken for a scaled chi-square of the same two moments."""
+def calc_norm_quantile(covariance: Array, freedom: float = NORMAL) -> float:
+    """Quantile INTERVAL of |r|, r Student's t, |r|² taken for a scaled F with the normal's first two moments."""
     values = np.linalg.eigvalsh(covariance)
-    scale, freedom = (values**2).sum() / values.sum(), values.sum() ** 2 / (values**2).sum()
-    return float(np.sqrt(scale * chi2.ppf(INTERVAL, freedom)))
+    numbers = values.sum() ** 2 / (values**2).sum()
+    return float(np.sqrt(values.sum() * f.ppf(INTERVAL, numbers, freedom)))
 
 
 def calc_pose_error(obj: GridObject, predicted: ArrayLike, observed: ArrayLike) -> PoseError:

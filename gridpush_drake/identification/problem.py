@@ -12,7 +12,7 @@ frictions mu_i stay those of the prior and the masses follow, m_i = k_i / mu_i; 
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -129,6 +129,12 @@ class PushProblem:
     def choose(self, pushes: Sequence[int]) -> "PushProblem":
         """The same problem of some of its pushes; simulations are counted together."""
         return self._take([self._pushes[i] for i in pushes])
+
+    def move_cells(self, p_BC: Array) -> "PushProblem":
+        """The same problem with the loads of the cells at other places, (n, 2) m; simulations are counted together."""
+        other = self._take(self._pushes)
+        other.obj = replace(self.obj, p_BC=p_BC)
+        return other
 
     def _take(self, pushes: list[TimedPush]) -> "PushProblem":
         other = copy(self)

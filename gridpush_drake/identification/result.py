@@ -87,6 +87,8 @@ class Identification:
         outliers: what was refused of the pushes, one entry for each of which something was.
         starts: where each of the default method's fits ended, for `identify(start=...)`; empty for other methods.
         force: what measured forces say of the friction's scale; None where there are none.
+        interval_scale: of predicted intervals, at most 1: how much narrower they are than posterior and noise make
+            them, as pushes like these turn out nearer; no reason to be surer of what they do not show.
     """
 
     obj: GridObject
@@ -108,6 +110,7 @@ class Identification:
     outliers: tuple[Outlier, ...] = ()
     starts: tuple[FitStart, ...] = ()
     force: ForceScale | None = None
+    interval_scale: float = 1.0
 
     @property
     def noise_scale(self) -> NoiseScale:

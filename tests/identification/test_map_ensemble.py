@@ -1,12 +1,23 @@
-"""The average over amplitudes."""
+"""The average over ideas of how the object bears on the table."""
+
+from dataclasses import replace
 
 import numpy as np
 
 from gridpush_drake.identification.learning import identify
-from gridpush_drake.identification.map_ensemble import SHARED_SHIFT, MapEnsemble
-from gridpush_drake.identification.posterior import calc_center_jacobian
+from gridpush_drake.identification.map_ensemble import (
+    SHARED_SHIFT,
+    MapEnsemble,
+    _average_shares,
+    _compare_shares,
+    _move_center,
+    find_corners,
+)
+from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.push_log import PushLog
+from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.shapes import make_shape
 from tests.identification.simulated_pokes import make_pokes
 
@@ -53,3 +64,79 @@ def test_a_tilt_shifts_the_center_of_even_loads_by_as_much_as_it_says() -> None:
     covariance = PushProblem(obj, make_pokes(obj, truth, 1, 5), truth.friction).calc_tilt_covariance(0.002)
     F = calc_center_jacobian(np.full(obj.n, 1 / obj.n), obj.p_BC)
     np.testing.assert_allclose(F @ covariance @ F.T, 0.002**2 * np.eye(2), atol=1e-4 * 0.002**2)
+
+
+def calc_share(z: np.ndarray) -> np.ndarray:
+    return Posterior(z, np.eye(len(z)), np.eye(len(z))).calc_share()
+
+
+def test_shares_average_and_their_spread_is_the_mixture_of_the_fits() -> None:
+    rng = np.random.default_rng(0)
+    fits, weights, n = rng.normal(0, 2, (3, 9)), np.array([0.5, 0.3, 0.2]), 8
+    mean = _average_shares(weights, list(fits))
+    shares = np.array([calc_share(z) for z in fits])
+    np.testing.assert_allclose(calc_share(mean), weights @ shares, rtol=1e-12)
+    np.testing.assert_allclose(mean[n], weights @ fits[:, n], rtol=1e-12)
+    slope = np.diag(calc_share(mean)) - np.outer(calc_share(mean), calc_share(mean))
+    off = np.array([_compare_shares(z, mean)[0] for z in fits])
+    np.testing.assert_allclose(off[:, :n] @ slope, shares - weights @ shares, atol=1e-14)
+
+
+def test_variations_of_a_fit_are_turned_into_those_of_the_average_exactly() -> None:
+    rng = np.random.default_rng(1)
+    z, mean = rng.normal(0, 1, (2, 7))
+    T = _compare_shares(z, mean)[1]
+    ratio = 1 / calc_share(mean)
+    J = (np.diag(calc_share(mean)) - np.outer(calc_share(mean), calc_share(mean))) @ T[:6]
+    check_jacobian(lambda v: ratio * calc_share(v), z, ratio[:, None] * J, rtol=1e-6, atol=1e-9)
+    even = np.append(np.ones(6), 0.0)
+    np.testing.assert_allclose(T @ even, even, atol=1e-12)  # the common scale stays apart
+    np.testing.assert_allclose(_compare_shares(z, z)[1], np.eye(7), atol=1e-12)
+
+
+def test_loads_put_on_the_grid_keep_their_center() -> None:
+    obj = make_shape("l_bracket", 40)
+    cells, places = find_corners(obj)
+    assert len(cells) == len(set(cells.tolist())) == len(places) and (np.diff(cells) > 0).all()
+    loads = obj.p_BC.copy()
+    loads[cells] = places
+    z = np.random.default_rng(2).normal(0, 0.5, obj.n + 1)
+    moved = _move_center(obj.p_BC, z, loads)
+    wanted = calc_share(z) @ loads
+    before, after = (np.linalg.norm(calc_share(v) @ obj.p_BC - wanted) for v in (z, moved))
+    assert before > 1e-4 and after < 0.05 * before and moved[-1] == z[-1]
+
+
+def test_a_rigid_bottom_on_its_corners_is_recognized() -> None:
+    obj = make_shape("l_bracket", 20)
+    cells, places = find_corners(obj)
+    mass = np.full(obj.n, 1e-4)
+    mass[cells[[0, 1, -1]]] = (0.5, 0.3, 0.2)
+    truth = CellParameters(mass, np.full(obj.n, 0.4), 0.35)
+    on_corners = np.array(obj.p_BC)
+    on_corners[cells] = places
+    problem = PushProblem(obj, make_pokes(replace(obj, p_BC=on_corners), truth, 5, 5, noise=NOISE), truth.friction)
+    z0 = problem.unknowns(CellParameters.uniform(obj))
+    fit = MapEnsemble().fit(problem, z0, 0.3, None, lambda z, linear: None)
+    assert fit.best is not None
+    np.testing.assert_array_equal(fit.best.system.problem.obj.p_BC, on_corners)
+    true_center = truth.mass @ on_corners / truth.total_mass
+    assert np.linalg.norm(calc_share(fit.z) @ obj.p_BC - true_center) < 3e-3
+
+
+def test_pushes_that_contradict_each_other_widen_what_is_said_and_good_ones_narrow_only_intervals() -> None:
+    obj = make_shape("l_bracket", 20)
+    truth, other = (CellParameters(np.where(side, 8.0, 1.0), np.full(obj.n, 0.4), 0.35)
+                    for side in (obj.p_BC[:, 0] > 0.03, obj.p_BC[:, 0] < 0.03))  # fmt: skip
+    one, two = make_pokes(obj, truth, 3, 5), make_pokes(obj, other, 3, 6)
+    found = []
+    for pushes in ((*one, *make_pokes(obj, truth, 3, 6)), (*one, *two)):
+        named = tuple(replace(seen, name=f"push_{i}") for i, seen in enumerate(pushes))
+        problem = PushProblem(obj, PushLog(named), truth.friction)
+        z0 = problem.unknowns(CellParameters.uniform(obj))
+        found.append(MapEnsemble().fit(problem, z0, 0.3, None, lambda z, linear: None))
+    agreeing, contradicting = found
+    assert agreeing.interval_scale < 0.7 and contradicting.interval_scale == 1.0
+    F = calc_center_jacobian(calc_share(contradicting.z), obj.p_BC)
+    G = calc_center_jacobian(calc_share(agreeing.z), obj.p_BC)
+    assert np.linalg.det(F @ contradicting.covariance @ F.T) > 4 * np.linalg.det(G @ agreeing.covariance @ G.T)

@@ -125,3 +125,24 @@ def test_whitening_is_the_inverse_root_of_the_noise() -> None:
     twice = W.apply(W.apply(np.eye(len(sigma))))
     np.testing.assert_allclose(twice @ sigma, np.eye(len(sigma)), atol=1e-8)
     assert W.log_determinant == pytest.approx(0.5 * np.linalg.slogdet(sigma)[1])
+
+
+def test_last_poses_are_judged_by_what_the_other_pushes_say_of_them() -> None:
+    problem, _, z0, A = make_problem(4)
+    system = fit_map(problem, z0, A, NoiseModel()).system
+    noise, K = system.noise, len(system.linear.residuals[0]) // 3
+    chi_squares = system.calc_end_errors(system.linear.residuals)
+    for i, chi_square in enumerate(chi_squares):
+        weighted = [root * W.apply(J) for root, W, J in zip(
+            np.sqrt(system.weights), system.whitenings, system.slopes, strict=True)]  # fmt: skip
+        others = np.concatenate([rows for j, rows in enumerate(weighted) if j != i])
+        H = np.eye(len(z0)) + others.T @ others
+        J, r, W = system.slopes[i], system.linear.residuals[i], system.whitenings[i]
+        own = weighted[i].T @ (np.sqrt(system.weights[i]) * W.apply(r))
+        e = (r + J @ np.linalg.solve(H, own))[-3:]  # the fit moves on by what the push itself pulled
+        one = noise.calc_covariance(system.linear.by_inputs[i], system.scale)[-3:, -3:]
+        one -= (system.scale.pose * noise.pose) ** 2 * (np.sqrt(K) - 1) * np.eye(3)
+        S = one + J[-3:] @ np.linalg.solve(H, J[-3:].T)
+        assert chi_square == pytest.approx(e @ np.linalg.solve(S, e), rel=1e-6)
+    worse = [r + 0.01 for r in system.linear.residuals]
+    assert system.calc_end_errors(worse).sum() > 10 * chi_squares.sum()

@@ -61,3 +61,15 @@ def test_unknowns_and_params_are_inverse() -> None:
     back = problem.params(problem.unknowns(params))
     np.testing.assert_allclose(back.mass, params.mass, rtol=1e-12)
     assert back.contact_friction == pytest.approx(0.3)
+
+
+def test_loads_elsewhere_in_their_cells_change_motions_and_keep_exact_derivatives() -> None:
+    problem = make_problem("quasi_static")
+    rng = np.random.default_rng(3)
+    moved = problem.move_cells(problem.obj.p_BC + rng.uniform(-0.003, 0.003, problem.obj.p_BC.shape))
+    z = np.append(rng.normal(np.log(0.02), 0.3, problem.obj.n), np.log(0.4))
+    assert np.abs(moved.residuals(z)[0] - problem.residuals(z)[0]).max() > 1e-5
+    linear = moved.linearize(z)
+    for i in range(len(moved)):
+        check_jacobian(lambda v, i=i: moved.residuals(v, [i])[0], z, linear.by_z[i], rtol=2e-5, atol=1e-9)
+    assert moved.simulations == problem.simulations
