@@ -39,5 +39,9 @@ def show(
             }
         )
         return
-    print_line(f"{obj.name}: {obj.n} cells of {obj.cell_size * 1e3:.1f} mm, {len(set(obj.labels.tolist()))} part(s)")
+    left, low, right, high = (1e3 * bound for bound in obj.outline.bounds)
+    print_line(
+        f"{obj.name}: {right - left:.0f} mm by {high - low:.0f} mm, {obj.n} cells of {obj.cell_size * 1e3:.1f} mm, "
+        f"{len(set(obj.labels.tolist()))} part(s)"
+    )
     print_line(f"Wrote {out}.")

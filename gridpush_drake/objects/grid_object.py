@@ -172,7 +172,7 @@ class GridObject:
 
     @classmethod
     def from_yaml(cls, path: Path | str, *, largest_piece: bool = False) -> "GridObject":
-        """Reads an object file (README, "Bring your own object").
+        """Reads an object file; `docs/howto/own_object.md` has its keys.
 
         Args:
             path: the YAML file; a mask it names is looked up beside it.

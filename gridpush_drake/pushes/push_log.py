@@ -165,7 +165,7 @@ class PushLog:
 
     @classmethod
     def read_csv(cls, path: Path | str, radius: float | None = None, *, require_final: bool = True) -> "PushLog":
-        """Reads a push log; README, "Bring your own pushes", has the columns.
+        """Reads a push log; `docs/howto/own_pushes.md` has the columns.
 
         Args:
             path: the CSV file.
