@@ -26,8 +26,7 @@ from gridpush_drake.bench.pregrasp_exploration import (
     explore,
 )
 from gridpush_drake.bench.pregrasp_world import EdgeWorld, MujocoWorld, Outcome, PaperLearner, run_pregrasp
-from gridpush_drake.bench.protocol import MASS_RANGE, PLANNING_METERS_PER_PIXEL
-from gridpush_drake.bench.public_data import find_masks
+from gridpush_drake.bench.protocol import MASS_RANGE, PLANNING_METERS_PER_PIXEL, find_masks
 from gridpush_drake.bench.table import MM, PERCENT, Table, Value
 from gridpush_drake.bench.truth_sets import KINDS
 from gridpush_drake.errors import GridPushError

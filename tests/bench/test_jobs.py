@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gridpush_drake.bench import drake, grasp, paper, planning, plant, pregrasp, real
+from gridpush_drake.bench import campaign, drake, paper, planning, plant, pregrasp, real
 from gridpush_drake.bench.jobs import Execution, open_results, run_jobs
 from gridpush_drake.bench.paper import Score
 from gridpush_drake.bench.planning import Decision, Run
@@ -186,7 +186,7 @@ TRACE = Trace(3, (0.1, 0.004), (0.2, nan), 1.5)
         (real.run_job, [real.Score("a", 0, "poses", 5, (0.1, 0.2), (nan, 0.3))]),
         (pregrasp.run_job, SlideScore("a", "learned", Outcome(True, False, 3, 2, "held", nan), False)),
         (pregrasp.run_job, ExplorationScore("a", "both directions", 0.02, TRACE, replace(TRACE, pokes=21))),
-        (grasp.run_job, grasp.GraspScore("a", 0, "held", "", 3, 2, 0.1, nan, 30.0, 12.5)),
+        (campaign.run_episode, campaign.Episode("a", 0, "held", "", "held", 5, 3, 2, nan, None, 30.0, 12.5)),
         (
             drake.run_job,
             drake.StationScore("a", 0, "finished", 8, 4, (0.1, 0.2, nan), (0.1, 0.2), 0.1, 0.5, 0, 9.0),
