@@ -14,8 +14,7 @@ from gridpush_drake.bench import campaign, drake, paper, planning, plant, pregra
 from gridpush_drake.bench.jobs import Execution, open_results, run_jobs
 from gridpush_drake.bench.paper import Score
 from gridpush_drake.bench.planning import Decision, Run
-from gridpush_drake.bench.pregrasp import SlideScore
-from gridpush_drake.bench.pregrasp_exploration import ExplorationScore, Trace
+from gridpush_drake.bench.pregrasp import ExplorationScore, SlideScore, Trace
 from gridpush_drake.bench.pregrasp_world import Outcome
 from gridpush_drake.errors import GridPushError, OutputError
 
@@ -184,7 +183,7 @@ TRACE = Trace(3, (0.1, 0.004), (0.2, nan), 1.5)
         (planning.run_job, [Decision("a", "gradient", 28, -1e-17, 0.3)]),
         (planning.run_job, [Run("a", "true", True, False, 3, "reached", nan, 0.1, 99, 1.0, 0.0)]),
         (real.run_job, [real.Score("a", 0, "poses", 5, (0.1, 0.2), (nan, 0.3))]),
-        (pregrasp.run_job, SlideScore("a", "learned", Outcome(True, False, 3, 2, "held", nan), False)),
+        (pregrasp.run_job, SlideScore("a", "learned", Outcome(True, False, 3, 2, "held"))),
         (pregrasp.run_job, ExplorationScore("a", "both directions", 0.02, TRACE, replace(TRACE, pokes=21))),
         (campaign.run_episode, campaign.Episode("a", 0, "held", "", "held", 5, 3, 2, nan, None, 30.0, 12.5)),
         (

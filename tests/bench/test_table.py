@@ -6,7 +6,7 @@ from rich.console import Console
 
 from gridpush_drake.bench import drake, grasp, paper, planning, plant, pregrasp, real
 from gridpush_drake.bench.campaign import Episode
-from gridpush_drake.bench.pregrasp_exploration import AIMS, DISTANCES, ExplorationScore, Trace
+from gridpush_drake.bench.pregrasp import AIMS, DISTANCES, ExplorationScore, Trace
 from gridpush_drake.bench.pregrasp_world import Outcome
 from gridpush_drake.bench.speed import measure, one_core
 from gridpush_drake.bench.table import Table
