@@ -14,8 +14,7 @@ from gridpush_drake.errors import GridPushError
 try:
     from gridpush_drake.bench.gym_policies import Score, play_learned, play_planner, play_random, train
     from gridpush_drake.gym import PushVectorEnvironment
-    from gridpush_drake.gym.environments import GAMES
-    from gridpush_drake.gym.explore import HELD_OUT, ITERATIONS
+    from gridpush_drake.gym.games import GAMES, HELD_OUT, ITERATIONS
 except ModuleNotFoundError as error:
     if error.name != "gymnasium":
         raise

@@ -16,10 +16,8 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.gym import PushEnvironment, PushVectorEnvironment
 from gridpush_drake.gym.episode import FRICTION_RANGE, Episode
-from gridpush_drake.gym.explore import ExploreEpisode
+from gridpush_drake.gym.games import MAX_ARM, REACHED, ExploreEpisode, GoalEpisode
 from gridpush_drake.gym.known_shape import FINGER, PLACES
-from gridpush_drake.gym.push_to_goal import REACHED, GoalEpisode
-from gridpush_drake.gym.slide_to_edge import MAX_ARM
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.goal.next_push import GoalRules
