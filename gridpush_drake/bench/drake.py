@@ -13,7 +13,7 @@ from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from gridpush_drake.bench import plant
-from gridpush_drake.bench.jobs import QUIET, Execution, ObjectJob, Report, count_steps, run_jobs
+from gridpush_drake.bench.jobs import QUIET, Execution, Report, count_steps, run_jobs
 from gridpush_drake.bench.speed import DT, DURATION, RADIUS, make_bench_push
 from gridpush_drake.bench.table import MM, MS, Table, Value
 from gridpush_drake.dynamics.simulation import Regime
@@ -28,6 +28,14 @@ from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
 
 OBJECTS = ("claw_hammer", "combination_wrench", "spray_bottle")
 SEEDS = (0, 1, 2)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One experiment in the station: a shipped object, and the seed of all that is hidden or random."""
+
+    name: str
+    seed: int
 
 
 @dataclass(frozen=True)
@@ -69,12 +77,12 @@ def run(seed: int = 0, execution: Execution = QUIET, *, quick: bool = False) -> 
     count = 1 if quick else None
     tables = [run_lcp_system(execution.report), *([] if quick else [run_updates(execution.report)])]
     pushes = plant.calc_scores(plant.OBJECTS[:count], 2 if quick else plant.PUSHES, seed=seed, execution=execution)
-    jobs = [ObjectJob(name, seed + each) for name in OBJECTS[:count] for each in SEEDS[:count]]
-    scores = run_jobs(run_job, jobs, ObjectJob.describe, execution)
+    jobs = [Job(name, seed + each) for name in OBJECTS[:count] for each in SEEDS[:count]]
+    scores = run_jobs(run_job, jobs, lambda job: f"{job.name}, seed {job.seed}", execution)
     return [*tables, plant.make_table(pushes), make_table(scores)]
 
 
-def run_job(job: ObjectJob) -> StationScore:
+def run_job(job: Job) -> StationScore:
     """Runs one experiment with the default scenario."""
     record = IdentifyTask(PushScenario(object=job.name, seed=job.seed)).run()
     assert record.truth is not None  # of a simulated object it is known

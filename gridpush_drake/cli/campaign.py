@@ -1,7 +1,4 @@
-"""`gridpush campaign`: whole episodes with many seeds and objects, and how safe the robot is.
-
-What is slow to import is imported when the command runs, so that `gridpush` starts fast.
-"""
+"""`gridpush campaign`: whole episodes with many seeds and objects, and how safe the robot is."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated

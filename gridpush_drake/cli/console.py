@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from time import monotonic
 from typing import TYPE_CHECKING, Any
@@ -50,6 +50,15 @@ def print_notice(text: str) -> None:
 def print_json(document: dict[str, Any]) -> None:
     """Prints one JSON document on standard output."""
     print(to_json(document))
+
+
+def print_found(document: dict[str, Any], lines: Iterable[str], as_json: bool) -> None:
+    """Prints what a command found: as one JSON document, or in lines of words."""
+    if as_json:
+        print_json(document)
+    else:
+        for line in lines:
+            print_line(line)
 
 
 def to_json(document: dict[str, Any]) -> str:

@@ -12,7 +12,7 @@ import typer
 from typer.core import TyperGroup
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import print_json, print_line
+from gridpush_drake.cli.console import print_found
 from gridpush_drake.errors import OutputError
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def _is_object(kind: Any) -> bool:
 def _check_outputs(
     out_dir: Path | None, out_csv: Path | None, out_object: Path | None, force: bool
 ) -> tuple[Path, Path]:
-    from gridpush_drake.files import check_writable, make_folder
+    from gridpush_drake.files import make_folder
 
     if (out_dir is None) == (out_csv is None or out_object is None):
         raise OutputError("--out-dir: expected a folder, or both --out-csv and --out-object instead of it")
@@ -109,8 +109,7 @@ def _check_outputs(
         make_folder(out_dir)
     folder = out_dir or Path()
     paths = out_csv or folder / "pushes.csv", out_object or folder / "object.yaml"
-    for path in paths:
-        check_writable(path, force)
+    options.check_outputs(force, *paths)
     return paths
 
 
@@ -118,7 +117,5 @@ def _write(importer: "Importer", file: Path, paths: tuple[Path, Path], force: bo
     pushes, obj = importer.read(file)
     pushes.write_csv(paths[0], force)
     obj.write_yaml(paths[1], force=force)
-    if json:
-        print_json({"object": obj.name, "cells": obj.n, "pushes": len(pushes), "written": list(map(str, paths))})
-    else:
-        print_line(f"{len(pushes)} pushes of {obj.name}. Wrote {paths[0]} and {paths[1]}.")
+    found = {"object": obj.name, "cells": obj.n, "pushes": len(pushes), "written": list(map(str, paths))}
+    print_found(found, [f"{len(pushes)} pushes of {obj.name}. Wrote {paths[0]} and {paths[1]}."], json)

@@ -1,7 +1,4 @@
-"""What several commands share: options, tables, the objects, models and logs they read, and compiled kernels.
-
-What is slow to import is imported when a function runs, so that `gridpush` starts fast.
-"""
+"""What several commands share: options, tables, the objects, models and logs they read, and compiled kernels."""
 
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -11,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from gridpush_drake.cli.console import print_line, print_notice, work_progress
+from gridpush_drake.cli.console import print_notice, work_progress
 from gridpush_drake.errors import GridPushError, PlanningError
 from gridpush_drake.files import check_writable, exists
 
@@ -215,10 +212,10 @@ def check_outputs(force: bool, *paths: Path | None) -> None:
             check_writable(path, force)
 
 
-def print_written(paths: "Sequence[str]") -> None:
-    """Says which files were written, where any were."""
-    if paths:
-        print_line(f"Wrote {' and '.join(paths)}.")
+def describe_written(*paths: Path | None) -> list[str]:
+    """Says in a line which files were written, where any were."""
+    written = " and ".join(str(path) for path in paths if path is not None)
+    return [f"Wrote {written}."] if written else []
 
 
 def load_object(name: str, largest_piece: bool = False) -> "GridObject":

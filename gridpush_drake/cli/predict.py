@@ -1,7 +1,4 @@
-"""`gridpush predict`: where pushes take an object.
-
-What is slow to import is imported when the command runs, so that `gridpush` starts fast.
-"""
+"""`gridpush predict`: where pushes take an object."""
 
 import csv
 import io

@@ -1,7 +1,4 @@
-"""`gridpush record`: a continuous stream of poses to a push log.
-
-What is slow to import is imported when the command runs, so that `gridpush` starts fast.
-"""
+"""`gridpush record`: a continuous stream of poses to a push log."""
 
 from dataclasses import replace
 from math import isfinite
@@ -11,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import MM, print_json, print_line
+from gridpush_drake.cli.console import MM, print_found
 
 if TYPE_CHECKING:
     from gridpush_drake.objects.grid_object import GridObject
@@ -52,12 +49,11 @@ def record(
 ) -> None:
     """Cut a stream of the tip's and the object's poses into pushes, as the robot does while it pokes."""
     from gridpush_drake.errors import PushLogError
-    from gridpush_drake.files import check_writable
     from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
     from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
     from gridpush_drake.pushes.stream import estimate_delay, read_stream_csv, record_pushes
 
-    check_writable(out, force)
+    options.check_outputs(force, out)
     for option, value in (("--engaged-below", engaged_below), ("--pose-delay", pose_delay)):
         if not isfinite(value):
             raise options.OptionError(f"{option}: is {value}; expected a finite number")
@@ -66,36 +62,32 @@ def record(
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
     how = SegmenterOptions(engaged_below=engaged_below), RecordOptions(pose_delay=pose_delay)
     samples = read_stream_csv(stream)
-    found = record_pushes(samples, obj, radius, *how, str(stream))
-    log = found.log
+    recorded = record_pushes(samples, obj, radius, *how, str(stream))
+    log = recorded.log
     if not len(log):
-        why = "; ".join(found.unusable) or "the tip never moved the object while it was down"
+        why = "; ".join(recorded.unusable) or "the tip never moved the object while it was down"
         raise PushLogError(f"{stream}: holds no push: {why}; expected a tip below {engaged_below:g} m that pushes")
     if surface is not None:
         log = _mark_overhang(log, obj, surface)
     log.write_csv(out, force)
     delay = estimate_delay(samples, obj, radius, *how)
-    if json:
-        print_json(
-            {
-                "object": obj.name,
-                "pushes": len(log),
-                "delay": describe_delay(delay),
-                "overhanging": [seen.name for seen in log if seen.overhang],
-                "unusable": list(found.unusable),
-                "unfinished": found.unfinished,
-                "written": [str(out)],
-            }
-        )
-        return
-    print_line(f"{len(log)} pushes, {sum(seen.push.length for seen in log) / len(log) * MM:.0f} mm long on average.")
+    found = {
+        "object": obj.name,
+        "pushes": len(log),
+        "delay": describe_delay(delay),
+        "overhanging": [seen.name for seen in log if seen.overhang],
+        "unusable": list(recorded.unusable),
+        "unfinished": recorded.unfinished,
+        "written": [str(out)],
+    }
+    length = sum(seen.push.length for seen in log) / len(log)
+    lines = [f"{len(log)} pushes, {length * MM:.0f} mm long on average."]
     if delay is not None:
-        print_line(explain_delay(delay, "--pose-delay"))
-    if found.unfinished:
-        print_line("The stream ends within a push, which is left out.")
-    for text in found.unusable:
-        print_line(f"Left out: {text}.")
-    print_line(f"Wrote {out}.")
+        lines.append(explain_delay(delay, "--pose-delay"))
+    if recorded.unfinished:
+        lines.append("The stream ends within a push, which is left out.")
+    lines += [f"Left out: {text}." for text in recorded.unusable]
+    print_found(found, [*lines, *options.describe_written(out)], json)
 
 
 def _mark_overhang(log: "PushLog", obj: "GridObject", surface: "SupportSurface") -> "PushLog":

@@ -1,7 +1,4 @@
-"""`gridpush simulate`: push an object in simulation.
-
-What is slow to import is imported when the command runs, so that `gridpush` starts fast.
-"""
+"""`gridpush simulate`: push an object in simulation."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import MM, print_json, print_line
+from gridpush_drake.cli.console import MM, print_found
 
 if TYPE_CHECKING:
     import numpy as np
@@ -62,7 +59,23 @@ def simulate(
         from gridpush_drake.report.figures import draw_motion
 
         write_whole(picture, draw_motion(loaded.obj, push, motion.poses), force)
-    _print_motion(loaded.obj.name, chosen, motion, [str(path) for path in (out, picture) if path], json)
+    first, last = motion.poses[0], motion.final_pose
+    found = {
+        "object": loaded.obj.name,
+        "regime": chosen,
+        "status": motion.status,
+        "initial_pose": first,
+        "final_pose": last,
+        "penetration": motion.penetration,
+        "written": [str(path) for path in (out, picture) if path],
+    }
+    lines = [
+        f"{loaded.obj.name}, {chosen}: {motion.status}",
+        f"from  {_describe_pose(first)}",
+        f"to    {_describe_pose(last)}",
+        *options.describe_written(out, picture),
+    ]
+    print_found(found, lines, json)
 
 
 def _make_push(start: str, velocity: str, duration: float, radius: float | None) -> "Push":
@@ -82,27 +95,6 @@ def _make_log(push: "Push", motion: "Motion", samples: int) -> "PushLog":
     rows = np.unique(np.rint(np.linspace(0, steps, min(samples, steps) + 1)).astype(int))[1:]
     seen = ObservedPush(PUSH_NAME, push, motion.poses[0], motion.times[rows], motion.poses[rows])
     return PushLog((seen,))
-
-
-def _print_motion(name: str, regime: str, motion: "Motion", written: list[str], json: bool) -> None:
-    first, last = motion.poses[0], motion.final_pose
-    if json:
-        print_json(
-            {
-                "object": name,
-                "regime": regime,
-                "status": motion.status,
-                "initial_pose": first,
-                "final_pose": last,
-                "penetration": motion.penetration,
-                "written": written,
-            }
-        )
-        return
-    print_line(f"{name}, {regime}: {motion.status}")
-    print_line(f"from  {_describe_pose(first)}")
-    print_line(f"to    {_describe_pose(last)}")
-    options.print_written(written)
 
 
 def _describe_pose(pose: "np.ndarray") -> str:

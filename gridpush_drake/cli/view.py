@@ -1,7 +1,4 @@
-"""`gridpush view`: a model, a log of pushes or a recording, in Meshcat.
-
-What is slow to import is imported when the command runs, so that `gridpush` starts fast.
-"""
+"""`gridpush view`: a model, a log of pushes or a recording, in Meshcat."""
 
 from dataclasses import dataclass
 from pathlib import Path
