@@ -89,29 +89,13 @@ def search_progress(what: str, budget: int | None) -> Iterator[Callable[["Histor
     Yields:
         What the search calls with each of its steps.
     """
-    with _showing(what, budget) as show:
+    with count_progress(what, budget) as show:
 
         def report(entry: "HistoryEntry") -> None:
             found = f"{entry.simulations} simulations, cell error {entry.loss * MM:.2f} mm"
             show(entry.stage, found, entry.simulations)
 
         yield report
-
-
-@contextmanager
-def count_progress(what: str, total: int) -> Iterator[Callable[..., None]]:
-    """Shows how far a count has come, and what is being done, on standard error.
-
-    Args:
-        what: the work.
-        total: to count to.
-
-    Yields:
-        What the work calls now and then, with what it is doing, a detail that changes all the time, such as the
-        simulated time, and its count: `report(doing, detail, count)`.
-    """
-    with _showing(what, total) as show:
-        yield show
 
 
 @contextmanager
@@ -125,7 +109,7 @@ def work_progress(what: str) -> Iterator[Callable[[str, int, int], None]]:
         What the work calls, as often as it likes, with what it is at or did last, how many steps are done, and how many
         there are.
     """
-    with _showing(what, None, LINE_EVERY) as show:
+    with count_progress(what, None, LINE_EVERY) as show:
         begun = monotonic()
 
         def report(doing: str, done: int, total: int) -> None:
@@ -161,7 +145,9 @@ class PlainProgress:
 
 
 @contextmanager
-def _showing(what: str, total: int | None, period: float = PLAIN_PERIOD) -> Iterator[Callable[..., None]]:
+def count_progress(
+    what: str, total: int | None, period: float = PLAIN_PERIOD
+) -> Iterator[Callable[..., None]]:  # fmt: skip
     """Shows work on standard error: a bar on a terminal, else plain lines.
 
     Args:
@@ -170,7 +156,8 @@ def _showing(what: str, total: int | None, period: float = PLAIN_PERIOD) -> Iter
         period: between two plain lines about the same thing, s.
 
     Yields:
-        What is called with what is being done, a detail of it, the count, and what to count to.
+        What the work calls now and then, with what it is doing, a detail that changes all the time, such as the
+        simulated time, the count, and what to count to: `report(doing, detail, count, of)`.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -180,12 +167,8 @@ def _showing(what: str, total: int | None, period: float = PLAIN_PERIOD) -> Iter
         plain = PlainProgress(period)
         yield lambda doing, detail="", count=0, of=total: plain.update(f"{what}: {doing}", detail)
         return
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(bar_width=20),
-        TimeElapsedColumn(),
-    )
+    words = TextColumn("{task.description}", markup=False)
+    columns = (SpinnerColumn(), words, BarColumn(bar_width=20), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(what, total=total)
 

@@ -95,7 +95,7 @@ def demo(
     Exit code 1 where the robot did not get there.
     """
     from gridpush_drake.cli.demo_tasks import TASKS, print_summary, write_files
-    from gridpush_drake.files import check_writable, make_folder
+    from gridpush_drake.files import make_folder
     from gridpush_drake.multibody.meshcat_server import StartMeshcatServer
     from gridpush_drake.station.robot import make_robot_directives
     from gridpush_drake.station.scene import check_scenario
@@ -108,8 +108,7 @@ def demo(
         scenario.directives = make_robot_directives(robot, grasping=task is TaskName.pregrasp)
     check_scenario(scenario)
     make_folder(out)
-    for name in chosen.files:
-        check_writable(out / name, force)
+    options.check_outputs(force, *(out / name for name in chosen.files))
     meshcat = StartMeshcatServer(port)
     options.compile_kernels()
     print_notice(f"Watch it at {meshcat.web_url()}")
