@@ -42,18 +42,9 @@ class Job:
 class StationScore:
     """What came of one experiment; lengths in m.
 
-    Attributes:
-        name: the object.
-        seed: of the experiment.
-        status: of the experiment, "finished" where all pushes were carried out.
-        pushes: learned from.
-        held_out: pushes to judge by.
-        error: mean cell error of the held-out pushes, with the uniform model, as learned, and with the true parameters.
-        center_of_mass_error: with the uniform model, and as learned.
-        tracking_error: of the finger.
-        share: of joint position, velocity and torque limits, the greatest.
-        touched: pairs of bodies that should not have touched.
-        duration: simulated, s.
+    Mean cell errors of the held-out pushes are with the uniform model, as learned, and with the true parameters; center
+    of mass errors with the first two. `share` is the greatest of joint position, velocity and torque limits; `touched`
+    counts pairs of bodies that should not have touched.
     """
 
     name: str
@@ -164,10 +155,7 @@ def run_updates(report: Report | None = None) -> Table:
 
 
 def time_updates(answer_delay: float | None) -> tuple[Array, NDArray[np.bool_], int]:
-    """Lets the station poke a hammer.
-
-    Args:
-        answer_delay: as of the scenario.
+    """Lets the station poke a hammer; `answer_delay` is as of the scenario.
 
     Returns:
         (U, 2) each update's time by the clock on the wall and by that of the thread's processor, s; (U,) whether

@@ -92,15 +92,7 @@ SPREAD = 1.0
 
 @dataclass(frozen=True)
 class Score:
-    """How one episode ended.
-
-    Attributes:
-        reward: the sum of all.
-        won: whether the aim was reached.
-        fell: whether the object fell.
-        pushes: made.
-        score: the game's own measure at the end, m.
-    """
+    """How one episode ended: the sum of all rewards, and the game's own measure, m."""
 
     reward: float
     won: bool
@@ -111,15 +103,7 @@ class Score:
 
 @dataclass(frozen=True)
 class Job:
-    """A player's episodes in one game.
-
-    Attributes:
-        game: of `gym.games.GAMES`.
-        player: of PLAYERS.
-        seed: of the first episode; the others' follow.
-        episodes: how many.
-        generations: of the learned player's training.
-    """
+    """A player's episodes in one game, the first one's seed and how many; and generations of its training."""
 
     game: str
     player: str
@@ -130,14 +114,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Played:
-    """What came of a job.
-
-    Attributes:
-        game: that was played.
-        player: of PLAYERS.
-        scores: of the episodes.
-        seconds: wall clock of the training.
-    """
+    """What came of a job; wall clock of the training, s."""
 
     game: str
     player: str
@@ -342,17 +319,9 @@ def play_learned(game: str, weights: Array, seed: int, episodes: int) -> list[Sc
 
 
 def train(game: str, seed: int, generations: int, candidates: int, episodes: int) -> Array:
-    """Finds weights by CMA-ES.
+    """Finds weights (WEIGHTS,) by CMA-ES: the mean of the last generation.
 
-    Args:
-        game: of `gym.games.GAMES`.
-        seed: of the search and of its episodes.
-        generations: of weights.
-        candidates: weights in each.
-        episodes: that each of these plays; the same within a generation.
-
-    Returns:
-        (WEIGHTS,) the mean of the last generation.
+    Each of a generation's candidates plays the same episodes.
     """
     rng = np.random.default_rng(seed)
     options = {"seed": int(rng.integers(1, 2**31)), "popsize": candidates, "verbose": -9}

@@ -98,17 +98,13 @@ def make_key(job: Any) -> str:
 
 
 def open_results(path: Path | str | None, bench: str, settings: dict[str, Any], force: bool = False) -> Results:
-    """Opens the file of a bench's results, or begins it.
+    """Opens the file of a bench's results, or begins it, anew where `force`.
 
     Args:
-        path: of the file; None for one in FOLDER, another for every choice of settings and every change of the
-            program.
+        path: of the file; None for one in FOLDER, another for every choice of settings and every change of the program.
         bench: the bench's name.
         settings: all that was chosen.
         force: whether to begin anew.
-
-    Returns:
-        The file, with the results that are in it.
 
     Raises:
         GridPushError: the file is of other settings, or is no such file.

@@ -47,16 +47,9 @@ PAPER_MM = 15.3
 
 @dataclass(frozen=True)
 class Score:
-    """How a method did on one object with one mass set and its split.
+    """How a method did on one object with one mass set and its split: mean final cell error of its test pushes, m.
 
-    Attributes:
-        name: of the object.
-        mass_set: number of the mass set and of the split.
-        training: number of training pushes.
-        method: of identification.
-        budget: simulated pushes it might spend.
-        simulations: those it did.
-        error: mean final cell error of the test pushes, m.
+    It might spend `budget` simulated pushes, and did spend `simulations`.
     """
 
     name: str

@@ -276,13 +276,9 @@ PAPER_PUSHES = 4
 
 @dataclass(frozen=True)
 class Job:
-    """One object with one mass set and seed, by one method, or both ways of exploring.
+    """One object with one mass set and seed, by one of METHODS or EXPLORING.
 
     Attributes:
-        name: of the object.
-        mass_set: its number.
-        seed: of table, start and noise.
-        method: of METHODS or EXPLORING.
         depth: of the gripper's fingers, m.
         mask: file of the paper's object.
         friction: range of the true frictions, and what is known of them.

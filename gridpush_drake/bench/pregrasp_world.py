@@ -140,15 +140,7 @@ class MujocoWorld(EdgeWorld):
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended.
-
-    Attributes:
-        grasped: whether a part was declared graspable, and truly hangs over with the object at rest.
-        dropped: whether the object fell.
-        pokes: made.
-        slides: made.
-        reason: the loop's last one.
-    """
+    """How a run ended: whether a part was declared graspable, and truly hangs over with the object at rest; or fell."""
 
     grasped: bool
     dropped: bool

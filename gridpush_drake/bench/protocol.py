@@ -147,12 +147,7 @@ class Protocol:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """An object with one mass set, pushed ten times.
-
-    Attributes:
-        obj: as the identifier sees it: one part, and no prior but the defaults.
-        log: the ten observed pushes.
-    """
+    """An object with one mass set as the identifier sees it (one part, no prior but the defaults), pushed ten times."""
 
     obj: GridObject
     log: PushLog

@@ -87,14 +87,9 @@ RECORDS = "record_all"
 
 
 def find_push_logs(data: Path, min_pushes: int) -> list[tuple[str, Path]]:
-    """Finds real robots' push logs anywhere below a folder.
+    """Finds real robots' push logs below a folder: the kind ("cmu" or "mit") and the file of each, CMU's first.
 
-    Args:
-        data: a folder.
-        min_pushes: of a CMU file; others are passed over.
-
-    Returns:
-        The kind ("cmu" or "mit") and the file of each, CMU's first.
+    Files of CMU's form with fewer than `min_pushes` are passed over.
 
     Raises:
         GridPushError: there is no such folder, or no push log in it.
@@ -146,15 +141,9 @@ UNIFORM, POSES, CENTER = "uniform pressure", "poses only", "poses + center of ma
 
 @dataclass(frozen=True)
 class Job:
-    """One file and split, learned from with some numbers of training pushes.
+    """One log ("cmu", "mit" or "simulated" of an object's file) and split, and numbers of pushes to learn from.
 
-    Attributes:
-        path: of the log; of simulated pushes, of the object.
-        kind: "cmu", "mit" or "simulated".
-        split: its number; of simulated pushes, also of their hidden truth.
-        counts: numbers of training pushes.
-        seed: of everything random.
-        name: of the log; its file's where empty.
+    The split's number is also that of the simulated truth; a log without a name has its file's.
     """
 
     path: Path

@@ -82,15 +82,7 @@ def campaign(
 
 
 def parse_seeds(option: str, text: str, most: int) -> list[int]:
-    """Reads seeds.
-
-    Args:
-        option: its name, for the message.
-        text: as FORM says.
-        most: seeds that there may be.
-
-    Returns:
-        The seeds, each once, in order.
+    """Reads seeds as FORM says: each once, in order, and at most so many.
 
     Raises:
         OptionError: the text is something else, or there are none or too many.

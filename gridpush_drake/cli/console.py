@@ -80,14 +80,9 @@ def _plain(value: Any) -> Any:
 
 @contextmanager
 def search_progress(what: str, budget: int | None) -> Iterator[Callable[["HistoryEntry"], None]]:
-    """Shows how a search goes, on standard error.
+    """Shows how a search goes, on standard error; yields what the search calls with each of its steps.
 
-    Args:
-        what: the search, in a word or two.
-        budget: simulations it may spend; None where it decides itself.
-
-    Yields:
-        What the search calls with each of its steps.
+    The budget is of simulations; None where the search decides itself.
     """
     with count_progress(what, budget) as show:
 
@@ -101,9 +96,6 @@ def search_progress(what: str, budget: int | None) -> Iterator[Callable[["Histor
 @contextmanager
 def work_progress(what: str) -> Iterator[Callable[[str, int, int], None]]:
     """Shows how much of some work is done: a bar on a terminal's standard error, elsewhere a plain line now and then.
-
-    Args:
-        what: the work.
 
     Yields:
         What the work calls, as often as it likes, with what it is at or did last, how many steps are done, and how many

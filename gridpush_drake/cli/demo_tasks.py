@@ -172,20 +172,10 @@ class DemoTask:
 def write_files(
     task: DemoTask, folder: Path, scenario: PushScenario, record: Any, meshcat: Meshcat | None, force: bool
 ) -> list[Path]:
-    """Writes what a run came to.
+    """Writes what a run came to, and gives the files in the order of the task's; not what it was too short for.
 
-    The model is the station's own: that which `gridpush identify` makes of object.yaml and pushes.csv.
-
-    Args:
-        task: that was run.
-        folder: where; it exists.
-        scenario: of the run.
-        record: of the run; what it was too short for is not written.
-        meshcat: with its recording; None where there is none.
-        force: whether existing files may be replaced.
-
-    Returns:
-        The files written, in the order of the task's.
+    The model is the station's own: that which `gridpush identify` makes of object.yaml and pushes.csv. Without Meshcat,
+    there is no recording.
 
     Raises:
         OutputError: a file exists and `force` is not set, or it cannot be written.

@@ -77,15 +77,7 @@ class OptionError(GridPushError):
 
 
 def parse_numbers(option: str, text: str, names: str) -> tuple[float, ...]:
-    """Reads numbers separated by commas.
-
-    Args:
-        option: its name, for the message.
-        text: what was given.
-        names: the form, such as "x,y".
-
-    Returns:
-        As many finite numbers as `names` has.
+    """Reads as many finite numbers, separated by commas, as `names` has, such as "x,y".
 
     Raises:
         OptionError: the text is something else.
@@ -150,13 +142,7 @@ def parse_shape(option: str, text: str) -> "SupportSurface":
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """What a command works on.
-
-    Attributes:
-        obj: the object.
-        params: what it is taken to weigh and rub: the model's, or uniform ones by the object's prior.
-        model: the model, where it is one.
-    """
+    """What a command works on: an object, what it is taken to weigh and rub (the model's, or uniform by its prior)."""
 
     obj: "GridObject"
     params: "CellParameters"

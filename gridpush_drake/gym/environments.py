@@ -77,10 +77,10 @@ class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
     def __init__(
         self, game: str = "PushToGoal", render_mode: str | None = None, camera: bool = False, **options: Any
     ) -> None:
-        """Makes the environment.
+        """Makes the environment of a game of GAMES.
 
         Args:
-            game: of GAMES.
+            game: its name.
             render_mode: "rgb_array", or None for no pictures.
             camera: whether the observation has "rgb", the scene seen from above, which shows no masses.
             options: fields of `GameOptions`.
