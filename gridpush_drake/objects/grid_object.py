@@ -14,7 +14,7 @@ from shapely import Polygon
 
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.files import write_whole
-from gridpush_drake.geometry.outline import OutlineEdges
+from gridpush_drake.geometry.polygons import OutlineEdges
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.objects.cells import (
     DEFAULT_MAX_CELLS,
@@ -24,11 +24,10 @@ from gridpush_drake.objects.cells import (
     MIN_SIZE,
     CellGrid,
     calc_adjacency,
+    fill_outline,
 )
 from gridpush_drake.objects.mask import coarsen_mask
-from gridpush_drake.objects.object_file import dump_object, make_cells, read_object_file
-from gridpush_drake.objects.outline import fill_outline
-from gridpush_drake.objects.prior import PhysicalPrior
+from gridpush_drake.objects.object_file import PhysicalPrior, dump_object, make_cells, read_object_file
 
 
 @dataclass(frozen=True, eq=False)

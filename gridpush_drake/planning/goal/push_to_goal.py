@@ -36,7 +36,7 @@ from gridpush_drake.planning.closed_loop import (
 from gridpush_drake.planning.contact.optimization import check_pose
 from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
-from gridpush_drake.planning.goal.next_push import GoalRules, NextPush, choose_push
+from gridpush_drake.planning.goal.next_push import GoalRules, NextPush, Robustness, choose_push, draw_model_samples
 from gridpush_drake.planning.goal.push_plan import (
     REACHED,
     REASONS,
@@ -45,7 +45,6 @@ from gridpush_drake.planning.goal.push_plan import (
     check_ends,
     find_stop_reason,
 )
-from gridpush_drake.planning.goal.robustness import Robustness, draw_model_samples
 from gridpush_drake.planning.simulated_world import Learner, PushWorld, run_loop
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 

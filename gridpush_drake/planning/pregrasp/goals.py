@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.convex import calc_margin_inside, find_weakest_direction, hull_of
+from gridpush_drake.geometry.polygons import calc_margin_inside, find_weakest_direction, hull_of
 from gridpush_drake.geometry.se2 import Array, make_direction, rotate, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error

@@ -30,7 +30,6 @@ from gridpush_drake.planning.pregrasp.exploration import (
     make_center_functional,
     make_pokes,
 )
-from gridpush_drake.planning.pregrasp.flat_parts import FlatPart, PadLimit, find_flat_parts, find_held_parts
 from gridpush_drake.planning.pregrasp.goals import (
     ANY_ARM,
     ArmLimits,
@@ -40,7 +39,15 @@ from gridpush_drake.planning.pregrasp.goals import (
     find_grasp_at,
     find_pregrasp_goals,
 )
-from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, Gripper, find_grasp_parts
+from gridpush_drake.planning.pregrasp.grasp_parts import (
+    FlatPart,
+    GraspPart,
+    Gripper,
+    PadLimit,
+    find_flat_parts,
+    find_grasp_parts,
+    find_held_parts,
+)
 from gridpush_drake.planning.pregrasp.slides import (
     Slide,
     SlideOptions,

@@ -36,8 +36,8 @@ from gridpush_drake.planning.closed_loop import (
     Pose,
     PushPhase,
 )
-from gridpush_drake.planning.pregrasp.flat_parts import FlatPart
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
+from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart
 from gridpush_drake.planning.pregrasp.planner import PreGraspDecision, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
 from gridpush_drake.planning.pregrasp.slides import TippingMonitor

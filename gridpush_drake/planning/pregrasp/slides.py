@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import calc_loads, simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
-from gridpush_drake.geometry.convex import calc_margin_inside, hull_of
+from gridpush_drake.geometry.polygons import calc_margin_inside, hull_of
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters

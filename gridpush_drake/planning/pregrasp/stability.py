@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
-from gridpush_drake.geometry.convex import hull_of
+from gridpush_drake.geometry.polygons import hull_of
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet

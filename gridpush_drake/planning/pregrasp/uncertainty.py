@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.convex import bound_by_half_planes
+from gridpush_drake.geometry.polygons import bound_by_half_planes
 from gridpush_drake.geometry.se2 import Array, make_direction, transform_back
 from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.learning import describe_prior

@@ -26,7 +26,7 @@ from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import MEGABYTE, open_file
 from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.prior import PhysicalPrior
+from gridpush_drake.objects.object_file import PhysicalPrior
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog, nearest_turn
 
 TRIANGLE_CORNER = (0.045, 0.045)
