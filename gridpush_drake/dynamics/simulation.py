@@ -69,8 +69,6 @@ def simulate(
     midpoint rule), except with lagged friction, which as in the paper's LCP takes them where the step begins.
 
     Args:
-        obj: the object.
-        params: its cells' masses and frictions.
         push: the pusher's motion, or a force applied to the object.
         pose: (3,) q = (x, y, theta) of B in W at the beginning, m and rad.
         dt: step, s; the last one is shortened to end with the push. By default so short that the pusher moves at most
@@ -149,8 +147,6 @@ def calc_loads(
     """Calculates what the cells of an object at rest bear (`docs/theory/model.md`, section 8).
 
     Args:
-        obj: the object.
-        params: its cells' masses.
         pose: (3,) q where it lies, m and rad.
         table: (K, 2) corners in W of the table's top, m; endless by default.
         gravity: m/s².
@@ -183,9 +179,6 @@ def simulate_batch(
         poses: (3,) one pose for all, or (count, 3).
         workers: threads; by default one a core. The result does not depend on it.
         options: passed on to `simulate`.
-
-    Returns:
-        The motions, in order.
 
     Raises:
         SimulationError: the lists' lengths disagree, or as `simulate`.
@@ -221,11 +214,8 @@ def find_edges_near(
     """Finds the edges (K, 4) of a table that a push may bring an object to, m; None where it cannot.
 
     Args:
-        obj: the object.
-        push: the push.
         q: (3,) pose at the beginning.
         table: (K, 2) corners in W, m; None for an endless one.
-        inertial: the regime.
 
     Raises:
         SimulationError: the corners are none, or the object is not on the table.
@@ -362,12 +352,9 @@ def calc_step(
     """Takes one condensed inertial step at a fixed pose (`docs/theory/model.md`, section 3).
 
     Args:
-        obj: the object.
-        params: mass and friction of its cells.
         q: (3,) pose X_WB, m and rad; directions and arms are those at this pose, as in the paper's LCP.
         nu: (3,) velocity of B's origin in W, m/s, and yaw rate, rad/s.
         wrench: (3,) force in W, N, and moment about B's origin, N m.
-        dt: time step, s.
         friction: "isotropic", or the paper's "lagged" directions, which are "separate" whatever `spin` says.
         spin: how the cells resist spinning, see `kernels.isotropic_friction`.
         g: gravity, m/s².

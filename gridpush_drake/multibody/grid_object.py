@@ -93,11 +93,7 @@ class ContactSphereLayout:
         """Lays out the spheres of an object.
 
         Args:
-            obj: the object.
             spheres_per_cell: 1, or 4 to support it out to its edge.
-
-        Returns:
-            The layout, cell by cell.
 
         Raises:
             ParameterError: `spheres_per_cell` is neither.
@@ -115,13 +111,9 @@ class ContactSphereLayout:
         """Makes the spheres's contact properties.
 
         Args:
-            params: what the cells weigh and how they rub.
             delta: how far the spheres are pressed in, m.
             gravity: m/s².
             support: (n,) what each cell's spheres bear where they are pressed in so far, kg; its own mass by default.
-
-        Returns:
-            Properties of the f spheres.
 
         Raises:
             ParameterError: a friction is 2 or more, which Drake's combination cannot give.
@@ -290,9 +282,6 @@ def AddGridObject(
 
     Args:
         plant: discrete; its gravity field is the one that the spheres are made for.
-        scene_graph: of the plant.
-        obj: the object.
-        params: the true masses and frictions.
         base: how it is held, see above.
         table: collision geometries that the spheres stand on; top at z = 0.
         height: of the object, m.
@@ -305,9 +294,6 @@ def AddGridObject(
         side_stiffness: of the outline's contacts, N/m.
         visual: whether it has illustration geometry.
         color: red, green, blue and opacity of that.
-
-    Returns:
-        The parts.
 
     Raises:
         ObjectError: `base` is neither, a size is not positive, there is no table, or a model of that name.
@@ -344,8 +330,6 @@ def MakeSpatialInertia(obj: GridObject, params: CellParameters, height: float = 
     """Sums up the cells' inertia, each a homogeneous square prism.
 
     Args:
-        obj: the object.
-        params: its cells' masses.
         height: of the prisms, m.
 
     Returns:
@@ -392,9 +376,6 @@ def ApplyGridObjectFilters(
     """Lets the spheres touch the table alone, and the sides everything but the table, of what is in the plant by now.
 
     Args:
-        plant: the plant.
-        scene_graph: of the plant.
-        handle: the object.
         table: collision geometries that the spheres stand on.
     """
     table = list(table)

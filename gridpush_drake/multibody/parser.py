@@ -91,9 +91,6 @@ def AddVisualMeshes(
         plant: with the models, not finalised.
         scene_graph: that the plant is registered with.
         folder: of drake_models, see `find_drake_models`; None adds nothing.
-
-    Returns:
-        The names of the bodies that wear meshes now.
     """
     changed: list[str] = []
     if folder is None:

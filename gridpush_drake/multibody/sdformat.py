@@ -72,12 +72,9 @@ def make_sdf(
     """Makes the model's text.
 
     Args:
-        obj: the object.
-        params: what its cells weigh and how they rub.
         base: "free", or "planar": held by a planar joint to a frame `delta` below the world's z = 0.
         height: of the object, m; more than SIDE_LIFT.
         delta: m the spheres are pressed in; by default as `AddGridObject`.
-        spheres_per_cell: 1 or 4.
         side_stiffness: of the outline's contacts, N/m.
         gravity: m/s², that the spheres are made for.
 
@@ -124,15 +121,6 @@ def WriteSdf(
     spheres_per_cell: SpheresPerCell = 1,
 ) -> None:
     """Writes the model to a file.
-
-    Args:
-        obj: the object.
-        params: what its cells weigh and how they rub.
-        path: the file.
-        force: whether an existing file may be replaced.
-        base: as `make_sdf`.
-        height: as `make_sdf`, m.
-        spheres_per_cell: as `make_sdf`.
 
     Raises:
         OutputError: the file cannot be written.
@@ -220,8 +208,6 @@ def make_urdf(obj: GridObject, params: CellParameters, *, height: float = DEFAUL
     """Makes the model's text.
 
     Args:
-        obj: the object.
-        params: what its cells weigh and how they rub.
         height: of the object, m.
 
     Returns:
@@ -261,10 +247,6 @@ def WriteUrdf(
     """Writes the model to a file.
 
     Args:
-        obj: the object.
-        params: what its cells weigh and how they rub.
-        path: the file.
-        force: whether an existing file may be replaced.
         height: of the object, m.
 
     Raises:

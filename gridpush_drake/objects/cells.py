@@ -138,7 +138,6 @@ def choose_cells(region: Region, share: Share, overlap: Share, max_cells: int, m
     the second moments and of the area. The choice is deterministic.
 
     Args:
-        region: the shape.
         share: decides which cells belong (at least half).
         overlap: exact share of each cell's area, for shapes so thin that no cell is half full.
         max_cells: the most cells, >= 1.
@@ -306,7 +305,6 @@ def fill_outline(
         parts: polygons by label >= 1, body frame, m; the first to cover a cell's center names its part, and a
             cell that none covers belongs to part 1.
         max_cells: the most cells to make.
-        name: of the object, for messages.
 
     Returns:
         The cells and the outline, which runs counterclockwise, holes clockwise.

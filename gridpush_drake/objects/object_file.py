@@ -240,13 +240,8 @@ def make_cells(schema: ObjectSchema, name: str, folder: Path, largest_piece: boo
     """Makes the cells and the outline that a schema describes.
 
     Args:
-        schema: of the object.
-        name: of the object, for messages.
         folder: where a mask that it names is looked up.
         largest_piece: keep the largest connected piece of a mask that has several.
-
-    Returns:
-        The geometry.
 
     Raises:
         ObjectError: a polygon crosses itself or has no area, or the mask cannot be read or is none.
@@ -272,14 +267,9 @@ def describe_object(
     """The plain values of which `ObjectSchema` makes the same object again, bit for bit.
 
     Args:
-        name: of the object.
-        grid: its geometry.
         prior: what is known of its mass and friction.
         height: of the object, m, where it is known.
         seen: where the body frame was in a photograph, where there is one.
-
-    Returns:
-        The values, in the order of a file.
     """
     data: dict[str, Any] = {"name": name, "outline": _points(grid.outline.exterior)}
     if grid.outline.interiors:
@@ -326,9 +316,6 @@ def find_shipped_object(name: str) -> Path:
 
     Args:
         name: as `list_shipped_objects` gives it.
-
-    Returns:
-        The file's path.
 
     Raises:
         ObjectError: there is none of that name; the message suggests the nearest and lists all.

@@ -83,12 +83,9 @@ def solve_isotropic_socp(
     terms are |u - u_free|² / 2, with u_free of unit length: three unknowns, and one epigraph variable a cone.
 
     Args:
-        obj: the object.
-        params: mass and friction of its cells.
         q: (3,) pose X_WB, m and rad.
         nu: (3,) velocity of B's origin in W, m/s, and yaw rate, rad/s.
         wrench: (3,) W = force in W, N, and moment about B's origin, N m.
-        dt: time step, s.
         g: gravity, m/s².
         spin: "separate", "coupled" or "none".
 

@@ -100,14 +100,7 @@ class KktResiduals:
 
 
 def normalize(lcp: MaximalLcp) -> NormalizedLcp:
-    """Takes the units out of the LCP.
-
-    Args:
-        lcp: the LCP.
-
-    Returns:
-        Its dimensionless form.
-    """
+    """Takes the units out of the LCP."""
     root_mass = np.sqrt(lcp.M)
     per_root_mass = diags_array(1 / root_mass)
     rows = np.flatnonzero((lcp.bound > 0) & (abs(lcp.J_f).sum(axis=1) > 0))
@@ -165,14 +158,10 @@ def calc_residuals(
     """Evaluates every line of the LCP.
 
     Args:
-        lcp: the LCP.
         xdot: (3n,) velocities after the step, rad/s and m/s.
         lam_e: (3k,) rigidity impulses, N m s and N s.
         lam_f: (2n,) friction impulses, N s and N m s.
         gamma: (2n,) speeds of what slides and spins, m/s and rad/s.
-
-    Returns:
-        The residuals.
     """
     n, s = lcp.n, lcp.cell_size
     length = np.tile([s, 1.0, 1.0], n)
@@ -241,7 +230,6 @@ def solve_as_lcp(lcp: MaximalLcp, lcp_solver: LcpSolver) -> LcpSolution:
         0 <= [s; gamma]  ⟂  [[G P G^T, 1], [-1, 0]] [s; gamma] + [G h; 1] >= 0.
 
     Args:
-        lcp: the LCP.
         lcp_solver: a solver of dense LCPs, Lemke's for instance.
 
     Returns:
@@ -266,9 +254,6 @@ def solve_as_qp(lcp: MaximalLcp) -> LcpSolution:
     tells which; y and the multipliers then solve linear equations, whose signs are verified. Where one is wrong the
     active set method for the dual (a QP in 0 <= s <= 1) takes over: s goes towards the equations' solution up to the
     first bound, whose row is held there; when none is in the way the row that moves against its state is released.
-
-    Args:
-        lcp: the LCP.
 
     Returns:
         The solution, to round-off.

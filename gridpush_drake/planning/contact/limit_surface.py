@@ -83,7 +83,6 @@ def predict_roughly(
 
     Args:
         obj: the object, at the pose (0, 0, 0).
-        params: its model.
         start: (N, 2) p_BP of the disc's center at the beginning, m.
         direction: (N, 2) unit vectors of the motion.
         distance: of the motion, m.
@@ -213,15 +212,11 @@ def _pick_apart(
     looked up whose turn comes.
 
     Args:
-        runner: of the outline.
         s: (N,) arc lengths, m.
         angle: (N,) rad.
         costs: (steps, N) after each step, m.
         count_allowed: says how many of a push's steps are allowed.
         count: how many are wanted.
-
-    Returns:
-        Their indices and costs.
     """
     perimeter = runner.reach.perimeter
     queue = [(float(cost), i, False) for i, cost in enumerate(costs.min(axis=0))]

@@ -90,16 +90,10 @@ def optimize_contact(
     """Chooses the push that brings an object nearest to a goal pose.
 
     Args:
-        obj: the object.
-        params: its model.
         pose: (3,) q_W where it lies, m and rad.
         goal: (3,) where it should.
         method: "gradient", "finite_difference" (the paper's) or "exhaustive".
         constraints: table, obstacles and further rules; none by default.
-        options: what pushes may be chosen from, and how.
-
-    Returns:
-        The best push and what the search cost.
 
     Raises:
         PlanningError: an argument is out of range, or the finger fits nowhere on the outline.
@@ -252,8 +246,6 @@ def move(runner: TrialRunner, trial: Trial, by: float, turn: float) -> tuple[flo
     """Moves a trial along the outline and turns it, its direction held in the body frame.
 
     Args:
-        runner: of the trial.
-        trial: from which.
         by: m, counterclockwise.
         turn: rad.
 

@@ -61,13 +61,7 @@ def draw_model_samples(
     """Other models that may be the true one.
 
     Args:
-        obj: the object.
-        params: the model.
         identification: that it comes from; None where nothing was learned.
-        options: how many, and how uneven.
-
-    Returns:
-        The models.
     """
     if identification is not None:
         return identification.samples(options.samples, options.seed)
@@ -217,15 +211,9 @@ def choose_push(
     """Decides on the next push.
 
     Args:
-        obj: the object.
-        params: its model.
         pose: (3,) where it lies, m and rad.
-        cost_to_go: to the goal.
         rules: how to push; a push that comes as near as the tolerance is good enough.
         robustness: cuts pushes short; None makes them as they are planned.
-
-    Returns:
-        The decision.
     """
     search = _PushSearch(obj, params, pose, cost_to_go, rules, robustness)
     first = search.find_first("gradient")

@@ -135,7 +135,6 @@ def calc_overhangs(parts: Sequence[GraspPart], pose: ArrayLike, surface: Support
     Args:
         parts: P graspable parts.
         pose: (3,) X_WB, m and rad.
-        surface: the table.
 
     Returns:
         (P,) m; negative where some of a footprint is over the table. On a convex table it is measured from the line
@@ -162,12 +161,8 @@ def find_grasp_at(
     """The part that can be taken where the object lies now, the nearest to the middle of its possible centers of mass.
 
     Args:
-        masses: the masses held possible.
-        parts: the graspable parts.
         pose: (3,) X_WB, m and rad.
-        surface: the table.
         options: `min_overhang` and `inset` count.
-        limits: of the arm that is to grasp it.
 
     Returns:
         The present pose as a goal, whatever its margin; None where no part that the arm can take hangs over far enough.
@@ -198,12 +193,7 @@ def find_pregrasp_goals(
     """Seeks goal poses.
 
     Args:
-        masses: the masses held possible.
-        parts: the graspable parts.
         pose: (3,) where the object is, X_WB, m and rad.
-        surface: the table.
-        options: how to seek.
-        limits: of the arm that is to grasp the object.
 
     Returns:
         The goals: safe ones, whose margin is at least `options.margin`, by rank; and where there are none the one

@@ -107,10 +107,6 @@ class GraspPart:
 def find_grasp_parts(obj: GridObject, gripper: Gripper | None = None) -> list[GraspPart]:
     """Finds where the gripper can take the object.
 
-    Args:
-        obj: the object.
-        gripper: its measures.
-
     Returns:
         The parts, by closing direction and place; empty where the object is too wide everywhere.
     """
@@ -272,10 +268,6 @@ def _stack(parts: Sequence[FlatPart]) -> tuple[Array, Array]:
 
 def find_flat_parts(obj: GridObject, gripper: SideGripper) -> list[FlatPart]:
     """Finds where the gripper can take an object by its rim, the fingers pointing straight in.
-
-    Args:
-        obj: the object.
-        gripper: its measures.
 
     Returns:
         The parts along the rim, each as far in as the pads need and as the gripper's body lets them, and between.

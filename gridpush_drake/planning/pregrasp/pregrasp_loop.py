@@ -168,7 +168,6 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             find_grasp: finds how to take the object where it lies.
             infer: says what is held possible; by default what the identification's posterior says.
             seed: of the draws from that.
-            options: how to go about it.
         """
         self.planner, self.seed, self._find_grasp = planner, seed, find_grasp
         self.options: PreGraspLoopOptions = options or PreGraspLoopOptions()

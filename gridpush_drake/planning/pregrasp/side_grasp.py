@@ -325,10 +325,7 @@ def find_side_grasps(
     """Finds where the gripper can take an object that overhangs the edge.
 
     Args:
-        obj: the object.
         pose: (3,) X_WB, m and rad.
-        surface: the table.
-        gripper: its measures.
         aim: (2,) point near which to grasp, body frame, m: the estimated center of mass; by default the mean of the
             cells.
         height: of the object, m.
@@ -489,9 +486,6 @@ def choose_varied(
         count: how many to choose, at most.
         apart: grasp points at this distance differ, m.
         turned: headings with this angle between them differ, rad.
-
-    Returns:
-        The chosen ones, in their order.
     """
     p_WG = np.array([grasp.p_WG for grasp in grasps]).reshape(-1, 2)
     approach = np.array([grasp.approach for grasp in grasps])

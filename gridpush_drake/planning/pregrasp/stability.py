@@ -28,9 +28,7 @@ def calc_support_polygon(
     """What holds the object: the convex hull of the cells' centers that are on the table.
 
     Args:
-        obj: the object.
         pose: (3,) X_WB, m and rad.
-        surface: the table.
         inset: m inside the edge that a center must be.
 
     Returns:
@@ -45,9 +43,7 @@ def calc_stability_margins(
     """How far the center of mass at its worst stays inside what holds the object, at many poses.
 
     Args:
-        masses: the plausible masses.
         poses: (K, 3) X_WB, m and rad.
-        surface: the table.
         inset: m inside the edge that a cell's center must be to hold.
 
     Returns:

@@ -96,13 +96,8 @@ class PlausibleMassSet:
         """All masses that agree with what was learned.
 
         Args:
-            obj: the object.
             posterior: of its relative friction.
             friction_range: least and greatest friction coefficient of any cell; the object's own bounds where None.
-            seed: of the draws.
-
-        Returns:
-            The set.
 
         Raises:
             PlanningError: the range is not positive and increasing.
@@ -191,7 +186,6 @@ class UncertainModel:
             found: the model with its posterior.
             friction_range: least and greatest friction coefficient of any cell; the object's own bounds where None.
             sample_count: further models to try slides on.
-            seed: of all draws.
             log: the pushes, so that pokes are not repeated.
         """
         starts = [transform_back(seen.pose, seen.push.start[None])[0] for seen in log or ()]

@@ -37,9 +37,6 @@ class Importer(Protocol):
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
         """Reads a file.
 
-        Args:
-            path: the file.
-
         Returns:
             The pushes, and the object that was pushed.
 

@@ -61,9 +61,6 @@ class CmuPush(NamedTuple):
 def read_cmu(path: Path) -> list[CmuPush]:
     """Reads every push of a file.
 
-    Args:
-        path: the text file.
-
     Returns:
         The pushes, in the file's order.
 
@@ -230,9 +227,6 @@ class CmuImporter:
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
         """Reads a file of CMU pushes.
-
-        Args:
-            path: the text file.
 
         Returns:
             The pushes, named by their place in the log, each observed at its end only; and the block.
