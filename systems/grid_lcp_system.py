@@ -22,7 +22,6 @@ from pydrake.systems.framework import (
     ValueProducer,
 )
 
-from gridpush_drake.dynamics.arguments import check_number, check_vector
 from gridpush_drake.dynamics.kernels.call import make_method, run_kernel
 from gridpush_drake.dynamics.kernels.forward_sensitivity import OTHER
 from gridpush_drake.dynamics.kernels.friction_law import SPIN_MODELS
@@ -30,7 +29,14 @@ from gridpush_drake.dynamics.kernels.inputs import Load, Steps
 from gridpush_drake.dynamics.kernels.step import CONVERGED
 from gridpush_drake.dynamics.kernels.step_memory import MEMORY_SIZE, make_memory
 from gridpush_drake.dynamics.motion import Jacobian, RawJacobian
-from gridpush_drake.dynamics.simulation import GRAVITY, RELATIVE_STICTION, STICTION_TOLERANCE, Regime
+from gridpush_drake.dynamics.simulation import (
+    GRAVITY,
+    RELATIVE_STICTION,
+    STICTION_TOLERANCE,
+    Regime,
+    check_number,
+    check_vector,
+)
 from gridpush_drake.dynamics.time_grid import DEFAULT_DT
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array

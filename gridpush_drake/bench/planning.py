@@ -23,9 +23,8 @@ from gridpush_drake.errors import GridPushError
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_error
-from gridpush_drake.planning.goal.next_push import GoalRules
+from gridpush_drake.planning.goal.next_push import GoalRules, RobustnessOptions
 from gridpush_drake.planning.goal.push_to_goal import PushStep, push_to_goal
-from gridpush_drake.planning.goal.robustness import RobustnessOptions
 from gridpush_drake.planning.simulated_world import Learner, SimulatedWorld
 
 LEARNING, UNIFORM, TRUE, LOOK_AHEAD = "learning", "uniform", "true", "true, two ahead"

@@ -32,9 +32,9 @@ from gridpush_drake.identification.prediction import calc_pose_error, predict
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.importers import find_importer
 from gridpush_drake.pushes.importers.cmu import POSE_SIZE
 from gridpush_drake.pushes.importers.mit import read_model_errors
-from gridpush_drake.pushes.importers.registry import find_importer
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
 
 PUSHES = 50

@@ -52,7 +52,7 @@ def export(
 
         WriteSdf(loaded.obj, loaded.params, out, force, base=base, height=height)
     elif chosen == "urdf":
-        from gridpush_drake.multibody.urdf import WriteUrdf
+        from gridpush_drake.multibody.sdformat import WriteUrdf
 
         WriteUrdf(loaded.obj, loaded.params, out, force, height=height)
     else:

@@ -1,6 +1,6 @@
 """`gridpush import`: public data sets and ROS bags to a push log and an object file.
 
-There is a command for each importer in `pushes.importers.registry`, with the options that are its fields.
+There is a command for each importer in `pushes.importers`, with the options that are its fields.
 """
 
 import dataclasses
@@ -16,7 +16,7 @@ from gridpush_drake.cli.console import print_found
 from gridpush_drake.errors import OutputError
 
 if TYPE_CHECKING:
-    from gridpush_drake.pushes.importers.registry import Importer
+    from gridpush_drake.pushes.importers import Importer
 
 OutDir = Annotated[
     Path | None,
@@ -37,13 +37,13 @@ class ImporterGroup(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """The importers' names."""
-        from gridpush_drake.pushes.importers.registry import IMPORTERS
+        from gridpush_drake.pushes.importers import IMPORTERS
 
         return list(IMPORTERS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """The command of an importer; None where there is no such importer."""
-        from gridpush_drake.pushes.importers.registry import find_importer
+        from gridpush_drake.pushes.importers import find_importer
 
         if cmd_name not in self.commands and cmd_name in self.list_commands(ctx):
             self.commands[cmd_name] = _make_command(cmd_name, find_importer(cmd_name))

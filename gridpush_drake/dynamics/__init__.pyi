@@ -1,4 +1,3 @@
-from .condensed_step import calc_step as calc_step
 from .motion import Jacobian as Jacobian
 from .motion import Motion as Motion
 from .motion import MotionStatus as MotionStatus
@@ -6,6 +5,7 @@ from .push import ForcePush as ForcePush
 from .push import Push as Push
 from .simulation import GRAVITY as GRAVITY
 from .simulation import Regime as Regime
+from .simulation import calc_step as calc_step
 from .simulation import simulate as simulate
 from .simulation import simulate_batch as simulate_batch
 from .time_grid import DEFAULT_DT as DEFAULT_DT

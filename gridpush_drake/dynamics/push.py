@@ -80,9 +80,6 @@ class Push:
             xy: (K, 2) p_WP at those times, m, world frame.
             radius: of the disc, m.
 
-        Returns:
-            The push.
-
         Raises:
             PushError: shapes disagree, a value is not finite, or time does not increase.
         """
@@ -116,7 +113,6 @@ class Push:
         """Makes a straight push that starts on an object's outline.
 
         Args:
-            obj: the object.
             arc_length: where on the exterior outline, m from its first vertex, counterclockwise, modulo the perimeter.
             angle: of the motion from the inward normal there, rad, counterclockwise.
             distance: to move, m.

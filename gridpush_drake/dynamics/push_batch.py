@@ -81,11 +81,6 @@ class PushBatch:
     def __init__(self, obj: GridObject, pushes: Sequence[BatchPush], regime: Regime) -> None:
         """Prepares pushes.
 
-        Args:
-            obj: the object.
-            pushes: the pushes.
-            regime: "quasi_static" or "inertial".
-
         Raises:
             SimulationError: an object is not on its table.
         """
@@ -107,9 +102,6 @@ class PushBatch:
     def simulate(self, params: CellParameters) -> tuple[Array, NDArray[np.bool_]]:
         """Simulates all pushes.
 
-        Args:
-            params: the cells' masses and frictions.
-
         Returns:
             The wanted poses (R, 3), m and rad, push by push; and whether the pusher touched the object (P,), true also
             where a step was not solved or the object tips.
@@ -121,9 +113,6 @@ class PushBatch:
 
     def differentiate(self, params: CellParameters) -> tuple[Array, Array]:
         """Simulates all pushes, with exact derivatives.
-
-        Args:
-            params: the cells' masses and frictions.
 
         Returns:
             The wanted poses (R, 3), m and rad, push by push; and their derivatives (R, 3, n+3) by the n masses, 1/kg,

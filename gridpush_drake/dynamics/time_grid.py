@@ -27,7 +27,6 @@ def make_times(push: Push | ForcePush, dt: float | None, regime: str = "inertial
     """Cuts a push into steps.
 
     Args:
-        push: the push.
         dt: step, s, the last one shortened to end with the push; None for the default steps.
         regime: see `make_path_times`.
 
@@ -53,7 +52,6 @@ def make_path_times(
     """Cuts a push's path into the default steps.
 
     Args:
-        push: the push.
         regime: "inertial": every piece of the path is cut into the longest steps allowed, so that they do not jump with
             the piece's length and speed; the last two, half a step to a whole one each, share what is left.
             "quasi_static": the path's length is cut evenly, whatever its pieces and however long they last, for time

@@ -57,9 +57,6 @@ def MakeContactProperties(friction: float, stiffness: float, dissipation: float 
         friction: its own coefficient, static and dynamic.
         stiffness: of its point contacts, N/m.
         dissipation: Hunt-Crossley, s/m.
-
-    Returns:
-        New properties.
     """
     properties = ProximityProperties()
     properties.AddProperty("material", "coulomb_friction", CoulombFriction(friction, friction))

@@ -45,16 +45,11 @@ def sample_ground_truth(
     """Draws what the parts weigh and how they rub; the total mass is the object's, or DEFAULT_TOTAL_MASS.
 
     Args:
-        obj: the object.
-        seed: of the draw.
         cell_mass_range: of a cell's mass before all are scaled to the total, kg; log-uniform, one draw a part.
         friction_range: of the coefficient against the support.
         contact_friction_range: of the coefficient against the pusher.
         friction_by_part: whether every part has a friction of its own. Slow pushes cannot tell mass and friction apart,
             and the center of mass can only be learned where they do not vary both.
-
-    Returns:
-        The truth.
     """
     drawn = CellParameters.random(obj, seed, cell_mass_range, friction_range if friction_by_part else None)
     total = obj.prior.total_mass or DEFAULT_TOTAL_MASS
@@ -71,8 +66,6 @@ def resample_parameters(obj: GridObject, params: CellParameters, other: GridObje
     that total mass and center of mass are kept.
 
     Args:
-        obj: the object.
-        params: its parameters.
         other: the other grid, in the same frame.
 
     Returns:
@@ -108,8 +101,6 @@ def calc_support(
     """Says how stiff a body's feet are, one below each cell.
 
     Args:
-        obj: the object.
-        params: the truth.
         support: how it stands.
         seed: of the feet's places.
         push_height: of the pusher above the table, m: three feet stand so far apart that it does not tip the body.
@@ -176,9 +167,6 @@ def SetGridObjectPose(
     """Puts an object down on the table, at rest.
 
     Args:
-        plant: the plant.
-        plant_context: its Context.
-        handle: the object.
         pose: (3,) q = (x, y, theta) of B in W, m and rad.
 
     Raises:
@@ -201,9 +189,6 @@ def SetGridObjectVelocity(
     """Sets an object's planar velocity.
 
     Args:
-        plant: the plant.
-        plant_context: its Context.
-        handle: the object.
         velocity: (3,) (vx, vy, w) of B's origin in W, m/s and rad/s.
     """
     vx, vy, w = np.asarray(velocity, dtype=np.float64)
@@ -234,12 +219,8 @@ def SetGridObjectParameters(
     """Changes the truth: inertia, what each sphere bears and how it rubs, the friction of the sides.
 
     Args:
-        plant: the plant.
-        scene_graph: of the plant.
         context: of the Diagram that holds both; `Simulator.reset_context` and `Diagram.CreateDefaultContext` bring back
             the parameters that the object was added with.
-        handle: the object.
-        params: the new masses and frictions.
         support: (n,) as `AddGridObject`.
 
     Raises:

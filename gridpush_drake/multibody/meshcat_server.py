@@ -85,7 +85,6 @@ def AimCamera(
     """Points the camera at a place.
 
     Args:
-        meshcat: the scene.
         target: (3,) where to look, world frame, m.
         distance: of the camera from there, m.
         azimuth: of the camera as seen from there, rad from the x axis.
@@ -115,7 +114,6 @@ def write_recording(meshcat: Meshcat, path: Path | str, force: bool = False, ove
     Args:
         meshcat: the scene; its recording is stopped and published, and LAYERS_TO_LEAVE_OUT are deleted from it.
         path: the HTML file.
-        force: whether an existing file may be replaced.
         overlay: what stands beside the scene; None for nothing.
 
     Raises:

@@ -40,7 +40,6 @@ def make_cell_prisms(obj: GridObject, height: float, share: float = CELL_SHARE) 
     """Makes a prism a cell, standing on the plane z = 0 of the body frame, open below.
 
     Args:
-        obj: the object.
         height: of the prisms, m.
         share: side of a prism, in cells.
 
@@ -67,9 +66,6 @@ def make_outline_mesh(outline: Polygon, height: float, normals: bool = False) ->
         outline: m.
         height: m.
         normals: whether each face has its own vertices with normals, as renderers want them.
-
-    Returns:
-        The text.
     """
     mesh = trimesh.creation.extrude_triangulation(*_triangulate(outline), height)
     if normals:
@@ -81,12 +77,8 @@ def make_outline_edge(obj: GridObject, height: float, width: float) -> Trimesh:
     """Makes a flat band about an object's outline, half inside and half outside; body frame, at z = `height`, m.
 
     Args:
-        obj: the object.
         height: m.
         width: of the band, m.
-
-    Returns:
-        The mesh.
     """
     band = obj.outline.buffer(width / 2).difference(obj.outline.buffer(-width / 2))
     return _make_plate(band, height)
@@ -99,9 +91,6 @@ def make_disc(covariance: ArrayLike, center: ArrayLike, height: float) -> Trimes
         covariance: (2, 2) S, m².
         center: (2,) c, m.
         height: z, m.
-
-    Returns:
-        The mesh.
     """
     return _make_plate(_make_ellipse(covariance, center), height)
 
@@ -120,9 +109,6 @@ def make_arrow(start: ArrayLike, end: ArrayLike, height: float, width: float) ->
         end: (2,) of its point, m.
         height: z, m.
         width: of its shaft, m; the head is three times as wide and long, at most the whole arrow.
-
-    Returns:
-        The mesh.
     """
     tail, point = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
     length = float(np.linalg.norm(point - tail))
@@ -204,9 +190,7 @@ def AddCells(meshcat: Meshcat, path: str, obj: GridObject, colors: ArrayLike, he
     """Draws an object's cells as one mesh, standing on z = 0 of its body frame.
 
     Args:
-        meshcat: where to draw.
         path: what is there already is replaced.
-        obj: the object.
         colors: (n, 3) sRGB, 0 to 1.
         height: of the cells, m.
     """
@@ -222,7 +206,6 @@ def AddCenter(meshcat: Meshcat, path: str, center: ArrayLike, covariance: ArrayL
     """Draws an estimated point and its ellipse of SIGMAS standard deviations, flat, from z = `height` up.
 
     Args:
-        meshcat: where to draw.
         path: a dot is drawn at `path`/dot, the ellipse and its edge at `path`/ellipse and `path`/edge.
         center: (2,) body frame, m; nothing is drawn where it is not finite.
         covariance: (2, 2) m²; nothing but the dot is drawn where it is not finite.
@@ -243,9 +226,7 @@ def AddGhost(meshcat: Meshcat, path: str, obj: GridObject, height: float, color:
     """Draws a translucent prism of an object's outline, body frame, with its upper edge as an opaque band.
 
     Args:
-        meshcat: where to draw.
         path: the prism is drawn at `path`/body, the edge at `path`/edge.
-        obj: the object.
         height: of the object, m; the body ends a little below it and the edge lies a little above.
         color: of both.
     """
@@ -268,7 +249,6 @@ def SwapVisible(meshcat: Meshcat, shown: str | None, hidden: str | None, time: f
     """Shows one path instead of another, from `time` on, live and in the recording where one is made.
 
     Args:
-        meshcat: the scene.
         shown: the path to be seen from now on; in the recording it is hidden before.
         hidden: the path to be seen no more; in the recording it stays as it is until a `period` before, at least.
         time: in the recording, s.

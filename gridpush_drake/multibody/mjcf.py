@@ -102,8 +102,6 @@ def make_mjcf(obj: GridObject, params: CellParameters, height: float) -> str:
     """Makes the model's text.
 
     Args:
-        obj: the object.
-        params: what its cells weigh and how they rub.
         height: of the object, m.
 
     Returns:
@@ -149,10 +147,6 @@ def WriteMjcf(obj: GridObject, params: CellParameters, path: Path | str, force: 
     """Writes the model to a file.
 
     Args:
-        obj: the object.
-        params: what its cells weigh and how they rub.
-        path: the file.
-        force: whether an existing file may be replaced.
         height: of the object, m.
 
     Raises:

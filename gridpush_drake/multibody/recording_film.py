@@ -125,7 +125,6 @@ def write_film(recording: Path | str, path: Path | str, force: bool = False, *, 
     Args:
         recording: the page, as `write_recording` writes it.
         path: GIF or WebP, by its ending.
-        force: whether an existing file may be replaced.
         seconds: that the film takes, without the last picture's rest.
 
     Raises:
@@ -144,7 +143,6 @@ def draw_frames(page: str, count: int) -> tuple[float, list[Image.Image]]:
     """Draws a recording.
 
     Args:
-        page: its HTML.
         count: of moments, evenly from its beginning to its end.
 
     Returns:

@@ -21,9 +21,6 @@ def weakly(method: Callable[..., Any], *more: Any) -> Callable[..., Any]:
     Args:
         method: bound; it is only called while its object lives, as Drake does with a system's.
         more: arguments that come after the caller's.
-
-    Returns:
-        A function of the caller's arguments.
     """
     find = WeakMethod(method)
 

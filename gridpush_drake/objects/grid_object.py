@@ -14,7 +14,7 @@ from shapely import Polygon
 
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.files import write_whole
-from gridpush_drake.geometry.outline import OutlineEdges
+from gridpush_drake.geometry.polygons import OutlineEdges
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.objects.cells import (
     DEFAULT_MAX_CELLS,
@@ -24,11 +24,10 @@ from gridpush_drake.objects.cells import (
     MIN_SIZE,
     CellGrid,
     calc_adjacency,
+    fill_outline,
 )
 from gridpush_drake.objects.mask import coarsen_mask
-from gridpush_drake.objects.object_file import dump_object, make_cells, read_object_file
-from gridpush_drake.objects.outline import fill_outline
-from gridpush_drake.objects.prior import PhysicalPrior
+from gridpush_drake.objects.object_file import PhysicalPrior, dump_object, make_cells, read_object_file
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +123,6 @@ class GridObject:
         """Reads a label image (PGM, PNG): 0 is background, every other value a part.
 
         Args:
-            path: the image.
             meters_per_pixel: its scale, m.
             max_cells: the most cells to make.
             largest_piece: keep the largest connected piece where there are several.
@@ -159,11 +157,7 @@ class GridObject:
             outline: (k, 2) vertices, or a Polygon (with holes), m; its coordinates are the body frame.
             parts: polygons by label >= 1; a cell whose center none covers belongs to part 1.
             max_cells: the most cells to make.
-            name: what to call it.
             prior: what is known of mass and friction.
-
-        Returns:
-            The object.
 
         Raises:
             ObjectError: the polygon crosses itself or has no area, or the count is not positive.
@@ -177,9 +171,6 @@ class GridObject:
         Args:
             path: the YAML file; a mask it names is looked up beside it.
             largest_piece: as in `from_mask`.
-
-        Returns:
-            The object.
 
         Raises:
             ObjectError: the file cannot be read, has an unknown key or a value out of range; the message names
@@ -195,10 +186,6 @@ class GridObject:
 
     def write_yaml(self, path: Path | str, force: bool = False) -> None:
         """Writes the object as an outline with its cells and prior, so that `from_yaml` gives it back, bit for bit.
-
-        Args:
-            path: the YAML file to be written.
-            force: whether an existing file may be replaced.
 
         Raises:
             OutputError: the file exists and `force` is not set, or it cannot be written.

@@ -170,7 +170,6 @@ def coarsen_mask(
         meters_per_pixel: its scale, m.
         max_cells: the most cells to make; cells are not made smaller than a pixel.
         largest_piece: keep the largest connected piece where there are several.
-        name: of the object, for messages.
 
     Returns:
         The cells and the outline; B is at the cells' centroid, x right and y up in the image.

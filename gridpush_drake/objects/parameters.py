@@ -64,13 +64,8 @@ class CellParameters:
         """Spreads the mass evenly over the cells; what is not given comes from `obj.prior`.
 
         Args:
-            obj: the object.
-            total_mass: kg.
             friction: coefficient of every cell against the support.
             contact_friction: coefficient of the pusher against the object.
-
-        Returns:
-            The parameters.
 
         Raises:
             ParameterError: a value is out of range.
@@ -100,9 +95,6 @@ class CellParameters:
             friction: coefficient by label, or one for all.
             contact_friction: coefficient of the pusher against the object.
 
-        Returns:
-            The parameters.
-
         Raises:
             ParameterError: a label of the object is missing, or a value is out of range.
         """
@@ -126,14 +118,9 @@ class CellParameters:
         """Draws masses (log-uniform, kg per cell) and frictions (uniform), one per part or per cell.
 
         Args:
-            obj: the object.
-            seed: of the draw.
             mass_range: least and greatest cell mass, kg.
             friction_range: least and greatest coefficient; None gives every cell `obj.prior.friction`.
             by: "part" or "cell".
-
-        Returns:
-            The parameters.
 
         Raises:
             ParameterError: a range is not positive and increasing, or `by` is neither word.

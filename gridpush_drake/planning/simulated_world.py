@@ -82,8 +82,6 @@ class SimulatedWorld:
         """Puts the object down.
 
         Args:
-            obj: the object.
-            hidden: its true masses and frictions.
             pose: (3,) where it lies, m and rad.
             surface: the table; None for one without end.
             position_std: standard deviation of seen positions, per axis, m.
@@ -210,18 +208,12 @@ def run_loop(
     """Steps a loop in a world until it is over.
 
     Args:
-        loop: decides.
         obj: the object, as whoever learns sees it.
-        world: carries out its pushes.
-        is_over: whether a state is the last one.
         learn: learns after every push; None never.
         goal: (3,) that the loop is shown; none where None.
         surface: the table, as whoever learns knows it; None where pushes keep clear of its edge.
         progress: called after every push with the state that asked for it, what was seen, and whether that was learned
             from.
-
-    Returns:
-        The last state, and what led to it.
     """
     run = LoopRun(loop.begin(), PushLog((), table=None if surface is None else surface.corners))
     time, target = 0.0, UNSEEN if goal is None else goal

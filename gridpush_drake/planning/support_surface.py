@@ -68,9 +68,6 @@ class SupportSurface:
             center: (x, y), m.
             size: its sides along x and y, m.
 
-        Returns:
-            The table.
-
         Raises:
             PlanningError: a number is not finite, or a side is not positive.
         """
@@ -105,9 +102,6 @@ class SupportSurface:
 
         Args:
             points: (k, 2) in either turning, k >= 3, m.
-
-        Returns:
-            The table.
 
         Raises:
             PlanningError: the corners are no simple polygon.
@@ -204,7 +198,6 @@ class SupportSurface:
         """How far inside the edge each cell's square is.
 
         Args:
-            obj: the object.
             pose: (..., 3) X_WB, m and rad.
 
         Returns:
@@ -225,9 +218,7 @@ class SupportSurface:
         """Whether every cell's square is on the table, at least `margin` (m) inside the edge.
 
         Args:
-            obj: the object.
             pose: (3,) or (..., 3) X_WB, m and rad.
-            margin: m.
 
         Returns:
             One truth, or (...,) of them.
@@ -287,9 +278,7 @@ def find_supported(obj: GridObject, poses: ArrayLike, surface: SupportSurface, i
     """Whether cells' centers are on the table.
 
     Args:
-        obj: the object.
         poses: (..., 3) X_WB, m and rad.
-        surface: the table.
         inset: m inside the edge that a center must be.
 
     Returns:

@@ -89,8 +89,6 @@ def check_plausible(obj: GridObject, log: PushLog, *, learning: bool) -> None:
     """Refuses a log that cannot be true of an object, and warns of one that hardly can.
 
     Args:
-        obj: the object.
-        log: the pushes.
         learning: whether later poses are learned from, so that an impossible one spoils the result; where pushes
             are only to be predicted, it is warned of.
 
@@ -110,10 +108,6 @@ def check_plausible(obj: GridObject, log: PushLog, *, learning: bool) -> None:
 
 def find_implausible(obj: GridObject, log: PushLog) -> list[Finding]:
     """Finds what cannot be true of a log, or hardly, at most one finding of a kind.
-
-    Args:
-        obj: the object.
-        log: the pushes.
 
     Returns:
         The findings; none where the log is plausible.

@@ -168,12 +168,8 @@ class PushLog:
         """Reads a push log; README, "Bring your own pushes", has the columns.
 
         Args:
-            path: the CSV file.
             radius: of the pusher, m; DEFAULT_PUSHER_RADIUS where None, and `radius_given` says so.
             require_final: whether every push must have an observation after its first row.
-
-        Returns:
-            The log.
 
         Raises:
             PushLogError: the file cannot be read or breaks the form; the message names the file, the line,
@@ -184,10 +180,6 @@ class PushLog:
 
     def write_csv(self, path: Path | str, force: bool = False) -> None:
         """Writes the log so that `read_csv` gives its numbers back bit for bit.
-
-        Args:
-            path: the CSV file.
-            force: whether an existing file may be replaced.
 
         Raises:
             PushLogError: two pushes have the same name, or there is no push.

@@ -108,9 +108,7 @@ def advance(state: SegmenterState, sample: Sample, options: SegmenterOptions) ->
     """Takes in one sample.
 
     Args:
-        state: before it.
         sample: later than all before; it is passed over where the tip is not known.
-        options: see `SegmenterOptions`.
 
     Returns:
         The state after it, and the episode that it ends, if any.
@@ -202,11 +200,7 @@ def make_observed_push(
     """Makes the log's entry.
 
     Args:
-        episode: what was seen.
-        obj: the object.
         radius: of the tip, m.
-        name: what to call the push.
-        options: see `RecordOptions`.
 
     Returns:
         The push; None where the tip hardly moved or never came near the object, or where the object was not seen both

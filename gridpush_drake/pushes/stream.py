@@ -76,14 +76,10 @@ def record_pushes(
 
     Args:
         samples: of the stream, later and later.
-        obj: the object.
         radius: of the tip, m.
         segmenter: when a push begins and ends.
         record: how it is written down.
         source: where the stream came from.
-
-    Returns:
-        The pushes.
     """
     segmenter, record = segmenter or SegmenterOptions(), record or RecordOptions()
     state, pushes, begins, unusable = SegmenterState(), list[ObservedPush](), list[float](), list[str]()
@@ -145,9 +141,6 @@ def make_samples(t: Array, tip: Array, velocity: Array, poses: Array) -> list[Sa
         tip: (K, 3) p_WP, m.
         velocity: (K, 3) v_WP, m/s.
         poses: (K, 3) q_W of the object, m and rad; NaN where it was not seen.
-
-    Returns:
-        The samples.
     """
     rows = zip(t.tolist(), poses.tolist(), tip.tolist(), velocity.tolist(), strict=True)
     return [Sample(time, tuple(pose), tuple(place), tuple(v)) for time, pose, place, v in rows]
@@ -252,11 +245,6 @@ def _fit_delay(seen: ObservedPush, rho: float) -> tuple[float, float] | None:
 def write_stream_csv(samples: Sequence[Sample], path: Path | str, force: bool = False) -> None:
     """Writes a stream so that `read_stream_csv` gives its numbers back bit for bit.
 
-    Args:
-        samples: of the stream.
-        path: the CSV file.
-        force: whether an existing file may be replaced.
-
     Raises:
         OutputError: the file exists and `force` is not set, or it cannot be written.
     """
@@ -275,12 +263,6 @@ def _write_cells(numbers: Sequence[float]) -> list[str]:
 
 def read_stream_csv(path: Path | str) -> list[Sample]:
     """Reads a stream.
-
-    Args:
-        path: the CSV file.
-
-    Returns:
-        Its samples.
 
     Raises:
         PushLogError: the file cannot be read or breaks the form; the message names the file, the line, the column and

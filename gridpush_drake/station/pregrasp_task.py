@@ -18,8 +18,8 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.pregrasp.exploration import PokeOptions
-from gridpush_drake.planning.pregrasp.flat_parts import FlatPart, PadLimit
 from gridpush_drake.planning.pregrasp.goals import ArmLimits, GoalOptions, PreGraspGoal
+from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart, PadLimit
 from gridpush_drake.planning.pregrasp.planner import ACCEPTED_SHARE, PreGraspOptions, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp, check_thickness, choose_varied, find_side_grasps
 from gridpush_drake.planning.pregrasp.slides import SlideOptions

@@ -17,8 +17,7 @@ from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.multibody.contact_material import TABLE, FindTableOutline, SetPartner
 from gridpush_drake.multibody.grid_object import AddGridObject, Base, GridObjectInPlant
 from gridpush_drake.multibody.ground_truth import SetGridObjectParameters, SetGridObjectPose, resample_parameters
-from gridpush_drake.multibody.parser import MakeParser
-from gridpush_drake.multibody.visual_meshes import AddVisualMeshes, find_drake_models
+from gridpush_drake.multibody.parser import AddVisualMeshes, MakeParser, find_drake_models
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters

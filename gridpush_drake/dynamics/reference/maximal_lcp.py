@@ -80,17 +80,11 @@ def make_maximal_lcp(
     """Writes down the LCP of one step.
 
     Args:
-        obj: the object.
-        params: mass and friction of its cells.
         q: (3,) pose X_WB, m and rad.
         xdot: (3n,) velocities of the cells, rad/s and m/s.
         F: (3n,) torque and force applied to the cells, N m and N.
-        dt: time step, s.
         g: gravity, m/s².
         spanning_tree: keep one tree of the adjacent pairs, or all pairs (redundant rows, the same velocities).
-
-    Returns:
-        The LCP.
 
     Raises:
         SimulationError: a shape disagrees, a number is not finite, or dt is not positive.
@@ -122,7 +116,6 @@ def twist_to_cells(obj: GridObject, q: ArrayLike) -> NDArray[np.float64]:
     """T (3n, 3) with xdot = T nu, nu = (vx, vy, w) of B's origin in W: v_i = v + w z × r_i.
 
     Args:
-        obj: the object.
         q: (3,) pose X_WB, m and rad.
 
     Returns:

@@ -57,7 +57,6 @@ def calc_x11(lcp: MaximalLcp, solution: LcpSolution, T: NDArray[np.float64] | No
     """X11 (3n, 3n): from impulses on the cells to the velocities that they cause.
 
     Args:
-        lcp: the LCP.
         solution: its solution, which says what sticks.
         T: (3n, 3) `twist_to_cells`, for the condensed form T X_B T^T; without it the paper's formula in J_e, O(n³).
 
@@ -83,12 +82,8 @@ def calc_paper_gradient(
 
     Args:
         lcp: the LCP of a moving object.
-        solution: its solution.
         T: (3n, 3) `twist_to_cells`, for the condensed route in O(n²); without it the explicit one in O(n³).
         g: gravity, m/s².
-
-    Returns:
-        The derivatives.
     """
     by_mass, by_friction = _impulse_derivatives(lcp, solution, g)
     if T is None:
@@ -110,7 +105,6 @@ def calc_paper_loss_gradient(
 
     Args:
         lcp: the LCP of a moving object.
-        solution: its solution.
         error: (3n,) x_{t+1} - x*_{t+1} in the cells' order, rad and m; zero where the loss ignores an entry.
         T: as in `calc_paper_gradient`.
         g: gravity, m/s².
@@ -145,12 +139,9 @@ def calc_paper_step_jacobian(
     motion that the step reversed has no friction; a body that the step brings to rest stays there, with no derivative.
 
     Args:
-        obj: the object.
-        params: mass and friction of its cells.
         q: (3,) pose X_WB before the step, m and rad.
         nu: (3,) velocity of B's origin in W, m/s, and yaw rate, rad/s, before the step.
         nu_next: (3,) after it.
-        dt: time step, s.
         g: gravity, m/s².
 
     Returns:

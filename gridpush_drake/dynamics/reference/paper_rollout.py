@@ -47,8 +47,6 @@ def calc_paper_jacobian(
     """Differentiates each recorded pose by the step that led to it.
 
     Args:
-        obj: the object.
-        params: mass and friction of its cells.
         steps: the kernel's record.
         dts: (T,) s.
         rows: (R,) the poses wanted; that of pose 0, which no step led to, is zero.

@@ -102,12 +102,8 @@ def find_reachable_outline(obj: GridObject, radius: float, clearance: float = 0.
     """Finds where a disc can begin to push.
 
     Args:
-        obj: the object.
         radius: of the disc, m.
         clearance: gap between disc and outline that must be free too, m.
-
-    Returns:
-        The reachable pieces.
 
     Raises:
         PlanningError: the radius is not positive, the clearance negative, or there is no reachable place.

@@ -232,7 +232,6 @@ def calc_cost_derivatives(obj: GridObject, pose: Array, goal: Array, dq: Array) 
     """Differentiates the mean cell error.
 
     Args:
-        obj: the object.
         pose: (3,) q.
         goal: (3,).
         dq: (3, k) derivative of q by k parameters.

@@ -93,8 +93,6 @@ def plan_pushes(
     """Plans pushes that bring an object to a goal pose, trusting the model.
 
     Args:
-        obj: the object.
-        params: its model.
         pose: (3,) q_W where it lies, m and rad.
         goal: (3,) where it should.
         rules: how to push; their robustness is not asked for.
@@ -174,12 +172,7 @@ def describe_plan(plan: PushPlan, name: str, radius: float) -> dict[str, Any]:
     """A plan as plain lists and numbers.
 
     Args:
-        plan: the plan.
-        name: of the object.
         radius: of the pusher, m.
-
-    Returns:
-        The document.
     """
     return {
         "gridpush_plan": FORMAT_VERSION,
@@ -211,11 +204,7 @@ def write_plan(path: Path | str, plan: PushPlan, name: str, radius: float, force
     """Writes a plan.
 
     Args:
-        path: the YAML file.
-        plan: the plan.
-        name: of the object.
         radius: of the pusher, m.
-        force: whether an existing file may be replaced.
 
     Raises:
         OutputError: the file exists and `force` is not set, or it cannot be written.

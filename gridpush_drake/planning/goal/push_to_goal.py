@@ -36,7 +36,7 @@ from gridpush_drake.planning.closed_loop import (
 from gridpush_drake.planning.contact.optimization import check_pose
 from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
-from gridpush_drake.planning.goal.next_push import GoalRules, NextPush, choose_push
+from gridpush_drake.planning.goal.next_push import GoalRules, NextPush, Robustness, choose_push, draw_model_samples
 from gridpush_drake.planning.goal.push_plan import (
     REACHED,
     REASONS,
@@ -45,7 +45,6 @@ from gridpush_drake.planning.goal.push_plan import (
     check_ends,
     find_stop_reason,
 )
-from gridpush_drake.planning.goal.robustness import Robustness, draw_model_samples
 from gridpush_drake.planning.simulated_world import Learner, PushWorld, run_loop
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
@@ -86,17 +85,11 @@ def decide_push(
     """Decides on the next push.
 
     Args:
-        obj: the object.
         pose: (3,) q_W where it lies, m and rad.
         goal: (3,) where it should.
         made: pushes so far.
-        params: the model.
         identification: that the model comes from; None where nothing was learned.
-        rules: how to push.
         cost_to_go: of the decision before, to the same goal by the same rules; None where there was none.
-
-    Returns:
-        The decision.
 
     Raises:
         PlanningError: the finger fits nowhere on the outline.
@@ -121,10 +114,6 @@ def decide_push(
 
 def forbid(rules: GoalRules, refused: tuple[Push, ...]) -> GoalRules:
     """The rules without pushes like some that were refused.
-
-    Args:
-        rules: the rules.
-        refused: the pushes.
 
     Returns:
         The rules, with a push rule that asks this first.
@@ -376,13 +365,9 @@ def push_to_goal(
     """Pushes an object to a goal pose in a world, observing it after every push, and learning on the way.
 
     Args:
-        world: that carries out pushes.
-        obj: the object.
         goal: (3,) where it should lie, m and rad.
-        rules: how to push.
         params: the model to begin with; uniform by the object's prior where None.
         learner: learns after every push that does not reach the goal; None never.
-        options: how the object is observed.
         progress: called after every push.
 
     Returns:

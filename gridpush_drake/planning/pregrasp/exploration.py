@@ -95,7 +95,6 @@ def make_pokes(
     Args:
         model: of the object, with the places of the pokes made before.
         pose: (3,) where it lies, X_WB, m and rad.
-        options: places, angles, distance.
         constraints: that the predicted motion must keep to the end; none where None.
 
     Returns:
@@ -129,11 +128,7 @@ def choose_poke(model: UncertainModel, pose: ArrayLike, pokes: Sequence[Push], F
     Args:
         model: of the object, with its posterior.
         pose: (3,) where the object lies, X_WB, m and rad.
-        pokes: to choose from.
         F: (m, n+1) what matters, as derivatives by z.
-
-    Returns:
-        The choice.
 
     Raises:
         PlanningError: there is no poke to choose from, or none touches the object.
@@ -157,7 +152,6 @@ def calc_observation(model: UncertainModel, push: Push, pose: ArrayLike) -> tupl
 
     Args:
         model: of the object, with its posterior.
-        push: the push.
         pose: (3,) where the object lies, X_WB, m and rad.
 
     Returns:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.convex import calc_margin_inside, find_weakest_direction, hull_of
+from gridpush_drake.geometry.polygons import calc_margin_inside, find_weakest_direction, hull_of
 from gridpush_drake.geometry.se2 import Array, make_direction, rotate, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
@@ -135,7 +135,6 @@ def calc_overhangs(parts: Sequence[GraspPart], pose: ArrayLike, surface: Support
     Args:
         parts: P graspable parts.
         pose: (3,) X_WB, m and rad.
-        surface: the table.
 
     Returns:
         (P,) m; negative where some of a footprint is over the table. On a convex table it is measured from the line
@@ -162,12 +161,8 @@ def find_grasp_at(
     """The part that can be taken where the object lies now, the nearest to the middle of its possible centers of mass.
 
     Args:
-        masses: the masses held possible.
-        parts: the graspable parts.
         pose: (3,) X_WB, m and rad.
-        surface: the table.
         options: `min_overhang` and `inset` count.
-        limits: of the arm that is to grasp it.
 
     Returns:
         The present pose as a goal, whatever its margin; None where no part that the arm can take hangs over far enough.
@@ -198,12 +193,7 @@ def find_pregrasp_goals(
     """Seeks goal poses.
 
     Args:
-        masses: the masses held possible.
-        parts: the graspable parts.
         pose: (3,) where the object is, X_WB, m and rad.
-        surface: the table.
-        options: how to seek.
-        limits: of the arm that is to grasp the object.
 
     Returns:
         The goals: safe ones, whose margin is at least `options.margin`, by rank; and where there are none the one

@@ -30,7 +30,6 @@ from gridpush_drake.planning.pregrasp.exploration import (
     make_center_functional,
     make_pokes,
 )
-from gridpush_drake.planning.pregrasp.flat_parts import FlatPart, PadLimit, find_flat_parts, find_held_parts
 from gridpush_drake.planning.pregrasp.goals import (
     ANY_ARM,
     ArmLimits,
@@ -40,7 +39,15 @@ from gridpush_drake.planning.pregrasp.goals import (
     find_grasp_at,
     find_pregrasp_goals,
 )
-from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, Gripper, find_grasp_parts
+from gridpush_drake.planning.pregrasp.grasp_parts import (
+    FlatPart,
+    GraspPart,
+    Gripper,
+    PadLimit,
+    find_flat_parts,
+    find_grasp_parts,
+    find_held_parts,
+)
 from gridpush_drake.planning.pregrasp.slides import (
     Slide,
     SlideOptions,
@@ -141,11 +148,7 @@ class PreGraspPlanner:
         """Finds the graspable parts.
 
         Args:
-            obj: the object.
-            surface: the table.
-            options: how far to go, and how carefully.
             parts: the narrow parts, where they are known already.
-            limits: of the arm that is to do it.
 
         Raises:
             PlanningError: there is no graspable part, or the table is smaller than the object.
@@ -166,11 +169,6 @@ class PreGraspPlanner:
         Args:
             pose: (3,) where the object is seen, X_WB, m and rad.
             model: of the object; None before the first push.
-            pokes: made so far.
-            slides: made so far.
-
-        Returns:
-            The decision.
         """
         q = np.asarray(pose, dtype=np.float64)
         if model is None:
@@ -285,8 +283,6 @@ def suggest_poke(
         pose: (3,) where the object lies, X_WB, m and rad.
         surface: the table, inside whose edge the object stays, or at least as far in and as stable as it is.
         direction: (2,) unit vector in the body frame along which the center matters; both where None.
-        options: what pokes may be chosen from.
-        limits: of the arm that is to poke.
 
     Returns:
         The poke; None where none within the arm's reach keeps the object on the table.
@@ -368,9 +364,6 @@ def plan_pregrasp(planner: PreGraspPlanner, model: UncertainModel, pose: ArrayLi
         planner: object, table and options.
         model: of the object. Motions are predicted with its `params`.
         pose: (3,) where the object lies, X_WB, m and rad.
-
-    Returns:
-        The plan.
     """
     poses, pushes = [np.array(pose, dtype=np.float64)], list[Push]()
     while True:

@@ -36,8 +36,8 @@ from gridpush_drake.planning.closed_loop import (
     Pose,
     PushPhase,
 )
-from gridpush_drake.planning.pregrasp.flat_parts import FlatPart
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
+from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart
 from gridpush_drake.planning.pregrasp.planner import PreGraspDecision, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
 from gridpush_drake.planning.pregrasp.slides import TippingMonitor
@@ -168,7 +168,6 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             find_grasp: finds how to take the object where it lies.
             infer: says what is held possible; by default what the identification's posterior says.
             seed: of the draws from that.
-            options: how to go about it.
         """
         self.planner, self.seed, self._find_grasp = planner, seed, find_grasp
         self.options: PreGraspLoopOptions = options or PreGraspLoopOptions()

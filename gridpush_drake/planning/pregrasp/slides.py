@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import calc_loads, simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
-from gridpush_drake.geometry.convex import calc_margin_inside, hull_of
+from gridpush_drake.geometry.polygons import calc_margin_inside, hull_of
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -70,14 +70,8 @@ def simulate_near_edge(
     """Simulates a slow push of an object that may hang over the edge, up to where it falls.
 
     Args:
-        obj: the object.
-        params: its cells' masses and frictions.
         push: the pusher's motion.
         pose: (3,) X_WB at the beginning, m and rad.
-        surface: the table.
-
-    Returns:
-        The motion.
     """
     q = np.asarray(pose, dtype=np.float64)
     if calc_loads(obj, params, q, surface.corners) is None:
@@ -177,14 +171,9 @@ def plan_slide(
     """Chooses the next push.
 
     Args:
-        masses: the masses held possible.
-        params: the model.
         draws: further models to try the pushes on; the model itself is always tried.
         pose: (3,) where the object lies, X_WB, m and rad.
         goals: best first.
-        surface: the table.
-        options: how to choose.
-        limits: of the arm that is to push.
 
     Returns:
         The push; None where none is safe, within the arm's reach, and brings the object nearer to a goal.

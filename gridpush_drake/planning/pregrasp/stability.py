@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
-from gridpush_drake.geometry.convex import hull_of
+from gridpush_drake.geometry.polygons import hull_of
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
@@ -28,9 +28,7 @@ def calc_support_polygon(
     """What holds the object: the convex hull of the cells' centers that are on the table.
 
     Args:
-        obj: the object.
         pose: (3,) X_WB, m and rad.
-        surface: the table.
         inset: m inside the edge that a center must be.
 
     Returns:
@@ -45,9 +43,7 @@ def calc_stability_margins(
     """How far the center of mass at its worst stays inside what holds the object, at many poses.
 
     Args:
-        masses: the plausible masses.
         poses: (K, 3) X_WB, m and rad.
-        surface: the table.
         inset: m inside the edge that a cell's center must be to hold.
 
     Returns:

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.convex import bound_by_half_planes
+from gridpush_drake.geometry.polygons import bound_by_half_planes
 from gridpush_drake.geometry.se2 import Array, make_direction, transform_back
 from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.learning import describe_prior
@@ -96,13 +96,8 @@ class PlausibleMassSet:
         """All masses that agree with what was learned.
 
         Args:
-            obj: the object.
             posterior: of its relative friction.
             friction_range: least and greatest friction coefficient of any cell; the object's own bounds where None.
-            seed: of the draws.
-
-        Returns:
-            The set.
 
         Raises:
             PlanningError: the range is not positive and increasing.
@@ -191,7 +186,6 @@ class UncertainModel:
             found: the model with its posterior.
             friction_range: least and greatest friction coefficient of any cell; the object's own bounds where None.
             sample_count: further models to try slides on.
-            seed: of all draws.
             log: the pushes, so that pokes are not repeated.
         """
         starts = [transform_back(seen.pose, seen.push.start[None])[0] for seen in log or ()]

@@ -126,9 +126,6 @@ class BagImporter:
         Args:
             path: the file, or a ROS 2 bag's folder.
 
-        Returns:
-            The pushes, and the object.
-
         Raises:
             PushLogError: `rosbags` is not installed; the bag cannot be read; a topic is not there, holds other messages
                 or too few; frames differ; the clocks do not overlap; or there is no push in it.

@@ -24,7 +24,7 @@ from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import read_text
 from gridpush_drake.geometry.se2 import compose, invert, rotate, transform_back
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.prior import PhysicalPrior
+from gridpush_drake.objects.object_file import PhysicalPrior
 from gridpush_drake.pushes.push_log import MAX_NUMBER, MAX_SHOWN, ObservedPush, PushLog, nearest_turn
 
 POSE_FORM = "x y z (mm) qw qx qy qz"
@@ -60,9 +60,6 @@ class CmuPush(NamedTuple):
 
 def read_cmu(path: Path) -> list[CmuPush]:
     """Reads every push of a file.
-
-    Args:
-        path: the text file.
 
     Returns:
         The pushes, in the file's order.
@@ -230,9 +227,6 @@ class CmuImporter:
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
         """Reads a file of CMU pushes.
-
-        Args:
-            path: the text file.
 
         Returns:
             The pushes, named by their place in the log, each observed at its end only; and the block.

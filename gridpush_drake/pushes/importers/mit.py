@@ -26,7 +26,7 @@ from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import MEGABYTE, open_file
 from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.prior import PhysicalPrior
+from gridpush_drake.objects.object_file import PhysicalPrior
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog, nearest_turn
 
 TRIANGLE_CORNER = (0.045, 0.045)
@@ -138,9 +138,6 @@ class MitImporter:
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
         """Reads a file of MIT pushes.
 
-        Args:
-            path: the MATLAB v5 file.
-
         Returns:
             The pushes, straight and at constant speed in the world frame as logged, each observed at its end
             only; and the object.
@@ -163,9 +160,6 @@ class MitImporter:
 
 def read_model_errors(path: Path | str) -> tuple[float, float]:
     """Reads how far the file's own model is off.
-
-    Args:
-        path: the MATLAB v5 file.
 
     Returns:
         Its mean error of the end position, m, and of the end angle, rad.
