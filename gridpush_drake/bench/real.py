@@ -71,15 +71,6 @@ def simulate_log(path: Path, seed: int, number: int) -> tuple[PushLog, GridObjec
     return PushLog(tuple(pushes), source=f"{obj.name}, simulated, number {number}"), hide_parts(plain)
 
 
-def describe_pushes() -> str:
-    """How the pushes are made, in a sentence."""
-    return (
-        f"Simulated by our own model: hidden masses and frictions by part, {PUSHES} pushes of {100 * DISTANCE:g} cm at "
-        f"{100 * SPEED:g} cm/s from random places, poses seen with {1e3 * POSITION_STD:g} mm and {ANGLE_STD:g} rad of "
-        "noise."
-    )
-
-
 CMU_SOURCE, MIT_SOURCE = "GitHub robinzhoucmu/MLab_EXP", "GitHub robinzhoucmu/PlanarManipulationToolBox"
 
 RECORDS = "record_all"
@@ -348,7 +339,9 @@ def _tabulate_simulated(scores: Sequence[Score], names: Sequence[str]) -> Table:
     ]
     notes = (
         "Nothing here is real: pass real robots' pushes with --data.",
-        describe_pushes(),
+        f"Simulated by our own model: hidden masses and frictions by part, {PUSHES} pushes of {100 * DISTANCE:g} cm at "
+        f"{100 * SPEED:g} cm/s from random places, poses seen with {1e3 * POSITION_STD:g} mm and {ANGLE_STD:g} rad of "
+        "noise.",
         f"{CMU_TEST} pushes are held out; mean over splits, each with hidden parameters of its own, ± 95 % confidence.",
     )
     columns = ("object, simulated", "model", *POSE_COLUMNS)

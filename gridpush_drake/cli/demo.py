@@ -2,16 +2,12 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import print_json, print_notice
-
-if TYPE_CHECKING:
-    from gridpush_drake.cli.demo_tasks import DemoTask
-    from gridpush_drake.station.scenario import PushScenario
 
 EXIT_NOT_DONE = 1
 """Where everything went as it should but the robot did not get there."""
@@ -98,12 +94,23 @@ def demo(
     from gridpush_drake.files import make_folder
     from gridpush_drake.multibody.meshcat_server import StartMeshcatServer
     from gridpush_drake.station.robot import make_robot_directives
+    from gridpush_drake.station.scenario import read_scenario
     from gridpush_drake.station.scene import check_scenario
 
     if pushes is not None and task is not TaskName.identify:
         raise options.OptionError(f"--pushes: is for --task identify; {task} decides itself how many to make")
     chosen = TASKS[task]
-    scenario = _make_scenario(chosen, scenario_file, object_file, pushes, camera, seed)
+    scenario = read_scenario(scenario_file) if scenario_file else chosen.make_scenario()
+    if object_file is not None:
+        scenario.object = object_file
+    if pushes is not None:
+        scenario.pokes.count = pushes
+    if camera is not None:
+        scenario.camera.kind = camera.value
+    if camera == CameraName.rgbd:
+        scenario.camera.rate = min(scenario.camera.rate, RGBD_RATE)
+    if seed is not None:
+        scenario.seed = seed
     if robot is not None:
         scenario.directives = make_robot_directives(robot, grasping=task is TaskName.pregrasp)
     check_scenario(scenario)
@@ -129,28 +136,3 @@ def demo(
         raise typer.Exit(EXIT_INTERRUPTED)
     if not summary.get("done", True):
         raise typer.Exit(EXIT_NOT_DONE)
-
-
-def _make_scenario(
-    task: "DemoTask",
-    scenario_file: Path | None,
-    object_file: str | None,
-    pushes: int | None,
-    camera: CameraName | None,
-    seed: int | None,
-) -> "PushScenario":
-    """The scenario of a file, or the task's own one, with what the command line says instead."""
-    from gridpush_drake.station.scenario import read_scenario
-
-    scenario = read_scenario(scenario_file) if scenario_file else task.make_scenario()
-    if object_file is not None:
-        scenario.object = object_file
-    if pushes is not None:
-        scenario.pokes.count = pushes
-    if camera is not None:
-        scenario.camera.kind = camera.value
-    if camera == CameraName.rgbd:
-        scenario.camera.rate = min(scenario.camera.rate, RGBD_RATE)
-    if seed is not None:
-        scenario.seed = seed
-    return scenario

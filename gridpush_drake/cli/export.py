@@ -37,6 +37,9 @@ def export(
     json: options.Json = False,
 ) -> None:
     """Write an object or a learned model for Drake (SDFormat, URDF) or MuJoCo (MJCF)."""
+    from gridpush_drake.multibody.mjcf import WriteMjcf
+    from gridpush_drake.multibody.sdformat import WriteSdf, WriteUrdf
+
     chosen = file_format or SUFFIXES.get(out.suffix)
     if chosen is None:
         raise options.OptionError(
@@ -48,17 +51,10 @@ def export(
     loaded = options.load_target(target, largest_piece)
 
     if chosen == "sdf":
-        from gridpush_drake.multibody.sdformat import WriteSdf
-
         WriteSdf(loaded.obj, loaded.params, out, force, base=base, height=height)
-    elif chosen == "urdf":
-        from gridpush_drake.multibody.sdformat import WriteUrdf
-
-        WriteUrdf(loaded.obj, loaded.params, out, force, height=height)
     else:
-        from gridpush_drake.multibody.mjcf import WriteMjcf
-
-        WriteMjcf(loaded.obj, loaded.params, out, force, height=height)
+        write = WriteUrdf if chosen == "urdf" else WriteMjcf
+        write(loaded.obj, loaded.params, out, force, height=height)
     obj, mass = loaded.obj, loaded.params.total_mass
     source = "learned model" if loaded.model else "object, mass and friction spread evenly"
     found = {

@@ -12,7 +12,7 @@ from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_json, print_line, print_table
 
 if TYPE_CHECKING:
-    from gridpush_drake.identification.prediction import ErrorSummary, PoseError, Prediction, Spread
+    from gridpush_drake.identification.prediction import ErrorSummary, Prediction
 
 COLUMNS = ("push", "x", "y", "theta")
 """Final pose of each push, m and rad, world frame."""
@@ -66,10 +66,22 @@ def predict(
         "written": [str(out)],
         "rho_mm": rho * MM,
         "errors_by_push": [
-            _describe_error(made.name, error, rho) for made, error in zip(predictions, errors, strict=True)
+            {"push": made.name, "position_mm": None, "angle_deg": None, "cell_mm": None, "combined_mm": None}
+            if error is None  # its final pose is not known
+            else {
+                "push": made.name, "position_mm": error.position * MM, "angle_deg": error.angle * DEGREES,
+                "cell_mm": error.cell * MM, "combined_mm": error.combined(rho) * MM,
+            }
+            for made, error in zip(predictions, errors, strict=True)
         ],
-        "spread_by_push": [_describe_spread(spread) for spread in spreads],
-    }
+        "spread_by_push": [
+            {
+                "push": spread.name, "x_std_mm": spread.std[0] * MM, "y_std_mm": spread.std[1] * MM,
+                "theta_std_deg": spread.std[2] * DEGREES, "cell_90_mm": spread.cell_error * MM,
+            }
+            for spread in spreads
+        ],
+    }  # fmt: skip
     if json:
         print_json(found)
         return
@@ -91,24 +103,6 @@ def _describe_summary(error: "ErrorSummary") -> dict[str, Any]:
     """A summary for machines; its numbers are in its unit, "mm" or "deg"."""
     values = {key: getattr(error, key) * error.scale for key in ("mean", "median", "p90")}
     return {"name": error.name, "unit": "deg" if error.unit == "°" else error.unit, "pushes": error.pushes, **values}
-
-
-def _describe_error(name: str, error: "PoseError | None", rho: float) -> dict[str, Any]:
-    """A push's error for machines; null where its final pose is not known."""
-    keys = ("position_mm", "angle_deg", "cell_mm", "combined_mm")
-    if error is None:
-        return {"push": name, **dict.fromkeys(keys)}
-    values = (error.position * MM, error.angle * DEGREES, error.cell * MM, error.combined(rho) * MM)
-    return {"push": name, **dict(zip(keys, values, strict=True))}
-
-
-def _describe_spread(spread: "Spread") -> dict[str, Any]:
-    """How far a push may be off, for machines: standard deviations, and the cell error that 90 % stay below."""
-    x, y, theta = spread.std.tolist()
-    return {
-        "push": spread.name, "x_std_mm": x * MM, "y_std_mm": y * MM, "theta_std_deg": theta * DEGREES,
-        "cell_90_mm": spread.cell_error * MM,
-    }  # fmt: skip
 
 
 def print_errors(title: str, errors: "list[ErrorSummary]") -> None:

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from gridpush_drake.objects.grid_object import GridObject
     from gridpush_drake.planning.support_surface import SupportSurface
     from gridpush_drake.pushes.push_log import PushLog
-    from gridpush_drake.pushes.stream import Delay
 
 MS = 1e3
 """Milliseconds in a second."""
@@ -74,7 +73,7 @@ def record(
     found = {
         "object": obj.name,
         "pushes": len(log),
-        "delay": describe_delay(delay),
+        "delay": None if delay is None else {key: getattr(delay, key) for key in ("value", "std", "pushes")},
         "overhanging": [seen.name for seen in log if seen.overhang],
         "unusable": list(recorded.unusable),
         "unfinished": recorded.unfinished,
@@ -83,7 +82,10 @@ def record(
     length = sum(seen.push.length for seen in log) / len(log)
     lines = [f"{len(log)} pushes, {length * MM:.0f} mm long on average."]
     if delay is not None:
-        lines.append(explain_delay(delay, "--pose-delay"))
+        lines.append(
+            f"The object's poses are {delay.value * MS:.0f} +- {delay.std * MS:.0f} ms later than --pose-delay says, "
+            f"by {delay.pushes} pushes."
+        )
     if recorded.unfinished:
         lines.append("The stream ends within a push, which is left out.")
     lines += [f"Left out: {text}." for text in recorded.unusable]
@@ -96,16 +98,3 @@ def _mark_overhang(log: "PushLog", obj: "GridObject", surface: "SupportSurface")
 
     pushes = tuple(replace(seen, overhang=not stayed_supported(obj, seen, surface)) for seen in log)
     return replace(log, pushes=pushes, table=surface.corners)
-
-
-def describe_delay(delay: "Delay | None") -> dict[str, Any] | None:
-    """A delay for JSON."""
-    return None if delay is None else {"value": delay.value, "std": delay.std, "pushes": delay.pushes}
-
-
-def explain_delay(delay: "Delay", option: str) -> str:
-    """A delay in words; `option` is what states it."""
-    return (
-        f"The object's poses are {delay.value * MS:.0f} +- {delay.std * MS:.0f} ms later than {option} says, by "
-        f"{delay.pushes} pushes."
-    )

@@ -41,13 +41,21 @@ def simulate(
     json: options.Json = False,
 ) -> None:
     """Simulate one push of an object or of a learned model."""
+    from gridpush_drake.dynamics.push import Push
     from gridpush_drake.dynamics.simulation import simulate as simulate_push
     from gridpush_drake.files import write_whole
     from gridpush_drake.objects.parameters import CellParameters
+    from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 
     options.check_outputs(force, out, picture)
     loaded = options.load_target(target, largest_piece)
-    push = _make_push(start, velocity, duration, loaded.obj.prior.pusher_radius if radius is None else radius)
+    finger = loaded.obj.prior.pusher_radius if radius is None else radius
+    push = Push(
+        options.parse_numbers("--start", start, "x,y"),
+        options.parse_numbers("--velocity", velocity, "vx,vy"),
+        duration,
+        DEFAULT_PUSHER_RADIUS if finger is None else finger,
+    )
     pose_W = options.parse_numbers("--pose", pose, "x,y,theta")
     params = loaded.params if mass_seed is None else CellParameters.random(loaded.obj, mass_seed)
     chosen = loaded.resolve_regime(regime, "inertial")
@@ -76,14 +84,6 @@ def simulate(
         *options.describe_written(out, picture),
     ]
     print_found(found, lines, json)
-
-
-def _make_push(start: str, velocity: str, duration: float, radius: float | None) -> "Push":
-    from gridpush_drake.dynamics.push import Push
-    from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
-
-    tip, v = options.parse_numbers("--start", start, "x,y"), options.parse_numbers("--velocity", velocity, "vx,vy")
-    return Push(tip, v, duration, DEFAULT_PUSHER_RADIUS if radius is None else radius)
 
 
 def _make_log(push: "Push", motion: "Motion", samples: int) -> "PushLog":
