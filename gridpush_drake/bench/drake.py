@@ -13,6 +13,7 @@ from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from gridpush_drake.bench import plant
+from gridpush_drake.bench.campaign import calc_center_error
 from gridpush_drake.bench.jobs import QUIET, Execution, Report, count_steps, run_jobs
 from gridpush_drake.bench.speed import DT, DURATION, RADIUS, make_bench_push
 from gridpush_drake.bench.table import MM, MS, Table, Value
@@ -82,7 +83,7 @@ def run_job(job: Job) -> StationScore:
     learned = record.estimates[-1].params if record.estimates else uniform
     regime = record.estimates[-1].regime if record.estimates else "quasi_static"
     before, after, floor = (calc_mean_cell_error(obj, params, held_out, regime) for params in (uniform, learned, truth))
-    gaps = [float(np.linalg.norm(p.center_of_mass(obj) - truth.center_of_mass(obj))) for p in (uniform, learned)]
+    gaps = [calc_center_error(record, params) for params in (uniform, learned)]
     return StationScore(
         job.name, job.seed, record.status, len(record.training_log), len(held_out), (before, after, floor),
         (gaps[0], gaps[1]), limits.tracking_error,

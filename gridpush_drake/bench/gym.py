@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from scipy.stats import sem
 
 from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
+from gridpush_drake.bench.pregrasp_world import is_over
+from gridpush_drake.bench.protocol import hide_parts, know_friction
 from gridpush_drake.bench.speed import one_core
 from gridpush_drake.bench.table import MM, PERCENT, Column, Table, Value, count_of, mean_of
 from gridpush_drake.dynamics.push import Push
@@ -28,12 +30,7 @@ from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_to_goal import push_to_goal
 from gridpush_drake.planning.pregrasp.exploration import choose_poke, make_center_functional, make_pokes
 from gridpush_drake.planning.pregrasp.planner import PreGraspOptions, PreGraspPlanner
-from gridpush_drake.planning.pregrasp.pregrasp_loop import (
-    PreGraspLoop,
-    PreGraspLoopOptions,
-    PreGraspMode,
-    PreGraspState,
-)
+from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoop, PreGraspLoopOptions
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.simulated_world import Learner, run_loop
@@ -268,11 +265,7 @@ class EnvironmentWorld:
 
 def _hide(obj: GridObject) -> GridObject:
     """The object as the planner sees it: no parts, no weight, and the range that frictions are drawn from."""
-    low, high = FRICTION_RANGE
-    prior = replace(
-        obj.prior, total_mass=None, friction=float(np.sqrt(low * high)), friction_min=low, friction_max=high
-    )
-    return replace(obj, labels=np.ones(obj.n, dtype=np.int64), prior=prior)
+    return know_friction(hide_parts(obj), *FRICTION_RANGE)
 
 
 def _push_to_goal(world: EnvironmentWorld, seed: int) -> None:
@@ -291,9 +284,6 @@ def _slide_to_edge(world: EnvironmentWorld, seed: int) -> None:
 
     def learn(obj: GridObject, log: PushLog, before: Identification | None) -> Identification | None:
         return before if world.over else learner(obj, log, before)
-
-    def is_over(state: PreGraspState) -> bool:
-        return state.status.over or state.status.mode in (PreGraspMode.VERIFYING, PreGraspMode.LOST)
 
     run_loop(loop, obj, world, is_over, learn=learn, surface=surface)
 

@@ -8,6 +8,7 @@ import numpy as np
 import yaml
 from pydrake.geometry import Meshcat
 
+from gridpush_drake.bench.campaign import calc_center_error
 from gridpush_drake.cli.console import MM, count_progress, print_line
 from gridpush_drake.files import write_whole
 from gridpush_drake.identification.learning import describe_prior
@@ -418,11 +419,9 @@ TASKS: dict[str, DemoTask] = {"identify": IdentifyDemo(), "push": PushDemo(), "p
 
 def _calc_center_errors(record: Any) -> dict[str, float]:
     """Distance of the center of mass from the true one, m, "before", assuming an even object, and "after"; or {}."""
-    if record.truth is None:
-        return {}
-    obj, true = record.obj, record.truth.center_of_mass(record.obj)
-    compared = {"before": CellParameters.uniform(obj), "after": record.estimates[-1].params}
-    return {name: float(np.linalg.norm(params.center_of_mass(obj) - true)) for name, params in compared.items()}
+    compared = {"before": CellParameters.uniform(record.obj), "after": record.estimates[-1].params}
+    known = {} if record.truth is None else compared
+    return {name: calc_center_error(record, params) for name, params in known.items()}
 
 
 def _compare(what: str, key: str, summary: dict[str, Any]) -> str:

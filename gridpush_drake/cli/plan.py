@@ -43,7 +43,15 @@ def plan(
     from gridpush_drake.files import write_whole
     from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS, ContactOptions
     from gridpush_drake.planning.goal.next_push import GoalRules
-    from gridpush_drake.planning.goal.push_plan import describe_plan, plan_pushes, write_plan
+    from gridpush_drake.planning.goal.push_plan import (
+        GOAL_BLOCKED,
+        GOAL_OFF_TABLE,
+        START_BLOCKED,
+        START_OFF_TABLE,
+        describe_plan,
+        plan_pushes,
+        write_plan,
+    )
     from gridpush_drake.planning.push_constraints import PushConstraints
 
     options.check_outputs(force, out, picture)
@@ -63,7 +71,9 @@ def plan(
     )
     options.compile_kernels()
     found = plan_pushes(target.obj, target.params, pose, aim, rules)
-    _refuse_bad_ends(found)
+    for option, ends in (("--goal", (GOAL_OFF_TABLE, GOAL_BLOCKED)), ("--start", (START_OFF_TABLE, START_BLOCKED))):
+        if found.status in ends:
+            raise options.OptionError(f"{option}: {found.status}: {found.reason}")
     if out is not None:
         write_plan(out, found, target.obj.name, finger, force)
     if picture is not None:
@@ -76,15 +86,6 @@ def plan(
     print_found(document, [*_describe(target.obj.name, found), *options.describe_written(out, picture)], json)
     if not found.reached:
         raise typer.Exit(options.EXIT_NO_PLAN)
-
-
-def _refuse_bad_ends(found: "PushPlan") -> None:
-    """Raises OptionError where the object cannot lie at the start or the goal."""
-    from gridpush_drake.planning.goal.push_plan import GOAL_BLOCKED, GOAL_OFF_TABLE, START_BLOCKED, START_OFF_TABLE
-
-    for option, ends in (("--goal", (GOAL_OFF_TABLE, GOAL_BLOCKED)), ("--start", (START_OFF_TABLE, START_BLOCKED))):
-        if found.status in ends:
-            raise options.OptionError(f"{option}: {found.status}: {found.reason}")
 
 
 def _describe(name: str, found: "PushPlan") -> list[str]:

@@ -3,17 +3,12 @@
 from dataclasses import replace
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_found
-
-if TYPE_CHECKING:
-    from gridpush_drake.objects.grid_object import GridObject
-    from gridpush_drake.planning.support_surface import SupportSurface
-    from gridpush_drake.pushes.push_log import PushLog
 
 MS = 1e3
 """Milliseconds in a second."""
@@ -48,6 +43,7 @@ def record(
 ) -> None:
     """Cut a stream of the tip's and the object's poses into pushes, as the robot does while it pokes."""
     from gridpush_drake.errors import PushLogError
+    from gridpush_drake.planning.support_surface import stayed_supported
     from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
     from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
     from gridpush_drake.pushes.stream import estimate_delay, read_stream_csv, record_pushes
@@ -67,7 +63,8 @@ def record(
         why = "; ".join(recorded.unusable) or "the tip never moved the object while it was down"
         raise PushLogError(f"{stream}: holds no push: {why}; expected a tip below {engaged_below:g} m that pushes")
     if surface is not None:
-        log = _mark_overhang(log, obj, surface)
+        pushes = tuple(replace(seen, overhang=not stayed_supported(obj, seen, surface)) for seen in log)
+        log = replace(log, pushes=pushes, table=surface.corners)
     log.write_csv(out, force)
     delay = estimate_delay(samples, obj, radius, *how)
     found = {
@@ -90,11 +87,3 @@ def record(
         lines.append("The stream ends within a push, which is left out.")
     lines += [f"Left out: {text}." for text in recorded.unusable]
     print_found(found, [*lines, *options.describe_written(out)], json)
-
-
-def _mark_overhang(log: "PushLog", obj: "GridObject", surface: "SupportSurface") -> "PushLog":
-    """The log with the table, and with what was seen of each push: whether a part of the object hung over the edge."""
-    from gridpush_drake.planning.support_surface import stayed_supported
-
-    pushes = tuple(replace(seen, overhang=not stayed_supported(obj, seen, surface)) for seen in log)
-    return replace(log, pushes=pushes, table=surface.corners)

@@ -1,19 +1,14 @@
 """`gridpush simulate`: push an object in simulation."""
 
+from collections.abc import Sequence
+from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_found
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from gridpush_drake.dynamics.motion import Motion
-    from gridpush_drake.dynamics.push import Push
-    from gridpush_drake.pushes.push_log import PushLog
 
 PUSH_NAME = "push_1"
 
@@ -41,11 +36,13 @@ def simulate(
     json: options.Json = False,
 ) -> None:
     """Simulate one push of an object or of a learned model."""
+    import numpy as np
+
     from gridpush_drake.dynamics.push import Push
     from gridpush_drake.dynamics.simulation import simulate as simulate_push
     from gridpush_drake.files import write_whole
     from gridpush_drake.objects.parameters import CellParameters
-    from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
+    from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
 
     options.check_outputs(force, out, picture)
     loaded = options.load_target(target, largest_piece)
@@ -62,7 +59,10 @@ def simulate(
     options.compile_kernels()
     motion = simulate_push(loaded.obj, params, push, pose_W, regime=chosen)
     if out is not None:
-        _make_log(push, motion, samples).write_csv(out, force)
+        steps = len(motion.times) - 1
+        rows = np.unique(np.rint(np.linspace(0, steps, min(samples, steps) + 1)).astype(int))[1:]
+        seen = ObservedPush(PUSH_NAME, push, motion.poses[0], motion.times[rows], motion.poses[rows])
+        PushLog((seen,)).write_csv(out, force)
     if picture is not None:
         from gridpush_drake.report.figures import draw_motion
 
@@ -79,25 +79,12 @@ def simulate(
     }
     lines = [
         f"{loaded.obj.name}, {chosen}: {motion.status}",
-        f"from  {_describe_pose(first)}",
-        f"to    {_describe_pose(last)}",
+        f"from  {_describe_pose(first.tolist())}",
+        f"to    {_describe_pose(last.tolist())}",
         *options.describe_written(out, picture),
     ]
     print_found(found, lines, json)
 
 
-def _make_log(push: "Push", motion: "Motion", samples: int) -> "PushLog":
-    import numpy as np
-
-    from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-
-    steps = len(motion.times) - 1
-    rows = np.unique(np.rint(np.linspace(0, steps, min(samples, steps) + 1)).astype(int))[1:]
-    seen = ObservedPush(PUSH_NAME, push, motion.poses[0], motion.times[rows], motion.poses[rows])
-    return PushLog((seen,))
-
-
-def _describe_pose(pose: "np.ndarray") -> str:
-    from math import degrees
-
+def _describe_pose(pose: Sequence[float]) -> str:
     return f"x {pose[0] * MM:.2f} mm, y {pose[1] * MM:.2f} mm, theta {degrees(pose[2]):.2f}°"
