@@ -73,12 +73,7 @@ class Push:
 
     @classmethod
     def along(cls, t: ArrayLike, xy: ArrayLike | Sequence[Sequence[float]], radius: float) -> "Push":
-        """Makes a push along sampled points.
-
-        Args:
-            t: (K,) times, s, strictly increasing, K >= 2; only differences matter.
-            xy: (K, 2) p_WP at those times, m, world frame.
-            radius: of the disc, m.
+        """Makes a push along p_WP (K, 2), m, at times (K,), s, strictly increasing; only their differences matter.
 
         Raises:
             PushError: shapes disagree, a value is not finite, or time does not increase.
@@ -118,7 +113,6 @@ class Push:
             distance: to move, m.
             radius: of the disc, m.
             duration: s; or else `speed`, m/s.
-            speed: m/s; or else `duration`, s.
             pose: (3,) X_WB of the object, m and rad.
             clearance: gap between disc and outline at the beginning, m.
 

@@ -79,11 +79,7 @@ class PushBatch:
     """
 
     def __init__(self, obj: GridObject, pushes: Sequence[BatchPush], regime: Regime) -> None:
-        """Prepares pushes.
-
-        Raises:
-            SimulationError: an object is not on its table.
-        """
+        """Prepares pushes. Raises SimulationError: an object is not on its table."""
         self.obj, self.regime = obj, regime
         self.offsets = np.append(0, np.cumsum([len(one.rows) for one in pushes], dtype=np.int64))
         inertial = regime == "inertial"
@@ -100,11 +96,9 @@ class PushBatch:
         return len(self.offsets) - 1
 
     def simulate(self, params: CellParameters) -> tuple[Array, NDArray[np.bool_]]:
-        """Simulates all pushes.
+        """The wanted poses (R, 3), m and rad, push by push; and whether the pusher touched the object (P,).
 
-        Returns:
-            The wanted poses (R, 3), m and rad, push by push; and whether the pusher touched the object (P,), true also
-            where a step was not solved or the object tips.
+        That is true also where a step was not solved or the object tips.
         """
         poses, touched = np.empty((self.offsets[-1], 3)), np.empty(len(self), dtype=np.bool_)
         for group in self._groups:
@@ -112,11 +106,9 @@ class PushBatch:
         return poses, touched
 
     def differentiate(self, params: CellParameters) -> tuple[Array, Array]:
-        """Simulates all pushes, with exact derivatives.
+        """The wanted poses (R, 3), m and rad, push by push, and their exact derivatives (R, 3, n+3).
 
-        Returns:
-            The wanted poses (R, 3), m and rad, push by push; and their derivatives (R, 3, n+3) by the n masses, 1/kg,
-            by the contact friction, and by the place (x, y) where the push begins, 1/m.
+        They are by the n masses, 1/kg, by the contact friction, and by the place (x, y) where the push begins, 1/m.
         """
         n = self.obj.n
         poses, derivatives = np.empty((self.offsets[-1], 3)), np.empty((self.offsets[-1], 3, n + 3))

@@ -24,11 +24,7 @@ SLACK = 1e-9
 
 
 def make_times(push: Push | ForcePush, dt: float | None, regime: str = "inertial") -> Array:
-    """Cuts a push into steps.
-
-    Args:
-        dt: step, s, the last one shortened to end with the push; None for the default steps.
-        regime: see `make_path_times`.
+    """Cuts a push into steps of dt, s, the last one shortened to end with it; the default ones where None.
 
     Returns:
         (T+1,) s from the push's beginning.
@@ -49,18 +45,12 @@ def make_times(push: Push | ForcePush, dt: float | None, regime: str = "inertial
 def make_path_times(
     push: Push, regime: str = "inertial", tip_step: float = DEFAULT_TIP_STEP, longest: float = DEFAULT_DT
 ) -> Array:
-    """Cuts a push's path into the default steps.
+    """Cuts a push's path into the default steps: (T+1,), s from its beginning.
 
-    Args:
-        regime: "inertial": every piece of the path is cut into the longest steps allowed, so that they do not jump with
-            the piece's length and speed; the last two, half a step to a whole one each, share what is left.
-            "quasi_static": the path's length is cut evenly, whatever its pieces and however long they last, for time
-            does not matter.
-        tip_step: furthest the pusher may move in a step, m.
-        longest: step, s; inertial regime only.
-
-    Returns:
-        (T+1,) s from the push's beginning; in the inertial regime the samples of its path are among them.
+    "inertial": every piece of the path, whose samples are among the times, is cut into the longest steps allowed,
+    `longest` (s) and `tip_step` (m of the pusher), so that they do not jump with the piece's length and speed; the last
+    two, half a step to a whole one each, share what is left. "quasi_static": the path's length is cut evenly, whatever
+    its pieces and however long they last, for time does not matter.
 
     Raises:
         SimulationError: they are more than MAX_STEPS.
@@ -99,11 +89,7 @@ def _cut(parts: float) -> Array:
 
 
 def check_times(times: ArrayLike) -> Array:
-    """Copies the steps' times that a caller gives, (T+1,), s.
-
-    Raises:
-        SimulationError: they are not at least two finite, strictly increasing numbers.
-    """
+    """Copies the steps' times that a caller gives, (T+1,), s: finite and strictly increasing, or a SimulationError."""
     times = np.array(times, dtype=np.float64)
     if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all() or (np.diff(times) <= 0).any():
         raise SimulationError("times: expected at least two finite, strictly increasing numbers (s)")

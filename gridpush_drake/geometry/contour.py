@@ -55,14 +55,10 @@ MAX_MOVE = 1.5
 
 
 def calc_contour(coverage: NDArray[np.float64]) -> Polygon:
-    """Traces the outline of a mask.
+    """Traces the outline of a mask, one 8-connected piece: (height, width) share of each pixel that is object.
 
-    Args:
-        coverage: (height, width) share of each pixel that is object, 0 to 1; one 8-connected piece.
-
-    Returns:
-        A valid polygon with holes in pixels from the upper left corner, x right and y *down*, its outer ring
-        counterclockwise in these axes.
+    A valid polygon with holes in pixels from the upper left corner, x right and y *down*, its outer ring
+    counterclockwise in these axes.
     """
     scale = 1
     while _count_steps(coverage) > MAX_STEPS:

@@ -90,10 +90,7 @@ class ContactSphereLayout:
 
     @classmethod
     def for_object(cls, obj: GridObject, spheres_per_cell: SpheresPerCell = 1) -> "ContactSphereLayout":
-        """Lays out the spheres of an object.
-
-        Args:
-            spheres_per_cell: 1, or 4 to support it out to its edge.
+        """Lays out the spheres of an object, cell by cell: 1 a cell, or 4 to support it out to its edge.
 
         Raises:
             ParameterError: `spheres_per_cell` is neither.
@@ -108,11 +105,9 @@ class ContactSphereLayout:
     def make_properties(
         self, params: CellParameters, delta: float, gravity: float, support: Array | None = None
     ) -> list[ProximityProperties]:
-        """Makes the spheres's contact properties.
+        """Makes the spheres' contact properties, pressed in by `delta`, m.
 
         Args:
-            delta: how far the spheres are pressed in, m.
-            gravity: m/s².
             support: (n,) what each cell's spheres bear where they are pressed in so far, kg; its own mass by default.
 
         Raises:
@@ -327,13 +322,7 @@ def AddGridObject(
 
 
 def MakeSpatialInertia(obj: GridObject, params: CellParameters, height: float = DEFAULT_HEIGHT) -> SpatialInertia:
-    """Sums up the cells' inertia, each a homogeneous square prism.
-
-    Args:
-        height: of the prisms, m.
-
-    Returns:
-        M_BBo_B, about B's origin, at the object's bottom.
+    """Sums up the cells' inertia, each a homogeneous square prism: M_BBo_B, about B's origin, at the object's bottom.
 
     Raises:
         ParameterError: the parameters are of another number of cells, or Drake finds the masses unphysical.
@@ -373,11 +362,7 @@ def calc_gravity(plant: MultibodyPlant) -> float:
 def ApplyGridObjectFilters(
     plant: MultibodyPlant, scene_graph: SceneGraph, handle: GridObjectInPlant, table: Iterable[GeometryId]
 ) -> None:
-    """Lets the spheres touch the table alone, and the sides everything but the table, of what is in the plant by now.
-
-    Args:
-        table: collision geometries that the spheres stand on.
-    """
+    """Lets the spheres touch the table alone, the sides everything but the table, of what is in the plant by now."""
     table = list(table)
     inspector = scene_graph.model_inspector()
     others = set(inspector.GetGeometryIds(GeometrySet(inspector.GetAllGeometryIds()), Role.kProximity)) - set(table)

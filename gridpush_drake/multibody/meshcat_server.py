@@ -37,14 +37,11 @@ LIGHTS = {"AmbientLight": 1.2, "PointLightNegativeX": 14.0, "PointLightPositiveX
 
 
 def StartMeshcatServer(port: int | None = None, host: str = "localhost") -> Meshcat:
-    """Starts Meshcat, with a light background and neither grid nor axes.
+    """Starts Meshcat, with a light background and neither grid nor axes; `web_url()` is its page.
 
     Args:
         port: to listen on; the first free one from 7000 on where None, any free one where 0.
         host: to listen on: "localhost" for this machine alone, "*" for every network it is in.
-
-    Returns:
-        The server; `web_url()` is its page.
 
     Raises:
         StationError: the port is out of range or in use, or the host is not this machine's.
@@ -82,13 +79,9 @@ def AimCamera(
     azimuth: float = CAMERA_AZIMUTH,
     elevation: float = CAMERA_ELEVATION,
 ) -> None:
-    """Points the camera at a place.
+    """Points the camera at a place (3,) in W, m, from a distance, m.
 
-    Args:
-        target: (3,) where to look, world frame, m.
-        distance: of the camera from there, m.
-        azimuth: of the camera as seen from there, rad from the x axis.
-        elevation: of the camera as seen from there, rad from the table.
+    Azimuth (rad from the x axis) and elevation (rad from the table) are the camera's, as seen from that place.
     """
     direction = [*cos(elevation) * make_direction(azimuth), sin(elevation)]
     p_WT: Any = np.asarray(target, dtype=np.float64)
@@ -111,10 +104,7 @@ def PublishOnce(meshcat: Meshcat) -> None:
 def write_recording(meshcat: Meshcat, path: Path | str, force: bool = False, overlay: Overlay | None = None) -> None:
     """Writes the scene, with what was recorded, as one self-contained HTML file that plays when it is opened.
 
-    Args:
-        meshcat: the scene; its recording is stopped and published, and LAYERS_TO_LEAVE_OUT are deleted from it.
-        path: the HTML file.
-        overlay: what stands beside the scene; None for nothing.
+    The recording is stopped and published, and LAYERS_TO_LEAVE_OUT are deleted from the scene.
 
     Raises:
         OutputError: the file exists and `force` is not set, or it cannot be written.

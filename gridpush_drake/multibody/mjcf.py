@@ -78,14 +78,10 @@ Element = ElementTree.Element
 
 
 def calc_springs(load: Array, sinkage: float, inverse: float) -> tuple[Array, Array, Array]:
-    """Calculates MuJoCo's numbers for contacts that give way by `sinkage` under a load.
+    """Calculates MuJoCo's numbers for contacts that give way by `sinkage` (m) under loads (K,), N.
 
-    The force is stiffness times depth, at any depth, as the impedance does not vary with it.
-
-    Args:
-        load: (K,) N.
-        sinkage: m.
-        inverse: of the mass that MuJoCo takes for granted (`body_invweight0`), 1/kg.
+    The force is stiffness times depth, at any depth, as the impedance does not vary with it. `inverse` is of the mass
+    that MuJoCo takes for granted (`body_invweight0`), 1/kg.
 
     Returns:
         `solref` (K, 2), `solreffriction` (K, 2), and the impedance (K,), the first two entries of `solimp`.
@@ -99,13 +95,7 @@ def calc_springs(load: Array, sinkage: float, inverse: float) -> tuple[Array, Ar
 
 
 def make_mjcf(obj: GridObject, params: CellParameters, height: float) -> str:
-    """Makes the model's text.
-
-    Args:
-        height: of the object, m.
-
-    Returns:
-        MJCF: a table at z = 0 and the object on it, at the world's origin; body and joint have the object's name.
+    """Makes the model's text: a table at z = 0 and the object on it, whose name body and joint have.
 
     Raises:
         ObjectError: the object's name is empty, or the height is not more than the feet's.
@@ -144,15 +134,7 @@ def make_mjcf(obj: GridObject, params: CellParameters, height: float) -> str:
 
 
 def WriteMjcf(obj: GridObject, params: CellParameters, path: Path | str, force: bool, *, height: float) -> None:
-    """Writes the model to a file.
-
-    Args:
-        height: of the object, m.
-
-    Raises:
-        OutputError: the file cannot be written.
-        ObjectError: as `make_mjcf`.
-    """
+    """Writes the model to a file. Raises OutputError where it cannot be written, and ObjectError as `make_mjcf`."""
     write_whole(path, make_mjcf(obj, params, height), force)
 
 

@@ -87,10 +87,8 @@ def AddVisualMeshes(
 ) -> list[str]:
     """Shows meshes instead of primitives, body by body; a body of which a mesh is missing keeps its primitives.
 
-    Args:
-        plant: with the models, not finalised.
-        scene_graph: that the plant is registered with.
-        folder: of drake_models, see `find_drake_models`; None adds nothing.
+    The plant has its models and is not finalised; without a folder (`find_drake_models`) nothing is added. Returns the
+    names of the bodies that wear meshes now.
     """
     changed: list[str] = []
     if folder is None:

@@ -120,12 +120,7 @@ def find_browser() -> str:
 
 
 def write_film(recording: Path | str, path: Path | str, force: bool = False, *, seconds: float = SECONDS) -> None:
-    """Makes a film of a recording.
-
-    Args:
-        recording: the page, as `write_recording` writes it.
-        path: GIF or WebP, by its ending.
-        seconds: that the film takes, without the last picture's rest.
+    """Makes a film of a recording, GIF or WebP by its ending, that takes `seconds` without the last picture's rest.
 
     Raises:
         OutputError, StationError: as `check_film`; or the browser drew nothing.
@@ -140,13 +135,7 @@ def write_film(recording: Path | str, path: Path | str, force: bool = False, *, 
 
 
 def draw_frames(page: str, count: int) -> tuple[float, list[Image.Image]]:
-    """Draws a recording.
-
-    Args:
-        count: of moments, evenly from its beginning to its end.
-
-    Returns:
-        How long it takes, s, and the pictures.
+    """Draws a recording at `count` moments, evenly from its beginning to its end; and how long it takes, s.
 
     Raises:
         StationError: there is no browser, or it drew nothing.

@@ -140,11 +140,7 @@ def choose_cells(region: Region, share: Share, overlap: Share, max_cells: int, m
     Args:
         share: decides which cells belong (at least half).
         overlap: exact share of each cell's area, for shapes so thin that no cell is half full.
-        max_cells: the most cells, >= 1.
         min_size: no smaller cells than this, in the region's unit.
-
-    Returns:
-        The cells, at least one.
     """
     low = max(min_size, SIZES_FROM * float(np.sqrt(region.area / max_cells)))
     high = low * (SIZES_TO / SIZES_FROM)
@@ -232,7 +228,6 @@ def calc_adjacency(p_BC: ArrayLike, cell_size: float) -> NDArray[np.int64]:
 
     Args:
         p_BC: (n, 2) cell centers on a square lattice, any one frame, m.
-        cell_size: side of a cell, m.
 
     Returns:
         (m, 2) pairs i < j in increasing order; as a graph they connect all n cells.
@@ -304,7 +299,6 @@ def fill_outline(
         outline: (k, 2) vertices, or a Polygon (with holes), body frame, m.
         parts: polygons by label >= 1, body frame, m; the first to cover a cell's center names its part, and a
             cell that none covers belongs to part 1.
-        max_cells: the most cells to make.
 
     Returns:
         The cells and the outline, which runs counterclockwise, holes clockwise.
@@ -331,15 +325,12 @@ def fill_outline(
 
 
 def make_polygon(points: ArrayLike | Polygon, what: str, holes: tuple[ArrayLike, ...] = ()) -> Polygon:
-    """Makes a valid polygon.
+    """Makes a valid polygon without repeated vertices, counterclockwise, holes clockwise.
 
     Args:
         points: (k, 2) vertices, k >= 3, either way round, first one repeated or not, m; or a Polygon.
         what: what it is, at the head of an error's message.
         holes: vertices of its holes, m.
-
-    Returns:
-        The polygon without repeated vertices, counterclockwise, holes clockwise.
 
     Raises:
         ObjectError: it is not finite, has no area, crosses itself, or a hole is not inside it.

@@ -127,7 +127,6 @@ class GridObject:
             max_cells: the most cells to make.
             largest_piece: keep the largest connected piece where there are several.
             name: what to call it; the file's stem where not given.
-            prior: what is known of mass and friction.
 
         Returns:
             The object; B is at the cells' centroid, x right and y up in the image.
@@ -157,7 +156,6 @@ class GridObject:
             outline: (k, 2) vertices, or a Polygon (with holes), m; its coordinates are the body frame.
             parts: polygons by label >= 1; a cell whose center none covers belongs to part 1.
             max_cells: the most cells to make.
-            prior: what is known of mass and friction.
 
         Raises:
             ObjectError: the polygon crosses itself or has no area, or the count is not positive.
@@ -166,11 +164,7 @@ class GridObject:
 
     @classmethod
     def from_yaml(cls, path: Path | str, *, largest_piece: bool = False) -> "GridObject":
-        """Reads an object file (README, "Bring your own object").
-
-        Args:
-            path: the YAML file; a mask it names is looked up beside it.
-            largest_piece: as in `from_mask`.
+        """Reads an object file (README, "Bring your own object"); a mask it names is looked up beside it.
 
         Raises:
             ObjectError: the file cannot be read, has an unknown key or a value out of range; the message names

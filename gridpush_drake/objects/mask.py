@@ -59,13 +59,9 @@ Rows = Callable[[int, int], NDArray[np.generic]]
 
 
 def read_labels(path: Path) -> NDArray[np.uint16]:
-    """Reads a label image, cropped to what is not background.
+    """Reads a label image, cropped to what is not background, 0: (height, width), rows run down the image.
 
-    Args:
-        path: a PGM (plain or raw, 8 or 16 bit) or PNG (gray of 1 to 16 bit, or palette) file.
-
-    Returns:
-        (height, width) labels, 0 is background; rows run down the image.
+    A PGM (plain or raw, 8 or 16 bit) or PNG (gray of 1 to 16 bit, or palette) file.
 
     Raises:
         ObjectError: the file cannot be read, is a color image or another kind of file, is too large, or holds
@@ -161,22 +157,9 @@ MAX_PARTS = 100
 def coarsen_mask(
     path: Path, meters_per_pixel: float, max_cells: int, *, largest_piece: bool = False, name: str
 ) -> CellGrid:
-    """Reads a label image and coarsens it to square cells.
+    """Reads a label image and coarsens it to square cells, none smaller than a pixel; as `GridObject.from_mask`.
 
     A cell belongs to the object when at least half its area does, and to the part that covers most of it.
-
-    Args:
-        path: PGM or PNG; 0 is background, every other value a part.
-        meters_per_pixel: its scale, m.
-        max_cells: the most cells to make; cells are not made smaller than a pixel.
-        largest_piece: keep the largest connected piece where there are several.
-
-    Returns:
-        The cells and the outline; B is at the cells' centroid, x right and y up in the image.
-
-    Raises:
-        ObjectError: the image cannot be read or is not a label image, is empty, has several pieces (and
-            `largest_piece` is not set), or a scale or count is not positive.
     """
     check_max_cells(name, max_cells)
     if not (np.isfinite(meters_per_pixel) and meters_per_pixel > 0):

@@ -104,16 +104,7 @@ class PoseFilter:
         return time - self.last_seen > options.timeout
 
     def take_in(self, time: float, pose: Array, options: LoopOptions) -> "PoseFilter":
-        """With another pose.
-
-        Args:
-            time: of the observation, s.
-            pose: (3,) seen, m and rad; NaN where the object was not.
-            options: what is of one rest, and how many poses are kept.
-
-        Returns:
-            The latest poses that are of one rest with this one; none where the object was not seen.
-        """
+        """With the pose (3,) seen at `time`, s: the latest of one rest with it; none where it is NaN, not seen."""
         if not np.isfinite(pose).all():
             return self.forget()
         poses = np.array([*self.poses, pose])[-options.observations :]

@@ -79,10 +79,9 @@ class SimulatedWorld:
         seed: int | np.random.Generator = 0,
         observations: int = OBSERVATIONS,
     ) -> None:
-        """Puts the object down.
+        """Puts the object down at `pose` (3,), m and rad.
 
         Args:
-            pose: (3,) where it lies, m and rad.
             surface: the table; None for one without end.
             position_std: standard deviation of seen positions, per axis, m.
             angle_std: of seen angles, rad.
@@ -212,8 +211,7 @@ def run_loop(
         learn: learns after every push; None never.
         goal: (3,) that the loop is shown; none where None.
         surface: the table, as whoever learns knows it; None where pushes keep clear of its edge.
-        progress: called after every push with the state that asked for it, what was seen, and whether that was learned
-            from.
+        progress: called after every push with the state that asked for it, what was seen, and whether it taught.
     """
     run = LoopRun(loop.begin(), PushLog((), table=None if surface is None else surface.corners))
     time, target = 0.0, UNSEEN if goal is None else goal

@@ -62,11 +62,7 @@ class SupportSurface:
 
     @classmethod
     def rectangle(cls, center: ArrayLike, size: ArrayLike) -> "SupportSurface":
-        """A rectangle along the world's axes.
-
-        Args:
-            center: (x, y), m.
-            size: its sides along x and y, m.
+        """A rectangle along the world's axes, of a center (x, y) and sides (along x and y), m.
 
         Raises:
             PlanningError: a number is not finite, or a side is not positive.
@@ -78,14 +74,7 @@ class SupportSurface:
 
     @classmethod
     def round(cls, center: ArrayLike, radius: float) -> "SupportSurface":
-        """A disc.
-
-        Args:
-            center: (x, y), m.
-            radius: m.
-
-        Returns:
-            The table, an inscribed polygon of `ROUND_SIDES` sides.
+        """A disc, m, as an inscribed polygon of `ROUND_SIDES` sides.
 
         Raises:
             PlanningError: a number is not finite, or the radius is not positive.
@@ -98,14 +87,7 @@ class SupportSurface:
 
     @classmethod
     def from_polygon(cls, points: ArrayLike | Sequence[Sequence[float]]) -> "SupportSurface":
-        """A polygon by its corners.
-
-        Args:
-            points: (k, 2) in either turning, k >= 3, m.
-
-        Raises:
-            PlanningError: the corners are no simple polygon.
-        """
+        """A polygon by its corners (k, 2) in either turning, m. Raises PlanningError where it is no simple polygon."""
         corners = np.array(points, dtype=np.float64)
         if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(corners).all():
             raise PlanningError(f"table: points of shape {corners.shape}; expected (k, 2) finite numbers, k >= 3 (m)")
@@ -145,14 +127,7 @@ class SupportSurface:
         return float(self.edge_lengths.sum())
 
     def edge_at(self, arc_length: float) -> tuple[Array, Array]:
-        """Finds a place on the edge.
-
-        Args:
-            arc_length: m from the first corner, counterclockwise, modulo the perimeter.
-
-        Returns:
-            The point (2,), m, and the outward unit normal (2,) there.
-        """
+        """The point (2,), m, at an arc length (m from the first corner, counterclockwise), and the normal there."""
         s = arc_length % self.perimeter
         begins = np.cumsum(self.edge_lengths) - self.edge_lengths
         edge = int(np.searchsorted(begins, s, side="right")) - 1
@@ -160,14 +135,7 @@ class SupportSurface:
         return self.corners[edge] + (s - begins[edge]) * np.array([-normal[1], normal[0]]), normal
 
     def nearest_edge(self, point: ArrayLike) -> tuple[Array, Array, float]:
-        """Finds the place of the edge that is nearest to a point.
-
-        Args:
-            point: (2,) m.
-
-        Returns:
-            The place (2,), m, the outward unit normal (2,) of its edge, and its arc length from the first corner, m.
-        """
+        """The place (2,) of the edge nearest to a point (2,), its outward unit normal (2,), and its arc length, m."""
         p = np.asarray(point, dtype=np.float64)
         feet, share = self._project(p[None])
         edge = int(np.argmin(((feet[0] - p) ** 2).sum(axis=1)))
@@ -195,14 +163,9 @@ class SupportSurface:
         return np.where(self.contains(p), distance, -distance)
 
     def cell_distances(self, obj: GridObject, pose: ArrayLike) -> Array:
-        """How far inside the edge each cell's square is.
+        """How far inside the edge each cell's square is at poses (..., 3): the least signed distance, (..., n) m.
 
-        Args:
-            pose: (..., 3) X_WB, m and rad.
-
-        Returns:
-            (..., n) the least signed distance over the square, m: negative where any of it is beyond the edge. For a
-            concave table a lower bound, the center's less half the diagonal.
+        For a concave table a lower bound: the center's less half the diagonal.
         """
         q = np.asarray(pose, dtype=np.float64)
         centers = obj.cells_at(q)
@@ -215,25 +178,15 @@ class SupportSurface:
         return np.asarray(gaps.min(axis=-1))
 
     def contains_cells(self, obj: GridObject, pose: ArrayLike, margin: float = 0.0) -> bool | NDArray[np.bool_]:
-        """Whether every cell's square is on the table, at least `margin` (m) inside the edge.
-
-        Args:
-            pose: (3,) or (..., 3) X_WB, m and rad.
-
-        Returns:
-            One truth, or (...,) of them.
-        """
+        """Whether every cell's square is on the table, at least `margin` (m) inside the edge, at poses (..., 3)."""
         inside = self.cell_distances(obj, pose).min(axis=-1) >= margin
         return bool(inside) if np.ndim(inside) == 0 else np.asarray(inside)
 
     def fits(self, body: ArrayLike) -> bool:
-        """Whether a convex body can lie on the table, turned in some direction.
+        """Whether a convex body of corners (V, 2), m, can lie on the table, turned in some direction.
 
         In each of `FIT_ANGLES` directions: whether the edges' half-planes, moved in by how far the body reaches across
         them, have a point in common. Of a concave table the convex hull is tried.
-
-        Args:
-            body: (V, 2) corners, m.
         """
         table = self if self.is_convex else SupportSurface(self.polygon.convex_hull)
         offsets = table.edge_offsets
@@ -275,15 +228,7 @@ ROUND_OFF = 1e-9
 
 
 def find_supported(obj: GridObject, poses: ArrayLike, surface: SupportSurface, inset: float = 0.0) -> NDArray[np.bool_]:
-    """Whether cells' centers are on the table.
-
-    Args:
-        poses: (..., 3) X_WB, m and rad.
-        inset: m inside the edge that a center must be.
-
-    Returns:
-        (..., n).
-    """
+    """Whether cells' centers are on the table, at least `inset` (m) inside its edge, at poses (..., 3): (..., n)."""
     q = np.asarray(poses, dtype=np.float64)
     if not surface.is_convex:
         return surface.contains(obj.cells_at(q), inset)

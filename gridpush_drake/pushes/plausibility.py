@@ -107,11 +107,7 @@ def check_plausible(obj: GridObject, log: PushLog, *, learning: bool) -> None:
 
 
 def find_implausible(obj: GridObject, log: PushLog) -> list[Finding]:
-    """Finds what cannot be true of a log, or hardly, at most one finding of a kind.
-
-    Returns:
-        The findings; none where the log is plausible.
-    """
+    """Finds what cannot be true of a log, or hardly, at most one finding of a kind."""
     kinds = (_find_units, _find_fast_pushers, _find_jumps, _find_turns, _find_large_objects, _find_large_angles)
     found: list[Finding] = []
     for kind in kinds:

@@ -213,11 +213,7 @@ class PushLog:
 
     @property
     def supported(self) -> "PushLog":
-        """The pushes that a model can explain: all, where the table is known, else those wholly on it.
-
-        Raises:
-            PushLogError: there are pushes, but none of them is such a one.
-        """
+        """The pushes that a model can explain: all, where the table is known, else `on_table`."""
         return self if self.table is not None else self.on_table
 
     @property

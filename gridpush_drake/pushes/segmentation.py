@@ -105,13 +105,9 @@ class SegmenterState:
 
 
 def advance(state: SegmenterState, sample: Sample, options: SegmenterOptions) -> tuple[SegmenterState, Episode | None]:
-    """Takes in one sample.
+    """Takes in one sample, later than all before: the state after it, and the episode that it ends, if any.
 
-    Args:
-        sample: later than all before; it is passed over where the tip is not known.
-
-    Returns:
-        The state after it, and the episode that it ends, if any.
+    It is passed over where the tip is not known.
     """
     if not all(map(isfinite, (*sample.tip, *sample.velocity))):
         return state, None
@@ -197,14 +193,9 @@ def name_push(count: int) -> str:
 def make_observed_push(
     episode: Episode, obj: GridObject, radius: float, name: str, options: RecordOptions
 ) -> ObservedPush | None:
-    """Makes the log's entry.
+    """Makes the log's entry for a tip of `radius`, m.
 
-    Args:
-        radius: of the tip, m.
-
-    Returns:
-        The push; None where the tip hardly moved or never came near the object, or where the object was not seen both
-        before and after.
+    None where the tip hardly moved or never came near the object, or where that was not seen both before and after.
     """
     pose = calc_rest_pose(episode.before, options)
     t, xy = _trim(episode.path, options.still)
@@ -256,13 +247,9 @@ def thin_path(t: Array, xy: Array, keep: Array, tolerance: float) -> tuple[Array
     """Leaves out samples that linear interpolation in time replaces (the algorithm of Ramer, Douglas and Peucker).
 
     Args:
-        t: (K,) times, s, increasing.
-        xy: (K, 2) places, m.
+        t: (K,) times, s, increasing; and the places `xy` (K, 2), m.
         keep: times that the path is cut at in any case, within it, s.
         tolerance: m.
-
-    Returns:
-        The times (L,) and places (L, 2) that are left.
     """
     times = np.union1d(t, keep)
     places = np.column_stack([np.interp(times, t, xy[:, axis]) for axis in (0, 1)])

@@ -99,15 +99,9 @@ def record_pushes(
 
 
 def calc_velocities(t: Array, places: Array, window: float = VELOCITY_WINDOW) -> Array:
-    """Finds velocities by straight lines through the places within half a window of each.
+    """Finds velocities (K, d), m/s, by straight lines through the places within half a window (s) of each.
 
-    Args:
-        t: (K,) times, s, strictly increasing.
-        places: (K, d) m; rows that are not finite are not known.
-        window: s.
-
-    Returns:
-        (K, d) m/s; NaN where fewer than two places are known within the window.
+    NaN where fewer than two places are known within it; rows of `places` (K, d), m, that are not finite are not known.
     """
     known = np.asarray(np.isfinite(places).all(axis=1))
     weight = known.astype(float)
@@ -134,14 +128,7 @@ def calc_velocities(t: Array, places: Array, window: float = VELOCITY_WINDOW) ->
 
 
 def make_samples(t: Array, tip: Array, velocity: Array, poses: Array) -> list[Sample]:
-    """Puts a stream's samples together.
-
-    Args:
-        t: (K,) s.
-        tip: (K, 3) p_WP, m.
-        velocity: (K, 3) v_WP, m/s.
-        poses: (K, 3) q_W of the object, m and rad; NaN where it was not seen.
-    """
+    """Puts samples together: times (K,), p_WP and v_WP of the tip (K, 3), q_W (K, 3), NaN where it was not seen."""
     rows = zip(t.tolist(), poses.tolist(), tip.tolist(), velocity.tolist(), strict=True)
     return [Sample(time, tuple(pose), tuple(place), tuple(v)) for time, pose, place, v in rows]
 
@@ -196,11 +183,7 @@ def estimate_delay(
     delay, b and c that fit it best. Of all pushes the median counts: in some the tip slides off before it stops. As the
     poses at rest are chosen by the delay, the pushes are written down once more with what was found.
 
-    Args:
-        samples, obj, radius, segmenter, record: as of `record_pushes`; delays are beyond `record.pose_delay`.
-
-    Returns:
-        The delay; None where no push has poses enough.
+    The arguments are those of `record_pushes`; delays are beyond `record.pose_delay`. None where poses are too few.
     """
     record = replace(record or RecordOptions(), observations=DELAY_OBSERVATIONS)
     start, found, errors = record.pose_delay, list[float](), list[float]()
@@ -265,8 +248,7 @@ def read_stream_csv(path: Path | str) -> list[Sample]:
     """Reads a stream.
 
     Raises:
-        PushLogError: the file cannot be read or breaks the form; the message names the file, the line, the column and
-            the expected form.
+        PushLogError: the file cannot be read or breaks the form; the message names file, line, column and form.
     """
     path = Path(path)
     rows = csv.reader(io.StringIO(read_text(path, WHAT, PushLogError).replace("\0", "\N{REPLACEMENT CHARACTER}")))

@@ -26,16 +26,9 @@ USABLE = ("Solved", "AlmostSolved", "InsufficientProgress")
 def solve_conic(
     P: csc_array, q: NDArray[np.float64], A: csc_array, cones: list[object]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Solves  min x·P x/2 + q·x  s.t.  -A x in the cones.
+    """Solves  min x·P x/2 + q·x  s.t.  -A x in the cones,  for x (k,) and the duals z (r,).
 
-    Args:
-        P: (k, k) upper triangle of the Hessian.
-        q: (k,) linear cost.
-        A: (r, k) constraints.
-        cones: Clarabel's cones, r rows in all.
-
-    Returns:
-        x (k,) and the duals z (r,).
+    P (k, k) is given by its upper triangle, A is (r, k); Clarabel's cones have r rows in all.
 
     Raises:
         SimulationError: the solver stopped short.

@@ -116,19 +116,11 @@ def normalize(lcp: MaximalLcp) -> NormalizedLcp:
 def project(
     C: csr_array, r: NDArray[np.float64], lam: NDArray[np.float64] | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Solves y + C^T lam = r, C y = 0: y is r projected onto the null space of C.
+    """Solves y + C^T lam = r, C y = 0: y is r (N,) or (N, j), projected onto the null space of C (k, N).
 
     The proximal method of multipliers, [[1, C^T], [C, -delta]] [dy; dlam] = residual, repeated down to round-off:
     one sparse factorization that does not mind redundant rows. Where those leave lam open the result stays
-    next to the lam that it started from.
-
-    Args:
-        C: (k, N) rows, best of unit length.
-        r: (N,) or (N, j).
-        lam: multipliers to start from; zero where not given.
-
-    Returns:
-        y and lam.
+    next to the lam that it started from, zero where not given.
     """
     k, N = C.shape
     y = np.zeros_like(r)
@@ -155,14 +147,7 @@ def calc_residuals(
     lam_f: NDArray[np.float64],
     gamma: NDArray[np.float64],
 ) -> KktResiduals:
-    """Evaluates every line of the LCP.
-
-    Args:
-        xdot: (3n,) velocities after the step, rad/s and m/s.
-        lam_e: (3k,) rigidity impulses, N m s and N s.
-        lam_f: (2n,) friction impulses, N s and N m s.
-        gamma: (2n,) speeds of what slides and spins, m/s and rad/s.
-    """
+    """Evaluates every line of the LCP for velocities (3n,) after the step, impulses, and speeds gamma (2n,)."""
     n, s = lcp.n, lcp.cell_size
     length = np.tile([s, 1.0, 1.0], n)
     length_f = np.repeat([1.0, s], n)
@@ -223,17 +208,13 @@ class LcpSolution:
 
 
 def solve_as_lcp(lcp: MaximalLcp, lcp_solver: LcpSolver) -> LcpSolution:
-    """Eliminates xdot and lam_e and solves the LCP in (s, gamma) that is left.
+    """Eliminates xdot and lam_e and solves the LCP in (s, gamma) that is left, with a solver of dense LCPs.
 
     With P the projector onto the null space of C, y = h + P G^T s and
 
         0 <= [s; gamma]  ⟂  [[G P G^T, 1], [-1, 0]] [s; gamma] + [G h; 1] >= 0.
 
-    Args:
-        lcp_solver: a solver of dense LCPs, Lemke's for instance.
-
-    Returns:
-        The solution; as good as `lcp_solver` is, see its residuals.
+    The solution is as good as that solver is, see its residuals.
     """
     unit = normalize(lcp)
     k = len(unit.rows)
@@ -248,15 +229,12 @@ def solve_as_lcp(lcp: MaximalLcp, lcp_solver: LcpSolver) -> LcpSolution:
 
 
 def solve_as_qp(lcp: MaximalLcp) -> LcpSolution:
-    """Solves the convex QP with an interior point method, then the equations of its active set exactly.
+    """Solves the convex QP with an interior point method, then the equations of its active set exactly, to round-off.
 
     Every friction row slides (s = 1), sticks (G y = 0) or is carried backwards (s = 0). The interior point solution
     tells which; y and the multipliers then solve linear equations, whose signs are verified. Where one is wrong the
     active set method for the dual (a QP in 0 <= s <= 1) takes over: s goes towards the equations' solution up to the
     first bound, whose row is held there; when none is in the way the row that moves against its state is released.
-
-    Returns:
-        The solution, to round-off.
 
     Raises:
         SimulationError: the interior point method failed, or no active set has the right signs.

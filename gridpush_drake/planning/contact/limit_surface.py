@@ -79,13 +79,11 @@ def make_distance_table(obj: GridObject, radius: float) -> DistanceTable:
 def predict_roughly(
     obj: GridObject, params: CellParameters, start: Array, direction: Array, distance: float, radius: float
 ) -> Array:  # fmt: skip
-    """Follows N straight pushes by the ellipsoidal limit surface.
+    """Follows N straight pushes of an object at the pose (0, 0, 0) by the ellipsoidal limit surface.
 
     Args:
-        obj: the object, at the pose (0, 0, 0).
         start: (N, 2) p_BP of the disc's center at the beginning, m.
-        direction: (N, 2) unit vectors of the motion.
-        distance: of the motion, m.
+        direction: (N, 2) unit vectors of the motion, which goes `distance`, m.
         radius: of the disc, m.
 
     Returns:
@@ -155,11 +153,7 @@ class Screening:
 def screen(runner: TrialRunner) -> Screening:
     """Ranks pushes from the runner's pose towards its goal.
 
-    Args:
-        runner: pose, goal, outline, rules, and how many are wanted.
-
-    Returns:
-        At most as many as there are starts; fewer where the rules forbid the others, or they are near one another.
+    At most as many as there are starts; fewer where the rules forbid the others, or they are near one another.
     """
     options = runner.options
     s, piece = runner.reach.spread(runner.reach.length / PLACES)
@@ -206,17 +200,10 @@ def _count_allowed(runner: TrialRunner, poses: Array, start: Array, direction: A
 def _pick_apart(
     runner: TrialRunner, s: Array, angle: Array, costs: Array, count_allowed: Callable[[int], int], count: int
 ) -> tuple[NDArray[np.int64], Array]:
-    """The cheapest, each far from the cheaper ones.
+    """Indices and costs of the `count` cheapest, each far from the cheaper ones; `costs` (steps, N) after each step, m.
 
     What a push costs as far as the rules allow it is at least what it costs without them, so that only those pushes are
     looked up whose turn comes.
-
-    Args:
-        s: (N,) arc lengths, m.
-        angle: (N,) rad.
-        costs: (steps, N) after each step, m.
-        count_allowed: says how many of a push's steps are allowed.
-        count: how many are wanted.
     """
     perimeter = runner.reach.perimeter
     queue = [(float(cost), i, False) for i, cost in enumerate(costs.min(axis=0))]

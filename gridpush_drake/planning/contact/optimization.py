@@ -243,14 +243,9 @@ def _advance(walk: _Walk, runner: TrialRunner) -> None:
 
 
 def move(runner: TrialRunner, trial: Trial, by: float, turn: float) -> tuple[float, int, float]:
-    """Moves a trial along the outline and turns it, its direction held in the body frame.
+    """Moves a trial by m along the outline, counterclockwise, and turns it by rad, its direction held in the body.
 
-    Args:
-        by: m, counterclockwise.
-        turn: rad.
-
-    Returns:
-        The nearest reachable arc length, m, its piece, and the angle from the normal there, rad.
+    Returns the nearest reachable arc length, m, its piece, and the angle from the normal there, rad.
     """
     places, pieces = runner.reach.find_nearest(trial.arc_length + by)
     piece = int(pieces)

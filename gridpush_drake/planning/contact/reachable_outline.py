@@ -99,11 +99,7 @@ class ReachableOutline:
 
 @lru_cache(maxsize=64)
 def find_reachable_outline(obj: GridObject, radius: float, clearance: float = 0.0) -> ReachableOutline:
-    """Finds where a disc can begin to push.
-
-    Args:
-        radius: of the disc, m.
-        clearance: gap between disc and outline that must be free too, m.
+    """Finds where a disc of `radius` (m), with a gap of `clearance` (m) that must be free too, can begin to push.
 
     Raises:
         PlanningError: the radius is not positive, the clearance negative, or there is no reachable place.

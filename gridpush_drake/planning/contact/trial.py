@@ -229,16 +229,7 @@ class TrialRunner:
 
 
 def calc_cost_derivatives(obj: GridObject, pose: Array, goal: Array, dq: Array) -> tuple[Array, Array]:
-    """Differentiates the mean cell error.
-
-    Args:
-        pose: (3,) q.
-        goal: (3,).
-        dq: (3, k) derivative of q by k parameters.
-
-    Returns:
-        The gradient (k,) and the Gauss-Newton matrix (k, k).
-    """
+    """Gradient (k,) and Gauss-Newton matrix (k, k) of the mean cell error, by dq (3, k), the pose's by k parameters."""
     residual = obj.cells_at(pose) - obj.cells_at(goal)
     length = np.maximum(np.linalg.norm(residual, axis=1), MIN_RESIDUAL)
     arm = obj.cells_at(pose) - pose[:2]

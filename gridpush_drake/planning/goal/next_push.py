@@ -58,11 +58,7 @@ class RobustnessOptions:
 def draw_model_samples(
     obj: GridObject, params: CellParameters, identification: Identification | None, options: RobustnessOptions
 ) -> list[CellParameters]:
-    """Other models that may be the true one.
-
-    Args:
-        identification: that it comes from; None where nothing was learned.
-    """
+    """Other models that may be the true one; `identification` is None where nothing was learned."""
     if identification is not None:
         return identification.samples(options.samples, options.seed)
     arm = obj.p_BC - obj.p_BC.mean(axis=0)
@@ -208,12 +204,9 @@ def choose_push(
     rules: GoalRules,
     robustness: Robustness | None = None,
 ) -> NextPush:
-    """Decides on the next push.
+    """Decides on the next push of an object at `pose` (3,), m and rad.
 
-    Args:
-        pose: (3,) where it lies, m and rad.
-        rules: how to push; a push that comes as near as the tolerance is good enough.
-        robustness: cuts pushes short; None makes them as they are planned.
+    One that comes as near as the tolerance is good enough. `robustness` cuts pushes short; None makes them as planned.
     """
     search = _PushSearch(obj, params, pose, cost_to_go, rules, robustness)
     first = search.find_first("gradient")

@@ -90,15 +90,10 @@ def plan_pushes(
     goal: ArrayLike,
     rules: GoalRules = LOOK_AHEAD,
 ) -> PushPlan:
-    """Plans pushes that bring an object to a goal pose, trusting the model.
-
-    Args:
-        pose: (3,) q_W where it lies, m and rad.
-        goal: (3,) where it should.
-        rules: how to push; their robustness is not asked for.
+    """Plans pushes that bring an object from `pose` (3,) to `goal` (3,), m and rad, trusting the model.
 
     Returns:
-        The plan; its `status` says whether it gets there, and if not why.
+        The plan; its `status` says whether it gets there, and if not why. The rules' robustness is not asked for.
 
     Raises:
         PlanningError: an argument is out of range.
@@ -169,11 +164,7 @@ LINE_WIDTH = 120
 
 
 def describe_plan(plan: PushPlan, name: str, radius: float) -> dict[str, Any]:
-    """A plan as plain lists and numbers.
-
-    Args:
-        radius: of the pusher, m.
-    """
+    """A plan as plain lists and numbers; `radius` is the pusher's, m."""
     return {
         "gridpush_plan": FORMAT_VERSION,
         "object": name,
@@ -201,14 +192,7 @@ def describe_plan(plan: PushPlan, name: str, radius: float) -> dict[str, Any]:
 
 
 def write_plan(path: Path | str, plan: PushPlan, name: str, radius: float, force: bool = False) -> None:
-    """Writes a plan.
-
-    Args:
-        radius: of the pusher, m.
-
-    Raises:
-        OutputError: the file exists and `force` is not set, or it cannot be written.
-    """
+    """Writes a plan. Raises OutputError where the file exists and `force` is not set, or it cannot be written."""
     document = describe_plan(plan, name, radius)
     text = yaml.dump(document, Dumper=_Dumper, sort_keys=False, width=LINE_WIDTH)
     write_whole(path, HEADER + text, force)

@@ -82,11 +82,9 @@ def decide_push(
     rules: GoalRules,
     cost_to_go: CostToGo | None = None,
 ) -> PushDecision:
-    """Decides on the next push.
+    """Decides on the next push of an object from `pose` (3,) to `goal` (3,), m and rad.
 
     Args:
-        pose: (3,) q_W where it lies, m and rad.
-        goal: (3,) where it should.
         made: pushes so far.
         identification: that the model comes from; None where nothing was learned.
         cost_to_go: of the decision before, to the same goal by the same rules; None where there was none.
@@ -113,11 +111,7 @@ def decide_push(
 
 
 def forbid(rules: GoalRules, refused: tuple[Push, ...]) -> GoalRules:
-    """The rules without pushes like some that were refused.
-
-    Returns:
-        The rules, with a push rule that asks this first.
-    """
+    """The rules with a push rule that asks first whether a push is like some that were refused."""
     if not refused:
         return rules
     before = rules.constraints
@@ -362,16 +356,14 @@ def push_to_goal(
     options: LoopOptions = ONE_OBSERVATION,
     progress: Callable[[PushStep], None] | None = None,
 ) -> PushRun:
-    """Pushes an object to a goal pose in a world, observing it after every push, and learning on the way.
+    """Pushes an object to a goal pose (3,), m and rad, in a world, seeing it after every push, and learning on the way.
+
+    An object that was moved by somebody else between pushes is pushed from where it then lies.
 
     Args:
-        goal: (3,) where it should lie, m and rad.
         params: the model to begin with; uniform by the object's prior where None.
         learner: learns after every push that does not reach the goal; None never.
         progress: called after every push.
-
-    Returns:
-        What came of it. An object that was moved by somebody else between pushes is pushed from where it then lies.
 
     Raises:
         PlanningError: an argument is out of range.

@@ -105,11 +105,7 @@ class GraspPart:
 
 
 def find_grasp_parts(obj: GridObject, gripper: Gripper | None = None) -> list[GraspPart]:
-    """Finds where the gripper can take the object.
-
-    Returns:
-        The parts, by closing direction and place; empty where the object is too wide everywhere.
-    """
+    """Finds the narrow parts that the gripper can take, by closing direction and place; there may be none."""
     gripper = gripper or Gripper()
     parts: list[GraspPart] = []
     for angle in np.pi * np.arange(ANGLES) / ANGLES:
@@ -211,15 +207,12 @@ class PadLimit:
         return self.force * self.gripper.pad_length / 2, self.force * self.gripper.pad_width / 2
 
     def calc_shares(self, p_BG: Array, headings: Array, centers: Array) -> Array:
-        """What share of their limit the pads would have to hold.
+        """What share of their limit the pads would have to hold, (k,); over 1 is more than they can.
 
         Args:
             p_BG: (k, 2) grasp points, body frame, m.
             headings: (k,) in which the fingers point, body frame, rad.
-            centers: (v, 2) corners of a polygon that the center of mass is in, body frame, m.
-
-        Returns:
-            (k,) the largest over the polygon; over 1 is more than they can.
+            centers: (v, 2) corners of a polygon that the center of mass is in, body frame, m; the worst counts.
         """
         along = make_direction(headings)
         arm = centers[None] - p_BG[:, None]
@@ -269,8 +262,7 @@ def _stack(parts: Sequence[FlatPart]) -> tuple[Array, Array]:
 def find_flat_parts(obj: GridObject, gripper: SideGripper) -> list[FlatPart]:
     """Finds where the gripper can take an object by its rim, the fingers pointing straight in.
 
-    Returns:
-        The parts along the rim, each as far in as the pads need and as the gripper's body lets them, and between.
+    Along the rim each part is as far in as the pads need, as the gripper's body lets them, and in between.
     """
     inner = obj.outline.buffer(-gripper.margin)
     grown = obj.outline.buffer(gripper.object_clearance)

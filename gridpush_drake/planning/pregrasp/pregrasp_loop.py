@@ -161,14 +161,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         seed: int = 0,
         options: PreGraspLoopOptions | None = None,
     ) -> None:
-        """Takes what never changes.
-
-        Args:
-            planner: decides, for one object on one table.
-            find_grasp: finds how to take the object where it lies.
-            infer: says what is held possible; by default what the identification's posterior says.
-            seed: of the draws from that.
-        """
+        """Takes what never changes; without `infer`, the identification's posterior says what is held possible."""
         self.planner, self.seed, self._find_grasp = planner, seed, find_grasp
         self.options: PreGraspLoopOptions = options or PreGraspLoopOptions()
         self._infer = infer or self.infer_from_identification

@@ -85,7 +85,7 @@ class Handle:
 
 
 def find_handles(edges: Array, shortest: float, widest: float) -> list[Handle]:
-    """Narrow handles: pairs of edges that face each other; their heading is the bisector.
+    """Narrow handles: pairs of edges that face each other, those of longer edges first, one of each heading.
 
     Args:
         edges: (e, 2, 2) of polygons, counterclockwise, m.
@@ -93,7 +93,7 @@ def find_handles(edges: Array, shortest: float, widest: float) -> list[Handle]:
         widest: handle that counts, m.
 
     Returns:
-        Those of longer edges first, each with a heading in [0, pi); those of the same heading are one.
+        Handles whose heading, the sides' bisector, is in [0, pi).
     """
     along = edges[:, 1] - edges[:, 0]
     length = np.linalg.norm(along, axis=1)
@@ -128,7 +128,7 @@ def find_places(
     aim: Array,
     step: float,
 ) -> tuple[Array, Array]:
-    """Points and headings with which the pads lie on an object.
+    """Points (k, 2), m, and headings (k,), rad, with which the pads lie on an object.
 
     Args:
         shape: what the pads must lie on, m.
@@ -137,9 +137,6 @@ def find_places(
         tries: headings, rad, with the corners (k, 2) of a narrow handle, to look there only, or None for everywhere.
         aim: (2,) point near which places are wanted, m.
         step: between lines, at most, m.
-
-    Returns:
-        (k, 2) points, m, and (k,) headings, rad.
     """
     headings = np.array([heading for heading, _ in tries])
     R = make_rotation(headings)
@@ -322,13 +319,11 @@ def find_side_grasps(
     step: float = STEP,
     headings: int = HEADINGS,
 ) -> list[SideGrasp]:
-    """Finds where the gripper can take an object that overhangs the edge.
+    """Finds where the gripper can take an object of a height (m), at a pose (3,), that overhangs the edge.
 
     Args:
-        pose: (3,) X_WB, m and rad.
         aim: (2,) point near which to grasp, body frame, m: the estimated center of mass; by default the mean of the
             cells.
-        height: of the object, m.
         step: between grasp points tried, m: at most so much across the heading, four times as much along it.
         headings: tried over a full turn, beside those of narrow handles.
 
@@ -479,13 +474,9 @@ TURNED = np.radians(12)
 def choose_varied(
     grasps: Sequence[SideGrasp], count: int, *, apart: float = APART, turned: float = TURNED
 ) -> list[SideGrasp]:
-    """Chooses the first grasps, each unlike all chosen before it.
+    """Chooses at most `count` grasps of a list, the best first: a few that differ, as to ask an arm takes time.
 
-    Args:
-        grasps: the best first.
-        count: how many to choose, at most.
-        apart: grasp points at this distance differ, m.
-        turned: headings with this angle between them differ, rad.
+    One is unlike those chosen before it from `apart` (m) between the points or `turned` (rad) between the headings on.
     """
     p_WG = np.array([grasp.p_WG for grasp in grasps]).reshape(-1, 2)
     approach = np.array([grasp.approach for grasp in grasps])

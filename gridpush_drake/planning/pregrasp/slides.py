@@ -67,12 +67,7 @@ class EdgeMotion:
 def simulate_near_edge(
     obj: GridObject, params: CellParameters, push: Push, pose: ArrayLike, surface: SupportSurface
 ) -> EdgeMotion:
-    """Simulates a slow push of an object that may hang over the edge, up to where it falls.
-
-    Args:
-        push: the pusher's motion.
-        pose: (3,) X_WB at the beginning, m and rad.
-    """
+    """Simulates a slow push from `pose` (3,) of an object that may hang over the edge, up to where it falls."""
     q = np.asarray(pose, dtype=np.float64)
     if calc_loads(obj, params, q, surface.corners) is None:
         return EdgeMotion(q[None].copy(), np.zeros(1), True)
@@ -168,15 +163,12 @@ def plan_slide(
     options: SlideOptions | None = None,
     limits: ArmLimits = ANY_ARM,
 ) -> Slide | None:
-    """Chooses the next push.
+    """Chooses the next push; None where none is safe, within the arm's reach, and brings the object nearer to a goal.
 
     Args:
         draws: further models to try the pushes on; the model itself is always tried.
         pose: (3,) where the object lies, X_WB, m and rad.
         goals: best first.
-
-    Returns:
-        The push; None where none is safe, within the arm's reach, and brings the object nearer to a goal.
     """
     options = options or SlideOptions()
     q = np.asarray(pose, dtype=np.float64)

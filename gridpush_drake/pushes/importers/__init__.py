@@ -35,10 +35,7 @@ class Importer(Protocol):
     source: ClassVar[str]
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
-        """Reads a file.
-
-        Returns:
-            The pushes, and the object that was pushed.
+        """Reads a file's pushes, and the object that was pushed.
 
         Raises:
             PushLogError: the file cannot be read or is not of its form; the message names the file and what is wrong.

@@ -121,10 +121,7 @@ class BagImporter:
     negate_force: bool = field(default=False, metadata={"help": "The sensor tells the force on the pusher."})
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
-        """Reads a bag.
-
-        Args:
-            path: the file, or a ROS 2 bag's folder.
+        """Reads a bag: a file, or a ROS 2 bag's folder.
 
         Raises:
             PushLogError: `rosbags` is not installed; the bag cannot be read; a topic is not there, holds other messages
@@ -180,17 +177,7 @@ class BagImporter:
 
 
 def make_stream(path: Path, thing: Track, tip: Track, rate: float, table_height: float) -> list[Sample]:
-    """Brings two tracks to one clock.
-
-    Args:
-        path: of the bag, for messages.
-        thing: poses of the object.
-        tip: of the tip.
-        rate: of the clock, Hz.
-        table_height: z of the table's top, m.
-
-    Returns:
-        The stream, from where both begin to where one ends.
+    """Brings two tracks to one clock of a rate, Hz, from where both begin to where one ends.
 
     Raises:
         PushLogError: the tracks do not overlap.

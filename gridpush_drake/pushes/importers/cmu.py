@@ -59,10 +59,7 @@ class CmuPush(NamedTuple):
 
 
 def read_cmu(path: Path) -> list[CmuPush]:
-    """Reads every push of a file.
-
-    Returns:
-        The pushes, in the file's order.
+    """Reads every push of a file, in its order.
 
     Raises:
         PushLogError: the file cannot be read, is cut short, goes on after its last push, or a line is not
@@ -177,14 +174,9 @@ UNIFORM_PLATE_STD = 0.002
 
 
 def triangle_block(uniform_plate: bool = False) -> GridObject:
-    """Makes the pushed block.
+    """Makes the pushed block; B is at its centroid, x and y along its legs.
 
-    Args:
-        uniform_plate: whether to hold it known that the block is a uniform plate, with its center of mass at
-            the centroid.
-
-    Returns:
-        The block; B is at its centroid, x and y along its legs.
+    As a uniform plate its center of mass is held to be known at the centroid.
     """
     prior = PhysicalPrior(
         total_mass=BLOCK_MASS,
@@ -226,10 +218,7 @@ class CmuImporter:
             raise PushLogError(f"seed is {self.seed}; expected 0 or more")
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
-        """Reads a file of CMU pushes.
-
-        Returns:
-            The pushes, named by their place in the log, each observed at its end only; and the block.
+        """Reads a file of CMU pushes, named by their place in the log, each observed at its end only; and the block.
 
         Raises:
             PushLogError: the file cannot be read or is not of the format, or a push's tool does not move.

@@ -136,11 +136,7 @@ class MitImporter:
     )
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
-        """Reads a file of MIT pushes.
-
-        Returns:
-            The pushes, straight and at constant speed in the world frame as logged, each observed at its end
-            only; and the object.
+        """Reads a file of MIT pushes, straight and at constant speed, each observed at its end only; and the object.
 
         Raises:
             PushLogError: the file cannot be read, lacks a field or holds something else in it, a pusher does not
@@ -159,10 +155,7 @@ class MitImporter:
 
 
 def read_model_errors(path: Path | str) -> tuple[float, float]:
-    """Reads how far the file's own model is off.
-
-    Returns:
-        Its mean error of the end position, m, and of the end angle, rad.
+    """Reads the file's own model's mean error of the end position, m, and of the end angle, rad.
 
     Raises:
         PushLogError: the file cannot be read or does not say.
