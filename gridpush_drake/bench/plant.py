@@ -34,7 +34,7 @@ from pydrake.systems.framework import DiagramBuilder
 from shapely import Point
 
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
-from gridpush_drake.bench.table import MM, Table, Value
+from gridpush_drake.bench.table import ALL, DEGREES, MM, Table, by_object, mean_of
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
@@ -68,7 +68,7 @@ MODEL_TIME_STEP = 1e-3
 """s, of the model: the plant's."""
 
 TRIES = 100
-BASES: tuple[Literal["planar", "free"], ...] = ("planar", "free")
+BASES: tuple[Base, ...] = ("planar", "free")
 SPINS: tuple[Literal["none", "coupled"], ...] = ("none", "coupled")
 
 
@@ -77,7 +77,7 @@ class PlantJob:
     """The pushes of one object, held in one way."""
 
     name: str
-    base: Literal["planar", "free"]
+    base: Base
     seeds: tuple[int, ...]
 
 
@@ -110,15 +110,15 @@ class PlantScore:
     tilt: float
 
 
-def run(
+def calc_scores(
     objects: Sequence[str] = OBJECTS,
     pushes: int = PUSHES,
-    bases: Sequence[Literal["planar", "free"]] = BASES,
+    bases: Sequence[Base] = BASES,
     *,
     seed: int = 0,
     execution: Execution = QUIET,
-) -> list[Table]:
-    """Compares the two.
+) -> list[PlantScore]:
+    """Compares the two, push by push.
 
     Args:
         objects: shipped objects' names.
@@ -128,23 +128,11 @@ def run(
         execution: how the jobs are run.
 
     Returns:
-        One table: a row for each object, base and spin model, and one over all objects.
+        Of each push two, one for each spin model.
 
     Raises:
         ObjectError: an object is not shipped.
     """
-    return [make_table(calc_scores(objects, pushes, bases, seed=seed, execution=execution))]
-
-
-def calc_scores(
-    objects: Sequence[str] = OBJECTS,
-    pushes: int = PUSHES,
-    bases: Sequence[Literal["planar", "free"]] = BASES,
-    *,
-    seed: int = 0,
-    execution: Execution = QUIET,
-) -> list[PlantScore]:
-    """As `run`, push by push."""
     for name in objects:
         find_shipped_object(name)
     seeds = tuple(range(seed, seed + pushes))
@@ -205,15 +193,24 @@ def draw_push(obj: GridObject, params: CellParameters, seed: int, radius: float)
 
 
 def make_table(scores: Sequence[PlantScore]) -> Table:
-    """Sums up scores by object, base and spin model."""
+    """Sums up scores by object, base and spin model, and over all objects."""
     names = list(dict.fromkeys(score.name for score in scores))
-    rows: list[list[Value]] = []
-    for base in dict.fromkeys(score.base for score in scores):
-        for spin in SPINS:
-            chosen = [score for score in scores if (score.base, score.spin) == (base, spin)]
-            rows += [[name, base, spin, *_sum_up([s for s in chosen if s.name == name])] for name in names]
-            if len(names) > 1:
-                rows.append(["all", base, spin, *_sum_up(chosen)])
+    groups = [
+        ((name, base, spin), found)
+        for base in dict.fromkeys(score.base for score in scores)
+        for spin in SPINS
+        for (name,), found in by_object([s for s in scores if (s.base, s.spin) == (base, spin)], names)
+        if name != ALL or len(names) > 1
+    ]
+    columns = {
+        "pushes": len,
+        "moved, mm": mean_of("moved", MM),
+        "mean, mm": mean_of("position", MM),
+        "max, mm": lambda some: MM * max(score.position for score in some),
+        "mean, °": mean_of("angle", DEGREES),
+        "max, °": lambda some: DEGREES * max(score.angle for score in some),
+        "cells, mm": mean_of("cells", MM),
+    }
     worst = max(score.tracking_error for score in scores)
     notes = (
         f"Difference of the last poses after pushes of {DISTANCE * 100:g} cm at {SPEED * 100:g} cm/s; random parts.",
@@ -222,20 +219,7 @@ def make_table(scores: Sequence[PlantScore]) -> Table:
         "Spin: the model's; none is the plant's sphere feet.",
         f"The plant's pusher left its path by at most {worst * 1e6:.1f} µm.",
     )
-    columns = (
-        "object", "base", "spin", "pushes", "moved, mm", "mean, mm", "max, mm", "mean, °", "max, °", "cells, mm",
-    )  # fmt: skip
-    return Table("MultibodyPlant against the grid LCP", columns, rows, notes, keys=3)
-
-
-def _sum_up(scores: Sequence[PlantScore]) -> list[Value]:
-    position = MM * np.array([score.position for score in scores])
-    angle = np.degrees([score.angle for score in scores])
-    return [
-        len(scores), MM * float(np.mean([score.moved for score in scores])), float(position.mean()),
-        float(position.max()), float(angle.mean()), float(angle.max()),
-        MM * float(np.mean([score.cells for score in scores])),
-    ]  # fmt: skip
+    return Table.of("MultibodyPlant against the grid LCP", ("object", "base", "spin"), groups, columns, notes)
 
 
 def _calc_distance(obj: GridObject, a: np.ndarray, b: np.ndarray) -> float:

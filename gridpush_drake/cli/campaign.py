@@ -15,6 +15,7 @@ from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import exists, make_folder, read_text, write_whole
 
 if TYPE_CHECKING:
+    from gridpush_drake.bench.jobs import Results
     from gridpush_drake.station.scenario import PushScenario
 
 MAX_EPISODES = 1_000_000
@@ -65,12 +66,15 @@ def campaign(
     numbers = parse_seeds("--seeds", seeds, MAX_EPISODES // len(chosen))
     for name in chosen:
         check_scenario(scenario.model_copy(update={"object": name}))
-    with options.connecting(dask) as executor:
+
+    def begin() -> "Results":
         make_folder(out)
         results = open_results(out / EPISODES, "campaign", describe_settings(task, scenario), force)
         _write_scenario(out / SCENARIO, format_scenario(scenario), force)
-        with options.executing("campaign", results, workers, executor) as execution:
-            found = run(task, scenario, chosen, numbers, out, execution)
+        return results
+
+    with options.executing("campaign", workers, dask, begin) as execution:
+        found = run(task, scenario, chosen, numbers, out, execution)
     table = found.tabulate()
     write_whole(out / TABLE, table.to_markdown(), force=True)
     if json:

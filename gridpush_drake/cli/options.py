@@ -3,7 +3,7 @@
 What is slow to import is imported when a function runs, so that `gridpush` starts fast.
 """
 
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Timer
@@ -16,9 +16,9 @@ from gridpush_drake.errors import GridPushError, PlanningError
 from gridpush_drake.files import check_writable, exists
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
-    from gridpush_drake.bench.jobs import Execution, Executor, Results
+    from gridpush_drake.bench.jobs import Execution, Results
     from gridpush_drake.dynamics.simulation import Regime as SimulatedRegime
     from gridpush_drake.identification.result import Identification
     from gridpush_drake.objects.grid_object import GridObject
@@ -173,40 +173,39 @@ class Target:
 
 
 @contextmanager
-def connecting(dask: str | None) -> "Iterator[Executor | None]":
-    """Connects to the cluster at an address; yields None without one. Raises GridPushError where none answers."""
-    if dask is None:
-        yield None
-        return
-    from gridpush_drake.bench.cluster import open_cluster
-
-    with open_cluster(dask) as cluster:
-        yield cluster
-
-
-@contextmanager
-def executing(what: str, results: "Results", workers: int, executor: "Executor | None") -> "Iterator[Execution]":
+def executing(
+    what: str, workers: int, dask: str | None, open_results: "Callable[[], Results]"
+) -> "Iterator[Execution]":
     """How jobs are run: their results are kept, and what is done is shown.
 
     Args:
         what: they are of, in a word.
-        results: where they are kept.
         workers: processes here.
-        executor: instead of those; None for them.
+        dask: address of a cluster that runs them instead; None for none.
+        open_results: where they are kept; called once the cluster has answered.
 
     Yields:
         What `run_jobs` takes.
+
+    Raises:
+        GridPushError: no cluster answers.
     """
     from gridpush_drake.bench.jobs import Execution
 
-    known = f", {len(results.lines)} of them from before" if results.lines else ""
+    with ExitStack() as stack:
+        executor = None
+        if dask is not None:
+            from gridpush_drake.bench.cluster import open_cluster
 
-    def prepare() -> None:
-        print_notice(f"{what}: results are kept in {results.path}{known}")
-        compile_kernels()
+            executor = stack.enter_context(open_cluster(dask))
+        results = open_results()
+        known = f", {len(results.lines)} of them from before" if results.lines else ""
 
-    with work_progress(what) as report:
-        yield Execution(workers, report, results, prepare, executor)
+        def prepare() -> None:
+            print_notice(f"{what}: results are kept in {results.path}{known}")
+            compile_kernels()
+
+        yield Execution(workers, stack.enter_context(work_progress(what)), results, prepare, executor)
 
 
 def check_outputs(force: bool, *paths: Path | None) -> None:
