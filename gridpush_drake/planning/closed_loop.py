@@ -309,8 +309,11 @@ class ClosedLoop(Generic[L]):
         return now, len(now.filter) >= self.options.observations
 
     def decide(self, now: L, seen: Observation) -> L:
-        """The state after the decision that is due: a pure function, which may be calculated beside the loop."""
-        return self._decide(now, seen)
+        """The state after the decision that is due, with the object observed at rest: a pure function.
+
+        It may be calculated beside the loop.
+        """
+        raise NotImplementedError
 
     def is_outdated(self, now: L, seen: Observation) -> bool:
         """Whether a decision for `now` is of no use any more: the robot is at work, or the object not where it was."""
@@ -327,10 +330,6 @@ class ClosedLoop(Generic[L]):
     def _prepare(self, now: L, seen: Observation) -> L:
         """What is new from outside, such as another goal, taken in between pushes."""
         return now
-
-    def _decide(self, now: L, seen: Observation) -> L:
-        """The decision, with the object observed at rest."""
-        raise NotImplementedError
 
     def _count_made(self, now: L, seen: Observation) -> dict[str, Any]:
         """What the status says once a push was made."""

@@ -134,14 +134,6 @@ class SupportSurface:
         normal = self.edge_normals[edge]
         return self.corners[edge] + (s - begins[edge]) * np.array([-normal[1], normal[0]]), normal
 
-    def nearest_edge(self, point: ArrayLike) -> tuple[Array, Array, float]:
-        """The place (2,) of the edge nearest to a point (2,), its outward unit normal (2,), and its arc length, m."""
-        p = np.asarray(point, dtype=np.float64)
-        feet, share = self._project(p[None])
-        edge = int(np.argmin(((feet[0] - p) ** 2).sum(axis=1)))
-        begin = float(self.edge_lengths[:edge].sum())
-        return feet[0, edge], self.edge_normals[edge], begin + float(share[0, edge]) * float(self.edge_lengths[edge])
-
     def contains(self, points: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
         """Whether points (..., 2) are on the table, at least `margin` (m) inside its edge, or so far out if negative.
 
@@ -158,7 +150,9 @@ class SupportSurface:
         """Distance of points (..., 2) to the edge (...,), m: positive on the table, negative beyond it."""
         p = np.asarray(points, dtype=np.float64)
         flat = p.reshape(-1, 2)
-        feet, _ = self._project(flat)
+        along = np.roll(self.corners, -1, axis=0) - self.corners
+        share = ((flat[:, None] - self.corners) * along).sum(axis=2) / self.edge_lengths**2
+        feet = self.corners + np.clip(share, 0.0, 1.0)[..., None] * along
         distance = np.sqrt(((feet - flat[:, None]) ** 2).sum(axis=2).min(axis=1)).reshape(p.shape[:-1])
         return np.where(self.contains(p), distance, -distance)
 
@@ -200,13 +194,6 @@ class SupportSurface:
         """Least distance (...,) inside the edges' lines; convex tables only."""
         offsets = self.edge_offsets
         return np.asarray((offsets - p @ self.edge_normals.T).min(axis=-1))
-
-    def _project(self, p: Array) -> tuple[Array, Array]:
-        """The nearest point of every edge (N, k, 2) to points (N, 2), and where it is on the edge (N, k), 0 to 1."""
-        along = np.roll(self.corners, -1, axis=0) - self.corners
-        share = ((p[:, None] - self.corners) * along).sum(axis=2) / self.edge_lengths**2
-        share = np.clip(share, 0.0, 1.0)
-        return self.corners + share[..., None] * along, share
 
 
 def _have_common_point(normals: Array, offsets: Array) -> bool:

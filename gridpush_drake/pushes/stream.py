@@ -12,16 +12,15 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from gridpush_drake.errors import PushLogError
-from gridpush_drake.files import read_text, write_whole
+from gridpush_drake.files import write_whole
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.push_log import MAX_NUMBER, MAX_SHOWN, POSE, ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import POSE, ObservedPush, PushLog, fail, read_number, read_table
 from gridpush_drake.pushes.segmentation import (
     UNUSABLE,
     RecordOptions,
@@ -251,47 +250,33 @@ def read_stream_csv(path: Path | str) -> list[Sample]:
         PushLogError: the file cannot be read or breaks the form; the message names file, line, column and form.
     """
     path = Path(path)
-    rows = csv.reader(io.StringIO(read_text(path, WHAT, PushLogError).replace("\0", "\N{REPLACEMENT CHARACTER}")))
     t, groups = list[float](), list[list[list[float]]]()
-    header: list[str] | None = None
-    try:
-        for cells in rows:
-            if not any(cell.strip() for cell in cells):
-                continue
-            if header is None:
-                header = _check_header(path, rows.line_num, [cell.strip() for cell in cells])
-                continue
-            if len(cells) != len(header):
-                raise PushLogError(
-                    f"{path}, line {rows.line_num}: has {len(cells)} fields; the header has {len(header)}"
-                )
-            row = dict(zip(header, cells, strict=True))
-            t.append(_read_time(path, rows.line_num, row["t"], t))
-            groups.append([_read_group(path, rows.line_num, row, group) for group in (TIP, VELOCITY, POSE)])
-    except csv.Error as error:
-        raise PushLogError(f"{path}, line {rows.line_num}: is not CSV: {error}") from error
-    if header is None or not t:
-        raise PushLogError(f"{path}: is empty; expected the header {','.join(REQUIRED)} and rows below it")
+    measured = False
+    for line, row in read_table(path, WHAT, REQUIRED, _check_header):
+        t.append(_read_time(path, line, row["t"], t))
+        groups.append([_read_group(path, line, row, group) for group in (TIP, VELOCITY, POSE)])
+        measured = VELOCITY[0] in row
+    if not t:
+        raise PushLogError(f"{path}: is empty; expected rows below the header {','.join(REQUIRED)}")
     times, (tip, velocity, poses) = np.array(t), np.array(groups).transpose(1, 0, 2)
-    return make_samples(times, tip, velocity if VELOCITY[0] in header else calc_velocities(times, tip), poses)
+    return make_samples(times, tip, velocity if measured else calc_velocities(times, tip), poses)
 
 
-def _check_header(path: Path, line: int, header: list[str]) -> list[str]:
+def _check_header(path: Path, line: int, header: list[str]) -> None:
     form = f"expected {','.join(REQUIRED)} and, if known, {TIP[2]} and {', '.join(VELOCITY)}"
     for name in header:
         if name not in COLUMNS or header.count(name) > 1:
-            _fail(path, line, name, f"is {'there twice' if name in COLUMNS else 'unknown'}; {form}")
+            fail(path, line, name, f"is {'there twice' if name in COLUMNS else 'unknown'}; {form}")
     there = [name for name in VELOCITY if name in header]
     for name in (*REQUIRED, *(VELOCITY if there else ())):
         if name not in header:
-            _fail(path, line, name, f"is missing; {form}")
-    return header
+            fail(path, line, name, f"is missing; {form}")
 
 
 def _read_time(path: Path, line: int, cell: str, before: list[float]) -> float:
     time = _read_number(path, line, "t", cell)
     if before and time <= before[-1]:
-        _fail(path, line, "t", f"is {time!r} after {before[-1]!r}; expected times (s) that increase")
+        fail(path, line, "t", f"is {time!r} after {before[-1]!r}; expected times (s) that increase")
     return time
 
 
@@ -304,16 +289,6 @@ def _read_group(path: Path, line: int, row: dict[str, str], columns: tuple[str, 
 
 
 def _read_number(path: Path, line: int, column: str, cell: str) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value) or abs(value) > MAX_NUMBER or "_" in cell:
-        group = next((columns for columns in (TIP, VELOCITY, POSE) if column in columns), None)
-        form = "a finite number" + (f", or {', '.join(group)} empty" if group else " (s)")
-        _fail(path, line, column, f"is {cell.strip()[:MAX_SHOWN]!r}; expected {form}")
-    return value
-
-
-def _fail(path: Path, line: int, column: str, what: str) -> NoReturn:
-    raise PushLogError(f"{path}, line {line}, column {column[:MAX_SHOWN]}: {what}")
+    group = next((columns for columns in (TIP, VELOCITY, POSE) if column in columns), None)
+    form = "a finite number" + (f", or {', '.join(group)} empty" if group else " (s)")
+    return read_number(path, line, column, cell, form)

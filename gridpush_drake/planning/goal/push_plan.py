@@ -194,20 +194,5 @@ def describe_plan(plan: PushPlan, name: str, radius: float) -> dict[str, Any]:
 def write_plan(path: Path | str, plan: PushPlan, name: str, radius: float, force: bool = False) -> None:
     """Writes a plan. Raises OutputError where the file exists and `force` is not set, or it cannot be written."""
     document = describe_plan(plan, name, radius)
-    text = yaml.dump(document, Dumper=_Dumper, sort_keys=False, width=LINE_WIDTH)
+    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=LINE_WIDTH)
     write_whole(path, HEADER + text, force)
-
-
-class _Dumper(yaml.SafeDumper):
-    """Lists of numbers on one line."""
-
-
-def _represent_list(dumper: Any, value: list[Any]) -> Any:
-    return dumper.represent_sequence("tag:yaml.org,2002:seq", value, flow_style=not any(map(_is_block, value)))
-
-
-def _is_block(value: Any) -> bool:
-    return isinstance(value, dict | list)
-
-
-_Dumper.add_representer(list, _represent_list)

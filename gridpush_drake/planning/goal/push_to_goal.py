@@ -258,7 +258,8 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
         begun = PushToGoalState(begun=True, goal=wanted, push=now.push, push_id=now.push_id, filter=now.filter)
         return begun.turn_to(WAITING, reason)
 
-    def _decide(self, now: PushToGoalState, seen: Observation) -> PushToGoalState:
+    def decide(self, now: PushToGoalState, seen: Observation) -> PushToGoalState:
+        """The next push, or the end."""
         pose, goal, found = now.filter.calc_mean(), np.array(now.goal), seen.identification
         if now.status.mode in (REACHED, FAILED):
             since = np.inf if now.decided_at is None else calc_goal_error(self.obj, pose, now.decided_at)

@@ -212,7 +212,8 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         poke = now.status.mode == PreGraspMode.EXPLORING
         return {"pokes": now.status.pokes - poke, "slides": now.status.slides - (not poke)}
 
-    def _decide(self, now: PreGraspState, seen: Observation) -> PreGraspState:
+    def decide(self, now: PreGraspState, seen: Observation) -> PreGraspState:
+        """The next push, or the end."""
         pose = now.filter.calc_mean()
         try:
             uncertain = self._infer(seen.identification, seen.log)
