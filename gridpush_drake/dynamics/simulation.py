@@ -26,23 +26,12 @@ Array = NDArray[np.float64]
 
 Regime = Literal["inertial", "quasi_static"]
 
-GRAVITY = 9.81
-"""m/s²."""
-
-STICTION_TOLERANCE = 1e-9
-"""m/s, of the inertial regime; a body at rest creeps slower than a few of these."""
-
-MIN_STICTION = 1e-15
-"""m/s; below it round-off rules."""
-
-RELATIVE_STICTION = 1e-7
-"""Of the speed of pusher and body; friction is never smoothed less, in either regime."""
-
-MOVED_MOST = 2.0
-"""How far B's origin may go in a slow push, as a multiple of the pusher's path."""
-
-OVERLAP_TOLERANCE = 1e-4
-"""m, of pusher and outline at the beginning."""
+GRAVITY = 9.81  # m/s²
+STICTION_TOLERANCE = 1e-9  # m/s, of the inertial regime; a body at rest creeps slower than a few of these
+MIN_STICTION = 1e-15  # m/s; below it round-off rules
+RELATIVE_STICTION = 1e-7  # of the speed of pusher and body; friction is never smoothed less, in either regime
+MOVED_MOST = 2.0  # how far B's origin may go in a slow push, as a multiple of the pusher's path
+OVERLAP_TOLERANCE = 1e-4  # m, of pusher and outline at the beginning
 
 
 def simulate(
@@ -307,8 +296,7 @@ def check_record(record: ArrayLike, steps: int) -> NDArray[np.int64]:
     return rows
 
 
-STEP_STICTION = 1e-10
-"""m/s, and share of the speed: what sticks moves less than a few of these."""
+STEP_STICTION = 1e-10  # m/s, and share of the speed: what sticks moves less than a few of these
 
 
 def calc_step(

@@ -10,17 +10,10 @@ from gridpush_drake.errors import SimulationError
 
 Array = NDArray[np.float64]
 
-DEFAULT_DT = 0.01
-"""s, the longest step where none is given."""
-
-DEFAULT_TIP_STEP = 0.001
-"""m, the furthest the pusher moves in a step where none is given."""
-
-MAX_STEPS = 1_000_000
-"""Of a simulation, each of which is kept: 1 km of the pusher's path by default."""
-
-SLACK = 1e-9
-"""Share of a step by which a duration may exceed a whole number of them."""
+DEFAULT_DT = 0.01  # s, the longest step where none is given
+DEFAULT_TIP_STEP = 0.001  # m, the furthest the pusher moves in a step where none is given
+MAX_STEPS = 1_000_000  # of a simulation, each of which is kept: 1 km of the pusher's path by default
+SLACK = 1e-9  # share of a step by which a duration may exceed a whole number of them
 
 
 def make_times(push: Push | ForcePush, dt: float | None, regime: str = "inertial") -> Array:

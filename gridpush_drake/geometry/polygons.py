@@ -11,11 +11,8 @@ from shapely.geometry.polygon import orient
 
 from gridpush_drake.geometry.se2 import Array
 
-SLACK = 1e-12
-"""m, so that half-planes that leave one point leave a polygon, for round-off's sake."""
-
-FAR = 8.0
-"""Size of a half-plane's rectangle, in greatest offsets."""
+SLACK = 1e-12  # m, so that half-planes that leave one point leave a polygon, for round-off's sake
+FAR = 8.0  # size of a half-plane's rectangle, in greatest offsets
 
 
 def hull_of(points: Array) -> Array:

@@ -14,8 +14,7 @@ from gridpush_drake.files import check_writable, read_head, write_whole
 from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.multibody.recording_overlay import Overlay, add_overlay
 
-MIN_PORT, MAX_PORT = 1024, 65535
-"""Ports below belong to the system."""
+MIN_PORT, MAX_PORT = 1024, 65535  # ports below belong to the system
 
 LAYERS_TO_LEAVE_OUT = ("/drake/proximity", "/drake/contact_forces", "/drake/inertia")
 """What a recording is not for: collision geometry, contact forces, inertia ellipsoids."""
@@ -23,14 +22,9 @@ LAYERS_TO_LEAVE_OUT = ("/drake/proximity", "/drake/contact_forces", "/drake/iner
 CAMERA_AZIMUTH, CAMERA_ELEVATION = -1.75, 0.85
 """Where the camera stands as seen from its target, rad: before the table, a little to the left."""
 
-MARK = b"<title>Drake MeshCat</title>"
-"""What stands in every page of Meshcat."""
-
-MARK_ROOM = 4096
-"""Bytes within which it stands."""
-
-BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.97, 0.975, 0.98), (0.80, 0.82, 0.85)
-"""Colors of the background, sRGB."""
+MARK = b"<title>Drake MeshCat</title>"  # what stands in every page of Meshcat
+MARK_ROOM = 4096  # bytes within which it stands
+BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.97, 0.975, 0.98), (0.80, 0.82, 0.85)  # colors of the background, sRGB
 
 LIGHTS = {"AmbientLight": 1.2, "PointLightNegativeX": 14.0, "PointLightPositiveX": 14.0}
 """Intensities that show a horizontal face near the origin in its own color; Meshcat's own make it a third brighter."""

@@ -60,8 +60,7 @@ MESHES: Mapping[str, Sequence[str]] = MappingProxyType(
 )
 """Of each body, its meshes within drake_models. Their frames are the bodies' own."""
 
-MODELS = ("iiwa", "gripper")
-"""Names of the model instances that take meshes."""
+MODELS = ("iiwa", "gripper")  # names of the model instances that take meshes
 
 
 def find_drake_models() -> Path | None:

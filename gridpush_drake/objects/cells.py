@@ -17,14 +17,9 @@ from shapely.validation import explain_validity
 
 from gridpush_drake.errors import ObjectError
 
-DEFAULT_MAX_CELLS = 127
-"""The paper's largest grid."""
-
-MAX_CELLS = 10_000
-"""Of an object; what learning keeps grows with the square of their number."""
-
-MAX_LABEL = 2**31 - 1
-"""Of a part."""
+DEFAULT_MAX_CELLS = 127  # the paper's largest grid
+MAX_CELLS = 10_000  # of an object; what learning keeps grows with the square of their number
+MAX_LABEL = 2**31 - 1  # of a part
 
 MIN_SIZE, MAX_SIZE = 1e-6, 1e4
 """Of a cell's side, least, and of any coordinate of an object, greatest, m; beyond them no object is pushed."""
@@ -49,8 +44,7 @@ class CellGrid(NamedTuple):
 Share = Callable[[NDArray[np.float64], float], NDArray[np.float64]]
 """Given the lower corners (k, 2) of square cells and their size, how much of each is object: (k,), 0 to 1."""
 
-MIN_SHARE = 0.5 - 1e-9
-"""A cell belongs to the object when at least half of it does."""
+MIN_SHARE = 0.5 - 1e-9  # a cell belongs to the object when at least half of it does
 
 SIZES_FROM, SIZES_TO = 0.9, 1.6
 """Range of sizes tried, in sides of the square cell whose `max_cells` copies have the shape's area."""
@@ -58,30 +52,24 @@ SIZES_FROM, SIZES_TO = 0.9, 1.6
 MAX_SIZES, MIN_SIZES = 80, 24
 """How many sizes are tried in that range; as many again that divide a side of the bounding box."""
 
-POINT_BUDGET = 3_000_000
-"""Cells that may be tested in a range of sizes before fewer sizes are tried."""
-
-MAX_PHASED = 20_000
-"""In a lattice of more cells than this its phase hardly matters, and only one is tried."""
+POINT_BUDGET = 3_000_000  # cells that may be tested in a range of sizes before fewer sizes are tried
+MAX_PHASED = 20_000  # in a lattice of more cells than this its phase hardly matters, and only one is tried
 
 MAX_LATTICE_PER_CELL = 20
 """A lattice this many times `max_cells` (and above MAX_PHASED) means a shape far thinner than its bounding box."""
 
-EXACT = 1e-6
-"""Below this error the cells tile the shape."""
+EXACT = 1e-6  # below this error the cells tile the shape
 
 EXACT_LOSS, EXACT_DISCOUNT = 0.11, 0.25
 """Cells that tile the shape are preferred while they leave no more than this part of `max_cells` unused: it then
 counts with this weight."""
 
-ERROR_WEIGHT = 2.0
-"""A relative error weighs as much as this many times that part of `max_cells` left unused."""
+ERROR_WEIGHT = 2.0  # a relative error weighs as much as this many times that part of `max_cells` left unused
 
 AREA_WEIGHT = 0.5
 """Weight of the area's error (logarithmic): the cells' area matters less to sliding than where they are."""
 
-ROUNDING = 1e-9
-"""Relative slack within which a size divides a side."""
+ROUNDING = 1e-9  # relative slack within which a size divides a side
 
 
 @dataclass(frozen=True)
@@ -279,11 +267,8 @@ def _tidy(pairs: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.unique(np.sort(pairs, axis=1), axis=0).reshape(-1, 2)
 
 
-THINNEST = 1e-12
-"""An outline whose area is below this share of its squared diameter has none."""
-
-EDGE_SLACK = 1e-9
-"""A center this near the outline, in diameters, is on it and counts as inside."""
+THINNEST = 1e-12  # an outline whose area is below this share of its squared diameter has none
+EDGE_SLACK = 1e-9  # a center this near the outline, in diameters, is on it and counts as inside
 
 
 def fill_outline(

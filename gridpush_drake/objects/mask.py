@@ -19,22 +19,14 @@ from gridpush_drake.files import MEGABYTE, open_file, read_bytes
 from gridpush_drake.geometry.contour import calc_contour
 from gridpush_drake.objects.cells import CellGrid, Cells, Region, Share, check_max_cells, choose_cells
 
-MAX_PIXELS = 400_000_000
-"""Larger images are refused before they are decoded."""
-
-MAX_FILE_SIZE = 1024 * MEGABYTE
-"""Of an image file, bytes: more than the most pixels take at 16 bit."""
-
-STRIP_PIXELS = 4_000_000
-"""Pixels looked at in one go."""
+MAX_PIXELS = 400_000_000  # larger images are refused before they are decoded
+MAX_FILE_SIZE = 1024 * MEGABYTE  # of an image file, bytes: more than the most pixels take at 16 bit
+STRIP_PIXELS = 4_000_000  # pixels looked at in one go
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
-PNG_MODES = ("1", "L", "P", "I", "I;16")
-"""Pillow's names of images with one number per pixel."""
-
-PNG_DEPTH_AT = 24
-"""Place of the bit depth in a PNG file."""
+PNG_MODES = ("1", "L", "P", "I", "I;16")  # Pillow's names of images with one number per pixel
+PNG_DEPTH_AT = 24  # place of the bit depth in a PNG file
 
 PNG_GRAY_STRETCH = {2: 85, 4: 17}
 """Pillow stretches gray of so few bits to 0 to 255 by this factor; labels are wanted as stored."""
@@ -44,11 +36,8 @@ PGM_GAP = rb"(?:\s|#[^\r\n]*+[\r\n])++"
 
 PGM_HEADER = re.compile(rb"(P[25])" + (PGM_GAP + rb"(\d{1,9}+)") * 3 + rb"(?:[ \t]*+#[^\r\n]*+)?\s")
 
-MAX_PLAIN_SIZE = 32 * MEGABYTE
-"""Of a plain PGM, whose numbers are text, bytes."""
-
-PGM_HEADER_ROOM = 4096
-"""Bytes within which a PGM header must end."""
+MAX_PLAIN_SIZE = 32 * MEGABYTE  # of a plain PGM, whose numbers are text, bytes
+PGM_HEADER_ROOM = 4096  # bytes within which a PGM header must end
 
 FORM = "a PGM or PNG label image: 0 is background, every other value a part"
 
@@ -150,8 +139,7 @@ def _check_size(path: Path, width: int, height: int) -> None:
 WORKING_PIXELS = 4_000_000
 """Larger masks are averaged over square blocks of pixels down to about this many before they are traced."""
 
-MAX_PARTS = 100
-"""More labels than this are taken for a photograph or a softened edge."""
+MAX_PARTS = 100  # more labels than this are taken for a photograph or a softened edge
 
 
 def coarsen_mask(

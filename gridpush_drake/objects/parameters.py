@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from gridpush_drake.errors import ParameterError
 from gridpush_drake.objects.grid_object import GridObject
 
-DEFAULT_TOTAL_MASS = 1.0
-"""kg, for objects that were never weighed."""
+DEFAULT_TOTAL_MASS = 1.0  # kg, for objects that were never weighed
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,8 +29,7 @@ from gridpush_drake.pushes.push_log import PushLog
 
 Pose = tuple[float, float, float]
 
-WAITING, LOST, FAILED = "waiting", "lost", "failed"
-"""Modes of every loop."""
+WAITING, LOST, FAILED = "waiting", "lost", "failed"  # modes of every loop
 
 
 @dataclass(frozen=True)

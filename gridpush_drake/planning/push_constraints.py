@@ -25,11 +25,8 @@ PoseRule = Callable[[Array], NDArray[np.bool_]]
 PushRule = Callable[[Push], bool]
 """Whether a push can be carried out."""
 
-CHECK_EVERY = 0.003
-"""m of the pusher's motion between poses that are checked."""
-
-SLACK = 1e-6
-"""m, for round-off."""
+CHECK_EVERY = 0.003  # m of the pusher's motion between poses that are checked
+SLACK = 1e-6  # m, for round-off
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,14 +27,9 @@ from gridpush_drake.planning.push_constraints import make_body
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
-OBSERVATIONS = 4
-"""Poses that are seen during a push, after the first, its end among them."""
-
-FALL_CHECKS = 40
-"""Poses of a push at which it is checked whether the object falls."""
-
-REGIME: Regime = "quasi_static"
-"""Of the true motion."""
+OBSERVATIONS = 4  # poses that are seen during a push, after the first, its end among them
+FALL_CHECKS = 40  # poses of a push at which it is checked whether the object falls
+REGIME: Regime = "quasi_static"  # of the true motion
 
 UNSEEN = np.full(3, np.nan)
 

@@ -32,8 +32,7 @@ Array = NDArray[np.float64]
 ROUND_SIDES = 120
 """Sides of the polygon that stands for a round table; the edge is then off by R (1 - cos(pi/120)) = R/2900."""
 
-FIT_ANGLES = 48
-"""Directions in which a body is tried on a table, over a full turn."""
+FIT_ANGLES = 48  # directions in which a body is tried on a table, over a full turn
 
 STRAIGHT = 1e-9
 """m², cross product of two edges above which a corner turned the wrong way makes a table concave."""
@@ -210,8 +209,7 @@ def _vector(name: str, value: ArrayLike) -> Array:
     return vector
 
 
-ROUND_OFF = 1e-9
-"""m."""
+ROUND_OFF = 1e-9  # m
 
 
 def find_supported(obj: GridObject, poses: ArrayLike, surface: SupportSurface, inset: float = 0.0) -> NDArray[np.bool_]:

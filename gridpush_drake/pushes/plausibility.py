@@ -25,20 +25,11 @@ Array = NDArray[np.float64]
 TRAVEL_FACTOR = 2.0
 """Times the pusher's path that the centroid, or a point at the radius of gyration as the body turns, may move."""
 
-SPEED_FACTOR = 2.0
-"""Times the pusher's mean speed at which it may let go of the object."""
-
-NOISE_SHARE = 0.25
-"""Of the object's diameter, by which a pose may be off besides."""
-
-MAX_SPEED = 30.0
-"""Of a pusher, mean, m/s."""
-
-MAX_DIAMETER = 10.0
-"""Of an object that is not doubted, m."""
-
-MAX_FIRST_ANGLE = 4 * np.pi
-"""Of an object at a push's beginning, where it is not doubted, rad."""
+SPEED_FACTOR = 2.0  # times the pusher's mean speed at which it may let go of the object
+NOISE_SHARE = 0.25  # of the object's diameter, by which a pose may be off besides
+MAX_SPEED = 30.0  # of a pusher, mean, m/s
+MAX_DIAMETER = 10.0  # of an object that is not doubted, m
+MAX_FIRST_ANGLE = 4 * np.pi  # of an object at a push's beginning, where it is not doubted, rad
 
 GAP, GAP_SHARE = 0.005, 0.05
 """A pusher this far off the outline, m plus this share of the object's diameter, is not where the log says."""
@@ -46,8 +37,7 @@ GAP, GAP_SHARE = 0.005, 0.05
 MANY, FEW = 0.5, 0.2
 """Shares of a log's pushes: so many out of place make it doubtful, so few leave a reading of its units standing."""
 
-MM = 1e-3
-"""Meters in a millimeter."""
+MM = 1e-3  # meters in a millimeter
 
 IN_DEGREES = "object_theta: in degrees? expected rad"
 

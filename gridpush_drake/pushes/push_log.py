@@ -40,25 +40,17 @@ OVERHANG = "overhang"
 TABLE = "table"
 COLUMNS = (*REQUIRED, *FORCE, OVERHANG, TABLE)
 
-FLAGS = {"": False, "0": False, "1": True}
-"""What may stand in a column that says yes or no."""
+FLAGS = {"": False, "0": False, "1": True}  # what may stand in a column that says yes or no
 
 WHAT = "a push log (CSV)"
 
 UNITS = {"t": "s", "object_theta": "rad", "force_x": "N", "force_y": "N"}
 """Unit of each column; m where not listed."""
 
-SUGGESTION_CUTOFF = 0.5
-"""Similarity (0 to 1) from which a known column is suggested for an unknown one."""
-
-MAX_SHOWN = 60
-"""Characters of a refused value that a message repeats."""
-
-MAX_NUMBER = 1e12
-"""Magnitude of a number in a log, beyond which it is none that was measured."""
-
-MIN_TIME_STEP = 1e-9
-"""s between two rows of a push."""
+SUGGESTION_CUTOFF = 0.5  # similarity (0 to 1) from which a known column is suggested for an unknown one
+MAX_SHOWN = 60  # characters of a refused value that a message repeats
+MAX_NUMBER = 1e12  # magnitude of a number in a log, beyond which it is none that was measured
+MIN_TIME_STEP = 1e-9  # s between two rows of a push
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,8 +42,7 @@ COLUMNS = ("t", *TIP, *VELOCITY, *POSE)
 
 WHAT = "a stream of poses (CSV)"
 
-VELOCITY_WINDOW = 0.1
-"""Over which a velocity is found from places by a straight line, s."""
+VELOCITY_WINDOW = 0.1  # over which a velocity is found from places by a straight line, s
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,26 +131,16 @@ def make_samples(t: Array, tip: Array, velocity: Array, poses: Array) -> list[Sa
     return [Sample(time, tuple(pose), tuple(place), tuple(v)) for time, pose, place, v in rows]
 
 
-DELAY_RANGE = 0.3
-"""Greatest delay that is looked for, s."""
-
-DELAY_ROUNDS = 3
-"""Of writing the pushes down with the delay found so far."""
-
-DELAY_OBSERVATIONS = 100
-"""Most poses a push that the delay is found from."""
-
-MIN_OBSERVATIONS = 5
-"""Of a push whose delay can be estimated."""
-
-LAST_SHARE = 0.2
-"""Of a push's path, at its end, on which the object moves with the tip."""
+DELAY_RANGE = 0.3  # greatest delay that is looked for, s
+DELAY_ROUNDS = 3  # of writing the pushes down with the delay found so far
+DELAY_OBSERVATIONS = 100  # most poses a push that the delay is found from
+MIN_OBSERVATIONS = 5  # of a push whose delay can be estimated
+LAST_SHARE = 0.2  # of a push's path, at its end, on which the object moves with the tip
 
 END_VARIANCE = 9.0
 """Of a parabola's value at the end of its N points, in variances of one of them by N; that of the rest is small."""
 
-MAD_TO_STD = 1.4826
-"""Standard deviation by median absolute deviation, of normal errors."""
+MAD_TO_STD = 1.4826  # standard deviation by median absolute deviation, of normal errors
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,7 @@ from gridpush_drake.errors import SimulationError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-STANDARD_GRAVITY = 9.81
-"""m/s²."""
+STANDARD_GRAVITY = 9.81  # m/s²
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,16 +29,12 @@ from gridpush_drake.dynamics.reference.isotropic_socp import solve_conic, solve_
 from gridpush_drake.dynamics.reference.maximal_lcp import MaximalLcp
 from gridpush_drake.errors import SimulationError
 
-PROXIMAL_WEIGHT = 1e-12
-"""delta of `project`: makes redundant rows of C harmless; its effect is iterated away."""
+PROXIMAL_WEIGHT = 1e-12  # delta of `project`: makes redundant rows of C harmless; its effect is iterated away
 
 MAX_REFINEMENTS = 40
 
-ROUND_OFF = 1e-15
-"""Relative residual at which refinement stops."""
-
-NEAR_ROUND_OFF = 1e3
-"""Multiple of it below which refinement stops once it halves no more."""
+ROUND_OFF = 1e-15  # relative residual at which refinement stops
+NEAR_ROUND_OFF = 1e3  # multiple of it below which refinement stops once it halves no more
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,11 +172,8 @@ def calc_residuals(
 
 __all__ = ["LcpSolution", "LcpSolver", "solve_as_lcp", "solve_as_qp", "solve_isotropic_socp"]
 
-SIGN_TOLERANCE = 1e-11
-"""Violation of a sign, in the dimensionless LCP, that counts as a wrong active set."""
-
-MAX_ACTIVE_SETS = 600
-"""Active sets to try before giving up."""
+SIGN_TOLERANCE = 1e-11  # violation of a sign, in the dimensionless LCP, that counts as a wrong active set
+MAX_ACTIVE_SETS = 600  # active sets to try before giving up
 
 STICK, SLIDE, REVERSE = 0, 1, 2
 

@@ -28,17 +28,10 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import TrialRunner
 
-TABLE_STEP = 0.003
-"""m, of the table of signed distances."""
-
-MAX_TABLE_NODES = 1000
-"""Along a side of the table; what is larger than they span has wider steps."""
-
-TABLE_ROOM = 0.02
-"""m, by which the table exceeds the outline grown by the disc."""
-
-STEPS = 16
-"""Steps that a push is cut into."""
+TABLE_STEP = 0.003  # m, of the table of signed distances
+MAX_TABLE_NODES = 1000  # along a side of the table; what is larger than they span has wider steps
+TABLE_ROOM = 0.02  # m, by which the table exceeds the outline grown by the disc
+STEPS = 16  # steps that a push is cut into
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +119,7 @@ def _calc_twist(p: Array, n: Array, u: Array, gap: Array, inverse: float, mu: fl
     return np.column_stack([force, inverse * (lever * force).sum(axis=1)])
 
 
-PLACES, ANGLES = 96, 9
-"""Places along the outline and directions at each that are ranked."""
+PLACES, ANGLES = 96, 9  # places along the outline and directions at each that are ranked
 
 NEAR_PLACE, NEAR_ANGLE = 0.05, 0.3
 """Share of the perimeter and rad within which two pushes count as near one another."""

@@ -142,23 +142,18 @@ Search = Callable[[TrialRunner], list[Trial]]
 FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 0.03, 1e-3, 30.0
 """lambda at first, and between what it stays; above, a start has come to its end."""
 
-LOOSEN, TIGHTEN = 0.3, 6.0
-"""Factors of lambda after a step that helped and one that did not."""
-
-MAX_STEP, MAX_TURN = 0.12, 0.5
-"""Of a step: share of the perimeter, and rad."""
+LOOSEN, TIGHTEN = 0.3, 6.0  # factors of lambda after a step that helped and one that did not
+MAX_STEP, MAX_TURN = 0.12, 0.5  # of a step: share of the perimeter, and rad
 
 SAME_PLACE, SAME_TURN = 0.03, 0.2
 """Share of the perimeter and rad within which a start has run into a better one, and ends."""
 
-GAIN_FACTOR = 2.0
-"""How many times its next step's predicted gain a start may still improve."""
+GAIN_FACTOR = 2.0  # how many times its next step's predicted gain a start may still improve
 
 DIFFERENCE_PLACE, DIFFERENCE_TURN = 0.04, 0.25
 """First steps of the finite-difference walk: share of the perimeter, and rad."""
 
-HALVINGS = 4
-"""After so many the walk ends."""
+HALVINGS = 4  # after so many the walk ends
 
 REFINEMENTS = 6
 """Halvings of the exhaustive search's steps from the best nodes of its grid, half the grid's at first: of a long push a

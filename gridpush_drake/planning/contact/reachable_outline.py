@@ -18,14 +18,9 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 
-TOUCHING = 1e-6
-"""m; a disc this much inside the object still counts as touching."""
-
-ARC_SEGMENTS = 64
-"""Chords of a quarter circle, of the grown object."""
-
-MIN_PIECE = 1e-5
-"""m; a reachable piece must be longer, unless its edge is not."""
+TOUCHING = 1e-6  # m; a disc this much inside the object still counts as touching
+ARC_SEGMENTS = 64  # chords of a quarter circle, of the grown object
+MIN_PIECE = 1e-5  # m; a reachable piece must be longer, unless its edge is not
 
 END_ROOM = 1e-7
 """Reachable pieces end this share of the perimeter short of a vertex, where the normal is still the edge's own."""

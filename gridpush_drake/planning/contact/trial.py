@@ -58,8 +58,7 @@ def calc_goal_error(obj: GridObject, pose: ArrayLike, goal: ArrayLike) -> Array:
     return np.asarray(np.hypot(difference[..., 0], difference[..., 1]).mean(axis=-1))
 
 
-DEFAULT_RADIUS = 0.008
-"""Of a finger of which nothing else is said, m: `models/fingers/rod`'s."""
+DEFAULT_RADIUS = 0.008  # of a finger of which nothing else is said, m: `models/fingers/rod`'s
 
 
 @dataclass(frozen=True)
@@ -113,11 +112,8 @@ class ContactOptions:
                 raise PlanningError(f"{name} is {getattr(self, name)!r}; expected at least 1")
 
 
-RECORD_EVERY = 4
-"""Steps between those whose Jacobian is kept."""
-
-MIN_RESIDUAL = 1e-4
-"""m, below which a cell's error weighs no more in the Gauss-Newton matrix."""
+RECORD_EVERY = 4  # steps between those whose Jacobian is kept
+MIN_RESIDUAL = 1e-4  # m, below which a cell's error weighs no more in the Gauss-Newton matrix
 
 
 @dataclass(frozen=True, eq=False)

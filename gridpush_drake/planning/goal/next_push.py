@@ -129,19 +129,13 @@ class Robustness:
         return len(poses) if held.all() else int(np.argmin(held))
 
 
-DEFAULT_TOLERANCE = 0.02
-"""Mean cell error at which a goal counts as reached, m: the paper's."""
+DEFAULT_TOLERANCE = 0.02  # mean cell error at which a goal counts as reached, m: the paper's
 
 DEFAULT_MAX_PUSHES = 25
 
-BEAM = 3
-"""First pushes towards the goal that a second is searched for."""
-
-SECOND_STARTS, SECOND_BUDGET = 5, 16
-"""Starts of the second push's search, and its most simulations."""
-
-MIN_GAIN = 0.001
-"""m by which a push must shorten what is left to go to be worth making."""
+BEAM = 3  # first pushes towards the goal that a second is searched for
+SECOND_STARTS, SECOND_BUDGET = 5, 16  # starts of the second push's search, and its most simulations
+MIN_GAIN = 0.001  # m by which a push must shorten what is left to go to be worth making
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,8 +42,7 @@ REASONS = {
 }
 """What each status means, in a sentence."""
 
-LOOK_AHEAD = GoalRules(horizon=2)
-"""Rules of a plan that trusts its model."""
+LOOK_AHEAD = GoalRules(horizon=2)  # rules of a plan that trusts its model
 
 
 @dataclass(frozen=True, eq=False)

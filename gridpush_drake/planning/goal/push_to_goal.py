@@ -142,8 +142,7 @@ class ContactPointMode(StrEnum):
     LOST = "lost"
 
 
-REFUSED, ERROR = "refused", "error"
-"""Causes of a failure that planning does not know of."""
+REFUSED, ERROR = "refused", "error"  # causes of a failure that planning does not know of
 
 
 @dataclass(frozen=True)

@@ -48,18 +48,12 @@ class ArmLimits:
     can_grasp: Callable[["PreGraspGoal", PlausibleMassSet], bool] | None = None
 
 
-ANY_ARM = ArmLimits()
-"""An arm that can do anything."""
+ANY_ARM = ArmLimits()  # an arm that can do anything
 
 
-TOUCH = 1e-9
-"""m, for round-off."""
-
-GOALS_FOR_AN_ARM = 6
-"""Goals looked for that the arm can grasp at; to ask the arm takes time."""
-
-PARTS_FOR_AN_ARM = 12
-"""Parts that hang over which the arm is asked about."""
+TOUCH = 1e-9  # m, for round-off
+GOALS_FOR_AN_ARM = 6  # goals looked for that the arm can grasp at; to ask the arm takes time
+PARTS_FOR_AN_ARM = 12  # parts that hang over which the arm is asked about
 
 
 @dataclass(frozen=True)

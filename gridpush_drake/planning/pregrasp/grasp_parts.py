@@ -39,17 +39,10 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS
 from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
 
-PIECE_SHARE = 0.95
-"""Of the finger's depth that a piece must be long."""
-
-CHORDS = 11
-"""Lines across a piece that say where the jaws touch it."""
-
-ANGLES = 36
-"""Closing directions tried, evenly spaced over half a turn."""
-
-STEP = 0.01
-"""m, between stretches tried in one closing direction."""
+PIECE_SHARE = 0.95  # of the finger's depth that a piece must be long
+CHORDS = 11  # lines across a piece that say where the jaws touch it
+ANGLES = 36  # closing directions tried, evenly spaced over half a turn
+STEP = 0.01  # m, between stretches tried in one closing direction
 
 
 @dataclass(frozen=True)
@@ -161,17 +154,13 @@ def _make_part(piece: Polygon, y: float, R: Array, gripper: Gripper) -> GraspPar
     return GraspPart(R @ middle, R[:, 0].copy(), float(x1 - x0), corners @ R.T)
 
 
-MM, PERCENT = 1e3, 100.0
-"""Millimeters in a meter, percent in the whole."""
+MM, PERCENT = 1e3, 100.0  # millimeters in a meter, percent in the whole
 
 USED = 0.8
 """Of what the pads can hold, that is used: for the lift's acceleration, and for pads that do not lie on evenly."""
 
-RIM_DETAIL = 0.005
-"""m: finer teeth of the rim turn no heading."""
-
-ALONG, DEEPER = 0.015, 0.01
-"""m between places along the rim, and between depths from it, that are tried."""
+RIM_DETAIL = 0.005  # m: finer teeth of the rim turn no heading
+ALONG, DEEPER = 0.015, 0.01  # m between places along the rim, and between depths from it, that are tried
 
 
 @dataclass(frozen=True, eq=False)

@@ -61,8 +61,7 @@ from gridpush_drake.planning.support_surface import SupportSurface
 
 Action = Literal["poke", "slide", "grasp", "fail"]
 
-MM = 1e3
-"""Millimeters in a meter."""
+MM = 1e3  # millimeters in a meter
 
 
 ACCEPTED_SHARE = 2 / 3

@@ -32,11 +32,8 @@ from gridpush_drake.geometry.se2 import Array, make_rotation, transform, transfo
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.support_surface import SupportSurface
 
-TOUCH = 1e-6
-"""m, for round-off: rectangles may cross an edge by as much."""
-
-NEARLY_PARALLEL = np.radians(12)
-"""Between the two sides of a handle."""
+TOUCH = 1e-6  # m, for round-off: rectangles may cross an edge by as much
+NEARLY_PARALLEL = np.radians(12)  # between the two sides of a handle
 
 SAME = np.radians(0.2)
 """Between headings of which only that of the longer sides is tried: across the pads' length it is a tenth of a
@@ -221,23 +218,15 @@ def _find_gaps(begin: Array, end: Array) -> tuple[NDArray[np.int64], Array, Arra
     return row, end[row, k], begin[row, k + 1]
 
 
-HEADINGS = 72
-"""Tried over a full turn, beside those of narrow handles."""
-
-MIN_EDGE = 0.25
-"""Of the pads' length, that the sides of a narrow handle are long."""
-
-ARC_DETAIL = 4
-"""Pieces of a quarter turn, where what is within or about the outline is round."""
-
-MAX_SLANT = np.radians(75)
-"""Between a heading and the shortest way in to the table."""
+HEADINGS = 72  # tried over a full turn, beside those of narrow handles
+MIN_EDGE = 0.25  # of the pads' length, that the sides of a narrow handle are long
+ARC_DETAIL = 4  # pieces of a quarter turn, where what is within or about the outline is round
+MAX_SLANT = np.radians(75)  # between a heading and the shortest way in to the table
 
 SLANT_SPARE = np.radians(5)
 """For the directions between those in which the table is seen from corners of the overhang."""
 
-STEP = 0.005
-"""m, between grasp points tried."""
+STEP = 0.005  # m, between grasp points tried
 
 
 @dataclass(frozen=True)
@@ -464,11 +453,8 @@ def _check_vector(name: str, value: ArrayLike, size: int) -> Array:
     return vector
 
 
-APART = 0.01
-"""m between grasp points, from which on two grasps differ."""
-
-TURNED = np.radians(12)
-"""Likewise between headings."""
+APART = 0.01  # m between grasp points, from which on two grasps differ
+TURNED = np.radians(12)  # likewise between headings
 
 
 def choose_varied(

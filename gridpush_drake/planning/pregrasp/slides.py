@@ -40,8 +40,7 @@ from gridpush_drake.planning.support_surface import SupportSurface
 FREE_OVERHANG = 1.0
 """m that cells may hang over the edge as far as the push search is concerned; stability is the limit."""
 
-CHECK_EVERY = 0.003
-"""m of the pusher's motion between poses that are checked."""
+CHECK_EVERY = 0.003  # m of the pusher's motion between poses that are checked
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,8 +148,7 @@ def calc_kept_margin(
     return min(margin, float(whole), calc_stability_margin(masses, pose, surface, inset))
 
 
-THINNER = 1e-4
-"""m that a margin may become thinner where it is thin already, for round-off."""
+THINNER = 1e-4  # m that a margin may become thinner where it is thin already, for round-off
 
 
 def plan_slide(
@@ -239,8 +237,7 @@ def _try(
     return Slide(cut, goal, margin, spread)
 
 
-MM = 1e3
-"""Millimeters in a meter."""
+MM = 1e3  # millimeters in a meter
 
 
 @dataclass(frozen=True, eq=False)

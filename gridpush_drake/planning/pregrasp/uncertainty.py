@@ -35,23 +35,12 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
 
-PRIOR_AMPLITUDE = 1.0
-"""Standard deviation of log k before the first poke: a half to twice, or so."""
-
-MASS_DRAWS = 300
-"""From the posterior, for the set of plausible masses."""
-
-CONFIDENCE = 0.99
-"""Share of the draws whose every mass distribution the bound holds for, by direction."""
-
-DIRECTIONS = 72
-"""Half-planes that bound the center of mass; every 5°."""
-
-PRIOR_SIGMAS = 3.0
-"""Standard deviations about a center of mass known beforehand that the set is cut down to."""
-
-SLIDE_SAMPLES = 4
-"""Models besides the estimate that a slide's pushes are tried on."""
+PRIOR_AMPLITUDE = 1.0  # standard deviation of log k before the first poke: a half to twice, or so
+MASS_DRAWS = 300  # from the posterior, for the set of plausible masses
+CONFIDENCE = 0.99  # share of the draws whose every mass distribution the bound holds for, by direction
+DIRECTIONS = 72  # Half-planes that bound the center of mass; every 5°
+PRIOR_SIGMAS = 3.0  # standard deviations about a center of mass known beforehand that the set is cut down to
+SLIDE_SAMPLES = 4  # models besides the estimate that a slide's pushes are tried on
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,26 +25,13 @@ Array = NDArray[np.float64]
 
 EXTRA = "pip install 'gridpush-drake[bags]'"
 
-NS = 1e-9
-"""Seconds in a nanosecond."""
-
-MS = 1e3
-"""Milliseconds in a second."""
-
-FORCE_SIZE = 3
-"""Numbers of a force, and of a position."""
-
-MAX_SHOWN = 200
-"""Characters of another package's message."""
-
-MAX_GAP = 6
-"""Median periods of a topic, across which nothing is interpolated."""
-
-MIN_MESSAGES = 2
-"""Of a topic that can be interpolated."""
-
-MIN_DELAY, SURE = 0.005, 3.0
-"""s, and standard deviations, from which on an unstated delay is told."""
+NS = 1e-9  # seconds in a nanosecond
+MS = 1e3  # milliseconds in a second
+FORCE_SIZE = 3  # numbers of a force, and of a position
+MAX_SHOWN = 200  # characters of another package's message
+MAX_GAP = 6  # median periods of a topic, across which nothing is interpolated
+MIN_MESSAGES = 2  # of a topic that can be interpolated
+MIN_DELAY, SURE = 0.005, 3.0  # s, and standard deviations, from which on an unstated delay is told
 
 TF = "TFMessage"
 
