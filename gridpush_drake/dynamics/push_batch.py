@@ -31,42 +31,25 @@ IntArray = NDArray[np.int64]
 
 
 class BatchPush(NamedTuple):
-    """One push of a batch.
+    """One push of a batch."""
 
-    Attributes:
-        push: the pusher's motion.
-        pose: (3,) q of the object at the beginning, m and rad.
-        times: (T+1,) the steps' times, s from the push's beginning.
-        rows: (R,) the poses among the T+1 that are wanted.
-        table: (K, 2) corners in W of the table's top, m; None where it is endless.
-    """
-
-    push: Push
-    pose: Array
-    times: Array
-    rows: IntArray
-    table: Array | None
+    push: Push  # the pusher's motion
+    pose: Array  # (3,) q of the object at the beginning, m and rad
+    times: Array  # (T+1,) the steps' times, s from the push's beginning
+    rows: IntArray  # (R,) the poses among the T+1 that are wanted
+    table: Array | None  # (K, 2) corners in W of the table's top, m; None where it is endless
 
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Pushes that one call of the kernel takes: those near the same table's edge, or near none.
+    """Pushes that one call of the kernel takes: those near the same table's edge, or near none."""
 
-    Attributes:
-        chosen: (P,) which pushes of the batch.
-        table: (K, 4) the table's edges, m; None where it is far.
-        pushes: their arrays.
-        row_of_step: (S+P,) see `rollout_pushes`.
-        rows: (R,) the batch's rows that those of this group are.
-        steps: (R,) the step of each row.
-    """
-
-    chosen: IntArray
-    table: Array | None
-    pushes: Pushes
-    row_of_step: IntArray
-    rows: IntArray
-    steps: IntArray
+    chosen: IntArray  # (P,) which pushes of the batch
+    table: Array | None  # (K, 4) the table's edges, m; None where it is far
+    pushes: Pushes  # their arrays
+    row_of_step: IntArray  # (S+P,) see `rollout_pushes`
+    rows: IntArray  # (R,) the batch's rows that those of this group are
+    steps: IntArray  # (R,) the step of each row
 
 
 class PushBatch:

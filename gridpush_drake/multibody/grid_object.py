@@ -75,17 +75,11 @@ SpheresPerCell = Literal[1, 4]
 
 @dataclass(frozen=True, eq=False)
 class ContactSphereLayout:
-    """Where the spheres are.
+    """Where the spheres are."""
 
-    Attributes:
-        p_BS: (f, 2) where they touch the table, body frame, m.
-        cell: (f,) the cell that each belongs to.
-        spheres_per_cell: 1: at the cells' centers; 4: at their corners.
-    """
-
-    p_BS: NDArray[np.float64]
-    cell: NDArray[np.int64]
-    spheres_per_cell: SpheresPerCell
+    p_BS: NDArray[np.float64]  # (f, 2) where they touch the table, body frame, m
+    cell: NDArray[np.int64]  # (f,) the cell that each belongs to
+    spheres_per_cell: SpheresPerCell  # 1: at the cells' centers; 4: at their corners
 
     @classmethod
     def for_object(cls, obj: GridObject, spheres_per_cell: SpheresPerCell = 1) -> "ContactSphereLayout":
@@ -127,17 +121,11 @@ CLEARANCE = 5e-4  # m from the outline to the boxes that fill the inside; deeper
 
 @dataclass(frozen=True, eq=False)
 class PlanarBox:
-    """A rectangle in the body frame.
+    """A rectangle in the body frame."""
 
-    Attributes:
-        center: (2,) m.
-        angle: of its length from the x axis, rad.
-        size: (length, width), m.
-    """
-
-    center: Array
-    angle: float
-    size: tuple[float, float]
+    center: Array  # (2,) m
+    angle: float  # of its length from the x axis, rad
+    size: tuple[float, float]  # (length, width), m
 
 
 def make_edge_boxes(obj: GridObject) -> list[PlanarBox]:

@@ -26,19 +26,12 @@ MIN_SIZE, MAX_SIZE = 1e-6, 1e4
 
 
 class CellGrid(NamedTuple):
-    """The geometry of a grid object, body frame; see `GridObject`.
+    """The geometry of a grid object, body frame; see `GridObject`."""
 
-    Attributes:
-        p_BC: (n, 2) cell centers, m.
-        cell_size: side of a cell, m.
-        labels: (n,) the part each cell belongs to, >= 1.
-        outline: contour with holes, m.
-    """
-
-    p_BC: NDArray[np.float64]
-    cell_size: float
-    labels: NDArray[np.int64]
-    outline: Polygon
+    p_BC: NDArray[np.float64]  # (n, 2) cell centers, m
+    cell_size: float  # side of a cell, m
+    labels: NDArray[np.int64]  # (n,) the part each cell belongs to, >= 1
+    outline: Polygon  # contour with holes, m
 
 
 Share = Callable[[NDArray[np.float64], float], NDArray[np.float64]]
@@ -74,34 +67,21 @@ ROUNDING = 1e-9  # relative slack within which a size divides a side
 
 @dataclass(frozen=True)
 class Region:
-    """What a lattice is to be true to.
+    """What a lattice is to be true to."""
 
-    Attributes:
-        low: (2,) lower corner of the bounding box.
-        extent: (2,) its sides.
-        area: of the shape.
-        centroid: (2,) of the shape.
-        covariance: (2, 2) second central moments of its area over its area.
-    """
-
-    low: NDArray[np.float64]
-    extent: NDArray[np.float64]
-    area: float
-    centroid: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    low: NDArray[np.float64]  # (2,) lower corner of the bounding box
+    extent: NDArray[np.float64]  # (2,) its sides
+    area: float  # of the shape
+    centroid: NDArray[np.float64]  # (2,) of the shape
+    covariance: NDArray[np.float64]  # (2, 2) second central moments of its area over its area
 
 
 @dataclass(frozen=True)
 class Cells:
-    """Square cells.
+    """Square cells."""
 
-    Attributes:
-        corners: (n, 2) their lower corners.
-        size: their side.
-    """
-
-    corners: NDArray[np.float64]
-    size: float
+    corners: NDArray[np.float64]  # (n, 2) their lower corners
+    size: float  # their side
 
     @property
     def centers(self) -> NDArray[np.float64]:

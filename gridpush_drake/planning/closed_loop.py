@@ -72,15 +72,10 @@ class LoopOptions:
 
 @dataclass(frozen=True)
 class PoseFilter:
-    """What was seen since everything came to rest; never changed, only replaced.
+    """What was seen since everything came to rest; never changed, only replaced."""
 
-    Attributes:
-        poses: (x, y, theta) of B in W, m and rad, the last one last.
-        last_seen: when the object was, s.
-    """
-
-    poses: tuple[Pose, ...] = ()
-    last_seen: float = 0.0
+    poses: tuple[Pose, ...] = ()  # (x, y, theta) of B in W, m and rad, the last one last
+    last_seen: float = 0.0  # when the object was, s
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -276,12 +271,9 @@ class ClosedLoop(Generic[L]):
     """One decision after another on what to do with an object, by what is seen.
 
     It holds what never changes; whatever does is in the state, so that one loop may be stepped with many states.
-
-    Attributes:
-        options: how it observes, and when it gives up.
     """
 
-    options: LoopOptions
+    options: LoopOptions  # how it observes, and when it gives up
 
     def begin(self) -> L:
         """The state before the first observation."""

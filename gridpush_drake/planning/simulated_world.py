@@ -147,15 +147,10 @@ Learn = Callable[[GridObject, PushLog, Identification | None], Identification | 
 
 @dataclass(frozen=True)
 class Learner:
-    """Learns after every push, beginning where it ended the last time.
+    """Learns after every push, beginning where it ended the last time."""
 
-    Attributes:
-        memory: most pushes, the latest, that are learned from; the cost grows with them.
-        seed: of the identification.
-    """
-
-    memory: int = 8
-    seed: int = 0
+    memory: int = 8  # most pushes, the latest, that are learned from; the cost grows with them
+    seed: int = 0  # of the identification
 
     def select(self, log: PushLog) -> PushLog:
         """The pushes that are learned from."""
@@ -171,21 +166,13 @@ class Learner:
 
 @dataclass(frozen=True, eq=False)
 class LoopRun(Generic[L]):
-    """What came of stepping a loop to its end.
+    """What came of stepping a loop to its end."""
 
-    Attributes:
-        state: the last one.
-        log: the pushes that were made.
-        identification: what was learned from them; None where that is nothing.
-        planning_seconds: wall-clock time of the loop's steps.
-        learning_seconds: wall-clock time.
-    """
-
-    state: L
-    log: PushLog = field(default_factory=lambda: PushLog(()))
-    identification: Identification | None = None
-    planning_seconds: float = 0.0
-    learning_seconds: float = 0.0
+    state: L  # the last one
+    log: PushLog = field(default_factory=lambda: PushLog(()))  # the pushes that were made
+    identification: Identification | None = None  # what was learned from them; None where that is nothing
+    planning_seconds: float = 0.0  # wall-clock time of the loop's steps
+    learning_seconds: float = 0.0  # wall-clock time
 
 
 def run_loop(

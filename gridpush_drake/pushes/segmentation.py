@@ -33,19 +33,12 @@ Numbers = tuple[float, float, float]
 
 
 class Sample(NamedTuple):
-    """What was seen at one time, W.
+    """What was seen at one time, W."""
 
-    Attributes:
-        t: s.
-        pose: q = (x, y, theta) of the object, m and rad; not finite where it was not seen.
-        tip: p_WP of the tip's center, m.
-        velocity: v_WP, m/s.
-    """
-
-    t: float
-    pose: Numbers
-    tip: Numbers
-    velocity: Numbers
+    t: float  # s
+    pose: Numbers  # q = (x, y, theta) of the object, m and rad; not finite where it was not seen
+    tip: Numbers  # p_WP of the tip's center, m
+    velocity: Numbers  # v_WP, m/s
 
 
 @dataclass(frozen=True)
@@ -89,19 +82,12 @@ class Episode:
 
 @dataclass(frozen=True)
 class SegmenterState:
-    """What the segmenter remembers.
+    """What the segmenter remembers."""
 
-    Attributes:
-        rest: observations of the object since it last came to rest.
-        path: the present push while the tip is down; empty where there is none.
-        after: from its stop on, lifted or not; empty while it moves.
-        lifted: whether it has ended by lifting.
-    """
-
-    rest: tuple[Sample, ...] = ()
-    path: tuple[Sample, ...] = ()
-    after: tuple[Sample, ...] = ()
-    lifted: bool = False
+    rest: tuple[Sample, ...] = ()  # observations of the object since it last came to rest
+    path: tuple[Sample, ...] = ()  # the present push while the tip is down; empty where there is none
+    after: tuple[Sample, ...] = ()  # from its stop on, lifted or not; empty while it moves
+    lifted: bool = False  # whether it has ended by lifting
 
 
 def advance(state: SegmenterState, sample: Sample, options: SegmenterOptions) -> tuple[SegmenterState, Episode | None]:

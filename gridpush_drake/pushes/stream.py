@@ -47,19 +47,12 @@ VELOCITY_WINDOW = 0.1  # over which a velocity is found from places by a straigh
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """The pushes of a stream.
+    """The pushes of a stream."""
 
-    Attributes:
-        log: the pushes.
-        begins: when in the stream each began, s.
-        unusable: why motions that may have been pushes could not be written down.
-        unfinished: whether the stream ended within a push, which is left out.
-    """
-
-    log: PushLog
-    begins: tuple[float, ...] = ()
-    unusable: tuple[str, ...] = ()
-    unfinished: bool = False
+    log: PushLog  # the pushes
+    begins: tuple[float, ...] = ()  # when in the stream each began, s
+    unusable: tuple[str, ...] = ()  # why motions that may have been pushes could not be written down
+    unfinished: bool = False  # whether the stream ended within a push, which is left out
 
 
 def record_pushes(
@@ -145,17 +138,11 @@ MAD_TO_STD = 1.4826  # standard deviation by median absolute deviation, of norma
 
 @dataclass(frozen=True)
 class Delay:
-    """How late the object's poses are against the tip's places.
+    """How late the object's poses are against the tip's places."""
 
-    Attributes:
-        value: s, positive where the poses are late.
-        std: of it, s.
-        pushes: from which it was found.
-    """
-
-    value: float
-    std: float
-    pushes: int
+    value: float  # s, positive where the poses are late
+    std: float  # of it, s
+    pushes: int  # from which it was found
 
 
 def estimate_delay(

@@ -39,27 +39,16 @@ NEAR_ROUND_OFF = 1e3  # multiple of it below which refinement stops once it halv
 
 @dataclass(frozen=True, eq=False)
 class NormalizedLcp:
-    """The LCP without units (see the module's docstring).
+    """The LCP without units (see the module's docstring)."""
 
-    Attributes:
-        root_mass: (3n,) M^(1/2).
-        e: the momentum scale, (N s)/kg^(1/2).
-        rows: indices of the friction rows that are kept, (k,).
-        h: (3n,) momentum without friction, that of a rigid motion.
-        lam_0: multipliers of rigidity without friction.
-        C: (3(n-1) or more, 3n) rigidity.
-        norm: lengths of J_e M^(-1/2)'s rows.
-        G: (k, 3n) friction.
-    """
-
-    root_mass: NDArray[np.float64]
-    e: float
-    rows: NDArray[np.int64]
-    h: NDArray[np.float64]
-    lam_0: NDArray[np.float64]
-    C: csr_array
-    norm: NDArray[np.float64]
-    G: csr_array
+    root_mass: NDArray[np.float64]  # (3n,) M^(1/2)
+    e: float  # the momentum scale, (N s)/kg^(1/2)
+    rows: NDArray[np.int64]  # indices of the friction rows that are kept, (k,)
+    h: NDArray[np.float64]  # (3n,) momentum without friction, that of a rigid motion
+    lam_0: NDArray[np.float64]  # multipliers of rigidity without friction
+    C: csr_array  # (3(n-1) or more, 3n) rigidity
+    norm: NDArray[np.float64]  # lengths of J_e M^(-1/2)'s rows
+    G: csr_array  # (k, 3n) friction
 
 
 @dataclass(frozen=True)
@@ -68,26 +57,16 @@ class KktResiduals:
 
     Impulses are measured by P, the largest cell's m |v_t| + dt |F| + bound; velocities by V, the same of the
     whole body over its mass; moments and yaw rates by P s and V / s, s the cell size; products by P V.
-
-    Attributes:
-        momentum: |M (xdot - xdot_t) - dt F - J_e^T lam_e - J_f^T lam_f|.
-        rigidity: |J_e xdot|.
-        rho: max(0, -rho), rho = J_f xdot + gamma.
-        lam_f: max(0, -lam_f).
-        xi: max(0, -xi), xi = bound - lam_f.
-        gamma: max(0, -gamma).
-        rho_lam_f: |rho lam_f|.
-        xi_gamma: |xi gamma|.
     """
 
-    momentum: float
-    rigidity: float
-    rho: float
-    lam_f: float
-    xi: float
-    gamma: float
-    rho_lam_f: float
-    xi_gamma: float
+    momentum: float  # |M (xdot - xdot_t) - dt F - J_e^T lam_e - J_f^T lam_f|
+    rigidity: float  # |J_e xdot|
+    rho: float  # max(0, -rho), rho = J_f xdot + gamma
+    lam_f: float  # max(0, -lam_f)
+    xi: float  # max(0, -xi), xi = bound - lam_f
+    gamma: float  # max(0, -gamma)
+    rho_lam_f: float  # |rho lam_f|
+    xi_gamma: float  # |xi gamma|
 
     @property
     def worst(self) -> float:

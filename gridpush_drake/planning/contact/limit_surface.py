@@ -127,19 +127,12 @@ NEAR_PLACE, NEAR_ANGLE = 0.05, 0.3
 
 @dataclass(frozen=True, eq=False)
 class Screening:
-    """Ranked beginnings, best first.
+    """Ranked beginnings, best first."""
 
-    Attributes:
-        arc_length: (K,) m.
-        piece: (K,) of the reachable outline.
-        angle: (K,) rad.
-        rough_cost: (K,) what the limit surface expects, m.
-    """
-
-    arc_length: Array
-    piece: NDArray[np.int64]
-    angle: Array
-    rough_cost: Array
+    arc_length: Array  # (K,) m
+    piece: NDArray[np.int64]  # (K,) of the reachable outline
+    angle: Array  # (K,) rad
+    rough_cost: Array  # (K,) what the limit surface expects, m
 
 
 def screen(runner: TrialRunner) -> Screening:

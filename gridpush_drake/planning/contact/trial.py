@@ -143,29 +143,17 @@ class Trial:
 
 @dataclass(eq=False)
 class TrialRunner:
-    """Simulates pushes from one pose towards one goal, and counts them.
-
-    Attributes:
-        obj: the object.
-        params: its model.
-        pose: (3,) where it lies.
-        goal: (3,) where it should.
-        reach: where the disc can touch.
-        checker: the rules.
-        options: what pushes may be chosen from.
-        distance_range: least and greatest distance that are tried, m.
-        simulations: run so far.
-    """
+    """Simulates pushes from one pose towards one goal, and counts them."""
 
     obj: GridObject
     params: CellParameters
-    pose: Array
-    goal: Array
-    reach: ReachableOutline
+    pose: Array  # (3,) where it lies
+    goal: Array  # (3,) where it should
+    reach: ReachableOutline  # where the disc can touch
     checker: PushChecker
-    options: ContactOptions
-    distance_range: tuple[float, float]
-    simulations: int = 0
+    options: ContactOptions  # what pushes may be chosen from
+    distance_range: tuple[float, float]  # least and greatest distance that are tried, m
+    simulations: int = 0  # run so far
 
     def make_push(self, arc_length: float, angle: float, distance: float) -> Push:
         """The push with these parameters."""

@@ -173,21 +173,13 @@ class GoalRules:
 
 @dataclass(frozen=True, eq=False)
 class NextPush:
-    """A decision.
+    """A decision."""
 
-    Attributes:
-        push: the push; None where none gains enough.
-        cost: what is left to go after it, m (mean cell error, round obstacles).
-        final_cost: what is expected to be left at the end of the horizon, m.
-        horizon: 1 or 2, that of the search the push comes from.
-        simulations: that the decision took.
-    """
-
-    push: PlannedPush | None
-    cost: float
-    final_cost: float
-    horizon: int
-    simulations: int
+    push: PlannedPush | None  # the push; None where none gains enough
+    cost: float  # what is left to go after it, m (mean cell error, round obstacles)
+    final_cost: float  # what is expected to be left at the end of the horizon, m
+    horizon: int  # 1 or 2, that of the search the push comes from
+    simulations: int  # that the decision took
 
 
 def choose_push(

@@ -176,27 +176,16 @@ class ContactPointStatus:
 
 @dataclass(frozen=True, eq=False)
 class PushToGoalState(LoopState):
-    """All that the loop remembers; never changed, only replaced.
+    """All that the loop remembers; never changed, only replaced."""
 
-    Attributes:
-        status: a `ContactPointStatus`.
-        begun: whether a goal, or that there is none, was heeded.
-        goal: that is pushed to; None where there is none.
-        decided_at: (3,) where the object lay at the last decision.
-        planned: the push under way, or the last one, as planned.
-        cost_to_go: to the goal.
-        logged: pushes in the log when the last push was asked for.
-        simulations: of the planner, towards this goal.
-    """
-
-    status: ContactPointStatus = field(default_factory=ContactPointStatus)
-    begun: bool = False
-    goal: Pose | None = None
-    decided_at: Array | None = None
-    planned: PlannedPush | None = None
-    cost_to_go: CostToGo | None = None
-    logged: int = 0
-    simulations: int = 0
+    status: ContactPointStatus = field(default_factory=ContactPointStatus)  # a `ContactPointStatus`
+    begun: bool = False  # whether a goal, or that there is none, was heeded
+    goal: Pose | None = None  # that is pushed to; None where there is none
+    decided_at: Array | None = None  # (3,) where the object lay at the last decision
+    planned: PlannedPush | None = None  # the push under way, or the last one, as planned
+    cost_to_go: CostToGo | None = None  # to the goal
+    logged: int = 0  # pushes in the log when the last push was asked for
+    simulations: int = 0  # of the planner, towards this goal
 
     def turn_to(self, mode: str, reason: str, **others: Any) -> "PushToGoalState":
         """In another mode, with nothing seen yet, and neither a push under way nor a cause unless `others` says so."""
@@ -292,19 +281,12 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
 
 @dataclass(frozen=True, eq=False)
 class PushStep:
-    """One round: what was planned, what happened, and whether it was learned from.
+    """One round: what was planned, what happened, and whether it was learned from."""
 
-    Attributes:
-        planned: the push with its predicted end.
-        seen: what happened.
-        prediction_error: mean cell distance between predicted and seen end, m.
-        learned: whether the model was learned anew after it.
-    """
-
-    planned: PlannedPush
-    seen: ObservedPush
-    prediction_error: float
-    learned: bool
+    planned: PlannedPush  # the push with its predicted end
+    seen: ObservedPush  # what happened
+    prediction_error: float  # mean cell distance between predicted and seen end, m
+    learned: bool  # whether the model was learned anew after it
 
 
 @dataclass(frozen=True, eq=False)

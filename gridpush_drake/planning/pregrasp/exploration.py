@@ -67,21 +67,13 @@ class PokeOptions:
 
 @dataclass(frozen=True, eq=False)
 class PokeChoice:
-    """The poke to make next.
+    """The poke to make next."""
 
-    Attributes:
-        push: the poke.
-        index: among those offered.
-        std: of what matters, in the direction least known, now.
-        expected_std: the same after the poke.
-        expected_stds: (N,) the same for every poke offered; infinite where it would not touch the object.
-    """
-
-    push: Push
-    index: int
-    std: float
-    expected_std: float
-    expected_stds: Array
+    push: Push  # the poke
+    index: int  # among those offered
+    std: float  # of what matters, in the direction least known, now
+    expected_std: float  # the same after the poke
+    expected_stds: Array  # (N,) the same for every poke offered; infinite where it would not touch the object
 
 
 def make_pokes(

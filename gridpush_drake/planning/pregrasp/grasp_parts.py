@@ -167,18 +167,13 @@ ALONG, DEEPER = 0.015, 0.01  # m between places along the rim, and between depth
 class PadLimit:
     """What the pads of a gripper can hold of an object.
 
-    Attributes:
-        gripper: its measures.
-        force: with which both jaws press, N.
-        weight: of the object, at most, N.
-
     Raises:
         PlanningError: force or weight is not positive.
     """
 
-    gripper: SideGripper
-    force: float
-    weight: float
+    gripper: SideGripper  # its measures
+    force: float  # with which both jaws press, N
+    weight: float  # of the object, at most, N
 
     def __post_init__(self) -> None:
         for name in ("force", "weight"):
@@ -229,13 +224,9 @@ class PadLimit:
 
 @dataclass(frozen=True, eq=False)
 class FlatPart(GraspPart):
-    """A place at the rim; its `closing` is across the fingers, its `width` that of the jaws.
+    """A place at the rim; its `closing` is across the fingers, its `width` that of the jaws."""
 
-    Attributes:
-        heading: in which the fingers point, body frame, rad.
-    """
-
-    heading: float
+    heading: float  # in which the fingers point, body frame, rad
 
 
 def find_held_parts(parts: Sequence[FlatPart], pads: PadLimit, centers: Array) -> list[FlatPart]:

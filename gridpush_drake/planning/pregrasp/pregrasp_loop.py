@@ -118,19 +118,12 @@ NO_PUSH = (PreGraspMode.STOPPING, PreGraspMode.VERIFYING, PreGraspMode.GRASPING,
 
 @dataclass(frozen=True, eq=False)
 class PreGraspState(LoopState):
-    """All that the loop remembers; never changed, only replaced.
+    """All that the loop remembers; never changed, only replaced."""
 
-    Attributes:
-        status: a `PreGraspStatus`.
-        monitor: of the push under way, or the last one.
-        grasp: the last one asked for; None before the first.
-        grasp_id: of that grasp, counted from 1.
-    """
-
-    status: PreGraspStatus = field(default_factory=PreGraspStatus)
-    monitor: TippingMonitor | None = None
-    grasp: SideGrasp | None = None
-    grasp_id: int = 0
+    status: PreGraspStatus = field(default_factory=PreGraspStatus)  # a `PreGraspStatus`
+    monitor: TippingMonitor | None = None  # of the push under way, or the last one
+    grasp: SideGrasp | None = None  # the last one asked for; None before the first
+    grasp_id: int = 0  # of that grasp, counted from 1
 
     @property
     def shown_push(self) -> Push | None:

@@ -45,19 +45,12 @@ ALONG = 4
 
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """Edges that a rectangle must not cross.
+    """Edges that a rectangle must not cross."""
 
-    Attributes:
-        edges: (e, 2, 2) their ends, m.
-        back: of the rectangle along the heading, from the grasp point, m.
-        front: likewise.
-        width: of the rectangle, m.
-    """
-
-    edges: Array
-    back: float
-    front: float
-    width: float
+    edges: Array  # (e, 2, 2) their ends, m
+    back: float  # of the rectangle along the heading, from the grasp point, m
+    front: float  # likewise
+    width: float  # of the rectangle, m
 
 
 def get_edges(shape: BaseGeometry) -> Array:
@@ -70,15 +63,10 @@ def get_edges(shape: BaseGeometry) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Handle:
-    """A narrow stretch of an object.
+    """A narrow stretch of an object."""
 
-    Attributes:
-        heading: along it, rad.
-        corners: (k, 2) ends of its sides, m.
-    """
-
-    heading: float
-    corners: Array
+    heading: float  # along it, rad
+    corners: Array  # (k, 2) ends of its sides, m
 
 
 def find_handles(edges: Array, shortest: float, widest: float) -> list[Handle]:

@@ -45,17 +45,11 @@ CHECK_EVERY = 0.003  # m of the pusher's motion between poses that are checked
 
 @dataclass(frozen=True, eq=False)
 class EdgeMotion:
-    """What became of an object pushed near the edge.
+    """What became of an object pushed near the edge."""
 
-    Attributes:
-        poses: (K, 3) along the push, the first before it, m and rad.
-        traveled: (K,) m of the pusher's path at each.
-        fell: whether the object fell off the table; the poses end where it did.
-    """
-
-    poses: Array
-    traveled: Array
-    fell: bool
+    poses: Array  # (K, 3) along the push, the first before it, m and rad
+    traveled: Array  # (K,) m of the pusher's path at each
+    fell: bool  # whether the object fell off the table; the poses end where it did
 
     @property
     def final_pose(self) -> Array:
@@ -107,19 +101,12 @@ class SlideOptions:
 
 @dataclass(frozen=True, eq=False)
 class Slide:
-    """A push towards a goal.
+    """A push towards a goal."""
 
-    Attributes:
-        planned: the push, and where it is expected to end.
-        goal: that it goes to.
-        margin: least stability margin of any draw on the way, m.
-        spread: root mean square distance of the draws' ends from their mean, of the cells, m.
-    """
-
-    planned: PlannedPush
-    goal: PreGraspGoal
-    margin: float
-    spread: float
+    planned: PlannedPush  # the push, and where it is expected to end
+    goal: PreGraspGoal  # that it goes to
+    margin: float  # least stability margin of any draw on the way, m
+    spread: float  # root mean square distance of the draws' ends from their mean, of the cells, m
 
 
 def make_stability_rule(

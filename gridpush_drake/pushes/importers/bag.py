@@ -47,19 +47,12 @@ WRENCH = "WrenchStamped"
 
 
 class Track(NamedTuple):
-    """What a topic tells.
+    """What a topic tells."""
 
-    Attributes:
-        what: the topic, and the frame in it.
-        frame: in which it is told; empty where the messages do not say.
-        t: (K,) s from the bag's beginning, increasing.
-        values: (K, 7) p and quaternion (x, y, z, w), m; or (K, 3) a force, N.
-    """
-
-    what: str
-    frame: str
-    t: Array
-    values: Array
+    what: str  # the topic, and the frame in it
+    frame: str  # in which it is told; empty where the messages do not say
+    t: Array  # (K,) s from the bag's beginning, increasing
+    values: Array  # (K, 7) p and quaternion (x, y, z, w), m; or (K, 3) a force, N
 
 
 @dataclass(frozen=True)

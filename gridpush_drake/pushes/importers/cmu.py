@@ -39,19 +39,12 @@ MAX_DIGITS = 9  # of a count
 
 
 class CmuPush(NamedTuple):
-    """One push as logged.
+    """One push as logged."""
 
-    Attributes:
-        before: (7,) the object's pose before, mm and quaternion w x y z, robot base frame.
-        after: (7,) the same after.
-        force: (F, 3) rows t fx fy, s and N, sensor frame.
-        tool: (T, 8) rows t x y z qw qx qy qz, s, mm and quaternion, robot base frame.
-    """
-
-    before: NDArray[np.float64]
-    after: NDArray[np.float64]
-    force: NDArray[np.float64]
-    tool: NDArray[np.float64]
+    before: NDArray[np.float64]  # (7,) the object's pose before, mm and quaternion w x y z, robot base frame
+    after: NDArray[np.float64]  # (7,) the same after
+    force: NDArray[np.float64]  # (F, 3) rows t fx fy, s and N, sensor frame
+    tool: NDArray[np.float64]  # (T, 8) rows t x y z qw qx qy qz, s, mm and quaternion, robot base frame
 
 
 def read_cmu(path: Path) -> list[CmuPush]:
