@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridpush_drake.errors import PushError
-from gridpush_drake.geometry.se2 import make_rotation, rotate
+from gridpush_drake.errors import PushError, require_positive
+from gridpush_drake.geometry.se2 import check_vector, make_rotation, rotate
 from gridpush_drake.objects.grid_object import GridObject
 
 
@@ -52,11 +52,11 @@ class Push:
         start_tangent: ArrayLike | None = None,
     ) -> None:
         """Copies and checks what is given; without samples `t` and `xy`, those of the straight motion are made."""
-        begin, v = _vector("start", start), _vector("velocity", velocity)
-        _require_positive("radius", radius)
-        _require_positive("duration", duration)
+        begin = check_vector(PushError, "push: start", start, 2)
+        v = check_vector(PushError, "push: velocity", velocity, 2)
+        require_positive(PushError, "push: ", radius=radius, duration=duration)
         with np.errstate(over="ignore"):
-            end = _vector("end, start + velocity * duration,", begin + v * duration)
+            end = check_vector(PushError, "push: end, start + velocity * duration,", begin + v * duration, 2)
         values = {
             "start": begin,
             "velocity": v,
@@ -64,7 +64,9 @@ class Push:
             "radius": float(radius),
             "t": np.array([0.0, duration]) if t is None else np.array(t, dtype=np.float64),
             "xy": np.array([begin, end]) if xy is None else np.array(xy, dtype=np.float64),
-            "start_tangent": None if start_tangent is None else _vector("start_tangent", start_tangent),
+            "start_tangent": None
+            if start_tangent is None
+            else check_vector(PushError, "push: start_tangent", start_tangent, 2),
         }
         for name, value in values.items():
             if isinstance(value, np.ndarray):
@@ -124,20 +126,17 @@ class Push:
         Raises:
             PushError: not one of duration and speed is given, or a value is out of range.
         """
-        q = np.array(pose, dtype=np.float64)
-        if q.shape != (3,) or not np.isfinite(q).all():
-            raise PushError(f"push: pose is {pose!r}; expected three finite numbers")
+        q = check_vector(PushError, "push: pose", pose, 3)
         if (duration is None) == (speed is None):
             raise PushError("push: expected either duration or speed")
-        _require_positive("distance", distance)
-        _require_positive("radius", radius)
+        require_positive(PushError, "push: ", distance=distance, radius=radius)
         if not (np.isfinite([arc_length, angle]).all() and 0 <= clearance < np.inf):
             raise PushError("push: arc_length and angle must be finite, and clearance >= 0")
         if duration is None:
             assert speed is not None
-            _require_positive("speed", speed)
+            require_positive(PushError, "push: ", speed=speed)
             duration = distance / speed
-        _require_positive("duration", duration)
+        require_positive(PushError, "push: ", duration=duration)
         point, tangent, normal = obj.edges.at(arc_length)
         R = make_rotation(q[2])
         start = q[:2] + R @ (point + (radius + clearance) * normal)
@@ -187,8 +186,7 @@ class ForcePush:
             raise PushError("force push: point, force and t must be finite numbers")
         if t[0] != 0 or (np.diff(t) <= 0).any():
             raise PushError("force push: t must begin at 0 and strictly increase")
-        if not (np.isfinite(self.duration) and self.duration > 0):
-            raise PushError(f"force push: duration is {self.duration!r}; expected a positive number (s)")
+        require_positive(PushError, "force push: ", "s", duration=self.duration)
         for name, value in (("point", point), ("force", force), ("t", t)):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
@@ -197,15 +195,3 @@ class ForcePush:
         """(T, 2) the force in each of the T steps between `times` (T+1,), N, world frame; that of the step's start."""
         index = np.searchsorted(self.t, times[:-1], side="right") - 1
         return self.force[np.maximum(index, 0)]
-
-
-def _vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
-    vector = np.array(value, dtype=np.float64)
-    if vector.shape != (2,) or not np.isfinite(vector).all():
-        raise PushError(f"push: {name} is {value!r}; expected two finite numbers")
-    return vector
-
-
-def _require_positive(name: str, value: float) -> None:
-    if not (np.isfinite(value) and value > 0):
-        raise PushError(f"push: {name} is {value!r}; expected a positive number")

@@ -19,6 +19,7 @@ from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.dynamics.reference.paper_rollout import calc_paper_jacobian
 from gridpush_drake.dynamics.time_grid import check_times, make_times
 from gridpush_drake.errors import SimulationError
+from gridpush_drake.geometry.se2 import check_vector
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -90,7 +91,7 @@ def simulate(
     check_number("gravity", gravity, 0.0)
     check_number("stiction_tolerance", stiction_tolerance, MIN_STICTION)
     inertial = regime == "inertial"
-    q, nu = check_vector("pose", pose), check_vector("velocity", velocity)
+    q, nu = (check_vector(SimulationError, name, value, 3) for name, value in (("pose", pose), ("velocity", velocity)))
     if not inertial and nu.any():
         raise SimulationError("velocity: the quasi-static regime has none; expected (0, 0, 0)")
     if not inertial and params.friction @ params.mass * gravity <= 0:
@@ -141,7 +142,7 @@ def calc_loads(
         SimulationError: an argument is out of range.
     """
     edges = None if table is None else _get_edges(table)
-    return find_rest_loads(obj, params, gravity, check_vector("pose", pose), edges)
+    return find_rest_loads(obj, params, gravity, check_vector(SimulationError, "pose", pose, 3), edges)
 
 
 def simulate_batch(
@@ -261,17 +262,6 @@ def check_regime(regime: str, push: Push | ForcePush, friction: str, spin: str, 
     if (gradients if gradients != "mass" else True) not in law.gradients:
         words = ", ".join(map(repr, law.gradients))
         raise SimulationError(f"gradients is {gradients!r}; with friction={friction!r} expected one of {words}")
-
-
-def check_vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
-    """Copies three finite numbers. Raises SimulationError where they are not."""
-    try:
-        vector = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        vector = np.empty(0)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise SimulationError(f"{name} is {value!r}; expected three finite numbers")
-    return vector
 
 
 def check_number(name: str, value: float, least: float) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.dynamics.push import ForcePush, Push
-from gridpush_drake.errors import SimulationError
+from gridpush_drake.errors import SimulationError, require_positive
 
 Array = NDArray[np.float64]
 
@@ -25,9 +25,8 @@ def make_times(push: Push | ForcePush, dt: float | None, regime: str = "inertial
     Raises:
         SimulationError: dt is not positive, or so short that there are more than MAX_STEPS.
     """
-    if dt is not None and not (np.isfinite(dt) and dt > 0):
-        raise SimulationError(f"dt is {dt!r}; expected a positive number (s)")
     if dt is not None:
+        require_positive(SimulationError, unit="s", dt=dt)
         steps = _count_steps(push.duration / dt)
         return np.append(np.arange(steps) * dt, push.duration)
     if isinstance(push, ForcePush):

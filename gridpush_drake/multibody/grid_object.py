@@ -61,7 +61,7 @@ from pydrake.multibody.tree import (
 )
 from shapely import Polygon, box, prepare
 
-from gridpush_drake.errors import ObjectError, ParameterError
+from gridpush_drake.errors import ObjectError, ParameterError, require_positive
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.contact_material import MakeContactProperties, calc_own_friction
 from gridpush_drake.multibody.meshcat_shapes import make_outline_mesh
@@ -271,9 +271,7 @@ def AddGridObject(
     if base not in DEFAULT_DELTA:
         raise ObjectError(f"base is {base!r}; expected 'planar' or 'free'")
     delta = DEFAULT_DELTA[base] if delta is None else delta
-    for what, value in (("height", height), ("delta", delta), ("side_stiffness", side_stiffness)):
-        if not 0 < value < np.inf:
-            raise ObjectError(f"{what} is {value!r}; expected a positive number")
+    require_positive(ObjectError, height=height, delta=delta, side_stiffness=side_stiffness)
     table = list(table)
     if not table:
         raise ObjectError("table is empty; expected the collision geometries that the spheres stand on")

@@ -16,6 +16,7 @@ from pydrake.systems.framework import Context
 from scipy.spatial import cKDTree
 
 from gridpush_drake.errors import ObjectError
+from gridpush_drake.geometry.se2 import check_vector
 from gridpush_drake.multibody.grid_object import GridObjectInPlant, MakeSideProperties, MakeSpatialInertia, calc_gravity
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
@@ -150,9 +151,7 @@ def SetGridObjectPose(
     plant: MultibodyPlant, plant_context: Context, handle: GridObjectInPlant, pose: ArrayLike
 ) -> None:
     """Puts an object down on the table, at rest, at q (3,) of B in W. Raises ObjectError: q is not three numbers."""
-    q = np.array(pose, dtype=np.float64)
-    if q.shape != (3,) or not np.isfinite(q).all():
-        raise ObjectError(f"pose is {pose!r}; expected three finite numbers: x, y (m), theta (rad)")
+    q = check_vector(ObjectError, "pose", pose, 3, "x, y, m, theta, rad")
     if handle.joint is not None:
         handle.joint.set_pose(plant_context, q[:2], q[2])
     else:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from shapely import Polygon
 
-from gridpush_drake.errors import ObjectError
+from gridpush_drake.errors import ObjectError, require_positive
 from gridpush_drake.files import write_whole
 from gridpush_drake.geometry.polygons import OutlineEdges
 from gridpush_drake.geometry.se2 import transform
@@ -71,8 +71,7 @@ class GridObject:
             raise ObjectError(f"{self.name}: p_BC must be finite")
         if labels.min() < 1:
             raise ObjectError(f"{self.name}: a label is {labels.min()}; expected whole numbers, 1 or more")
-        if not (np.isfinite(self.cell_size) and self.cell_size > 0):
-            raise ObjectError(f"{self.name}: cell_size is {self.cell_size!r}; expected a positive number (m)")
+        require_positive(ObjectError, f"{self.name}: ", "m", cell_size=self.cell_size)
         if not isinstance(self.outline, Polygon) or self.outline.is_empty or not self.outline.is_valid:
             raise ObjectError(f"{self.name}: the outline must be a simple polygon that does not cross itself")
         self._check_size(p_BC)

@@ -14,7 +14,7 @@ from PIL.PngImagePlugin import PngImageFile
 from scipy.ndimage import find_objects, label, map_coordinates
 from shapely.geometry.polygon import orient
 
-from gridpush_drake.errors import ObjectError
+from gridpush_drake.errors import ObjectError, require_positive
 from gridpush_drake.files import MEGABYTE, open_file, read_bytes
 from gridpush_drake.geometry.contour import calc_contour
 from gridpush_drake.objects.cells import CellGrid, Cells, Region, Share, check_max_cells, choose_cells
@@ -150,8 +150,7 @@ def coarsen_mask(
     A cell belongs to the object when at least half its area does, and to the part that covers most of it.
     """
     check_max_cells(name, max_cells)
-    if not (np.isfinite(meters_per_pixel) and meters_per_pixel > 0):
-        raise ObjectError(f"{path}: meters_per_pixel is {meters_per_pixel!r}; expected a positive number (m)")
+    require_positive(ObjectError, f"{path}: ", "m", meters_per_pixel=meters_per_pixel)
     labels = _keep_one_piece(path, read_labels(path), largest_piece)
     values = _find_values(path, labels)
     block = int(np.ceil(np.sqrt(labels.size / WORKING_PIXELS)))

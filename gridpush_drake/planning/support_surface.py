@@ -22,12 +22,10 @@ from scipy.optimize import linprog
 from shapely import Polygon
 from shapely.geometry.polygon import orient
 
-from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import make_direction, rotate
+from gridpush_drake.errors import PlanningError, require_positive
+from gridpush_drake.geometry.se2 import Array, check_vector, make_direction, rotate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush
-
-Array = NDArray[np.float64]
 
 ROUND_SIDES = 120
 """Sides of the polygon that stands for a round table; the edge is then off by R (1 - cos(pi/120)) = R/2900."""
@@ -66,7 +64,8 @@ class SupportSurface:
         Raises:
             PlanningError: a number is not finite, or a side is not positive.
         """
-        (x, y), (width, height) = _vector("center", center), _vector("size", size)
+        x, y = check_vector(PlanningError, "table: center", center, 2, "m")
+        width, height = check_vector(PlanningError, "table: size", size, 2, "m")
         if width <= 0 or height <= 0:
             raise PlanningError(f"table: size is ({width:g}, {height:g}); expected positive sides (m)")
         return cls(shapely.box(x - width / 2, y - height / 2, x + width / 2, y + height / 2))
@@ -78,9 +77,8 @@ class SupportSurface:
         Raises:
             PlanningError: a number is not finite, or the radius is not positive.
         """
-        p = _vector("center", center)
-        if not (np.isfinite(radius) and radius > 0):
-            raise PlanningError(f"table: radius is {radius!r}; expected a positive number (m)")
+        p = check_vector(PlanningError, "table: center", center, 2, "m")
+        require_positive(PlanningError, "table: ", "m", radius=radius)
         angle = 2 * np.pi * np.arange(ROUND_SIDES) / ROUND_SIDES
         return cls(Polygon(p + radius * make_direction(angle)))
 
@@ -200,13 +198,6 @@ def _have_common_point(normals: Array, offsets: Array) -> bool:
     A = np.column_stack([normals, np.ones(len(normals))])
     best = linprog([0.0, 0.0, -1.0], A_ub=A, b_ub=offsets, bounds=[(None, None), (None, None), (None, None)])
     return bool(best.status == 0 and -best.fun >= 0)
-
-
-def _vector(name: str, value: ArrayLike) -> Array:
-    vector = np.array(value, dtype=np.float64)
-    if vector.shape != (2,) or not np.isfinite(vector).all():
-        raise PlanningError(f"table: {name} is {value!r}; expected two finite numbers (m)")
-    return vector
 
 
 ROUND_OFF = 1e-9  # m

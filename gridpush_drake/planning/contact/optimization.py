@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.limit_surface import screen
@@ -102,7 +102,7 @@ def optimize_contact(
     if method not in METHODS:
         raise PlanningError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
     options = options or ContactOptions()
-    q, aim = check_pose("pose", pose), check_pose("goal", goal)
+    q, aim = check_vector(PlanningError, "pose", pose, 3), check_vector(PlanningError, "goal", goal, 3)
     runner = make_runner(obj, params, q, aim, constraints, options)
     trials = METHODS[method](runner)[:MAX_CANDIDATES]
     found = tuple(runner.finish(trial, runner.simulations) for trial in trials)
@@ -126,14 +126,6 @@ def make_runner(
     high = max(low, min(high, REACH_FACTOR * longest + options.clearance + low))
     checker = (constraints or PushConstraints()).start_at(obj, pose, options.radius)
     return TrialRunner(obj, params, pose, goal, reach, checker, options, (low, high))
-
-
-def check_pose(name: str, pose: ArrayLike) -> Array:
-    """Copies a pose (3,). Raises PlanningError where it is not three finite numbers."""
-    q = np.array(pose, dtype=np.float64)
-    if q.shape != (3,) or not np.isfinite(q).all():
-        raise PlanningError(f"{name} is {pose!r}; expected three finite numbers (x, y, theta)")
-    return q
 
 
 Search = Callable[[TrialRunner], list[Trial]]

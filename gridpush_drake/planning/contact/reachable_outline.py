@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
-from gridpush_drake.errors import PlanningError
+from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 
@@ -99,8 +99,7 @@ def find_reachable_outline(obj: GridObject, radius: float, clearance: float = 0.
     Raises:
         PlanningError: the radius is not positive, the clearance negative, or there is no reachable place.
     """
-    if not (np.isfinite(radius) and radius > 0):
-        raise PlanningError(f"radius is {radius!r}; expected a positive number (m)")
+    require_positive(PlanningError, unit="m", radius=radius)
     if not (np.isfinite(clearance) and clearance >= 0):
         raise PlanningError(f"clearance is {clearance!r}; expected a number >= 0 (m)")
     edges, reach = obj.edges, radius + clearance

@@ -21,7 +21,7 @@ from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
-from gridpush_drake.errors import PlanningError
+from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -105,8 +105,7 @@ class ContactOptions:
         low, high = self.angle_range
         if not -np.pi / 2 < low <= high < np.pi / 2:
             raise PlanningError(f"angle_range is {(low, high)!r}; expected -pi/2 < least <= greatest < pi/2 (rad)")
-        if not (np.isfinite(self.speed) and self.speed > 0):
-            raise PlanningError(f"speed is {self.speed!r}; expected a positive number (m/s)")
+        require_positive(PlanningError, unit="m/s", speed=self.speed)
         for name in ("starts", "budget", "places", "angles"):
             if getattr(self, name) < 1:
                 raise PlanningError(f"{name} is {getattr(self, name)!r}; expected at least 1")

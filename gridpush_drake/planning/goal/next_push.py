@@ -23,7 +23,7 @@ import numpy as np
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.dynamics.time_grid import make_path_times
-from gridpush_drake.errors import PlanningError
+from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, make_direction, rotate, transform, wrap_angle
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
@@ -163,8 +163,7 @@ class GoalRules:
     max_pushes: int = DEFAULT_MAX_PUSHES
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.tolerance) and self.tolerance > 0):
-            raise PlanningError(f"tolerance is {self.tolerance!r}; expected a positive number (m)")
+        require_positive(PlanningError, unit="m", tolerance=self.tolerance)
         if self.max_pushes < 0:
             raise PlanningError(f"max_pushes is {self.max_pushes!r}; expected 0 or more")
         if self.horizon not in (1, 2):

@@ -13,11 +13,11 @@ import yaml
 from numpy.typing import ArrayLike
 from shapely import Point
 
+from gridpush_drake.errors import PlanningError
 from gridpush_drake.files import write_whole
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.contact.optimization import check_pose
 from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.goal.next_push import GoalRules, choose_push
@@ -98,7 +98,7 @@ def plan_pushes(
         PlanningError: an argument is out of range.
     """
     begin = perf_counter()
-    q, aim = check_pose("pose", pose), check_pose("goal", goal)
+    q, aim = check_vector(PlanningError, "pose", pose, 3), check_vector(PlanningError, "goal", goal, 3)
     pushes: list[PlannedPush] = []
     simulations, start = 0, q
     status = check_ends(obj, q, aim, rules.constraints, rules.contact.radius)

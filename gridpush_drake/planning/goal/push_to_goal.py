@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import GridPushError
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.errors import GridPushError, PlanningError
+from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -33,7 +33,6 @@ from gridpush_drake.planning.closed_loop import (
     Observation,
     Pose,
 )
-from gridpush_drake.planning.contact.optimization import check_pose
 from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.goal.next_push import GoalRules, NextPush, Robustness, choose_push, draw_model_samples
@@ -350,7 +349,7 @@ def push_to_goal(
     Raises:
         PlanningError: an argument is out of range.
     """
-    aim, steps = check_pose("goal", goal), list[PushStep]()
+    aim, steps = check_vector(PlanningError, "goal", goal, 3), list[PushStep]()
     loop = PushToGoalLoop(obj, rules, params, options)
 
     def learn(obj: GridObject, log: PushLog, before: Identification | None) -> Identification | None:

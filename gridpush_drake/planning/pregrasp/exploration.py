@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.errors import PlanningError
+from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, transform_back
 from gridpush_drake.identification.noise import NoiseModel
 from gridpush_drake.identification.posterior import calc_center_jacobian
@@ -58,9 +58,7 @@ class PokeOptions:
     min_separation: float = 0.04
 
     def __post_init__(self) -> None:
-        for name in ("radius", "speed", "distance"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise PlanningError(f"poke: {name} is {getattr(self, name)!r}; expected a positive number")
+        require_positive(PlanningError, "poke: ", radius=self.radius, speed=self.speed, distance=self.distance)
         if self.places < 1 or not self.angles:
             raise PlanningError("poke: expected at least one place and one angle")
 

@@ -33,7 +33,7 @@ import shapely
 from shapely import Polygon, affinity
 
 from gridpush_drake.dynamics.simulation import GRAVITY
-from gridpush_drake.errors import PlanningError
+from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, make_direction, make_rotation, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS
@@ -69,9 +69,8 @@ class Gripper:
     hold: float = 0.35
 
     def __post_init__(self) -> None:
-        for name in ("opening", "depth", "thickness"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise PlanningError(f"gripper: {name} is {getattr(self, name)!r}; expected a positive number (m)")
+        lengths = {"opening": self.opening, "depth": self.depth, "thickness": self.thickness}
+        require_positive(PlanningError, "gripper: ", "m", **lengths)
         if not 0 <= 2 * self.clearance < self.opening:
             raise PlanningError(f"gripper: clearance is {self.clearance!r}; expected 0 to half the opening (m)")
         if not (0 <= self.hold <= 1 and self.pad >= 0):
@@ -176,9 +175,7 @@ class PadLimit:
     weight: float  # of the object, at most, N
 
     def __post_init__(self) -> None:
-        for name in ("force", "weight"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise PlanningError(f"pads: {name} is {getattr(self, name)!r}; expected a positive number (N)")
+        require_positive(PlanningError, "pads: ", "N", force=self.force, weight=self.weight)
 
     @classmethod
     def of_object(cls, obj: GridObject, gripper: SideGripper, force: float) -> "PadLimit":

@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import Array, make_rotation, transform, transform_shape, wrap_angle
+from gridpush_drake.geometry.se2 import Array, check_vector, make_rotation, transform, transform_shape, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.support_surface import SupportSurface
 
@@ -311,8 +311,8 @@ def find_side_grasps(
         PlanningError: a number is not finite or not positive, or the object is too thick for the gripper.
     """
     gripper = gripper or SideGripper()
-    q = _check_vector("pose", pose, 3)
-    target = obj.p_BC.mean(axis=0) if aim is None else _check_vector("aim", aim, 2)
+    q = check_vector(PlanningError, "pose", pose, 3)
+    target = obj.p_BC.mean(axis=0) if aim is None else check_vector(PlanningError, "aim", aim, 2)
     if not (np.isfinite(height) and height > 0 and np.isfinite(step) and step > 0 and headings >= 1):
         raise PlanningError(
             f"height is {height!r}, step {step!r} and headings {headings!r}; expected positive lengths (m) and a number"
@@ -432,13 +432,6 @@ def _make_rectangles(points: Array, angles: Array, back: float, front: float, wi
     """Rectangles from `back` to `front` along the headings, seen from the points, m."""
     corners = np.array([(back, -width / 2), (front, -width / 2), (front, width / 2), (back, width / 2)])
     return shapely.polygons(transform(np.column_stack([points, angles]), corners))
-
-
-def _check_vector(name: str, value: ArrayLike, size: int) -> Array:
-    vector = np.array(value, dtype=np.float64)
-    if vector.shape != (size,) or not np.isfinite(vector).all():
-        raise PlanningError(f"{name} is {value!r}; expected {size} finite numbers")
-    return vector
 
 
 APART = 0.01  # m between grasp points, from which on two grasps differ
