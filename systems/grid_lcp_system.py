@@ -29,6 +29,7 @@ from gridpush_drake.dynamics.kernels.inputs import Load, Steps
 from gridpush_drake.dynamics.kernels.step import CONVERGED
 from gridpush_drake.dynamics.kernels.step_memory import MEMORY_SIZE, make_memory
 from gridpush_drake.dynamics.motion import Jacobian, RawJacobian
+from gridpush_drake.dynamics.push import DEFAULT_DT
 from gridpush_drake.dynamics.simulation import (
     GRAVITY,
     RELATIVE_STICTION,
@@ -36,7 +37,6 @@ from gridpush_drake.dynamics.simulation import (
     Regime,
     check_number,
 )
-from gridpush_drake.dynamics.time_grid import DEFAULT_DT
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly

@@ -15,9 +15,8 @@ from gridpush_drake.dynamics.kernels.inputs import Load, Steps
 from gridpush_drake.dynamics.kernels.step import CONVERGED
 from gridpush_drake.dynamics.kernels.support_loads import measure_depth
 from gridpush_drake.dynamics.motion import Jacobian, Motion, MotionStatus, RawJacobian
-from gridpush_drake.dynamics.push import ForcePush, Push
+from gridpush_drake.dynamics.push import ForcePush, Push, check_times, make_times
 from gridpush_drake.dynamics.reference.paper_rollout import calc_paper_jacobian
-from gridpush_drake.dynamics.time_grid import check_times, make_times
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import check_vector
 from gridpush_drake.objects.grid_object import GridObject

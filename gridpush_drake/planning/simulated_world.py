@@ -13,9 +13,8 @@ import shapely
 from numpy.typing import ArrayLike
 from shapely import MultiPoint, Point
 
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import Regime, simulate
-from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.identification.learning import identify

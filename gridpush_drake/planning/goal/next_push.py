@@ -20,9 +20,8 @@ from itertools import islice
 
 import numpy as np
 
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, make_direction, rotate, transform, wrap_angle
 from gridpush_drake.identification.result import Identification

@@ -61,17 +61,6 @@ class BagImporter:
 
     A topic is named as in the bag; of a tf topic also the child frame, after a colon: /tf:object. Times are those in
     the messages' headers.
-
-    Attributes:
-        obj: the object; its file says the pusher's radius.
-        object_topic: of the object's body frame.
-        tip_topic: of the tip's center.
-        force_topic: of the force on the object, in the frame of the poses.
-        object_delay, tip_delay: by which what a header says is later than what was seen, s.
-        rate: of the common clock, Hz.
-        table_height: z of the table's top in the bag's frame, m.
-        engaged_below: height of the tip's center above the table below which it can touch the object, m.
-        negate_force: whether the sensor tells the force on the pusher.
     """
 
     file: ClassVar[str] = "BAG"

@@ -166,13 +166,8 @@ def triangle_block(uniform_plate: bool = False) -> GridObject:
 class CmuImporter:
     """Pushes of a triangular block (Zhou, Paolini, Bagnell, Mason, ICRA 2016).
 
-    Attributes:
-        calibrate: whether to correct the logged tool point to the tip's center (TIP_OFFSET), to take the
-            log's steps out of its straight path, and to let it travel on for TIP_EXTENSION; without, the
-            logged point is taken as it is.
-        shuffle: whether to put the pushes in random order, so that no two neighbors are known to be chained.
-        uniform_plate: as in `triangle_block`.
-        seed: of that order.
+    To calibrate is to correct the logged tool point to the tip's center (TIP_OFFSET), to take the log's steps out of
+    its straight path, and to let it travel on for TIP_EXTENSION. Shuffled, no two neighbors are known to be chained.
     """
 
     file: ClassVar[str] = "LOG.txt"

@@ -108,10 +108,8 @@ MODEL_ERRORS = ("avg_diff_disp", "avg_diff_angle")  # the other model's mean err
 class MitImporter:
     """Pushes of the MIT push data set (Yu, Bauza, Fazeli, Rodriguez, IROS 2016).
 
-    Attributes:
-        shape: the object's name in MIT_SHAPES; where neither it nor `obj` is given, the last part of the
-            file's name after an underscore if it is one, otherwise the file's own `shape_id`.
-        obj: the object, for a shape that is not among them.
+    Without `shape` and `obj` the object is the last part of the file's name after an underscore if that is one,
+    otherwise the file's own `shape_id`.
     """
 
     file: ClassVar[str] = "FILE.mat"
