@@ -201,6 +201,10 @@ class GripperMeasures(_Measures):
         lengths = {field.name for field in fields(SideGripper)} & set(GripperMeasures.model_fields)
         return SideGripper(**self.model_dump(include=lengths))
 
+    def limit_force(self, force: float) -> float:
+        """With how much it presses where so much is asked for, N."""
+        return min(force, self.max_force)
+
 
 M = TypeVar("M", bound=_Measures)
 
