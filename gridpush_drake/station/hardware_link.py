@@ -2,8 +2,9 @@
 
 The station's time is the robot's: with every status it goes on by what has passed between two of them, as
 `drake-iiwa-driver` and Drake's own controllers have it. Where none comes, it goes on by the clock, so that the guard
-notices and stops the arm. Where the controller itself was late by more than a status may be old, its time stands still
-for that long: the arm holds meanwhile, and nothing is made up for.
+notices and stops the arm; then it stands still, and where the robot's own clock stood still, too, both go on. Where
+the controller itself was late by more than a status may be old, its time stands still for that long: the arm holds
+meanwhile, and nothing is made up for.
 
 Messages in both directions pass through here. One that cannot be read, is of another size, or is not newer than the
 last one is left out and noted. Until `armed`, no command goes out.
@@ -15,6 +16,7 @@ from dataclasses import dataclass, field
 from time import monotonic
 from typing import Any
 
+import numpy as np
 from drake import lcmt_planar_manipuland_status, lcmt_schunk_wsg_status
 from pydrake.lcm import DrakeLcm, DrakeLcmInterface
 from pydrake.systems.analysis import Simulator
@@ -47,10 +49,13 @@ QUIET = 0.3
 """Of statuses before the first command, s: a driver that has just started takes one for somebody else's."""
 
 OVERDUE = 2 * ARM_PERIOD
-"""Since the last status, after which the station's time goes on without it, s."""
+"""Since the last status, after which the station's time goes on without it; and farthest that it may be ahead, s."""
 
 LATE = 0.01
 """Between two commands, that counts as late, s."""
+
+SILENCE = 5.0
+"""Of a robot whose arm is held, before it is given up, s."""
 
 STOPPING_TIME = 2.0
 """Within which the guard has brought any arm to rest, s."""
@@ -85,6 +90,8 @@ class LinkReport:
         worst_period: longest between two, s.
         late: how many came later than `LATE`.
         pauses: how often the controller itself was late by more than a status may be old.
+        silences: how often the robot itself paused for as long, and went on.
+        force: greatest on the finger's tip, N.
         left_out: messages that were not taken, by why.
         events: (s, text) what happened when.
     """
@@ -93,6 +100,8 @@ class LinkReport:
     worst_period: float = 0.0
     late: int = 0
     pauses: int = 0
+    silences: int = 0
+    force: float = 0.0
     left_out: dict[str, int] = field(default_factory=dict)
     events: list[tuple[float, str]] = field(default_factory=list)
 
@@ -111,10 +120,12 @@ class LinkReport:
         """In a sentence."""
         text = (
             f"{self.steps} commands, the longest period {1e3 * self.worst_period:.1f} ms, "
-            f"{100 * self.late_share:.2f} % over {1e3 * LATE:.0f} ms"
+            f"{100 * self.late_share:.2f} % over {1e3 * LATE:.0f} ms; at most {self.force:.1f} N on the finger's tip"
         )
         if self.pauses:
             text += f"; the controller paused {self.pauses} times"
+        if self.silences:
+            text += f"; the robot paused {self.silences} times"
         return text + "".join(f"; {count} messages left out: {why}" for why, count in self.left_out.items())
 
 
@@ -171,7 +182,7 @@ class HardwareLink:
         self._fault = ""
         self._station: HardwareStation | None = None
         self._stop = 0.0
-        self._stepped = self._told = 0.0
+        self._stepped = self._told = self._waited = 0.0  # waited: since the last status, s
         self._base = 0.0  # the robot's time when the station's was 0, s
         self._said = GuardStatus()
 
@@ -261,31 +272,41 @@ class HardwareLink:
         self._pass_out()
         own = self._station.GetMyContextFromRoot(context)
         status: GuardStatus = self._station.GetOutputPort("guard.status").Eval(own)
+        force = float(np.linalg.norm(self._station.GetOutputPort("pusher.force").Eval(own)))
+        self.report.force = max(self.report.force, force)
+        self.report.silences += self._said.silent and not status.stopped
         if (status.mode, status.reason) != (self._said.mode, self._said.reason):
             self.note(f"guard {status.mode}{status.reason and f': {status.reason}'}")
         self._said = status
 
     def _receive(self, now: float) -> float:
         """Waits for the next status; returns the time of the station's that it, or its absence, brings, s."""
-        before = self._arm.utime
-        if self._robot is not None:
-            self._robot()
+        before, held = self._arm.utime, self._said.silent and self._said.mode == GuardMode.HOLDING
+        patience = OVERDUE if self._robot is None else ARM_PERIOD
         while True:
+            if self._robot is not None:
+                self._robot()
             self._listen()
             if self._arm.utime > before:
                 break
-            if self._robot is not None or monotonic() - self._arm.came > OVERDUE / self._rate:
+            self._waited = self.status_age if self._robot is None else self._waited + ARM_PERIOD
+            if self._waited > (SILENCE if held and not self._stop else patience) - ROUNDING:
                 self._wait_period()
                 return now + ARM_PERIOD
+        self._waited = 0.0
+        if held:
+            self._stepped = monotonic()  # it was not the controller that was late
         # in whole periods, and half of one beyond: so that a status that is a little early or late brings one command
         target = (round((self._arm.utime / MICROSECONDS - self._base) / ARM_PERIOD) + HALF) * ARM_PERIOD
         assert self._station is not None
-        if target - now > self._station.scenario.safety.status_age:
+        late = target - now
+        if late > self._station.scenario.safety.status_age:
             self.report.pauses += 1
-            self.note(f"the controller was late by {1e3 * (target - now):.0f} ms; it went on from where it was")
-            self._base += target - now - ARM_PERIOD
-            return now + ARM_PERIOD
-        return target
+            self.note(f"the controller was late by {1e3 * late:.0f} ms; it went on from where it was")
+        elif late > -OVERDUE - ROUNDING:
+            return target
+        self._base += late - ARM_PERIOD  # one of the two clocks stood still
+        return now + ARM_PERIOD
 
     def _wait_period(self) -> None:
         """Lets a period pass since the last step, by the clock."""
