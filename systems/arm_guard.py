@@ -10,7 +10,6 @@ stalled or died, it brings the arm to rest smoothly; where they come again, it f
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +18,7 @@ from pydrake.systems.framework import BasicVector, Context
 
 from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.planning.closed_loop import Unchanging
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 
 MAX_OBJECT_SPEED = 0.5
@@ -97,8 +97,8 @@ class GuardStatus:
 
 
 @dataclass(frozen=True, eq=False)
-class GuardState:
-    """All that a guard remembers; never changed, only replaced.
+class GuardState(Unchanging):
+    """All that a guard remembers.
 
     Attributes:
         status: as on the port.
@@ -121,10 +121,6 @@ class GuardState:
     fresh: float = 0.0
     pose: Array | None = None
     seen: float = 0.0
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "GuardState":
-        """Itself: Drake copies the state at every update, and nothing in it is ever changed."""
-        return self
 
 
 class ArmGuard(AbstractStateSystem[GuardState]):

@@ -234,9 +234,19 @@ class Observation:
         return bool(np.isfinite(self.pose).all())
 
 
+class Unchanging:
+    """What is never changed, only replaced. Its copy is itself: Drake copies all states at every update of one."""
+
+    def __deepcopy__(self: "U", memo: dict[int, Any]) -> "U":
+        return self
+
+
+U = TypeVar("U", bound=Unchanging)
+
+
 @dataclass(frozen=True, eq=False)
-class LoopState:
-    """All that a loop remembers; never changed, only replaced.
+class LoopState(Unchanging):
+    """All that a loop remembers.
 
     Attributes:
         status: what it says of itself: frozen, with a `mode`, a `reason` in a sentence and an `expected_pose`.
@@ -253,10 +263,6 @@ class LoopState:
     push_id: int = 0
     refused: tuple[Push, ...] = ()
     request: Any = None
-
-    def __deepcopy__(self: "L", memo: dict[int, Any]) -> "L":
-        """Itself: Drake copies the state at every update, and nothing in it is ever changed."""
-        return self
 
     def is_pending(self, robot: PushStatus) -> bool:
         """Whether the robot has not taken the push up yet."""
