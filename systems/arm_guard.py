@@ -294,8 +294,8 @@ class ArmGuard(AbstractStateSystem[GuardState]):
 
 
 @dataclass(frozen=True, eq=False)
-class RampState:
-    """All that a `CommandRamp` remembers; never changed, only replaced.
+class RampState(Unchanging):
+    """All that a `CommandRamp` remembers.
 
     Attributes:
         status: as on the port.
@@ -312,10 +312,6 @@ class RampState:
     target: Array | None = None
     sent: float = float("nan")
     came: float = 0.0
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "RampState":
-        """Itself; see `GuardState`."""
-        return self
 
 
 class CommandRamp(AbstractStateSystem[RampState]):
