@@ -29,12 +29,10 @@ PUSHER_STATE_SIZE = 6
 ROUNDING = 1e-9
 """s, of times that are compared."""
 
-SLOWING_SHARE = 0.5
-"""Of the greatest age of a status, from which the arm slows down: at that age it is nearly at rest."""
-
-SILENT = "the robot has sent no status for"
-
 STOPPED_BY_USER, WORK_DONE = "stopped by the user", "the work is done"
+
+BY_USER, DONE, BY_SILENCE = 1.0, 2.0, 3.0
+"""What a guard is told to stop for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,18 +147,18 @@ class ArmGuard(AbstractStateSystem[GuardState]):
     * time_measured: vector of 1, of the robot's status by the robot's clock, s; it changes with every status.
     * pusher_state: vector of 6, the tip's center p_WP in m and its velocity v_WP in m/s, in W, as measured.
     * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN while the object is not seen.
-    * stop: vector of 1; anything but 0 stops the arm: 1 for the user, else because the work is done.
+    * stop: vector of 1; anything but 0 stops the arm: `BY_USER`; `BY_SILENCE`, where whoever moves the time on, and
+      sends the commands, has done neither for `status_age`, as the robot was not heard of; else the work is done.
     * position: vector of n, for the robot, rad; it begins where the joints were first measured. NaN before.
     * status: abstract `GuardStatus`.
 
     The arm is stopped where the status is as old as `GuardLimits.status_age`, a torque from outside or the force on the
     tip is beyond its limit, the pose of the object jumps, the tip leaves where it may be, a number is not finite, or
     `stop` says so. A stop is a straight line in the joints' space, as short as the accelerations allow; after a
-    collision the arm goes back to where it was when that was noticed, so that it does not press. Half-way to
-    `status_age` the arm begins to slow down, and goes on where a status comes in time. So it does after any silence in
-    which the robot's clock stood still, for then the robot did, too: a twin on a busy computer. Where the robot's clock
-    went on by more than `status_age` between two updates, it was the commands that paused: the arm rests, and they
-    begin at rest again.
+    collision the arm goes back to where it was when that was noticed, so that it does not press. After a
+    silence in which the robot's clock stood still it follows again, for then the robot stood still, too: a twin on a
+    busy computer. Where the robot's clock went on by more than `status_age` between two updates, it was the commands
+    that paused: the arm rests, and they begin at rest again.
 
     Abstract state: one `GuardState`.
     """
@@ -214,15 +212,13 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         if not now.status.stopped:
             fault, collided = self._find_fault(context, now, time)
             if fault is not None:
-                now = replace(now, status=fault, retreat=measured if collided else None)
+                still = self._stop.Eval(context)[0] == BY_SILENCE  # no command went out meanwhile
+                velocity = np.zeros_like(now.velocity) if still else now.velocity
+                now = replace(now, status=fault, velocity=velocity, retreat=measured if collided else None)
         pose = np.array(self._pose.Eval(context))
         if np.isfinite(pose).all():
             now = replace(now, pose=pose, seen=time)
-        if now.status.stopped:
-            return self._stop_on(now)
-        if time - now.fresh > SLOWING_SHARE * self.limits.status_age - ROUNDING:
-            return replace(self._brake(now), desired=desired)
-        return self._follow(now, desired)
+        return self._stop_on(now) if now.status.stopped else self._follow(now, desired)
 
     def _look(self, context: Context, now: GuardState, time: float) -> GuardState:
         """Notes the robot's time."""
@@ -260,12 +256,13 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         """What is wrong, None for nothing; and whether the arm has run into something."""
         limits, torque = self.limits, np.abs(self._torque.Eval(context))
         stop, age, force = self._stop.Eval(context)[0], time - now.fresh, np.linalg.norm(self._force.Eval(context))
-        noticed = GuardStatus(GuardMode.STOPPING, STOPPED_BY_USER if stop == 1 else WORK_DONE, time)
+        noticed = GuardStatus(GuardMode.STOPPING, STOPPED_BY_USER if stop == BY_USER else WORK_DONE, time)
+        if stop == BY_SILENCE or (not stop and age > limits.status_age - ROUNDING):
+            silence, allowed = (1e3 * each for each in (max(age, limits.status_age), limits.status_age))
+            reason = f"the robot has sent no status for {silence:.0f} ms; {allowed:.0f} ms are allowed"
+            return replace(noticed, reason=reason, silent=True), False
         if stop:
             return noticed, False
-        if age > limits.status_age - ROUNDING:
-            allowed = f"{1e3 * limits.status_age:.0f} ms are allowed"
-            return replace(noticed, reason=f"{SILENT} {1e3 * age:.0f} ms; {allowed}", silent=True), False
         for port in (self._measured, self._torque, self._force, self._desired):
             if not np.isfinite(port.Eval(context)).all():
                 return replace(noticed, reason=f"{port.get_name()} has numbers that are not finite"), False

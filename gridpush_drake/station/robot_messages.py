@@ -104,9 +104,9 @@ class IiwaMessages:
         return sender.GetInputPort("position")
 
     def AddRobotSide(
-        self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int, driver: System, ramp: CommandRamp
+        self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int, driver: dict[str, OutputPort], ramp: CommandRamp
     ) -> None:
-        """Adds what a robot's driver does: commands go through a ramp to a `SimIiwaDriver`, statuses come from it.
+        """Adds what a robot's driver does: makes statuses of its ports, by name, and feeds a ramp with commands.
 
         Until the first command the arm stays where it is.
         """
@@ -118,20 +118,19 @@ class IiwaMessages:
         self,
         builder: DiagramBuilder,
         lcm: DrakeLcmInterface,
-        driver: System,
+        driver: dict[str, OutputPort],
         ramp: CommandRamp,
         commands: System,
         status: System,
     ) -> None:
         _Subscribe(builder, lcm, self.command, self.command_type, commands.GetInputPort(self.command_type.__name__))
-        builder.Connect(driver.GetOutputPort("position_measured"), commands.GetInputPort("position_measured"))
+        builder.Connect(driver["position_measured"], commands.GetInputPort("position_measured"))
         builder.Connect(commands.GetOutputPort("position"), ramp.GetInputPort("position_desired"))
-        builder.Connect(ramp.GetOutputPort("position"), driver.GetInputPort("position"))
         builder.AddNamedSystem("arm_status_sender", status)
         for port in map(status.get_input_port, range(status.num_input_ports())):
             name = PANDA_NAMES.get(port.get_name(), port.get_name())
-            if driver.HasOutputPort(name):
-                builder.Connect(driver.GetOutputPort(name), port)
+            if name in driver:
+                builder.Connect(driver[name], port)
         _Publish(builder, lcm, self.status, self.status_type, status.get_output_port(), ARM_PERIOD)
 
 
@@ -164,7 +163,7 @@ class PandaMessages(IiwaMessages):
         return sender.GetInputPort("position")
 
     def AddRobotSide(
-        self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int, driver: System, ramp: CommandRamp
+        self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int, driver: dict[str, OutputPort], ramp: CommandRamp
     ) -> None:
         """Likewise; the time of the command is read from the message."""
         commands = builder.AddNamedSystem("arm_command_receiver", PandaCommandReceiver(n, POSITION_MODE))

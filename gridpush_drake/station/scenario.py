@@ -328,7 +328,7 @@ class SafetyConfig(_Config):
     """
 
     status_age: Annotated[Number, _positive("s")] = 0.05
-    command_age: Annotated[Number, _positive("s")] = 0.02
+    command_age: Annotated[Number, _positive("s")] = 0.01
     acceleration: Annotated[Number, _positive("rad/s²")] = 10.0
     torque_share: Annotated[Number, _positive("of the joint's own", high=1.0)] = 0.1
     force: Annotated[Number, _positive("N")] = 30.0

@@ -223,7 +223,7 @@ def test_where_the_controller_dies_the_robot_comes_to_rest_smoothly(name, reques
     for _ in range(100):
         bench.move()
     driver = bench.twin.GetOutputPort("driver.status").Eval(bench.simulator.get_context())
-    assert (driver.mode, driver.reason) == (GuardMode.HOLDING, "no command has come for 20 ms; 20 ms are allowed")
+    assert (driver.mode, driver.reason) == (GuardMode.HOLDING, "no command has come for 10 ms; 10 ms are allowed")
     speed = np.array([v for time, _, v in bench.rows if time > fault - 0.1])
     stop = bench.find_stop(fault, NEAR)
     print(f"at rest {1e3 * stop:.0f} ms after the last command")
