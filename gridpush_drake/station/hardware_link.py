@@ -352,8 +352,9 @@ class HardwareLink:
                 self._leave_out(self._fault)
             elif message.utime <= channel.utime:
                 self._leave_out(f"{name} was not newer than the one before")
-            else:
+            elif channel.passed or channel is not self._arm or not self._said.silent:
                 channel.data, channel.utime, channel.came, channel.passed = data, message.utime, monotonic(), False
+            # else the first status after a silence counts: it says whether the robot's clock stood still, too
 
         return take
 
