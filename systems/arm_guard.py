@@ -258,8 +258,8 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         stop, age, force = self._stop.Eval(context)[0], time - now.fresh, np.linalg.norm(self._force.Eval(context))
         noticed = GuardStatus(GuardMode.STOPPING, STOPPED_BY_USER if stop == BY_USER else WORK_DONE, time)
         if stop == BY_SILENCE or (not stop and age > limits.status_age - ROUNDING):
-            silence, allowed = (1e3 * each for each in (max(age, limits.status_age), limits.status_age))
-            reason = f"the robot has sent no status for {silence:.0f} ms; {allowed:.0f} ms are allowed"
+            silence, least = (1e3 * each for each in (max(age, limits.status_age), limits.status_age))
+            reason = f"the robot has sent no status for {silence:.0f} ms; {least:.0f} ms are allowed"
             return replace(noticed, reason=reason, silent=True), False
         if stop:
             return noticed, False
