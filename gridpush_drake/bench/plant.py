@@ -34,7 +34,7 @@ from pydrake.systems.framework import DiagramBuilder
 from shapely import Point
 
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
-from gridpush_drake.bench.table import MM, Table, Value
+from gridpush_drake.bench.table import ALL, DEGREES, MM, Table, by_object, mean_of
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
@@ -68,7 +68,7 @@ MODEL_TIME_STEP = 1e-3
 """s, of the model: the plant's."""
 
 TRIES = 100
-BASES: tuple[Literal["planar", "free"], ...] = ("planar", "free")
+BASES: tuple[Base, ...] = ("planar", "free")
 SPINS: tuple[Literal["none", "coupled"], ...] = ("none", "coupled")
 
 
@@ -77,25 +77,16 @@ class PlantJob:
     """The pushes of one object, held in one way."""
 
     name: str
-    base: Literal["planar", "free"]
+    base: Base
     seeds: tuple[int, ...]
 
 
 @dataclass(frozen=True)
 class PlantScore:
-    """How far plant and model differ at the end of one push.
+    """How far plant (its base, its tilt) and model (its spin) differ at the end of one push, m and rad.
 
-    Attributes:
-        name: the object.
-        base: how the plant holds it.
-        seed: of its parts and of the push.
-        spin: the model's.
-        position: distance of B's origins, m.
-        angle: rad.
-        cells: mean distance of the cells, m.
-        moved: mean distance that the plant's cells went, m.
-        tracking_error: of the plant's pusher, m.
-        tilt: greatest of the plant's object, rad.
+    `position` is the distance of B's origins, `cells` the mean one of the cells, `moved` how far the plant's cells went
+    on average, and `tracking_error` the plant's pusher's.
     """
 
     name: str
@@ -110,41 +101,19 @@ class PlantScore:
     tilt: float
 
 
-def run(
-    objects: Sequence[str] = OBJECTS,
-    pushes: int = PUSHES,
-    bases: Sequence[Literal["planar", "free"]] = BASES,
-    *,
-    seed: int = 0,
-    execution: Execution = QUIET,
-) -> list[Table]:
-    """Compares the two.
-
-    Args:
-        objects: shipped objects' names.
-        pushes: how many of each.
-        bases: how the plant holds the object.
-        seed: the first push's; the others' follow.
-        execution: how the jobs are run.
-
-    Returns:
-        One table: a row for each object, base and spin model, and one over all objects.
-
-    Raises:
-        ObjectError: an object is not shipped.
-    """
-    return [make_table(calc_scores(objects, pushes, bases, seed=seed, execution=execution))]
-
-
 def calc_scores(
     objects: Sequence[str] = OBJECTS,
     pushes: int = PUSHES,
-    bases: Sequence[Literal["planar", "free"]] = BASES,
+    bases: Sequence[Base] = BASES,
     *,
     seed: int = 0,
     execution: Execution = QUIET,
 ) -> list[PlantScore]:
-    """As `run`, push by push."""
+    """Compares the two, push by push, and for each spin model; `seed` is the first push's.
+
+    Raises:
+        ObjectError: an object is not shipped.
+    """
     for name in objects:
         find_shipped_object(name)
     seeds = tuple(range(seed, seed + pushes))
@@ -177,16 +146,7 @@ def run_job(job: PlantJob) -> list[PlantScore]:
 
 
 def draw_push(obj: GridObject, params: CellParameters, seed: int, radius: float) -> tuple[Push, np.ndarray]:
-    """Draws a pose of the object and a push that moves it.
-
-    Args:
-        obj: the object.
-        params: its masses and frictions.
-        seed: of the draw.
-        radius: of the pusher, m.
-
-    Returns:
-        The push, from a place of the outline inwards, and the pose (3,).
+    """Draws a push of a pusher's radius, from a place of the outline inwards, and a pose (3,) of the object.
 
     Raises:
         PushError: hardly any push moves the object.
@@ -205,15 +165,24 @@ def draw_push(obj: GridObject, params: CellParameters, seed: int, radius: float)
 
 
 def make_table(scores: Sequence[PlantScore]) -> Table:
-    """Sums up scores by object, base and spin model."""
+    """Sums up scores by object, base and spin model, and over all objects."""
     names = list(dict.fromkeys(score.name for score in scores))
-    rows: list[list[Value]] = []
-    for base in dict.fromkeys(score.base for score in scores):
-        for spin in SPINS:
-            chosen = [score for score in scores if (score.base, score.spin) == (base, spin)]
-            rows += [[name, base, spin, *_sum_up([s for s in chosen if s.name == name])] for name in names]
-            if len(names) > 1:
-                rows.append(["all", base, spin, *_sum_up(chosen)])
+    groups = [
+        ((name, base, spin), found)
+        for base in dict.fromkeys(score.base for score in scores)
+        for spin in SPINS
+        for (name,), found in by_object([s for s in scores if (s.base, s.spin) == (base, spin)], names)
+        if name != ALL or len(names) > 1
+    ]
+    columns = {
+        "pushes": len,
+        "moved, mm": mean_of("moved", MM),
+        "mean, mm": mean_of("position", MM),
+        "max, mm": lambda some: MM * max(score.position for score in some),
+        "mean, °": mean_of("angle", DEGREES),
+        "max, °": lambda some: DEGREES * max(score.angle for score in some),
+        "cells, mm": mean_of("cells", MM),
+    }
     worst = max(score.tracking_error for score in scores)
     notes = (
         f"Difference of the last poses after pushes of {DISTANCE * 100:g} cm at {SPEED * 100:g} cm/s; random parts.",
@@ -222,20 +191,7 @@ def make_table(scores: Sequence[PlantScore]) -> Table:
         "Spin: the model's; none is the plant's sphere feet.",
         f"The plant's pusher left its path by at most {worst * 1e6:.1f} µm.",
     )
-    columns = (
-        "object", "base", "spin", "pushes", "moved, mm", "mean, mm", "max, mm", "mean, °", "max, °", "cells, mm",
-    )  # fmt: skip
-    return Table("MultibodyPlant against the grid LCP", columns, rows, notes, keys=3)
-
-
-def _sum_up(scores: Sequence[PlantScore]) -> list[Value]:
-    position = MM * np.array([score.position for score in scores])
-    angle = np.degrees([score.angle for score in scores])
-    return [
-        len(scores), MM * float(np.mean([score.moved for score in scores])), float(position.mean()),
-        float(position.max()), float(angle.mean()), float(angle.max()),
-        MM * float(np.mean([score.cells for score in scores])),
-    ]  # fmt: skip
+    return Table.of("MultibodyPlant against the grid LCP", ("object", "base", "spin"), groups, columns, notes)
 
 
 def _calc_distance(obj: GridObject, a: np.ndarray, b: np.ndarray) -> float:
@@ -315,15 +271,7 @@ class PlantPusher:
         self.simulator = Simulator(builder.Build())
 
     def push(self, params: CellParameters, push: Push, pose: ArrayLike = (0.0, 0.0, 0.0)) -> PlantMotion:
-        """Pushes the object from rest.
-
-        Args:
-            params: the object's masses and frictions.
-            push: of a pusher of this one's radius.
-            pose: (3,) of the object at the beginning, m and rad.
-
-        Returns:
-            The motion.
+        """Pushes the object from rest at a pose (3,), m and rad, with these masses and frictions.
 
         Raises:
             PushError: the pusher's radius is another.
@@ -357,12 +305,7 @@ class PlantPusher:
 
 
 def AddPusher(plant: MultibodyPlant, radius: float, height: float) -> ModelInstanceIndex:
-    """Adds a sphere on two prismatic joints, x and y of the world, with PD gains.
-
-    Args:
-        plant: before Finalize.
-        radius: m.
-        height: of the sphere's center, m.
+    """Adds a sphere on two prismatic joints, x and y of the world, with PD gains, before Finalize.
 
     Returns:
         Its model instance; the desired state is x, y (m) and their rates.

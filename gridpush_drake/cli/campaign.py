@@ -1,7 +1,4 @@
-"""`gridpush campaign`: whole episodes with many seeds and objects, and how safe the robot is.
-
-What is slow to import is imported when the command runs, so that `gridpush` starts fast.
-"""
+"""`gridpush campaign`: whole episodes with many seeds and objects, and how safe the robot is."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,6 +12,7 @@ from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import exists, make_folder, read_text, write_whole
 
 if TYPE_CHECKING:
+    from gridpush_drake.bench.jobs import Results
     from gridpush_drake.station.scenario import PushScenario
 
 MAX_EPISODES = 1_000_000
@@ -65,12 +63,15 @@ def campaign(
     numbers = parse_seeds("--seeds", seeds, MAX_EPISODES // len(chosen))
     for name in chosen:
         check_scenario(scenario.model_copy(update={"object": name}))
-    with options.connecting(dask) as executor:
+
+    def begin() -> "Results":
         make_folder(out)
         results = open_results(out / EPISODES, "campaign", describe_settings(task, scenario), force)
         _write_scenario(out / SCENARIO, format_scenario(scenario), force)
-        with options.executing("campaign", results, workers, executor) as execution:
-            found = run(task, scenario, chosen, numbers, out, execution)
+        return results
+
+    with options.executing("campaign", workers, dask, begin) as execution:
+        found = run(task, scenario, chosen, numbers, out, execution)
     table = found.tabulate()
     write_whole(out / TABLE, table.to_markdown(), force=True)
     if json:
@@ -81,15 +82,7 @@ def campaign(
 
 
 def parse_seeds(option: str, text: str, most: int) -> list[int]:
-    """Reads seeds.
-
-    Args:
-        option: its name, for the message.
-        text: as FORM says.
-        most: seeds that there may be.
-
-    Returns:
-        The seeds, each once, in order.
+    """Reads seeds as FORM says: each once, in order, and at most so many.
 
     Raises:
         OptionError: the text is something else, or there are none or too many.

@@ -25,11 +25,8 @@ PoseRule = Callable[[Array], NDArray[np.bool_]]
 PushRule = Callable[[Push], bool]
 """Whether a push can be carried out."""
 
-CHECK_EVERY = 0.003
-"""m of the pusher's motion between poses that are checked."""
-
-SLACK = 1e-6
-"""m, for round-off."""
+CHECK_EVERY = 0.003  # m of the pusher's motion between poses that are checked
+SLACK = 1e-6  # m, for round-off
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,11 +84,7 @@ class PushConstraints:
         return PushChecker(self, obj, np.asarray(pose, dtype=np.float64), radius)
 
     def allow_pose(self, obj: GridObject, pose: ArrayLike) -> tuple[bool, bool]:
-        """Whether the object may be at a pose (3,) by itself.
-
-        Returns:
-            Whether all cells are as far from the table's edge as they must, and whether an obstacle is in the way.
-        """
+        """Whether all cells are far enough from the table's edge at a pose (3,), and whether an obstacle is there."""
         q = np.asarray(pose, dtype=np.float64)
         body = shapely.polygons(transform(q[None], np.array(make_body(obj).exterior.coords)[:-1]))[0]
         on_table, blocked = True, False
@@ -199,15 +192,7 @@ class PushChecker:
         return allowed
 
     def count_allowed(self, tip: Array, poses: Array) -> int:
-        """How far a push may go.
-
-        Args:
-            tip: (T+1, 2) p_WP of the disc's center, m.
-            poses: (T+1, 3) of the object.
-
-        Returns:
-            How many of the steps' ends, from the first on, are allowed; 0 where the push must not even begin.
-        """
+        """How many of a push's tip places (T+1, 2) and poses (T+1, 3), from the first on, are allowed."""
         if self.constraints.is_free:
             return len(tip)
         step = max(float(np.linalg.norm(np.diff(tip, axis=0), axis=1).mean()), SLACK)

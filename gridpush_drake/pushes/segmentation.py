@@ -33,19 +33,12 @@ Numbers = tuple[float, float, float]
 
 
 class Sample(NamedTuple):
-    """What was seen at one time, W.
+    """What was seen at one time, W."""
 
-    Attributes:
-        t: s.
-        pose: q = (x, y, theta) of the object, m and rad; not finite where it was not seen.
-        tip: p_WP of the tip's center, m.
-        velocity: v_WP, m/s.
-    """
-
-    t: float
-    pose: Numbers
-    tip: Numbers
-    velocity: Numbers
+    t: float  # s
+    pose: Numbers  # q = (x, y, theta) of the object, m and rad; not finite where it was not seen
+    tip: Numbers  # p_WP of the tip's center, m
+    velocity: Numbers  # v_WP, m/s
 
 
 @dataclass(frozen=True)
@@ -89,31 +82,18 @@ class Episode:
 
 @dataclass(frozen=True)
 class SegmenterState:
-    """What the segmenter remembers.
+    """What the segmenter remembers."""
 
-    Attributes:
-        rest: observations of the object since it last came to rest.
-        path: the present push while the tip is down; empty where there is none.
-        after: from its stop on, lifted or not; empty while it moves.
-        lifted: whether it has ended by lifting.
-    """
-
-    rest: tuple[Sample, ...] = ()
-    path: tuple[Sample, ...] = ()
-    after: tuple[Sample, ...] = ()
-    lifted: bool = False
+    rest: tuple[Sample, ...] = ()  # observations of the object since it last came to rest
+    path: tuple[Sample, ...] = ()  # the present push while the tip is down; empty where there is none
+    after: tuple[Sample, ...] = ()  # from its stop on, lifted or not; empty while it moves
+    lifted: bool = False  # whether it has ended by lifting
 
 
 def advance(state: SegmenterState, sample: Sample, options: SegmenterOptions) -> tuple[SegmenterState, Episode | None]:
-    """Takes in one sample.
+    """Takes in one sample, later than all before: the state after it, and the episode that it ends, if any.
 
-    Args:
-        state: before it.
-        sample: later than all before; it is passed over where the tip is not known.
-        options: see `SegmenterOptions`.
-
-    Returns:
-        The state after it, and the episode that it ends, if any.
+    It is passed over where the tip is not known.
     """
     if not all(map(isfinite, (*sample.tip, *sample.velocity))):
         return state, None
@@ -154,14 +134,12 @@ def _find_lift_height(path: tuple[Sample, ...], options: SegmenterOptions) -> fl
     return min(options.engaged_below, min(sample.tip[2] for sample in path) + options.lift)
 
 
-SAME_TIME = 1e-6
-"""s; times that differ by less are one."""
+SAME_TIME = 1e-6  # s; times that differ by less are one
 
 UNUSABLE = (GridPushError, np.linalg.LinAlgError, ArithmeticError, ValueError)
 """What a push that was badly seen may lead to when it is written down or learned from."""
 
-LATEST = 5
-"""Observations at the end whose median tells where the object rests."""
+LATEST = 5  # observations at the end whose median tells where the object rests
 
 
 @dataclass(frozen=True)
@@ -199,18 +177,9 @@ def name_push(count: int) -> str:
 def make_observed_push(
     episode: Episode, obj: GridObject, radius: float, name: str, options: RecordOptions
 ) -> ObservedPush | None:
-    """Makes the log's entry.
+    """Makes the log's entry for a tip of `radius`, m.
 
-    Args:
-        episode: what was seen.
-        obj: the object.
-        radius: of the tip, m.
-        name: what to call the push.
-        options: see `RecordOptions`.
-
-    Returns:
-        The push; None where the tip hardly moved or never came near the object, or where the object was not seen both
-        before and after.
+    None where the tip hardly moved or never came near the object, or where that was not seen both before and after.
     """
     pose = calc_rest_pose(episode.before, options)
     t, xy = _trim(episode.path, options.still)
@@ -262,13 +231,9 @@ def thin_path(t: Array, xy: Array, keep: Array, tolerance: float) -> tuple[Array
     """Leaves out samples that linear interpolation in time replaces (the algorithm of Ramer, Douglas and Peucker).
 
     Args:
-        t: (K,) times, s, increasing.
-        xy: (K, 2) places, m.
+        t: (K,) times, s, increasing; and the places `xy` (K, 2), m.
         keep: times that the path is cut at in any case, within it, s.
         tolerance: m.
-
-    Returns:
-        The times (L,) and places (L, 2) that are left.
     """
     times = np.union1d(t, keep)
     places = np.column_stack([np.interp(times, t, xy[:, axis]) for axis in (0, 1)])

@@ -11,8 +11,7 @@ from pydrake.systems.framework import DiagramBuilder
 from gridpush_drake.bench.plant import STICTION_TOLERANCE, TIME_STEP, AddPusher, PlantPusher
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import ObjectError, OutputError, ParameterError
-from gridpush_drake.multibody.contact_geometry import SPHERE_RADIUS
-from gridpush_drake.multibody.grid_object import MakeSpatialInertia
+from gridpush_drake.multibody.grid_object import SPHERE_RADIUS, MakeSpatialInertia
 from gridpush_drake.multibody.sdformat import WriteSdf, make_sdf
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters

@@ -6,7 +6,7 @@ from pydrake.geometry import Role
 from shapely import Point, Polygon, unary_union
 
 from gridpush_drake.bench.plant import PlantPusher
-from gridpush_drake.multibody.contact_geometry import CLEARANCE, PROTRUSION, make_edge_boxes, make_inner_boxes
+from gridpush_drake.multibody.grid_object import CLEARANCE, PROTRUSION, make_edge_boxes, make_inner_boxes
 from gridpush_drake.multibody.ground_truth import SetGridObjectPose
 from gridpush_drake.multibody.meshcat_shapes import make_outline_mesh
 from gridpush_drake.objects.grid_object import GridObject

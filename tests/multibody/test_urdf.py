@@ -3,8 +3,7 @@
 import numpy as np
 from pydrake.geometry import Box, Sphere
 
-from gridpush_drake.multibody.sdformat import WriteSdf
-from gridpush_drake.multibody.urdf import WriteUrdf
+from gridpush_drake.multibody.sdformat import WriteSdf, WriteUrdf
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.plant_object import parse_sdf
 from tests.helpers.shapes import make_shape

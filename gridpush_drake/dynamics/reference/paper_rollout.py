@@ -44,19 +44,9 @@ def calc_paper_jacobian(
     gravity: float,
     method: Method,
 ) -> Jacobian:
-    """Differentiates each recorded pose by the step that led to it.
+    """Differentiates each recorded pose (rows, (R,)) by the step that led to it: the blocks `mass` and `friction`.
 
-    Args:
-        obj: the object.
-        params: mass and friction of its cells.
-        steps: the kernel's record.
-        dts: (T,) s.
-        rows: (R,) the poses wanted; that of pose 0, which no step led to, is zero.
-        gravity: m/s².
-        method: how the steps were taken; inertial.
-
-    Returns:
-        The blocks `mass` and `friction`; the others are zero.
+    The others are zero, and so is the row of pose 0, which no step led to. The steps `dts` (T,), s, are inertial.
     """
     t = np.maximum(rows - 1, 0)
     dt, arm = dts[t], SPIN_ARM * obj.cell_size

@@ -18,18 +18,12 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.push_constraints import PushChecker
 
-LATTICE_STEP = 0.03
-"""m between positions of the lattice; made wider where MAX_POSITIONS would be exceeded."""
+LATTICE_STEP = 0.03  # m between positions of the lattice; made wider where MAX_POSITIONS would be exceeded
 
 MAX_POSITIONS = 2500
-TURNS = 24
-"""Angles of the lattice, in a whole turn."""
-
-ROOM = 0.25
-"""m about start, goal and obstacles within which paths are searched for, where there is no table."""
-
-LINE_STEP = 0.01
-"""m between poses that are checked along a straight path, as their cells move."""
+TURNS = 24  # angles of the lattice, in a whole turn
+ROOM = 0.25  # m about start, goal and obstacles within which paths are searched for, where there is no table
+LINE_STEP = 0.01  # m between poses that are checked along a straight path, as their cells move
 
 NEIGHBORS = np.array(
     [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, -1, 0), (1, 0, 1), (1, 0, -1), (0, 1, 1), (0, 1, -1)]

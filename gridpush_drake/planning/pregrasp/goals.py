@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.convex import calc_margin_inside, find_weakest_direction, hull_of
+from gridpush_drake.geometry.polygons import calc_margin_inside, find_weakest_direction, hull_of
 from gridpush_drake.geometry.se2 import Array, make_direction, rotate, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
@@ -48,18 +48,12 @@ class ArmLimits:
     can_grasp: Callable[["PreGraspGoal", PlausibleMassSet], bool] | None = None
 
 
-ANY_ARM = ArmLimits()
-"""An arm that can do anything."""
+ANY_ARM = ArmLimits()  # an arm that can do anything
 
 
-TOUCH = 1e-9
-"""m, for round-off."""
-
-GOALS_FOR_AN_ARM = 6
-"""Goals looked for that the arm can grasp at; to ask the arm takes time."""
-
-PARTS_FOR_AN_ARM = 12
-"""Parts that hang over which the arm is asked about."""
+TOUCH = 1e-9  # m, for round-off
+GOALS_FOR_AN_ARM = 6  # goals looked for that the arm can grasp at; to ask the arm takes time
+PARTS_FOR_AN_ARM = 12  # parts that hang over which the arm is asked about
 
 
 @dataclass(frozen=True)
@@ -130,16 +124,9 @@ class PreGraspGoal:
 
 
 def calc_overhangs(parts: Sequence[GraspPart], pose: ArrayLike, surface: SupportSurface) -> Array:
-    """How far the parts' footprints are beyond the edge.
+    """How far the parts' footprints are beyond the edge, (P,) m; negative where some of one is over the table.
 
-    Args:
-        parts: P graspable parts.
-        pose: (3,) X_WB, m and rad.
-        surface: the table.
-
-    Returns:
-        (P,) m; negative where some of a footprint is over the table. On a convex table it is measured from the line
-        of one edge, and so a little too small beyond a corner.
+    On a convex table it is measured from the line of one edge, and so a little too small beyond a corner.
     """
     q = np.asarray(pose, dtype=np.float64)
     corners = transform(q, np.array([part.footprint for part in parts]).reshape(-1, 4, 2))
@@ -160,14 +147,6 @@ def find_grasp_at(
     limits: ArmLimits = ANY_ARM,
 ) -> PreGraspGoal | None:
     """The part that can be taken where the object lies now, the nearest to the middle of its possible centers of mass.
-
-    Args:
-        masses: the masses held possible.
-        parts: the graspable parts.
-        pose: (3,) X_WB, m and rad.
-        surface: the table.
-        options: `min_overhang` and `inset` count.
-        limits: of the arm that is to grasp it.
 
     Returns:
         The present pose as a goal, whatever its margin; None where no part that the arm can take hangs over far enough.
@@ -195,19 +174,11 @@ def find_pregrasp_goals(
     options: GoalOptions | None = None,
     limits: ArmLimits = ANY_ARM,
 ) -> list[PreGraspGoal]:
-    """Seeks goal poses.
-
-    Args:
-        masses: the masses held possible.
-        parts: the graspable parts.
-        pose: (3,) where the object is, X_WB, m and rad.
-        surface: the table.
-        options: how to seek.
-        limits: of the arm that is to grasp the object.
+    """Seeks goal poses for an object at `pose` (3,), X_WB, m and rad.
 
     Returns:
-        The goals: safe ones, whose margin is at least `options.margin`, by rank; and where there are none the one
-        with the greatest margin alone.
+        Safe ones, whose margin is at least `options.margin`, by rank; where there are none, the one with the greatest
+        margin alone.
 
     Raises:
         PlanningError: there is no graspable part, or the table is smaller than the object.

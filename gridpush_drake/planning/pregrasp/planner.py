@@ -30,7 +30,6 @@ from gridpush_drake.planning.pregrasp.exploration import (
     make_center_functional,
     make_pokes,
 )
-from gridpush_drake.planning.pregrasp.flat_parts import FlatPart, PadLimit, find_flat_parts, find_held_parts
 from gridpush_drake.planning.pregrasp.goals import (
     ANY_ARM,
     ArmLimits,
@@ -40,7 +39,15 @@ from gridpush_drake.planning.pregrasp.goals import (
     find_grasp_at,
     find_pregrasp_goals,
 )
-from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, Gripper, find_grasp_parts
+from gridpush_drake.planning.pregrasp.grasp_parts import (
+    FlatPart,
+    GraspPart,
+    Gripper,
+    PadLimit,
+    find_flat_parts,
+    find_grasp_parts,
+    find_held_parts,
+)
 from gridpush_drake.planning.pregrasp.slides import (
     Slide,
     SlideOptions,
@@ -54,8 +61,7 @@ from gridpush_drake.planning.support_surface import SupportSurface
 
 Action = Literal["poke", "slide", "grasp", "fail"]
 
-MM = 1e3
-"""Millimeters in a meter."""
+MM = 1e3  # millimeters in a meter
 
 
 ACCEPTED_SHARE = 2 / 3
@@ -138,14 +144,7 @@ class PreGraspPlanner:
         parts: Sequence[GraspPart] | None = None,
         limits: ArmLimits = ANY_ARM,
     ) -> None:
-        """Finds the graspable parts.
-
-        Args:
-            obj: the object.
-            surface: the table.
-            options: how far to go, and how carefully.
-            parts: the narrow parts, where they are known already.
-            limits: of the arm that is to do it.
+        """Finds the graspable parts; `parts` are the narrow ones, where they are known already.
 
         Raises:
             PlanningError: there is no graspable part, or the table is smaller than the object.
@@ -161,17 +160,7 @@ class PreGraspPlanner:
     def decide(
         self, pose: ArrayLike, model: UncertainModel | None, pokes: int = 0, slides: int = 0
     ) -> PreGraspDecision:
-        """Decides what to do next.
-
-        Args:
-            pose: (3,) where the object is seen, X_WB, m and rad.
-            model: of the object; None before the first push.
-            pokes: made so far.
-            slides: made so far.
-
-        Returns:
-            The decision.
-        """
+        """Decides what to do next, with the object seen at `pose` (3,), m and rad; without a model before any push."""
         q = np.asarray(pose, dtype=np.float64)
         if model is None:
             return self._poke(q, UncertainModel.of_prior(self.obj), None, pokes, "nothing is known of the object yet")
@@ -278,18 +267,13 @@ def suggest_poke(
     options: PreGraspOptions | None = None,
     limits: ArmLimits = ANY_ARM,
 ) -> PokeChoice | None:
-    """The poke that is expected to tell most about the center of mass.
+    """The poke that is expected to tell most about the center of mass; None where none keeps the object on the table.
 
     Args:
         model: of the object; its `posterior` must not be None.
         pose: (3,) where the object lies, X_WB, m and rad.
         surface: the table, inside whose edge the object stays, or at least as far in and as stable as it is.
         direction: (2,) unit vector in the body frame along which the center matters; both where None.
-        options: what pokes may be chosen from.
-        limits: of the arm that is to poke.
-
-    Returns:
-        The poke; None where none within the arm's reach keeps the object on the table.
 
     Raises:
         PlanningError: the model leaves nothing to learn.
@@ -362,16 +346,7 @@ class PreGraspPlan:
 
 
 def plan_pregrasp(planner: PreGraspPlanner, model: UncertainModel, pose: ArrayLike) -> PreGraspPlan:
-    """Plans a slide to the end.
-
-    Args:
-        planner: object, table and options.
-        model: of the object. Motions are predicted with its `params`.
-        pose: (3,) where the object lies, X_WB, m and rad.
-
-    Returns:
-        The plan.
-    """
+    """Plans a slide from `pose` (3,), X_WB, m and rad, to the end; motions are predicted with the model's `params`."""
     poses, pushes = [np.array(pose, dtype=np.float64)], list[Push]()
     while True:
         decision = planner.decide(poses[-1], model, planner.options.min_pokes, len(pushes))

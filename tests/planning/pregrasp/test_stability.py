@@ -6,7 +6,7 @@ from scipy.optimize import linprog
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import calc_loads, simulate
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.convex import calc_margin_inside, find_weakest_direction, hull_of
+from gridpush_drake.geometry.polygons import calc_margin_inside, find_weakest_direction, hull_of
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.slides import simulate_near_edge

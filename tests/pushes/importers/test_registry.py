@@ -5,7 +5,7 @@ import pytest
 
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.importers.registry import IMPORTERS, find_importer
+from gridpush_drake.pushes.importers import IMPORTERS, find_importer
 
 KINDS = (bool, int, float, str, str | None, GridObject | None)
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.geometry.convex import bound_by_half_planes, calc_margin_inside, hull_of
+from gridpush_drake.geometry.polygons import bound_by_half_planes, calc_margin_inside, hull_of
 from gridpush_drake.geometry.se2 import make_direction
 
 DIRECTIONS = make_direction(2 * np.pi * np.arange(72) / 72)
