@@ -50,7 +50,7 @@ def demo(
         str | None,
         typer.Option(
             metavar="NAME|DIR",
-            help="gantry, iiwa14 or panda, or the folder of a robot.yaml of yours. The scene that it names replaces the "
+            help="gantry, iiwa14 or panda, or the folder of a robot.yaml of yours; its scene replaces the "
             "scenario's.  [default: the scenario's, an iiwa14]",
         ),
     ] = None,
