@@ -30,11 +30,8 @@ from gridpush_drake.objects.grid_object import GridObject
 MM = 1e3
 """Millimeters in a meter."""
 
-INK = "#2b2f36"
-"""Outlines and text."""
-
-PALE = "#dfe5ec"
-"""Cells without a value."""
+INK, PALE, FAINT, TABLE = "#2b2f36", "#dfe5ec", "#a9b0b8", "#f3efe6"
+"""Outlines and text; cells without a value; where things began, and whatever stays in the background; a table's top."""
 
 PART_COLORS = ("#7fa7c9", "#e3b778", "#8fbf9f", "#c99bb8", "#b3a6d9", "#a9a9a3")
 """Parts in order of their labels, over again after the last."""
@@ -42,14 +39,14 @@ PART_COLORS = ("#7fa7c9", "#e3b778", "#8fbf9f", "#c99bb8", "#b3a6d9", "#a9a9a3")
 CELL_MAP = "viridis"
 """Color map of values where none is asked for."""
 
-CELL_LINE, OUTLINE_LINE = 0.4, 1.4
+CELL_LINE, OUTLINE_LINE, ARROW_LINE = 0.4, 1.4, 1.6
 """Line widths, points."""
 
 FONT = 9
 """Size of text, points."""
 
-MARGIN = 0.04
-"""Room about the object, in its larger side."""
+MARGIN, FRAME_SHARE, SCALE_DROP = 0.04, 0.03, 0.05
+"""In an object's larger side: room about it with axes and without, and how far below it the scale bar is."""
 
 BAR_SHARE, BAR_GAP = 0.04, 0.03
 """Width of a color bar and its distance, in widths of the axes."""
@@ -57,50 +54,23 @@ BAR_SHARE, BAR_GAP = 0.04, 0.03
 MAX_TICKS = 5
 """On one axis or color bar."""
 
-LEARNED = "#2468a8"
-"""What the learned model says."""
+LEARNED, BEFORE = "#2468a8", "#c9822b"
+"""What the learned model says, and what was held before learning."""
 
-BEFORE = "#c9822b"
-"""What was held before learning."""
+PAGE_WIDTH, HALF_WIDTH = 8.0, 4.6
+"""Of a figure as wide as the page, and of one half as wide, inches."""
 
-FAINT = "#a9b0b8"
-"""Where things began, and whatever stays in the background."""
-
-PAGE_WIDTH = 8.0
-"""Of a figure as wide as the page, inches."""
-
-HALF_WIDTH = 4.6
-"""Of a figure half as wide, inches."""
-
-BAR_ROOM = 0.55
-"""Beside a panel, for its color bar, inches."""
-
-TITLE_ROOM = 0.5
-"""Above a panel, inches."""
+BAR_ROOM, TITLE_ROOM = 0.55, 0.5
+"""Beside a panel, for its color bar, and above it, inches."""
 
 CENTIMETER = 0.01
 """Lengths from here on are given in cm, shorter ones in mm; m."""
 
-ROUND = (5, 2, 1)
-"""What a round length begins with."""
-
-SCALE_DROP = 0.05
-"""How far below the object the scale bar is, in the object's larger side."""
-
-FRAME_SHARE = 0.03
-"""Room about the object, in its larger side."""
-
-SCALE_SHARE = 0.4
-"""A scale bar is at most this share of the object's width."""
-
-TABLE = "#f3efe6"
-"""The table's top."""
+ROUND, SCALE_SHARE = (5, 2, 1), 0.4
+"""What a scale bar's length begins with, and the share of the object's width that it is at most."""
 
 LEGEND_PAD = 4.5
 """Between the axes and a legend below them, in its font's size: room for ticks and a label."""
-
-ARROW_LINE = 1.6
-"""Line width, points."""
 
 
 def to_png(figure: Figure) -> bytes:

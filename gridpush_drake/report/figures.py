@@ -8,10 +8,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.geometry.se2 import transform_back
+from gridpush_drake.geometry.se2 import Array, transform_back
 from gridpush_drake.identification.result import HistoryEntry, Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -40,24 +40,16 @@ from gridpush_drake.report.draw import (
     to_png,
 )
 
-Array = NDArray[np.float64]
-
 LEGEND_COLUMNS = 3
 
-MOTION_WIDTH = 6.0
-"""Inches."""
-
-ARROW_HEAD = 0.01
-"""Share of a path that its arrow's head is drawn along."""
+MOTION_WIDTH, ARROW_HEAD = 6.0, 0.01
+"""Of a motion's figure, inches, and share of a path that its arrow's head is drawn along."""
 
 GHOSTS = 5
 """Faint outlines along a drawn motion, its two ends apart."""
 
-SPREAD_MAP = "BuPu"
-"""Color map of standard deviations."""
-
-SHARE_MAP = "YlGnBu"
-"""Color map of what was learned, 0 to 1."""
+SPREAD_MAP, SHARE_MAP = "BuPu", "YlGnBu"
+"""Color maps of standard deviations, and of what was learned, 0 to 1."""
 
 FAINTEST = 0.25
 """Opacity of a cell of which nothing was learned."""
@@ -65,16 +57,11 @@ FAINTEST = 0.25
 GRAM = 1e3
 """Grams in a kilogram."""
 
-MAX_OVERLAYS = 8
-"""Pushes drawn one by one."""
+MAX_OVERLAYS, OVERLAY_COLUMNS = 8, 4
+"""Pushes drawn one by one, in all and side by side."""
 
-MAX_DUMBBELLS = 32
-"""Pushes compared line by line; above this, as a scatter of points."""
-
-OVERLAY_COLUMNS = 4
-
-LINE_HEIGHT = 0.22
-"""Of a push in the line by line comparison, inches."""
+MAX_DUMBBELLS, LINE_HEIGHT = 32, 0.22
+"""Pushes compared line by line (above this, as a scatter of points), and the height of each, inches."""
 
 
 def draw_object_parts(obj: GridObject, width: float = HALF_WIDTH) -> Figure:

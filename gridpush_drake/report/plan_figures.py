@@ -40,22 +40,11 @@ from gridpush_drake.report.draw import (
     tidy,
 )
 
-HOLDS = "#4f9d69"
-"""What holds the object."""
+HOLDS, GRASP, OBSTACLE = "#4f9d69", "#b3423f", "#c7bdb0"
+"""What holds the object, what the gripper takes, and what is in the way."""
 
-GRASP = "#b3423f"
-"""What the gripper takes."""
-
-OBSTACLE = "#c7bdb0"
-
-WIDTH, MAX_HEIGHT = 6.5, 7.5
-"""Of a plan's figure, inches."""
-
-LEGEND_ROOM = 0.7
-"""Beside a plan's drawing, inches."""
-
-PANEL_HEIGHT = 4.4
-"""Of figures with two panels, inches."""
+WIDTH, MAX_HEIGHT, LEGEND_ROOM, PANEL_HEIGHT = 6.5, 7.5, 0.7, 4.4
+"""Of a plan's figure, beside its drawing, and of figures with two panels, inches."""
 
 ROOM, CLOSE_UP = 0.05, 0.06
 """About what is drawn, and about an object in a close-up, m."""
