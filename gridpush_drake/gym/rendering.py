@@ -1,7 +1,5 @@
 """Pictures of an episode, from straight above."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
@@ -25,7 +23,7 @@ LINE = 0.004
 """m, width of lines."""
 
 
-def draw_scene(game: PushGame[Any], episode: Episode, size: int, show_hidden: bool) -> NDArray[np.uint8]:
+def draw_scene(game: PushGame, episode: Episode, size: int, show_hidden: bool) -> NDArray[np.uint8]:
     """Draws the table, the object, its goal and the finger's last path; with the cells' hidden masses where asked.
 
     Returns:
@@ -47,9 +45,9 @@ def draw_scene(game: PushGame[Any], episode: Episode, size: int, show_hidden: bo
     square = obj.cell_size / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     for p_BC, color in zip(obj.p_BC, _color_cells(episode, show_hidden), strict=True):
         brush.polygon(place(transform(episode.true_pose, p_BC + square)), fill=color)
-    outline, goal = np.array(obj.outline.exterior.coords), game.find_goal(episode)
-    if goal is not None:
-        brush.line(place(transform(goal, outline)), fill=GOAL, width=max(1, round(LINE * scale)))
+    if episode.goal is not None:
+        outline = np.array(obj.outline.exterior.coords)
+        brush.line(place(transform(episode.goal, outline)), fill=GOAL, width=max(1, round(LINE * scale)))
     if episode.pushes:
         push = episode.pushes[-1].push
         brush.line(place(push.xy), fill=TIP, width=max(1, round(LINE * scale)))
