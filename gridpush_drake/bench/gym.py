@@ -80,11 +80,8 @@ SLIDE = SlideOptions(contact=replace(FINGER, starts=6, budget=24))
 DIRECTIONS = (-0.5, 0.0, 0.5)
 """That the learned player chooses from, as actions."""
 
-WEIGHTS = 11
-"""Of the learned player: eight rate a place and a direction, three the distance."""
-
-SPREAD = 1.0
-"""Standard deviation of the first weights that are tried."""
+WEIGHTS, SPREAD = 11, 1.0
+"""Of the learned player: eight rate a place and a direction, three the distance; and the first ones' deviation."""
 
 
 @dataclass(frozen=True)

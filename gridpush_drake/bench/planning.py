@@ -146,11 +146,9 @@ METHOD_BUDGETS = {GRADIENT: 44, DIFFERENCES: 75}
 PARAMETER_SEED = 100
 """Of the first random parameter set of the contact points."""
 
-SUCCESS = 0.02
-"""True mean cell error below which a run has succeeded, m (the paper's)."""
-
-TOLERANCE = 0.018
-"""Seen mean cell error at which the driver stops, m: below SUCCESS, for it sees poses with noise."""
+SUCCESS, TOLERANCE = 0.02, 0.018
+"""m, true mean cell error below which a run has succeeded (the paper's), and the seen one at which the driver stops:
+less, for it sees poses with noise."""
 
 MAX_PUSHES = 25
 

@@ -24,11 +24,8 @@ from gridpush_drake.planning.pregrasp.goals import calc_overhangs
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
-PER_METER = 10.0
-"""Reward for a meter, towards the goal or over the edge."""
-
-PER_METER_FORETOLD = 100.0
-"""Reward for a meter of held-out error."""
+PER_METER, PER_METER_FORETOLD = 10.0, 100.0
+"""Reward for a meter, towards the goal or over the edge, and of held-out error."""
 
 MARGIN, MIN_ERROR = 0.1, 0.1
 """m inside the edge that an object with a goal lies, there and at the beginning; and its mean cell error then, m."""
@@ -36,17 +33,12 @@ MARGIN, MIN_ERROR = 0.1, 0.1
 REACHED = 0.02
 """m, mean cell error: the paper's."""
 
-OFFSET = 0.05
-"""m, at most, of an object that is to be slid from the table's middle at the beginning, along each axis."""
+OFFSET, MAX_ARM = 0.05, 0.06
+"""m, at most, of an object to be slid from the table's middle at the beginning, along each axis, and of a part to be
+grasped from the center of mass."""
 
-MAX_ARM = 0.06
-"""m from the center of mass to the middle of a part to be grasped, at most."""
-
-HELD_OUT = 6
-"""Pushes that the learner is tested on."""
-
-HELD_OUT_DISTANCE = 0.3
-"""Of those pushes, as an action: nine centimeters or so."""
+HELD_OUT, HELD_OUT_DISTANCE = 6, 0.3
+"""Pushes that the learner is tested on, and how far, as an action: nine centimeters or so."""
 
 ITERATIONS = 2
 """Of the filter's step."""

@@ -10,17 +10,14 @@ from gridpush_drake.gym.episode import Episode, PushGame
 VIEW, ROOM = 1.0, 0.1
 """m: how much of a large table is seen at least, and beyond the edge of a small one."""
 
-SMOOTHING = 3
-"""Pixels drawn for each pixel of the picture, along each side."""
+SMOOTHING, LINE = 3, 0.004
+"""Pixels drawn for each pixel of the picture, along each side, and width of lines, m."""
 
 FLOOR, WOOD, PLAIN, GOAL, TIP = (70, 72, 76), (222, 205, 176), (96, 120, 160), (40, 140, 60), (200, 40, 40)
 """Colors of what is below the table, the table, the object, its goal, and the last push; RGB."""
 
 LIGHT, HEAVY = np.array([196, 214, 240]), np.array([120, 20, 60])
 """Of the lightest and the heaviest cell."""
-
-LINE = 0.004
-"""m, width of lines."""
 
 
 def draw_scene(game: PushGame, episode: Episode, size: int, show_hidden: bool) -> NDArray[np.uint8]:

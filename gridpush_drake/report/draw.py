@@ -243,6 +243,12 @@ def make_grid(rows: int, columns: int, width: float, height: float) -> tuple[Fig
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 
+def make_chart(width: float, height: float) -> tuple[Figure, Axes]:
+    """Makes a figure of one pair of axes, inches."""
+    figure, axes = make_grid(1, 1, width, height)
+    return figure, axes[0, 0]
+
+
 def hide_axes(ax: Axes, title: str = "") -> None:
     """Leaves of the axes only the drawing and a title."""
     ax.set_axis_off()
@@ -265,24 +271,14 @@ def add_scale_bar(ax: Axes, obj: GridObject) -> None:
     length = calc_round_length(SCALE_SHARE * max(x1 - x0, y1 - y0))
     below = y0 - obj.cell_size / 2 - SCALE_DROP * max(x1 - x0, y1 - y0)
     ax.plot([x0, x0 + length], [below, below], color=INK, linewidth=2, solid_capstyle="butt")
-    ax.annotate(
-        f" {_describe_length(length)}",
-        (x0 + length, below),
-        va="center",
-        fontsize=FONT - 1,
-        color=INK,
-        annotation_clip=False,
-    )
+    words = f" {length * 100:g} cm" if length >= CENTIMETER else f" {length * MM:g} mm"
+    ax.annotate(words, (x0 + length, below), va="center", fontsize=FONT - 1, color=INK, annotation_clip=False)
 
 
 def calc_round_length(longest: float) -> float:
     """The greatest 1, 2 or 5 times a power of ten that is at most `longest`."""
     power = 10.0 ** floor(log10(longest))
     return next(first * power for first in ROUND if first * power <= longest * (1 + 1e-9))
-
-
-def _describe_length(length: float) -> str:
-    return f"{length * 100:g} cm" if length >= CENTIMETER else f"{length * 1000:g} mm"
 
 
 def tidy(ax: Axes, x: str, y: str) -> None:

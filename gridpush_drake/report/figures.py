@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Rectangle
 from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.push import Push
@@ -34,6 +34,7 @@ from gridpush_drake.report.draw import (
     draw_parts,
     frame_object,
     hide_axes,
+    make_chart,
     make_grid,
     make_panels,
     tidy,
@@ -64,14 +65,15 @@ MAX_DUMBBELLS, LINE_HEIGHT = 32, 0.22
 """Pushes compared line by line (above this, as a scatter of points), and the height of each, inches."""
 
 
-def draw_object_parts(obj: GridObject, width: float = HALF_WIDTH) -> Figure:
+def draw_object_parts(obj: GridObject) -> Figure:
     """Draws the object with its parts."""
-    figure, axes = make_panels(obj, 1, 1, width=width, max_height=width)
-    draw_parts(axes[0, 0], obj)
-    _put_legend_above(axes[0, 0])
-    hide_axes(axes[0, 0])
-    frame_object(axes[0, 0], obj)
-    add_scale_bar(axes[0, 0], obj)
+    figure, axes = make_panels(obj, 1, 1, width=HALF_WIDTH, max_height=HALF_WIDTH)
+    ax = axes[0, 0]
+    draw_parts(ax, obj)
+    _put_legend_above(ax)
+    hide_axes(ax)
+    frame_object(ax, obj)
+    add_scale_bar(ax, obj)
     return figure
 
 
@@ -96,8 +98,7 @@ def draw_pushes(result: Identification, log: PushLog, held_out: PushLog | None =
 
 def draw_loss(history: Sequence[HistoryEntry], before: float | None = None) -> Figure:
     """Draws the loss along the search, and the mean cell error with uniform parameters, m, where it is given."""
-    figure, axes = make_grid(1, 1, HALF_WIDTH, 0.55 * HALF_WIDTH)
-    ax = axes[0, 0]
+    figure, ax = make_chart(HALF_WIDTH, 0.55 * HALF_WIDTH)
     simulations = [entry.simulations for entry in history]
     loss = [entry.loss * MM for entry in history]
     ax.step(simulations, loss, where="post", color=LEARNED, linewidth=1.6, label="best so far")
@@ -116,8 +117,7 @@ def draw_learning(errors: Sequence[float], noise_floor: float | None = None) -> 
     `errors` are their mean cell errors, m, before the first push and after each; `noise_floor` is the error that the
     true parameters leave, where it is known.
     """
-    figure, axes = make_grid(1, 1, 6.5, 2.9)
-    ax = axes[0, 0]
+    figure, ax = make_chart(6.5, 2.9)
     ax.plot(np.arange(len(errors)), np.array(errors) * MM, "o-", color=LEARNED, markersize=5, linewidth=1.6)
     ax.axhline(errors[0] * MM, color=BEFORE, linewidth=1.2, linestyle="dashed", label="even object")
     if noise_floor is not None:
@@ -187,10 +187,9 @@ def draw_unknown_maps(result: Identification) -> Figure:
     _draw_map(axes[0, 1], obj, known.mass_min * GRAM, "smallest possible mass", "g a cell", limits)
     _draw_map(axes[0, 2], obj, greatest, "greatest possible mass", "g a cell", limits)
     low, high = known.center_of_mass_box
-    for ax in axes[0, 1:]:
-        if np.isfinite(known.center_of_mass_box).all():
-            ax.plot(*_rectangle(low, high), color="white", linewidth=3)
-            ax.plot(*_rectangle(low, high), color=LEARNED, linewidth=1.5)
+    for ax in axes[0, 1:] if np.isfinite(known.center_of_mass_box).all() else ():
+        for color, width in (("white", 3.0), (LEARNED, 1.5)):
+            ax.add_patch(Rectangle(low, *(high - low), fill=False, edgecolor=color, linewidth=width))
     add_scale_bar(axes[0, 0], obj)
     return figure
 
@@ -221,10 +220,6 @@ def _limits(values: Array, others: Array | None = None, zero: bool = False) -> t
     return (low, low + apart) if zero else ((low + high - apart) / 2, (low + high + apart) / 2)
 
 
-def _rectangle(low: Array, high: Array) -> tuple[list[float], list[float]]:
-    return [low[0], high[0], high[0], low[0], low[0]], [low[1], low[1], high[1], high[1], low[1]]
-
-
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """How one push came out.
@@ -233,8 +228,7 @@ class Outcome:
         seen: the push.
         before: (3,) final pose predicted with uniform parameters, m and rad.
         after: (3,) as the learned model predicts it.
-        error_before: mean cell error, m, of the one.
-        error_after: of the other.
+        error_before: mean cell error, m, of the one; `error_after` of the other.
         held_out: whether the model never saw it.
     """
 
@@ -256,14 +250,10 @@ def draw_overlays(obj: GridObject, outcomes: Sequence[Outcome]) -> Figure:
         ax.set_axis_off()
     for ax, outcome in zip(axes.flat, chosen, strict=False):
         _draw_overlay(ax, obj, outcome)
+    drawn = {"before the push": FAINT, "observed": INK, "uniform friction": BEFORE, "learned": LEARNED}
     handles = [
         Line2D([], [], color=color, linestyle="dashed" if color == FAINT else "solid", linewidth=1.6, label=label)
-        for label, color in (
-            ("before the push", FAINT),
-            ("observed", INK),
-            ("uniform friction", BEFORE),
-            ("learned", LEARNED),
-        )
+        for label, color in drawn.items()
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=FONT)
     return figure
@@ -288,9 +278,8 @@ def draw_errors(outcomes: Sequence[Outcome]) -> Figure:
 
 
 def _draw_dumbbells(outcomes: Sequence[Outcome]) -> Figure:
-    figure, axes = make_grid(1, 1, 6.5, LINE_HEIGHT * len(outcomes) + 0.9)
-    ax = axes[0, 0]
-    before, after = _errors(outcomes)
+    figure, ax = make_chart(6.5, LINE_HEIGHT * len(outcomes) + 0.9)
+    before, after = MM * np.array([(outcome.error_before, outcome.error_after) for outcome in outcomes]).T
     places = np.arange(len(outcomes))[::-1]
     ax.hlines(places, before, after, color=FAINT, linewidth=1.2)
     ax.plot(before, places, "o", color=BEFORE, markersize=5, label="uniform friction")
@@ -305,9 +294,8 @@ def _draw_dumbbells(outcomes: Sequence[Outcome]) -> Figure:
 
 
 def _draw_scatter(outcomes: Sequence[Outcome]) -> Figure:
-    figure, axes = make_grid(1, 1, 5.0, 4.6)
-    ax = axes[0, 0]
-    before, after = _errors(outcomes)
+    figure, ax = make_chart(5.0, 4.6)
+    before, after = MM * np.array([(outcome.error_before, outcome.error_after) for outcome in outcomes]).T
     held_out = np.array([outcome.held_out for outcome in outcomes])
     for which, color, label in ((~held_out, LEARNED, "learned from"), (held_out, BEFORE, "held out")):
         if which.any():
@@ -322,13 +310,6 @@ def _draw_scatter(outcomes: Sequence[Outcome]) -> Figure:
     return figure
 
 
-def _errors(outcomes: Sequence[Outcome]) -> tuple[Array, Array]:
-    return (
-        np.array([outcome.error_before for outcome in outcomes]) * MM,
-        np.array([outcome.error_after for outcome in outcomes]) * MM,
-    )
-
-
 def draw_object(obj: GridObject) -> bytes:
     """The object with its parts, as PNG."""
     return to_png(draw_object_parts(obj))
@@ -341,8 +322,7 @@ def draw_model(result: Identification) -> bytes:
 
 def draw_motion(obj: GridObject, push: Push, poses: Array) -> bytes:
     """A simulated motion (T+1, 3), as PNG: the object from its beginning to its end, and the pusher's path."""
-    figure, axes = make_grid(1, 1, MOTION_WIDTH, 0.75 * MOTION_WIDTH)
-    ax = axes[0, 0]
+    figure, ax = make_chart(MOTION_WIDTH, 0.75 * MOTION_WIDTH)
     for pose in poses[np.linspace(0, len(poses) - 1, GHOSTS + 2).astype(int)[1:-1]]:
         draw_outline(ax, obj, pose=pose, color=FAINT, alpha=0.5)
     draw_outline(ax, obj, pose=poses[0], color=FAINT, linestyle="dashed")

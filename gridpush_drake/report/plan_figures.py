@@ -36,6 +36,7 @@ from gridpush_drake.report.draw import (
     draw_outline,
     draw_table,
     frame_points,
+    make_chart,
     make_grid,
     tidy,
 )
@@ -63,8 +64,7 @@ def draw_plan(
     if surface is not None:
         points.append(surface.corners)
     width, height = np.ptp(np.concatenate(points), axis=0) + 2 * ROOM
-    figure, axes = make_grid(1, 1, WIDTH, min(WIDTH * height / width, MAX_HEIGHT) + LEGEND_ROOM)
-    ax = axes[0, 0]
+    figure, ax = make_chart(WIDTH, min(WIDTH * height / width, MAX_HEIGHT) + LEGEND_ROOM)
     for shape in shapes:
         ax.add_patch(Polygon(shape, facecolor=OBSTACLE, edgecolor=INK, zorder=0.5))
     _draw_pushes(ax, obj, poses, pushes, plan.goal, surface, "predicted end")
