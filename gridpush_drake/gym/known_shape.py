@@ -73,7 +73,8 @@ class KnownShape:
         """Makes the push of an action on an object that is seen at a pose (3,), m and rad.
 
         The action is (3,) place, direction and distance, each from -1 to 1, which stand for shares of the outline from
-        0 to 1 (which is 0 again), and for the least and the greatest of `FINGER.angle_range` and `FINGER.distance_range`.
+        0 to 1 (which is 0 again), and for the least and the greatest of `FINGER.angle_range` and
+        `FINGER.distance_range`.
         """
         share, angle, distance = (np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0) + 1.0) / 2.0
         s, _ = self.reachable.locate(share % 1.0)

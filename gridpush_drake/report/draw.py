@@ -17,12 +17,13 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, PathPatch, Polygon
+from matplotlib.patches import Circle, Patch, PathPatch, Polygon
 from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.polygon import orient
 
+from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.objects.grid_object import GridObject
@@ -39,7 +40,7 @@ PART_COLORS = ("#7fa7c9", "#e3b778", "#8fbf9f", "#c99bb8", "#b3a6d9", "#a9a9a3")
 CELL_MAP = "viridis"
 """Color map of values where none is asked for."""
 
-CELL_LINE, OUTLINE_LINE, ARROW_LINE = 0.4, 1.4, 1.6
+CELL_LINE, OUTLINE_LINE, ARROW_LINE, TIP_LINE = 0.4, 1.4, 1.6, 1.2
 """Line widths, points."""
 
 FONT = 9
@@ -207,6 +208,13 @@ def draw_arrow(ax: Axes, start: ArrayLike, end: ArrayLike, color: str) -> None:
         arrowprops={"arrowstyle": "-|>", "color": color, "linewidth": ARROW_LINE, "shrinkA": 0, "shrinkB": 0},
         zorder=5,
     )  # fmt: skip
+
+
+def draw_tips(ax: Axes, push: Push, color: str) -> None:
+    """Draws the path of the finger, open where it begins."""
+    ax.plot(*push.xy.T, color=color, linewidth=TIP_LINE)
+    for center, filling in ((push.xy[0], "none"), (push.xy[-1], color)):
+        ax.add_patch(Circle(tuple(center), push.radius, facecolor=filling, edgecolor=color))
 
 
 def frame_points(ax: Axes, points: Sequence[ArrayLike], room: float) -> None:

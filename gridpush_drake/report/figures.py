@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import Rectangle
 from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.push import Push
@@ -32,6 +32,7 @@ from gridpush_drake.report.draw import (
     draw_cells,
     draw_outline,
     draw_parts,
+    draw_tips,
     frame_object,
     hide_axes,
     make_chart,
@@ -327,8 +328,6 @@ def draw_motion(obj: GridObject, push: Push, poses: Array) -> bytes:
         draw_outline(ax, obj, pose=pose, color=FAINT, alpha=0.5)
     draw_outline(ax, obj, pose=poses[0], color=FAINT, linestyle="dashed")
     draw_cells(ax, obj, pose=poses[-1])
-    ax.plot(*push.xy.T, color=LEARNED, linewidth=1)
-    for center, color in ((push.xy[0], "none"), (push.xy[-1], LEARNED)):
-        ax.add_patch(Circle(tuple(center), push.radius, facecolor=color, edgecolor=LEARNED))
+    draw_tips(ax, push, LEARNED)
     ax.autoscale_view()
     return to_png(figure)
