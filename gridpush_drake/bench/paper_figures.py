@@ -19,12 +19,11 @@ from matplotlib.figure import Figure
 
 from gridpush_drake.bench import paper, planning, pregrasp, real
 from gridpush_drake.bench.jobs import QUIET, Execution, Job, Result, check_known, run_jobs
-from gridpush_drake.bench.protocol import MAX_CELLS, make_case, make_planning_protocol, make_protocol
+from gridpush_drake.bench.protocol import make_case, make_planning_protocol, make_protocol, read_object
 from gridpush_drake.bench.table import MM, PERCENT, Table
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.identification.learning import METHODS, identify
-from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.report.draw import draw_cells, hide_axes, make_chart, make_grid, to_png, to_svg
 
@@ -186,8 +185,7 @@ def learn_map(job: MapJob) -> MassMap:
     case = make_case(protocol, job.name, job.mass_set)
     split = protocol.splits[paper.TRAINING_PUSHES][job.mass_set]
     found = identify(case.obj, case.log.subset(split.train), seed=job.seed)
-    labels = load_labels(job.data, job.seed, job.name)
-    hidden = np.array(protocol.masses[job.name][job.mass_set])[labels - 1]
+    hidden = np.array(protocol.masses[job.name][job.mass_set])[read_object(protocol, job.name).labels - 1]
     test = case.log.subset(split.test)
     error = paper.calc_test_error(case, found.params, test, found.regime)
     mean = found.params.mass.mean()
@@ -195,16 +193,6 @@ def learn_map(job: MapJob) -> MassMap:
         job.name, (hidden / hidden.mean()).tolist(), (found.params.mass / mean).tolist(),
         (found.std.mass / mean).tolist(), error,
     )  # fmt: skip
-
-
-def load_labels(data: Path | None, seed: int, name: str) -> np.ndarray:
-    """(n,) the hidden parts of a protocol's object."""
-    protocol = make_protocol(data, seed)
-    if name not in protocol.masks:
-        return GridObject.from_yaml(find_shipped_object(name)).labels
-    return GridObject.from_mask(
-        protocol.masks[name], meters_per_pixel=protocol.meters_per_pixel, max_cells=MAX_CELLS
-    ).labels
 
 
 def _draw_maps(study: Study) -> tuple[str, str]:

@@ -201,15 +201,12 @@ def make_case(protocol: Protocol, name: str, mass_set: int) -> Case:
     """
     if name not in protocol.masses:
         raise GridPushError(f"objects: {name!r} is not in the protocol; expected one of {', '.join(protocol.masses)}")
-    prior = PhysicalPrior(friction=SUPPORT_FRICTION)
-    mask, scale = protocol.masks.get(name), protocol.meters_per_pixel
-    if mask is None:
-        obj = replace(GridObject.from_yaml(find_shipped_object(name)), prior=prior)
+    obj = replace(read_object(protocol, name), prior=PhysicalPrior(friction=SUPPORT_FRICTION))
+    if name in protocol.masks:
+        columns = read_labels(protocol.masks[name]).shape[1]
+    else:
         left, _, right, _ = obj.outline.bounds
         columns = round((right - left) / METERS_PER_PIXEL)
-    else:
-        obj = GridObject.from_mask(mask, meters_per_pixel=scale, max_cells=MAX_CELLS, prior=prior)
-        columns = read_labels(mask).shape[1]
     masses = dict(enumerate(protocol.masses[name][mass_set], start=1))
     truth = CellParameters.by_part(obj, masses, SUPPORT_FRICTION)
     pushes = make_pushes(obj, columns)
@@ -321,8 +318,7 @@ def list_objects(protocol: PlanningProtocol, shipped: Sequence[str] | None = Non
     return [*protocol.masks, *(list_shipped_objects() if shipped is None else shipped)]
 
 
-@lru_cache(maxsize=32)
-def read_planning_object(protocol: PlanningProtocol, name: str) -> GridObject:
+def read_object(protocol: Protocol | PlanningProtocol, name: str) -> GridObject:
     """An object by its name, with its parts. Raises ObjectError where there is none."""
     if name in protocol.masks:
         return GridObject.from_mask(
@@ -330,6 +326,10 @@ def read_planning_object(protocol: PlanningProtocol, name: str) -> GridObject:
             prior=PhysicalPrior(friction=SUPPORT_FRICTION),
         )  # fmt: skip
     return GridObject.from_yaml(find_shipped_object(name))
+
+
+read_planning_object = lru_cache(maxsize=32)(read_object)
+"""The same, of a planning protocol, each once."""
 
 
 def hide_parts(obj: GridObject) -> GridObject:
