@@ -125,8 +125,7 @@ class PushStatus:
     """Where an executor stands.
 
     Attributes:
-        phase: "idle", "approaching", "descending", "pushing", "settling", "retracting" or "clearing" (it goes
-            out of the camera's way).
+        phase: what it is doing; "clearing" goes out of the camera's way.
         command_id: of the last command taken up or refused; 0 before the first.
         executed: commands carried out to the end, or broken off.
         refused: commands refused.
@@ -173,7 +172,7 @@ class GraspStatus:
     """Where an executor stands.
 
     Attributes:
-        phase: "idle", "approaching", "entering", "closing", "lifting", "holding", "opening" or "retreating".
+        phase: what it is doing.
         command_id: of the last command taken up or refused; 0 before the first.
         outcome: of that command: "" (under way), "refused", "missed" (closed on nothing), "slipped" (lost while lifting
             or holding) or "held" (lifted, and held for the time: the phase stays "holding").
