@@ -13,7 +13,8 @@ from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from gridpush_drake.bench import plant
-from gridpush_drake.bench.jobs import QUIET, Execution, ObjectJob, Report, count_steps, run_jobs
+from gridpush_drake.bench.campaign import calc_center_error
+from gridpush_drake.bench.jobs import QUIET, Execution, Report, count_steps, run_jobs
 from gridpush_drake.bench.speed import DT, DURATION, RADIUS, make_bench_push
 from gridpush_drake.bench.table import MM, MS, Table, Value
 from gridpush_drake.dynamics.simulation import Regime
@@ -31,21 +32,20 @@ SEEDS = (0, 1, 2)
 
 
 @dataclass(frozen=True)
+class Job:
+    """One experiment in the station: a shipped object, and the seed of all that is hidden or random."""
+
+    name: str
+    seed: int
+
+
+@dataclass(frozen=True)
 class StationScore:
     """What came of one experiment; lengths in m.
 
-    Attributes:
-        name: the object.
-        seed: of the experiment.
-        status: of the experiment, "finished" where all pushes were carried out.
-        pushes: learned from.
-        held_out: pushes to judge by.
-        error: mean cell error of the held-out pushes, with the uniform model, as learned, and with the true parameters.
-        center_of_mass_error: with the uniform model, and as learned.
-        tracking_error: of the finger.
-        share: of joint position, velocity and torque limits, the greatest.
-        touched: pairs of bodies that should not have touched.
-        duration: simulated, s.
+    Mean cell errors of the held-out pushes are with the uniform model, as learned, and with the true parameters; center
+    of mass errors with the first two. `share` is the greatest of joint position, velocity and torque limits; `touched`
+    counts pairs of bodies that should not have touched.
     """
 
     name: str
@@ -69,12 +69,12 @@ def run(seed: int = 0, execution: Execution = QUIET, *, quick: bool = False) -> 
     count = 1 if quick else None
     tables = [run_lcp_system(execution.report), *([] if quick else [run_updates(execution.report)])]
     pushes = plant.calc_scores(plant.OBJECTS[:count], 2 if quick else plant.PUSHES, seed=seed, execution=execution)
-    jobs = [ObjectJob(name, seed + each) for name in OBJECTS[:count] for each in SEEDS[:count]]
-    scores = run_jobs(run_job, jobs, ObjectJob.describe, execution)
+    jobs = [Job(name, seed + each) for name in OBJECTS[:count] for each in SEEDS[:count]]
+    scores = run_jobs(run_job, jobs, lambda job: f"{job.name}, seed {job.seed}", execution)
     return [*tables, plant.make_table(pushes), make_table(scores)]
 
 
-def run_job(job: ObjectJob) -> StationScore:
+def run_job(job: Job) -> StationScore:
     """Runs one experiment with the default scenario."""
     record = IdentifyTask(PushScenario(object=job.name, seed=job.seed)).run()
     assert record.truth is not None  # of a simulated object it is known
@@ -83,7 +83,7 @@ def run_job(job: ObjectJob) -> StationScore:
     learned = record.estimates[-1].params if record.estimates else uniform
     regime = record.estimates[-1].regime if record.estimates else "quasi_static"
     before, after, floor = (calc_mean_cell_error(obj, params, held_out, regime) for params in (uniform, learned, truth))
-    gaps = [float(np.linalg.norm(p.center_of_mass(obj) - truth.center_of_mass(obj))) for p in (uniform, learned)]
+    gaps = [calc_center_error(record, params) for params in (uniform, learned)]
     return StationScore(
         job.name, job.seed, record.status, len(record.training_log), len(held_out), (before, after, floor),
         (gaps[0], gaps[1]), limits.tracking_error,
@@ -156,10 +156,7 @@ def run_updates(report: Report | None = None) -> Table:
 
 
 def time_updates(answer_delay: float | None) -> tuple[Array, NDArray[np.bool_], int]:
-    """Lets the station poke a hammer.
-
-    Args:
-        answer_delay: as of the scenario.
+    """Lets the station poke a hammer; `answer_delay` is as of the scenario.
 
     Returns:
         (U, 2) each update's time by the clock on the wall and by that of the thread's processor, s; (U,) whether

@@ -146,12 +146,7 @@ class TruthWorld:
     """
 
     def __init__(self, body: TruthBody, radius: float, table: Bounds = ENDLESS) -> None:
-        """Finds how the body rests.
-
-        Args:
-            body: what is pushed.
-            radius: of the pusher, m.
-            table: its sides in W, m.
+        """Finds how the body rests on a table of these sides in W, m; the radius is the pusher's.
 
         Raises:
             GridPushError: MuJoCo is not installed.
@@ -211,14 +206,7 @@ class TruthWorld:
         return float(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)))
 
     def push(self, push: Push) -> TruthMotion:
-        """Pushes the body from where it is, at rest.
-
-        Args:
-            push: of a disc of this world's radius.
-
-        Returns:
-            The motion during the push; theta is continuous.
-        """
+        """Pushes the body, with a disc of this world's radius, from where it is, at rest; theta is continuous."""
         model, data, step = self._model, self._data, self._mujoco.mj_step
         dt = self.body.time_step
         count = round(push.duration / dt)

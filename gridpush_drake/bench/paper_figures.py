@@ -38,15 +38,7 @@ FIGURES = ("mass_maps", "simulations", "real_pushes", "contact_points", "pregras
 
 @dataclass(frozen=True)
 class Counts:
-    """How much is run.
-
-    Attributes:
-        sets: mass sets of an object, for the searches and the contact points.
-        pairs: start and goal poses, for the contact points.
-        splits: of a log, for the real pushes.
-        tries: hidden hammers, for the slides.
-        budget: simulated pushes of a search.
-    """
+    """How much is run: mass sets, pairs of poses, splits of a log, hidden hammers, simulated pushes of a search."""
 
     sets: int = 3
     pairs: int = 5
@@ -90,15 +82,7 @@ class MapJob:
 
 @dataclass(frozen=True)
 class MassMap:
-    """What was hidden, and what was learned.
-
-    Attributes:
-        name: of the object.
-        hidden: (n,) each cell's share of the mass, over the mean share.
-        learned: (n,) the same as estimated.
-        std: (n,) its standard deviation.
-        error: mean test cell error, m.
-    """
+    """What was hidden, and what was learned, each cell's share of the mass over the mean share (n,); test error, m."""
 
     name: str
     hidden: list[float]
@@ -121,7 +105,17 @@ class Study:
     force: bool
 
     def run(self, function: Callable[[Job], Result], jobs: Sequence[Job]) -> list[Result]:
-        """Does the jobs."""
+        """Measures, and draws the figures into a folder, which is made where it is not there.
+
+        The arguments are the options of `gridpush bench paper`; `counts` says how much is run, QUICK where `quick`.
+
+        Returns:
+        What each figure shows, beside what the paper says.
+
+        Raises:
+        GridPushError: the data are not there, or an object is not known.
+        OutputError: a figure cannot be written.
+        """
         return run_jobs(
             function, jobs, lambda job: f"{function.__name__}: {getattr(job, 'name', '')}", self.execution
         )  # fmt: skip

@@ -39,15 +39,7 @@ GRADIENT, DIFFERENCES, EXHAUSTIVE = "gradient", "finite_difference", "exhaustive
 
 @dataclass(frozen=True)
 class Decision:
-    """One choice of a push.
-
-    Attributes:
-        name: of the object.
-        method: of the search.
-        simulations: that it took.
-        gap: its cost above the exhaustive search's, m.
-        seconds: wall clock.
-    """
+    """One choice of a push: by which method, its cost above the exhaustive search's, m, and wall clock, s."""
 
     name: str
     method: str
@@ -58,20 +50,9 @@ class Decision:
 
 @dataclass(frozen=True)
 class Run:
-    """One object pushed towards one goal.
+    """One object pushed towards one goal, planned with the model of a mode.
 
-    Attributes:
-        name: of the object.
-        mode: of the model.
-        success: whether it got there.
-        fell: whether it fell off the table.
-        pushes: made.
-        status: that the driver ended with.
-        first_error: of the first push's prediction, m; NaN where there was none.
-        later_error: mean over the later pushes, m.
-        simulations: of the planner.
-        planning_seconds: wall clock.
-        learning_seconds: wall clock.
+    The first push's prediction is off by `first_error`, m, the later ones by `later_error` on average; NaN without any.
     """
 
     name: str
@@ -176,17 +157,7 @@ MAX_PUSHES = 25
 
 @dataclass(frozen=True)
 class Job:
-    """One object with one set of parameters.
-
-    Attributes:
-        kind: "contact" or "push".
-        data: folder of the masks.
-        name: of the object.
-        number: of the parameter or mass set.
-        pairs: how many of the start and goal poses.
-        modes: of the models to push with.
-        seed: of the noise and the learning.
-    """
+    """One object with one parameter or mass set, some pairs of poses, and the modes of the models to push with."""
 
     kind: Part
     data: Path | None

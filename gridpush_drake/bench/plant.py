@@ -83,19 +83,10 @@ class PlantJob:
 
 @dataclass(frozen=True)
 class PlantScore:
-    """How far plant and model differ at the end of one push.
+    """How far plant (its base, its tilt) and model (its spin) differ at the end of one push, m and rad.
 
-    Attributes:
-        name: the object.
-        base: how the plant holds it.
-        seed: of its parts and of the push.
-        spin: the model's.
-        position: distance of B's origins, m.
-        angle: rad.
-        cells: mean distance of the cells, m.
-        moved: mean distance that the plant's cells went, m.
-        tracking_error: of the plant's pusher, m.
-        tilt: greatest of the plant's object, rad.
+    `position` is the distance of B's origins, `cells` the mean one of the cells, `moved` how far the plant's cells went
+    on average, and `tracking_error` the plant's pusher's.
     """
 
     name: str
@@ -118,17 +109,7 @@ def calc_scores(
     seed: int = 0,
     execution: Execution = QUIET,
 ) -> list[PlantScore]:
-    """Compares the two, push by push.
-
-    Args:
-        objects: shipped objects' names.
-        pushes: how many of each.
-        bases: how the plant holds the object.
-        seed: the first push's; the others' follow.
-        execution: how the jobs are run.
-
-    Returns:
-        Of each push two, one for each spin model.
+    """Compares the two, push by push, and for each spin model; `seed` is the first push's.
 
     Raises:
         ObjectError: an object is not shipped.
@@ -165,16 +146,7 @@ def run_job(job: PlantJob) -> list[PlantScore]:
 
 
 def draw_push(obj: GridObject, params: CellParameters, seed: int, radius: float) -> tuple[Push, np.ndarray]:
-    """Draws a pose of the object and a push that moves it.
-
-    Args:
-        obj: the object.
-        params: its masses and frictions.
-        seed: of the draw.
-        radius: of the pusher, m.
-
-    Returns:
-        The push, from a place of the outline inwards, and the pose (3,).
+    """Draws a push of a pusher's radius, from a place of the outline inwards, and a pose (3,) of the object.
 
     Raises:
         PushError: hardly any push moves the object.
@@ -299,15 +271,7 @@ class PlantPusher:
         self.simulator = Simulator(builder.Build())
 
     def push(self, params: CellParameters, push: Push, pose: ArrayLike = (0.0, 0.0, 0.0)) -> PlantMotion:
-        """Pushes the object from rest.
-
-        Args:
-            params: the object's masses and frictions.
-            push: of a pusher of this one's radius.
-            pose: (3,) of the object at the beginning, m and rad.
-
-        Returns:
-            The motion.
+        """Pushes the object from rest at a pose (3,), m and rad, with these masses and frictions.
 
         Raises:
             PushError: the pusher's radius is another.
@@ -341,12 +305,7 @@ class PlantPusher:
 
 
 def AddPusher(plant: MultibodyPlant, radius: float, height: float) -> ModelInstanceIndex:
-    """Adds a sphere on two prismatic joints, x and y of the world, with PD gains.
-
-    Args:
-        plant: before Finalize.
-        radius: m.
-        height: of the sphere's center, m.
+    """Adds a sphere on two prismatic joints, x and y of the world, with PD gains, before Finalize.
 
     Returns:
         Its model instance; the desired state is x, y (m) and their rates.

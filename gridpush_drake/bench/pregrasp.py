@@ -27,7 +27,7 @@ from gridpush_drake.bench.pregrasp_world import (
     add_pose_noise,
     run_pregrasp,
 )
-from gridpush_drake.bench.protocol import MASS_RANGE, PLANNING_METERS_PER_PIXEL, find_masks
+from gridpush_drake.bench.protocol import MASS_RANGE, PLANNING_METERS_PER_PIXEL, find_masks, know_friction
 from gridpush_drake.bench.table import MM, PERCENT, Column, Table, count_of, mean_of
 from gridpush_drake.bench.truth_sets import KINDS
 from gridpush_drake.dynamics.simulation import simulate
@@ -71,19 +71,12 @@ def find_mask(data: Path) -> Path:
 
 
 def load_bench_object(name: str, friction_range: tuple[float, float], mask: Path | None = None) -> GridObject:
-    """Loads an object, or its mask, its support friction known to be within a range, its parts' masses not at all.
-
-    The prior coefficient is the range's geometric mean. Raises ObjectError where there is no such object.
-    """
+    """Loads an object, or its mask, as `know_friction` has it. Raises ObjectError where there is no such object."""
     if mask is not None:
         obj = GridObject.from_mask(mask, meters_per_pixel=PLANNING_METERS_PER_PIXEL, name=name)
     else:
         obj = GridObject.from_yaml(find_shipped_object(name))
-    low, high = friction_range
-    prior = replace(
-        obj.prior, total_mass=None, friction=float(np.sqrt(low * high)), friction_min=low, friction_max=high
-    )
-    return replace(obj, prior=prior)
+    return know_friction(obj, *friction_range)
 
 
 def make_table(seed: int) -> SupportSurface:
@@ -276,13 +269,9 @@ PAPER_PUSHES = 4
 
 @dataclass(frozen=True)
 class Job:
-    """One object with one mass set and seed, by one method, or both ways of exploring.
+    """One object with one mass set and seed, by one of METHODS or EXPLORING.
 
     Attributes:
-        name: of the object.
-        mass_set: its number.
-        seed: of table, start and noise.
-        method: of METHODS or EXPLORING.
         depth: of the gripper's fingers, m.
         mask: file of the paper's object.
         friction: range of the true frictions, and what is known of them.

@@ -140,15 +140,7 @@ class MujocoWorld(EdgeWorld):
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended.
-
-    Attributes:
-        grasped: whether a part was declared graspable, and truly hangs over with the object at rest.
-        dropped: whether the object fell.
-        pokes: made.
-        slides: made.
-        reason: the loop's last one.
-    """
+    """How a run ended: whether a part was declared graspable, and truly hangs over with the object at rest; or fell."""
 
     grasped: bool
     dropped: bool
@@ -169,7 +161,7 @@ def run_pregrasp(
         infer: says what is held possible; by default what the identification's posterior says.
     """
     loop = PreGraspLoop(planner, lambda *_: None, infer=infer, options=ONE_OBSERVATION)
-    state = run_loop(loop, planner.obj, world, _is_over, learn=learn, surface=world.surface).state
+    state = run_loop(loop, planner.obj, world, is_over, learn=learn, surface=world.surface).state
     status = state.status
     if world.fallen:
         return Outcome(False, True, status.pokes, status.slides, status.reason)
@@ -177,7 +169,8 @@ def run_pregrasp(
     return Outcome(grasped, False, status.pokes, status.slides, status.reason)
 
 
-def _is_over(state: PreGraspState) -> bool:
+def is_over(state: PreGraspState) -> bool:
+    """Whether a loop is done, but for the grasp."""
     return state.status.over or state.status.mode in (PreGraspMode.VERIFYING, PreGraspMode.LOST)
 
 

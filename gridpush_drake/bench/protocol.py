@@ -146,12 +146,7 @@ class Protocol:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """An object with one mass set, pushed ten times.
-
-    Attributes:
-        obj: as the identifier sees it: one part, and no prior but the defaults.
-        log: the ten observed pushes.
-    """
+    """An object with one mass set as the identifier sees it (one part, no prior but the defaults), pushed ten times."""
 
     obj: GridObject
     log: PushLog
@@ -355,7 +350,13 @@ def read_planning_object(protocol: PlanningProtocol, name: str) -> GridObject:
 
 def hide_parts(obj: GridObject) -> GridObject:
     """The object as whoever learns sees it: one part."""
-    return GridObject(obj.name, obj.p_BC, obj.cell_size, np.ones(obj.n, dtype=np.int64), obj.outline, obj.prior)
+    return replace(obj, labels=np.ones(obj.n, dtype=np.int64))
+
+
+def know_friction(obj: GridObject, low: float, high: float) -> GridObject:
+    """The object with support friction known to be within a range, its geometric mean the prior, but no weight."""
+    middle = float(np.sqrt(low * high))
+    return replace(obj, prior=replace(obj.prior, total_mass=None, friction=middle, friction_min=low, friction_max=high))
 
 
 def make_hidden(protocol: PlanningProtocol, name: str, mass_set: int) -> CellParameters:

@@ -71,15 +71,6 @@ def simulate_log(path: Path, seed: int, number: int) -> tuple[PushLog, GridObjec
     return PushLog(tuple(pushes), source=f"{obj.name}, simulated, number {number}"), hide_parts(plain)
 
 
-def describe_pushes() -> str:
-    """How the pushes are made, in a sentence."""
-    return (
-        f"Simulated by our own model: hidden masses and frictions by part, {PUSHES} pushes of {100 * DISTANCE:g} cm at "
-        f"{100 * SPEED:g} cm/s from random places, poses seen with {1e3 * POSITION_STD:g} mm and {ANGLE_STD:g} rad of "
-        "noise."
-    )
-
-
 CMU_SOURCE, MIT_SOURCE = "GitHub robinzhoucmu/MLab_EXP", "GitHub robinzhoucmu/PlanarManipulationToolBox"
 
 RECORDS = "record_all"
@@ -87,14 +78,9 @@ RECORDS = "record_all"
 
 
 def find_push_logs(data: Path, min_pushes: int) -> list[tuple[str, Path]]:
-    """Finds real robots' push logs anywhere below a folder.
+    """Finds real robots' push logs below a folder: the kind ("cmu" or "mit") and the file of each, CMU's first.
 
-    Args:
-        data: a folder.
-        min_pushes: of a CMU file; others are passed over.
-
-    Returns:
-        The kind ("cmu" or "mit") and the file of each, CMU's first.
+    Files of CMU's form with fewer than `min_pushes` are passed over.
 
     Raises:
         GridPushError: there is no such folder, or no push log in it.
@@ -146,15 +132,9 @@ UNIFORM, POSES, CENTER = "uniform pressure", "poses only", "poses + center of ma
 
 @dataclass(frozen=True)
 class Job:
-    """One file and split, learned from with some numbers of training pushes.
+    """One log ("cmu", "mit" or "simulated" of an object's file) and split, and numbers of pushes to learn from.
 
-    Attributes:
-        path: of the log; of simulated pushes, of the object.
-        kind: "cmu", "mit" or "simulated".
-        split: its number; of simulated pushes, also of their hidden truth.
-        counts: numbers of training pushes.
-        seed: of everything random.
-        name: of the log; its file's where empty.
+    The split's number is also that of the simulated truth; a log without a name has its file's.
     """
 
     path: Path
@@ -359,7 +339,9 @@ def _tabulate_simulated(scores: Sequence[Score], names: Sequence[str]) -> Table:
     ]
     notes = (
         "Nothing here is real: pass real robots' pushes with --data.",
-        describe_pushes(),
+        f"Simulated by our own model: hidden masses and frictions by part, {PUSHES} pushes of {100 * DISTANCE:g} cm at "
+        f"{100 * SPEED:g} cm/s from random places, poses seen with {1e3 * POSITION_STD:g} mm and {ANGLE_STD:g} rad of "
+        "noise.",
         f"{CMU_TEST} pushes are held out; mean over splits, each with hidden parameters of its own, ± 95 % confidence.",
     )
     columns = ("object, simulated", "model", *POSE_COLUMNS)

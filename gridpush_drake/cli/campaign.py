@@ -1,7 +1,4 @@
-"""`gridpush campaign`: whole episodes with many seeds and objects, and how safe the robot is.
-
-What is slow to import is imported when the command runs, so that `gridpush` starts fast.
-"""
+"""`gridpush campaign`: whole episodes with many seeds and objects, and how safe the robot is."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -85,15 +82,7 @@ def campaign(
 
 
 def parse_seeds(option: str, text: str, most: int) -> list[int]:
-    """Reads seeds.
-
-    Args:
-        option: its name, for the message.
-        text: as FORM says.
-        most: seeds that there may be.
-
-    Returns:
-        The seeds, each once, in order.
+    """Reads seeds as FORM says: each once, in order, and at most so many.
 
     Raises:
         OptionError: the text is something else, or there are none or too many.

@@ -1,7 +1,4 @@
-"""What several commands share: options, tables, the objects, models and logs they read, and compiled kernels.
-
-What is slow to import is imported when a function runs, so that `gridpush` starts fast.
-"""
+"""What several commands share: options, tables, the objects, models and logs they read, and compiled kernels."""
 
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -11,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from gridpush_drake.cli.console import print_line, print_notice, work_progress
+from gridpush_drake.cli.console import print_notice, work_progress
 from gridpush_drake.errors import GridPushError, PlanningError
 from gridpush_drake.files import check_writable, exists
 
@@ -80,15 +77,7 @@ class OptionError(GridPushError):
 
 
 def parse_numbers(option: str, text: str, names: str) -> tuple[float, ...]:
-    """Reads numbers separated by commas.
-
-    Args:
-        option: its name, for the message.
-        text: what was given.
-        names: the form, such as "x,y".
-
-    Returns:
-        As many finite numbers as `names` has.
+    """Reads as many finite numbers, separated by commas, as `names` has, such as "x,y".
 
     Raises:
         OptionError: the text is something else.
@@ -153,13 +142,7 @@ def parse_shape(option: str, text: str) -> "SupportSurface":
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """What a command works on.
-
-    Attributes:
-        obj: the object.
-        params: what it is taken to weigh and rub: the model's, or uniform ones by the object's prior.
-        model: the model, where it is one.
-    """
+    """What a command works on: an object, what it is taken to weigh and rub (the model's, or uniform by its prior)."""
 
     obj: "GridObject"
     params: "CellParameters"
@@ -215,10 +198,10 @@ def check_outputs(force: bool, *paths: Path | None) -> None:
             check_writable(path, force)
 
 
-def print_written(paths: "Sequence[str]") -> None:
-    """Says which files were written, where any were."""
-    if paths:
-        print_line(f"Wrote {' and '.join(paths)}.")
+def describe_written(*paths: Path | None) -> list[str]:
+    """Says in a line which files were written, where any were."""
+    written = " and ".join(str(path) for path in paths if path is not None)
+    return [f"Wrote {written}."] if written else []
 
 
 def load_object(name: str, largest_piece: bool = False) -> "GridObject":

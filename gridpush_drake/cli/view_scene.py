@@ -66,14 +66,7 @@ def describe_colors(shows: Shown) -> str:
 
 
 def AddModel(meshcat: Meshcat, target: Target, shows: Shown, height: float) -> None:
-    """Draws a model at rest in its body frame: its cells in their colors, the center of mass and its ellipse.
-
-    Args:
-        meshcat: where to draw.
-        target: the model, or an object with its prior.
-        shows: what the colors stand for.
-        height: of the object, m.
-    """
+    """Draws a model at rest in its body frame: its cells in their colors, the center of mass and its ellipse."""
     _AddObject(meshcat, target, CellColors(shows), height)
     _FrameScene(meshcat, np.array(target.obj.outline.bounds).reshape(2, 2))
 
@@ -107,15 +100,8 @@ def AddPushes(
 ) -> None:
     """Records pushes one after the other: the object as observed, the finger, and the predicted poses as a ghost.
 
-    Between two observations the object is drawn on the straight line from one to the other.
-
-    Args:
-        meshcat: where to draw; its recording is begun here and left for the caller to publish.
-        target: the model that predicts, or the object alone.
-        log: the pushes.
-        predictions: one a push; None for none.
-        shows: what the cells' colors stand for.
-        height: of the object, m.
+    Between two observations the object is drawn on the straight line from one to the other. The recording is begun
+    here and left for the caller to publish.
     """
     obj = target.obj
     _AddObject(meshcat, target, CellColors(shows), height)

@@ -3,7 +3,6 @@
 The i-th of a vector environment that is seeded with s does what an environment seeded with s + i does, bit for bit.
 """
 
-from collections.abc import Callable
 from typing import Any, cast
 
 import gymnasium
@@ -16,20 +15,8 @@ from numpy.typing import NDArray
 
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.gym.episode import Episode, GameOptions, PushGame
-from gridpush_drake.gym.explore import Explore
-from gridpush_drake.gym.push_to_goal import PushToGoal
+from gridpush_drake.gym.games import GAMES
 from gridpush_drake.gym.rendering import draw_scene
-from gridpush_drake.gym.slide_to_edge import SlideToEdge
-
-GAMES: dict[str, Callable[[GameOptions], PushGame[Any]]] = {
-    "PushToGoal": PushToGoal,
-    "SlideToEdge": SlideToEdge,
-    "Explore": Explore,
-}
-"""By the environment's name."""
-
-DEFAULTS: dict[str, dict[str, Any]] = {"SlideToEdge": {"max_pushes": 30}, "Explore": {"max_pushes": 8}}
-"""Options that a game has other defaults for."""
 
 CAMERA_SIZE, PICTURE_SIZE = 96, 480
 """Pixels along each side of what the camera sees, and of what `render` gives."""
@@ -56,7 +43,8 @@ def register_environments() -> None:
 
 def make_game(game: str, options: dict[str, Any]) -> PushGame[Any]:
     """Makes a game by its name, of GAMES, with fields of `GameOptions`."""
-    return GAMES[game](GameOptions(**DEFAULTS.get(game, {}) | options))
+    kind = GAMES[game]
+    return kind(GameOptions(**kind.defaults | options))
 
 
 class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
@@ -89,10 +77,10 @@ class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
     def __init__(
         self, game: str = "PushToGoal", render_mode: str | None = None, camera: bool = False, **options: Any
     ) -> None:
-        """Makes the environment.
+        """Makes the environment of a game of GAMES.
 
         Args:
-            game: of GAMES.
+            game: its name.
             render_mode: "rgb_array", or None for no pictures.
             camera: whether the observation has "rgb", the scene seen from above, which shows no masses.
             options: fields of `GameOptions`.
@@ -128,11 +116,7 @@ class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
 
     def _observe(self) -> Observation:
         assert self.episode is not None
-        values = _observe(self.game, self.episode, self._camera)
-        return {
-            name: np.clip(values[name], space.low, space.high).astype(space.dtype)
-            for name, space in self._spaces.items()
-        }
+        return _pack(self._spaces, _observe(self.game, self.episode, self._camera))
 
 
 class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
@@ -206,10 +190,7 @@ class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
 
     def _observe(self) -> Observation:
         values = [_observe(self.game, episode, self._camera) for episode in self.episodes]
-        return {
-            name: np.clip(np.stack([value[name] for value in values]), space.low, space.high).astype(space.dtype)
-            for name, space in self._spaces.items()
-        }
+        return _pack(self._spaces, {name: np.stack([value[name] for value in values]) for name in self._spaces})
 
 
 def _to_dict(spaces: dict[str, Box[Any]]) -> Space[Observation]:
@@ -222,6 +203,11 @@ def _make_spaces(game: PushGame[Any], camera: bool) -> dict[str, Box]:
     if camera:
         spaces["rgb"] = Box(0, np.iinfo(np.uint8).max, (CAMERA_SIZE, CAMERA_SIZE, 3), np.uint8)
     return spaces
+
+
+def _pack(spaces: dict[str, Box], values: dict[str, Array]) -> Observation:
+    """Values as their spaces have them."""
+    return {name: np.clip(values[name], space.low, space.high).astype(space.dtype) for name, space in spaces.items()}
 
 
 def _observe(game: PushGame[Any], episode: Episode, camera: bool) -> dict[str, Array]:

@@ -6,7 +6,7 @@ simulated together; an environment is one episode, a vector environment many.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -136,15 +136,22 @@ class PushGame(Generic[E_]):
     """What is drawn, seen and rewarded; a game is a subclass.
 
     Attributes:
+        table: its sides along x and y, m; the middle is the world's origin.
+        defaults: options that the game has other defaults for.
         options: what an episode is drawn from.
-        surface: the table, a rectangle about the world's origin.
+        shapes: of the objects.
+        surface: the table.
     """
 
-    def __init__(self, options: GameOptions, table: tuple[float, float]) -> None:
-        """Takes the options, and the table's sides along x and y, m."""
-        self.options, self.shapes = options, options.load_shapes()
-        self.surface = SupportSurface.rectangle((0.0, 0.0), table)
-        self._half = np.array(table) / 2
+    table: ClassVar[tuple[float, float]]
+    defaults: ClassVar[dict[str, Any]] = {}
+
+    def __init__(self, options: GameOptions | None = None) -> None:
+        """Takes what an episode is drawn from."""
+        self.options = options or GameOptions()
+        self.shapes = self.options.load_shapes()
+        self.surface = SupportSurface.rectangle((0.0, 0.0), self.table)
+        self._half = np.array(self.table) / 2
 
     def begin(self, rng: np.random.Generator) -> E_:
         """Draws an episode; `rng` also draws its noise."""
@@ -207,14 +214,9 @@ class PushGame(Generic[E_]):
         }
 
     def play(self, episodes: Sequence[E_], actions: Sequence[Array]) -> list[Turn[E_]]:
-        """Makes one push in each of the episodes, which are simulated in one batch.
+        """Makes one push in each of the episodes, none of them over, all simulated in one batch.
 
-        Args:
-            episodes: none of them over.
-            actions: (3,) for each, see `KnownShape.make_push`.
-
-        Returns:
-            What came of each.
+        Actions are (3,) for each, see `KnownShape.make_push`.
         """
         pushes = [
             episode.shape.make_push(action, episode.pose) for episode, action in zip(episodes, actions, strict=True)

@@ -26,13 +26,7 @@ LINE = 0.004
 
 
 def draw_scene(game: PushGame[Any], episode: Episode, size: int, show_hidden: bool) -> NDArray[np.uint8]:
-    """Draws the table, the object, its goal and the finger's last path.
-
-    Args:
-        game: that is played.
-        episode: where it stands.
-        size: of the picture along each side, pixels.
-        show_hidden: whether cells are colored by their hidden masses.
+    """Draws the table, the object, its goal and the finger's last path; with the cells' hidden masses where asked.
 
     Returns:
         (size, size, 3) RGB; x to the right and y up.

@@ -158,15 +158,7 @@ def draw_cells(
 
 
 def draw_parts(ax: Axes, obj: GridObject) -> PolyCollection:
-    """Draws the cells in the colors of their parts, with a legend that counts them.
-
-    Args:
-        ax: where to draw, body frame, m; its aspect is made equal.
-        obj: the object.
-
-    Returns:
-        The cells.
-    """
+    """Draws the cells in the colors of their parts, body frame, m, with a legend that counts them; gives the cells."""
     labels, index, counts = np.unique(obj.labels, return_inverse=True, return_counts=True)
     colors = [PART_COLORS[i % len(PART_COLORS)] for i in range(len(labels))]
     cells = PolyCollection(
@@ -192,19 +184,7 @@ def draw_outline(
     linestyle: str = "solid",
     alpha: float = 1.0,
 ) -> PathPatch:
-    """Draws the outline with its holes.
-
-    Args:
-        ax: where to draw, world frame, m.
-        obj: the object.
-        pose: (x, y, theta) X_WB, m and rad.
-        color: of the line.
-        linestyle: as matplotlib names it.
-        alpha: opacity, 0 to 1.
-
-    Returns:
-        The outline.
-    """
+    """Draws the outline with its holes, world frame, m, at a pose (x, y, theta) X_WB, m and rad; gives the outline."""
     outline = orient(obj.outline)
     rings = [transform(pose, np.array(ring.coords)[:, :2]) for ring in (outline.exterior, *outline.interiors)]
     path = Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))
@@ -279,18 +259,7 @@ def add_legend_below(ax: Axes, handles: Sequence[Line2D], columns: int) -> None:
 def make_panels(
     obj: GridObject, rows: int, columns: int, *, width: float = PAGE_WIDTH, max_height: float = 3.2
 ) -> tuple[Figure, np.ndarray]:
-    """Makes a grid of panels, each of the object's proportions.
-
-    Args:
-        obj: the object.
-        rows: of panels.
-        columns: of panels.
-        width: of the whole, inches.
-        max_height: of a panel, inches.
-
-    Returns:
-        The figure, on an Agg canvas, and its axes (rows, columns).
-    """
+    """As `make_grid`, with panels of the object's proportions; `max_height` is theirs, inches."""
     x0, y0, x1, y1 = obj.outline.bounds
     panel = max(width / columns - BAR_ROOM, 1.0)
     height = min(max(panel * (y1 - y0) / (x1 - x0), 0.8), max_height) + TITLE_ROOM

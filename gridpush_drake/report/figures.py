@@ -44,6 +44,9 @@ Array = NDArray[np.float64]
 
 LEGEND_COLUMNS = 3
 
+MOTION_WIDTH = 6.0
+"""Inches."""
+
 ARROW_HEAD = 0.01
 """Share of a path that its arrow's head is drawn along."""
 
@@ -105,15 +108,7 @@ def draw_pushes(result: Identification, log: PushLog, held_out: PushLog | None =
 
 
 def draw_loss(history: Sequence[HistoryEntry], before: float | None = None) -> Figure:
-    """Draws the loss along the search.
-
-    Args:
-        history: of the search.
-        before: mean cell error with uniform parameters, m.
-
-    Returns:
-        The figure.
-    """
+    """Draws the loss along the search, and the mean cell error with uniform parameters, m, where it is given."""
     figure, axes = make_grid(1, 1, HALF_WIDTH, 0.55 * HALF_WIDTH)
     ax = axes[0, 0]
     simulations = [entry.simulations for entry in history]
@@ -131,12 +126,8 @@ def draw_loss(history: Sequence[HistoryEntry], before: float | None = None) -> F
 def draw_learning(errors: Sequence[float], noise_floor: float | None = None) -> Figure:
     """Draws how the error of held-out predictions falls with the pushes learned from.
 
-    Args:
-        errors: mean cell error of the held-out pushes, m: before the first push, after it, after the second, ...
-        noise_floor: error that the true parameters leave, m, where it is known.
-
-    Returns:
-        The figure.
+    `errors` are their mean cell errors, m, before the first push and after each; `noise_floor` is the error that the
+    true parameters leave, where it is known.
     """
     figure, axes = make_grid(1, 1, 6.5, 2.9)
     ax = axes[0, 0]
@@ -151,31 +142,12 @@ def draw_learning(errors: Sequence[float], noise_floor: float | None = None) -> 
     return figure
 
 
-def draw_path(obj: GridObject, push: Push, poses: Array, width: float = 6.0) -> Figure:
-    """Draws a simulated motion: the object from its beginning to its end, and the pusher's path."""
-    figure, axes = make_grid(1, 1, width, 0.75 * width)
-    ax = axes[0, 0]
-    for pose in poses[np.linspace(0, len(poses) - 1, GHOSTS + 2).astype(int)[1:-1]]:
-        draw_outline(ax, obj, pose=pose, color=FAINT, alpha=0.5)
-    draw_outline(ax, obj, pose=poses[0], color=FAINT, linestyle="dashed")
-    draw_cells(ax, obj, pose=poses[-1])
-    _draw_tip(ax, push)
-    ax.autoscale_view()
-    return figure
-
-
 def _put_legend_above(ax: Axes) -> None:
     legend = ax.get_legend()
     if legend is not None:
         legend.set_loc("lower center")
         legend.set_bbox_to_anchor((0.5, 1.0), ax.transAxes)
         legend.set_ncols(LEGEND_COLUMNS)
-
-
-def _draw_tip(ax: Axes, push: Push) -> None:
-    ax.plot(*push.xy.T, color=LEARNED, linewidth=1)
-    for center, filled in ((push.xy[0], False), (push.xy[-1], True)):
-        ax.add_patch(Circle(tuple(center), push.radius, facecolor=LEARNED if filled else "none", edgecolor=LEARNED))
 
 
 def _draw_arrow(ax: Axes, path: Array, color: str, label: str | None) -> None:
@@ -191,14 +163,7 @@ def draw_learned_maps(result: Identification, truth: CellParameters | None = Non
     """Draws the load and the mass that would go with it beside their standard deviations, and the truth if known.
 
     The load is a cell's share of the support's friction in units of the even share, so 1 everywhere where it is even.
-    What was learned is drawn full, what is the prior's faint.
-
-    Args:
-        result: the model.
-        truth: what the object's cells really are.
-
-    Returns:
-        The figure: a row for the load and one for mass.
+    What was learned is drawn full, what is the prior's faint; a row for the load and one for mass.
     """
     obj, known = result.obj, result.identifiability
     friction = known.relative_friction * obj.n
@@ -388,5 +353,15 @@ def draw_model(result: Identification) -> bytes:
 
 
 def draw_motion(obj: GridObject, push: Push, poses: Array) -> bytes:
-    """An object's motion (T+1, 3) under a push, as PNG."""
-    return to_png(draw_path(obj, push, poses))
+    """A simulated motion (T+1, 3), as PNG: the object from its beginning to its end, and the pusher's path."""
+    figure, axes = make_grid(1, 1, MOTION_WIDTH, 0.75 * MOTION_WIDTH)
+    ax = axes[0, 0]
+    for pose in poses[np.linspace(0, len(poses) - 1, GHOSTS + 2).astype(int)[1:-1]]:
+        draw_outline(ax, obj, pose=pose, color=FAINT, alpha=0.5)
+    draw_outline(ax, obj, pose=poses[0], color=FAINT, linestyle="dashed")
+    draw_cells(ax, obj, pose=poses[-1])
+    ax.plot(*push.xy.T, color=LEARNED, linewidth=1)
+    for center, color in ((push.xy[0], "none"), (push.xy[-1], LEARNED)):
+        ax.add_patch(Circle(tuple(center), push.radius, facecolor=color, edgecolor=LEARNED))
+    ax.autoscale_view()
+    return to_png(figure)

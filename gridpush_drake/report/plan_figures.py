@@ -1,8 +1,7 @@
 """Figures of plans and of runs: pushing to a goal, sliding to the table's edge, and grasping there."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -68,17 +67,7 @@ JAW_LENGTH, JAW_WIDTH = 0.08, 0.02
 def draw_plan(
     obj: GridObject, plan: PushPlan, surface: SupportSurface | None = None, obstacles: Sequence[Shape] = ()
 ) -> Figure:
-    """Draws a plan.
-
-    Args:
-        obj: the object.
-        plan: its pushes; where there are none, start and goal alone are drawn.
-        surface: the table; None for one without end.
-        obstacles: what is in the way.
-
-    Returns:
-        The figure.
-    """
+    """Draws a plan's pushes; without any, start and goal alone. The table is without end where it is None."""
     poses, pushes = plan.poses, [planned.push for planned in plan.pushes]
     shapes = [np.array(obstacle.exterior.coords)[:, :2] for obstacle in obstacles]
     points = [obj.cells_at(np.array([*poses, plan.goal])).reshape(-1, 2), *(push.xy for push in pushes), *shapes]
@@ -181,12 +170,7 @@ def _draw_errors(ax: Axes, errors: Array, expected: Sequence[float], tolerance: 
     ax.plot(np.arange(len(errors)), MM * errors, color=LEARNED, marker="o", zorder=3)
     handles = [Line2D([], [], color=LEARNED, marker="o", label="seen")]
     if len(expected):
-        marks: dict[str, Any] = {
-            "color": BEFORE,
-            "marker": "D",
-            "markerfacecolor": "white",
-            "linestyle": "none",
-        }
+        marks: dict[str, Any] = {"color": BEFORE, "marker": "D", "markerfacecolor": "white", "linestyle": "none"}
         ax.plot(np.arange(1, len(expected) + 1), MM * np.asarray(expected), zorder=4, **marks)
         handles.append(Line2D([], [], label="expected", **marks))
     if tolerance is not None:
@@ -206,9 +190,6 @@ def draw_slide(planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGras
         planner: object, table and options.
         masses: the masses that stability was judged on.
         plan: the plan; where nothing is safe, its safest goal is drawn.
-
-    Returns:
-        The figure.
     """
     figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
     _draw_slides(axes[0, 0], planner, plan)
@@ -237,15 +218,12 @@ def _draw_goal(ax: Axes, planner: PreGraspPlanner, masses: PlausibleMassSet, pla
     draw_table(ax, planner.surface.corners)
     draw_cells(ax, planner.obj, pose=goal.pose, alpha=0.6)
     hull = calc_support_polygon(planner.obj, goal.pose, planner.surface, planner.options.goal.inset)
-    handles = _draw_areas(
-        ax,
-        goal.pose,
-        (
-            (hull, HOLDS, "what holds it"),
-            (masses.center_of_mass_polygon, BEFORE, "where the center of mass may be"),
-            (goal.part.footprint, GRASP, "gripper"),
-        ),
+    areas = (
+        (hull, HOLDS, "what holds it"),
+        (masses.center_of_mass_polygon, BEFORE, "where the center of mass may be"),
+        (goal.part.footprint, GRASP, "gripper"),
     )
+    handles = _draw_areas(ax, goal.pose, areas)
     frame_points(ax, [transform(goal.pose, np.asarray(planner.obj.outline.exterior.coords)[:, :2])], CLOSE_UP)
     ax.legend(handles=handles, fontsize=FONT - 1, frameon=False, loc="upper left")
     ax.set_title(
@@ -261,29 +239,16 @@ def _draw_tips(ax: Axes, push: Push, color: str) -> None:
     ax.add_patch(Circle((push.xy[-1, 0], push.xy[-1, 1]), push.radius, facecolor=color, edgecolor=color))
 
 
-@dataclass(frozen=True, eq=False)
-class PushDrawn:
-    """A push as it was made.
-
-    Attributes:
-        start: (2,) of the finger's center, W, m.
-        end: (2,) likewise.
-        poke: whether it was to learn; else to slide.
-    """
+class PushDrawn(NamedTuple):
+    """A push as it was made: the finger's center at its start and its end, W, m, and whether it was to learn."""
 
     start: Array
     end: Array
     poke: bool
 
 
-@dataclass(frozen=True, eq=False)
-class GraspDrawn:
-    """A grasp as it was made.
-
-    Attributes:
-        point: (2,) p_WG, m.
-        approach: heading of the fingers, rad.
-    """
+class GraspDrawn(NamedTuple):
+    """A grasp as it was made: (2,) p_WG, m, and the heading of the fingers, rad."""
 
     point: Array
     approach: float
@@ -326,15 +291,12 @@ def _draw_trajectory(
     for push in pushes:
         draw_arrow(ax, push.start, push.end, BEFORE if push.poke else LEARNED)
     frame_points(ax, [*(obj.cells_at(pose) for pose in poses), *(np.array([p.start, p.end]) for p in pushes)], CLOSE_UP)
-    add_legend_below(
-        ax,
-        [
-            Line2D([], [], color=INK, linestyle="dashed", label="start"),
-            Line2D([], [], color=BEFORE, marker=">", label="pokes"),
-            Line2D([], [], color=LEARNED, marker=">", label="slides"),
-        ],
-        2,
-    )
+    handles = [
+        Line2D([], [], color=INK, linestyle="dashed", label="start"),
+        Line2D([], [], color=BEFORE, marker=">", label="pokes"),
+        Line2D([], [], color=LEARNED, marker=">", label="slides"),
+    ]
+    add_legend_below(ax, handles, 2)
     ax.set_title("The path to the table's edge", fontsize=FONT, color=INK)
 
 

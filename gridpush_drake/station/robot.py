@@ -290,12 +290,12 @@ def list_robots(*, grasping: bool = False) -> list[str]:
     return sorted(name for name, scenes in found.items() if scenes and (scenes.grasp or not grasping))
 
 
-def make_robot_directives(robot: str, *, grasping: bool) -> list[ModelDirective]:
+def make_robot_directives(robot: str, *, grasping: bool | None) -> list[ModelDirective]:
     """Makes the directives of a scene that has a robot at a table.
 
     Args:
         robot: name of one that comes with the package; or the folder of one, or its robot.yaml.
-        grasping: whether it is to grasp, or only to push.
+        grasping: whether it is to grasp, or only to push; None to grasp where it can.
 
     Returns:
         The directives.
@@ -313,6 +313,8 @@ def make_robot_directives(robot: str, *, grasping: bool) -> list[ModelDirective]
         near = suggest(robot, list_robots())
         raise ScenarioError(f"robot {robot} is not known{near}, or the folder of a robot.yaml")
     scenes = read_measures(path, ArmMeasures).scenes
+    if grasping is None:
+        grasping = scenes is not None and scenes.grasp is not None
     scene = scenes and (scenes.grasp if grasping else scenes.push)
     if not scene:
         what = "grasp" if grasping else "push"

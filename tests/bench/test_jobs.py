@@ -195,9 +195,9 @@ TRACE = Trace(3, (0.1, 0.004), (0.2, nan), 1.5)
 )
 def test_every_benchs_results_come_back_as_they_were(tmp_path, function, result):
     results = open_results(tmp_path / "kept.jsonl", "some", {})
-    results.bind(function).append(Job(1, tmp_path), result)
+    results.append(function, Job(1, tmp_path), result)
     again = open_results(tmp_path / "kept.jsonl", "some", {})
-    found = again.bind(function).find([Job(0, tmp_path), Job(1, tmp_path)])
+    found = again.find(function, [Job(0, tmp_path), Job(1, tmp_path)])
     assert list(found) == [1]
     assert repr(found[1]) == repr(result)
 
