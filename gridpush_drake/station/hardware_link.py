@@ -185,7 +185,7 @@ class HardwareLink:
             self.bus.Subscribe(name, self._make_collector(name))
         self._fault = ""
         self._station: HardwareStation | None = None
-        self._stop = 0.0
+        self._stop, self._silent = 0.0, False
         self._stepped = self._told = self._waited = 0.0  # waited: since the last status, s
         self._base = 0.0  # the robot's time when the station's was 0, s
         self._said = GuardStatus()
@@ -231,7 +231,7 @@ class HardwareLink:
 
     def begin(self, diagram: Diagram, station: Any, context: Context) -> None:
         """Writes the robot's status into a fresh Context of the Diagram that the station is in; see `Drive`."""
-        self._station, self._stop, self._said = station, 0.0, GuardStatus()
+        self._station, self._stop, self._said, self._silent = station, 0.0, GuardStatus(), False
         self._listen()
         for channel in self._channels.values():
             channel.passed = channel.data is None
@@ -273,9 +273,9 @@ class HardwareLink:
         self._told = context.get_time()
         self._station.PublishCommand(context)
         self.bus.HandleSubscriptions(0)
+        self._pass_out()
         own = self._station.GetMyContextFromRoot(context)
         status: GuardStatus = self._station.GetOutputPort("guard.status").Eval(own)
-        self._pass_out()
         force = float(np.linalg.norm(self._station.GetOutputPort("pusher.force").Eval(own)))
         self.report.force = max(self.report.force, force)
         if (status.mode, status.reason) != (self._said.mode, self._said.reason):
@@ -294,7 +294,7 @@ class HardwareLink:
                 break
             self._waited = self.status_age if self._robot is None else self._waited + ARM_PERIOD
             if self._waited > (greatest_age if self._stop else SILENCE) - ROUNDING:
-                self._station.RequestStop(context, BY_SILENCE)
+                self._give_up(context)
                 self._wait_period()
                 return now + ARM_PERIOD
         went_on = (self._arm.utime - before) / MICROSECONDS
@@ -313,12 +313,18 @@ class HardwareLink:
         self._base += late
         return now + ARM_PERIOD
 
+    def _give_up(self, context: Context) -> None:
+        """Stops the arm over a robot that is not heard of: its driver has brought it to rest, and nothing moves it."""
+        assert self._station is not None
+        self._station.RequestStop(context, BY_SILENCE)
+        self._silent = True
+
     def _note_silence(self, context: Context, went_on: bool) -> None:
         """What a long silence means: where the robot went on meanwhile, the arm is stopped."""
         assert self._station is not None
         self._stepped = monotonic()  # it was not the controller that was late
         if went_on:
-            self._station.RequestStop(context, BY_SILENCE)
+            self._give_up(context)
             return
         self.report.silences += 1
         if self.report.silences <= NOTED:
@@ -348,7 +354,7 @@ class HardwareLink:
         if self._messages.command in self._out:
             self.report.note_period((now - self._stepped) * self._rate)
             self._stepped = now
-        if self.armed:
+        if self.armed and not self._silent:
             for name, data in self._out.items():
                 self._lcm.Publish(name, data)
         self._out.clear()
