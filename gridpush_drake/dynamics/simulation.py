@@ -136,9 +136,7 @@ def calc_loads(
     """What the cells of an object at rest bear, (n,) N (`docs/theory/model.md`, section 8); None where it tips.
 
     The table's top is endless, or has corners (K, 2) in W, m. The loads' center is the center of mass.
-
-    Raises:
-        SimulationError: an argument is out of range.
+    Raises SimulationError: an argument is out of range.
     """
     edges = None if table is None else _get_edges(table)
     return find_rest_loads(obj, params, gravity, check_vector(SimulationError, "pose", pose, 3), edges)
@@ -194,8 +192,7 @@ def find_edges_near(
 ) -> Array | None:
     """The edges (K, 4) of a table, by its corners (K, 2) in W, that a push may bring an object to, m; None for none.
 
-    Raises:
-        SimulationError: the corners are none, or the object is not on the table.
+    Raises SimulationError: the corners are none, or the object is not on the table.
     """
     if table is None:
         return None

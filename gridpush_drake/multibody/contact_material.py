@@ -33,8 +33,7 @@ PARTNER_STIFFNESS = 1e12
 def calc_own_friction(friction: float, name: str = "friction") -> float:
     """The coefficient that gives a contact with a stiff partner the wanted friction: mu / (2 - mu), 0 <= mu < 2.
 
-    Raises:
-        ParameterError: no coefficient gives that much; the message calls it `name`.
+    Raises ParameterError: no coefficient gives that much; the message calls it `name`.
     """
     limit = 2 * PARTNER_FRICTION
     if not 0 <= friction < limit:

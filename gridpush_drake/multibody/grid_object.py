@@ -85,8 +85,7 @@ class ContactSphereLayout:
     def for_object(cls, obj: GridObject, spheres_per_cell: SpheresPerCell = 1) -> "ContactSphereLayout":
         """Lays out the spheres of an object, cell by cell: 1 a cell, or 4 to support it out to its edge.
 
-        Raises:
-            ParameterError: `spheres_per_cell` is neither.
+        Raises ParameterError: `spheres_per_cell` is neither.
         """
         if spheres_per_cell == 1:
             return cls(obj.p_BC, np.arange(obj.n), 1)
@@ -296,8 +295,7 @@ def AddGridObject(
 def MakeSpatialInertia(obj: GridObject, params: CellParameters, height: float = DEFAULT_HEIGHT) -> SpatialInertia:
     """Sums up the cells' inertia, each a homogeneous square prism: M_BBo_B, about B's origin, at the object's bottom.
 
-    Raises:
-        ParameterError: the parameters are of another number of cells, or Drake finds the masses unphysical.
+    Raises ParameterError: the parameters are of another number of cells, or Drake finds the masses unphysical.
     """
     params.center_of_mass(obj)  # says so where the numbers of cells differ
     total = SpatialInertia.Zero()

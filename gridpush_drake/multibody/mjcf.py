@@ -84,8 +84,7 @@ def calc_springs(load: Array, sinkage: float, inverse: float) -> tuple[Array, Ar
 def make_mjcf(obj: GridObject, params: CellParameters, height: float) -> str:
     """Makes the model's text: a table at z = 0 and the object on it, whose name body and joint have.
 
-    Raises:
-        ObjectError: the object's name is empty, or the height is not more than the feet's.
+    Raises ObjectError: the object's name is empty, or the height is not more than the feet's.
     """
     if not obj.name:
         raise ObjectError("name is empty; expected one for the body")

@@ -128,8 +128,7 @@ def write_film(recording: Path | str, path: Path | str, force: bool = False, *, 
 def draw_frames(page: str, count: int) -> tuple[float, list[Image.Image]]:
     """Draws a recording at `count` moments, evenly from its beginning to its end; and how long it takes, s.
 
-    Raises:
-        StationError: there is no browser, or it drew nothing.
+    Raises StationError: there is no browser, or it drew nothing.
     """
     head, body, tail = page.rpartition("</body>")
     script = SCRIPT.substitute(width=SIZE[0], height=SIZE[1], zoom=ZOOM, count=count)

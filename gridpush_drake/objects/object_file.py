@@ -235,8 +235,7 @@ def read_object_file(path: Path) -> ObjectSchema:
 def make_cells(schema: ObjectSchema, name: str, folder: Path, largest_piece: bool = False) -> CellGrid:
     """Makes the cells and the outline that a schema describes; a mask that it names is looked up in `folder`.
 
-    Raises:
-        ObjectError: a polygon crosses itself or has no area, or the mask cannot be read or is none.
+    Raises ObjectError: a polygon crosses itself or has no area, or the mask cannot be read or is none.
     """
     if schema.mask is not None:
         image, scale = folder / schema.mask.image, schema.mask.meters_per_pixel

@@ -122,22 +122,13 @@ class PushPhase(StrEnum):
 
 @dataclass(frozen=True)
 class PushStatus:
-    """Where an executor stands.
+    """Where an executor stands."""
 
-    Attributes:
-        phase: "idle", "approaching", "descending", "pushing", "settling", "retracting" or "clearing" (it goes
-            out of the camera's way).
-        command_id: of the last command taken up or refused; 0 before the first.
-        executed: commands carried out to the end, or broken off.
-        refused: commands refused.
-        reason: why the last command was refused; empty where it was not.
-    """
-
-    phase: PushPhase = PushPhase.IDLE
-    command_id: int = 0
-    executed: int = 0
-    refused: int = 0
-    reason: str = ""
+    phase: PushPhase = PushPhase.IDLE  # what it is doing; "clearing" goes out of the camera's way
+    command_id: int = 0  # of the last command taken up or refused; 0 before the first
+    executed: int = 0  # commands carried out to the end, or broken off
+    refused: int = 0  # commands refused
+    reason: str = ""  # why the last command was refused; empty where it was not
 
     @property
     def ready(self) -> bool:
@@ -173,7 +164,7 @@ class GraspStatus:
     """Where an executor stands.
 
     Attributes:
-        phase: "idle", "approaching", "entering", "closing", "lifting", "holding", "opening" or "retreating".
+        phase: what it is doing.
         command_id: of the last command taken up or refused; 0 before the first.
         outcome: of that command: "" (under way), "refused", "missed" (closed on nothing), "slipped" (lost while lifting
             or holding) or "held" (lifted, and held for the time: the phase stays "holding").
@@ -231,23 +222,14 @@ U = TypeVar("U", bound=Unchanging)
 
 @dataclass(frozen=True, eq=False)
 class LoopState(Unchanging):
-    """All that a loop remembers.
+    """All that a loop remembers."""
 
-    Attributes:
-        status: what it says of itself: frozen, with a `mode`, a `reason` in a sentence and an `expected_pose`.
-        filter: poses seen since everything came to rest.
-        push: the last one asked for; None before the first, and where it was withdrawn.
-        push_id: of the last one asked for, counted from 1; an id is never used again.
-        refused: pushes that were refused since the last one that was not.
-        request: the decision under way beside the loop; None where none is.
-    """
-
-    status: Any
-    filter: PoseFilter = field(default_factory=PoseFilter)
-    push: Push | None = None
-    push_id: int = 0
-    refused: tuple[Push, ...] = ()
-    request: Any = None
+    status: Any  # what it says of itself: frozen, with a `mode`, a `reason` and an `expected_pose`
+    filter: PoseFilter = field(default_factory=PoseFilter)  # poses seen since everything came to rest
+    push: Push | None = None  # the last one asked for; None before the first, and where it was withdrawn
+    push_id: int = 0  # of the last one asked for, counted from 1; an id is never used again
+    refused: tuple[Push, ...] = ()  # pushes that were refused since the last one that was not
+    request: Any = None  # the decision under way beside the loop; None where none is
 
     def is_pending(self, robot: PushStatus) -> bool:
         """Whether the robot has not taken the push up yet."""

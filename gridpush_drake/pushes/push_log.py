@@ -323,8 +323,7 @@ def read_table(
 ) -> Iterator[tuple[int, dict[str, str]]]:
     """The rows of a CSV file: their lines' numbers, and their cells by column.
 
-    Raises:
-        PushLogError: the file cannot be read, is empty or no CSV, or a row is longer or shorter than the header.
+    Raises PushLogError: the file cannot be read, is empty or no CSV, or a row is longer or shorter than the header.
     """
     text = read_text(path, what, PushLogError)
     if "\0" in text:

@@ -144,29 +144,17 @@ LATEST = 5  # observations at the end whose median tells where the object rests
 
 @dataclass(frozen=True)
 class RecordOptions:
-    """How a push is written down.
+    """How a push is written down."""
 
-    Attributes:
-        observations: most poses a push, the last one included.
-        min_distance: of the tip; less is no push, m.
-        reach: a tip that never came closer to the object than its radius and this did not push it, m.
-        path_tolerance: by which the thinned path may differ from the measured one, m.
-        still: the tip has not yet, or no longer, moved within this of its first, or last, place, m.
-        coast: how long the object may slide on after the tip's stop, s.
-        rest_tolerance: observations further than this from where the object rests are not of that rest, m.
-        rest_angle_tolerance: likewise, rad.
-        pose_delay: how old a pose is when it is read, s.
-    """
-
-    observations: int = 10
-    min_distance: float = 0.005
-    reach: float = 0.005
-    path_tolerance: float = 5e-5
-    still: float = 5e-5
-    coast: float = 0.1
-    rest_tolerance: float = 0.003
-    rest_angle_tolerance: float = 0.03
-    pose_delay: float = 0.0
+    observations: int = 10  # most poses a push, the last one included
+    min_distance: float = 0.005  # of the tip; less is no push, m
+    reach: float = 0.005  # a tip that never came closer to the object than its radius and this did not push it, m
+    path_tolerance: float = 5e-5  # by which the thinned path may differ from the measured one, m
+    still: float = 5e-5  # the tip has not yet, or no longer, moved within this of its first, or last, place, m
+    coast: float = 0.1  # how long the object may slide on after the tip's stop, s
+    rest_tolerance: float = 0.003  # observations further than this from where the object rests are not of that rest, m
+    rest_angle_tolerance: float = 0.03  # likewise, rad
+    pose_delay: float = 0.0  # how old a pose is when it is read, s
 
 
 def name_push(count: int) -> str:

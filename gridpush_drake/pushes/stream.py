@@ -203,8 +203,7 @@ def _fit_delay(seen: ObservedPush, rho: float) -> tuple[float, float] | None:
 def write_stream_csv(samples: Sequence[Sample], path: Path | str, force: bool = False) -> None:
     """Writes a stream so that `read_stream_csv` gives its numbers back bit for bit.
 
-    Raises:
-        OutputError: the file exists and `force` is not set, or it cannot be written.
+    Raises OutputError: the file exists and `force` is not set, or it cannot be written.
     """
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
@@ -222,8 +221,7 @@ def _write_cells(numbers: Sequence[float]) -> list[str]:
 def read_stream_csv(path: Path | str) -> list[Sample]:
     """Reads a stream.
 
-    Raises:
-        PushLogError: the file cannot be read or breaks the form; the message names file, line, column and form.
+    Raises PushLogError: the file cannot be read or breaks the form; the message names file, line, column and form.
     """
     path = Path(path)
     t, groups = list[float](), list[list[list[float]]]()

@@ -28,9 +28,7 @@ def solve_conic(
     """Solves  min x·P x/2 + q·x  s.t.  -A x in the cones,  for x (k,) and the duals z (r,).
 
     P (k, k) is given by its upper triangle, A is (r, k); Clarabel's cones have r rows in all.
-
-    Raises:
-        SimulationError: the solver stopped short.
+    Raises SimulationError: the solver stopped short.
     """
     settings = clarabel.DefaultSettings()
     settings.verbose = False

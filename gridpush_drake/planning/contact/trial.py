@@ -116,27 +116,16 @@ MIN_RESIDUAL = 1e-4  # m, below which a cell's error weighs no more in the Gauss
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A simulated push, at its best distance.
+    """A simulated push, at its best distance."""
 
-    Attributes:
-        arc_length: m.
-        piece: of the reachable outline.
-        angle: from the inward normal, rad.
-        distance: m.
-        pose: (3,) q_W at its end.
-        cost: mean cell error to the goal, m; infinite where the push is not allowed.
-        slope: (3,) derivative of the cost by arc length, direction and distance, -, m/rad, -; None where not asked for.
-        curvature: (3, 3) Gauss-Newton matrix of the same.
-    """
-
-    arc_length: float
-    piece: int
-    angle: float
-    distance: float
-    pose: Array
-    cost: float
-    slope: Array | None = None
-    curvature: Array | None = None
+    arc_length: float  # m
+    piece: int  # of the reachable outline
+    angle: float  # from the inward normal, rad
+    distance: float  # m
+    pose: Array  # (3,) q_W at its end
+    cost: float  # mean cell error to the goal, m; infinite where the push is not allowed
+    slope: Array | None = None  # (3,) of the cost by arc length, direction and distance; None where not asked for
+    curvature: Array | None = None  # (3, 3) Gauss-Newton matrix of the same
 
 
 @dataclass(eq=False)

@@ -56,19 +56,12 @@ MOVED = 0.01
 
 @dataclass(frozen=True, eq=False)
 class PushDecision:
-    """What to do.
+    """What to do."""
 
-    Attributes:
-        status: why to end, see `push_plan.REASONS`; None where a push should be made.
-        error: mean cell error to the goal now, m.
-        chosen: the next push; None where there should be none, or none was searched for.
-        cost_to_go: to the goal, to be given to the next decision; None where it was not needed.
-    """
-
-    status: str | None
-    error: float
-    chosen: NextPush | None = None
-    cost_to_go: CostToGo | None = None
+    status: str | None  # why to end, see `push_plan.REASONS`; None where a push should be made
+    error: float  # mean cell error to the goal now, m
+    chosen: NextPush | None = None  # the next push; None where there should be none, or none was searched for
+    cost_to_go: CostToGo | None = None  # to be given to the next decision; None where it was not needed
 
 
 def decide_push(

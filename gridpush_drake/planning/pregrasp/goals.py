@@ -184,38 +184,25 @@ def find_pregrasp_goals(
         PlanningError: there is no graspable part, or the table is smaller than the object.
     """
     options = options or GoalOptions()
-    obj, q = masses.obj, np.asarray(pose, dtype=np.float64)
-    check_room(obj, parts, surface)
-    for shrink in (1.0, 0.5):
-        goals = _find_goals(masses, parts, q, surface, replace(options, overhang=shrink * options.overhang), limits)
-        if goals and goals[0].margin >= options.margin:
+    q = np.asarray(pose, dtype=np.float64)
+    check_room(masses.obj, parts, surface)
+    for overhang in (options.overhang, options.overhang / 2):
+        goals: list[PreGraspGoal] = []
+        for candidate, part in _propose(masses, parts, q, surface, replace(options, overhang=overhang), limits):
+            reached = float(calc_overhangs([part], candidate, surface)[0])
+            if reached >= options.min_overhang:
+                margin, weakest = _judge(masses, candidate, surface, options.inset)
+                travel = float(calc_goal_error(masses.obj, q, candidate))
+                goals.append(PreGraspGoal(candidate, part, reached, margin, travel, weakest))
+        safe = [goal for goal in goals if goal.margin >= options.margin]
+        if not safe:
+            goals = _keep(sorted(goals, key=lambda goal: -goal.margin), masses, limits)[:1]
+            continue
+        rank = sorted(safe, key=lambda goal: goal.travel + options.charge * max(options.comfort - goal.margin, 0.0))
+        goals = _keep(rank, masses, limits)
+        if goals:
             break
     return goals
-
-
-def _find_goals(
-    masses: PlausibleMassSet,
-    parts: Sequence[GraspPart],
-    q: Array,
-    surface: SupportSurface,
-    options: GoalOptions,
-    limits: ArmLimits,
-) -> list[PreGraspGoal]:
-    """The goals at one overhang."""
-    poses, chosen = _propose(masses, parts, q, surface, options, limits)
-    goals: list[PreGraspGoal] = []
-    for candidate, part in zip(poses, chosen, strict=True):
-        overhang = float(calc_overhangs([part], candidate, surface)[0])
-        if overhang < options.min_overhang:
-            continue
-        margin, weakest = _judge(masses, candidate, surface, options.inset)
-        travel = float(calc_goal_error(masses.obj, q, candidate))
-        goals.append(PreGraspGoal(candidate, part, overhang, margin, travel, weakest))
-    safe = [goal for goal in goals if goal.margin >= options.margin]
-    if not safe:
-        return _keep(sorted(goals, key=lambda goal: -goal.margin), masses, limits)[:1]
-    rank = sorted(safe, key=lambda goal: goal.travel + options.charge * max(options.comfort - goal.margin, 0.0))
-    return _keep(rank, masses, limits)
 
 
 def _keep(goals: list[PreGraspGoal], masses: PlausibleMassSet, limits: ArmLimits) -> list[PreGraspGoal]:
@@ -243,8 +230,8 @@ def _propose(
     surface: SupportSurface,
     options: GoalOptions,
     limits: ArmLimits,
-) -> tuple[Array, list[GraspPart]]:
-    """Poses (N, 3) that are promising by what a straight edge would say, and the part that hangs over in each."""
+) -> list[tuple[Array, GraspPart]]:
+    """Poses (3,) that are promising by what a straight edge would say, and the part that hangs over in each."""
     obj = masses.obj
     feet = np.array([part.footprint for part in parts])
     angles = 2 * np.pi * np.arange(options.directions) / options.directions
@@ -269,12 +256,9 @@ def _propose(
     promising = sorted((f for f in found if f[0] >= options.margin), key=lambda f: f[1])
     if not promising:
         promising = sorted(found, key=lambda f: (-round(f[0], 4) if np.isfinite(f[0]) else np.inf, f[1]))
-    kept = promising[: options.tried]
-    return np.array([f[2] for f in kept]).reshape(-1, 3), [f[3] for f in kept]
+    return [(goal, part) for _, _, goal, part in promising[: options.tried]]
 
 
 def _judge(masses: PlausibleMassSet, pose: Array, surface: SupportSurface, inset: float) -> tuple[float, Array]:
-    hull = calc_support_polygon(masses.obj, pose, surface, inset)
-    return calc_margin_inside(masses.center_of_mass_polygon, hull), find_weakest_direction(
-        masses.center_of_mass_polygon, hull
-    )
+    centers, hull = masses.center_of_mass_polygon, calc_support_polygon(masses.obj, pose, surface, inset)
+    return calc_margin_inside(centers, hull), find_weakest_direction(centers, hull)

@@ -148,8 +148,7 @@ class BagImporter:
 def make_stream(path: Path, thing: Track, tip: Track, rate: float, table_height: float) -> list[Sample]:
     """Brings two tracks to one clock of a rate, Hz, from where both begin to where one ends.
 
-    Raises:
-        PushLogError: the tracks do not overlap.
+    Raises PushLogError: the tracks do not overlap.
     """
     first, last = max(thing.t[0], tip.t[0]), min(thing.t[-1], tip.t[-1])
     if last <= first:

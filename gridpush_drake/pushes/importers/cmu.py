@@ -188,8 +188,7 @@ class CmuImporter:
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
         """Reads a file of CMU pushes, named by their place in the log, each observed at its end only; and the block.
 
-        Raises:
-            PushLogError: the file cannot be read or is not of the format, or a push's tool does not move.
+        Raises PushLogError: the file cannot be read or is not of the format, or a push's tool does not move.
         """
         path = Path(path)
         logged = read_cmu(path)

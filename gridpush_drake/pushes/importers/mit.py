@@ -145,8 +145,7 @@ class MitImporter:
 def read_model_errors(path: Path | str) -> tuple[float, float]:
     """Reads the file's own model's mean error of the end position, m, and of the end angle, rad.
 
-    Raises:
-        PushLogError: the file cannot be read or does not say.
+    Raises PushLogError: the file cannot be read or does not say.
     """
     path = Path(path)
     data = _read_mat(path)
