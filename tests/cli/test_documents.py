@@ -20,6 +20,7 @@ from gridpush_drake.errors import PushLogError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import list_shipped_objects
 from gridpush_drake.pushes.push_log import COLUMNS, PushLog
+from gridpush_drake.station import PushScenario
 from tests.helpers.finite_difference import check_jacobian
 
 ROOT = Path(__file__).parents[2]
@@ -29,6 +30,15 @@ PAGES = [page for page in PAGES if page.is_file() and "generated" not in page.pa
 TEXTS = {str(page.relative_to(ROOT)): page.read_text(encoding="utf-8") for page in PAGES}
 NOTEBOOKS = {name for name, text in TEXTS.items() if "mystnb" in text}
 RUN_ELSEWHERE = NOTEBOOKS | {"docs/extending.md"}
+DIRECTIVES = (
+    "{toctree}",
+    "{public-names}",
+    "{station-diagram}",
+    "{eval-rst}",
+    "{figure}",
+    "{include}",
+    "{literalinclude}",
+)
 EVERYWHERE = {"--help"}
 """Options of every command."""
 
@@ -128,6 +138,31 @@ def test_the_importer_is_one(tmp_path, block, monkeypatch):
     tracks.write_text("0 -90 0 0 0 0\n")
     with pytest.raises(PushLogError, match=r"tracks\.txt: block 1; expected blocks"):
         importer(obj).read(tracks)
+
+
+def test_two_objects_are_a_scenario():
+    scene = yaml.safe_load(find_blocks("docs/extending.md", "yaml")[2])
+    scenario = PushScenario(**scene)
+    assert scenario.object in list_shipped_objects() and [other.object for other in scenario.others] == ["pliers"]
+
+
+def test_every_block_is_tried_somewhere():
+    """Python runs (`EXAMPLES`); of all else there is a test, here or where the page is named in the tests."""
+    found = {
+        (name, language): len(find_blocks(name, re.escape(language)))
+        for name in TEXTS.keys() - NOTEBOOKS
+        for language in re.findall(r"^```([^\n]*\w[^\n]*)\n", TEXTS[name], re.MULTILINE)
+        if language != "python" and not language.startswith(DIRECTIVES)
+    }
+    assert found == {
+        (
+            "docs/extending.md",
+            "{code-block} python",
+        ): 5,  # a law, its entry, an importer, its entry, a second identifier
+        ("docs/extending.md", "yaml"): 3,  # a robot and its scene (tests/station/test_robot.py), two objects
+        ("docs/howto/own_object.md", "yaml"): 1,
+        ("docs/howto/own_pushes.md", "csv"): 1,
+    }
 
 
 def test_there_are_seven_notebooks():
