@@ -199,7 +199,11 @@ class PreGraspPlanner:
         if not goals:
             return self._poke_or_give_up(q, model, parts, pokes)
         if goals[0].margin < self.options.goal.margin:
-            return self._poke(q, model, goals[0], pokes, self._describe_lack(goals[0].margin))
+            safest, asked = goals[0].margin * MM, self.options.goal.margin * MM
+            why = (
+                f"the safest goal has a stability margin of {safest:.0f} mm at the worst; {asked:.0f} mm are asked for"
+            )
+            return self._poke(q, model, goals[0], pokes, why)
         if slides >= self.options.max_slides:
             return _fail(f"not at the edge after {slides} slides", goals[0])
         slide = plan_slide(
@@ -232,10 +236,6 @@ class PreGraspPlanner:
         if len(reachable) == len(parts) or not self._find_goals(pose, model, reachable):
             return _fail(why, None)
         return self._poke(pose, model, None, pokes, why)
-
-    def _describe_lack(self, margin: float) -> str:
-        needed = f"{self.options.goal.margin * MM:.0f} mm are asked for"
-        return f"the safest goal has a stability margin of {margin * MM:.0f} mm at the worst; {needed}"
 
     def _poke(
         self, pose: Array, model: UncertainModel, best: PreGraspGoal | None, pokes: int, why: str
