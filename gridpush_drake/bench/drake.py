@@ -125,12 +125,8 @@ UPDATE = 0.005
 UPDATE_MODES = {"in the same update": 0.0, "beside the Diagram, in real time": None}
 """How what takes long is answered: `simulation.answer_delay`."""
 
-UPDATE_POKES = 3
-UPDATE_LIMIT = 120.0
-"""Simulated s after which it is given up."""
-
-UPDATE_RATE = 1.0
-"""Simulated seconds a second, at most."""
+UPDATE_POKES, UPDATE_LIMIT, UPDATE_RATE = 3, 120.0, 1.0
+"""Simulated s after which it is given up, and simulated seconds a second, at most."""
 
 
 def run_updates(report: Report | None = None) -> Table:

@@ -39,7 +39,7 @@ from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 try:
     from gridpush_drake.gym import PushEnvironment, PushVectorEnvironment
     from gridpush_drake.gym.episode import FRICTION_RANGE, Episode
-    from gridpush_drake.gym.games import GAMES, HELD_OUT, ITERATIONS, MAX_ARM, REACHED, ExploreEpisode, GoalEpisode
+    from gridpush_drake.gym.games import GAMES, HELD_OUT, ITERATIONS, MAX_ARM, REACHED
     from gridpush_drake.gym.known_shape import FINGER, PLACES
 except ModuleNotFoundError as error:
     if error.name != "gymnasium":
@@ -80,11 +80,8 @@ SLIDE = SlideOptions(contact=replace(FINGER, starts=6, budget=24))
 DIRECTIONS = (-0.5, 0.0, 0.5)
 """That the learned player chooses from, as actions."""
 
-WEIGHTS = 11
-"""Of the learned player: eight rate a place and a direction, three the distance."""
-
-SPREAD = 1.0
-"""Standard deviation of the first weights that are tried."""
+WEIGHTS, SPREAD = 11, 1.0
+"""Of the learned player: eight rate a place and a direction, three the distance; and the first ones' deviation."""
 
 
 @dataclass(frozen=True)
@@ -270,7 +267,7 @@ def _hide(obj: GridObject) -> GridObject:
 
 def _push_to_goal(world: EnvironmentWorld, seed: int) -> None:
     episode, game = world.episode, world.env.game
-    assert isinstance(episode, GoalEpisode)
+    assert episode.goal is not None
     constraints = PushConstraints(game.surface, finger_inset=-FINGER.distance_range[1])
     rules = GoalRules(constraints, FINGER, tolerance=AIM, max_pushes=game.options.max_pushes)
     push_to_goal(world, _hide(episode.shape.obj), episode.goal, rules, learner=Learner(seed=seed))
@@ -291,7 +288,6 @@ def _slide_to_edge(world: EnvironmentWorld, seed: int) -> None:
 def _explore(world: EnvironmentWorld, seed: int) -> None:
     while not world.over:
         episode = world.episode
-        assert isinstance(episode, ExploreEpisode)
         assert episode.model is not None
         pokes = make_pokes(episode.model, episode.pose)
         world.execute(choose_poke(episode.model, episode.pose, pokes, make_center_functional(episode.model)).push)

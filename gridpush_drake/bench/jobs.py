@@ -32,11 +32,8 @@ from gridpush_drake.files import check_writable
 FOLDER = Path("gridpush_bench")
 """Where results are kept unless told otherwise, in the current folder."""
 
-SOURCES = (".py", ".yaml", ".sdf", ".urdf")
-"""Endings of the package's files that results depend on."""
-
-NO_SOURCES = "cli"
-"""Folder of the package that no result depends on."""
+SOURCES, NO_SOURCES = (".py", ".yaml", ".sdf", ".urdf"), "cli"
+"""Endings of the package's files that results depend on, and its folder that none does."""
 
 DIGITS = 12
 """Of a hash, enough to tell two files from each other."""
@@ -170,11 +167,8 @@ Report = Callable[[str, int, int], None]
 WORKERS = 2
 """Processes by default."""
 
-REPORT_EVERY = 1.0
-"""s, at most, between two calls of a report."""
-
-END_WITHIN = 1.0
-"""s that a killed worker is waited for."""
+REPORT_EVERY, END_WITHIN = 1.0, 1.0
+"""s, at most, between two calls of a report, and that a killed worker is waited for."""
 
 MAX_LOST = 3
 """Workers that a job may lose; then it is taken to be what ends them."""

@@ -19,14 +19,13 @@ from matplotlib.figure import Figure
 
 from gridpush_drake.bench import paper, planning, pregrasp, real
 from gridpush_drake.bench.jobs import QUIET, Execution, Job, Result, check_known, run_jobs
-from gridpush_drake.bench.protocol import MAX_CELLS, make_case, make_planning_protocol, make_protocol
+from gridpush_drake.bench.protocol import make_case, make_planning_protocol, make_protocol, read_object
 from gridpush_drake.bench.table import MM, PERCENT, Table
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.identification.learning import METHODS, identify
-from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
-from gridpush_drake.report.draw import draw_cells, hide_axes, make_grid, to_png, to_svg
+from gridpush_drake.report.draw import draw_cells, hide_axes, make_chart, make_grid, to_png, to_svg
 
 SHIPPED = ("claw_hammer", "open_book", "snack_bag", "spray_bottle")
 """In place of the paper's hammer, book, snack and windex."""
@@ -186,8 +185,7 @@ def learn_map(job: MapJob) -> MassMap:
     case = make_case(protocol, job.name, job.mass_set)
     split = protocol.splits[paper.TRAINING_PUSHES][job.mass_set]
     found = identify(case.obj, case.log.subset(split.train), seed=job.seed)
-    labels = load_labels(job.data, job.seed, job.name)
-    hidden = np.array(protocol.masses[job.name][job.mass_set])[labels - 1]
+    hidden = np.array(protocol.masses[job.name][job.mass_set])[read_object(protocol, job.name).labels - 1]
     test = case.log.subset(split.test)
     error = paper.calc_test_error(case, found.params, test, found.regime)
     mean = found.params.mass.mean()
@@ -195,16 +193,6 @@ def learn_map(job: MapJob) -> MassMap:
         job.name, (hidden / hidden.mean()).tolist(), (found.params.mass / mean).tolist(),
         (found.std.mass / mean).tolist(), error,
     )  # fmt: skip
-
-
-def load_labels(data: Path | None, seed: int, name: str) -> np.ndarray:
-    """(n,) the hidden parts of a protocol's object."""
-    protocol = make_protocol(data, seed)
-    if name not in protocol.masks:
-        return GridObject.from_yaml(find_shipped_object(name)).labels
-    return GridObject.from_mask(
-        protocol.masks[name], meters_per_pixel=protocol.meters_per_pixel, max_cells=MAX_CELLS
-    ).labels
 
 
 def _draw_maps(study: Study) -> tuple[str, str]:
@@ -236,8 +224,7 @@ def _draw_simulations(study: Study) -> tuple[str, str]:
     ]
     scores = [score for scores in study.run(paper.run_job, jobs) for score in scores]
     shown = (paper.UNIFORM, *study.methods)
-    figure, axes = make_grid(1, 1, 2 * PANEL[0], 1.5 * PANEL[1])
-    ax = axes[0, 0]
+    figure, ax = make_chart(2 * PANEL[0], 1.5 * PANEL[1])
     paper.draw_panel(ax, scores, shown)
     ax.axhline(paper.PAPER_MM, color="0.7", linewidth=1, label=f"paper, {paper.PAPER_MM:g} mm")
     ax.set_xlabel("simulated pushes")
@@ -269,16 +256,14 @@ def _draw_real(study: Study) -> tuple[str, str]:
     scores = [score for scores in study.run(real.run_job, jobs) for score in scores]
     shown = list(dict.fromkeys(score.name for score in scores))
     steps = sorted({score.training for score in scores if score.model in (real.UNIFORM, real.POSES)})
-    figure, axes = make_grid(1, 1, 2 * PANEL[0], 1.2 * PANEL[1])
+    figure, ax = make_chart(2 * PANEL[0], 1.2 * PANEL[1])
     for i, count in enumerate(steps):
         model = real.POSES if count else real.UNIFORM
         label = f"learned from {count}" if count else real.UNIFORM
-        _draw_bars(axes[0, 0], i, len(steps), [_means(scores, name, model, count) for name in shown], label)
+        _draw_bars(ax, i, len(steps), [_means(scores, name, model, count) for name in shown], label)
     what = "real pushes" if logs else "simulated stand-ins for real pushes"
-    _finish_bars(axes[0, 0], shown, "position error, mm")
-    axes[0, 0].set_title(
-        f"Foretold positions of {what}, 95 % intervals over {study.counts.splits} splits", fontsize="small"
-    )
+    _finish_bars(ax, shown, "position error, mm")
+    ax.set_title(f"Foretold positions of {what}, 95 % intervals over {study.counts.splits} splits", fontsize="small")
     study.write("real_pushes", figure)
     last = steps[-1]
     means = [
@@ -349,8 +334,8 @@ def _draw_pregrasp(study: Study) -> tuple[str, str]:
     outcomes = {method: [score.outcome for score in scores if score.method == method] for method in SLIDE_METHODS}
     grasped = {method: PERCENT * float(np.mean([o.grasped for o in some])) for method, some in outcomes.items()}
     dropped = {method: PERCENT * float(np.mean([o.dropped for o in some])) for method, some in outcomes.items()}
-    figure, axes = make_grid(1, 1, 2 * PANEL[0], PANEL[1])
-    ax, places = axes[0, 0], np.arange(len(SLIDE_METHODS))
+    figure, ax = make_chart(2 * PANEL[0], PANEL[1])
+    places = np.arange(len(SLIDE_METHODS))
     ends: list[tuple[str, str, Mapping[str, float]]] = [
         ("graspable", "tab:blue", grasped), ("dropped", "tab:red", dropped),
         ("in the paper: grasped", "0.75", PAPER_SUCCESS),

@@ -18,13 +18,13 @@ from gridpush_drake.bench.protocol import (
     make_planning_protocol,
     read_planning_object,
 )
-from gridpush_drake.bench.table import MM, MS, PERCENT, Column, Table, by_object, count_of, mean_of
+from gridpush_drake.bench.table import MM, MS, PERCENT, Column, Table, by_object, calc_mean, count_of, mean_of
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_error
 from gridpush_drake.planning.goal.next_push import GoalRules, RobustnessOptions
-from gridpush_drake.planning.goal.push_to_goal import PushStep, push_to_goal
+from gridpush_drake.planning.goal.push_to_goal import push_to_goal
 from gridpush_drake.planning.simulated_world import Learner, SimulatedWorld
 
 LEARNING, UNIFORM, TRUE, LOOK_AHEAD = "learning", "uniform", "true", "true, two ahead"
@@ -146,11 +146,9 @@ METHOD_BUDGETS = {GRADIENT: 44, DIFFERENCES: 75}
 PARAMETER_SEED = 100
 """Of the first random parameter set of the contact points."""
 
-SUCCESS = 0.02
-"""True mean cell error below which a run has succeeded, m (the paper's)."""
-
-TOLERANCE = 0.018
-"""Seen mean cell error at which the driver stops, m: below SUCCESS, for it sees poses with noise."""
+SUCCESS, TOLERANCE = 0.02, 0.018
+"""m, true mean cell error below which a run has succeeded (the paper's), and the seen one at which the driver stops:
+less, for it sees poses with noise."""
 
 MAX_PUSHES = 25
 
@@ -261,19 +259,13 @@ def _push(job: Job) -> list[Run]:
                 params=hidden if mode in (TRUE, LOOK_AHEAD) else None,
                 learner=Learner(seed=job.seed) if mode == LEARNING else None,
             )  # fmt: skip
+            errors = [step.prediction_error for step in done.steps]
             error = float(calc_goal_error(obj, world.true_pose, goal))
             runs.append(
                 Run(
                     job.name, mode, not world.fallen and error < SUCCESS, world.fallen, len(done.steps), done.status,
-                    *_split(done.steps),
+                    errors[0] if errors else np.nan, calc_mean(errors[1:]),
                     done.simulations, done.planning_seconds, done.learning_seconds,
                 )
             )  # fmt: skip
     return runs
-
-
-def _split(steps: Sequence[PushStep]) -> tuple[float, float]:
-    """Prediction error of the first push, and the mean of the later ones, m; NaN where there are none."""
-    errors = [step.prediction_error for step in steps]
-    first, later = errors[:1], errors[1:]
-    return first[0] if first else float("nan"), float(np.mean(later)) if later else float("nan")

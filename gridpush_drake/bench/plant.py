@@ -52,11 +52,8 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 
 OBJECTS = ("claw_hammer", "combination_wrench", "toolbox", "spray_bottle")
-PUSHES = 20
-"""An object."""
-
-DISTANCE, SPEED = 0.1, 0.05
-"""m and m/s."""
+PUSHES, DISTANCE, SPEED = 20, 0.1, 0.05
+"""Of an object; m and m/s."""
 
 SLANT = radians(30)
 """Furthest from the outline's normal."""
@@ -208,11 +205,8 @@ STICTION_TOLERANCE = 1e-5
 PUSH_HEIGHT = 0.012
 """m, of the sphere's center above the table."""
 
-PUSHER_MASS = 1.0
-"""kg, of each of the pusher's two bodies."""
-
-PUSHER_GAIN, PUSHER_DAMPING = 1e7, 1e4
-"""N/m and N s/m."""
+PUSHER_MASS, PUSHER_GAIN, PUSHER_DAMPING = 1.0, 1e7, 1e4
+"""kg, of each of the pusher's two bodies; N/m and N s/m."""
 
 TABLE_SIZE = (4.0, 4.0, 0.1)
 """m."""

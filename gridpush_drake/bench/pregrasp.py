@@ -47,15 +47,7 @@ from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 MASK_OBJECT = "hammer"
 """The paper's own hammer, a mask among the public data."""
 
-OBJECTS = (
-    "claw_hammer",
-    "combination_wrench",
-    "pliers",
-    "spray_bottle",
-    "spring_clamp",
-    "toolbox",
-    "toothpaste_tube",
-)
+OBJECTS = ("claw_hammer", "combination_wrench", "pliers", "spray_bottle", "spring_clamp", "toolbox", "toothpaste_tube")
 """Those of the shipped objects that have a graspable part."""
 
 RECTANGLE, RADIUS, HEXAGON = (0.9, 0.7), 0.45, 0.5

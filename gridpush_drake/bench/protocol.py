@@ -37,11 +37,8 @@ MASK_SOURCE = "GitHub changkyu/rss2020_changkyu"
 MASK_ENDING, PROTOCOL = "_label.pgm", "protocol.json"
 
 MAX_CELLS = 127
-METERS_PER_PIXEL = 0.001
-"""Of the masks in simulations, m, unless the data say otherwise."""
-
-PLANNING_METERS_PER_PIXEL = 0.53 / 640
-"""Of the masks as real objects, likewise."""
+METERS_PER_PIXEL, PLANNING_METERS_PER_PIXEL = 0.001, 0.53 / 640
+"""Of the masks in simulations, and as real objects, m, unless the data say otherwise."""
 
 MASS_SETS = 10
 """Drawn for each object."""
@@ -53,17 +50,8 @@ TRAINING = (1, 2, 3, 4, 5)
 """Numbers of pushes to learn from; the others of the ten are predicted."""
 
 PUSHES_PER_SIDE = 5
-SPEED = 0.1
-"""m/s."""
-
-DURATION = 2.0
-"""s."""
-
-FINGER_RADIUS = 0.015
-"""m."""
-
-OBSERVED_EVERY = 0.1
-"""s between observations of the pose."""
+SPEED, DURATION, FINGER_RADIUS, OBSERVED_EVERY = 0.1, 2.0, 0.015, 0.1
+"""Of a simulated push, m/s and s; of its finger, m; and s between observations of the pose."""
 
 SUPPORT_FRICTION = 0.4
 """Of every cell, in the simulated truth; it is also the identifier's prior."""
@@ -74,17 +62,12 @@ PUSHED_SHIPPED = ("combination_wrench", "pliers", "toothpaste_tube")
 PAIRS = 10
 """Of start and goal poses."""
 
-TABLE_CENTER, TABLE_RADIUS = (0.63, 0.0), 0.5
-"""Of the round table, m."""
+TABLE_CENTER, TABLE_RADIUS, PLACE_RADIUS = (0.63, 0.0), 0.5, 0.28
+"""Of the round table, and within which poses are drawn, evenly, m: the widest object then hangs over by 45 mm."""
 
-PLACE_RADIUS = 0.28
-"""Within which poses are drawn about the table's center, evenly, m: the widest object then hangs over by 45 mm."""
-
-OVERHANG = 0.045
-"""m by which cells may hang over the table's edge; the protocol's own poses make the widest object do so by 36 mm."""
-
-FINGER_OVERHANG = 0.1
-"""m by which the finger's center may be beyond the edge: it ends above the table, and pushes back what hangs over."""
+OVERHANG, FINGER_OVERHANG = 0.045, 0.1
+"""m by which cells may hang over the table's edge (the protocol's own poses make the widest object do so by 36 mm), and
+the finger's center: it ends above the table, and pushes back what hangs over."""
 
 POSITION_STD, ANGLE_STD = 0.0005, 0.003
 """Noise of poses that are seen by whoever plans, m per axis and rad."""
@@ -217,15 +200,12 @@ def make_case(protocol: Protocol, name: str, mass_set: int) -> Case:
     """
     if name not in protocol.masses:
         raise GridPushError(f"objects: {name!r} is not in the protocol; expected one of {', '.join(protocol.masses)}")
-    prior = PhysicalPrior(friction=SUPPORT_FRICTION)
-    mask, scale = protocol.masks.get(name), protocol.meters_per_pixel
-    if mask is None:
-        obj = replace(GridObject.from_yaml(find_shipped_object(name)), prior=prior)
+    obj = replace(read_object(protocol, name), prior=PhysicalPrior(friction=SUPPORT_FRICTION))
+    if name in protocol.masks:
+        columns = read_labels(protocol.masks[name]).shape[1]
+    else:
         left, _, right, _ = obj.outline.bounds
         columns = round((right - left) / METERS_PER_PIXEL)
-    else:
-        obj = GridObject.from_mask(mask, meters_per_pixel=scale, max_cells=MAX_CELLS, prior=prior)
-        columns = read_labels(mask).shape[1]
     masses = dict(enumerate(protocol.masses[name][mass_set], start=1))
     truth = CellParameters.by_part(obj, masses, SUPPORT_FRICTION)
     pushes = make_pushes(obj, columns)
@@ -337,8 +317,7 @@ def list_objects(protocol: PlanningProtocol, shipped: Sequence[str] | None = Non
     return [*protocol.masks, *(list_shipped_objects() if shipped is None else shipped)]
 
 
-@lru_cache(maxsize=32)
-def read_planning_object(protocol: PlanningProtocol, name: str) -> GridObject:
+def read_object(protocol: Protocol | PlanningProtocol, name: str) -> GridObject:
     """An object by its name, with its parts. Raises ObjectError where there is none."""
     if name in protocol.masks:
         return GridObject.from_mask(
@@ -346,6 +325,10 @@ def read_planning_object(protocol: PlanningProtocol, name: str) -> GridObject:
             prior=PhysicalPrior(friction=SUPPORT_FRICTION),
         )  # fmt: skip
     return GridObject.from_yaml(find_shipped_object(name))
+
+
+read_planning_object = lru_cache(maxsize=32)(read_object)
+"""The same, of a planning protocol, each once."""
 
 
 def hide_parts(obj: GridObject) -> GridObject:

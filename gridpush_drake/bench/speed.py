@@ -84,11 +84,9 @@ FINAL, EVERY = ", with the Jacobian of the final pose", ", with the Jacobian of 
 PLACE = 0.7
 """Where along the object's width it is pushed, 0 to 1."""
 
-SIZES = (10, 30, 100, 300, 1000, 3000, 10000)
-"""Numbers of cells for the cost against n."""
-
-LINEAR_FROM = 300
-"""Cells from which on the slope is fitted: below, the work that does not depend on n shows."""
+SIZES, LINEAR_FROM = (10, 30, 100, 300, 1000, 3000, 10000), 300
+"""Numbers of cells for the cost against n; from where on the slope is fitted: below, work that does not depend on n
+shows."""
 
 START_UPS = 7
 """Of each command that starts Python."""
@@ -112,10 +110,8 @@ POKE, POKE_SPEED, POKE_SLANT, POKE_RADIUS = 0.06, 0.03, 0.4, 0.01
 OBSERVED, POSE_NOISE = 10, (3e-4, 3e-4, 3e-3)
 """Poses seen of each push, and their noise, m and rad."""
 
-FEW = 25
-"""Pushes from which on an identification is timed once, not IDENTIFY_REPETITIONS times."""
-
-IDENTIFY_REPETITIONS = 5
+FEW, IDENTIFY_REPETITIONS = 25, 5
+"""Pushes from which on an identification is timed once, and how often it is with fewer."""
 
 Announce = Callable[[str], None]
 
@@ -322,14 +318,8 @@ def _row(name: str, timing: Timing, ratio: float) -> list[Value]:
     return [name, *(MS * seconds for seconds in timing), ratio]
 
 
-MUJOCO_TIME_STEP = 0.002
-"""MuJoCo's default, s."""
-
-PUSHER_GAIN = 1e4
-"""Of the position servo that drives the pusher, N/m."""
-
-PUSHER_MASS = 1.0
-"""kg."""
+MUJOCO_TIME_STEP, PUSHER_GAIN, PUSHER_MASS = 0.002, 1e4, 1.0
+"""MuJoCo's default, s; of the position servo that drives the pusher, N/m; kg."""
 
 
 def make_mujoco_push(obj: GridObject, params: CellParameters, push: Push) -> Callable[[], np.ndarray]:

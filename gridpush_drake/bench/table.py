@@ -187,12 +187,10 @@ def by_object(
     return [*groups, ((*keys, ALL), list(results))]
 
 
-DPI = 150
+DPI, ENDINGS = 150, (".png", ".pdf", ".svg")
 
 PANEL, LEGEND_HEIGHT = (3.6, 2.7), 0.6
 """Width and height of a figure's panel, and of its legend, inches."""
-
-ENDINGS = (".png", ".pdf", ".svg")
 
 
 def check_figure(path: Path | str, force: bool) -> None:

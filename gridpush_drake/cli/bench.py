@@ -89,13 +89,12 @@ def _add(bench: Callable[..., "list[Table]"]) -> Callable[..., "list[Table]"]:
             tables = bench(**given, execution=execution)
         _show(tables, out, force, json)
 
-    parameters = {
-        key: Parameter(key, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-        for key, (annotation, default) in COMMON.items()
-    } | {key: each.replace(kind=Parameter.KEYWORD_ONLY) for key, each in own.items()}
-    parameters = {key: parameters[key] for key in (*own, *(key for key in COMMON if key not in own))}
-    command.__signature__ = Signature(list(parameters.values()))  # type: ignore[attr-defined]
-    command.__annotations__ = {key: each.annotation for key, each in parameters.items()}
+    parameters = [each.replace(kind=Parameter.KEYWORD_ONLY) for key, each in own.items() if key not in COMMON]
+    for key, (annotation, default) in COMMON.items():
+        common = Parameter(key, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+        parameters.append(own[key].replace(kind=Parameter.KEYWORD_ONLY) if key in own else common)
+    command.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    command.__annotations__ = {each.name: each.annotation for each in parameters}
     app.command(name, help=bench.__doc__)(command)
     return bench
 

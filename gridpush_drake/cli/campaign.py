@@ -51,7 +51,7 @@ def campaign(
 ) -> None:  # fmt: skip
     """Run whole episodes with many seeds and objects: how many are held, dropped, given up, and why.
 
-    Writes scenario.yaml, episodes.jsonl (a line an episode, at once) and table.md.
+    Writes scenario.yaml, episodes.jsonl (a line for each episode, as soon as it ends) and table.md.
     """
     from gridpush_drake.bench.campaign import EPISODES, SCENARIO, TABLE, describe_settings, run
     from gridpush_drake.bench.jobs import open_results
@@ -67,7 +67,13 @@ def campaign(
     def begin() -> "Results":
         make_folder(out)
         results = open_results(out / EPISODES, "campaign", describe_settings(task, scenario), force)
-        _write_scenario(out / SCENARIO, format_scenario(scenario), force)
+        path, text = out / SCENARIO, format_scenario(scenario)
+        if force or not exists(path):
+            write_whole(path, text, force)
+        elif read_text(path, "a scenario", GridPushError) != text:
+            raise GridPushError(
+                f"{path}: differs from the scenario given; expected the same, another --out, or --force to begin anew"
+            )
         return results
 
     with options.executing("campaign", workers, dask, begin) as execution:
@@ -121,17 +127,3 @@ def _find_objects(scenario: "PushScenario", names: str | None) -> dict[str, str]
         else:
             found[str(path.resolve())] = hash_content(read_bytes(path, "an object file", ObjectError))
     return found
-
-
-def _write_scenario(path: Path, text: str, force: bool) -> None:
-    """Writes the campaign's scenario, where it does not lie there already.
-
-    Raises GridPushError where another one does.
-    """
-    if exists(path) and not force:
-        if read_text(path, "a scenario", GridPushError) != text:
-            raise GridPushError(
-                f"{path}: differs from the scenario given; expected the same, another --out, or --force to begin anew"
-            )
-        return
-    write_whole(path, text, force)

@@ -44,15 +44,9 @@ FRAMES_PER_SECOND = 20.0
 """Of the recording."""
 
 FILES = (
-    "report.html",
-    "recording.html",
-    "model.yaml",
-    "object.yaml",
-    "pushes.csv",
-    "stream.csv",
-    "truth.yaml",
+    "report.html", "recording.html", "model.yaml", "object.yaml", "pushes.csv", "stream.csv", "truth.yaml",
     "scenario.yaml",
-)
+)  # fmt: skip
 """That a task leaves in its folder, the report first."""
 
 HELD_OUT = "held_out.csv"

@@ -120,7 +120,7 @@ class Push:
             clearance: gap between disc and outline at the beginning, m.
 
         Returns:
-            The push. Its `start_tangent` is that of the edge: it makes `Jacobian.contact_location` the derivative by
+            The push. Its `start_tangent` is that of the edge; so `Jacobian.contact_location` is the derivative by
             `arc_length` with the motion's direction held fixed, and at a vertex the one towards the edge that
             begins there.
 

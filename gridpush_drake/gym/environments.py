@@ -41,7 +41,7 @@ def register_environments() -> None:
             )
 
 
-def make_game(game: str, options: dict[str, Any]) -> PushGame[Any]:
+def make_game(game: str, options: dict[str, Any]) -> PushGame:
     """Makes a game by its name, of GAMES, with fields of `GameOptions`."""
     kind = GAMES[game]
     return kind(GameOptions(**kind.defaults | options))
@@ -198,7 +198,7 @@ def _to_dict(spaces: dict[str, Box[Any]]) -> Space[Observation]:
     return cast(Space[Observation], Dict(cast(dict[str, Space[Any]], spaces)))
 
 
-def _make_spaces(game: PushGame[Any], camera: bool) -> dict[str, Box]:
+def _make_spaces(game: PushGame, camera: bool) -> dict[str, Box]:
     spaces = game.make_spaces()
     if camera:
         spaces["rgb"] = Box(0, np.iinfo(np.uint8).max, (CAMERA_SIZE, CAMERA_SIZE, 3), np.uint8)
@@ -210,7 +210,7 @@ def _pack(spaces: dict[str, Box], values: dict[str, Array]) -> Observation:
     return {name: np.clip(values[name], space.low, space.high).astype(space.dtype) for name, space in spaces.items()}
 
 
-def _observe(game: PushGame[Any], episode: Episode, camera: bool) -> dict[str, Array]:
+def _observe(game: PushGame, episode: Episode, camera: bool) -> dict[str, Array]:
     values = game.observe(episode)
     if camera:
         values["rgb"] = draw_scene(game, episode, CAMERA_SIZE, show_hidden=False)

@@ -3,9 +3,8 @@
 In all of them the reward is how much better the score gets, and -1 for pushing the object off the table.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -22,15 +21,11 @@ from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.exploration import calc_worst_std, make_center_functional
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
-from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
-PER_METER = 10.0
-"""Reward for a meter, towards the goal or over the edge."""
-
-PER_METER_FORETOLD = 100.0
-"""Reward for a meter of held-out error."""
+PER_METER, PER_METER_FORETOLD = 10.0, 100.0
+"""Reward for a meter, towards the goal or over the edge, and of held-out error."""
 
 MARGIN, MIN_ERROR = 0.1, 0.1
 """m inside the edge that an object with a goal lies, there and at the beginning; and its mean cell error then, m."""
@@ -38,34 +33,18 @@ MARGIN, MIN_ERROR = 0.1, 0.1
 REACHED = 0.02
 """m, mean cell error: the paper's."""
 
-OFFSET = 0.05
-"""m, at most, of an object that is to be slid from the table's middle at the beginning, along each axis."""
+OFFSET, MAX_ARM = 0.05, 0.06
+"""m, at most, of an object to be slid from the table's middle at the beginning, along each axis, and of a part to be
+grasped from the center of mass."""
 
-MAX_ARM = 0.06
-"""m from the center of mass to the middle of a part to be grasped, at most."""
-
-HELD_OUT = 6
-"""Pushes that the learner is tested on."""
-
-HELD_OUT_DISTANCE = 0.3
-"""Of those pushes, as an action: nine centimeters or so."""
+HELD_OUT, HELD_OUT_DISTANCE = 6, 0.3
+"""Pushes that the learner is tested on, and how far, as an action: nine centimeters or so."""
 
 ITERATIONS = 2
 """Of the filter's step."""
 
 
-@dataclass(frozen=True, eq=False)
-class GoalEpisode(Episode):
-    """An episode with a goal.
-
-    Attributes:
-        goal: (3,) q_W, m and rad.
-    """
-
-    goal: Array = field(default_factory=lambda: np.zeros(3))
-
-
-class PushToGoal(PushGame[GoalEpisode]):
+class PushToGoal(PushGame):
     """`gridpush/PushToGoal-v0`: an object of hidden masses is pushed to a goal pose on a large table.
 
     Its score is the mean distance of the cells from where they are at the goal, m (the paper's ADD). Reward: the
@@ -74,7 +53,7 @@ class PushToGoal(PushGame[GoalEpisode]):
 
     table = (1.4, 1.2)
 
-    def begin(self, rng: np.random.Generator) -> GoalEpisode:
+    def begin(self, rng: np.random.Generator) -> Episode:
         """Draws an object, where it lies and where it should."""
         shape, hidden = self.draw_object(rng)
         start = self._draw_pose(shape, rng)
@@ -82,10 +61,11 @@ class PushToGoal(PushGame[GoalEpisode]):
         while error < MIN_ERROR:
             goal = self._draw_pose(shape, rng)
             error = float(calc_goal_error(shape.obj, start, goal))
-        return GoalEpisode(shape, hidden, rng, start, self.add_noise(start, rng), error, goal=goal)
+        return Episode(shape, hidden, rng, start, self.add_noise(start, rng), error, goal=goal)
 
-    def judge(self, before: GoalEpisode, after: GoalEpisode) -> Turn[GoalEpisode]:
+    def judge(self, before: Episode, after: Episode) -> Turn:
         """By how much nearer the goal is."""
+        assert after.goal is not None
         error = float(calc_goal_error(after.shape.obj, after.true_pose, after.goal))
         won = error < REACHED and not after.fallen
         reward = PER_METER * (before.score - error) + won - after.fallen
@@ -96,13 +76,10 @@ class PushToGoal(PushGame[GoalEpisode]):
         limit = np.array([*self._half, 1.0, 1.0], dtype=np.float32)
         return {"goal": Box(-limit, limit)}
 
-    def observe_own(self, episode: GoalEpisode) -> dict[str, Array]:
+    def observe_own(self, episode: Episode) -> dict[str, Array]:
         """The goal, as the pose."""
+        assert episode.goal is not None
         return {"goal": flatten_pose(episode.goal)}
-
-    def find_goal(self, episode: GoalEpisode) -> Array:
-        """The goal."""
-        return episode.goal
 
     def _draw_pose(self, shape: KnownShape, rng: np.random.Generator) -> Array:
         """A pose (3,) wholly on the table."""
@@ -112,18 +89,7 @@ class PushToGoal(PushGame[GoalEpisode]):
                 return pose
 
 
-@dataclass(frozen=True, eq=False)
-class SlideEpisode(Episode):
-    """An episode with parts to grasp.
-
-    Attributes:
-        parts: any of which is to hang over; hidden, for they tell where the center of mass is.
-    """
-
-    parts: tuple[GraspPart, ...] = ()
-
-
-class SlideToEdge(PushGame[SlideEpisode]):
+class SlideToEdge(PushGame):
     """`gridpush/SlideToEdge-v0`: an object is pushed over the table's edge, so far that it can be grasped.
 
     Graspable are its narrow parts near the true center of mass, where it does not turn in the gripper. Its score is how
@@ -140,7 +106,7 @@ class SlideToEdge(PushGame[SlideEpisode]):
             if not shape.grasp_parts:
                 raise PlanningError(f"objects: {shape.obj.name} has no part narrow enough to be grasped")
 
-    def begin(self, rng: np.random.Generator) -> SlideEpisode:
+    def begin(self, rng: np.random.Generator) -> Episode:
         """Draws an object and where it lies, in the table's middle; again where it cannot be grasped near enough."""
         while True:
             shape, hidden = self.draw_object(rng)
@@ -150,9 +116,9 @@ class SlideToEdge(PushGame[SlideEpisode]):
                 break
         start = np.append(rng.uniform(-OFFSET, OFFSET, 2), rng.uniform(-np.pi, np.pi))
         score = float(calc_overhangs(near, start, self.surface).max())
-        return SlideEpisode(shape, hidden, rng, start, self.add_noise(start, rng), score, parts=near)
+        return Episode(shape, hidden, rng, start, self.add_noise(start, rng), score, parts=near)
 
-    def judge(self, before: SlideEpisode, after: SlideEpisode) -> Turn[SlideEpisode]:
+    def judge(self, before: Episode, after: Episode) -> Turn:
         """By how much farther out a part is."""
         overhang = float(calc_overhangs(after.parts, after.true_pose, self.surface).max())
         won = overhang >= 0 and not after.fallen
@@ -160,20 +126,7 @@ class SlideToEdge(PushGame[SlideEpisode]):
         return Turn(replace(after, score=overhang), reward, won)
 
 
-@dataclass(frozen=True, eq=False)
-class ExploreEpisode(Episode):
-    """An episode with a learner.
-
-    Attributes:
-        model: what the learner holds possible.
-        held_out: the pushes that it is tested on, from the pose (0, 0, 0).
-    """
-
-    model: UncertainModel | None = None
-    held_out: PushLog = field(default_factory=lambda: PushLog(()))
-
-
-class Explore(PushGame[ExploreEpisode]):
+class Explore(PushGame):
     """`gridpush/Explore-v0`: an object is pushed so that its motion can be foretold, out of any edge's reach.
 
     After every push a learner that is the same for all players takes in where the object was seen to end (`learn`). Its
@@ -183,7 +136,7 @@ class Explore(PushGame[ExploreEpisode]):
 
     table, defaults = (4.0, 4.0), {"max_pushes": 8}
 
-    def begin(self, rng: np.random.Generator) -> ExploreEpisode:
+    def begin(self, rng: np.random.Generator) -> Episode:
         """Draws an object, and the pushes that the learner is tested on."""
         shape, hidden = self.draw_object(rng)
         start, places = np.append(np.zeros(2), rng.uniform(-np.pi, np.pi)), rng.uniform(-1.0, 1.0, (HELD_OUT, 2))
@@ -197,11 +150,9 @@ class Explore(PushGame[ExploreEpisode]):
         )
         model = _make_prior(shape)
         error = _calc_held_out_error(model, held_out)
-        return ExploreEpisode(
-            shape, hidden, rng, start, self.add_noise(start, rng), error, model=model, held_out=held_out
-        )
+        return Episode(shape, hidden, rng, start, self.add_noise(start, rng), error, model=model, held_out=held_out)
 
-    def judge(self, before: ExploreEpisode, after: ExploreEpisode) -> Turn[ExploreEpisode]:
+    def judge(self, before: Episode, after: Episode) -> Turn:
         """By how much better the learner foretells."""
         assert before.model is not None
         model = learn(before.model, after.pushes[-1])
@@ -213,7 +164,7 @@ class Explore(PushGame[ExploreEpisode]):
         """What the learner says of the center of friction: x and y, body frame, and the deviation least known, m."""
         return {"estimate": Box(-1.0, 1.0, (3,))}
 
-    def observe_own(self, episode: ExploreEpisode) -> dict[str, Array]:
+    def observe_own(self, episode: Episode) -> dict[str, Array]:
         """The values of that."""
         model = episode.model
         assert model is not None
@@ -260,5 +211,5 @@ def _make_prior(shape: KnownShape) -> UncertainModel:
     return UncertainModel.of_prior(shape.obj)
 
 
-GAMES: dict[str, type[PushGame[Any]]] = {game.__name__: game for game in (PushToGoal, SlideToEdge, Explore)}
+GAMES: dict[str, type[PushGame]] = {game.__name__: game for game in (PushToGoal, SlideToEdge, Explore)}
 """By the environment's name."""

@@ -163,7 +163,7 @@ class GridObject:
 
     @classmethod
     def from_yaml(cls, path: Path | str, *, largest_piece: bool = False) -> "GridObject":
-        """Reads an object file (README, "Bring your own object"); a mask it names is looked up beside it.
+        """Reads an object file, see `docs/howto/own_object.md`; a mask it names is looked up beside it.
 
         Raises:
             ObjectError: the file cannot be read, has an unknown key or a value out of range; the message names

@@ -157,7 +157,7 @@ class PushLog:
 
     @classmethod
     def read_csv(cls, path: Path | str, radius: float | None = None, *, require_final: bool = True) -> "PushLog":
-        """Reads a push log; README, "Bring your own pushes", has the columns.
+        """Reads a push log; `docs/howto/own_pushes.md` has the columns.
 
         Args:
             radius: of the pusher, m; DEFAULT_PUSHER_RADIUS where None, and `radius_given` says so.

@@ -35,27 +35,18 @@ from gridpush_drake.report.draw import (
     draw_cells,
     draw_outline,
     draw_table,
+    draw_tips,
     frame_points,
+    make_chart,
     make_grid,
     tidy,
 )
 
-HOLDS = "#4f9d69"
-"""What holds the object."""
+HOLDS, GRASP, OBSTACLE = "#4f9d69", "#b3423f", "#c7bdb0"
+"""What holds the object, what the gripper takes, and what is in the way."""
 
-GRASP = "#b3423f"
-"""What the gripper takes."""
-
-OBSTACLE = "#c7bdb0"
-
-WIDTH, MAX_HEIGHT = 6.5, 7.5
-"""Of a plan's figure, inches."""
-
-LEGEND_ROOM = 0.7
-"""Beside a plan's drawing, inches."""
-
-PANEL_HEIGHT = 4.4
-"""Of figures with two panels, inches."""
+WIDTH, MAX_HEIGHT, LEGEND_ROOM, PANEL_HEIGHT = 6.5, 7.5, 0.7, 4.4
+"""Of a plan's figure, beside its drawing, and of figures with two panels, inches."""
 
 ROOM, CLOSE_UP = 0.05, 0.06
 """About what is drawn, and about an object in a close-up, m."""
@@ -74,8 +65,7 @@ def draw_plan(
     if surface is not None:
         points.append(surface.corners)
     width, height = np.ptp(np.concatenate(points), axis=0) + 2 * ROOM
-    figure, axes = make_grid(1, 1, WIDTH, min(WIDTH * height / width, MAX_HEIGHT) + LEGEND_ROOM)
-    ax = axes[0, 0]
+    figure, ax = make_chart(WIDTH, min(WIDTH * height / width, MAX_HEIGHT) + LEGEND_ROOM)
     for shape in shapes:
         ax.add_patch(Polygon(shape, facecolor=OBSTACLE, edgecolor=INK, zorder=0.5))
     _draw_pushes(ax, obj, poses, pushes, plan.goal, surface, "predicted end")
@@ -192,21 +182,18 @@ def draw_slide(planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGras
         plan: the plan; where nothing is safe, its safest goal is drawn.
     """
     figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
-    _draw_slides(axes[0, 0], planner, plan)
-    _draw_goal(axes[0, 1], planner, masses, plan)
-    return figure
-
-
-def _draw_slides(ax: Axes, planner: PreGraspPlanner, plan: PreGraspPlan) -> None:
+    ax = axes[0, 0]
     _draw_outlines(ax, planner.obj, plan.poses, planner.surface)
     draw_cells(ax, planner.obj, pose=plan.poses[-1])
     for push in plan.pushes:
-        _draw_tips(ax, push, LEARNED)
+        draw_tips(ax, push, LEARNED)
     if plan.poke is not None:
-        _draw_tips(ax, plan.poke, BEFORE)
+        draw_tips(ax, plan.poke, BEFORE)
     frame_points(ax, [planner.surface.corners], CLOSE_UP)
     count = len(plan.pushes)
     ax.set_title(f"{plan.status}: {count} push{'' if count == 1 else 'es'}", fontsize=FONT, color=INK)
+    _draw_goal(axes[0, 1], planner, masses, plan)
+    return figure
 
 
 def _draw_goal(ax: Axes, planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGraspPlan) -> None:
@@ -230,13 +217,6 @@ def _draw_goal(ax: Axes, planner: PreGraspPlanner, masses: PlausibleMassSet, pla
         f"{goal.margin * MM:.0f} mm to spare at the worst; {goal.part.width * MM:.0f} mm between the jaws",
         fontsize=FONT, color=INK,
     )  # fmt: skip
-
-
-def _draw_tips(ax: Axes, push: Push, color: str) -> None:
-    """The path of the finger, open where it begins."""
-    ax.plot(*push.xy.T, color=color, linewidth=1.2)
-    ax.add_patch(Circle((push.xy[0, 0], push.xy[0, 1]), push.radius, facecolor="none", edgecolor=color))
-    ax.add_patch(Circle((push.xy[-1, 0], push.xy[-1, 1]), push.radius, facecolor=color, edgecolor=color))
 
 
 class PushDrawn(NamedTuple):
@@ -278,14 +258,7 @@ def draw_pre_grasp(
         The figure.
     """
     figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
-    _draw_trajectory(axes[0, 0], obj, surface, poses, pushes)
-    _draw_end(axes[0, 1], obj, surface, poses[-1], masses, truth, grasp)
-    return figure
-
-
-def _draw_trajectory(
-    ax: Axes, obj: GridObject, surface: SupportSurface, poses: Sequence[Array], pushes: Sequence[PushDrawn]
-) -> None:
+    ax = axes[0, 0]
     _draw_outlines(ax, obj, poses, surface)
     draw_cells(ax, obj, pose=poses[-1])
     for push in pushes:
@@ -298,6 +271,8 @@ def _draw_trajectory(
     ]
     add_legend_below(ax, handles, 2)
     ax.set_title("The path to the table's edge", fontsize=FONT, color=INK)
+    _draw_end(axes[0, 1], obj, surface, poses[-1], masses, truth, grasp)
+    return figure
 
 
 def _draw_end(

@@ -318,9 +318,11 @@ def make_robot_directives(robot: str, *, grasping: bool | None) -> list[ModelDir
     scene = scenes and (scenes.grasp if grasping else scenes.push)
     if not scene:
         what = "grasp" if grasping else "push"
-        why = "has no gripper:" if grasping else "cannot be had:"
+        why, or_else = (" has no gripper", ", or a task that only pushes") if grasping else ("", "")
         able = ", ".join(list_robots(grasping=grasping))
-        raise ScenarioError(f"robot {robot} {why} its robot.yaml names no scene to {what} in; expected one of {able}")
+        raise ScenarioError(
+            f"robot {robot}{why}: its robot.yaml has no `scenes: {{{what}: FILE}}`; expected one of {able}{or_else}"
+        )
     url = scene if "://" in scene else (path.resolve().parent / scene).as_uri()
     return [ModelDirective(add_directives=AddDirectives(file=url))]
 

@@ -271,7 +271,8 @@ def _check_home(scenario: PushScenario, plant: MultibodyPlant, robot: Robot, box
     except StationError as error:
         raise ScenarioError(
             f"directives: {robot.arm_model} on its base at {base} does not reach its home, {_describe_point(home)}, "
-            "with the finger down; expected a base about as high as the table, and a home and posture that fit it"
+            "with the finger down; expected a base about as high as the table, a home in reach, and a posture near it, "
+            "where the flange's z axis points down"
         ) from error
     height = scenario.finger.push_height
     reach = ArmReach(control_plant, robot, q_start)

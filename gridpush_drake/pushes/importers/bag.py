@@ -72,7 +72,7 @@ class BagImporter:
     object_topic: str = field(
         default="",
         metadata={
-            "help": "Topic of the object: PoseStamped, TransformStamped, Odometry; of tf with the frame, /tf:object."
+            "help": "Topic of the object: PoseStamped, TransformStamped, Odometry; for tf add the frame, /tf:object."
         },
     )
     tip_topic: str = field(default="", metadata={"help": "Topic of the pusher's tip, likewise."})
