@@ -58,6 +58,12 @@ TOUCH = 1e-9
 GOALS_FOR_AN_ARM = 6
 """Goals looked for that the arm can grasp at; to ask the arm takes time."""
 
+SHALLOWER = 0.5
+"""Of the overhang, where with all of it nothing is safe."""
+
+DEEPER = (3.0, 5.0)
+"""Of the overhang, where with less the gripper gets hold of nothing: its pads may need what lies farther in."""
+
 PARTS_FOR_AN_ARM = 12
 """Parts that hang over which the arm is asked about."""
 
@@ -215,11 +221,15 @@ def find_pregrasp_goals(
     options = options or GoalOptions()
     obj, q = masses.obj, np.asarray(pose, dtype=np.float64)
     check_room(obj, parts, surface)
-    for shrink in (1.0, 0.5):
-        goals = _find_goals(masses, parts, q, surface, replace(options, overhang=shrink * options.overhang), limits)
-        if goals and goals[0].margin >= options.margin:
-            break
-    return goals
+
+    def find(share: float) -> list[PreGraspGoal]:
+        return _find_goals(masses, parts, q, surface, replace(options, overhang=share * options.overhang), limits)
+
+    goals = find(1.0)
+    if not goals or goals[0].margin < options.margin:
+        goals = find(SHALLOWER)
+    deeper = (find(share) for share in DEEPER)
+    return goals or next(filter(None, deeper), [])
 
 
 def _find_goals(
