@@ -75,13 +75,11 @@ class GuardStatus:
         mode: what it does.
         reason: why it stopped the arm; empty where it did not.
         since: when it noticed that, s; NaN where it did not.
-        silent: whether it stopped the arm because the other side was not heard of.
     """
 
     mode: GuardMode = GuardMode.WAITING
     reason: str = ""
     since: float = float("nan")
-    silent: bool = False
 
     @property
     def by_user(self) -> bool:
@@ -155,10 +153,9 @@ class ArmGuard(AbstractStateSystem[GuardState]):
     The arm is stopped where the status is as old as `GuardLimits.status_age`, a torque from outside or the force on the
     tip is beyond its limit, the pose of the object jumps, the tip leaves where it may be, a number is not finite, or
     `stop` says so. A stop is a straight line in the joints' space, as short as the accelerations allow; after a
-    collision the arm goes back to where it was when that was noticed, so that it does not press. After a
-    silence in which the robot's clock stood still it follows again, for then the robot stood still, too: a twin on a
-    busy computer. Where the robot's clock went on by more than `status_age` between two updates, it was the commands
-    that paused: the arm rests, and they begin at rest again.
+    collision the arm goes back to where it was when that was noticed, so that it does not press. Where
+    the robot's clock went on by more than `status_age` between two updates, it was the commands that paused: the arm
+    rests, and they begin at rest again.
 
     Abstract state: one `GuardState`.
     """
@@ -225,11 +222,8 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         measured = float(self._time_measured.Eval(context)[0])
         if measured == now.time_measured:
             return now
-        went_on = measured - now.time_measured > self.limits.status_age + ROUNDING
-        if now.status.silent:
-            status = replace(now.status, silent=False) if went_on else GuardStatus(GuardMode.FOLLOWING)
-            now = replace(now, status=status)
-        velocity = np.zeros_like(now.velocity) if went_on and now.velocity is not None else now.velocity
+        paused = measured - now.time_measured > self.limits.status_age + ROUNDING and now.velocity is not None
+        velocity = np.zeros_like(now.velocity) if paused else now.velocity
         return replace(now, time_measured=measured, fresh=time, velocity=velocity)
 
     def _follow(self, now: GuardState, desired: Array) -> GuardState:
@@ -258,9 +252,9 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         stop, age, force = self._stop.Eval(context)[0], time - now.fresh, np.linalg.norm(self._force.Eval(context))
         noticed = GuardStatus(GuardMode.STOPPING, STOPPED_BY_USER if stop == BY_USER else WORK_DONE, time)
         if stop == BY_SILENCE or (not stop and age > limits.status_age - ROUNDING):
-            silence, least = (1e3 * each for each in (max(age, limits.status_age), limits.status_age))
-            reason = f"the robot has sent no status for {silence:.0f} ms; {least:.0f} ms are allowed"
-            return replace(noticed, reason=reason, silent=True), False
+            text = f"the robot has sent no status for {1e3 * max(age, limits.status_age):.0f} ms"
+            reason = f"{text}; {1e3 * limits.status_age:.0f} ms are allowed"
+            return replace(noticed, reason=reason), False
         if stop:
             return noticed, False
         for port in (self._measured, self._torque, self._force, self._desired):

@@ -38,6 +38,7 @@ from gridpush_drake.bench.table import ALL, DEGREES, MM, Table, by_object, mean_
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
+from gridpush_drake.identification.prediction import calc_pose_error
 from gridpush_drake.multibody.contact_material import MakePartnerProperties
 from gridpush_drake.multibody.grid_object import AddGridObject, Base
 from gridpush_drake.multibody.ground_truth import (
@@ -129,14 +130,14 @@ def run_job(job: PlantJob) -> list[PlantScore]:
         params = sample_ground_truth(obj, seed, friction_by_part=True)
         push, pose = draw_push(obj, params, seed, radius)
         motion = pusher.push(params, push, pose)
-        last, moved = motion.poses[-1], _calc_distance(obj, motion.poses[-1], pose)
+        moved = calc_pose_error(obj, motion.poses[-1], pose).cell
         for spin in SPINS:
             expected = simulate(obj, params, push, pose, MODEL_TIME_STEP, spin=spin).final_pose
-            angle = abs((last[2] - expected[2] + np.pi) % (2 * np.pi) - np.pi)
+            error = calc_pose_error(obj, expected, motion.poses[-1])
             scores.append(
                 PlantScore(
-                    job.name, job.base, seed, spin, float(np.linalg.norm(last[:2] - expected[:2])), float(angle),
-                    _calc_distance(obj, last, expected), moved, motion.tracking_error, motion.tilt,
+                    job.name, job.base, seed, spin, error.position, error.angle, error.cell, moved,
+                    motion.tracking_error, motion.tilt,
                 )
             )  # fmt: skip
     return scores
@@ -156,7 +157,7 @@ def draw_push(obj: GridObject, params: CellParameters, seed: int, radius: float)
         if obj.outline.distance(Point(point + normal * radius)) < (1 - 1e-6) * radius:
             continue
         push = Push.on_outline(obj, place, angle, DISTANCE, radius=radius, speed=SPEED, pose=pose)
-        if _calc_distance(obj, simulate(obj, params, push, pose).final_pose, pose) >= MIN_MOTION:
+        if calc_pose_error(obj, simulate(obj, params, push, pose).final_pose, pose).cell >= MIN_MOTION:
             return push, pose
     raise PushError(f"{obj.name}: none of {TRIES} random pushes moves it by {MIN_MOTION * MM:g} mm")
 
@@ -189,11 +190,6 @@ def make_table(scores: Sequence[PlantScore]) -> Table:
         f"The plant's pusher left its path by at most {worst * 1e6:.1f} µm.",
     )
     return Table.of("MultibodyPlant against the grid LCP", ("object", "base", "spin"), groups, columns, notes)
-
-
-def _calc_distance(obj: GridObject, a: np.ndarray, b: np.ndarray) -> float:
-    """Mean distance of the cells at two poses, m."""
-    return float(np.linalg.norm(obj.cells_at(a) - obj.cells_at(b), axis=1).mean())
 
 
 TIME_STEP = {"planar": 1e-3, "free": 2e-3}

@@ -139,19 +139,14 @@ def tabulate_objects(scores: Sequence[SlideScore], objects: Sequence[str], metho
 
 @dataclass(frozen=True)
 class Trace:
-    """One run.
+    """One run: how many pokes were made until the standard deviation was small, `MAX_POKES` + 1 where it never was.
 
-    Attributes:
-        pokes: made until the standard deviation was small; `MAX_POKES` + 1 where it never was.
-        stds: of what is wanted after each poke, m.
-        errors: of what is wanted after each poke, m.
-        chi_square: squared error of the final estimate in units of its covariance, for each direction wanted; 1 on
-            average where that is right.
+    The final estimate's error is of what is wanted, m; its square in units of its covariance, for each direction
+    wanted, is 1 on average where that is right.
     """
 
     pokes: int
-    stds: tuple[float, ...]
-    errors: tuple[float, ...]
+    error: float
     chi_square: float
 
 
@@ -171,8 +166,8 @@ EXPLORE_COLUMNS: dict[str, Column] = {
     "by design": lambda scores: _mean_pokes(scores, "active"),
     "at random": lambda scores: _mean_pokes(scores, "random"),
     "ratio": lambda scores: _mean_pokes(scores, "active") / _mean_pokes(scores, "random"),
-    "error, mm": lambda scores: MM * float(np.mean([score.active.errors[-1] for score in scores])),
-    "at random, mm": lambda scores: MM * float(np.mean([score.random.errors[-1] for score in scores])),
+    "error, mm": lambda scores: MM * float(np.mean([score.active.error for score in scores])),
+    "at random, mm": lambda scores: MM * float(np.mean([score.random.error for score in scores])),
     "within 95 %, %": lambda scores: PERCENT * float(np.mean([_is_within(score) for score in scores])),
 }
 
@@ -424,10 +419,8 @@ def _poke(
     """One run; `wanted` (1 or 2, 2) are the directions in which the center is."""
     center, found = wanted @ truth.center_of_mass(obj), None
     model, pose, log = UncertainModel.of_prior(obj), np.zeros(3), list[ObservedPush]()
-    stds: list[float] = []
-    errors: list[float] = []
-    chi_square = np.nan
-    while len(log) < MAX_POKES and not (stds and stds[-1] < WANTED_STD):
+    std = error = chi_square = np.inf
+    while len(log) < MAX_POKES and not std < WANTED_STD:
         pokes = make_pokes(model, pose, options)
         if active:
             F = wanted @ make_center_functional(model)
@@ -441,9 +434,7 @@ def _poke(
         found = identify(obj, seen, regime="quasi_static", start=found)
         model = UncertainModel.of_identification(found, log=seen if active else None)
         covariance = wanted @ found.identifiability.center_of_friction_covariance @ wanted.T
-        error = wanted @ found.identifiability.center_of_friction - center
-        stds.append(float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])))
-        errors.append(float(np.linalg.norm(error)))
-        chi_square = float(error @ np.linalg.solve(covariance, error)) / len(wanted)
-    count = len(log) if stds[-1] < WANTED_STD else MAX_POKES + 1
-    return Trace(count, tuple(stds), tuple(errors), chi_square)
+        off = wanted @ found.identifiability.center_of_friction - center
+        std, error = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])), float(np.linalg.norm(off))
+        chi_square = float(off @ np.linalg.solve(covariance, off)) / len(wanted)
+    return Trace(len(log) if std < WANTED_STD else MAX_POKES + 1, error, chi_square)

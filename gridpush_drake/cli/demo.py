@@ -2,7 +2,7 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -21,13 +21,6 @@ class TaskName(StrEnum):
     identify = "identify"
     push = "push"
     pregrasp = "pregrasp"
-
-
-class CameraName(StrEnum):
-    """What sees the object."""
-
-    ideal = "ideal"
-    rgbd = "rgbd"
 
 
 RGBD_RATE = 10.0
@@ -62,7 +55,7 @@ def demo(
         int | None, typer.Option(min=1, help="How many pushes to learn from (--task identify).  [default: 8]")
     ] = None,
     camera: Annotated[
-        CameraName | None,
+        Literal["ideal", "rgbd"] | None,
         typer.Option(
             help="ideal: the robot is told object and poses, with noise; rgbd: it has a color and depth camera, "
             "finds the object in a photograph and tracks it.  [default: the scenario's, ideal]"
@@ -113,8 +106,8 @@ def demo(
     if pushes is not None:
         scenario.pokes.count = pushes
     if camera is not None:
-        scenario.camera.kind = camera.value
-    if camera == CameraName.rgbd:
+        scenario.camera.kind = camera
+    if camera == "rgbd":
         scenario.camera.rate = min(scenario.camera.rate, RGBD_RATE)
     if seed is not None:
         scenario.seed = seed

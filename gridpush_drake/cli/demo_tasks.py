@@ -150,13 +150,7 @@ class DemoTask:
             **({} if self.done is None else {"done": record.status == self.done}),
             "message": record.message,
             "simulated_seconds": record.duration,
-            "limit_report": {
-                "position_share": limits.position_share,
-                "velocity_share": limits.velocity_share,
-                "torque_share": limits.torque_share,
-                "tracking_error": limits.tracking_error,
-                "touched": sorted(map(list, limits.touched)),
-            },
+            "limit_report": vars(limits) | {"touched": sorted(map(list, limits.touched))},
         }
 
     def describe(self, summary: dict[str, Any]) -> list[str]:

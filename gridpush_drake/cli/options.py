@@ -167,9 +167,6 @@ def executing(
         dask: address of a cluster that runs them instead; None for none.
         open_results: where they are kept; called once the cluster has answered.
 
-    Yields:
-        What `run_jobs` takes.
-
     Raises:
         GridPushError: no cluster answers.
     """

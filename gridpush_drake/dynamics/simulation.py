@@ -18,7 +18,7 @@ from gridpush_drake.dynamics.motion import Jacobian, Motion, MotionStatus, RawJa
 from gridpush_drake.dynamics.push import ForcePush, Push, check_times, make_times
 from gridpush_drake.dynamics.reference.paper_rollout import calc_paper_jacobian
 from gridpush_drake.errors import SimulationError
-from gridpush_drake.geometry.se2 import check_vector
+from gridpush_drake.geometry.se2 import check_vector, rotate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -326,6 +326,4 @@ def calc_step(
     record = run_kernel(obj, params, g, method, q, nu, np.array([float(dt)]), load, np.full(2, -1), np.empty((0, 3, 0)))
     if record.statuses[0, 0] != CONVERGED:
         raise SimulationError(f"the step of {obj.name} ({obj.n} cells) was not solved")
-    ux, uy, w = record.twists[0]
-    c, s = np.cos(q[2]), np.sin(q[2])
-    return np.array([c * ux - s * uy, s * ux + c * uy, w])
+    return np.append(rotate(q[2], record.twists[0, :2]), record.twists[0, 2])

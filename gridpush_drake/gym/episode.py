@@ -72,10 +72,6 @@ class GameOptions:
         if not (self.position_std >= 0 and self.angle_std >= 0):
             raise PlanningError("position_std and angle_std must be >= 0")
 
-    def load_shapes(self) -> tuple[KnownShape, ...]:
-        """The objects' shapes."""
-        return tuple(load_shape(one) if isinstance(one, str) else KnownShape(one) for one in self.objects)
-
 
 @dataclass(frozen=True, eq=False)
 class Episode:
@@ -156,7 +152,7 @@ class PushGame:
     def __init__(self, options: GameOptions | None = None) -> None:
         """Takes what an episode is drawn from."""
         self.options = options or GameOptions()
-        self.shapes = self.options.load_shapes()
+        self.shapes = [load_shape(one) if isinstance(one, str) else KnownShape(one) for one in self.options.objects]
         self.surface = SupportSurface.rectangle((0.0, 0.0), self.table)
         self._half = np.array(self.table) / 2
 

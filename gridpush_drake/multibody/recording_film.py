@@ -147,7 +147,9 @@ def draw_frames(page: str, count: int) -> tuple[float, list[Image.Image]]:
     if found is None:
         raise StationError("the browser drew no film of the recording; expected a page that Meshcat wrote")
     film = json.loads(found[1])
-    return float(film["duration"]), [_decode(picture) for picture in film["pictures"]]
+    data = (BytesIO(base64.b64decode(address.partition(",")[2])) for address in film["pictures"])
+    pictures = [Image.open(picture).convert("RGB") for picture in data]
+    return float(film["duration"]), pictures
 
 
 def read_phases(page: str) -> list[tuple[float, str]]:
@@ -169,10 +171,6 @@ def add_caption(picture: Image.Image, words: str) -> Image.Image:
     place = (CAPTION // 2, picture.height + CAPTION // 2)
     ImageDraw.Draw(framed).text(place, words, TEXT, ImageFont.load_default(FONT_SIZE), anchor="lm")
     return framed
-
-
-def _decode(address: str) -> Image.Image:
-    return Image.open(BytesIO(base64.b64decode(address.partition(",")[2]))).convert("RGB")
 
 
 def _pack(frames: Sequence[Image.Image], kind: str) -> bytes:

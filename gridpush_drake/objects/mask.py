@@ -115,7 +115,8 @@ def _read_pgm(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
         raise ObjectError(f"{path}: is a PGM of greatest value {greatest}; expected 1 to 65535")
     try:
         if header[1] == b"P2":
-            numbers = re.sub(rb"#[^\r\n]*", b"", _read_plain(path)[header.end() :]).split()
+            text = read_bytes(path, "a raw PGM (P5), which takes less room", ObjectError, MAX_PLAIN_SIZE)
+            numbers = re.sub(rb"#[^\r\n]*", b"", text[header.end() :]).split()
             pixels = np.array(numbers[: width * height], dtype=np.uint16).reshape(height, width)
         else:
             kind = np.dtype(np.uint8 if greatest <= np.iinfo(np.uint8).max else ">u2")
@@ -123,10 +124,6 @@ def _read_pgm(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
     except (OSError, ValueError, OverflowError) as error:
         raise ObjectError(f"{path}: is a damaged PGM, shorter than its {width} x {height} pixels") from error
     return crop(path, lambda first, last: pixels[first:last], width, height)
-
-
-def _read_plain(path: Path) -> bytes:
-    return read_bytes(path, "a raw PGM (P5), which takes less room", ObjectError, MAX_PLAIN_SIZE)
 
 
 def _check_size(path: Path, width: int, height: int) -> None:

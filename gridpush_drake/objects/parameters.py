@@ -138,7 +138,8 @@ class CellParameters:
 
     def center_of_mass(self, obj: GridObject) -> NDArray[np.float64]:
         """p_BBcm, (2,), m."""
-        self._check(obj)
+        if obj.n != self.n:
+            raise ParameterError(f"parameters of {self.n} cells; expected {obj.n}, as {obj.name} has")
         return self.mass @ obj.p_BC / self.total_mass
 
     def inertia(self, obj: GridObject) -> float:
@@ -151,10 +152,6 @@ class CellParameters:
         load = self.mass * self.friction
         total = load.sum()
         return load / total if total > 0 else np.full(self.n, 1 / self.n)
-
-    def _check(self, obj: GridObject) -> None:
-        if obj.n != self.n:
-            raise ParameterError(f"parameters of {self.n} cells; expected {obj.n}, as {obj.name} has")
 
 
 def _spread(obj: GridObject, name: str, by_label: Mapping[int, float] | ArrayLike) -> NDArray[np.float64]:

@@ -79,7 +79,7 @@ INSIDE_RADIUS, OUTSIDE_RADIUS, MEAN_GAP = 7.5, 4.0, 3
 """Of the means of color nearby: standard deviations of their weights, the table's nearer as shadows are narrow; and the
 strip of that width at the boundary that is left out, pixels."""
 
-TOO_DARK, DARK = 2 * SHADOW, 4 * SHADOW
+TOO_DARK, DARK = 1.5 * SHADOW, 3 * SHADOW
 """Drops of CIE L* from the table nearby from which on it is more and more, and surely, no shadow."""
 
 BOUNDARY_ROUNDS, BOUNDARY_SMOOTHING = 4, 1.0

@@ -116,7 +116,8 @@ class PushChecker:
             table = surface.polygon.buffer(-constraints.edge_margin)
             if surface.is_convex:
                 self._hull = np.array(self.body.convex_hull.exterior.coords)[:-1]
-            over = self._measure_overhang(pose, table)
+            points = shapely.points(transform(pose[None], self._hull)[0])
+            over = 0.0 if table.is_empty else float(shapely.distance(points, table).max())
             self._table = table.buffer(over + SLACK) if over > 0 else table.buffer(SLACK)
             self._finger_table = surface.polygon.buffer(-constraints.finger_inset)
             shapely.prepare(self._table)
@@ -202,10 +203,6 @@ class PushChecker:
             return len(tip)
         first = int(np.argmin(allowed))
         return int(rows[first - 1]) + 1 if first else 0
-
-    def _measure_overhang(self, pose: Array, table: BaseGeometry) -> float:
-        points = transform(pose[None], self._hull)[0]
-        return float(shapely.distance(shapely.points(points), table).max()) if not table.is_empty else 0.0
 
 
 def make_body(obj: GridObject) -> Polygon:

@@ -138,7 +138,7 @@ class SupportSurface:
         """
         p = np.asarray(points, dtype=np.float64)
         if self.is_convex:
-            return np.asarray(self._half_plane_distances(p) >= margin)
+            return np.asarray((self.edge_offsets - p @ self.edge_normals.T).min(axis=-1) >= margin)
         if margin:
             return np.asarray(self.signed_distances(p) >= margin)
         return np.asarray(shapely.contains_xy(self.polygon, p[..., 0], p[..., 1]))
@@ -186,11 +186,6 @@ class SupportSurface:
             if _have_common_point(table.edge_normals, offsets - (turned @ table.edge_normals.T).max(axis=0)):
                 return True
         return False
-
-    def _half_plane_distances(self, p: Array) -> Array:
-        """Least distance (...,) inside the edges' lines; convex tables only."""
-        offsets = self.edge_offsets
-        return np.asarray((offsets - p @ self.edge_normals.T).min(axis=-1))
 
 
 def _have_common_point(normals: Array, offsets: Array) -> bool:

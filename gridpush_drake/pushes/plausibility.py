@@ -157,7 +157,7 @@ def _find_fast_pushers(obj: GridObject, log: PushLog) -> Iterator[str]:
 
 def _find_jumps(obj: GridObject, log: PushLog) -> Iterator[str]:
     for seen in log:
-        centroids = np.vstack([obj.cells_at(seen.pose).mean(axis=0), _calc_centroids(obj, seen)])
+        centroids = np.vstack([obj.cells_at(seen.pose).mean(axis=0), obj.cells_at(seen.poses_observed).mean(axis=1)])
         moved = centroids - centroids[0]
         far = np.linalg.norm(moved, axis=1)
         k = int(np.argmax(far))
@@ -218,11 +218,6 @@ def _calc_reach(obj: GridObject, seen: ObservedPush) -> float:
 def _calc_diameter(obj: GridObject) -> float:
     left, low, right, high = obj.outline.bounds
     return float(np.hypot(right - left, high - low))
-
-
-def _calc_centroids(obj: GridObject, seen: ObservedPush) -> Array:
-    """(K, 2) of the object's cells in W at the later observations, m."""
-    return obj.cells_at(seen.poses_observed).mean(axis=1)
 
 
 def _are_misplaced(obj: GridObject, log: PushLog, units: _Units) -> NDArray[np.bool_]:

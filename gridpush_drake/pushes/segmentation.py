@@ -99,8 +99,10 @@ def advance(state: SegmenterState, sample: Sample, options: SegmenterOptions) ->
         return state, None
     moving = sample.tip[2] < options.engaged_below and _slides(sample.velocity, options)
     if not state.path:
-        return (_begin(state.rest, sample) if moving else _rest(state, sample, options)), None
-    lifted = state.lifted or sample.tip[2] > _find_lift_height(state.path, options)
+        kept = tuple(seen for seen in state.rest if seen.t >= sample.t - options.rest_window)
+        return (_begin(state.rest, sample) if moving else SegmenterState((*kept, sample))), None
+    lift_height = min(options.engaged_below, min(seen.tip[2] for seen in state.path) + options.lift)
+    lifted = state.lifted or sample.tip[2] > lift_height
     stopped_for = sample.t - state.after[0].t if state.after else 0.0
     if moving and (state.lifted or (not lifted and stopped_for >= options.pause)):
         return _begin(state.after, sample), Episode(state.rest, state.path, state.after)
@@ -123,15 +125,6 @@ def _slides(velocity: Numbers, options: SegmenterOptions) -> bool:
 def _begin(rest: tuple[Sample, ...], sample: Sample) -> SegmenterState:
     """Starts a push; the sample before, with the tip still at rest, is where its path begins."""
     return SegmenterState(rest, (*rest[-1:], sample))
-
-
-def _rest(state: SegmenterState, sample: Sample, options: SegmenterOptions) -> SegmenterState:
-    kept = tuple(seen for seen in state.rest if seen.t >= sample.t - options.rest_window)
-    return SegmenterState((*kept, sample))
-
-
-def _find_lift_height(path: tuple[Sample, ...], options: SegmenterOptions) -> float:
-    return min(options.engaged_below, min(sample.tip[2] for sample in path) + options.lift)
 
 
 SAME_TIME = 1e-6  # s; times that differ by less are one
@@ -174,7 +167,8 @@ def make_observed_push(
     if pose is None or len(t) < 2:
         return None
     traveled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
-    if traveled[-1] < options.min_distance or _calc_distance(obj, pose, xy) > radius + options.reach:
+    distance = obj.outline.distance(LineString(transform_back(pose, xy)))
+    if traveled[-1] < options.min_distance or distance > radius + options.reach:
         return None
     end, t, xy = _add_coast(episode, t, xy, options.coast)
     traveled = np.append(traveled, np.full(len(t) - len(traveled), traveled[-1]))
@@ -281,11 +275,6 @@ def _snap(time: float, t: Array) -> float:
     """The nearest of the times t where round-off alone keeps `time` from it."""
     nearest = float(t[np.argmin(np.abs(t - time))])
     return nearest if abs(nearest - time) < SAME_TIME else time
-
-
-def _calc_distance(obj: GridObject, pose: Array, xy: Array) -> float:
-    """Least distance of the tip's center from the object where it lies at the beginning, m."""
-    return float(obj.outline.distance(LineString(transform_back(pose, xy))))
 
 
 def _continue_turns(pose: Array, seen: list[tuple[float, Array]]) -> Array:

@@ -209,13 +209,11 @@ def write_stream_csv(samples: Sequence[Sample], path: Path | str, force: bool = 
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(COLUMNS)
     for sample in samples:
-        groups = ((*sample.tip, *sample.velocity), sample.pose)
-        writer.writerow([repr(float(sample.t)), *(cell for group in groups for cell in _write_cells(group))])
+        row = [repr(float(sample.t))]
+        for numbers in ((*sample.tip, *sample.velocity), sample.pose):
+            row += [repr(float(number)) if all(map(math.isfinite, numbers)) else "" for number in numbers]
+        writer.writerow(row)
     write_whole(path, buffer.getvalue(), force)
-
-
-def _write_cells(numbers: Sequence[float]) -> list[str]:
-    return [repr(float(number)) if all(map(math.isfinite, numbers)) else "" for number in numbers]
 
 
 def read_stream_csv(path: Path | str) -> list[Sample]:

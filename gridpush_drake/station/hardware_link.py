@@ -2,9 +2,10 @@
 
 The station's time is the robot's: with every status it goes on by what has passed between two of them, as
 `drake-iiwa-driver` and Drake's own controllers have it. Where none comes it stands still, and no command goes out: the
-robot's driver brings the arm to rest. After as long as a status may be old the guard is told, and stops the arm, for
-good where the robot's clock went on meanwhile; where that stood still, too, both go on. Where the controller itself
-was late by more than a period, its time has stood still for that long, and nothing is made up for: nothing hurries.
+robot's driver brings the arm to rest. Where the robot's clock turns out to have gone on meanwhile by more than a status
+may be old, or nothing comes for long, the guard is told, and the arm is stopped for good. Where the robot's clock stood
+still, too, a twin's on a busy computer, nothing is amiss. Where the controller itself was late by more than a period,
+its time has stood still for that long, and nothing is made up for: it becomes slower, and hurries never.
 
 Messages in both directions pass through here. One that cannot be read, is of another size, or is not newer than the
 last one is left out and noted. Until `armed`, no command goes out.
@@ -54,8 +55,14 @@ MADE_UP = ARM_PERIOD
 LATE = 0.01
 """Between two commands, that counts as late, s."""
 
-SILENCE = 2.0
+OVERDUE = 2 * ARM_PERIOD
+"""Since the last status, after which the next one says whether the robot's clock stood still, s."""
+
+SILENCE = 1.0
 """Of a robot before it is given up, s."""
+
+NOTED = 10
+"""How often the log says of a kind of lateness when it was; all are counted."""
 
 STOPPING_TIME = 2.0
 """Within which the guard has brought any arm to rest, s."""
@@ -178,7 +185,7 @@ class HardwareLink:
             self.bus.Subscribe(name, self._make_collector(name))
         self._fault = ""
         self._station: HardwareStation | None = None
-        self._stop = 0.0
+        self._stop, self._silent = 0.0, False
         self._stepped = self._told = self._waited = 0.0  # waited: since the last status, s
         self._base = 0.0  # the robot's time when the station's was 0, s
         self._said = GuardStatus()
@@ -224,7 +231,7 @@ class HardwareLink:
 
     def begin(self, diagram: Diagram, station: Any, context: Context) -> None:
         """Writes the robot's status into a fresh Context of the Diagram that the station is in; see `Drive`."""
-        self._station, self._stop, self._said = station, 0.0, GuardStatus()
+        self._station, self._stop, self._said, self._silent = station, 0.0, GuardStatus(), False
         self._listen()
         for channel in self._channels.values():
             channel.passed = channel.data is None
@@ -236,7 +243,7 @@ class HardwareLink:
 
     def advance(self, simulator: Simulator, time: float) -> None:
         """Goes on to a time of the station's, s, with the robot; see `Drive`."""
-        while simulator.get_context().get_time() < time - ROUNDING or self._waits():
+        while simulator.get_context().get_time() < time - ROUNDING:
             self._step(simulator)
 
     def finish(self, simulator: Simulator) -> None:
@@ -266,25 +273,19 @@ class HardwareLink:
         self._told = context.get_time()
         self._station.PublishCommand(context)
         self.bus.HandleSubscriptions(0)
+        self._pass_out()
         own = self._station.GetMyContextFromRoot(context)
         status: GuardStatus = self._station.GetOutputPort("guard.status").Eval(own)
-        self._pass_out(status)
         force = float(np.linalg.norm(self._station.GetOutputPort("pusher.force").Eval(own)))
         self.report.force = max(self.report.force, force)
-        self.report.silences += self._said.silent and not status.stopped
         if (status.mode, status.reason) != (self._said.mode, self._said.reason):
             self.note(f"guard {status.mode}{status.reason and f': {status.reason}'}")
         self._said = status
 
-    def _waits(self) -> bool:
-        """Whether the robot has fallen silent and is not given up."""
-        return self._said.silent and self._waited < SILENCE and not self._stop
-
     def _receive(self, context: Context) -> float:
         """Waits for the next status; returns the time of the station's that it, or its absence, brings, s."""
         assert self._station is not None
-        now = context.get_time()
-        before, greatest_age = self._arm.utime, self._station.scenario.safety.status_age
+        now, before, greatest_age = context.get_time(), self._arm.utime, self._station.scenario.safety.status_age
         while True:
             if self._robot is not None:
                 self._robot()
@@ -292,25 +293,44 @@ class HardwareLink:
             if self._arm.utime > before:
                 break
             self._waited = self.status_age if self._robot is None else self._waited + ARM_PERIOD
-            if self._waited > greatest_age - ROUNDING and not self._waits():
-                if not self._said.stopped:
-                    self._station.RequestStop(context, BY_SILENCE)
+            if self._waited > (greatest_age if self._stop else SILENCE) - ROUNDING:
+                self._give_up(context)
                 self._wait_period()
                 return now + ARM_PERIOD
+        went_on = (self._arm.utime - before) / MICROSECONDS
+        if self._waited > greatest_age:
+            self._note_silence(context, went_on > greatest_age + ROUNDING)
         self._waited = 0.0
-        if self._said.silent:
-            self._station.RequestStop(context, self._stop)
-            self._stepped = monotonic()  # it was not the controller that was late
         # in whole periods, and half of one beyond: so that a status that is a little early or late brings one command
         target = (round((self._arm.utime / MICROSECONDS - self._base) / ARM_PERIOD) + HALF) * ARM_PERIOD
         late = target - now - ARM_PERIOD
+        if abs(late) < MADE_UP + ROUNDING:
+            return target
         if late > greatest_age:
             self.report.pauses += 1
-            self.note(f"the controller was late by {1e3 * late:.0f} ms; it went on from where it was")
-        elif abs(late) < MADE_UP + ROUNDING:
-            return target
+            if self.report.pauses <= NOTED:
+                self.note(f"the controller was late by {1e3 * late:.0f} ms; it went on from where it was")
         self._base += late
         return now + ARM_PERIOD
+
+    def _give_up(self, context: Context) -> None:
+        """Stops the arm over a robot that is not heard of: its driver has brought it to rest, and nothing moves it."""
+        assert self._station is not None
+        self._station.RequestStop(context, BY_SILENCE)
+        self._silent = True
+
+    def _note_silence(self, context: Context, went_on: bool) -> None:
+        """What a long silence means: where the robot went on meanwhile, the arm is stopped."""
+        assert self._station is not None
+        self._stepped = monotonic()  # it was not the controller that was late
+        if went_on:
+            self._give_up(context)
+            return
+        self.report.silences += 1
+        if self.report.silences <= NOTED:
+            self.note(
+                f"the robot stood still for {1e3 * self._waited:.0f} ms, by its own clock, too; it was waited for"
+            )
 
     def _wait_period(self) -> None:
         """Lets a period pass since the last step, by the clock."""
@@ -329,12 +349,12 @@ class HardwareLink:
                 channel.passed = True
         self.bus.HandleSubscriptions(0)
 
-    def _pass_out(self, status: GuardStatus) -> None:
+    def _pass_out(self) -> None:
         now = monotonic()
         if self._messages.command in self._out:
             self.report.note_period((now - self._stepped) * self._rate)
             self._stepped = now
-        if self.armed and not status.silent:
+        if self.armed and not self._silent:
             for name, data in self._out.items():
                 self._lcm.Publish(name, data)
         self._out.clear()
@@ -352,7 +372,7 @@ class HardwareLink:
                 self._leave_out(self._fault)
             elif message.utime <= channel.utime:
                 self._leave_out(f"{name} was not newer than the one before")
-            elif channel.passed or channel is not self._arm or not self._said.silent:
+            elif channel.passed or channel is not self._arm or self._waited < OVERDUE:
                 channel.data, channel.utime, channel.came, channel.passed = data, message.utime, monotonic(), False
             # else the first status after a silence counts: it says whether the robot's clock stood still, too
 

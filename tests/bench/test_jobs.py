@@ -173,7 +173,7 @@ def test_nothing_is_written_before_the_first_result(tmp_path, monkeypatch):
         open_results(tmp_path / "none" / "kept.jsonl", "doubling", {})
 
 
-TRACE = Trace(3, (0.1, 0.004), (0.2, nan), 1.5)
+TRACE = Trace(3, nan, 1.5)
 
 
 @pytest.mark.parametrize(

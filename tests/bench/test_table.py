@@ -113,7 +113,7 @@ def make_pregrasp_tables():
     slides = [
         pregrasp.SlideScore(name, method, Outcome(True, False, 13, 12, "")) for name, method in product(NAMES, methods)
     ]
-    trace = Trace(21, (ERROR,), (ERROR,), 1.0)
+    trace = Trace(21, ERROR, 1.0)
     pokes = [
         ExplorationScore(name, aim, distance, trace, trace) for name, aim, distance in product(NAMES, AIMS, DISTANCES)
     ]

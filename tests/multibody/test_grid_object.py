@@ -223,8 +223,7 @@ def test_pose_is_set_and_read(obj, params, base):
 
 
 OBJECTS = ("claw_hammer", "combination_wrench", "toolbox", "open_book")
-DEPTH = 1e-5
-"""m that the sphere overlaps the outline."""
+DEPTH = 1e-5  # m that the sphere overlaps the outline
 
 
 def load(name) -> GridObject:

@@ -26,6 +26,7 @@ from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
 from gridpush_drake.dynamics.kernels.inputs import Steps
 from gridpush_drake.dynamics.kernels.lagged_friction import SPEED_AT_REST, YAW_RATE_AT_REST
 from gridpush_drake.dynamics.motion import Jacobian
+from gridpush_drake.geometry.se2 import make_rotation
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -149,8 +150,5 @@ def _calc_inertia(obj: GridObject, params: CellParameters) -> Array:
 def _rotations(angles: Array) -> Array:
     """(R, 3, 3) from the body's axes to those of W, for twists."""
     R = np.zeros((len(angles), 3, 3))
-    R[:, 0, 0] = R[:, 1, 1] = np.cos(angles)
-    R[:, 1, 0] = np.sin(angles)
-    R[:, 0, 1] = -R[:, 1, 0]
-    R[:, 2, 2] = 1.0
+    R[:, :2, :2], R[:, 2, 2] = make_rotation(angles), 1.0
     return R

@@ -75,15 +75,12 @@ class CostToGo:
     def is_clear(self, a: Array, b: Array) -> bool:
         """Whether the object can be moved and turned straight from pose a (3,) to pose b (3,)."""
         turn = float(wrap_angle(b[2] - a[2]))
-        length = float(np.abs(self.obj.cells_at(a) - self.obj.cells_at(b)).max()) + abs(turn) * self._radius
+        radius = float(np.linalg.norm(self.obj.p_BC - self._centroid, axis=1).max())
+        length = float(np.abs(self.obj.cells_at(a) - self.obj.cells_at(b)).max()) + abs(turn) * radius
         share = np.linspace(0.0, 1.0, 2 + int(length / LINE_STEP))[:, None]
         center = (1 - share) * self._center(a) + share * self._center(b)
         poses = self._from_center(center, a[2] + share[:, 0] * turn)
         return bool(self.checker.allows_geometry(poses).all())
-
-    @property
-    def _radius(self) -> float:
-        return float(np.linalg.norm(self.obj.p_BC - self._centroid, axis=1).max())
 
     def _center(self, pose: Array) -> Array:
         return transform(pose, self._centroid[None])[0]

@@ -359,14 +359,13 @@ def push_to_goal(
         if progress is not None:
             progress(steps[-1])
 
-    run = run_loop(loop, obj, world, _is_over, learn=learn, goal=aim, progress=note)
+    def is_over(state: PushToGoalState) -> bool:
+        return state.status.mode in (REACHED, FAILED, LOST)
+
+    run = run_loop(loop, obj, world, is_over, learn=learn, goal=aim, progress=note)
     status, found = run.state.status, run.identification
     return PushRun(
         aim, tuple(steps), status.cause or status.mode.value, status.reason, status.error,
         loop.params if found is None else found.params, found, run.state.simulations, run.planning_seconds,
         run.learning_seconds,
     )  # fmt: skip
-
-
-def _is_over(state: PushToGoalState) -> bool:
-    return state.status.mode in (REACHED, FAILED, LOST)

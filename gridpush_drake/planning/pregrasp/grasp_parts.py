@@ -37,7 +37,7 @@ from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, make_direction, make_rotation, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS
-from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
+from gridpush_drake.planning.pregrasp.side_grasp import SideGripper, make_rectangles
 
 PIECE_SHARE = 0.95  # of the finger's depth that a piece must be long
 CHORDS = 11  # lines across a piece that say where the jaws touch it
@@ -252,8 +252,9 @@ def find_flat_parts(obj: GridObject, gripper: SideGripper) -> list[FlatPart]:
         shallowest = gripper.pad_length / 2 + gripper.margin
         for depth in np.linspace(shallowest, deepest, max(int(np.ceil((deepest - shallowest) / DEEPER)), 0) + 1):
             part = _make_flat_part(point + depth * inward, heading, gripper)
-            pads = _make_rectangle(part, -gripper.pad_length / 2, gripper.pad_length / 2, gripper.pad_width)
-            body = _make_rectangle(part, -gripper.body_back, -gripper.body_front, gripper.body_width)
+            at = part.p_BG[None], np.array([heading])
+            pads = make_rectangles(*at, -gripper.pad_length / 2, gripper.pad_length / 2, gripper.pad_width)[0]
+            body = make_rectangles(*at, -gripper.body_back, -gripper.body_front, gripper.body_width)[0]
             if shapely.covers(inner, pads) and not shapely.intersects(grown, body):
                 parts.append(part)
     return parts
@@ -277,8 +278,3 @@ def _make_flat_part(p_BG: Array, heading: float, gripper: SideGripper) -> FlatPa
     corners = np.array([(back, -half), (front, -half), (front, half), (back, half)])
     across = make_direction(heading + np.pi / 2)
     return FlatPart(p_BG, across, gripper.jaw_width, transform(np.append(p_BG, heading), corners), heading)
-
-
-def _make_rectangle(part: FlatPart, back: float, front: float, width: float) -> shapely.Polygon:
-    corners = np.array([(back, -width / 2), (front, -width / 2), (front, width / 2), (back, width / 2)])
-    return shapely.Polygon(transform(np.append(part.p_BG, part.heading), corners))

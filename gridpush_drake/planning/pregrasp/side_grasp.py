@@ -327,7 +327,7 @@ def find_side_grasps(
         return []
     p_BG = (points - q[:2]) @ R
     distance = np.linalg.norm(p_BG - target, axis=1)
-    clear = shapely.distance(_make_rectangles(points, angles, *_lower_jaw(gripper)), surface.polygon)
+    clear = shapely.distance(make_rectangles(points, angles, *_lower_jaw(gripper)), surface.polygon)
     order = np.lexsort((-clear, np.round(distance, 6)))
     return [
         SideGrasp(points[i].copy(), float(angles[i]), p_BG[i].copy(), float(distance[i]), float(clear[i]))
@@ -414,7 +414,7 @@ def _filter(
         (grown, jaws_before),
     )
     for shape, (back, front, width) in tests:
-        kept = kept[~shapely.intersects(shape, _make_rectangles(points[kept], angles[kept], back, front, width))]
+        kept = kept[~shapely.intersects(shape, make_rectangles(points[kept], angles[kept], back, front, width))]
     return kept
 
 
@@ -428,7 +428,7 @@ def _lower_jaw(gripper: SideGripper) -> tuple[float, float, float]:
     return -gripper.body_front - gripper.standoff, gripper.jaw_reach, gripper.jaw_width
 
 
-def _make_rectangles(points: Array, angles: Array, back: float, front: float, width: float) -> NDArray[np.object_]:
+def make_rectangles(points: Array, angles: Array, back: float, front: float, width: float) -> NDArray[np.object_]:
     """Rectangles from `back` to `front` along the headings, seen from the points, m."""
     corners = np.array([(back, -width / 2), (front, -width / 2), (front, width / 2), (back, width / 2)])
     return shapely.polygons(transform(np.column_stack([points, angles]), corners))

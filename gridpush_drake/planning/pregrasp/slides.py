@@ -33,13 +33,11 @@ from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush, c
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, PreGraspGoal
 from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, calc_stability_margin, calc_stability_margins
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
-from gridpush_drake.planning.push_constraints import PoseRule, PushConstraints
+from gridpush_drake.planning.push_constraints import CHECK_EVERY, PoseRule, PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 
 FREE_OVERHANG = 1.0
 """m that cells may hang over the edge as far as the push search is concerned; stability is the limit."""
-
-CHECK_EVERY = 0.003  # m of the pusher's motion between poses that are checked
 
 
 @dataclass(frozen=True, eq=False)

@@ -197,7 +197,7 @@ class CmuImporter:
         digits = len(str(count))
         pushes = []
         for place, i in enumerate(order, start=1):
-            if not _has_path(logged[i].tool):
+            if not np.linalg.norm(logged[i].tool[-1, 1:3] - logged[i].tool[0, 1:3]) * MM > STANDSTILL:
                 raise PushLogError(f"{path}: push {i + 1}: the tool does not move; expected a path")
             pushes.append(_observe(logged[i], f"push_{place:0{digits}}", self.calibrate))
         return PushLog(tuple(pushes), str(path)), triangle_block(self.uniform_plate)
@@ -258,10 +258,6 @@ def _travel_on(t: NDArray[np.float64], p: NDArray[np.float64]) -> tuple[NDArray[
     length = np.linalg.norm(travel)
     share = TIP_EXTENSION / length
     return np.append(t, t[-1] + share * t[-1]), np.vstack([p, p[-1] + share * travel])
-
-
-def _has_path(tool: NDArray[np.float64]) -> bool:
-    return bool(np.linalg.norm(tool[-1, 1:3] - tool[0, 1:3]) * MM > STANDSTILL)
 
 
 def _in_time_order(rows: NDArray[np.float64]) -> NDArray[np.float64]:

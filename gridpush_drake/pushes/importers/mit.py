@@ -63,15 +63,6 @@ def _ellipse(along_x: float, along_y: float) -> NDArray[np.float64]:
     return make_direction(angle) * (along_x / 2, along_y / 2)
 
 
-def _hexagon() -> NDArray[np.float64]:
-    return HEXAGON_RADIUS * make_direction(np.arange(6) * np.pi / 3)
-
-
-def _butter() -> NDArray[np.float64]:
-    half = np.array(BUTTER_HALF_MM) * MM
-    return np.vstack([half, -half])
-
-
 MIT_SHAPES: dict[str, Callable[[], NDArray[np.float64]]] = {
     "rect1": lambda: _rectangle(0.0900, 0.0900),
     "rect2": lambda: _rectangle(0.08991, 0.11258),
@@ -82,8 +73,8 @@ MIT_SHAPES: dict[str, Callable[[], NDArray[np.float64]]] = {
     "ellip1": lambda: _ellipse(0.10500, 0.10500),
     "ellip2": lambda: _ellipse(0.10500, 0.13089),
     "ellip3": lambda: _ellipse(0.10500, 0.15700),
-    "hex": _hexagon,
-    "butter": _butter,
+    "hex": lambda: HEXAGON_RADIUS * make_direction(np.arange(6) * np.pi / 3),
+    "butter": lambda: np.vstack([np.array(BUTTER_HALF_MM) * MM, -(np.array(BUTTER_HALF_MM) * MM)]),
 }
 """(k, 2) vertices by the data set's name of the shape, m."""
 

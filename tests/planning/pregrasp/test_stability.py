@@ -25,8 +25,7 @@ from tests.helpers.made_identifications import make_identification
 from tests.helpers.random_objects import make_random_object
 from tests.helpers.shapes import claw_hammer, make_shape, rectangle
 
-LENGTH, WIDTH = 0.2, 0.02
-"""Of the rod, m."""
+LENGTH, WIDTH = 0.2, 0.02  # of the rod, m
 
 
 @pytest.fixture
