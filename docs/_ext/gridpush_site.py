@@ -276,10 +276,21 @@ def write_pages(app: Sphinx) -> None:
 
 
 def make_command_line_page() -> str:
-    """The help of every command, as Typer writes it in Markdown."""
+    """The help of every command, as Typer writes it in Markdown, but with whole sentences in the lists of commands."""
     command = [sys.executable, "-m", "typer", "gridpush_drake.cli.main", "utils", "docs", "--name", "gridpush"]
     text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    return text
+    said = dict(re.findall(r"^#+ `(gridpush[ \w]*)`\n\n(.+)$", text, re.MULTILINE))
+    parts = re.split(r"^(#+ `(gridpush[ \w]*)`)$", text, flags=re.MULTILINE)
+    for i in range(3, len(parts), 3):
+        above = parts[i - 1]
+        parts[i] = re.sub(
+            r"^\* `(\w+)`: .*$",
+            lambda found, above=above: f"* `{found[1]}`: {said.get(f'{above} {found[1]}', found[0])}",
+            parts[i],
+            flags=re.MULTILINE,
+        )
+        parts[i - 1] = ""
+    return "".join(parts)
 
 
 def _write(path: Path, text: str) -> None:

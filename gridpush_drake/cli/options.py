@@ -229,11 +229,14 @@ def load_target(name: str, largest_piece: bool = False) -> Target:
 
 
 def load_log(path: Path, obj: "GridObject", *, require_final: bool = True) -> "PushLog":
-    """Reads a push log, made with the pusher that the object's file names."""
-    from gridpush_drake.pushes.push_log import PushLog
+    """Reads a push log, made with the pusher that the object's file names; says so where it names none."""
+    from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
 
     log = PushLog.read_csv(path, require_final=require_final)
-    if log.radius_given or obj.prior.pusher_radius is None:
+    if log.radius_given:
+        return log
+    if obj.prior.pusher_radius is None:
+        print_notice(f"{obj.name}: no pusher.radius in its file; {DEFAULT_PUSHER_RADIUS:g} m is taken for the pusher's")
         return log
     return log.with_radius(obj.prior.pusher_radius)
 
