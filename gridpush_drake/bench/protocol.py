@@ -20,9 +20,8 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.polygons import OutlineEdges
 from gridpush_drake.geometry.se2 import Array, make_direction

@@ -22,9 +22,8 @@ from gridpush_drake.bench.jobs import Report, count_steps
 from gridpush_drake.bench.pregrasp import find_mask
 from gridpush_drake.bench.protocol import METERS_PER_PIXEL
 from gridpush_drake.bench.table import MS, Table, Value
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import Regime, simulate
-from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.problem import PushProblem, TimedPush
 from gridpush_drake.objects.grid_object import GridObject

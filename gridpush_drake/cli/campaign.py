@@ -51,7 +51,7 @@ def campaign(
 ) -> None:  # fmt: skip
     """Run whole episodes with many seeds and objects: how many are held, dropped, given up, and why.
 
-    Writes scenario.yaml, episodes.jsonl (a line an episode, at once) and table.md.
+    Writes scenario.yaml, episodes.jsonl (a line for each episode, as soon as it ends) and table.md.
     """
     from gridpush_drake.bench.campaign import EPISODES, SCENARIO, TABLE, describe_settings, run
     from gridpush_drake.bench.jobs import open_results

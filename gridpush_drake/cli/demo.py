@@ -43,8 +43,8 @@ def demo(
         str | None,
         typer.Option(
             metavar="NAME|DIR",
-            help="gantry, iiwa14 or panda, or the folder of a robot.yaml that names its scenes: such a scene takes the "
-            "place of the scenario's directives.  [default: the scenario's, an iiwa14]",
+            help="gantry, iiwa14 or panda, or the folder of a robot.yaml of yours; its scene replaces the "
+            "scenario's.  [default: the scenario's, an iiwa14]",
         ),
     ] = None,
     scenario_file: Annotated[
@@ -71,17 +71,24 @@ def demo(
         bool, typer.Option("--open", help="Watch it in the browser, and open the report at the end.")
     ] = False,
     realtime_rate: Annotated[
-        float, typer.Option(min=0, metavar="R", help="Simulated seconds a second, at most; 0: as fast as it goes.")
+        float,
+        typer.Option(
+            min=0, metavar="R", help="Greatest number of simulated seconds in a second; 0: as fast as it goes."
+        ),
     ] = 0.0,
     port: Annotated[
-        int | None, typer.Option(metavar="N", help="For Meshcat to listen on.  [default: the first free one from 7000]")
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Port of Meshcat's page, where the run can be watched.  [default: the first free one from 7000]",
+        ),
     ] = None,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Let a simulated robot deal with an object whose weights are hidden from it; write a report and a recording.
+    """Let a simulated robot poke an object to learn it, then push or lift it; write a report and a recording.
 
-    Exit code 1 where the robot did not get there.
+    Exit code 1 where the robot did not reach its goal.
     """
     from gridpush_drake.cli.demo_tasks import TASKS, print_summary, write_files
     from gridpush_drake.files import make_folder

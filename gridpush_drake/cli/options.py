@@ -49,7 +49,7 @@ LargestPiece = Annotated[bool, typer.Option("--largest-piece", help="Of a mask i
 
 Regime = Annotated[
     Literal["auto", "quasi_static", "inertial"],
-    typer.Option(help="Slow pushes are quasi_static, fast ones inertial."),
+    typer.Option(help="quasi_static for slow pushes, inertial for fast ones; auto: by their speed."),
 ]
 
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]

@@ -33,7 +33,9 @@ def record(
     engaged_below: Annotated[
         float, typer.Option(help="Height of the tip's center below which it can touch the object, m.")
     ] = ENGAGED_BELOW,
-    pose_delay: Annotated[float, typer.Option(help="How old an object's pose is at its time in the stream, s.")] = 0.0,
+    pose_delay: Annotated[
+        float, typer.Option(help="How much older the object's poses are than their times say, s.")
+    ] = 0.0,
     table: Annotated[
         str | None,
         typer.Option(metavar="SHAPE", help=f"Marks pushes with a part off its edge: {options.FORMS}."),

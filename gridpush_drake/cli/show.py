@@ -33,5 +33,7 @@ def show(
         "parts": parts,
         "written": [str(out)],
     }
-    line = f"{obj.name}: {obj.n} cells of {obj.cell_size * MM:.1f} mm, {len(parts)} part(s)"
+    left, low, right, high = (bound * MM for bound in obj.outline.bounds)
+    size = f"{right - left:.0f} mm by {high - low:.0f} mm"
+    line = f"{obj.name}: {size}, {obj.n} cells of {obj.cell_size * MM:.1f} mm, {len(parts)} part(s)"
     print_found(found, [line, *options.describe_written(out)], json)

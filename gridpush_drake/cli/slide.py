@@ -42,7 +42,7 @@ def slide(
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Plan a slide to the table's edge, where a part hangs over for the gripper and the object stays put."""
+    """Plan pushes to the table's edge, until a part hangs over that a gripper can take and nothing falls."""
     from gridpush_drake.files import write_whole
     from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
     from gridpush_drake.planning.pregrasp.exploration import PokeOptions

@@ -15,10 +15,10 @@ from gridpush_drake.dynamics.kernels.inputs import Load, Steps
 from gridpush_drake.dynamics.kernels.step import CONVERGED
 from gridpush_drake.dynamics.kernels.support_loads import measure_depth
 from gridpush_drake.dynamics.motion import Jacobian, Motion, MotionStatus, RawJacobian
-from gridpush_drake.dynamics.push import ForcePush, Push
+from gridpush_drake.dynamics.push import ForcePush, Push, check_times, make_times
 from gridpush_drake.dynamics.reference.paper_rollout import calc_paper_jacobian
-from gridpush_drake.dynamics.time_grid import check_times, make_times
 from gridpush_drake.errors import SimulationError
+from gridpush_drake.geometry.se2 import check_vector, rotate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -26,23 +26,12 @@ Array = NDArray[np.float64]
 
 Regime = Literal["inertial", "quasi_static"]
 
-GRAVITY = 9.81
-"""m/s²."""
-
-STICTION_TOLERANCE = 1e-9
-"""m/s, of the inertial regime; a body at rest creeps slower than a few of these."""
-
-MIN_STICTION = 1e-15
-"""m/s; below it round-off rules."""
-
-RELATIVE_STICTION = 1e-7
-"""Of the speed of pusher and body; friction is never smoothed less, in either regime."""
-
-MOVED_MOST = 2.0
-"""How far B's origin may go in a slow push, as a multiple of the pusher's path."""
-
-OVERLAP_TOLERANCE = 1e-4
-"""m, of pusher and outline at the beginning."""
+GRAVITY = 9.81  # m/s²
+STICTION_TOLERANCE = 1e-9  # m/s, of the inertial regime; a body at rest creeps slower than a few of these
+MIN_STICTION = 1e-15  # m/s; below it round-off rules
+RELATIVE_STICTION = 1e-7  # of the speed of pusher and body; friction is never smoothed less, in either regime
+MOVED_MOST = 2.0  # how far B's origin may go in a slow push, as a multiple of the pusher's path
+OVERLAP_TOLERANCE = 1e-4  # m, of pusher and outline at the beginning
 
 
 def simulate(
@@ -101,7 +90,7 @@ def simulate(
     check_number("gravity", gravity, 0.0)
     check_number("stiction_tolerance", stiction_tolerance, MIN_STICTION)
     inertial = regime == "inertial"
-    q, nu = check_vector("pose", pose), check_vector("velocity", velocity)
+    q, nu = (check_vector(SimulationError, name, value, 3) for name, value in (("pose", pose), ("velocity", velocity)))
     if not inertial and nu.any():
         raise SimulationError("velocity: the quasi-static regime has none; expected (0, 0, 0)")
     if not inertial and params.friction @ params.mass * gravity <= 0:
@@ -144,21 +133,13 @@ def calc_loads(
     table: ArrayLike | None = None,
     gravity: float = GRAVITY,
 ) -> Array | None:
-    """Calculates what the cells of an object at rest bear (`docs/theory/model.md`, section 8).
+    """What the cells of an object at rest bear, (n,) N (`docs/theory/model.md`, section 8); None where it tips.
 
-    Args:
-        pose: (3,) q where it lies, m and rad.
-        table: (K, 2) corners in W of the table's top, m; endless by default.
-        gravity: m/s².
-
-    Returns:
-        (n,) N, whose center is the center of mass; None where the object tips.
-
-    Raises:
-        SimulationError: an argument is out of range.
+    The table's top is endless, or has corners (K, 2) in W, m. The loads' center is the center of mass.
+    Raises SimulationError: an argument is out of range.
     """
     edges = None if table is None else _get_edges(table)
-    return find_rest_loads(obj, params, gravity, check_vector("pose", pose), edges)
+    return find_rest_loads(obj, params, gravity, check_vector(SimulationError, "pose", pose, 3), edges)
 
 
 def simulate_batch(
@@ -172,11 +153,9 @@ def simulate_batch(
 ) -> list[Motion]:
     """Simulates many pushes, parameter sets or objects, or combinations of them, on all cores.
 
+    Each argument is one for all, or a list; poses are (3,) or (count, 3).
+
     Args:
-        obj: one object for all, or one for each simulation.
-        params: one set for all, or one for each simulation.
-        pushes: one push for all, or one for each simulation.
-        poses: (3,) one pose for all, or (count, 3).
         workers: threads; by default one a core. The result does not depend on it.
         options: passed on to `simulate`.
 
@@ -211,14 +190,9 @@ def simulate_batch(
 def find_edges_near(
     obj: GridObject, push: Push | ForcePush, q: Array, table: ArrayLike | None, inertial: bool
 ) -> Array | None:
-    """Finds the edges (K, 4) of a table that a push may bring an object to, m; None where it cannot.
+    """The edges (K, 4) of a table, by its corners (K, 2) in W, that a push may bring an object to, m; None for none.
 
-    Args:
-        q: (3,) pose at the beginning.
-        table: (K, 2) corners in W, m; None for an endless one.
-
-    Raises:
-        SimulationError: the corners are none, or the object is not on the table.
+    Raises SimulationError: the corners are none, or the object is not on the table.
     """
     if table is None:
         return None
@@ -262,11 +236,7 @@ def _find_status(has_pusher: bool, steps: Steps) -> MotionStatus:
 
 
 def check_regime(regime: str, push: Push | ForcePush, friction: str, spin: str, gradients: bool | str) -> None:
-    """Refuses words that are not known, and combinations that make no sense.
-
-    Raises:
-        SimulationError: either.
-    """
+    """Refuses words that are not known, and combinations that make no sense, with a SimulationError."""
     for name, value, known in (
         ("regime", regime, ("inertial", "quasi_static")),
         ("friction", friction, tuple(LAWS)),
@@ -290,27 +260,8 @@ def check_regime(regime: str, push: Push | ForcePush, friction: str, spin: str, 
         raise SimulationError(f"gradients is {gradients!r}; with friction={friction!r} expected one of {words}")
 
 
-def check_vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
-    """Copies three finite numbers.
-
-    Raises:
-        SimulationError: they are not.
-    """
-    try:
-        vector = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        vector = np.empty(0)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise SimulationError(f"{name} is {value!r}; expected three finite numbers")
-    return vector
-
-
 def check_number(name: str, value: float, least: float) -> None:
-    """Refuses what is not a finite number of at least `least`.
-
-    Raises:
-        SimulationError: it is not.
-    """
+    """Raises SimulationError for what is not a finite number of at least `least`."""
     if not (np.isfinite(value) and value >= least):
         raise SimulationError(f"{name} is {value!r}; expected a finite number >= {least:g}")
 
@@ -318,8 +269,7 @@ def check_number(name: str, value: float, least: float) -> None:
 def check_record(record: ArrayLike, steps: int) -> NDArray[np.int64]:
     """Copies the indices of the poses whose Jacobian is wanted, out of steps + 1; negative ones count from the end.
 
-    Raises:
-        SimulationError: they are not whole numbers from -(steps + 1) to `steps` that name each pose once at most.
+    Raises SimulationError where they are not whole numbers in that range that name each pose once at most.
     """
     rows = np.array(record)
     whole = rows.ndim == 1 and (len(rows) == 0 or np.issubdtype(rows.dtype, np.integer))
@@ -332,8 +282,7 @@ def check_record(record: ArrayLike, steps: int) -> NDArray[np.int64]:
     return rows
 
 
-STEP_STICTION = 1e-10
-"""m/s, and share of the speed: what sticks moves less than a few of these."""
+STEP_STICTION = 1e-10  # m/s, and share of the speed: what sticks moves less than a few of these
 
 
 def calc_step(
@@ -357,7 +306,6 @@ def calc_step(
         wrench: (3,) force in W, N, and moment about B's origin, N m.
         friction: "isotropic", or the paper's "lagged" directions, which are "separate" whatever `spin` says.
         spin: how the cells resist spinning, see `kernels.isotropic_friction`.
-        g: gravity, m/s².
         stiction_tolerance: speed below which friction is smoothed, m/s and as a share of the speed.
 
     Returns:
@@ -378,6 +326,4 @@ def calc_step(
     record = run_kernel(obj, params, g, method, q, nu, np.array([float(dt)]), load, np.full(2, -1), np.empty((0, 3, 0)))
     if record.statuses[0, 0] != CONVERGED:
         raise SimulationError(f"the step of {obj.name} ({obj.n} cells) was not solved")
-    ux, uy, w = record.twists[0]
-    c, s = np.cos(q[2]), np.sin(q[2])
-    return np.array([c * ux - s * uy, s * ux + c * uy, w])
+    return np.append(rotate(q[2], record.twists[0, :2]), record.twists[0, 2])

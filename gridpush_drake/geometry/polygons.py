@@ -11,11 +11,8 @@ from shapely.geometry.polygon import orient
 
 from gridpush_drake.geometry.se2 import Array
 
-SLACK = 1e-12
-"""m, so that half-planes that leave one point leave a polygon, for round-off's sake."""
-
-FAR = 8.0
-"""Size of a half-plane's rectangle, in greatest offsets."""
+SLACK = 1e-12  # m, so that half-planes that leave one point leave a polygon, for round-off's sake
+FAR = 8.0  # size of a half-plane's rectangle, in greatest offsets
 
 
 def hull_of(points: Array) -> Array:
@@ -27,17 +24,11 @@ def hull_of(points: Array) -> Array:
 
 
 def bound_by_half_planes(directions: Array, offsets: Array) -> Array:
-    """Corners of the convex polygon {c: d.c <= h(d)}.
+    """Corners (V, 2) of the convex polygon {c: d.c <= h(d)}, m, counterclockwise, each bound taken SLACK further out.
 
     Bounds of single directions that hold for most draws only are no support function: some lie outside what the
-    others leave, and count nothing.
-
-    Args:
-        directions: (D, 2) unit vectors, all round.
-        offsets: (D,) h, m; together they leave something, be it a point.
-
-    Returns:
-        (V, 2) corners, m, counterclockwise, each bound taken SLACK further out.
+    others leave, and count nothing. `directions` (D, 2) are unit vectors, all round; `offsets` (D,) are h, m, and leave
+    something, be it a point.
     """
     reach = FAR * (float(np.abs(offsets).max()) + SLACK)
     on_edge = (offsets + SLACK)[:, None] * directions
@@ -47,11 +38,9 @@ def bound_by_half_planes(directions: Array, offsets: Array) -> Array:
 
 
 def calc_margin_inside(inner: Array, hull: Array) -> float:
-    """How far a set of points stays inside a convex polygon, m: negative where a point is outside, -inf without one.
+    """How far points (V, 2) stay inside a convex polygon (k, 2), counterclockwise, m: negative where one is outside.
 
-    Args:
-        inner: (V, 2) the points, m.
-        hull: (k, 2) corners, counterclockwise, m; may be empty.
+    -inf without a polygon.
     """
     return float(_calc_gaps(inner, hull)[0].min()) if len(hull) >= 3 else -np.inf
 
@@ -120,13 +109,9 @@ class OutlineEdges:
         return float(self.arc_length[last] + np.linalg.norm(self.end[last] - self.start[last]))
 
     def at(self, arc_length: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Finds the place at an arc length on the exterior ring (counterclockwise, taken modulo the perimeter).
+        """The place at an arc length, m, on the exterior ring, counterclockwise from its first vertex.
 
-        Args:
-            arc_length: m, from the exterior's first vertex.
-
-        Returns:
-            The point (2,) in m, the unit tangent (2,) and the outward unit normal (2,), body frame.
+        The point (2,) in m, the unit tangent (2,) and the outward unit normal (2,), body frame.
         """
         s = arc_length % self.perimeter
         edge = int(np.searchsorted(self.arc_length[: self.exterior_count], s, side="right")) - 1

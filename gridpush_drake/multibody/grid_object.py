@@ -61,42 +61,31 @@ from pydrake.multibody.tree import (
 )
 from shapely import Polygon, box, prepare
 
-from gridpush_drake.errors import ObjectError, ParameterError
+from gridpush_drake.errors import ObjectError, ParameterError, require_positive
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.contact_material import MakeContactProperties, calc_own_friction
 from gridpush_drake.multibody.meshcat_shapes import make_outline_mesh
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-SPHERE_RADIUS = 0.002
-"""m; more than the spheres are ever pressed in."""
+SPHERE_RADIUS = 0.002  # m; more than the spheres are ever pressed in
 
 SpheresPerCell = Literal[1, 4]
 
 
 @dataclass(frozen=True, eq=False)
 class ContactSphereLayout:
-    """Where the spheres are.
+    """Where the spheres are."""
 
-    Attributes:
-        p_BS: (f, 2) where they touch the table, body frame, m.
-        cell: (f,) the cell that each belongs to.
-        spheres_per_cell: 1: at the cells' centers; 4: at their corners.
-    """
-
-    p_BS: NDArray[np.float64]
-    cell: NDArray[np.int64]
-    spheres_per_cell: SpheresPerCell
+    p_BS: NDArray[np.float64]  # (f, 2) where they touch the table, body frame, m
+    cell: NDArray[np.int64]  # (f,) the cell that each belongs to
+    spheres_per_cell: SpheresPerCell  # 1: at the cells' centers; 4: at their corners
 
     @classmethod
     def for_object(cls, obj: GridObject, spheres_per_cell: SpheresPerCell = 1) -> "ContactSphereLayout":
-        """Lays out the spheres of an object.
+        """Lays out the spheres of an object, cell by cell: 1 a cell, or 4 to support it out to its edge.
 
-        Args:
-            spheres_per_cell: 1, or 4 to support it out to its edge.
-
-        Raises:
-            ParameterError: `spheres_per_cell` is neither.
+        Raises ParameterError: `spheres_per_cell` is neither.
         """
         if spheres_per_cell == 1:
             return cls(obj.p_BC, np.arange(obj.n), 1)
@@ -108,11 +97,9 @@ class ContactSphereLayout:
     def make_properties(
         self, params: CellParameters, delta: float, gravity: float, support: Array | None = None
     ) -> list[ProximityProperties]:
-        """Makes the spheres's contact properties.
+        """Makes the spheres' contact properties, pressed in by `delta`, m.
 
         Args:
-            delta: how far the spheres are pressed in, m.
-            gravity: m/s².
             support: (n,) what each cell's spheres bear where they are pressed in so far, kg; its own mass by default.
 
         Raises:
@@ -124,35 +111,20 @@ class ContactSphereLayout:
         return [MakeContactProperties(friction[i], float(stiffness[i])) for i in self.cell]
 
 
-MAX_DEPTH = 0.01
-"""m, of the boxes behind the edges."""
-
-HALVINGS = 12
-"""How often a box behind an edge is made half as deep for want of room."""
-
-PROTRUSION = 1e-6
-"""m by which boxes may stand out of the outline, next to a sharp corner."""
-
-STRIPS = 24
-"""Rows of boxes that fill the inside."""
-
-CLEARANCE = 5e-4
-"""m from the outline to the boxes that fill the inside; deeper than a finger ever presses in."""
+MAX_DEPTH = 0.01  # m, of the boxes behind the edges
+HALVINGS = 12  # how often a box behind an edge is made half as deep for want of room
+PROTRUSION = 1e-6  # m by which boxes may stand out of the outline, next to a sharp corner
+STRIPS = 24  # rows of boxes that fill the inside
+CLEARANCE = 5e-4  # m from the outline to the boxes that fill the inside; deeper than a finger ever presses in
 
 
 @dataclass(frozen=True, eq=False)
 class PlanarBox:
-    """A rectangle in the body frame.
+    """A rectangle in the body frame."""
 
-    Attributes:
-        center: (2,) m.
-        angle: of its length from the x axis, rad.
-        size: (length, width), m.
-    """
-
-    center: Array
-    angle: float
-    size: tuple[float, float]
+    center: Array  # (2,) m
+    angle: float  # of its length from the x axis, rad
+    size: tuple[float, float]  # (length, width), m
 
 
 def make_edge_boxes(obj: GridObject) -> list[PlanarBox]:
@@ -195,8 +167,7 @@ def make_inner_boxes(obj: GridObject) -> list[PlanarBox]:
 
 Base = Literal["planar", "free"]
 
-DEFAULT_HEIGHT = 0.03
-"""m."""
+DEFAULT_HEIGHT = 0.03  # m
 
 DEFAULT_DELTA = {"planar": 1e-3, "free": 1e-6}
 """m the spheres are pressed in; a free body on softer spheres tips falsely."""
@@ -205,11 +176,8 @@ SIDE_STIFFNESS = 3e5
 """N/m, of the outline: a push of 3 N presses the finger in by 0.01 mm. Friction of Drake's lagged contact follows the
 normal force of the step before: on a stiffer outline that force jumps from step to step, and the finger slips."""
 
-SIDE_DISSIPATION = 100.0
-"""s/m, of the outline's contacts (Hunt-Crossley): it keeps the finger from bouncing."""
-
-DEFAULT_COLOR = (0.55, 0.62, 0.7, 1.0)
-"""Red, green, blue and opacity."""
+SIDE_DISSIPATION = 100.0  # s/m, of the outline's contacts (Hunt-Crossley): it keeps the finger from bouncing
+DEFAULT_COLOR = (0.55, 0.62, 0.7, 1.0)  # red, green, blue and opacity
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,9 +270,7 @@ def AddGridObject(
     if base not in DEFAULT_DELTA:
         raise ObjectError(f"base is {base!r}; expected 'planar' or 'free'")
     delta = DEFAULT_DELTA[base] if delta is None else delta
-    for what, value in (("height", height), ("delta", delta), ("side_stiffness", side_stiffness)):
-        if not 0 < value < np.inf:
-            raise ObjectError(f"{what} is {value!r}; expected a positive number")
+    require_positive(ObjectError, height=height, delta=delta, side_stiffness=side_stiffness)
     table = list(table)
     if not table:
         raise ObjectError("table is empty; expected the collision geometries that the spheres stand on")
@@ -327,16 +293,9 @@ def AddGridObject(
 
 
 def MakeSpatialInertia(obj: GridObject, params: CellParameters, height: float = DEFAULT_HEIGHT) -> SpatialInertia:
-    """Sums up the cells' inertia, each a homogeneous square prism.
+    """Sums up the cells' inertia, each a homogeneous square prism: M_BBo_B, about B's origin, at the object's bottom.
 
-    Args:
-        height: of the prisms, m.
-
-    Returns:
-        M_BBo_B, about B's origin, at the object's bottom.
-
-    Raises:
-        ParameterError: the parameters are of another number of cells, or Drake finds the masses unphysical.
+    Raises ParameterError: the parameters are of another number of cells, or Drake finds the masses unphysical.
     """
     params.center_of_mass(obj)  # says so where the numbers of cells differ
     total = SpatialInertia.Zero()
@@ -373,11 +332,7 @@ def calc_gravity(plant: MultibodyPlant) -> float:
 def ApplyGridObjectFilters(
     plant: MultibodyPlant, scene_graph: SceneGraph, handle: GridObjectInPlant, table: Iterable[GeometryId]
 ) -> None:
-    """Lets the spheres touch the table alone, and the sides everything but the table, of what is in the plant by now.
-
-    Args:
-        table: collision geometries that the spheres stand on.
-    """
+    """Lets the spheres touch the table alone, the sides everything but the table, of what is in the plant by now."""
     table = list(table)
     inspector = scene_graph.model_inspector()
     others = set(inspector.GetGeometryIds(GeometrySet(inspector.GetAllGeometryIds()), Role.kProximity)) - set(table)

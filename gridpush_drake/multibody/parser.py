@@ -60,8 +60,7 @@ MESHES: Mapping[str, Sequence[str]] = MappingProxyType(
 )
 """Of each body, its meshes within drake_models. Their frames are the bodies' own."""
 
-MODELS = ("iiwa", "gripper")
-"""Names of the model instances that take meshes."""
+MODELS = ("iiwa", "gripper")  # names of the model instances that take meshes
 
 
 def find_drake_models() -> Path | None:
@@ -87,10 +86,8 @@ def AddVisualMeshes(
 ) -> list[str]:
     """Shows meshes instead of primitives, body by body; a body of which a mesh is missing keeps its primitives.
 
-    Args:
-        plant: with the models, not finalised.
-        scene_graph: that the plant is registered with.
-        folder: of drake_models, see `find_drake_models`; None adds nothing.
+    The plant has its models and is not finalised; without a folder (`find_drake_models`) nothing is added. Returns the
+    names of the bodies that wear meshes now.
     """
     changed: list[str] = []
     if folder is None:

@@ -38,17 +38,10 @@ from gridpush_drake.multibody.grid_object import (
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-DRAKE = "http://drake.mit.edu"
-"""XML namespace of Drake's elements."""
-
-VERSION = "1.9"
-"""Of SDFormat."""
-
-GRAVITY = 9.81
-"""m/s², that the spheres are made for; Drake's own."""
-
-SIDE_LIFT = 0.003
-"""m from the object's bottom to that of its sides; more than the spheres are pressed in."""
+DRAKE = "http://drake.mit.edu"  # XML namespace of Drake's elements
+VERSION = "1.9"  # of SDFormat
+GRAVITY = 9.81  # m/s², that the spheres are made for; Drake's own
+SIDE_LIFT = 0.003  # m from the object's bottom to that of its sides; more than the spheres are pressed in
 
 NOTICE = (
     " A grid object: a sphere under every cell, boxes along the outline for a finger to push. Table and finger are to "
@@ -69,7 +62,7 @@ def make_sdf(
     side_stiffness: float = SIDE_STIFFNESS,
     gravity: float = GRAVITY,
 ) -> str:
-    """Makes the model's text.
+    """Makes the model's text; the model and its link have the object's name.
 
     Args:
         base: "free", or "planar": held by a planar joint to a frame `delta` below the world's z = 0.
@@ -77,9 +70,6 @@ def make_sdf(
         delta: m the spheres are pressed in; by default as `AddGridObject`.
         side_stiffness: of the outline's contacts, N/m.
         gravity: m/s², that the spheres are made for.
-
-    Returns:
-        SDFormat; the model and its link have the object's name.
 
     Raises:
         ObjectError: `base` is neither, a size is out of range, or SDFormat has no such names.
@@ -120,12 +110,7 @@ def WriteSdf(
     height: float = DEFAULT_HEIGHT,
     spheres_per_cell: SpheresPerCell = 1,
 ) -> None:
-    """Writes the model to a file.
-
-    Raises:
-        OutputError: the file cannot be written.
-        ObjectError, ParameterError: as `make_sdf`.
-    """
+    """Writes what `make_sdf` makes to a file. Raises OutputError where it cannot be written."""
     write_whole(path, make_sdf(obj, params, base, height=height, spheres_per_cell=spheres_per_cell), force)
 
 
@@ -205,17 +190,7 @@ LIMIT = " Friction and stiffness are in Drake's elements alone: other simulators
 
 
 def make_urdf(obj: GridObject, params: CellParameters, *, height: float = DEFAULT_HEIGHT) -> str:
-    """Makes the model's text.
-
-    Args:
-        height: of the object, m.
-
-    Returns:
-        URDF; the robot and its link have the object's name.
-
-    Raises:
-        ObjectError, ParameterError: as `sdformat.make_sdf`.
-    """
+    """Makes the text of a URDF model, whose robot and link have the object's name; errors are those of `make_sdf`."""
     source = ElementTree.fromstring(make_sdf(obj, params, height=height)).find("model/link")
     assert source is not None
     robot = Element("robot", name=obj.name)
@@ -244,15 +219,7 @@ def make_urdf(obj: GridObject, params: CellParameters, *, height: float = DEFAUL
 def WriteUrdf(
     obj: GridObject, params: CellParameters, path: Path | str, force: bool = False, *, height: float = DEFAULT_HEIGHT
 ) -> None:
-    """Writes the model to a file.
-
-    Args:
-        height: of the object, m.
-
-    Raises:
-        OutputError: the file cannot be written.
-        ObjectError, ParameterError: as `make_urdf`.
-    """
+    """Writes what `make_urdf` makes to a file. Raises OutputError where it cannot be written."""
     write_whole(path, make_urdf(obj, params, height=height), force)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from shapely import Polygon
 
-from gridpush_drake.errors import ObjectError
+from gridpush_drake.errors import ObjectError, require_positive
 from gridpush_drake.files import write_whole
 from gridpush_drake.geometry.polygons import OutlineEdges
 from gridpush_drake.geometry.se2 import transform
@@ -71,8 +71,7 @@ class GridObject:
             raise ObjectError(f"{self.name}: p_BC must be finite")
         if labels.min() < 1:
             raise ObjectError(f"{self.name}: a label is {labels.min()}; expected whole numbers, 1 or more")
-        if not (np.isfinite(self.cell_size) and self.cell_size > 0):
-            raise ObjectError(f"{self.name}: cell_size is {self.cell_size!r}; expected a positive number (m)")
+        require_positive(ObjectError, f"{self.name}: ", "m", cell_size=self.cell_size)
         if not isinstance(self.outline, Polygon) or self.outline.is_empty or not self.outline.is_valid:
             raise ObjectError(f"{self.name}: the outline must be a simple polygon that does not cross itself")
         self._check_size(p_BC)
@@ -127,7 +126,6 @@ class GridObject:
             max_cells: the most cells to make.
             largest_piece: keep the largest connected piece where there are several.
             name: what to call it; the file's stem where not given.
-            prior: what is known of mass and friction.
 
         Returns:
             The object; B is at the cells' centroid, x right and y up in the image.
@@ -157,7 +155,6 @@ class GridObject:
             outline: (k, 2) vertices, or a Polygon (with holes), m; its coordinates are the body frame.
             parts: polygons by label >= 1; a cell whose center none covers belongs to part 1.
             max_cells: the most cells to make.
-            prior: what is known of mass and friction.
 
         Raises:
             ObjectError: the polygon crosses itself or has no area, or the count is not positive.
@@ -166,11 +163,7 @@ class GridObject:
 
     @classmethod
     def from_yaml(cls, path: Path | str, *, largest_piece: bool = False) -> "GridObject":
-        """Reads an object file (README, "Bring your own object").
-
-        Args:
-            path: the YAML file; a mask it names is looked up beside it.
-            largest_piece: as in `from_mask`.
+        """Reads an object file, see `docs/howto/own_object.md`; a mask it names is looked up beside it.
 
         Raises:
             ObjectError: the file cannot be read, has an unknown key or a value out of range; the message names

@@ -196,11 +196,7 @@ class ObjectSchema(StrictSchema):
         return self
 
     def to_prior(self) -> PhysicalPrior:
-        """What the file says of mass and friction.
-
-        Raises:
-            ParameterError: the values do not fit together.
-        """
+        """What the file says of mass and friction. Raises ParameterError: the values do not fit together."""
         center = self.center_of_mass
         return PhysicalPrior(
             total_mass=self.total_mass,
@@ -237,14 +233,9 @@ def read_object_file(path: Path) -> ObjectSchema:
 
 
 def make_cells(schema: ObjectSchema, name: str, folder: Path, largest_piece: bool = False) -> CellGrid:
-    """Makes the cells and the outline that a schema describes.
+    """Makes the cells and the outline that a schema describes; a mask that it names is looked up in `folder`.
 
-    Args:
-        folder: where a mask that it names is looked up.
-        largest_piece: keep the largest connected piece of a mask that has several.
-
-    Raises:
-        ObjectError: a polygon crosses itself or has no area, or the mask cannot be read or is none.
+    Raises ObjectError: a polygon crosses itself or has no area, or the mask cannot be read or is none.
     """
     if schema.mask is not None:
         image, scale = folder / schema.mask.image, schema.mask.meters_per_pixel
@@ -264,13 +255,7 @@ def make_cells(schema: ObjectSchema, name: str, folder: Path, largest_piece: boo
 def describe_object(
     name: str, grid: CellGrid, prior: PhysicalPrior, height: float | None = None, seen: SeenSchema | None = None
 ) -> dict[str, Any]:
-    """The plain values of which `ObjectSchema` makes the same object again, bit for bit.
-
-    Args:
-        prior: what is known of its mass and friction.
-        height: of the object, m, where it is known.
-        seen: where the body frame was in a photograph, where there is one.
-    """
+    """The plain values, in a file's order, of which `ObjectSchema` makes the same object again, bit for bit."""
     data: dict[str, Any] = {"name": name, "outline": _points(grid.outline.exterior)}
     if grid.outline.interiors:
         data["holes"] = [_points(ring) for ring in grid.outline.interiors]
@@ -313,9 +298,6 @@ def list_shipped_objects() -> list[str]:
 
 def find_shipped_object(name: str) -> Path:
     """Finds the file of an object that comes with the package.
-
-    Args:
-        name: as `list_shipped_objects` gives it.
 
     Raises:
         ObjectError: there is none of that name; the message suggests the nearest and lists all.

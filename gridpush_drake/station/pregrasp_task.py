@@ -173,7 +173,7 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         self.surface = make_surface(station.table_top)
         self.obj = station.obj
         measures = station.robot.gripper
-        gripper, force = measures.make_side_gripper(), min(scenario.pregrasp.force, measures.max_force)
+        gripper, force = measures.make_side_gripper(), measures.limit_force(scenario.pregrasp.force)
         check_thickness(self.obj, scenario.object_height, gripper)
         pads = PadLimit.of_object(self.obj, gripper, force)
         self._finder = GraspFinder(station, self.obj, self.surface, pads)

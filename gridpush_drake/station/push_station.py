@@ -239,8 +239,8 @@ def AddWorld(
         ScenarioError: the scenario makes no sense, see `check_scenario`.
         StationError: the arm cannot take the posture in which it begins.
     """
-    check_scenario(scenario)
-    obj = true_obj = LoadPushedObject(scenario)
+    robot = check_scenario(scenario)
+    obj = true_obj = LoadPushedObject(scenario, robot)
     found = None
     if scenario.camera.kind == "rgbd":
         found = TakePhotograph(scenario, true_obj)
@@ -250,7 +250,6 @@ def AddWorld(
     plant.set_name("plant")
     plant.set_stiction_tolerance(scenario.simulation.stiction_tolerance)
     scene_graph.set_name("scene_graph")
-    robot = find_robot(scenario.directives)
     instances, table = AddStationScene(plant, scene_graph, scenario, robot)
     object_in_plant = AddGridObject(
         plant,

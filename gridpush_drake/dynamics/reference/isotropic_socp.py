@@ -16,8 +16,7 @@ from gridpush_drake.errors import SimulationError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-CONIC_TOLERANCE = 1e-13
-"""Clarabel's relative and absolute tolerance, on problems scaled to one."""
+CONIC_TOLERANCE = 1e-13  # Clarabel's relative and absolute tolerance, on problems scaled to one
 
 USABLE = ("Solved", "AlmostSolved", "InsufficientProgress")
 """Statuses whose point is near enough to be refined; the caller verifies what it makes of it."""
@@ -26,19 +25,10 @@ USABLE = ("Solved", "AlmostSolved", "InsufficientProgress")
 def solve_conic(
     P: csc_array, q: NDArray[np.float64], A: csc_array, cones: list[object]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Solves  min x·P x/2 + q·x  s.t.  -A x in the cones.
+    """Solves  min x·P x/2 + q·x  s.t.  -A x in the cones,  for x (k,) and the duals z (r,).
 
-    Args:
-        P: (k, k) upper triangle of the Hessian.
-        q: (k,) linear cost.
-        A: (r, k) constraints.
-        cones: Clarabel's cones, r rows in all.
-
-    Returns:
-        x (k,) and the duals z (r,).
-
-    Raises:
-        SimulationError: the solver stopped short.
+    P (k, k) is given by its upper triangle, A is (r, k); Clarabel's cones have r rows in all.
+    Raises SimulationError: the solver stopped short.
     """
     settings = clarabel.DefaultSettings()
     settings.verbose = False
@@ -55,13 +45,11 @@ ZERO_NORMS = (1e-9, 1e-7, 1e-5)
 SUBSPACE_TOLERANCE = 1e-10
 """Relative singular value below which the subspace of vanishing norms ignores a direction."""
 
-POLISH_DISTANCE = 1e-4
-"""Greatest correction that Newton's method may make to the cone program's solution."""
+POLISH_DISTANCE = 1e-4  # greatest correction that Newton's method may make to the cone program's solution
 
 MAX_NEWTON_STEPS = 30
 
-NEWTON_TOLERANCE = 1e-13
-"""Relative Newton step that ends the polish."""
+NEWTON_TOLERANCE = 1e-13  # relative Newton step that ends the polish
 
 
 def solve_isotropic_socp(

@@ -29,41 +29,26 @@ from gridpush_drake.dynamics.reference.isotropic_socp import solve_conic, solve_
 from gridpush_drake.dynamics.reference.maximal_lcp import MaximalLcp
 from gridpush_drake.errors import SimulationError
 
-PROXIMAL_WEIGHT = 1e-12
-"""delta of `project`: makes redundant rows of C harmless; its effect is iterated away."""
+PROXIMAL_WEIGHT = 1e-12  # delta of `project`: makes redundant rows of C harmless; its effect is iterated away
 
 MAX_REFINEMENTS = 40
 
-ROUND_OFF = 1e-15
-"""Relative residual at which refinement stops."""
-
-NEAR_ROUND_OFF = 1e3
-"""Multiple of it below which refinement stops once it halves no more."""
+ROUND_OFF = 1e-15  # relative residual at which refinement stops
+NEAR_ROUND_OFF = 1e3  # multiple of it below which refinement stops once it halves no more
 
 
 @dataclass(frozen=True, eq=False)
 class NormalizedLcp:
-    """The LCP without units (see the module's docstring).
+    """The LCP without units (see the module's docstring)."""
 
-    Attributes:
-        root_mass: (3n,) M^(1/2).
-        e: the momentum scale, (N s)/kg^(1/2).
-        rows: indices of the friction rows that are kept, (k,).
-        h: (3n,) momentum without friction, that of a rigid motion.
-        lam_0: multipliers of rigidity without friction.
-        C: (3(n-1) or more, 3n) rigidity.
-        norm: lengths of J_e M^(-1/2)'s rows.
-        G: (k, 3n) friction.
-    """
-
-    root_mass: NDArray[np.float64]
-    e: float
-    rows: NDArray[np.int64]
-    h: NDArray[np.float64]
-    lam_0: NDArray[np.float64]
-    C: csr_array
-    norm: NDArray[np.float64]
-    G: csr_array
+    root_mass: NDArray[np.float64]  # (3n,) M^(1/2)
+    e: float  # the momentum scale, (N s)/kg^(1/2)
+    rows: NDArray[np.int64]  # indices of the friction rows that are kept, (k,)
+    h: NDArray[np.float64]  # (3n,) momentum without friction, that of a rigid motion
+    lam_0: NDArray[np.float64]  # multipliers of rigidity without friction
+    C: csr_array  # (3(n-1) or more, 3n) rigidity
+    norm: NDArray[np.float64]  # lengths of J_e M^(-1/2)'s rows
+    G: csr_array  # (k, 3n) friction
 
 
 @dataclass(frozen=True)
@@ -72,26 +57,16 @@ class KktResiduals:
 
     Impulses are measured by P, the largest cell's m |v_t| + dt |F| + bound; velocities by V, the same of the
     whole body over its mass; moments and yaw rates by P s and V / s, s the cell size; products by P V.
-
-    Attributes:
-        momentum: |M (xdot - xdot_t) - dt F - J_e^T lam_e - J_f^T lam_f|.
-        rigidity: |J_e xdot|.
-        rho: max(0, -rho), rho = J_f xdot + gamma.
-        lam_f: max(0, -lam_f).
-        xi: max(0, -xi), xi = bound - lam_f.
-        gamma: max(0, -gamma).
-        rho_lam_f: |rho lam_f|.
-        xi_gamma: |xi gamma|.
     """
 
-    momentum: float
-    rigidity: float
-    rho: float
-    lam_f: float
-    xi: float
-    gamma: float
-    rho_lam_f: float
-    xi_gamma: float
+    momentum: float  # |M (xdot - xdot_t) - dt F - J_e^T lam_e - J_f^T lam_f|
+    rigidity: float  # |J_e xdot|
+    rho: float  # max(0, -rho), rho = J_f xdot + gamma
+    lam_f: float  # max(0, -lam_f)
+    xi: float  # max(0, -xi), xi = bound - lam_f
+    gamma: float  # max(0, -gamma)
+    rho_lam_f: float  # |rho lam_f|
+    xi_gamma: float  # |xi gamma|
 
     @property
     def worst(self) -> float:
@@ -116,19 +91,11 @@ def normalize(lcp: MaximalLcp) -> NormalizedLcp:
 def project(
     C: csr_array, r: NDArray[np.float64], lam: NDArray[np.float64] | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Solves y + C^T lam = r, C y = 0: y is r projected onto the null space of C.
+    """Solves y + C^T lam = r, C y = 0: y is r (N,) or (N, j), projected onto the null space of C (k, N).
 
     The proximal method of multipliers, [[1, C^T], [C, -delta]] [dy; dlam] = residual, repeated down to round-off:
     one sparse factorization that does not mind redundant rows. Where those leave lam open the result stays
-    next to the lam that it started from.
-
-    Args:
-        C: (k, N) rows, best of unit length.
-        r: (N,) or (N, j).
-        lam: multipliers to start from; zero where not given.
-
-    Returns:
-        y and lam.
+    next to the lam that it started from, zero where not given.
     """
     k, N = C.shape
     y = np.zeros_like(r)
@@ -155,14 +122,7 @@ def calc_residuals(
     lam_f: NDArray[np.float64],
     gamma: NDArray[np.float64],
 ) -> KktResiduals:
-    """Evaluates every line of the LCP.
-
-    Args:
-        xdot: (3n,) velocities after the step, rad/s and m/s.
-        lam_e: (3k,) rigidity impulses, N m s and N s.
-        lam_f: (2n,) friction impulses, N s and N m s.
-        gamma: (2n,) speeds of what slides and spins, m/s and rad/s.
-    """
+    """Evaluates every line of the LCP for velocities (3n,) after the step, impulses, and speeds gamma (2n,)."""
     n, s = lcp.n, lcp.cell_size
     length = np.tile([s, 1.0, 1.0], n)
     length_f = np.repeat([1.0, s], n)
@@ -191,11 +151,8 @@ def calc_residuals(
 
 __all__ = ["LcpSolution", "LcpSolver", "solve_as_lcp", "solve_as_qp", "solve_isotropic_socp"]
 
-SIGN_TOLERANCE = 1e-11
-"""Violation of a sign, in the dimensionless LCP, that counts as a wrong active set."""
-
-MAX_ACTIVE_SETS = 600
-"""Active sets to try before giving up."""
+SIGN_TOLERANCE = 1e-11  # violation of a sign, in the dimensionless LCP, that counts as a wrong active set
+MAX_ACTIVE_SETS = 600  # active sets to try before giving up
 
 STICK, SLIDE, REVERSE = 0, 1, 2
 
@@ -223,17 +180,13 @@ class LcpSolution:
 
 
 def solve_as_lcp(lcp: MaximalLcp, lcp_solver: LcpSolver) -> LcpSolution:
-    """Eliminates xdot and lam_e and solves the LCP in (s, gamma) that is left.
+    """Eliminates xdot and lam_e and solves the LCP in (s, gamma) that is left, with a solver of dense LCPs.
 
     With P the projector onto the null space of C, y = h + P G^T s and
 
         0 <= [s; gamma]  ⟂  [[G P G^T, 1], [-1, 0]] [s; gamma] + [G h; 1] >= 0.
 
-    Args:
-        lcp_solver: a solver of dense LCPs, Lemke's for instance.
-
-    Returns:
-        The solution; as good as `lcp_solver` is, see its residuals.
+    The solution is as good as that solver is, see its residuals.
     """
     unit = normalize(lcp)
     k = len(unit.rows)
@@ -248,15 +201,12 @@ def solve_as_lcp(lcp: MaximalLcp, lcp_solver: LcpSolver) -> LcpSolution:
 
 
 def solve_as_qp(lcp: MaximalLcp) -> LcpSolution:
-    """Solves the convex QP with an interior point method, then the equations of its active set exactly.
+    """Solves the convex QP with an interior point method, then the equations of its active set exactly, to round-off.
 
     Every friction row slides (s = 1), sticks (G y = 0) or is carried backwards (s = 0). The interior point solution
     tells which; y and the multipliers then solve linear equations, whose signs are verified. Where one is wrong the
     active set method for the dual (a QP in 0 <= s <= 1) takes over: s goes towards the equations' solution up to the
     first bound, whose row is held there; when none is in the way the row that moves against its state is released.
-
-    Returns:
-        The solution, to round-off.
 
     Raises:
         SimulationError: the interior point method failed, or no active set has the right signs.

@@ -28,17 +28,10 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import TrialRunner
 
-TABLE_STEP = 0.003
-"""m, of the table of signed distances."""
-
-MAX_TABLE_NODES = 1000
-"""Along a side of the table; what is larger than they span has wider steps."""
-
-TABLE_ROOM = 0.02
-"""m, by which the table exceeds the outline grown by the disc."""
-
-STEPS = 16
-"""Steps that a push is cut into."""
+TABLE_STEP = 0.003  # m, of the table of signed distances
+MAX_TABLE_NODES = 1000  # along a side of the table; what is larger than they span has wider steps
+TABLE_ROOM = 0.02  # m, by which the table exceeds the outline grown by the disc
+STEPS = 16  # steps that a push is cut into
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,13 +72,11 @@ def make_distance_table(obj: GridObject, radius: float) -> DistanceTable:
 def predict_roughly(
     obj: GridObject, params: CellParameters, start: Array, direction: Array, distance: float, radius: float
 ) -> Array:  # fmt: skip
-    """Follows N straight pushes by the ellipsoidal limit surface.
+    """Follows N straight pushes of an object at the pose (0, 0, 0) by the ellipsoidal limit surface.
 
     Args:
-        obj: the object, at the pose (0, 0, 0).
         start: (N, 2) p_BP of the disc's center at the beginning, m.
-        direction: (N, 2) unit vectors of the motion.
-        distance: of the motion, m.
+        direction: (N, 2) unit vectors of the motion, which goes `distance`, m.
         radius: of the disc, m.
 
     Returns:
@@ -128,8 +119,7 @@ def _calc_twist(p: Array, n: Array, u: Array, gap: Array, inverse: float, mu: fl
     return np.column_stack([force, inverse * (lever * force).sum(axis=1)])
 
 
-PLACES, ANGLES = 96, 9
-"""Places along the outline and directions at each that are ranked."""
+PLACES, ANGLES = 96, 9  # places along the outline and directions at each that are ranked
 
 NEAR_PLACE, NEAR_ANGLE = 0.05, 0.3
 """Share of the perimeter and rad within which two pushes count as near one another."""
@@ -137,29 +127,18 @@ NEAR_PLACE, NEAR_ANGLE = 0.05, 0.3
 
 @dataclass(frozen=True, eq=False)
 class Screening:
-    """Ranked beginnings, best first.
+    """Ranked beginnings, best first."""
 
-    Attributes:
-        arc_length: (K,) m.
-        piece: (K,) of the reachable outline.
-        angle: (K,) rad.
-        rough_cost: (K,) what the limit surface expects, m.
-    """
-
-    arc_length: Array
-    piece: NDArray[np.int64]
-    angle: Array
-    rough_cost: Array
+    arc_length: Array  # (K,) m
+    piece: NDArray[np.int64]  # (K,) of the reachable outline
+    angle: Array  # (K,) rad
+    rough_cost: Array  # (K,) what the limit surface expects, m
 
 
 def screen(runner: TrialRunner) -> Screening:
     """Ranks pushes from the runner's pose towards its goal.
 
-    Args:
-        runner: pose, goal, outline, rules, and how many are wanted.
-
-    Returns:
-        At most as many as there are starts; fewer where the rules forbid the others, or they are near one another.
+    At most as many as there are starts; fewer where the rules forbid the others, or they are near one another.
     """
     options = runner.options
     s, piece = runner.reach.spread(runner.reach.length / PLACES)
@@ -206,17 +185,10 @@ def _count_allowed(runner: TrialRunner, poses: Array, start: Array, direction: A
 def _pick_apart(
     runner: TrialRunner, s: Array, angle: Array, costs: Array, count_allowed: Callable[[int], int], count: int
 ) -> tuple[NDArray[np.int64], Array]:
-    """The cheapest, each far from the cheaper ones.
+    """Indices and costs of the `count` cheapest, each far from the cheaper ones; `costs` (steps, N) after each step, m.
 
     What a push costs as far as the rules allow it is at least what it costs without them, so that only those pushes are
     looked up whose turn comes.
-
-    Args:
-        s: (N,) arc lengths, m.
-        angle: (N,) rad.
-        costs: (steps, N) after each step, m.
-        count_allowed: says how many of a push's steps are allowed.
-        count: how many are wanted.
     """
     perimeter = runner.reach.perimeter
     queue = [(float(cost), i, False) for i, cost in enumerate(costs.min(axis=0))]

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.limit_surface import screen
@@ -102,7 +102,7 @@ def optimize_contact(
     if method not in METHODS:
         raise PlanningError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
     options = options or ContactOptions()
-    q, aim = check_pose("pose", pose), check_pose("goal", goal)
+    q, aim = check_vector(PlanningError, "pose", pose, 3), check_vector(PlanningError, "goal", goal, 3)
     runner = make_runner(obj, params, q, aim, constraints, options)
     trials = METHODS[method](runner)[:MAX_CANDIDATES]
     found = tuple(runner.finish(trial, runner.simulations) for trial in trials)
@@ -128,37 +128,24 @@ def make_runner(
     return TrialRunner(obj, params, pose, goal, reach, checker, options, (low, high))
 
 
-def check_pose(name: str, pose: ArrayLike) -> Array:
-    """Copies a pose (3,). Raises PlanningError where it is not three finite numbers."""
-    q = np.array(pose, dtype=np.float64)
-    if q.shape != (3,) or not np.isfinite(q).all():
-        raise PlanningError(f"{name} is {pose!r}; expected three finite numbers (x, y, theta)")
-    return q
-
-
 Search = Callable[[TrialRunner], list[Trial]]
 """From what simulates pushes to the trials found, best first."""
 
 FIRST_DAMPING, MIN_DAMPING, MAX_DAMPING = 0.03, 1e-3, 30.0
 """lambda at first, and between what it stays; above, a start has come to its end."""
 
-LOOSEN, TIGHTEN = 0.3, 6.0
-"""Factors of lambda after a step that helped and one that did not."""
-
-MAX_STEP, MAX_TURN = 0.12, 0.5
-"""Of a step: share of the perimeter, and rad."""
+LOOSEN, TIGHTEN = 0.3, 6.0  # factors of lambda after a step that helped and one that did not
+MAX_STEP, MAX_TURN = 0.12, 0.5  # of a step: share of the perimeter, and rad
 
 SAME_PLACE, SAME_TURN = 0.03, 0.2
 """Share of the perimeter and rad within which a start has run into a better one, and ends."""
 
-GAIN_FACTOR = 2.0
-"""How many times its next step's predicted gain a start may still improve."""
+GAIN_FACTOR = 2.0  # how many times its next step's predicted gain a start may still improve
 
 DIFFERENCE_PLACE, DIFFERENCE_TURN = 0.04, 0.25
 """First steps of the finite-difference walk: share of the perimeter, and rad."""
 
-HALVINGS = 4
-"""After so many the walk ends."""
+HALVINGS = 4  # after so many the walk ends
 
 REFINEMENTS = 6
 """Halvings of the exhaustive search's steps from the best nodes of its grid, half the grid's at first: of a long push a
@@ -243,14 +230,9 @@ def _advance(walk: _Walk, runner: TrialRunner) -> None:
 
 
 def move(runner: TrialRunner, trial: Trial, by: float, turn: float) -> tuple[float, int, float]:
-    """Moves a trial along the outline and turns it, its direction held in the body frame.
+    """Moves a trial by m along the outline, counterclockwise, and turns it by rad, its direction held in the body.
 
-    Args:
-        by: m, counterclockwise.
-        turn: rad.
-
-    Returns:
-        The nearest reachable arc length, m, its piece, and the angle from the normal there, rad.
+    Returns the nearest reachable arc length, m, its piece, and the angle from the normal there, rad.
     """
     places, pieces = runner.reach.find_nearest(trial.arc_length + by)
     piece = int(pieces)

@@ -20,10 +20,9 @@ from itertools import islice
 
 import numpy as np
 
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.dynamics.time_grid import make_path_times
-from gridpush_drake.errors import PlanningError
+from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, make_direction, rotate, transform, wrap_angle
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
@@ -58,11 +57,7 @@ class RobustnessOptions:
 def draw_model_samples(
     obj: GridObject, params: CellParameters, identification: Identification | None, options: RobustnessOptions
 ) -> list[CellParameters]:
-    """Other models that may be the true one.
-
-    Args:
-        identification: that it comes from; None where nothing was learned.
-    """
+    """Other models that may be the true one; `identification` is None where nothing was learned."""
     if identification is not None:
         return identification.samples(options.samples, options.seed)
     arm = obj.p_BC - obj.p_BC.mean(axis=0)
@@ -133,19 +128,13 @@ class Robustness:
         return len(poses) if held.all() else int(np.argmin(held))
 
 
-DEFAULT_TOLERANCE = 0.02
-"""Mean cell error at which a goal counts as reached, m: the paper's."""
+DEFAULT_TOLERANCE = 0.02  # mean cell error at which a goal counts as reached, m: the paper's
 
 DEFAULT_MAX_PUSHES = 25
 
-BEAM = 3
-"""First pushes towards the goal that a second is searched for."""
-
-SECOND_STARTS, SECOND_BUDGET = 5, 16
-"""Starts of the second push's search, and its most simulations."""
-
-MIN_GAIN = 0.001
-"""m by which a push must shorten what is left to go to be worth making."""
+BEAM = 3  # first pushes towards the goal that a second is searched for
+SECOND_STARTS, SECOND_BUDGET = 5, 16  # starts of the second push's search, and its most simulations
+MIN_GAIN = 0.001  # m by which a push must shorten what is left to go to be worth making
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,8 +162,7 @@ class GoalRules:
     max_pushes: int = DEFAULT_MAX_PUSHES
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.tolerance) and self.tolerance > 0):
-            raise PlanningError(f"tolerance is {self.tolerance!r}; expected a positive number (m)")
+        require_positive(PlanningError, unit="m", tolerance=self.tolerance)
         if self.max_pushes < 0:
             raise PlanningError(f"max_pushes is {self.max_pushes!r}; expected 0 or more")
         if self.horizon not in (1, 2):
@@ -183,21 +171,13 @@ class GoalRules:
 
 @dataclass(frozen=True, eq=False)
 class NextPush:
-    """A decision.
+    """A decision."""
 
-    Attributes:
-        push: the push; None where none gains enough.
-        cost: what is left to go after it, m (mean cell error, round obstacles).
-        final_cost: what is expected to be left at the end of the horizon, m.
-        horizon: 1 or 2, that of the search the push comes from.
-        simulations: that the decision took.
-    """
-
-    push: PlannedPush | None
-    cost: float
-    final_cost: float
-    horizon: int
-    simulations: int
+    push: PlannedPush | None  # the push; None where none gains enough
+    cost: float  # what is left to go after it, m (mean cell error, round obstacles)
+    final_cost: float  # what is expected to be left at the end of the horizon, m
+    horizon: int  # 1 or 2, that of the search the push comes from
+    simulations: int  # that the decision took
 
 
 def choose_push(
@@ -208,12 +188,9 @@ def choose_push(
     rules: GoalRules,
     robustness: Robustness | None = None,
 ) -> NextPush:
-    """Decides on the next push.
+    """Decides on the next push of an object at `pose` (3,), m and rad.
 
-    Args:
-        pose: (3,) where it lies, m and rad.
-        rules: how to push; a push that comes as near as the tolerance is good enough.
-        robustness: cuts pushes short; None makes them as they are planned.
+    One that comes as near as the tolerance is good enough. `robustness` cuts pushes short; None makes them as planned.
     """
     search = _PushSearch(obj, params, pose, cost_to_go, rules, robustness)
     first = search.find_first("gradient")

@@ -33,23 +33,16 @@ import shapely
 from shapely import Polygon, affinity
 
 from gridpush_drake.dynamics.simulation import GRAVITY
-from gridpush_drake.errors import PlanningError
+from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, make_direction, make_rotation, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS
-from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
+from gridpush_drake.planning.pregrasp.side_grasp import SideGripper, make_rectangles
 
-PIECE_SHARE = 0.95
-"""Of the finger's depth that a piece must be long."""
-
-CHORDS = 11
-"""Lines across a piece that say where the jaws touch it."""
-
-ANGLES = 36
-"""Closing directions tried, evenly spaced over half a turn."""
-
-STEP = 0.01
-"""m, between stretches tried in one closing direction."""
+PIECE_SHARE = 0.95  # of the finger's depth that a piece must be long
+CHORDS = 11  # lines across a piece that say where the jaws touch it
+ANGLES = 36  # closing directions tried, evenly spaced over half a turn
+STEP = 0.01  # m, between stretches tried in one closing direction
 
 
 @dataclass(frozen=True)
@@ -76,9 +69,8 @@ class Gripper:
     hold: float = 0.35
 
     def __post_init__(self) -> None:
-        for name in ("opening", "depth", "thickness"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise PlanningError(f"gripper: {name} is {getattr(self, name)!r}; expected a positive number (m)")
+        lengths = {"opening": self.opening, "depth": self.depth, "thickness": self.thickness}
+        require_positive(PlanningError, "gripper: ", "m", **lengths)
         if not 0 <= 2 * self.clearance < self.opening:
             raise PlanningError(f"gripper: clearance is {self.clearance!r}; expected 0 to half the opening (m)")
         if not (0 <= self.hold <= 1 and self.pad >= 0):
@@ -105,11 +97,7 @@ class GraspPart:
 
 
 def find_grasp_parts(obj: GridObject, gripper: Gripper | None = None) -> list[GraspPart]:
-    """Finds where the gripper can take the object.
-
-    Returns:
-        The parts, by closing direction and place; empty where the object is too wide everywhere.
-    """
+    """Finds the narrow parts that the gripper can take, by closing direction and place; there may be none."""
     gripper = gripper or Gripper()
     parts: list[GraspPart] = []
     for angle in np.pi * np.arange(ANGLES) / ANGLES:
@@ -165,40 +153,29 @@ def _make_part(piece: Polygon, y: float, R: Array, gripper: Gripper) -> GraspPar
     return GraspPart(R @ middle, R[:, 0].copy(), float(x1 - x0), corners @ R.T)
 
 
-MM, PERCENT = 1e3, 100.0
-"""Millimeters in a meter, percent in the whole."""
+MM, PERCENT = 1e3, 100.0  # millimeters in a meter, percent in the whole
 
 USED = 0.8
 """Of what the pads can hold, that is used: for the lift's acceleration, and for pads that do not lie on evenly."""
 
-RIM_DETAIL = 0.005
-"""m: finer teeth of the rim turn no heading."""
-
-ALONG, DEEPER = 0.015, 0.01
-"""m between places along the rim, and between depths from it, that are tried."""
+RIM_DETAIL = 0.005  # m: finer teeth of the rim turn no heading
+ALONG, DEEPER = 0.015, 0.01  # m between places along the rim, and between depths from it, that are tried
 
 
 @dataclass(frozen=True, eq=False)
 class PadLimit:
     """What the pads of a gripper can hold of an object.
 
-    Attributes:
-        gripper: its measures.
-        force: with which both jaws press, N.
-        weight: of the object, at most, N.
-
     Raises:
         PlanningError: force or weight is not positive.
     """
 
-    gripper: SideGripper
-    force: float
-    weight: float
+    gripper: SideGripper  # its measures
+    force: float  # with which both jaws press, N
+    weight: float  # of the object, at most, N
 
     def __post_init__(self) -> None:
-        for name in ("force", "weight"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise PlanningError(f"pads: {name} is {getattr(self, name)!r}; expected a positive number (N)")
+        require_positive(PlanningError, "pads: ", "N", force=self.force, weight=self.weight)
 
     @classmethod
     def of_object(cls, obj: GridObject, gripper: SideGripper, force: float) -> "PadLimit":
@@ -211,15 +188,12 @@ class PadLimit:
         return self.force * self.gripper.pad_length / 2, self.force * self.gripper.pad_width / 2
 
     def calc_shares(self, p_BG: Array, headings: Array, centers: Array) -> Array:
-        """What share of their limit the pads would have to hold.
+        """What share of their limit the pads would have to hold, (k,); over 1 is more than they can.
 
         Args:
             p_BG: (k, 2) grasp points, body frame, m.
             headings: (k,) in which the fingers point, body frame, rad.
-            centers: (v, 2) corners of a polygon that the center of mass is in, body frame, m.
-
-        Returns:
-            (k,) the largest over the polygon; over 1 is more than they can.
+            centers: (v, 2) corners of a polygon that the center of mass is in, body frame, m; the worst counts.
         """
         along = make_direction(headings)
         arm = centers[None] - p_BG[:, None]
@@ -247,13 +221,9 @@ class PadLimit:
 
 @dataclass(frozen=True, eq=False)
 class FlatPart(GraspPart):
-    """A place at the rim; its `closing` is across the fingers, its `width` that of the jaws.
+    """A place at the rim; its `closing` is across the fingers, its `width` that of the jaws."""
 
-    Attributes:
-        heading: in which the fingers point, body frame, rad.
-    """
-
-    heading: float
+    heading: float  # in which the fingers point, body frame, rad
 
 
 def find_held_parts(parts: Sequence[FlatPart], pads: PadLimit, centers: Array) -> list[FlatPart]:
@@ -269,8 +239,7 @@ def _stack(parts: Sequence[FlatPart]) -> tuple[Array, Array]:
 def find_flat_parts(obj: GridObject, gripper: SideGripper) -> list[FlatPart]:
     """Finds where the gripper can take an object by its rim, the fingers pointing straight in.
 
-    Returns:
-        The parts along the rim, each as far in as the pads need and as the gripper's body lets them, and between.
+    Along the rim each part is as far in as the pads need, as the gripper's body lets them, and in between.
     """
     inner = obj.outline.buffer(-gripper.margin)
     grown = obj.outline.buffer(gripper.object_clearance)
@@ -283,8 +252,9 @@ def find_flat_parts(obj: GridObject, gripper: SideGripper) -> list[FlatPart]:
         shallowest = gripper.pad_length / 2 + gripper.margin
         for depth in np.linspace(shallowest, deepest, max(int(np.ceil((deepest - shallowest) / DEEPER)), 0) + 1):
             part = _make_flat_part(point + depth * inward, heading, gripper)
-            pads = _make_rectangle(part, -gripper.pad_length / 2, gripper.pad_length / 2, gripper.pad_width)
-            body = _make_rectangle(part, -gripper.body_back, -gripper.body_front, gripper.body_width)
+            at = part.p_BG[None], np.array([heading])
+            pads = make_rectangles(*at, -gripper.pad_length / 2, gripper.pad_length / 2, gripper.pad_width)[0]
+            body = make_rectangles(*at, -gripper.body_back, -gripper.body_front, gripper.body_width)[0]
             if shapely.covers(inner, pads) and not shapely.intersects(grown, body):
                 parts.append(part)
     return parts
@@ -308,8 +278,3 @@ def _make_flat_part(p_BG: Array, heading: float, gripper: SideGripper) -> FlatPa
     corners = np.array([(back, -half), (front, -half), (front, half), (back, half)])
     across = make_direction(heading + np.pi / 2)
     return FlatPart(p_BG, across, gripper.jaw_width, transform(np.append(p_BG, heading), corners), heading)
-
-
-def _make_rectangle(part: FlatPart, back: float, front: float, width: float) -> shapely.Polygon:
-    corners = np.array([(back, -width / 2), (front, -width / 2), (front, width / 2), (back, width / 2)])
-    return shapely.Polygon(transform(np.append(part.p_BG, part.heading), corners))

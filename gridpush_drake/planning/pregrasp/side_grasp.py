@@ -28,15 +28,12 @@ from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import Array, make_rotation, transform, transform_shape, wrap_angle
+from gridpush_drake.geometry.se2 import Array, check_vector, make_rotation, transform, transform_shape, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.support_surface import SupportSurface
 
-TOUCH = 1e-6
-"""m, for round-off: rectangles may cross an edge by as much."""
-
-NEARLY_PARALLEL = np.radians(12)
-"""Between the two sides of a handle."""
+TOUCH = 1e-6  # m, for round-off: rectangles may cross an edge by as much
+NEARLY_PARALLEL = np.radians(12)  # between the two sides of a handle
 
 SAME = np.radians(0.2)
 """Between headings of which only that of the longer sides is tried: across the pads' length it is a tenth of a
@@ -48,19 +45,12 @@ ALONG = 4
 
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """Edges that a rectangle must not cross.
+    """Edges that a rectangle must not cross."""
 
-    Attributes:
-        edges: (e, 2, 2) their ends, m.
-        back: of the rectangle along the heading, from the grasp point, m.
-        front: likewise.
-        width: of the rectangle, m.
-    """
-
-    edges: Array
-    back: float
-    front: float
-    width: float
+    edges: Array  # (e, 2, 2) their ends, m
+    back: float  # of the rectangle along the heading, from the grasp point, m
+    front: float  # likewise
+    width: float  # of the rectangle, m
 
 
 def get_edges(shape: BaseGeometry) -> Array:
@@ -73,19 +63,14 @@ def get_edges(shape: BaseGeometry) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Handle:
-    """A narrow stretch of an object.
+    """A narrow stretch of an object."""
 
-    Attributes:
-        heading: along it, rad.
-        corners: (k, 2) ends of its sides, m.
-    """
-
-    heading: float
-    corners: Array
+    heading: float  # along it, rad
+    corners: Array  # (k, 2) ends of its sides, m
 
 
 def find_handles(edges: Array, shortest: float, widest: float) -> list[Handle]:
-    """Narrow handles: pairs of edges that face each other; their heading is the bisector.
+    """Narrow handles: pairs of edges that face each other, those of longer edges first, one of each heading.
 
     Args:
         edges: (e, 2, 2) of polygons, counterclockwise, m.
@@ -93,7 +78,7 @@ def find_handles(edges: Array, shortest: float, widest: float) -> list[Handle]:
         widest: handle that counts, m.
 
     Returns:
-        Those of longer edges first, each with a heading in [0, pi); those of the same heading are one.
+        Handles whose heading, the sides' bisector, is in [0, pi).
     """
     along = edges[:, 1] - edges[:, 0]
     length = np.linalg.norm(along, axis=1)
@@ -128,7 +113,7 @@ def find_places(
     aim: Array,
     step: float,
 ) -> tuple[Array, Array]:
-    """Points and headings with which the pads lie on an object.
+    """Points (k, 2), m, and headings (k,), rad, with which the pads lie on an object.
 
     Args:
         shape: what the pads must lie on, m.
@@ -137,9 +122,6 @@ def find_places(
         tries: headings, rad, with the corners (k, 2) of a narrow handle, to look there only, or None for everywhere.
         aim: (2,) point near which places are wanted, m.
         step: between lines, at most, m.
-
-    Returns:
-        (k, 2) points, m, and (k,) headings, rad.
     """
     headings = np.array([heading for heading, _ in tries])
     R = make_rotation(headings)
@@ -224,23 +206,15 @@ def _find_gaps(begin: Array, end: Array) -> tuple[NDArray[np.int64], Array, Arra
     return row, end[row, k], begin[row, k + 1]
 
 
-HEADINGS = 72
-"""Tried over a full turn, beside those of narrow handles."""
-
-MIN_EDGE = 0.25
-"""Of the pads' length, that the sides of a narrow handle are long."""
-
-ARC_DETAIL = 4
-"""Pieces of a quarter turn, where what is within or about the outline is round."""
-
-MAX_SLANT = np.radians(75)
-"""Between a heading and the shortest way in to the table."""
+HEADINGS = 72  # tried over a full turn, beside those of narrow handles
+MIN_EDGE = 0.25  # of the pads' length, that the sides of a narrow handle are long
+ARC_DETAIL = 4  # pieces of a quarter turn, where what is within or about the outline is round
+MAX_SLANT = np.radians(75)  # between a heading and the shortest way in to the table
 
 SLANT_SPARE = np.radians(5)
 """For the directions between those in which the table is seen from corners of the overhang."""
 
-STEP = 0.005
-"""m, between grasp points tried."""
+STEP = 0.005  # m, between grasp points tried
 
 
 @dataclass(frozen=True)
@@ -322,13 +296,11 @@ def find_side_grasps(
     step: float = STEP,
     headings: int = HEADINGS,
 ) -> list[SideGrasp]:
-    """Finds where the gripper can take an object that overhangs the edge.
+    """Finds where the gripper can take an object of a height (m), at a pose (3,), that overhangs the edge.
 
     Args:
-        pose: (3,) X_WB, m and rad.
         aim: (2,) point near which to grasp, body frame, m: the estimated center of mass; by default the mean of the
             cells.
-        height: of the object, m.
         step: between grasp points tried, m: at most so much across the heading, four times as much along it.
         headings: tried over a full turn, beside those of narrow handles.
 
@@ -339,8 +311,8 @@ def find_side_grasps(
         PlanningError: a number is not finite or not positive, or the object is too thick for the gripper.
     """
     gripper = gripper or SideGripper()
-    q = _check_vector("pose", pose, 3)
-    target = obj.p_BC.mean(axis=0) if aim is None else _check_vector("aim", aim, 2)
+    q = check_vector(PlanningError, "pose", pose, 3)
+    target = obj.p_BC.mean(axis=0) if aim is None else check_vector(PlanningError, "aim", aim, 2)
     if not (np.isfinite(height) and height > 0 and np.isfinite(step) and step > 0 and headings >= 1):
         raise PlanningError(
             f"height is {height!r}, step {step!r} and headings {headings!r}; expected positive lengths (m) and a number"
@@ -355,7 +327,7 @@ def find_side_grasps(
         return []
     p_BG = (points - q[:2]) @ R
     distance = np.linalg.norm(p_BG - target, axis=1)
-    clear = shapely.distance(_make_rectangles(points, angles, *_lower_jaw(gripper)), surface.polygon)
+    clear = shapely.distance(make_rectangles(points, angles, *_lower_jaw(gripper)), surface.polygon)
     order = np.lexsort((-clear, np.round(distance, 6)))
     return [
         SideGrasp(points[i].copy(), float(angles[i]), p_BG[i].copy(), float(distance[i]), float(clear[i]))
@@ -442,7 +414,7 @@ def _filter(
         (grown, jaws_before),
     )
     for shape, (back, front, width) in tests:
-        kept = kept[~shapely.intersects(shape, _make_rectangles(points[kept], angles[kept], back, front, width))]
+        kept = kept[~shapely.intersects(shape, make_rectangles(points[kept], angles[kept], back, front, width))]
     return kept
 
 
@@ -456,36 +428,22 @@ def _lower_jaw(gripper: SideGripper) -> tuple[float, float, float]:
     return -gripper.body_front - gripper.standoff, gripper.jaw_reach, gripper.jaw_width
 
 
-def _make_rectangles(points: Array, angles: Array, back: float, front: float, width: float) -> NDArray[np.object_]:
+def make_rectangles(points: Array, angles: Array, back: float, front: float, width: float) -> NDArray[np.object_]:
     """Rectangles from `back` to `front` along the headings, seen from the points, m."""
     corners = np.array([(back, -width / 2), (front, -width / 2), (front, width / 2), (back, width / 2)])
     return shapely.polygons(transform(np.column_stack([points, angles]), corners))
 
 
-def _check_vector(name: str, value: ArrayLike, size: int) -> Array:
-    vector = np.array(value, dtype=np.float64)
-    if vector.shape != (size,) or not np.isfinite(vector).all():
-        raise PlanningError(f"{name} is {value!r}; expected {size} finite numbers")
-    return vector
-
-
-APART = 0.01
-"""m between grasp points, from which on two grasps differ."""
-
-TURNED = np.radians(12)
-"""Likewise between headings."""
+APART = 0.01  # m between grasp points, from which on two grasps differ
+TURNED = np.radians(12)  # likewise between headings
 
 
 def choose_varied(
     grasps: Sequence[SideGrasp], count: int, *, apart: float = APART, turned: float = TURNED
 ) -> list[SideGrasp]:
-    """Chooses the first grasps, each unlike all chosen before it.
+    """Chooses at most `count` grasps of a list, the best first: a few that differ, as to ask an arm takes time.
 
-    Args:
-        grasps: the best first.
-        count: how many to choose, at most.
-        apart: grasp points at this distance differ, m.
-        turned: headings with this angle between them differ, rad.
+    One is unlike those chosen before it from `apart` (m) between the points or `turned` (rad) between the headings on.
     """
     p_WG = np.array([grasp.p_WG for grasp in grasps]).reshape(-1, 2)
     approach = np.array([grasp.approach for grasp in grasps])

@@ -25,20 +25,13 @@ class Importer(Protocol):
     A field is a bool, a number, a text, or a GridObject where an object's file or name is asked for. Its metadata has
     its `help` and, where it is not called after the field, its `name` on the command line. The first line of the
     class's docstring is the command's help.
-
-    Attributes:
-        file: a stand-in for the file's name, such as "LOG.txt".
-        source: where such files are from.
     """
 
-    file: ClassVar[str]
-    source: ClassVar[str]
+    file: ClassVar[str]  # a stand-in for the file's name, such as "LOG.txt"
+    source: ClassVar[str]  # where such files are from
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
-        """Reads a file.
-
-        Returns:
-            The pushes, and the object that was pushed.
+        """Reads a file's pushes, and the object that was pushed.
 
         Raises:
             PushLogError: the file cannot be read or is not of its form; the message names the file and what is wrong.

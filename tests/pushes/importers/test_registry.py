@@ -14,7 +14,7 @@ KINDS = (bool, int, float, str, str | None, GridObject | None)
 def test_an_importer_is_what_the_command_line_takes_it_for(name):
     importer = find_importer(name)
     types = get_type_hints(importer)
-    assert importer.__doc__.partition("\n")[0].endswith(").") and importer.file and importer.source
+    assert importer.__doc__.partition("\n")[0].endswith(".") and importer.file and importer.source
     for field in dataclasses.fields(importer):
         assert types[field.name] in KINDS
         assert field.metadata["help"].endswith(".")
