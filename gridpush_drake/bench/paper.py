@@ -31,9 +31,8 @@ from gridpush_drake.bench.table import MM, Column, Table, check_figure, write_pa
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import METHODS, identify
-from gridpush_drake.identification.prediction import calc_pose_error, predict
+from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.push_log import PushLog
 
 UNIFORM = "uniform prior"
 DEFAULT = "default"
@@ -248,7 +247,7 @@ def run_job(job: Job) -> list[Score]:
     train, test = case.log.subset(split.train), case.log.subset(split.test)
 
     def score(method: str, budget: int, simulations: int, params: CellParameters, regime: Regime) -> Score:
-        error = calc_test_error(case, params, test, regime)
+        error = calc_mean_cell_error(case.obj, params, test, regime)
         return Score(job.name, job.mass_set, job.training, method, budget, simulations, error)
 
     scores = []
@@ -260,12 +259,6 @@ def run_job(job: Job) -> list[Score]:
             found = identify(case.obj, train, method=method, seed=job.seed, budget=budget)
             scores.append(score(method, budget, found.simulations, found.params, found.regime))
     return scores
-
-
-def calc_test_error(case: Case, params: CellParameters, test: PushLog, regime: Regime) -> float:
-    """Mean over pushes of the mean distance of the cells between predicted and observed final poses, m."""
-    pairs = zip(predict(case.obj, params, test, regime), test, strict=True)
-    return float(np.mean([calc_pose_error(case.obj, made.poses[-1], seen.final_pose).cell for made, seen in pairs]))
 
 
 def _check(protocol: Protocol, names: Sequence[str], methods: Sequence[str], budget: int, sets: int) -> None:

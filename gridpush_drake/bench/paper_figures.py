@@ -24,6 +24,7 @@ from gridpush_drake.bench.table import MM, PERCENT, Table
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.identification.learning import METHODS, identify
+from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.report.draw import draw_cells, hide_axes, make_chart, make_grid, to_png, to_svg
 
@@ -186,8 +187,7 @@ def learn_map(job: MapJob) -> MassMap:
     split = protocol.splits[paper.TRAINING_PUSHES][job.mass_set]
     found = identify(case.obj, case.log.subset(split.train), seed=job.seed)
     hidden = np.array(protocol.masses[job.name][job.mass_set])[read_object(protocol, job.name).labels - 1]
-    test = case.log.subset(split.test)
-    error = paper.calc_test_error(case, found.params, test, found.regime)
+    error = calc_mean_cell_error(case.obj, found.params, case.log.subset(split.test), found.regime)
     mean = found.params.mass.mean()
     return MassMap(
         job.name, (hidden / hidden.mean()).tolist(), (found.params.mass / mean).tolist(),

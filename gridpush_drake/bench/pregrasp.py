@@ -19,15 +19,14 @@ from pathlib import Path
 import numpy as np
 
 from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
-from gridpush_drake.bench.pregrasp_world import (
-    EdgeWorld,
-    MujocoWorld,
-    Outcome,
-    PaperLearner,
+from gridpush_drake.bench.pregrasp_world import EdgeWorld, MujocoWorld, Outcome, PaperLearner, run_pregrasp
+from gridpush_drake.bench.protocol import (
+    MASS_RANGE,
+    PLANNING_METERS_PER_PIXEL,
     add_pose_noise,
-    run_pregrasp,
+    find_masks,
+    know_friction,
 )
-from gridpush_drake.bench.protocol import MASS_RANGE, PLANNING_METERS_PER_PIXEL, find_masks, know_friction
 from gridpush_drake.bench.table import MM, PERCENT, Column, Table, count_of, mean_of
 from gridpush_drake.bench.truth_sets import KINDS
 from gridpush_drake.dynamics.simulation import simulate

@@ -48,11 +48,6 @@ ONE_OBSERVATION = PreGraspLoopOptions(observations=1)
 """Nothing moves between two pushes: the object is decided on as it is first seen."""
 
 
-def add_pose_noise(pose: Array, rng: np.random.Generator) -> Array:
-    """A pose (3,) with noise."""
-    return pose + np.array([POSITION_STD, POSITION_STD, ANGLE_STD]) * rng.standard_normal(3)
-
-
 class EdgeWorld(SimulatedWorld):
     """A hidden object on a table, whose support presses as much as what lies on it bears; seen anew at every look."""
 

@@ -336,6 +336,11 @@ def hide_parts(obj: GridObject) -> GridObject:
     return replace(obj, labels=np.ones(obj.n, dtype=np.int64))
 
 
+def add_pose_noise(pose: Array, rng: np.random.Generator) -> Array:
+    """A pose (3,) as it is seen."""
+    return pose + np.array([POSITION_STD, POSITION_STD, ANGLE_STD]) * rng.standard_normal(3)
+
+
 def know_friction(obj: GridObject, low: float, high: float) -> GridObject:
     """The object with support friction known to be within a range, its geometric mean the prior, but no weight."""
     middle = float(np.sqrt(low * high))

@@ -23,12 +23,12 @@ from scipy.io import whosmat
 
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.plant import DISTANCE, SPEED, draw_push
-from gridpush_drake.bench.protocol import ANGLE_STD, MASS_RANGE, POSITION_STD, check_folder, hide_parts
+from gridpush_drake.bench.protocol import ANGLE_STD, MASS_RANGE, POSITION_STD, add_pose_noise, check_folder, hide_parts
 from gridpush_drake.bench.table import MM, Table, Value, check_figure, write_panels
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import identify
-from gridpush_drake.identification.prediction import calc_pose_error, predict
+from gridpush_drake.identification.prediction import calc_final_errors, predict
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
 from gridpush_drake.objects.parameters import CellParameters
@@ -60,12 +60,11 @@ def simulate_log(path: Path, seed: int, number: int) -> tuple[PushLog, GridObjec
     truth_seed, first = (int(value) for value in rng.integers(2**31, size=2))
     truth = CellParameters.random(obj, truth_seed, MASS_RANGE, FRICTION_RANGE)
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
-    noise = np.array([POSITION_STD, POSITION_STD, ANGLE_STD])
     pushes = []
     for i in range(PUSHES):
         push, pose = draw_push(obj, truth, first + i, radius)
         last = simulate(obj, truth, push, pose, regime="quasi_static").final_pose
-        before, after = (at + noise * rng.standard_normal(3) for at in (pose, last))
+        before, after = add_pose_noise(pose, rng), add_pose_noise(last, rng)
         pushes.append(ObservedPush(f"push_{i + 1:02d}", push, before, np.array([push.duration]), after[None]))
     plain = replace(obj, prior=replace(obj.prior, total_mass=None))
     return PushLog(tuple(pushes), source=f"{obj.name}, simulated, number {number}"), hide_parts(plain)
@@ -244,10 +243,7 @@ def run_job(job: Job) -> list[Score]:
 
 
 def _score(job: Job, model: str, training: int, obj: GridObject, params: CellParameters, test: PushLog) -> Score:
-    errors = [
-        calc_pose_error(obj, made.at_observations[-1], seen.final_pose)
-        for made, seen in zip(predict(obj, params, test), test, strict=True)
-    ]
+    errors = [error for error in calc_final_errors(obj, predict(obj, params, test), test) if error is not None]
     position, angle = tuple(error.position for error in errors), tuple(error.angle for error in errors)
     return Score(job.name or job.path.stem, job.split, model, training, position, angle)
 

@@ -17,7 +17,8 @@ from gridpush_drake.bench.pregrasp import (
     tabulate_exploration_by_object,
     tabulate_slides,
 )
-from gridpush_drake.bench.pregrasp_world import EdgeWorld, MujocoWorld, Outcome, add_pose_noise
+from gridpush_drake.bench.pregrasp_world import EdgeWorld, MujocoWorld, Outcome
+from gridpush_drake.bench.protocol import add_pose_noise
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
 
