@@ -242,8 +242,12 @@ class Camera:
                 the message names the file and the field. ROS's and OpenCV's must have distortion coefficients.
         """
         path = Path(path)
-        text = OPENCV_HEAD.sub("", read_text(path, WHAT, CameraError))
-        data = parse_yaml(path, text, WHAT, CameraError, tagged=True)
+        return cls.parse(path, read_text(path, WHAT, CameraError))
+
+    @classmethod
+    def parse(cls, path: Path, text: str) -> "Camera":
+        """Makes a camera of the text of a file, which need not be there; otherwise as `read`."""
+        data = parse_yaml(path, OPENCV_HEAD.sub("", text), WHAT, CameraError, tagged=True)
         if not isinstance(data, dict):
             raise CameraError(f"{path}: expected {WHAT}: `key: value` lines")
         try:

@@ -7,62 +7,54 @@ Its body frame F is chosen then; the plant's object is given in it, so that pose
 
 import ctypes
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 from pydrake.common import MemoryFile
+from pydrake.common.yaml import yaml_dump_typed
 from pydrake.geometry import (
-    ClippingRange,
-    ColorRenderCamera,
-    DepthRange,
-    DepthRenderCamera,
     InMemoryMesh,
     LightParameter,
     MakeRenderEngineVtk,
     Mesh,
-    RenderCameraCore,
     RenderEngineVtkParams,
     Role,
     SceneGraph,
 )
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 from pydrake.systems.framework import Context, DiagramBuilder, System
-from pydrake.systems.sensors import CameraInfo, RgbdSensor
+from pydrake.systems.sensors import RgbdSensor
 from shapely.geometry.base import BaseGeometry
 
-from gridpush_drake.errors import PerceptionError, ScenarioError, StationError
+from gridpush_drake.errors import CameraError, PerceptionError, ScenarioError, StationError
 from gridpush_drake.geometry.se2 import transform_back
 from gridpush_drake.multibody.contact_material import TABLE
 from gridpush_drake.multibody.grid_object import GridObjectInPlant
 from gridpush_drake.multibody.ground_truth import SetGridObjectPose
 from gridpush_drake.multibody.meshcat_shapes import make_outline_mesh
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.perception.camera import DRAKE_PIXEL_MIDDLE, Camera
+from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.detection import DetectedObject, detect_object
 from gridpush_drake.perception.tracking import PoseTracker
-from gridpush_drake.station.scenario import CameraConfig, PushScenario, RgbdConfig
+from gridpush_drake.station.scenario import CameraConfig, PushScenario
 from gridpush_drake.systems.object_pose_estimator import ObjectPoseEstimator
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 from gridpush_drake.systems.rgbd_noise import RgbdNoise
 
 RENDERER = "station_camera"
 
-NEAREST, FARTHEST = 0.1, 5.0
-"""Of what is rendered, and of what depth is measured, m."""
-
-LIGHT, BACKGROUND = (0.15, 0.25, 1.0), (0.30, 0.31, 0.33)
-"""Direction of the light in the camera's frame; color of what is beyond the scene."""
+LIGHT = (0.15, 0.25, 1.0)
+"""Direction of the light in the camera's frame."""
 
 OBJECT_COLOR = (0.42, 0.13, 0.11, 1.0)
 """Of the plant's object in the camera's pictures: red, green, blue and opacity."""
 
 TABLE_SHARE = 75
 """Percent of what is seen, nearest to its median in color, that is taken for table."""
-
-VERTICAL = np.array([0.0, 0.0, 1.0])
 
 
 def check_renderer() -> None:
@@ -76,29 +68,21 @@ def check_renderer() -> None:
         ) from error
 
 
-def make_camera(config: RgbdConfig) -> Camera:
-    """The camera that a scenario describes, upright, with its pose in W.
+def make_camera(config: CameraConfig) -> Camera:
+    """The camera that a scenario describes, with its pose in W, as `gridpush object` reads it of a file.
 
     Raises:
-        ScenarioError: it looks straight down, or at itself.
+        ScenarioError: it is not in the world, or color and depth are not from one place.
     """
-    p_WC, target = np.array(config.position), np.array(config.target)
-    right = np.cross(target - p_WC, VERTICAL)
-    if not np.linalg.norm(right) > 0:
-        raise ScenarioError("camera.rgbd.target is above or below camera.rgbd.position; expected it to one side")
-    X_WC = np.eye(4)
-    X_WC[:3, 0] = right / np.linalg.norm(right)
-    X_WC[:3, 2] = (target - p_WC) / np.linalg.norm(target - p_WC)
-    X_WC[:3, 1] = np.cross(X_WC[:3, 2], X_WC[:3, 0])
-    X_WC[:3, 3] = p_WC
-    K = CameraInfo(config.width, config.height, config.fov_y).intrinsic_matrix()
-    K[:2, 2] -= DRAKE_PIXEL_MIDDLE
-    return Camera(config.width, config.height, K, np.zeros(0), X_WC)
+    try:
+        return Camera.parse(Path("camera.rgbd"), yaml_dump_typed(config.rgbd))
+    except CameraError as error:
+        raise ScenarioError(str(error)) from error
 
 
 def calc_pose_age(config: CameraConfig) -> float:
     """How old a pose is when the identifier reads it, s: it sees the picture before the one being taken, or older."""
-    pictures = 1.0 if config.kind == "ideal" else max(1.0, np.ceil(config.rgbd.latency * config.rate))
+    pictures = 1.0 if config.kind == "ideal" else max(1.0, np.ceil(config.rgbd.output_delay * config.rate))
     return float(pictures / config.rate)
 
 
@@ -148,28 +132,22 @@ def AddRgbdCamera(
         StationError: nothing can be rendered here.
     """
     check_renderer()
-    config, camera = scenario.camera.rgbd, make_camera(scenario.camera.rgbd)
+    config, drake = scenario.camera, scenario.camera.rgbd
+    camera = make_camera(config)
     light = LightParameter(type="directional", direction=LIGHT, frame="camera")
-    params = RenderEngineVtkParams(lights=[light], default_clear_color=np.array(BACKGROUND))
+    params = RenderEngineVtkParams(lights=[light], default_clear_color=drake.background.rgba[:3])
+    drake.renderer_name = RENDERER
     scene_graph.AddRenderer(RENDERER, MakeRenderEngineVtk(params))
-    info = CameraInfo(config.width, config.height, config.fov_y)
-    core = RenderCameraCore(RENDERER, info, ClippingRange(NEAREST, FARTHEST), RigidTransform())
-    X_WC = RigidTransform(RotationMatrix(camera.pose[:3, :3]), camera.center)
     sensor = builder.AddNamedSystem(
         "rgbd_sensor",
-        RgbdSensor(
-            scene_graph.world_frame_id(),
-            X_WC,
-            ColorRenderCamera(core),
-            DepthRenderCamera(core, DepthRange(NEAREST, FARTHEST)),
-        ),
+        RgbdSensor(scene_graph.world_frame_id(), drake.X_PB.GetDeterministicValue(), *drake.MakeCameras()),
     )
     noise = builder.AddNamedSystem(
         "rgbd_noise",
         RgbdNoise(
-            config.width,
-            config.height,
-            1 / scenario.camera.rate,
+            drake.width,
+            drake.height,
+            1 / config.rate,
             depth_noise=config.depth_noise,
             depth_edge=config.depth_edge,
             color_noise=config.color_noise,
@@ -203,7 +181,7 @@ def AddPoseEstimator(
             config.rgbd.width,
             config.rgbd.height,
             period=1 / config.rate,
-            latency=config.rgbd.latency,
+            latency=config.rgbd.output_delay,
             guess=found.pose,
             hidden_by=camera.hidden_by,
         ),

@@ -12,14 +12,25 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 import yaml
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, InstanceOf, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    InstanceOf,
+    PlainSerializer,
+    ValidationError,
+)
 from pydrake.common.yaml import yaml_dump as dump_tagged
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_data, yaml_load_typed
 from pydrake.multibody.parsing import AddDirectives, ModelDirective, ModelDirectives
+from pydrake.systems.sensors import CameraConfig as DrakeCameraConfig
 
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.files import is_file, read_text, write_whole
 from gridpush_drake.multibody.ground_truth import CELL_MASS_RANGE, CONTACT_FRICTION_RANGE, FRICTION_RANGE, Support
+from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.yaml_file import MAX_YAML_SIZE, NOT_YAML, check_yaml, explain, list_expected, shorten, suggest
 
 CURRENT_VERSION = 1
@@ -38,7 +49,13 @@ MAX_SEED = 2**63 - 1
 MIN_POKE = 0.01
 """Least path of a push that explores, m: as far as it must move the object to be made (`RandomPokeOptions`)."""
 
+ROBOT = "robot"
+"""Key of a file that names a robot instead of its scene."""
+
 WHAT = "a scenario (object, base, directives, ...)"
+
+REFUSALS = (RuntimeError, TypeError, ValueError, AssertionError, AttributeError, yaml.YAMLError)
+"""What Drake's reader of typed YAML raises."""
 
 LINE_LENGTH = 120
 """Of a written scenario, characters."""
@@ -208,34 +225,69 @@ class PreGraspConfig(_Config):
     hold: Annotated[Number, _positive("s", high=3600.0)] = 3.0
 
 
-class RgbdConfig(_Config):
-    """A color and depth camera beside the table, as it is rendered.
+RGBD: dict[str, Any] = {
+    "width": 640,
+    "height": 480,
+    "focal": {"y": 42.0, "_tag": "!FovDegrees"},
+    "clipping_near": 0.1,
+    "clipping_far": 5.0,
+    "z_near": 0.1,
+    "z_far": 5.0,
+    "X_PB": {"translation": [0.6, -0.38, 1.0], "rotation": {"deg": [-162.768, 0.0, 1.848], "_tag": "!Rpy"}},
+    "background": {"rgba": [0.30, 0.31, 0.33, 1.0]},
+    "output_delay": 0.0,
+}
+"""What the camera is where a scenario does not say it: beside the table, looking down on it aslant."""
 
-    Attributes:
-        width: of the image, pixels.
-        height: of the image, pixels.
-        fov_y: field of view along y, rad.
-        position: p_WC, m.
-        target: what it looks at, W, m.
-        latency: between the picture and its pose, s.
-        depth_noise: standard deviation at a distance of 1 m, m; it grows with the distance squared.
-        depth_edge: jump of depth between neighbors, m, at which depth is not measured.
-        color_noise: standard deviation of a color's value, of 255.
-        exposure_noise: standard deviation of a picture's exposure, a share.
-    """
+RENAMED_RGBD = {
+    "fov_y": "is Drake's focal now; expected focal: !FovDegrees {y: DEGREES}",
+    "position": "is Drake's X_PB now; expected X_PB: {translation: [x, y, z], rotation: !Rpy {deg: [...]}}",
+    "target": "is Drake's X_PB now; expected X_PB: {translation: [x, y, z], rotation: !Rpy {deg: [...]}}",
+    "latency": "is Drake's output_delay now, in s",
+    "fps": "is not read here; camera.rate says it, in Hz",
+    **{
+        name: f"stands above now; expected camera.{name}"
+        for name in ("depth_noise", "depth_edge", "color_noise", "exposure_noise")
+    },
+}
+"""What became of keys of old, and where Drake's CameraConfig has what stands elsewhere."""
 
-    width: Annotated[int, _count(64, 4096)] = 640
-    height: Annotated[int, _count(64, 4096)] = 480
-    fov_y: Annotated[Number, Field(gt=0, lt=radians(150), description="an angle from 0 to less than 2.6, in rad")] = (
-        radians(42)
-    )
-    position: Point = [0.6, -0.38, 1.0]
-    target: Point = [0.59, -0.07, 0.0]
-    latency: Annotated[Number, _not_negative("s")] = 0.0
-    depth_noise: Annotated[Number, _not_negative("m")] = 0.0015
-    depth_edge: Annotated[Number, _positive("m")] = 0.01
-    color_noise: Annotated[Number, _not_negative("of 255")] = 2.0
-    exposure_noise: Annotated[Number, _not_negative("a share")] = 0.02
+RGBD_KEYS = (*RGBD, "center_x", "center_y", "X_BC", "X_BD")
+"""Keys of Drake's CameraConfig that say something here: the renderer is the station's, and all images are taken."""
+
+MIN_SIDE, MAX_SIDE = 64, 4096
+"""Of a picture, pixels."""
+
+
+def _read_rgbd(data: Any) -> DrakeCameraConfig:
+    """Makes Drake's CameraConfig of what YAML has of it; one that is made already is checked again."""
+    place = "camera.rgbd"
+    data = _dump_rgbd(data) if isinstance(data, DrakeCameraConfig) else data
+    for key in data if isinstance(data, dict) else ():
+        if key in RENAMED_RGBD:
+            raise ScenarioError(f"{place}.{key}: {RENAMED_RGBD[key]}")
+    _check_keys(data, DrakeCameraConfig, place)
+    for key in data:
+        if key not in RGBD_KEYS:
+            raise ScenarioError(f"{place}.{key}: says nothing here; expected one of {', '.join(RGBD_KEYS)}")
+    try:
+        config: DrakeCameraConfig = yaml_load_typed(schema=DrakeCameraConfig, data=dump_tagged(RGBD | data))
+        config.MakeCameras()
+    except REFUSALS as error:
+        raise ScenarioError(f"{place}: {' '.join(str(error).split())}") from error
+    for name in ("width", "height"):
+        if not MIN_SIDE <= getattr(config, name) <= MAX_SIDE:
+            side = getattr(config, name)
+            raise ScenarioError(f"{place}.{name} is {side}; expected {MIN_SIDE} to {MAX_SIDE} pixels")
+    if not 0 <= config.output_delay <= MAX_DELAY:
+        raise ScenarioError(f"{place}.output_delay is {config.output_delay}; expected 0 to {MAX_DELAY:g} s")
+    return config
+
+
+def _dump_rgbd(config: DrakeCameraConfig) -> dict[str, Any]:
+    """What YAML has of it, with tags under _tag, as Drake's own reader leaves them."""
+    data = yaml_load_data(yaml_dump_typed(config, schema=DrakeCameraConfig))
+    return {key: data[key] for key in RGBD_KEYS if key in data}
 
 
 class CameraConfig(_Config):
@@ -247,14 +299,27 @@ class CameraConfig(_Config):
         rate: poses a second, Hz.
         position_noise: standard deviation per axis, m; of an ideal one.
         angle_noise: standard deviation, rad; of an ideal one.
-        rgbd: the camera, where it is one.
+        depth_noise: standard deviation of depth at a distance of 1 m, m; it grows with the distance squared.
+        depth_edge: jump of depth between neighbors, m, at which depth is not measured.
+        color_noise: standard deviation of a color's value, of 255.
+        exposure_noise: standard deviation of a picture's exposure, a share.
+        rgbd: the color and depth camera, as Drake's CameraConfig, of which RGBD_KEYS are read; `output_delay` is the
+            time from a picture to its pose. `gridpush object --camera` reads the same.
     """
 
     kind: Annotated[Literal["ideal", "rgbd"], Field(description="one of ideal, rgbd")] = "ideal"
     rate: Annotated[Number, _positive("Hz", low=0.1, high=1000.0)] = 30.0
     position_noise: Annotated[Number, _not_negative("m")] = 0.0005
     angle_noise: Annotated[Number, _not_negative("rad")] = radians(0.2)
-    rgbd: RgbdConfig = RgbdConfig()
+    depth_noise: Annotated[Number, _not_negative("m")] = 0.0015
+    depth_edge: Annotated[Number, _positive("m")] = 0.01
+    color_noise: Annotated[Number, _not_negative("of 255")] = 2.0
+    exposure_noise: Annotated[Number, _not_negative("a share")] = 0.02
+    rgbd: Annotated[
+        InstanceOf[DrakeCameraConfig],
+        BeforeValidator(_read_rgbd),
+        PlainSerializer(_dump_rgbd),
+    ] = Field(default_factory=lambda: _read_rgbd({}), description="keys of Drake's CameraConfig")
 
 
 class PartTruth(_Config):
@@ -314,16 +379,20 @@ class SafetyConfig(_Config):
 
     Attributes:
         status_age: greatest age of what the robot says of itself, s.
+        command_age: greatest age of a command, after which a twin brings the arm to rest, s; see `CommandRamp`.
         acceleration: greatest of a joint, rad/s² (m/s² where it slides).
         torque_share: greatest torque on a joint from outside, as a share of what the joint can give.
+        force: greatest on the finger's tip, N.
         pose_jump: farthest that the object may be seen to move at once, m.
         pose_turn: likewise, rad.
         margin: beyond workspace and home, that the tip may go, m.
     """
 
     status_age: Annotated[Number, _positive("s")] = 0.05
+    command_age: Annotated[Number, _positive("s")] = 0.01
     acceleration: Annotated[Number, _positive("rad/s²")] = 10.0
     torque_share: Annotated[Number, _positive("of the joint's own", high=1.0)] = 0.1
+    force: Annotated[Number, _positive("N")] = 30.0
     pose_jump: Annotated[Number, _positive("m")] = 0.03
     pose_turn: Annotated[Number, _positive("rad")] = 0.3
     margin: Annotated[Number, _not_negative("m")] = 0.1
@@ -353,7 +422,7 @@ def _read_directive(data: Any, at: int) -> ModelDirective:
     _check_keys(data, ModelDirective, f"directives[{at}]")
     try:
         directive: ModelDirective = yaml_load_typed(schema=ModelDirective, data=dump_tagged(data))
-    except (RuntimeError, TypeError, ValueError, AssertionError, AttributeError, yaml.YAMLError) as error:
+    except REFUSALS as error:
         raise ScenarioError(f"directives: {' '.join(str(error).split())}") from error
     return directive
 
@@ -469,7 +538,8 @@ def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushSce
     """Reads a scenario, or one of several in a file.
 
     Args:
-        path: the YAML file.
+        path: the YAML file. Instead of `directives` it may have `robot`, the name of one that comes with the package or
+            the folder of a robot.yaml, for the scene that it names, to grasp in where it can.
         child_name: key of the document's root under which the scenario stands; the root itself where None.
 
     Returns:
@@ -494,6 +564,8 @@ def parse_scenario(path: Path, text: str, *, child_name: str | None = None) -> P
         if not isinstance(data, dict):
             raise ScenarioError(f"the scenario is {shorten(data)}; expected `key: value` lines")
         _check_version(data.get("version", CURRENT_VERSION))
+        if ROBOT in data:
+            data = _name_robot(path, data)
         scenario = PushScenario(**data)
     except ScenarioError as error:
         raise ScenarioError(f"{where}: {error}") from error
@@ -524,9 +596,23 @@ def format_scenario(scenario: PushScenario) -> str:
     """A scenario with every field, as YAML. Raises ScenarioError where a field holds what will not do."""
     scenario.check()
     fields = scenario.model_dump(exclude={"directives"})
-    text = yaml.safe_dump(fields, sort_keys=False, default_flow_style=None, allow_unicode=True, width=LINE_LENGTH)
+    text = yaml.dump(
+        fields, Dumper=_TaggedDumper, sort_keys=False, default_flow_style=None, allow_unicode=True, width=LINE_LENGTH
+    )
     directives = ModelDirectives(directives=scenario.directives)
     return text + str(yaml_dump_typed(directives, schema=ModelDirectives))
+
+
+class _TaggedDumper(yaml.SafeDumper):
+    """Safe, and writes what stands under _tag in a mapping as its tag, as Drake's reader expects it."""
+
+
+def _represent_mapping(dumper: yaml.SafeDumper, data: dict[str, Any]) -> yaml.Node:
+    tag = data.get("_tag", yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG)
+    return dumper.represent_mapping(tag, {key: value for key, value in data.items() if key != "_tag"})
+
+
+_TaggedDumper.add_representer(dict, _represent_mapping)
 
 
 def _parse(path: Path, text: str) -> dict[str, Any]:
@@ -543,6 +629,18 @@ def _parse(path: Path, text: str) -> dict[str, Any]:
         if not isinstance(key, str):
             raise ScenarioError(f"{path}: {key}: unknown key; expected {WHAT}")
     return {key: value for key, value in data.items() if not key.startswith("_")}
+
+
+def _name_robot(path: Path, data: dict[str, Any]) -> dict[str, Any]:
+    """The scene of the robot that the data names, in its place."""
+    robot = data[ROBOT]
+    if not isinstance(robot, str) or not robot.strip():
+        raise ScenarioError(f"{ROBOT} is {shorten(robot)}; expected a robot's name, or the folder of a robot.yaml")
+    if "directives" in data:
+        raise ScenarioError(f"{ROBOT} and directives are both given; expected one of them")
+    beside = path.parent / robot
+    directives = make_robot_directives(str(beside) if is_file(beside / "robot.yaml") else robot, grasping=None)
+    return {key: value for key, value in data.items() if key != ROBOT} | {"directives": directives}
 
 
 def _pick_child(path: Path, data: dict[str, Any], name: str) -> Any:

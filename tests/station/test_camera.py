@@ -1,5 +1,7 @@
 """The color and depth camera of the station: where things are in its pictures; what the robot makes of the first."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import shapely
@@ -9,13 +11,14 @@ from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.multibody.ground_truth import resample_parameters, sample_ground_truth
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.perception import Camera
 from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
 from gridpush_drake.pushes.stream import record_pushes
 from gridpush_drake.station import camera as station_camera
 from gridpush_drake.station.camera import calc_pose_age, make_camera
 from gridpush_drake.station.identify_task import FINISHED, IdentifyTask
 from gridpush_drake.station.push_station import TakePhotograph
-from gridpush_drake.station.scenario import CameraConfig, PushScenario, RgbdConfig, read_scenario
+from gridpush_drake.station.scenario import CameraConfig, PushScenario, format_scenario, parse_scenario, read_scenario
 from gridpush_drake.station.station import LoadPushedObject
 from tests.helpers.renderer import require_renderer
 from tests.helpers.shapes import make_shape
@@ -92,11 +95,56 @@ def test_depth_has_holes_along_the_object_s_edge(photograph):
 
 def test_what_is_out_of_view_is_said(renderer):
     scenario = make_scenario()
-    scenario.camera.rgbd.target = [0.6, -1.5, 0.0]
+    scenario.camera.rgbd.X_PB.translation = [0.6, -1.8, 1.0]
     with pytest.raises(ScenarioError, match="camera: no object"):
         TakePhotograph(scenario, LoadPushedObject(scenario))
-    with pytest.raises(ScenarioError, match="target"):
-        make_camera(RgbdConfig(position=[0.0, 0.0, 1.0], target=[0.0, 0.0, 0.0]))
+    scenario.camera.rgbd.X_PB.base_frame = "iiwa::iiwa_link_7"
+    with pytest.raises(ScenarioError, match=r"camera\.rgbd: X_PB: expected .* world"):
+        make_camera(scenario.camera)
+
+
+def test_the_scenario_s_camera_is_the_file_s(tmp_path):
+    """`gridpush object --camera` takes what a scenario has, and the renderer's camera sees the same."""
+    scenario = make_scenario()
+    path = tmp_path / "camera.yaml"
+    path.write_text(
+        "{width: 320, height: 240, focal: !FocalLength {x: 400, y: 410}, center_x: 150.5, center_y: 130, "
+        "X_PB: {translation: [0.5, -0.1, 0.9], rotation: !Rpy {deg: [180, 10, 30]}}}"
+    )
+    scenario = parse_scenario(path, f"camera: {{kind: rgbd, rgbd: {path.read_text()}}}")
+    scenario = parse_scenario(path, format_scenario(scenario))
+    seen, read = make_camera(scenario.camera), Camera.read(path)
+    for name in ("K", "X_WC", "width", "height"):
+        np.testing.assert_array_equal(getattr(seen, name), getattr(read, name))
+    intrinsics = scenario.camera.rgbd.MakeCameras()[1].core().intrinsics()
+    np.testing.assert_allclose(intrinsics.intrinsic_matrix()[:2], read.K[:2] + [[0, 0, 0.5], [0, 0, 0.5]])
+    X_WC = scenario.camera.rgbd.X_PB.GetDeterministicValue().GetAsMatrix4()
+    np.testing.assert_allclose(X_WC, read.X_WC, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("fov_y: 0.7", r"camera\.rgbd\.fov_y: is Drake's focal now"),
+        ("target: [0, 0, 0]", r"camera\.rgbd\.target: is Drake's X_PB now"),
+        ("latency: 0.1", r"camera\.rgbd\.latency: is Drake's output_delay now"),
+        ("depth_noise: 0.1", r"camera\.rgbd\.depth_noise: stands above now; expected camera\.depth_noise"),
+        ("fps: 10", r"camera\.rgbd\.fps: is not read here; camera\.rate"),
+        ("widht: 10", r"camera\.rgbd\.widht: unknown key; did you mean width\?"),
+        ("X_PB: {translatoin: [0, 0, 1]}", r"camera\.rgbd\.X_PB\.translatoin: unknown key"),
+        ("lcm_bus: a", r"camera\.rgbd\.lcm_bus: says nothing here"),
+        ("width: 10", r"camera\.rgbd\.width is 10; expected 64"),
+        ("width: abc", r"camera\.rgbd: .*abc"),
+        ("z_near: 7", r"camera\.rgbd: "),
+        ("output_delay: -1", r"camera\.rgbd"),
+        ("focal: !FovDegrees {y: 0}", r"camera\.rgbd: "),
+    ],
+)
+def test_what_no_camera_can_be_is_refused(text, message):
+    with pytest.raises(ScenarioError, match=message):
+        parse_scenario(Path("scenario.yaml"), f"camera: {{rgbd: {{{text}}}}}")
+    with pytest.raises(ScenarioError, match=r"camera\.rgbd is 3; expected `key: value` lines"):
+        parse_scenario(Path("scenario.yaml"), "camera: {rgbd: 3}")
 
 
 @pytest.mark.slow
@@ -135,7 +183,7 @@ def test_where_nothing_can_be_rendered_it_says_what_is_missing(monkeypatch):
 
 @pytest.mark.parametrize(("latency", "age"), [(0.0, 0.1), (0.05, 0.1), (0.1, 0.1), (0.25, 0.3)])
 def test_how_old_a_pose_is(latency, age):
-    config = CameraConfig(kind="rgbd", rate=10.0, rgbd=RgbdConfig(latency=latency))
+    config = CameraConfig(kind="rgbd", rate=10.0, rgbd={"output_delay": latency})
     assert calc_pose_age(config) == pytest.approx(age)
     assert calc_pose_age(CameraConfig(rate=10.0)) == pytest.approx(0.1)
 
