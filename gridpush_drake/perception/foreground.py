@@ -7,7 +7,8 @@ rounds, foreground. What a pixel's color c and height h say adds up:
 
 with a wide tau where the pixel is darker than the table: that may be a shadow. Depth images miss edges by some pixels,
 so that along them color speaks louder. The boundary of what is left is then drawn anew where the color is half way
-between the object's and the table's, each the mean nearby; a shadow is of the table's.
+between the object's and the table's, each the mean nearby; a shadow is of the table's. What is too dark for a shadow,
+such as a side in the dark, lies as far on that way as it is from the table, in whatever direction.
 """
 
 from typing import Any, Literal, NamedTuple
@@ -74,9 +75,12 @@ MIN_HOLE, HOLE_SCORE, HOLE_SHARE = 50, -1.0, 0.5
 BAND = 6
 """Pixels about the first boundary within which the final one lies."""
 
-MEAN_RADIUS, MEAN_GAP = 7.5, 3
-"""Of the means of color nearby: standard deviation of their weight, and the strip of that width at the boundary that is
-left out, pixels."""
+INSIDE_RADIUS, OUTSIDE_RADIUS, MEAN_GAP = 7.5, 4.0, 3
+"""Of the means of color nearby: standard deviations of their weights, the table's nearer as shadows are narrow; and the
+strip of that width at the boundary that is left out, pixels."""
+
+TOO_DARK, DARK = 1.5 * SHADOW, 3 * SHADOW
+"""Drops of CIE L* from the table nearby from which on it is more and more, and surely, no shadow."""
 
 BOUNDARY_ROUNDS, BOUNDARY_SMOOTHING = 4, 1.0
 MIN_CONTRAST = 9.0
@@ -231,10 +235,9 @@ def refine_boundary(mask: Mask, found: Foreground, covered: Mask | None = None) 
     shown = np.ones_like(mask) if covered is None else ~covered
     for _ in range(BOUNDARY_ROUNDS):
         band = dilate(mask, 2 * BAND + 1) & ~_erode(mask, 2 * BAND + 1)
-        inside = _calc_nearby_mean(colors, _erode(mask, MEAN_GAP) & shown)
-        outside = _calc_nearby_mean(colors, ~dilate(mask, MEAN_GAP) & shown)
-        step = inside - outside
-        along = ((colors - (inside + outside) / 2) * step).sum(axis=-1) / ((step**2).sum(axis=-1) + MIN_CONTRAST)
+        inside = _calc_nearby_mean(colors, _erode(mask, MEAN_GAP) & shown, INSIDE_RADIUS)
+        outside = _calc_nearby_mean(colors, ~dilate(mask, MEAN_GAP) & shown, OUTSIDE_RADIUS)
+        along = _calc_along(colors, inside, outside)
         level = _blur(np.clip(along, -HALF_STEP, HALF_STEP) + found.heights, BOUNDARY_SMOOTHING)
         level = np.where(band, level, np.where(mask, 1, -1)).astype(np.float32)
         mask = keep_largest(level > 0) if covered is None else level > 0
@@ -266,9 +269,19 @@ def _make_rim(shape: tuple[int, ...]) -> Mask:
     return rim
 
 
-def _calc_nearby_mean(colors: Image, where: Mask) -> Image:
-    total = _blur(colors * where[..., None], MEAN_RADIUS)
-    return total / (_blur(where, MEAN_RADIUS) + np.finfo(np.float32).eps)[..., None]
+def _calc_along(colors: Image, inside: Image, outside: Image) -> Image:
+    """How far colors are from half way between two others, -0.5 at the one outside and 0.5 at the one inside."""
+    step = inside - outside
+    square = (step**2).sum(axis=-1) + MIN_CONTRAST
+    along = ((colors - (inside + outside) / 2) * step).sum(axis=-1) / square
+    distance = np.sqrt(((colors - outside) ** 2).sum(axis=-1) / square) - HALF_STEP
+    drop = (outside - colors)[..., 0] / LIGHT_WEIGHT
+    return along + np.clip((drop - TOO_DARK) / (DARK - TOO_DARK), 0, 1) * np.maximum(distance - along, 0)
+
+
+def _calc_nearby_mean(colors: Image, where: Mask, radius: float) -> Image:
+    total = _blur(colors * where[..., None], radius)
+    return total / (_blur(where, radius) + np.finfo(np.float32).eps)[..., None]
 
 
 def _blur(image: NDArray[Any], deviation: float) -> Image:

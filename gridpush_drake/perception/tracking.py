@@ -7,9 +7,15 @@ and table is looked for, d_i pixels off, and the pose q moves until these vanish
     min_q  sum_i w_i (d_i - n_i' J_i dq)^2 / sigma^2 + |dq|^2_P,       J_i = d(pixel of p_i)/dq
 
 with Tukey's weights w_i, and a prior P as wide as the object can move between two frames. Points that something covers
-have no part. The covariance is the inverse of the information left, sum w_i J_i' n_i n_i' J_i / sigma^2 + P: what no
-edge tells, such as the angle of a disc, keeps the prior's width. In sigma^2 is what neighboring edges share, and the
-outline's own error, which all of them do.
+have no part. The covariance is the inverse of the information left, A = sum w_i J_i' n_i n_i' J_i / sigma^2 + P, and
+what errors that edges share do to the pose besides:
+
+    cov = A^-1 + sum_k (A^-1 sum_i w_i J_i' n_i e_ki / sigma^2) (...)'
+
+What no edge tells, such as the angle of a disc, keeps the prior's width: in sigma^2 is what neighboring edges share,
+and J is their mean along that length, as nothing finer is resolved. Shared errors are of two kinds. Where a side is
+seen below the top, the edge is off by a share of the side's width in the picture, on all such edges alike. And light
+from one side draws all edges its way. Either moves the pose, and hardly turns it.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -21,12 +27,13 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh
+from scipy.ndimage import uniform_filter1d
 from shapely import Polygon
 from shapely.geometry.polygon import orient
 
 from gridpush_drake.errors import PerceptionError
 from gridpush_drake.geometry.se2 import transform, wrap_angle
-from gridpush_drake.objects.outline import make_polygon
+from gridpush_drake.objects.cells import make_polygon
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.detection import draw_contours, look_at_table
 from gridpush_drake.perception.foreground import (
@@ -59,8 +66,11 @@ TUKEY, MIN_SPREAD = 3.0, 0.3
 SHARED_LENGTH = 12.0
 """Along the boundary within which errors of edges are alike, pixels."""
 
-OUTLINE_ERROR = 0.07
-"""Of the outline itself, pixels: alike from frame to frame, so that no number of edges takes it away."""
+SIDE_ERROR = 0.1
+"""Of the edges below sides that are seen, in the sides' widths in the picture: a side is of another brightness."""
+
+LIGHT_ERROR = 0.03
+"""By which light from one side draws the edges its way, pixels."""
 
 DIFFERENCE = 1e-5
 """Step of numerical derivatives, m."""
@@ -106,7 +116,7 @@ class TrackerOptions:
     max_step: float = 0.03
     max_turn: float = 0.3
     lost_share: float = 0.5
-    pixel_noise: float = 0.2
+    pixel_noise: float = 0.1
     max_dilution: float = 4.0
 
 
@@ -399,16 +409,26 @@ class PoseTracker:
         spread = max(MIN_SPREAD, TO_DEVIATION * float(np.median(np.abs(d)))) if len(d) else MIN_SPREAD
         weight = np.clip(1 - (d / (TUKEY * spread + self.options.pixel_noise)) ** 2, 0, None) ** 2
         rms = float(np.sqrt((weight * d**2).sum() / max(weight.sum(), np.finfo(float).tiny)))
-        shared = max(rms, self.options.pixel_noise) ** 2 * max(1.0, SHARED_LENGTH / rows.spacing)
-        noise = shared + OUTLINE_ERROR**2 * weight.sum()
-        information = (J * weight[:, None]).T @ J / noise
+        noise = max(rms, self.options.pixel_noise) ** 2 * max(1.0, SHARED_LENGTH / rows.spacing)
+        information = (J * weight[:, None]).T @ J / noise + self._prior
         back = start - pose
-        moved = np.linalg.solve(information + self._prior, (J * weight[:, None]).T @ d / noise + self._prior @ back)
-        covariance = np.asarray(np.linalg.inv(information + self._prior), dtype=np.float64)
-        all_seen = rows.J.T @ rows.J / (shared + OUTLINE_ERROR**2 * len(rows.J))
-        dilution = calc_dilution(all_seen + self._prior, information + self._prior)
+        moved = np.linalg.solve(information, (J * weight[:, None]).T @ d / noise + self._prior @ back)
+        counts = np.zeros(len(found))
+        counts[found] = weight
+        covariance = self._calc_covariance(rows, counts, noise)
+        whole = self._calc_covariance(rows, np.ones(len(found)), noise)
+        dilution = calc_dilution(whole, covariance)
         largest = float(np.abs(rows.J @ moved).max(initial=0.0))
         return _Fit(pose + moved, covariance, dilution, float(share), hold, rms), largest
+
+    def _calc_covariance(self, rows: "_Rows", weight: Array, noise: float) -> Array:
+        """Of a pose (3, 3), from edges of weights (n,) and a variance, pixels^2, that counts what neighbors share."""
+        count = max(1, round(SHARED_LENGTH / rows.spacing))
+        J = uniform_filter1d(rows.J, count, axis=0, mode="wrap")
+        random = np.linalg.inv((J * weight[:, None]).T @ J / noise + self._prior)
+        shared = np.column_stack([SIDE_ERROR * rows.sides, LIGHT_ERROR * rows.normals])
+        moved = random @ (J * weight[:, None]).T @ shared / noise
+        return np.asarray(random + moved @ moved.T, dtype=np.float64)
 
     def _spacing(self, pose: Array) -> float:
         """Of the points of the boundary, m."""
@@ -433,15 +453,25 @@ class PoseTracker:
         J_x, J_y = (across * along_x).sum(axis=1), (across * along_y).sum(axis=1)
         arm = points - pose[:2]
         J = np.column_stack([J_x, J_y, J_y * arm[:, 0] - J_x * arm[:, 1]])
-        spacing = float(np.linalg.norm(outward, axis=1).mean()) * self._spacing(pose)
-        return pixels, _Rows(J, across, spacing)
+        scale = np.linalg.norm(outward, axis=1)
+        foot, distance = self._ideal.center[:2], self._ideal.center[2]
+        toward = np.maximum(0.0, ((foot - points) * normals).sum(axis=1)) * self.height / (distance - self.height)
+        return pixels, _Rows(J, across, toward * scale, float(scale.mean()) * self._spacing(pose))
 
 
 class _Rows(NamedTuple):
-    """Derivatives (n, 3) of the edges' places by the pose, their normals (n, 2), and their spacing, pixels."""
+    """Of n edges in the picture.
+
+    Attributes:
+        J: (n, 3) derivatives of their places along their normals by the pose, pixels by m and rad.
+        normals: (n, 2) outward, unit.
+        sides: (n,) widths of the object's sides that are seen at them, pixels; 0 where it is the top that ends there.
+        spacing: of them, pixels.
+    """
 
     J: Array
     normals: Array
+    sides: Array
     spacing: float
 
 
@@ -449,13 +479,13 @@ def calc_dilution(whole: Array, left: Array) -> float:
     """By how much the standard deviation of some combination of unknowns grows at most, where information is lost.
 
     Args:
-        whole: (3, 3) information, positive definite.
-        left: (3, 3) of it that is left.
+        whole: (3, 3) covariance with all information, positive definite.
+        left: (3, 3) covariance with what is left of it.
 
     Returns:
         The ratio of the standard deviations.
     """
-    return float(np.sqrt(eigh(whole, left, eigvals_only=True)[-1]))
+    return float(np.sqrt(eigh(left, whole, eigvals_only=True)[-1]))
 
 
 def make_silhouette(outline: Polygon, pose: ArrayLike, height: float, camera: Camera) -> Polygon:

@@ -53,8 +53,8 @@ CENTERING_TOLERANCE = 1e-6
 SPATIAL = 6
 """Directions in which a body can turn and move."""
 
-ROUND_OFF = 1e-9
-"""Of a Jacobian's entry that is zero."""
+ROUND_OFF = 1e-6
+"""Of a Jacobian's entry that is zero; a model's pi has eight digits or so."""
 
 MAX_STEPS = 200
 """Of the search for one posture from another that may be far off."""

@@ -21,7 +21,6 @@ from gridpush_drake.multibody.tool_motion import R_WP_DOWN
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.station.arm import DRIVER_OUTPUTS, ArmPosture
 from gridpush_drake.station.grasping import ExportOutputs
-from gridpush_drake.station.robot import find_robot
 from gridpush_drake.station.robot_messages import (
     ARM_PERIOD,
     AddGripperMessages,
@@ -202,11 +201,10 @@ def MakeHardwareStation(
         StationError: the arm cannot take the posture of its home.
     """
     check_tracked(scenario)
-    check_scenario(scenario)
+    robot = check_scenario(scenario)
     plant, scene_graph = ParseScene(scenario)
     table_top = FindTableOutline(plant, scene_graph.model_inspector())
-    robot = find_robot(scenario.directives)
-    setting = MakeSetting(scenario, LoadPushedObject(scenario), None, (), plant, robot, table_top)
+    setting = MakeSetting(scenario, LoadPushedObject(scenario, robot), None, (), plant, robot, table_top)
     n, messages = len(setting.q_start), find_arm_messages(robot)
     builder = DiagramBuilder()
     status = messages.AddStatusReceiver(builder, lcm, n)

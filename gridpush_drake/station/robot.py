@@ -201,6 +201,10 @@ class GripperMeasures(_Measures):
         lengths = {field.name for field in fields(SideGripper)} & set(GripperMeasures.model_fields)
         return SideGripper(**self.model_dump(include=lengths))
 
+    def limit_force(self, force: float) -> float:
+        """With how much it presses where so much is asked for, N."""
+        return min(force, self.max_force)
+
 
 M = TypeVar("M", bound=_Measures)
 
@@ -314,9 +318,11 @@ def make_robot_directives(robot: str, *, grasping: bool | None) -> list[ModelDir
     scene = scenes and (scenes.grasp if grasping else scenes.push)
     if not scene:
         what = "grasp" if grasping else "push"
-        why = "has no gripper:" if grasping else "cannot be had:"
+        why, or_else = (" has no gripper", ", or a task that only pushes") if grasping else ("", "")
         able = ", ".join(list_robots(grasping=grasping))
-        raise ScenarioError(f"robot {robot} {why} its robot.yaml names no scene to {what} in; expected one of {able}")
+        raise ScenarioError(
+            f"robot {robot}{why}: its robot.yaml has no `scenes: {{{what}: FILE}}`; expected one of {able}{or_else}"
+        )
     url = scene if "://" in scene else (path.resolve().parent / scene).as_uri()
     return [ModelDirective(add_directives=AddDirectives(file=url))]
 

@@ -102,10 +102,21 @@ def test_what_covers_too_much_hides_the_object():
     np.testing.assert_array_less(np.abs(free.pose - START - [0.003, 0, 0]), [1e-3, 1e-3, np.radians(0.5)])
 
 
+def test_from_aslant_the_place_is_less_sure_along_the_view():
+    """There the object's side is seen below its near edges alone, and its brightness moves them all alike."""
+    oblique = make_camera(rpy=(180 + 20, 0, 0), at=(0.0, -0.25))
+    tracker = PoseTracker(L_SHAPE, HEIGHT, oblique)
+    frame = paint(oblique, [(L_SHAPE, START, HEIGHT, BROWN)])
+    _, aslant = tracker.track(tracker.start(frame, START), frame)
+    across, along = np.sqrt(np.diag(aslant.covariance))[:2]
+    assert along > 1.5 * across
+    assert abs(aslant.pose[1] - START[1]) < 3 * along
+
+
 def test_dilution_is_the_worst_direction_s():
     turn, _ = np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))
-    whole = turn @ np.diag([4.0, 9.0, 16.0]) @ turn.T
-    left = turn @ np.diag([4.0, 1.0, 8.0]) @ turn.T
+    whole = turn @ np.diag([1 / 4, 1 / 9, 1 / 16]) @ turn.T
+    left = turn @ np.diag([1 / 4, 1.0, 1 / 8]) @ turn.T
     assert calc_dilution(whole, left) == pytest.approx(3.0)
     assert calc_dilution(whole, whole) == pytest.approx(1.0)
 
