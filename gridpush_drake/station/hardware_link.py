@@ -55,8 +55,8 @@ MADE_UP = ARM_PERIOD
 LATE = 0.01
 """Between two commands, that counts as late, s."""
 
-OVERDUE = 2 * ARM_PERIOD
-"""Since the last status, after which the next one says whether the robot's clock stood still, s."""
+ATTENTIVE = 0.005
+"""A look for messages takes, at most; in one that took longer the process itself was kept waiting, s."""
 
 SILENCE = 1.0
 """Of a robot before it is given up, s."""
@@ -186,7 +186,7 @@ class HardwareLink:
         self._fault = ""
         self._station: HardwareStation | None = None
         self._stop, self._silent = 0.0, False
-        self._stepped = self._told = self._waited = 0.0  # waited: since the last status, s
+        self._stepped = self._told = self._waited = self._listened = 0.0  # waited: since the last status, s
         self._base = 0.0  # the robot's time when the station's was 0, s
         self._said = GuardStatus()
 
@@ -239,7 +239,7 @@ class HardwareLink:
         diagram.ExecuteInitializationEvents(context)
         self._base = self._arm.utime / MICROSECONDS
         self._out.clear()
-        self._stepped = monotonic()
+        self._stepped = self._listened = monotonic()
 
     def advance(self, simulator: Simulator, time: float) -> None:
         """Goes on to a time of the station's, s, with the robot; see `Drive`."""
@@ -286,10 +286,14 @@ class HardwareLink:
         """Waits for the next status; returns the time of the station's that it, or its absence, brings, s."""
         assert self._station is not None
         now, before, greatest_age = context.get_time(), self._arm.utime, self._station.scenario.safety.status_age
+        heard, self._listened = self._listened, monotonic()
+        inattentive = self._listened - heard
         while True:
             if self._robot is not None:
                 self._robot()
             self._listen()
+            last, self._listened = self._listened, monotonic()
+            inattentive += max(self._listened - last - ATTENTIVE, 0.0)
             if self._arm.utime > before:
                 break
             self._waited = self.status_age if self._robot is None else self._waited + ARM_PERIOD
@@ -298,6 +302,8 @@ class HardwareLink:
                 self._wait_period()
                 return now + ARM_PERIOD
         went_on = (self._arm.utime - before) / MICROSECONDS
+        if self._robot is None:
+            went_on -= inattentive * self._rate  # of what the robot said meanwhile only the last is kept
         if self._waited > greatest_age:
             self._note_silence(context, went_on > greatest_age + ROUNDING)
         self._waited = 0.0
@@ -372,9 +378,8 @@ class HardwareLink:
                 self._leave_out(self._fault)
             elif message.utime <= channel.utime:
                 self._leave_out(f"{name} was not newer than the one before")
-            elif channel.passed or channel is not self._arm or self._waited < OVERDUE:
+            else:
                 channel.data, channel.utime, channel.came, channel.passed = data, message.utime, monotonic(), False
-            # else the first status after a silence counts: it says whether the robot's clock stood still, too
 
         return take
 
