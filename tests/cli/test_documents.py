@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import typer
 import yaml
+from pydantic import BaseModel
 
 from gridpush_drake.cli.main import app
 from gridpush_drake.errors import PushLogError
@@ -219,6 +220,18 @@ def test_named_files_are_there(name):
         assert len(below) > 20
         named += [f"gridpush_drake/{file}" for file in below]
     assert [file for file in named if not (ROOT / file).exists()] == []
+
+
+def test_every_part_of_a_file_is_explained():
+    """The scenario's and the robot's: what stands on the page is there, and all of it stands there."""
+    named = re.findall(r"^\.\. autoclass:: ([\w.]+)\.(\w+)$", TEXTS["docs/reference/files.md"], re.MULTILINE)
+    schemas = {
+        (module, name)
+        for module in sorted({module for module, _ in named})
+        for name, thing in vars(import_module(module)).items()
+        if isinstance(thing, type) and issubclass(thing, BaseModel) and thing.__module__ == module and name[0] != "_"
+    }
+    assert set(named) == schemas - {("gridpush_drake.station.scenario", "PushScenario")}
 
 
 def test_the_theory_names_its_files():
