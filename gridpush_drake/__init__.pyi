@@ -13,9 +13,9 @@ from .multibody.contact_material import SetPartner as SetPartner
 from .multibody.grid_object import AddGridObject as AddGridObject
 from .multibody.sdformat import WriteSdf as WriteSdf
 from .objects.grid_object import GridObject as GridObject
+from .objects.object_file import PhysicalPrior as PhysicalPrior
 from .objects.object_file import list_shipped_objects as list_shipped_objects
 from .objects.parameters import CellParameters as CellParameters
-from .objects.prior import PhysicalPrior as PhysicalPrior
 from .planning.contact.optimization import optimize_contact as optimize_contact
 from .planning.goal.push_plan import plan_pushes as plan_pushes
 from .planning.pregrasp.planner import plan_pregrasp as plan_pregrasp

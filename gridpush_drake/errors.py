@@ -1,5 +1,6 @@
 """What can go wrong, as exceptions under one root."""
 
+from math import isfinite
 from typing import Any
 
 
@@ -93,3 +94,10 @@ class TagError(PerceptionError):
 
 class OutputError(GridPushError):
     """A file cannot be written where it was asked for."""
+
+
+def require_positive(kind: type[GridPushError], where: str = "", unit: str = "", **values: float) -> None:
+    """Raises `kind` for the first of some values, by name, that is not a positive number."""
+    for name, value in values.items():
+        if not (isfinite(value) and value > 0):
+            raise kind(f"{where}{name} is {value!r}; expected a positive number{unit and f' ({unit})'}")

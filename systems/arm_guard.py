@@ -2,12 +2,14 @@
 
 It lets positions through no faster than the joints may move, and where something is wrong it stops the arm smoothly and
 holds it there, until a new Context begins.
+
+`CommandRamp`: what stands on the robot's side of the commands. Where they stop coming, because whoever sends them has
+stalled or died, it brings the arm to rest smoothly; where they come again, it follows them again.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +18,7 @@ from pydrake.systems.framework import BasicVector, Context
 
 from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.planning.closed_loop import Unchanging
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 
 MAX_OBJECT_SPEED = 0.5
@@ -28,6 +31,9 @@ ROUNDING = 1e-9
 
 STOPPED_BY_USER, WORK_DONE = "stopped by the user", "the work is done"
 
+BY_USER, DONE, BY_SILENCE = 1.0, 2.0, 3.0
+"""What a guard is told to stop for."""
+
 
 @dataclass(frozen=True, eq=False)
 class GuardLimits:
@@ -37,6 +43,7 @@ class GuardLimits:
         speed: (n,) of the commands, rad/s.
         acceleration: (n,) of the commands, rad/s².
         torque: (n,) greatest external torque, N m.
+        force: greatest on the finger's tip, N.
         status_age: greatest age of what the robot says of itself, s.
         pose_jump: farthest that the object may be seen to move at once, m.
         pose_turn: likewise, rad.
@@ -45,6 +52,7 @@ class GuardLimits:
     speed: Array
     acceleration: Array
     torque: Array
+    force: float = 30.0
     status_age: float = 0.05
     pose_jump: float = 0.03
     pose_turn: float = 0.3
@@ -85,8 +93,8 @@ class GuardStatus:
 
 
 @dataclass(frozen=True, eq=False)
-class GuardState:
-    """All that a guard remembers; never changed, only replaced.
+class GuardState(Unchanging):
+    """All that a guard remembers.
 
     Attributes:
         status: as on the port.
@@ -110,10 +118,6 @@ class GuardState:
     pose: Array | None = None
     seen: float = 0.0
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> "GuardState":
-        """Itself: Drake copies the state at every update, and nothing in it is ever changed."""
-        return self
-
 
 class ArmGuard(AbstractStateSystem[GuardState]):
     """Passes the positions for an arm's n joints on, within limits, and stops the arm where something is wrong.
@@ -125,6 +129,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         - position_desired
         - position_measured
         - torque_external
+        - force
         - time_measured
         - pusher_state
         - object_pose
@@ -136,18 +141,21 @@ class ArmGuard(AbstractStateSystem[GuardState]):
     * position_desired: vector of n, where the joints should be, rad.
     * position_measured: vector of n, where they are, rad.
     * torque_external: vector of n, on the joints from outside, N m.
+    * force: vector of 3, on the finger's tip, N.
     * time_measured: vector of 1, of the robot's status by the robot's clock, s; it changes with every status.
     * pusher_state: vector of 6, the tip's center p_WP in m and its velocity v_WP in m/s, in W, as measured.
     * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN while the object is not seen.
-    * stop: vector of 1; anything but 0 stops the arm: 1 for the user, else because the work is done.
+    * stop: vector of 1; anything but 0 stops the arm: `BY_USER`; `BY_SILENCE`, where whoever moves the time on, and
+      sends the commands, has done neither for `status_age`, as the robot was not heard of; else the work is done.
     * position: vector of n, for the robot, rad; it begins where the joints were first measured. NaN before.
     * status: abstract `GuardStatus`.
 
-    The arm is stopped where the status is as old as `GuardLimits.status_age`, a torque from outside is beyond its
-    limit, the pose of the object jumps, the tip leaves where it may be, a number is not finite, or `stop` says so. A
-    stop is a straight line in the joints' space, as short as the accelerations allow; after a collision the arm goes
-    back to where it was when that was noticed, so that it does not press. Where the robot's clock went on by more than
-    `status_age` between two updates, it was the commands that paused: the arm rests, and they begin at rest again.
+    The arm is stopped where the status is as old as `GuardLimits.status_age`, a torque from outside or the force on the
+    tip is beyond its limit, the pose of the object jumps, the tip leaves where it may be, a number is not finite, or
+    `stop` says so. A stop is a straight line in the joints' space, as short as the accelerations allow; after a
+    collision the arm goes back to where it was when that was noticed, so that it does not press. Where
+    the robot's clock went on by more than `status_age` between two updates, it was the commands that paused: the arm
+    rests, and they begin at rest again.
 
     Abstract state: one `GuardState`.
     """
@@ -170,6 +178,7 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         self._desired = self.DeclareVectorInputPort("position_desired", n)
         self._measured = self.DeclareVectorInputPort("position_measured", n)
         self._torque = self.DeclareVectorInputPort("torque_external", n)
+        self._force = self.DeclareVectorInputPort("force", 3)
         self._time_measured = self.DeclareVectorInputPort("time_measured", 1)
         self._pusher = self.DeclareVectorInputPort("pusher_state", PUSHER_STATE_SIZE)
         self._pose = self.DeclareVectorInputPort("object_pose", 3)
@@ -200,8 +209,9 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         if not now.status.stopped:
             fault, collided = self._find_fault(context, now, time)
             if fault is not None:
-                status = GuardStatus(GuardMode.STOPPING, fault, time)
-                now = replace(now, status=status, retreat=measured if collided else None)
+                still = self._stop.Eval(context)[0] == BY_SILENCE  # no command went out meanwhile
+                velocity = np.zeros_like(now.velocity) if still else now.velocity
+                now = replace(now, status=fault, velocity=velocity, retreat=measured if collided else None)
         pose = np.array(self._pose.Eval(context))
         if np.isfinite(pose).all():
             now = replace(now, pose=pose, seen=time)
@@ -210,11 +220,11 @@ class ArmGuard(AbstractStateSystem[GuardState]):
     def _look(self, context: Context, now: GuardState, time: float) -> GuardState:
         """Notes the robot's time."""
         measured = float(self._time_measured.Eval(context)[0])
-        if measured != now.time_measured:
-            paused = measured - now.time_measured > self.limits.status_age and now.velocity is not None
-            velocity = np.zeros_like(now.velocity) if paused else now.velocity
-            now = replace(now, time_measured=measured, fresh=time, velocity=velocity)
-        return now
+        if measured == now.time_measured:
+            return now
+        paused = measured - now.time_measured > self.limits.status_age + ROUNDING and now.velocity is not None
+        velocity = np.zeros_like(now.velocity) if paused else now.velocity
+        return replace(now, time_measured=measured, fresh=time, velocity=velocity)
 
     def _follow(self, now: GuardState, desired: Array) -> GuardState:
         assert now.position is not None and now.velocity is not None and now.desired is not None
@@ -223,42 +233,44 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         )
         return replace(now, position=position, velocity=velocity, desired=desired)
 
-    def _stop_on(self, now: GuardState) -> GuardState:
+    def _brake(self, now: GuardState) -> GuardState:
         assert now.position is not None and now.velocity is not None
+        velocity = brake(now.velocity, self.limits.acceleration, self._period)
+        return replace(now, position=now.position + self._period * velocity, velocity=velocity)
+
+    def _stop_on(self, now: GuardState) -> GuardState:
+        assert now.velocity is not None
         if now.status.mode == GuardMode.HOLDING:
             return now
-        speed, acceleration = self.limits.speed, self.limits.acceleration
-        if now.retreat is None:
-            velocity = brake(now.velocity, acceleration, self._period)
-            position, at_rest = now.position + self._period * velocity, not velocity.any()
-        else:
-            position, velocity = follow(
-                now.position, now.velocity, now.retreat, now.retreat, speed, acceleration, self._period
-            )
-            at_rest = not velocity.any()
-        status = replace(now.status, mode=GuardMode.HOLDING) if at_rest else now.status
-        return replace(now, position=position, velocity=velocity, status=status)
+        now = self._brake(now) if now.retreat is None else self._follow(replace(now, desired=now.retreat), now.retreat)
+        at_rest = now.velocity is not None and not now.velocity.any()
+        return replace(now, status=replace(now.status, mode=GuardMode.HOLDING)) if at_rest else now
 
-    def _find_fault(self, context: Context, now: GuardState, time: float) -> tuple[str | None, bool]:
+    def _find_fault(self, context: Context, now: GuardState, time: float) -> tuple[GuardStatus | None, bool]:
         """What is wrong, None for nothing; and whether the arm has run into something."""
         limits, torque = self.limits, np.abs(self._torque.Eval(context))
-        stop = self._stop.Eval(context)[0]
+        stop, age, force = self._stop.Eval(context)[0], time - now.fresh, np.linalg.norm(self._force.Eval(context))
+        noticed = GuardStatus(GuardMode.STOPPING, STOPPED_BY_USER if stop == BY_USER else WORK_DONE, time)
+        if stop == BY_SILENCE or (not stop and age > limits.status_age - ROUNDING):
+            text = f"the robot has sent no status for {1e3 * max(age, limits.status_age):.0f} ms"
+            reason = f"{text}; {1e3 * limits.status_age:.0f} ms are allowed"
+            return replace(noticed, reason=reason), False
         if stop:
-            return (STOPPED_BY_USER if stop == 1 else WORK_DONE), False
-        if time - now.fresh > limits.status_age - ROUNDING:
-            age, most = 1e3 * (time - now.fresh), 1e3 * limits.status_age
-            return f"the robot has sent no status for {age:.0f} ms; {most:.0f} ms are allowed", False
-        for port in (self._measured, self._torque, self._desired):
+            return noticed, False
+        for port in (self._measured, self._torque, self._force, self._desired):
             if not np.isfinite(port.Eval(context)).all():
-                return f"{port.get_name()} has numbers that are not finite", False
+                return replace(noticed, reason=f"{port.get_name()} has numbers that are not finite"), False
         if (torque > limits.torque).any():
             k = int((torque / limits.torque).argmax())
-            return (
-                f"the external torque on joint {k + 1} is {torque[k]:.1f} N m; {limits.torque[k]:.1f} N m are allowed",
-                True,
-            )
+            allowed = f"{limits.torque[k]:.1f} N m are allowed"
+            reason = f"the external torque on joint {k + 1} is {torque[k]:.1f} N m; {allowed}"
+            return replace(noticed, reason=reason), True
+        if force > limits.force:
+            reason = f"the force on the finger's tip is {force:.1f} N; {limits.force:.1f} N are allowed"
+            return replace(noticed, reason=reason), True
         breach = self._validator and self._validator(np.array(self._pusher.Eval(context)[:3]))
-        return breach or self._find_jump(context, now, time), False
+        breach = breach or self._find_jump(context, now, time)
+        return (replace(noticed, reason=breach) if breach else None), False
 
     def _find_jump(self, context: Context, now: GuardState, time: float) -> str | None:
         """How far the object was seen to jump; None where it did not."""
@@ -270,6 +282,108 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         if jump > self.limits.pose_jump + moved or turn > self.limits.pose_turn + moved:
             return f"the object was seen to jump by {1e3 * jump:.0f} mm and {turn:.2f} rad"
         return None
+
+
+@dataclass(frozen=True, eq=False)
+class RampState(Unchanging):
+    """All that a `CommandRamp` remembers.
+
+    Attributes:
+        status: as on the port.
+        position: (n,) for the joints, rad; None before the first update.
+        velocity: (n,) of that, rad/s.
+        target: (n,) of the last command, rad.
+        sent: that command's time, s, by its sender's clock.
+        came: when it was taken, s.
+    """
+
+    status: GuardStatus = GuardStatus()
+    position: Array | None = None
+    velocity: Array | None = None
+    target: Array | None = None
+    sent: float = float("nan")
+    came: float = 0.0
+
+
+class CommandRamp(AbstractStateSystem[RampState]):
+    """Passes commands for an arm's n joints on, and brings the arm to rest where none come.
+
+    .. pydrake_system::
+
+        name: CommandRamp
+        input_ports:
+        - position_desired
+        - time_sent
+        output_ports:
+        - position
+        - status
+
+    * position_desired: vector of n, of the last command, rad; before the first one, where the arm is.
+    * time_sent: vector of 1, of the last command by its sender's clock, s; it changes with every command.
+    * position: vector of n, for the joints' servos, rad.
+    * status: abstract `GuardStatus`.
+
+    A command counts as long as it is no older than `max_age`; until then the arm goes on as it went. Then it brakes. A
+    command that was sent before the last one and comes within that time was overtaken, and is left out; so is one that
+    is not finite. Whatever comes, speeds and accelerations are kept.
+
+    Abstract state: one `RampState`.
+    """
+
+    __slots__ = NO_SLOTS
+
+    def __init__(self, speed: Array, acceleration: Array, max_age: float, period: float = 0.005) -> None:
+        """Declares the system.
+
+        Args:
+            speed: (n,) greatest of the joints, rad/s.
+            acceleration: (n,) greatest, rad/s²: that of the commands, or more.
+            max_age: of a command, s.
+            period: of the updates, s.
+        """
+        super().__init__(RampState(), period)
+        self._speed, self._acceleration, self._max_age, self._period = speed, acceleration, max_age, period
+        n = len(speed)
+        self._desired = self.DeclareVectorInputPort("position_desired", n)
+        self._sent = self.DeclareVectorInputPort("time_sent", 1)
+        inputs = {self._remembered, self._desired.ticket()}
+        self.DeclareVectorOutputPort("position", n, weakly(self._calc_position), inputs)
+        self.DeclareAbstractOutputPort(
+            "status", lambda: AbstractValue.Make(GuardStatus()), weakly(self._calc_status), {self._remembered}
+        )
+
+    def _calc_position(self, context: Context, output: BasicVector) -> None:
+        position = self._get_state(context).position
+        output.SetFromVector(self._desired.Eval(context) if position is None else position)
+
+    def _calc_status(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self._get_state(context).status)
+
+    def _go_on(self, context: Context, now: RampState) -> RampState:
+        """Takes a new command, or does without."""
+        time, sent = context.get_time(), float(self._sent.Eval(context)[0])
+        target = np.array(self._desired.Eval(context))
+        if now.position is None or now.velocity is None or now.target is None:
+            return replace(now, position=target, velocity=np.zeros_like(target), target=target, sent=sent, came=time)
+        age = time - now.came
+        overtaken = sent < now.sent and age < self._max_age - ROUNDING
+        if sent != now.sent and not overtaken and np.isfinite(target).all():
+            before = target - self._period * (target - now.target) / max(age, self._period)
+            position, velocity = follow(
+                now.position, now.velocity, before, target, self._speed, self._acceleration, self._period
+            )
+            following = GuardStatus(GuardMode.FOLLOWING)
+            return RampState(following, position, velocity, target, sent, time)
+        if now.status.mode in (GuardMode.WAITING, GuardMode.HOLDING):
+            return now
+        status, velocity = now.status, now.velocity
+        if age > self._max_age - ROUNDING:
+            if not status.stopped:
+                reason = f"no command has come for {1e3 * age:.0f} ms; {1e3 * self._max_age:.0f} ms are allowed"
+                status = GuardStatus(GuardMode.STOPPING, reason, time)
+            velocity = brake(velocity, self._acceleration, self._period)
+            status = status if velocity.any() else replace(status, mode=GuardMode.HOLDING)
+        return replace(now, status=status, position=now.position + self._period * velocity, velocity=velocity)
 
 
 def follow(

@@ -26,6 +26,7 @@ from gridpush_drake.multibody.tool_motion import (
     make_transform,
 )
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.planning.closed_loop import Unchanging
 from gridpush_drake.systems.messages import (
     GRASP_COMMAND_SIZE,
     GraspCommand,
@@ -217,7 +218,7 @@ SAME_PLACE = 1e-6
 
 
 @dataclass(frozen=True)
-class GraspState:
+class GraspState(Unchanging):
     """All that the executor remembers.
 
     Attributes:

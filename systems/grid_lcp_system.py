@@ -22,7 +22,6 @@ from pydrake.systems.framework import (
     ValueProducer,
 )
 
-from gridpush_drake.dynamics.arguments import check_number, check_vector
 from gridpush_drake.dynamics.kernels.call import make_method, run_kernel
 from gridpush_drake.dynamics.kernels.forward_sensitivity import OTHER
 from gridpush_drake.dynamics.kernels.friction_law import SPIN_MODELS
@@ -30,10 +29,16 @@ from gridpush_drake.dynamics.kernels.inputs import Load, Steps
 from gridpush_drake.dynamics.kernels.step import CONVERGED
 from gridpush_drake.dynamics.kernels.step_memory import MEMORY_SIZE, make_memory
 from gridpush_drake.dynamics.motion import Jacobian, RawJacobian
-from gridpush_drake.dynamics.simulation import GRAVITY, RELATIVE_STICTION, STICTION_TOLERANCE, Regime
-from gridpush_drake.dynamics.time_grid import DEFAULT_DT
+from gridpush_drake.dynamics.push import DEFAULT_DT
+from gridpush_drake.dynamics.simulation import (
+    GRAVITY,
+    RELATIVE_STICTION,
+    STICTION_TOLERANCE,
+    Regime,
+    check_number,
+)
 from gridpush_drake.errors import SimulationError
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -135,7 +140,7 @@ class GridLcpSystem(LeafSystem):
         self.obj, self.dt, self.regime, self.pusher_radius, self.gravity = obj, float(dt), regime, radius, gravity
         inertial = regime == "inertial"
         self._method = make_method(inertial, LAW, spin, stiction_tolerance, RELATIVE_STICTION)
-        self._declare_state(params, np.concatenate([check_vector("pose", pose), check_vector("velocity", velocity)]))
+        self._declare_state(params, _check_state(pose, velocity))
         self._pusher_state = self.DeclareVectorInputPort("pusher_state", 4)
         self._wrench = self.DeclareVectorInputPort("applied_wrench", 3) if inertial else None
         self._declare_outputs()
@@ -147,7 +152,7 @@ class GridLcpSystem(LeafSystem):
         Raises:
             SimulationError: they are not finite numbers.
         """
-        state = np.concatenate([check_vector("pose", pose), check_vector("velocity", velocity)])
+        state = _check_state(pose, velocity)
         context.SetDiscreteState(_STATE, state)
         context.SetDiscreteState(_MEMORY, make_memory())
         context.SetDiscreteState(_CONTACT_FORCE, np.zeros(2))
@@ -268,3 +273,9 @@ def _make_zero_jacobian(n: int) -> Jacobian:
     return Jacobian(
         np.array([1]), by_cell, by_cell, zeros, np.zeros((1, 3, 2)), zeros, zeros, np.zeros((1, 3, 3)), None
     )
+
+
+def _check_state(pose: ArrayLike, velocity: ArrayLike) -> Array:
+    """The six numbers of a pose and a velocity, (3,) each."""
+    both = (("pose", pose), ("velocity", velocity))
+    return np.concatenate([check_vector(SimulationError, name, value, 3) for name, value in both])

@@ -17,6 +17,7 @@ from pydrake.systems.framework import Context
 from gridpush_drake.geometry.se2 import Array, transform_shape
 from gridpush_drake.multibody.tool_motion import R_WP_DOWN, Point, TrajectorySegment
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.planning.closed_loop import Unchanging
 from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
 from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, GraspStatus, PushCommand, PushPhase, PushStatus
 from gridpush_drake.systems.object_controller import AbstractStateSystem
@@ -127,7 +128,7 @@ SPEED_SCALES = (1.0, 0.5, 0.25)
 
 
 @dataclass(frozen=True)
-class ExecutorState:
+class ExecutorState(Unchanging):
     """All that the executor remembers.
 
     Attributes:

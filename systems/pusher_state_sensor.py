@@ -1,11 +1,11 @@
-"""Where the finger's tip is and how fast it moves, as the arm's joints tell."""
+"""Where the finger's tip is, how fast it moves and what presses on it, as the arm's joints tell."""
 
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex
+from pydrake.multibody.tree import BodyIndex, JacobianWrtVariable
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
@@ -58,7 +58,7 @@ class PusherStateSensor(LeafSystem):
 
 
 class ArmTipSensor(LeafSystem):
-    """Position and velocity of the finger's tip of an arm that is not simulated, from its joints.
+    """Position, velocity and load of the finger's tip of an arm that is not simulated, from its joints.
 
     .. pydrake_system::
 
@@ -66,12 +66,17 @@ class ArmTipSensor(LeafSystem):
         input_ports:
         - position_measured
         - velocity_estimated
+        - torque_external
         output_ports:
         - pusher_state
+        - force
 
     * position_measured: vector of n, the joints' angles, rad.
     * velocity_estimated: vector of n, their velocities, rad/s.
+    * torque_external: vector of n, on the joints from outside, N m.
     * pusher_state: vector of 6, the tip's center p_WP, m, and its velocity v_WP, m/s, in W.
+    * force: vector of 3, on the tip, in W, N: the one that says most of the torques, by least squares of
+      J^T f = tau with the Jacobian J of the tip's velocity. What the joints cannot feel is 0 in it.
     """
 
     __slots__ = NO_SLOTS
@@ -88,9 +93,20 @@ class ArmTipSensor(LeafSystem):
         self._plant_context = control_plant.CreateDefaultContext()
         self._q = self.DeclareVectorInputPort("position_measured", control_plant.num_positions())
         self._v = self.DeclareVectorInputPort("velocity_estimated", control_plant.num_velocities())
+        self._torque = self.DeclareVectorInputPort("torque_external", control_plant.num_velocities())
         self.DeclareVectorOutputPort(
             "pusher_state", 6, weakly(self._calc_pusher_state), {self._q.ticket(), self._v.ticket()}
         )
+        self.DeclareVectorOutputPort("force", 3, weakly(self._calc_force), {self._q.ticket(), self._torque.ticket()})
+
+    def _calc_force(self, context: Context, output: BasicVector) -> None:
+        plant, scratch = self._plant, self._plant_context
+        plant.SetPositions(scratch, self._q.Eval(context))
+        tip, world = plant.GetFrameByName(self._tip_frame), plant.world_frame()
+        J = plant.CalcJacobianTranslationalVelocity(scratch, JacobianWrtVariable.kV, tip, np.zeros(3), world, world)
+        torque = self._torque.Eval(context)
+        finite = np.isfinite(torque).all() and np.isfinite(J).all()
+        output.SetFromVector(np.linalg.lstsq(J.T, torque)[0] if finite else np.full(3, np.nan))
 
     def _calc_pusher_state(self, context: Context, output: BasicVector) -> None:
         plant, scratch = self._plant, self._plant_context

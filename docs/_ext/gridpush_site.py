@@ -16,6 +16,7 @@ from docutils import nodes
 from docutils.parsers.rst import Directive
 from docutils.statemachine import StringList
 from latex2mathml.converter import convert
+from pydantic import BaseModel
 from pygments.lexers.special import TextLexer
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
@@ -35,6 +36,11 @@ MARKUP = re.compile(r"(?<!\\)(\||(?<=\S)\*|\*(?=\S)|(?<=\w)_(?!\w))")
 
 ARRAY = re.compile(r"~?numpy\.ndarray\[~?tuple\[.*?\], ~?numpy\.dtype\[~?numpy\.(\w+?)\d*\]\]")
 ARRAY_LIKE = re.compile(r"~?numpy\._typing\._array_like\._Buffer.*?_NestedSequence\[complex \| bytes \| str\]")
+CALLABLE = re.compile(r"~?collections\.abc\.Callable\[\[.*?\], .*?\](?=$|[ ,|\]])")
+UNIT_ALONE = re.compile(r"^(:\w+ \w+:) (\w\.)$")
+PYDANTIC = "Create a new model by parsing and validating input data from keyword arguments."
+"""How the docstring of every model's constructor begins."""
+
 FUNCTION = re.compile(r"(<m[io]>(?:log|exp|det|cov|diag|tr|asinh|clip|Huber)</m[io]>)")
 LITERAL = re.compile(r"(^ *::\n\n(?:(?: {4,}.*)?\n)+|^ *\.\. \w+::\n(?:(?: {3,}.*)?\n)+)", re.MULTILINE)
 INDENT = 4
@@ -158,12 +164,32 @@ def _escape(text: str, public: dict[str, str]) -> str:
 
 
 def shorten_types(
-    app: Sphinx, _what: str, name: str, _obj: Any, _options: Any, _args: str | None, _returns: str | None
-) -> None:
-    """Calls an array an array: shape and unit are in the docstring."""
+    app: Sphinx, _what: str, name: str, obj: Any, _options: Any, _args: str | None, returns: str | None
+) -> tuple[str, str | None] | None:
+    """Calls an array an array: shape and unit are in the docstring. Of a file's schema the fields say the defaults."""
     annotations = app.env.current_document.autodoc_annotations.get(name, {})
     for key, text in annotations.items():
         annotations[key] = ARRAY_LIKE.sub("array_like", ARRAY.sub(r"array of \1", text))
+    return ("(**fields)", returns) if isinstance(obj, type) and issubclass(obj, BaseModel) else None
+
+
+def shorten_field_types(_app: Sphinx, _what: str, _name: str, obj: Any, _options: Any, lines: list[str]) -> None:
+    """Does the same with the attributes' types, which stand in the docstring by now.
+
+    Takes out Pydantic's own text, and keeps an "m." from being the first item of a list.
+    """
+    if isinstance(obj, type) and issubclass(obj, BaseModel) and PYDANTIC in lines:
+        del lines[lines.index(PYDANTIC) :]
+    for i, line in enumerate(lines):
+        if line.startswith(":vartype"):
+            lines[i] = CALLABLE.sub("function", ARRAY.sub(r"array of \1", line))
+        else:
+            lines[i] = UNIT_ALONE.sub(r"\1 \\\2", line)
+
+
+def skip_settings(_app: Sphinx, _what: str, name: str, _obj: Any, skip: bool, _options: Any) -> bool:
+    """Leaves out how Pydantic is set."""
+    return skip or name == "model_config"
 
 
 def link_public_name(app: Sphinx, env: Any, node: pending_xref, contnode: nodes.Element) -> nodes.Node | None:
@@ -250,10 +276,21 @@ def write_pages(app: Sphinx) -> None:
 
 
 def make_command_line_page() -> str:
-    """The help of every command, as Typer writes it in Markdown."""
+    """The help of every command, as Typer writes it in Markdown, but with whole sentences in the lists of commands."""
     command = [sys.executable, "-m", "typer", "gridpush_drake.cli.main", "utils", "docs", "--name", "gridpush"]
     text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    return text
+    said = dict(re.findall(r"^#+ `(gridpush[ \w]*)`\n\n(.+)$", text, re.MULTILINE))
+    parts = re.split(r"^(#+ `(gridpush[ \w]*)`)$", text, flags=re.MULTILINE)
+    for i in range(3, len(parts), 3):
+        above = parts[i - 1]
+        parts[i] = re.sub(
+            r"^\* `(\w+)`: .*$",
+            lambda found, above=above: f"* `{found[1]}`: {said.get(f'{above} {found[1]}', found[0])}",
+            parts[i],
+            flags=re.MULTILINE,
+        )
+        parts[i - 1] = ""
+    return "".join(parts)
 
 
 def _write(path: Path, text: str) -> None:
@@ -270,6 +307,8 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("station-diagram", StationDiagram)
     app.connect("builder-inited", write_pages)
     app.connect("autodoc-process-docstring", make_rst, priority=100)
+    app.connect("autodoc-process-docstring", shorten_field_types, priority=900)
+    app.connect("autodoc-skip-member", skip_settings)
     app.connect("doctree-read", drop_symbols)
     app.connect("build-finished", check_links)
     app.connect("autodoc-process-signature", shorten_types, priority=900)

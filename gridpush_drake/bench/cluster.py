@@ -27,13 +27,7 @@ ADDRESS = "the address of a Dask scheduler that runs, such as tcp://host:8786"
 
 @contextmanager
 def open_cluster(address: str) -> "Iterator[DaskCluster]":
-    """Connects to a cluster, and disconnects in the end; jobs that it has not done by then are dropped.
-
-    Args:
-        address: of its scheduler.
-
-    Yields:
-        What runs jobs there.
+    """Connects to the cluster of a scheduler's address; in the end, jobs that it has not done are dropped.
 
     Raises:
         GridPushError: `distributed` is not installed, or no scheduler answers within CONNECT_WITHIN.

@@ -1,4 +1,4 @@
-"""What runs in Drake: the whole station learning, judged by pushes held out, and the speed of `GridLcpSystem`."""
+"""`gridpush bench drake`: the whole station learning, judged by pushes held out, and the speed of `GridLcpSystem`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,9 +12,13 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from gridpush_drake.bench.jobs import QUIET, Execution, ObjectJob, Report, count_steps, run_jobs
+from gridpush_drake.bench import plant
+from gridpush_drake.bench.campaign import calc_center_error
+from gridpush_drake.bench.jobs import QUIET, Execution, Report, count_steps, run_jobs
 from gridpush_drake.bench.speed import DT, DURATION, RADIUS, make_bench_push
 from gridpush_drake.bench.table import MM, MS, Table, Value
+from gridpush_drake.dynamics.simulation import Regime
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
@@ -23,28 +27,25 @@ from gridpush_drake.station.identify_task import IdentifyTask
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
 
-Floats = NDArray[np.float64]
-
 OBJECTS = ("claw_hammer", "combination_wrench", "spray_bottle")
 SEEDS = (0, 1, 2)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One experiment in the station: a shipped object, and the seed of all that is hidden or random."""
+
+    name: str
+    seed: int
 
 
 @dataclass(frozen=True)
 class StationScore:
     """What came of one experiment; lengths in m.
 
-    Attributes:
-        name: the object.
-        seed: of the experiment.
-        status: of the experiment, "finished" where all pushes were carried out.
-        pushes: learned from.
-        held_out: pushes to judge by.
-        error: mean cell error of the held-out pushes, with the uniform model, as learned, and with the true parameters.
-        center_of_mass_error: with the uniform model, and as learned.
-        tracking_error: of the finger.
-        share: of joint position, velocity and torque limits, the greatest.
-        touched: pairs of bodies that should not have touched.
-        duration: simulated, s.
+    Mean cell errors of the held-out pushes are with the uniform model, as learned, and with the true parameters; center
+    of mass errors with the first two. `share` is the greatest of joint position, velocity and torque limits; `touched`
+    counts pairs of bodies that should not have touched.
     """
 
     name: str
@@ -60,40 +61,20 @@ class StationScore:
     duration: float
 
 
-def run(
-    objects: Sequence[str] = OBJECTS,
-    seeds: Sequence[int] = SEEDS,
-    execution: Execution = QUIET,
-) -> list[Table]:
-    """Runs the experiments.
+def run(seed: int = 0, execution: Execution = QUIET, *, quick: bool = False) -> list[Table]:
+    """Measures all: the LCP system, single updates, the plant beside the model (`bench.plant`), and the station.
 
-    Args:
-        objects: shipped objects' names.
-        seeds: of the experiments with each.
-        execution: how the jobs are run.
-
-    Returns:
-        One table, a row an experiment.
-
-    Raises:
-        ObjectError: an object is not shipped.
+    No single updates, and of the rest the first object only, with two pushes and one seed, where `quick`.
     """
-    return [make_table(calc_scores(objects, seeds, execution))]
+    count = 1 if quick else None
+    tables = [run_lcp_system(execution.report), *([] if quick else [run_updates(execution.report)])]
+    pushes = plant.calc_scores(plant.OBJECTS[:count], 2 if quick else plant.PUSHES, seed=seed, execution=execution)
+    jobs = [Job(name, seed + each) for name in OBJECTS[:count] for each in SEEDS[:count]]
+    scores = run_jobs(run_job, jobs, lambda job: f"{job.name}, seed {job.seed}", execution)
+    return [*tables, plant.make_table(pushes), make_table(scores)]
 
 
-def calc_scores(
-    objects: Sequence[str] = OBJECTS,
-    seeds: Sequence[int] = SEEDS,
-    execution: Execution = QUIET,
-) -> list[StationScore]:
-    """As `run`, experiment by experiment."""
-    for name in objects:
-        find_shipped_object(name)
-    jobs = [ObjectJob(name, seed) for name in objects for seed in seeds]
-    return run_jobs(run_job, jobs, ObjectJob.describe, execution)
-
-
-def run_job(job: ObjectJob) -> StationScore:
+def run_job(job: Job) -> StationScore:
     """Runs one experiment with the default scenario."""
     record = IdentifyTask(PushScenario(object=job.name, seed=job.seed)).run()
     assert record.truth is not None  # of a simulated object it is known
@@ -102,7 +83,7 @@ def run_job(job: ObjectJob) -> StationScore:
     learned = record.estimates[-1].params if record.estimates else uniform
     regime = record.estimates[-1].regime if record.estimates else "quasi_static"
     before, after, floor = (calc_mean_cell_error(obj, params, held_out, regime) for params in (uniform, learned, truth))
-    gaps = [float(np.linalg.norm(p.center_of_mass(obj) - truth.center_of_mass(obj))) for p in (uniform, learned)]
+    gaps = [calc_center_error(record, params) for params in (uniform, learned)]
     return StationScore(
         job.name, job.seed, record.status, len(record.training_log), len(held_out), (before, after, floor),
         (gaps[0], gaps[1]), limits.tracking_error,
@@ -144,23 +125,12 @@ UPDATE = 0.005
 UPDATE_MODES = {"in the same update": 0.0, "beside the Diagram, in real time": None}
 """How what takes long is answered: `simulation.answer_delay`."""
 
-UPDATE_POKES = 3
-UPDATE_LIMIT = 120.0
-"""Simulated s after which it is given up."""
-
-UPDATE_RATE = 1.0
-"""Simulated seconds a second, at most."""
+UPDATE_POKES, UPDATE_LIMIT, UPDATE_RATE = 3, 120.0, 1.0
+"""Simulated s after which it is given up, and simulated seconds a second, at most."""
 
 
-def run_updates(report: Report | None = None) -> list[Table]:
-    """Times each update of the station's Diagram while the robot pokes and learns.
-
-    Args:
-        report: called with what begins, as of jobs.
-
-    Returns:
-        One table, a row for each way of learning.
-    """
+def run_updates(report: Report | None = None) -> Table:
+    """Times each update of the station's Diagram while the robot pokes and learns: a row for each way of learning."""
     rows: list[list[Value]] = []
     announce = count_steps(report, len(UPDATE_MODES))
     for words, delay in UPDATE_MODES.items():
@@ -178,14 +148,11 @@ def run_updates(report: Report | None = None) -> list[Table]:
         "meanwhile: while the identifier or the policy is at work. By the clock on the wall and, apart from what else "
         "the computer does, by the processor time of the thread that the Diagram runs in."
     ]
-    return [Table("Single updates of the station's Diagram", columns, rows, notes)]
+    return Table("Single updates of the station's Diagram", columns, rows, notes)
 
 
-def time_updates(answer_delay: float | None) -> tuple[Floats, NDArray[np.bool_], int]:
-    """Lets the station poke a hammer.
-
-    Args:
-        answer_delay: as of the scenario.
+def time_updates(answer_delay: float | None) -> tuple[Array, NDArray[np.bool_], int]:
+    """Lets the station poke a hammer; `answer_delay` is as of the scenario.
 
     Returns:
         (U, 2) each update's time by the clock on the wall and by that of the thread's processor, s; (U,) whether
@@ -218,20 +185,13 @@ def time_updates(answer_delay: float | None) -> tuple[Floats, NDArray[np.bool_],
 
 
 LCP_OBJECTS = ("claw_hammer", "toolbox")
-LCP_REGIMES = ("inertial", "quasi_static")
+LCP_REGIMES: tuple[Regime, ...] = ("inertial", "quasi_static")
 LCP_RUNS = 10
 """Of each push."""
 
 
-def run_lcp_system(report: Report | None = None) -> list[Table]:
-    """Times the push of the speed benchmark in a Simulator.
-
-    Args:
-        report: called with what begins, as of jobs.
-
-    Returns:
-        One table, a row an object and regime.
-    """
+def run_lcp_system(report: Report | None = None) -> Table:
+    """Times the push of the speed benchmark in a Simulator: a row an object and regime."""
     rows: list[list[Value]] = []
     announce = count_steps(report, len(LCP_OBJECTS) * len(LCP_REGIMES))
     for name in LCP_OBJECTS:
@@ -245,16 +205,13 @@ def run_lcp_system(report: Report | None = None) -> list[Table]:
         f"A push of {DURATION:g} s in steps of {DT * MS:g} ms, {LCP_RUNS} runs, with Drake's Simulator and logging."
     ]
     columns = ("object, regime", "cells", "median, ms", "least, ms", "times real time")
-    return [Table("GridLcpSystem in a Simulator", columns, rows, notes)]
+    return Table("GridLcpSystem in a Simulator", columns, rows, notes)
 
 
-def _time_pushes(obj: GridObject, regime: str) -> list[float]:
-
+def _time_pushes(obj: GridObject, regime: Regime) -> list[float]:
     push = make_bench_push(obj)
     builder = DiagramBuilder()
-    lcp = builder.AddSystem(
-        GridLcpSystem(obj, CellParameters.random(obj, seed=0), DT, regime, RADIUS)  # type: ignore[arg-type]
-    )
+    lcp = builder.AddSystem(GridLcpSystem(obj, CellParameters.random(obj, seed=0), DT, regime, RADIUS))
     states = np.column_stack([push.xy, np.tile(push.velocity, (len(push.xy), 1))])
     source = builder.AddSystem(TrajectorySource(PiecewisePolynomial.FirstOrderHold(push.t, states.T)))
     builder.Connect(source.get_output_port(), lcp.GetInputPort("pusher_state"))

@@ -13,6 +13,7 @@ import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
+from functools import cache
 from importlib.resources import files
 from itertools import count
 from multiprocessing import get_context, parent_process, resource_tracker
@@ -21,7 +22,7 @@ from multiprocessing.process import BaseProcess
 from os import _exit
 from pathlib import Path
 from threading import Thread
-from typing import Any, Generic, Protocol, TypeVar, get_type_hints
+from typing import Any, Protocol, TypeVar, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -31,11 +32,8 @@ from gridpush_drake.files import check_writable
 FOLDER = Path("gridpush_bench")
 """Where results are kept unless told otherwise, in the current folder."""
 
-SOURCES = (".py", ".yaml", ".sdf", ".urdf")
-"""Endings of the package's files that results depend on."""
-
-NO_SOURCES = "cli"
-"""Folder of the package that no result depends on."""
+SOURCES, NO_SOURCES = (".py", ".yaml", ".sdf", ".urdf"), "cli"
+"""Endings of the package's files that results depend on, and its folder that none does."""
 
 DIGITS = 12
 """Of a hash, enough to tell two files from each other."""
@@ -55,12 +53,24 @@ class Results:
         """Takes the first line of a file that is to be begun; None goes on with the file that is there."""
         self.path, self.lines, self._head = path, lines, head
 
-    def bind(self, function: Callable[[Any], Result]) -> "BoundResults[Result]":
-        """The results of one function of a job, of the type that it is annotated with."""
-        return BoundResults(self, TypeAdapter(get_type_hints(function)["return"]))
+    def find(self, function: Callable[[Any], Result], jobs: Sequence[Any]) -> dict[int, Result]:
+        """Finds a function's results of finished jobs, by the job's number.
 
-    def append(self, line: dict[str, Any]) -> None:
-        """Writes a line at once. Raises OutputError where the disk refuses."""
+        Raises:
+            GridPushError: one is of another form than the function is annotated with.
+        """
+        found = {i: self.lines[key] for i, key in enumerate(map(make_key, jobs)) if key in self.lines}
+        try:
+            return {i: _find_adapter(function).validate_python(result) for i, result in found.items()}
+        except ValidationError as error:
+            raise GridPushError(
+                f"{self.path}: holds a result of another form; pass --force to start anew ({error.title})"
+            ) from error
+
+    def append(self, function: Callable[[Any], Result], job: Any, result: Result) -> None:
+        """Writes a function's result of a job at once. Raises OutputError where the disk refuses."""
+        plain = _find_adapter(function).dump_python(result, mode="json")
+        line = {"job": json.loads(make_key(job)), "result": plain}
         try:
             if self._head is not None:
                 self.path.parent.mkdir(exist_ok=True)
@@ -72,26 +82,10 @@ class Results:
             raise OutputError(f"{self.path}: cannot be written: {error.strerror}") from error
 
 
-class BoundResults(Generic[Result]):
-    """Results of one kind of job."""
-
-    def __init__(self, results: Results, adapter: TypeAdapter[Result]) -> None:
-        self._results, self._adapter = results, adapter
-
-    def find(self, jobs: Sequence[Any]) -> dict[int, Result]:
-        """Finds the results of finished jobs, by the job's number. Raises GridPushError where one has another form."""
-        found = {i: self._results.lines[key] for i, key in enumerate(map(make_key, jobs)) if key in self._results.lines}
-        try:
-            return {i: self._adapter.validate_python(result) for i, result in found.items()}
-        except ValidationError as error:
-            raise GridPushError(
-                f"{self._results.path}: holds a result of another form; pass --force to start anew ({error.title})"
-            ) from error
-
-    def append(self, job: Any, result: Result) -> None:
-        """Keeps the result of a finished job."""
-        plain = self._adapter.dump_python(result, mode="json")
-        self._results.append({"job": json.loads(make_key(job)), "result": plain})
+@cache
+def _find_adapter(function: Callable[[Any], Any]) -> TypeAdapter[Any]:
+    """Reads and writes what a function is annotated to give."""
+    return TypeAdapter(get_type_hints(function)["return"])
 
 
 def make_key(job: Any) -> str:
@@ -101,17 +95,13 @@ def make_key(job: Any) -> str:
 
 
 def open_results(path: Path | str | None, bench: str, settings: dict[str, Any], force: bool = False) -> Results:
-    """Opens the file of a bench's results, or begins it.
+    """Opens the file of a bench's results, or begins it, anew where `force`.
 
     Args:
-        path: of the file; None for one in FOLDER, another for every choice of settings and every change of the
-            program.
+        path: of the file; None for one in FOLDER, another for every choice of settings and every change of the program.
         bench: the bench's name.
         settings: all that was chosen.
         force: whether to begin anew.
-
-    Returns:
-        The file, with the results that are in it.
 
     Raises:
         GridPushError: the file is of other settings, or is no such file.
@@ -177,26 +167,11 @@ Report = Callable[[str, int, int], None]
 WORKERS = 2
 """Processes by default."""
 
-REPORT_EVERY = 1.0
-"""s, at most, between two calls of a report."""
-
-END_WITHIN = 1.0
-"""s that a killed worker is waited for."""
+REPORT_EVERY, END_WITHIN = 1.0, 1.0
+"""s, at most, between two calls of a report, and that a killed worker is waited for."""
 
 MAX_LOST = 3
 """Workers that a job may lose; then it is taken to be what ends them."""
-
-
-@dataclass(frozen=True)
-class ObjectJob:
-    """One run in the station: a shipped object, and the seed of all that is hidden or random."""
-
-    name: str
-    seed: int
-
-    def describe(self) -> str:
-        """In a few words."""
-        return f"{self.name}, seed {self.seed}"
 
 
 Found = tuple[int, Any] | None
@@ -270,8 +245,8 @@ def run_jobs(
         GridPushError: a job lost MAX_LOST workers, which is said when all others are done, or the results cannot be
             kept.
     """
-    kept = execution.results.bind(function) if execution.results is not None else None
-    done = {} if kept is None else kept.find(jobs)
+    kept = execution.results
+    done = {} if kept is None else kept.find(function, jobs)
     report = execution.report or (lambda *_: None)
     said = "" if not done else f"{len(done)} known from before"
     left = [(i, job) for i, job in enumerate(jobs) if i not in done]
@@ -284,7 +259,7 @@ def run_jobs(
                 i, result = found
                 done[i], said = result, describe(jobs[i])
                 if kept is not None:
-                    kept.append(jobs[i], result)
+                    kept.append(function, jobs[i], result)
             report(said, len(done), len(jobs))
     except LostJobsError as lost:
         names = "; ".join(describe(jobs[i]) for i in lost.jobs)

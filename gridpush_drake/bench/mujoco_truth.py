@@ -40,23 +40,16 @@ from gridpush_drake.objects.parameters import CellParameters
 if TYPE_CHECKING:
     import mujoco
 
-RIGID_TIME_STEP = 5e-4
-"""s, of bodies on rigid feet."""
+RIGID_TIME_STEP, RIGID_SINKAGE = 5e-4, 1e-4
+"""s, of bodies on rigid feet, and m that such a foot sinks under its share of the weight; a compliant bottom sinks by
+SINKAGE."""
 
 BODY_HEIGHT = 0.03
 """m, of every object; its mass is spread evenly over it."""
 
-RIGID_SINKAGE = 1e-4
-"""m that a rigid foot that bears its share of the weight sinks; a compliant bottom sinks by SINKAGE."""
-
-PUSHER_INERTIA = 1000.0
-"""kg that resists a change of the pusher's given speed within a step."""
-
-PUSHER_MASS = 0.01
-"""kg of what may follow the object up and down, so that the pusher does not carry it."""
-
-PUSHER_HALF_LENGTH = 0.1
-"""m."""
+PUSHER_INERTIA, PUSHER_MASS, PUSHER_HALF_LENGTH = 1000.0, 0.01, 0.1
+"""kg that resists a change of the pusher's given speed within a step; kg of what may follow the object up and down, so
+that the pusher does not carry it; and m."""
 
 PUSHER_SINKAGE = 1e-4
 """m that the pusher would sink into the body's side were it pushed by the body's weight."""
@@ -146,12 +139,7 @@ class TruthWorld:
     """
 
     def __init__(self, body: TruthBody, radius: float, table: Bounds = ENDLESS) -> None:
-        """Finds how the body rests.
-
-        Args:
-            body: what is pushed.
-            radius: of the pusher, m.
-            table: its sides in W, m.
+        """Finds how the body rests on a table of these sides in W, m; the radius is the pusher's.
 
         Raises:
             GridPushError: MuJoCo is not installed.
@@ -211,14 +199,7 @@ class TruthWorld:
         return float(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)))
 
     def push(self, push: Push) -> TruthMotion:
-        """Pushes the body from where it is, at rest.
-
-        Args:
-            push: of a disc of this world's radius.
-
-        Returns:
-            The motion during the push; theta is continuous.
-        """
+        """Pushes the body, with a disc of this world's radius, from where it is, at rest; theta is continuous."""
         model, data, step = self._model, self._data, self._mujoco.mj_step
         dt = self.body.time_step
         count = round(push.duration / dt)

@@ -1,15 +1,14 @@
 """`gridpush bench paper`: every method on the paper's simulated protocol, over the same number of simulations.
 
-The scores are given as tables, with bootstrap confidence intervals over mass sets and their splits.
-
-Error against the number of simulations, as in the paper's Fig. 4.
+The scores have bootstrap confidence intervals over mass sets and their splits; the figure shows the error against the
+number of simulations, as the paper's Fig. 4.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -28,13 +27,12 @@ from gridpush_drake.bench.protocol import (
     make_case,
     make_protocol,
 )
-from gridpush_drake.bench.table import MM, Table, Value, check_figure, write_panels
+from gridpush_drake.bench.table import MM, Column, Table, check_figure, write_panels
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import METHODS, identify
-from gridpush_drake.identification.prediction import calc_pose_error, predict
+from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.push_log import PushLog
 
 UNIFORM = "uniform prior"
 DEFAULT = "default"
@@ -48,16 +46,9 @@ PAPER_MM = 15.3
 
 @dataclass(frozen=True)
 class Score:
-    """How a method did on one object with one mass set and its split.
+    """How a method did on one object with one mass set and its split: mean final cell error of its test pushes, m.
 
-    Attributes:
-        name: of the object.
-        mass_set: number of the mass set and of the split.
-        training: number of training pushes.
-        method: of identification.
-        budget: simulated pushes it might spend.
-        simulations: those it did.
-        error: mean final cell error of the test pushes, m.
+    It might spend `budget` simulated pushes, and did spend `simulations`.
     """
 
     name: str
@@ -69,8 +60,7 @@ class Score:
     error: float
 
 
-@dataclass(frozen=True)
-class Interval:
+class Interval(NamedTuple):
     """A mean and the ends of its confidence interval, NaN where one value does not give any."""
 
     mean: float
@@ -105,38 +95,42 @@ def tabulate_methods(
     scores: Sequence[Score], names: Sequence[str], methods: Sequence[str], training: int, budget: int
 ) -> Table:
     """Errors by method and object."""
-    rows: list[list[Value]] = []
-    for method in methods:
-        chosen = select(scores, method=method, training=training, budget=budget)
-        rows.append([method, *_cells(chosen, names), mean_simulations(chosen)])
+    groups = [((method,), select(scores, method=method, training=training, budget=budget)) for method in methods]
     title = f"Mean test cell error, mm, by method: {training} training pushes, searches of {budget} simulated pushes"
-    return Table(title, ("method", *names, "all", "simulations"), rows, [*_notes(scores), _describe_truth()])
+    columns = {**_error_columns(names), "simulations": mean_simulations}
+    notes = [
+        *_notes(scores),
+        f"Truth: our inertial simulation, hidden masses by label, friction {SUPPORT_FRICTION:g}, ten pushes at "
+        f"{SPEED:g} m/s for {DURATION:g} s by a disc of {FINGER_RADIUS * 100:g} cm radius in place of the paper's 3 cm "
+        f"square finger, pose seen every {OBSERVED_EVERY:g} s. The identifier sees neither labels nor the total mass.",
+    ]
+    return Table.of(title, ("method",), groups, columns, notes)
 
 
 def tabulate_training(scores: Sequence[Score], names: Sequence[str], method: str, budget: int) -> Table:
     """Errors of one method by number of training pushes."""
-    rows: list[list[Value]] = []
-    for training in sorted({score.training for score in scores}):
-        chosen = select(scores, method=method, training=training, budget=budget)
-        before = select(scores, method=UNIFORM, training=training, budget=budget)
-        rows.append([training, *_cells(chosen, names), _format(summarize(before)), mean_simulations(chosen)])
-    columns = ("training pushes", *names, "all", f"all, {UNIFORM}", "simulations")
-    return Table(f"Mean test cell error, mm, of the {method} method by training pushes", columns, rows, _notes(scores))
+    counts = sorted({score.training for score in scores})
+    groups = [((count,), select(scores, method=method, training=count, budget=budget)) for count in counts]
+
+    def format_before(chosen: Sequence[Score]) -> str | None:
+        return _format(scores, method=UNIFORM, training=chosen[0].training, budget=budget)
+
+    columns = {**_error_columns(names), f"all, {UNIFORM}": format_before, "simulations": mean_simulations}
+    title = f"Mean test cell error, mm, of the {method} method by training pushes"
+    return Table.of(title, ("training pushes",), groups, columns, _notes(scores))
 
 
 def tabulate_budgets(scores: Sequence[Score], methods: Sequence[str], training: int) -> Table:
     """Errors over all objects by method and number of simulations."""
+    groups = [((method,), select(scores, method=method, training=training)) for method in methods]
     budgets = sorted({score.budget for score in select(scores, training=training)})
-    rows: list[list[Value]] = []
-    for method in methods:
-        chosen = select(scores, method=method, training=training)
-        rows.append([method, *(_format_some(select(chosen, budget=budget)) for budget in budgets)])
+    columns = {f"at most {budget}": partial(_format, budget=budget) for budget in budgets}
     title = f"Mean test cell error, mm, by simulated pushes: {training} training pushes, all objects"
-    return Table(title, ("method", *(f"at most {budget}" for budget in budgets)), rows, _notes(scores))
+    return Table.of(title, ("method",), groups, columns, _notes(scores))
 
 
-def _cells(scores: Sequence[Score], names: Sequence[str]) -> list[Value]:
-    return [*(_format(summarize(select(scores, name=name))) for name in names), _format(summarize(scores))]
+def _error_columns(names: Sequence[str]) -> dict[str, Column]:
+    return {**{name: partial(_format, name=name) for name in names}, "all": _format}
 
 
 def mean_simulations(scores: Sequence[Score]) -> int:
@@ -144,13 +138,12 @@ def mean_simulations(scores: Sequence[Score]) -> int:
     return round(float(np.mean([score.simulations for score in scores])))
 
 
-def _format(interval: Interval) -> str:
-    mean = f"{interval.mean * MM:.2f}"
-    return mean if np.isnan(interval.low) else f"{mean} ({interval.low * MM:.2f} to {interval.high * MM:.2f})"
-
-
-def _format_some(scores: Sequence[Score]) -> str | None:
-    return _format(summarize(scores)) if scores else None
+def _format(scores: Sequence[Score], **wanted: object) -> str | None:
+    chosen = select(scores, **wanted)
+    if not chosen:
+        return None
+    mean, low, high = (MM * value for value in summarize(chosen))
+    return f"{mean:.2f}" if np.isnan(low) else f"{mean:.2f} ({low:.2f} to {high:.2f})"
 
 
 def _notes(scores: Sequence[Score]) -> list[str]:
@@ -159,14 +152,6 @@ def _notes(scores: Sequence[Score]) -> list[str]:
         f"Mean over {sets} mass sets, each with its own split; in brackets its {CONFIDENCE:.0%} bootstrap interval.",
         f"The paper reports {PAPER_MM:g} mm in simulation.",
     ]
-
-
-def _describe_truth() -> str:
-    return (
-        f"Truth: our inertial simulation, hidden masses by label, friction {SUPPORT_FRICTION:g}, ten pushes at "
-        f"{SPEED:g} m/s for {DURATION:g} s by a disc of {FINGER_RADIUS * 100:g} cm radius in place of the paper's 3 cm "
-        f"square finger, pose seen every {OBSERVED_EVERY:g} s. The identifier sees neither labels nor the total mass."
-    )
 
 
 TRUTH_REGIME: Regime = "inertial"
@@ -206,19 +191,10 @@ def run(
     figure: Path | str | None = None,
     force: bool = False,
 ) -> list[Table]:
-    """Measures the methods on the paper's simulated protocol.
+    """Measures the methods on the paper's simulated protocol; the arguments are the options of `gridpush bench paper`.
 
-    Args:
-        data: folder of the paper's masks; None for the shipped objects alone.
-        mass_sets: how many of an object's ten mass sets; set i goes with split i.
-        objects: their names; all where None: the shipped ones, and those of the data.
-        methods: of `identify`.
-        budget: most simulated pushes of a search; the default method decides itself.
-        seed: of everything random.
-        execution: how the jobs are run.
-        quick: only `QUICK_MASS_SETS` mass sets.
-        figure: file for the curve of the error against the number of simulations, by its ending (PNG, PDF, SVG).
-        force: whether an existing figure may be replaced.
+    Mass set i goes with split i, and only QUICK_MASS_SETS of them are taken where `quick`. The default method decides
+    itself how much of the budget it spends.
 
     Returns:
         Test cell error by method and object; by number of training pushes for the default method; and, with
@@ -236,8 +212,19 @@ def run(
     if figure is not None:
         check_figure(figure, force)
     budgets = choose_budgets(budget) if figure is not None else (budget,)
-    jobs = _make_jobs(protocol, folder, names, sets, tuple(methods), budgets, seed)
-    done = run_jobs(run_job, jobs, _describe, execution)
+    others = [count for count in protocol.splits if count != TRAINING_PUSHES and DEFAULT in methods]
+    jobs = [
+        job
+        for mass_set in range(sets)
+        for name in names
+        for job in (
+            Job(folder, name, mass_set, TRAINING_PUSHES, tuple(methods), budgets, seed),
+            *(Job(folder, name, mass_set, count, (DEFAULT,), budgets[-1:], seed) for count in others),
+        )
+    ]
+    done = run_jobs(
+        run_job, jobs, lambda job: f"{job.name}, mass set {job.mass_set}, {job.training} training pushes", execution
+    )
     scores = [score for scores in done for score in scores]
     tables = [tabulate_methods(scores, names, (UNIFORM, *methods), TRAINING_PUSHES, budget)]
     if DEFAULT in methods:
@@ -260,7 +247,7 @@ def run_job(job: Job) -> list[Score]:
     train, test = case.log.subset(split.train), case.log.subset(split.test)
 
     def score(method: str, budget: int, simulations: int, params: CellParameters, regime: Regime) -> Score:
-        error = calc_test_error(case, params, test, regime)
+        error = calc_mean_cell_error(case.obj, params, test, regime)
         return Score(job.name, job.mass_set, job.training, method, budget, simulations, error)
 
     scores = []
@@ -274,12 +261,6 @@ def run_job(job: Job) -> list[Score]:
     return scores
 
 
-def calc_test_error(case: Case, params: CellParameters, test: PushLog, regime: Regime) -> float:
-    """Mean over pushes of the mean distance of the cells between predicted and observed final poses, m."""
-    pairs = zip(predict(case.obj, params, test, regime), test, strict=True)
-    return float(np.mean([calc_pose_error(case.obj, made.poses[-1], seen.final_pose).cell for made, seen in pairs]))
-
-
 def _check(protocol: Protocol, names: Sequence[str], methods: Sequence[str], budget: int, sets: int) -> None:
     check_known("objects", names, tuple(protocol.masses))
     check_known("methods", methods, METHODS)
@@ -288,28 +269,6 @@ def _check(protocol: Protocol, names: Sequence[str], methods: Sequence[str], bud
         raise GridPushError(f"mass sets: {sets}; expected 1 to {most}")
     if budget < TRAINING_PUSHES:
         raise GridPushError(f"budget: {budget}; expected at least {TRAINING_PUSHES}, one for each training push")
-
-
-def _make_jobs(
-    protocol: Protocol,
-    data: Path | None,
-    names: Sequence[str],
-    sets: int,
-    methods: tuple[str, ...],
-    budgets: tuple[int, ...],
-    seed: int,
-) -> list[Job]:
-    jobs = []
-    for mass_set in range(sets):
-        for name in names:
-            jobs.append(Job(data, name, mass_set, TRAINING_PUSHES, methods, budgets, seed))
-            others = [count for count in protocol.splits if count != TRAINING_PUSHES and DEFAULT in methods]
-            jobs += [Job(data, name, mass_set, count, (DEFAULT,), budgets[-1:], seed) for count in others]
-    return jobs
-
-
-def _describe(job: Job) -> str:
-    return f"{job.name}, mass set {job.mass_set}, {job.training} training pushes"
 
 
 @lru_cache(maxsize=1)
@@ -344,8 +303,7 @@ def draw_panel(axis: Axes, scores: Sequence[Score], methods: Sequence[str]) -> N
         spent = (
             budgets if method == UNIFORM else [mean_simulations(select(chosen, budget=budget)) for budget in budgets]
         )
-        intervals = [summarize(select(chosen, budget=budget)) for budget in budgets]
-        mean, low, high = (MM * np.array([getattr(each, key) for each in intervals]) for key in ("mean", "low", "high"))
+        mean, low, high = MM * np.array([summarize(select(chosen, budget=budget)) for budget in budgets]).T
         style: dict[str, Any] = (
             {"color": "0.4", "linestyle": "--"} if method == UNIFORM else {"color": f"C{i - 1}", "marker": "o"}
         )

@@ -11,7 +11,6 @@ The objects are the paper's masks where they are cloned, and else shipped object
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,16 +18,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gridpush_drake.bench import paper, planning, pregrasp, real
-from gridpush_drake.bench.jobs import QUIET, Execution, Job, Result, run_jobs
-from gridpush_drake.bench.protocol import MAX_CELLS, make_case, make_planning_protocol, make_protocol
-from gridpush_drake.bench.public_data import find_push_logs
-from gridpush_drake.bench.table import MM, PERCENT, Table, Value
+from gridpush_drake.bench.jobs import QUIET, Execution, Job, Result, check_known, run_jobs
+from gridpush_drake.bench.protocol import make_case, make_planning_protocol, make_protocol, read_object
+from gridpush_drake.bench.table import MM, PERCENT, Table
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import check_writable, write_whole
 from gridpush_drake.identification.learning import METHODS, identify
-from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.object_file import find_shipped_object
-from gridpush_drake.report.draw import draw_cells, hide_axes, make_grid, to_png, to_svg
+from gridpush_drake.report.draw import draw_cells, hide_axes, make_chart, make_grid, to_png, to_svg
 
 SHIPPED = ("claw_hammer", "open_book", "snack_bag", "spray_bottle")
 """In place of the paper's hammer, book, snack and windex."""
@@ -40,15 +38,7 @@ FIGURES = ("mass_maps", "simulations", "real_pushes", "contact_points", "pregras
 
 @dataclass(frozen=True)
 class Counts:
-    """How much is run.
-
-    Attributes:
-        sets: mass sets of an object, for the searches and the contact points.
-        pairs: start and goal poses, for the contact points.
-        splits: of a log, for the real pushes.
-        tries: hidden hammers, for the slides.
-        budget: simulated pushes of a search.
-    """
+    """How much is run: mass sets, pairs of poses, splits of a log, hidden hammers, simulated pushes of a search."""
 
     sets: int = 3
     pairs: int = 5
@@ -79,8 +69,6 @@ MAP_COLUMNS, MAP_SIZE = ("hidden", "learned", "standard deviation"), (8.0, 1.9)
 BAR, CAP = 0.8, 3
 """Share of its place that a group of bars takes, and the width of an error bar's ends, points."""
 
-Write = Callable[[str, Figure], None]
-
 
 @dataclass(frozen=True)
 class MapJob:
@@ -94,21 +82,48 @@ class MapJob:
 
 @dataclass(frozen=True)
 class MassMap:
-    """What was hidden, and what was learned.
-
-    Attributes:
-        name: of the object.
-        hidden: (n,) each cell's share of the mass, over the mean share.
-        learned: (n,) the same as estimated.
-        std: (n,) its standard deviation.
-        error: mean test cell error, m.
-    """
+    """What was hidden, and what was learned, each cell's share of the mass over the mean share (n,); test error, m."""
 
     name: str
     hidden: list[float]
     learned: list[float]
     std: list[float]
     error: float
+
+
+@dataclass(frozen=True)
+class Study:
+    """What the figures are drawn from, and where they go; see `run`."""
+
+    folder: Path
+    data: Path | None
+    names: Sequence[str]
+    methods: Sequence[str]
+    seed: int
+    counts: Counts
+    execution: Execution
+    force: bool
+
+    def run(self, function: Callable[[Job], Result], jobs: Sequence[Job]) -> list[Result]:
+        """Measures, and draws the figures into a folder, which is made where it is not there.
+
+        The arguments are the options of `gridpush bench paper`; `counts` says how much is run, QUICK where `quick`.
+
+        Returns:
+        What each figure shows, beside what the paper says.
+
+        Raises:
+        GridPushError: the data are not there, or an object is not known.
+        OutputError: a figure cannot be written.
+        """
+        return run_jobs(
+            function, jobs, lambda job: f"{function.__name__}: {getattr(job, 'name', '')}", self.execution
+        )  # fmt: skip
+
+    def write(self, name: str, figure: Figure) -> None:
+        """Writes a figure as PNG and as SVG."""
+        write_whole(self.folder / f"{name}.png", to_png(figure), self.force)
+        write_whole(self.folder / f"{name}.svg", to_svg(figure), self.force)
 
 
 def run(
@@ -119,10 +134,11 @@ def run(
     seed: int = 0,
     execution: Execution = QUIET,
     *,
-    counts: Counts = Counts(),
+    quick: bool = False,
+    counts: Counts | None = None,
     force: bool = False,
 ) -> list[Table]:
-    """Measures, and draws the figures.
+    """Measures, and draws the figures; the arguments are the options of `gridpush bench paper`.
 
     Args:
         folder: where the figures go, each as PNG and as SVG; made where it is not there.
@@ -131,7 +147,8 @@ def run(
         methods: of `identify`, for the error against simulations.
         seed: of everything random.
         execution: how the jobs are run.
-        counts: how much is run.
+        quick: whether as much is run as QUICK says.
+        counts: how much is run instead.
         force: whether existing figures may be replaced.
 
     Returns:
@@ -145,10 +162,10 @@ def run(
     check_folder(folder, force)
     protocol = make_protocol(root, seed)
     names = list(objects or protocol.masks or SHIPPED)
-    check_objects(names, tuple(protocol.masses))
-    rows: list[list[Value]] = []
-    for draw in (_draw_maps, partial(_draw_simulations, methods=methods), _draw_real, _draw_contacts, _draw_pregrasp):
-        rows.append(draw(root, names, seed, counts, execution, partial(_write, folder, force)))
+    check_known("objects", names, tuple(protocol.masses))
+    study = Study(folder, root, names, methods, seed, counts or (QUICK if quick else Counts()), execution, force)
+    drawn = [draw(study) for draw in (_draw_maps, _draw_simulations, _draw_real, _draw_contacts, _draw_pregrasp)]
+    rows = [[name, *said] for name, said in zip(FIGURES, drawn, strict=True)]
     notes = [f"In {folder}, each as PNG and SVG.", "Objects: " + ", ".join(names) + "."]
     return [Table("The paper's figures", ("figure", "here", "in the paper"), rows, notes)]
 
@@ -163,28 +180,14 @@ def check_folder(folder: Path, force: bool) -> None:
             check_writable(folder / (name + ending), force)
 
 
-def check_objects(names: Sequence[str], known: Sequence[str]) -> None:
-    """Raises GridPushError where a name is not known."""
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        raise GridPushError(f"objects: {', '.join(unknown)}; expected some of {', '.join(known)}")
-
-
-def _write(folder: Path, force: bool, name: str, figure: Figure) -> None:
-    write_whole(folder / f"{name}.png", to_png(figure), force)
-    write_whole(folder / f"{name}.svg", to_svg(figure), force)
-
-
 def learn_map(job: MapJob) -> MassMap:
     """Learns one map."""
     protocol = make_protocol(job.data, job.seed)
     case = make_case(protocol, job.name, job.mass_set)
     split = protocol.splits[paper.TRAINING_PUSHES][job.mass_set]
     found = identify(case.obj, case.log.subset(split.train), seed=job.seed)
-    labels = load_labels(job.data, job.seed, job.name)
-    hidden = np.array(protocol.masses[job.name][job.mass_set])[labels - 1]
-    test = case.log.subset(split.test)
-    error = paper.calc_test_error(case, found.params, test, found.regime)
+    hidden = np.array(protocol.masses[job.name][job.mass_set])[read_object(protocol, job.name).labels - 1]
+    error = calc_mean_cell_error(case.obj, found.params, case.log.subset(split.test), found.regime)
     mean = found.params.mass.mean()
     return MassMap(
         job.name, (hidden / hidden.mean()).tolist(), (found.params.mass / mean).tolist(),
@@ -192,109 +195,85 @@ def learn_map(job: MapJob) -> MassMap:
     )  # fmt: skip
 
 
-def load_labels(data: Path | None, seed: int, name: str) -> np.ndarray:
-    """(n,) the hidden parts of a protocol's object."""
-    protocol = make_protocol(data, seed)
-    if name not in protocol.masks:
-        return GridObject.from_yaml(find_shipped_object(name)).labels
-    return GridObject.from_mask(
-        protocol.masks[name], meters_per_pixel=protocol.meters_per_pixel, max_cells=MAX_CELLS
-    ).labels
-
-
-def _draw_maps(
-    data: Path | None, names: Sequence[str], seed: int, counts: Counts, execution: Execution, write: Write
-) -> list[Value]:
-    maps = _run(learn_map, [MapJob(data, name, 0, seed) for name in names], execution)
+def _draw_maps(study: Study) -> tuple[str, str]:
+    maps = study.run(learn_map, [MapJob(study.data, name, 0, study.seed) for name in study.names])
     figure, axes = make_grid(len(maps), len(MAP_COLUMNS), *MAP_SIZE)
     for row, found in zip(axes, maps, strict=True):
-        obj = make_case(make_protocol(data, seed), found.name, 0).obj
+        obj = make_case(make_protocol(study.data, study.seed), found.name, 0).obj
         top = max(*found.hidden, *found.learned)
         for ax, title, values in zip(row, MAP_COLUMNS, (found.hidden, found.learned, found.std), strict=True):
             draw_cells(ax, obj, values, label="mass / mean", limits=(0.0, top))
             hide_axes(ax, f"{found.name}, {title}")
-    write("mass_maps", figure)
+    study.write("mass_maps", figure)
     likeness = [float(np.corrcoef(found.hidden, found.learned)[0, 1]) for found in maps]
     error = MM * float(np.mean([found.error for found in maps]))
-    return [
-        "mass_maps", f"learned from {paper.TRAINING_PUSHES} pushes: correlation with the hidden mass "
+    return (
+        f"learned from {paper.TRAINING_PUSHES} pushes: correlation with the hidden mass "
         f"{np.mean(likeness):.2f} ({min(likeness):.2f} to {max(likeness):.2f}); test error {error:.1f} mm",
         "converges to the true masses; shown in colors, without a number",
-    ]  # fmt: skip
+    )
 
 
-def _draw_simulations(
-    data: Path | None, names: Sequence[str], seed: int, counts: Counts, execution: Execution, write: Write,
-    methods: Sequence[str],
-) -> list[Value]:  # fmt: skip
+def _draw_simulations(study: Study) -> tuple[str, str]:
     training = paper.TRAINING_PUSHES
-    budgets = paper.choose_budgets(counts.budget)
+    budgets = paper.choose_budgets(study.counts.budget)
     jobs = [
-        paper.Job(data, name, mass_set, training, tuple(methods), budgets, seed)
-        for mass_set in range(counts.sets)
-        for name in names
+        paper.Job(study.data, name, mass_set, training, tuple(study.methods), budgets, study.seed)
+        for mass_set in range(study.counts.sets)
+        for name in study.names
     ]
-    scores = [score for scores in _run(paper.run_job, jobs, execution) for score in scores]
-    shown = (paper.UNIFORM, *methods)
-    figure, axes = make_grid(1, 1, 2 * PANEL[0], 1.5 * PANEL[1])
-    ax = axes[0, 0]
+    scores = [score for scores in study.run(paper.run_job, jobs) for score in scores]
+    shown = (paper.UNIFORM, *study.methods)
+    figure, ax = make_chart(2 * PANEL[0], 1.5 * PANEL[1])
     paper.draw_panel(ax, scores, shown)
     ax.axhline(paper.PAPER_MM, color="0.7", linewidth=1, label=f"paper, {paper.PAPER_MM:g} mm")
     ax.set_xlabel("simulated pushes")
     ax.set_ylabel("mean test cell error, mm")
     ax.legend(fontsize="small", ncols=2)
-    write("simulations", figure)
+    study.write("simulations", figure)
     best = {
         method: MM * paper.summarize(paper.select(scores, method=method, budget=budgets[-1])).mean for method in shown
     }
     said = ", ".join(f"{method.replace('_', ' ')} {error:.1f}" for method, error in best.items())
-    return [
-        "simulations", f"mm, searches of at most {counts.budget} simulations: {said}",
+    return (
+        f"mm, searches of at most {study.counts.budget} simulations: {said}",
         f"{paper.PAPER_MM:g} mm at most; its gradient needs the fewest simulations",
-    ]  # fmt: skip
+    )
 
 
-def _draw_real(
-    data: Path | None, names: Sequence[str], seed: int, counts: Counts, execution: Execution, write: Write
-) -> list[Value]:
-    logs = _find_logs(data)
+def _draw_real(study: Study) -> tuple[str, str]:
+    logs = _find_logs(study.data)
     if logs:
         known = real.name_logs(logs)
         kept = [entry for entry in known if entry[0] in real.FEET_SETS] or known
-        jobs = [
-            real.Job(path, kind, split, REAL_COUNTS, seed, name)
-            for name, kind, path in kept
-            for split in range(counts.splits)
-        ]
     else:
-        paths = [find_shipped_object(name) for name in SHIPPED]
-        jobs = [
-            real.Job(path, "simulated", split, REAL_COUNTS, seed) for path in paths for split in range(counts.splits)
-        ]
-    scores = [score for scores in _run(real.run_job, jobs, execution) for score in scores]
+        kept = [(name, "simulated", find_shipped_object(name)) for name in SHIPPED]
+    jobs = [
+        real.Job(path, kind, split, REAL_COUNTS, study.seed, name)
+        for name, kind, path in kept
+        for split in range(study.counts.splits)
+    ]
+    scores = [score for scores in study.run(real.run_job, jobs) for score in scores]
     shown = list(dict.fromkeys(score.name for score in scores))
     steps = sorted({score.training for score in scores if score.model in (real.UNIFORM, real.POSES)})
-    figure, axes = make_grid(1, 1, 2 * PANEL[0], 1.2 * PANEL[1])
+    figure, ax = make_chart(2 * PANEL[0], 1.2 * PANEL[1])
     for i, count in enumerate(steps):
         model = real.POSES if count else real.UNIFORM
-        intervals = [paper.calc_interval(_means(scores, name, model, count)) for name in shown]
-        _draw_bars(
-            axes[0, 0], i, len(steps), intervals,
-            f"learned from {count}" if count else real.UNIFORM,
-        )  # fmt: skip
+        label = f"learned from {count}" if count else real.UNIFORM
+        _draw_bars(ax, i, len(steps), [_means(scores, name, model, count) for name in shown], label)
     what = "real pushes" if logs else "simulated stand-ins for real pushes"
-    _finish_bars(axes[0, 0], shown, "position error, mm")
-    axes[0, 0].set_title(f"Foretold positions of {what}, 95 % intervals over {counts.splits} splits", fontsize="small")
-    write("real_pushes", figure)
+    _finish_bars(ax, shown, "position error, mm")
+    ax.set_title(f"Foretold positions of {what}, 95 % intervals over {study.counts.splits} splits", fontsize="small")
+    study.write("real_pushes", figure)
     last = steps[-1]
     means = [
         float(np.mean([np.mean(_means(scores, name, model, count)) for name in shown]))
         for model, count in ((real.UNIFORM, 0), (real.POSES, last))
     ]
-    return [
-        "real_pushes", f"{what}: {means[0]:.1f} mm before, {means[1]:.1f} mm learned from {last}",
+    return (
+        f"{what}: {means[0]:.1f} mm before, {means[1]:.1f} mm learned from {last}",
         f"{PAPER_REAL:g} mm at most, learned from 7 of a robot's own objects",
-    ]  # fmt: skip
+    )
 
 
 def _means(scores: Sequence[real.Score], name: str, model: str, training: int) -> list[float]:
@@ -308,71 +287,55 @@ def _find_logs(data: Path | None) -> list[tuple[str, Path]]:
     if data is None:
         return []
     try:
-        return [log for log in find_push_logs(data, real.CMU_TEST + max(REAL_COUNTS)) if log[0] == "cmu"]
+        return [log for log in real.find_push_logs(data, real.CMU_TEST + max(REAL_COUNTS)) if log[0] == "cmu"]
     except GridPushError:
         return []
 
 
-def _draw_contacts(
-    data: Path | None, names: Sequence[str], seed: int, counts: Counts, execution: Execution, write: Write
-) -> list[Value]:
+def _draw_contacts(study: Study) -> tuple[str, str]:
     jobs = [
-        planning.Job("contact", data, name, number, counts.pairs, (), seed)
-        for number in range(counts.sets)
-        for name in names
+        planning.Job("contact", study.data, name, number, study.counts.pairs, (), study.seed)
+        for number in range(study.counts.sets)
+        for name in study.names
     ]
-    decisions = [
-        entry
-        for found in _run(planning.run_job, jobs, execution)
-        for entry in found
-        if isinstance(entry, planning.Decision)
-    ]
-    methods = ("gradient", "finite_difference", "exhaustive")
+    found = study.run(planning.run_job, jobs)
+    decisions = [entry for entries in found for entry in entries if isinstance(entry, planning.Decision)]
+    methods = (planning.GRADIENT, planning.DIFFERENCES, planning.EXHAUSTIVE)
     figure, axes = make_grid(1, 2, 2.4 * PANEL[0], PANEL[1])
     for i, method in enumerate(methods):
-        chosen = [[d for d in decisions if (d.name, d.method) == (name, method)] for name in names]
+        chosen = [[d for d in decisions if (d.name, d.method) == (name, method)] for name in study.names]
         label = method.replace("_", " ")
-        _draw_bars(
-            axes[0, 0], i, len(methods), [paper.calc_interval([d.simulations for d in some]) for some in chosen], label
-        )
-        _draw_bars(
-            axes[0, 1], i, len(methods), [paper.calc_interval([MM * d.gap for d in some]) for some in chosen], label
-        )
+        _draw_bars(axes[0, 0], i, len(methods), [[d.simulations for d in some] for some in chosen], label)
+        _draw_bars(axes[0, 1], i, len(methods), [[MM * d.gap for d in some] for some in chosen], label)
     axes[0, 0].set_yscale("log")
     axes[0, 0].margins(y=0.3)  # room for the legend
-    _finish_bars(axes[0, 0], names, "simulations of a decision")
-    _finish_bars(axes[0, 1], names, "above the exhaustive search, mm")
-    write("contact_points", figure)
-    by_method = {
-        method: [entry for entry in decisions if entry.method == method] for method in ("gradient", "exhaustive")
-    }
-    spent = {method: np.mean([entry.simulations for entry in some]) for method, some in by_method.items()}
-    gap = MM * float(np.mean([entry.gap for entry in by_method["gradient"]]))
+    _finish_bars(axes[0, 0], study.names, "simulations of a decision")
+    _finish_bars(axes[0, 1], study.names, "above the exhaustive search, mm")
+    study.write("contact_points", figure)
+    spent = {method: np.mean([d.simulations for d in decisions if d.method == method]) for method in methods}
+    gap = MM * float(np.mean([d.gap for d in decisions if d.method == planning.GRADIENT]))
     low, high = PAPER_SIMULATIONS["gradient"], PAPER_SIMULATIONS["exhaustive"]
-    return [
-        "contact_points",
+    return (
         f"{spent['gradient']:.0f} simulations instead of {spent['exhaustive']:.0f}, {gap:.2f} mm worse on average",
         f"{low[0]} to {low[1]} simulations instead of {high[0]} to {high[1]}",
-    ]
+    )
 
 
-def _draw_pregrasp(
-    data: Path | None, names: Sequence[str], seed: int, counts: Counts, execution: Execution, write: Write
-) -> list[Value]:
-    protocol = make_planning_protocol(data, seed)
+def _draw_pregrasp(study: Study) -> tuple[str, str]:
+    protocol = make_planning_protocol(study.data, study.seed)
     mask = protocol.masks.get(pregrasp.MASK_OBJECT)
     hammer = SHIPPED_HAMMER if mask is None else pregrasp.MASK_OBJECT
     jobs = [
-        pregrasp.Job(hammer, mass_set, seed, method, mask=mask)
-        for mass_set in range(counts.tries)
+        pregrasp.Job(hammer, mass_set, study.seed, method, mask=mask)
+        for mass_set in range(study.counts.tries)
         for method in SLIDE_METHODS
     ]
-    scores = [score for score in _run(pregrasp.run_job, jobs, execution) if isinstance(score, pregrasp.SlideScore)]
+    scores = [score for score in study.run(pregrasp.run_job, jobs) if isinstance(score, pregrasp.SlideScore)]
     outcomes = {method: [score.outcome for score in scores if score.method == method] for method in SLIDE_METHODS}
     grasped = {method: PERCENT * float(np.mean([o.grasped for o in some])) for method, some in outcomes.items()}
     dropped = {method: PERCENT * float(np.mean([o.dropped for o in some])) for method, some in outcomes.items()}
-    figure, axes = make_grid(1, 1, 2 * PANEL[0], PANEL[1])
-    ax, places = axes[0, 0], np.arange(len(SLIDE_METHODS))
+    figure, ax = make_chart(2 * PANEL[0], PANEL[1])
+    places = np.arange(len(SLIDE_METHODS))
     ends: list[tuple[str, str, Mapping[str, float]]] = [
         ("graspable", "tab:blue", grasped), ("dropped", "tab:red", dropped),
         ("in the paper: grasped", "0.75", PAPER_SUCCESS),
@@ -380,19 +343,19 @@ def _draw_pregrasp(
     for i, (label, color, values) in enumerate(ends):
         shares = [values.get(method, np.nan) for method in SLIDE_METHODS]
         ax.bar(places + (i - 1) * BAR / len(ends), shares, BAR / len(ends), color=color, label=label)
-    ax.set_ylabel(f"{hammer}: share of {counts.tries} runs, %")
+    ax.set_ylabel(f"{hammer}: share of {study.counts.tries} runs, %")
     ax.set_xticks(places, SLIDE_METHODS)
     ax.margins(y=0.35)  # room for the legend
     ax.legend(fontsize="x-small")
-    write("pregrasp", figure)
+    study.write("pregrasp", figure)
     said = "; ".join(f"{method} {grasped[method]:.0f} % ({dropped[method]:.0f} % dropped)" for method in SLIDE_METHODS)
     paper_said = "; ".join(f"{method} {share} %" for method, share in PAPER_SUCCESS.items())
-    return ["pregrasp", f"{hammer}: {said}", paper_said]
+    return f"{hammer}: {said}", paper_said
 
 
-def _draw_bars(ax: Axes, i: int, count: int, intervals: Sequence[paper.Interval], label: str) -> None:
-    """The i-th of `count` bars in each place, with its interval."""
-    mean, low, high = (np.array([getattr(each, key) for each in intervals]) for key in ("mean", "low", "high"))
+def _draw_bars(ax: Axes, i: int, count: int, samples: Sequence[Sequence[float]], label: str) -> None:
+    """The i-th of `count` bars in each place: the mean of the place's sample, with its interval."""
+    mean, low, high = np.array([paper.calc_interval(sample) for sample in samples]).T
     width = BAR / count
     places = np.arange(len(mean)) + (i - (count - 1) / 2) * width
     spread = np.nan_to_num(np.maximum([mean - low, high - mean], 0.0))
@@ -404,7 +367,3 @@ def _finish_bars(ax: Axes, names: Sequence[str], label: str) -> None:
     ax.set_ylabel(label)
     ax.legend(fontsize="x-small", framealpha=0.6)
     ax.grid(axis="y", alpha=0.3)
-
-
-def _run(function: Callable[[Job], Result], jobs: Sequence[Job], execution: Execution) -> list[Result]:
-    return run_jobs(function, jobs, lambda job: f"{function.__name__}: {getattr(job, 'name', '')}", execution)

@@ -16,7 +16,7 @@ from shapely import Polygon
 
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.plant import draw_push
-from gridpush_drake.bench.public_data import find_masks
+from gridpush_drake.bench.protocol import find_masks
 from gridpush_drake.bench.rendered_table import RenderedTable
 from gridpush_drake.bench.table import Table, Value
 from gridpush_drake.dynamics.simulation import simulate

@@ -1,9 +1,9 @@
 """`gridpush bench planning`: choosing contact points, and pushing objects to goal poses in closed loop."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -18,14 +18,13 @@ from gridpush_drake.bench.protocol import (
     make_planning_protocol,
     read_planning_object,
 )
-from gridpush_drake.bench.table import MM, MS, PERCENT, Table, Value, calc_mean
+from gridpush_drake.bench.table import MM, MS, PERCENT, Column, Table, by_object, calc_mean, count_of, mean_of
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_error
-from gridpush_drake.planning.goal.next_push import GoalRules
-from gridpush_drake.planning.goal.push_to_goal import PushStep, push_to_goal
-from gridpush_drake.planning.goal.robustness import RobustnessOptions
+from gridpush_drake.planning.goal.next_push import GoalRules, RobustnessOptions
+from gridpush_drake.planning.goal.push_to_goal import push_to_goal
 from gridpush_drake.planning.simulated_world import Learner, SimulatedWorld
 
 LEARNING, UNIFORM, TRUE, LOOK_AHEAD = "learning", "uniform", "true", "true, two ahead"
@@ -34,20 +33,13 @@ LEARNING, UNIFORM, TRUE, LOOK_AHEAD = "learning", "uniform", "true", "true, two 
 WITHIN = 0.001
 """m by which a decision may be worse than the exhaustive search's and count as good as it."""
 
-ALL = "all"
+GRADIENT, DIFFERENCES, EXHAUSTIVE = "gradient", "finite_difference", "exhaustive"
+"""Methods of the contact points' search."""
 
 
 @dataclass(frozen=True)
 class Decision:
-    """One choice of a push.
-
-    Attributes:
-        name: of the object.
-        method: of the search.
-        simulations: that it took.
-        gap: its cost above the exhaustive search's, m.
-        seconds: wall clock.
-    """
+    """One choice of a push: by which method, its cost above the exhaustive search's, m, and wall clock, s."""
 
     name: str
     method: str
@@ -58,20 +50,9 @@ class Decision:
 
 @dataclass(frozen=True)
 class Run:
-    """One object pushed towards one goal.
+    """One object pushed towards one goal, planned with the model of a mode.
 
-    Attributes:
-        name: of the object.
-        mode: of the model.
-        success: whether it got there.
-        fell: whether it fell off the table.
-        pushes: made.
-        status: that the driver ended with.
-        first_error: of the first push's prediction, m; NaN where there was none.
-        later_error: mean over the later pushes, m.
-        simulations: of the planner.
-        planning_seconds: wall clock.
-        learning_seconds: wall clock.
+    The first push's prediction is off by `first_error`, m, the later ones by `later_error` on average; NaN without any.
     """
 
     name: str
@@ -89,27 +70,27 @@ class Run:
 
 def tabulate_decisions(decisions: Sequence[Decision], names: Sequence[str]) -> Table:
     """By object: how many simulations a decision takes, and how good it is beside the exhaustive search's."""
-    columns = [
-        "object", "decisions", "simulations", "most", "within 1 mm, %", "mean gap, mm", "worst gap, mm", "ms",
-        "f. d. simulations", "f. d. within 1 mm, %", "f. d. ms", "exhaustive simulations", "exhaustive ms",
-    ]  # fmt: skip
-    rows: list[list[Value]] = []
-    for name in (*names, ALL):
-        chosen = [entry for entry in decisions if name in (entry.name, ALL)]
-        by_method = {
-            method: [entry for entry in chosen if entry.method == method]
-            for method in ("gradient", "finite_difference", "exhaustive")
-        }
-        gradient, differences, exhaustive = by_method.values()
-        gap = np.array([entry.gap for entry in gradient])
-        rows.append(
-            [
-                name, len(gradient), _mean_simulations(gradient), max(entry.simulations for entry in gradient),
-                PERCENT * _share_within(gradient), MM * float(gap.mean()), MM * float(gap.max()), _median_ms(gradient),
-                _mean_simulations(differences), PERCENT * _share_within(differences), _median_ms(differences),
-                _mean_simulations(exhaustive), _median_ms(exhaustive),
-            ]
-        )  # fmt: skip
+
+    def of(method: str, calc: Callable[[Any], Any], field: str, scale: float = 1.0) -> Column:
+        return lambda some: scale * float(calc([getattr(entry, field) for entry in some if entry.method == method]))
+
+    def share_within(gaps: Sequence[float]) -> float:
+        return PERCENT * float(np.mean(np.array(gaps) <= WITHIN))
+
+    columns: dict[str, Column] = {
+        "decisions": count_of("method", GRADIENT),
+        "simulations": of(GRADIENT, np.mean, "simulations"),
+        "most": lambda some: max(entry.simulations for entry in some if entry.method == GRADIENT),
+        "within 1 mm, %": of(GRADIENT, share_within, "gap"),
+        "mean gap, mm": of(GRADIENT, np.mean, "gap", MM),
+        "worst gap, mm": of(GRADIENT, max, "gap", MM),
+        "ms": of(GRADIENT, np.median, "seconds", MS),
+        "f. d. simulations": of(DIFFERENCES, np.mean, "simulations"),
+        "f. d. within 1 mm, %": of(DIFFERENCES, share_within, "gap"),
+        "f. d. ms": of(DIFFERENCES, np.median, "seconds", MS),
+        "exhaustive simulations": of(EXHAUSTIVE, np.mean, "simulations"),
+        "exhaustive ms": of(EXHAUSTIVE, np.median, "seconds", MS),
+    }
     notes = [
         "One push towards the goal, the masses drawn by part. A simulation with its exact Jacobian counts as one; one "
         "simulation of a straight push tells the best distance along it too, in every method.",
@@ -118,33 +99,25 @@ def tabulate_decisions(decisions: Sequence[Decision], names: Sequence[str]) -> T
         "negative is better.",
         "f. d.: finite differences, the paper's walk along the outline. Times are medians of wall clock.",
     ]
-    return Table("Choosing a contact point", columns, rows, notes)
+    return Table.of("Choosing a contact point", ("object",), by_object(decisions, names), columns, notes)
 
 
 def tabulate_runs(runs: Sequence[Run], names: Sequence[str], modes: Sequence[str], max_pushes: int) -> Table:
     """By model and object: how often the goal is reached, and with how many pushes."""
-    columns = [
-        "model", "object", "runs", "success, %", "off the table", "pushes", "90 %", "most", "first prediction, mm",
-        "later, mm", "simulations", "planning, s", "learning, s",
-    ]  # fmt: skip
-    rows: list[list[Value]] = []
-    for mode in modes:
-        for name in (*names, ALL):
-            chosen = [run for run in runs if run.mode == mode and name in (run.name, ALL)]
-            if not chosen:
-                continue
-            pushes = np.array([run.pushes for run in chosen])
-            rows.append(
-                [
-                    mode, name, len(chosen), PERCENT * float(np.mean([run.success for run in chosen])),
-                    sum(run.fell for run in chosen), float(pushes.mean()), float(np.quantile(pushes, 0.9)),
-                    int(pushes.max()), MM * calc_mean([run.first_error for run in chosen]),
-                    MM * calc_mean([run.later_error for run in chosen]),
-                    float(np.mean([run.simulations for run in chosen])),
-                    float(np.mean([run.planning_seconds for run in chosen])),
-                    float(np.mean([run.learning_seconds for run in chosen])),
-                ]
-            )  # fmt: skip
+    groups = [group for mode in modes for group in by_object([run for run in runs if run.mode == mode], names, mode)]
+    columns: dict[str, Column] = {
+        "runs": len,
+        "success, %": mean_of("success", PERCENT),
+        "off the table": count_of("fell", True),
+        "pushes": mean_of("pushes"),
+        "90 %": lambda some: float(np.quantile([run.pushes for run in some], 0.9)),
+        "most": lambda some: max(run.pushes for run in some),
+        "first prediction, mm": mean_of("first_error", MM),
+        "later, mm": mean_of("later_error", MM),
+        "simulations": mean_of("simulations"),
+        "planning, s": mean_of("planning_seconds"),
+        "learning, s": mean_of("learning_seconds"),
+    }
     failed = sorted({run.status for run in runs if not run.success})
     notes = [
         f"Success: mean cell error under 2 cm within {max_pushes} pushes, on the round table of radius 0.5 m.",
@@ -157,56 +130,32 @@ def tabulate_runs(runs: Sequence[Run], names: Sequence[str], modes: Sequence[str
     ]
     if failed:
         notes.append(f"Runs without success ended with: {', '.join(failed)}.")
-    return Table("Pushing to a goal", columns, rows, notes, keys=2)
-
-
-def _mean_simulations(decisions: Sequence[Decision]) -> float:
-    return float(np.mean([entry.simulations for entry in decisions]))
-
-
-def _share_within(decisions: Sequence[Decision]) -> float:
-    return float(np.mean([entry.gap <= WITHIN for entry in decisions]))
-
-
-def _median_ms(decisions: Sequence[Decision]) -> float:
-    return MS * float(np.median([entry.seconds for entry in decisions]))
+    return Table.of("Pushing to a goal", ("model", "object"), groups, columns, notes)
 
 
 SETS, QUICK_SETS = 10, 1
 PAIRS, QUICK_PAIRS = 10, 3
 
 Part = Literal["contact", "push"]
-PARTS: tuple[Part, ...] = ("contact", "push")
-"""Contact points, and pushing."""
+PART_NAMES: dict[Part, str] = {"contact": "contact points", "push": "pushing"}
+PARTS = tuple(PART_NAMES)
 
-METHOD_BUDGETS = {"gradient": 44, "finite_difference": 75}
+METHOD_BUDGETS = {GRADIENT: 44, DIFFERENCES: 75}
 """Most simulations a decision; of the finite differences, the most that the paper's took."""
 
 PARAMETER_SEED = 100
 """Of the first random parameter set of the contact points."""
 
-SUCCESS = 0.02
-"""True mean cell error below which a run has succeeded, m (the paper's)."""
-
-TOLERANCE = 0.018
-"""Seen mean cell error at which the driver stops, m: below SUCCESS, for it sees poses with noise."""
+SUCCESS, TOLERANCE = 0.02, 0.018
+"""m, true mean cell error below which a run has succeeded (the paper's), and the seen one at which the driver stops:
+less, for it sees poses with noise."""
 
 MAX_PUSHES = 25
 
 
 @dataclass(frozen=True)
 class Job:
-    """One object with one set of parameters.
-
-    Attributes:
-        kind: "contact" or "push".
-        data: folder of the masks.
-        name: of the object.
-        number: of the parameter or mass set.
-        pairs: how many of the start and goal poses.
-        modes: of the models to push with.
-        seed: of the noise and the learning.
-    """
+    """One object with one parameter or mass set, some pairs of poses, and the modes of the models to push with."""
 
     kind: Part
     data: Path | None
@@ -230,16 +179,9 @@ def run(
 ) -> list[Table]:
     """Measures the choice of contact points, and pushing to goal poses on the round table.
 
-    Args:
-        data: folder of the paper's masks; None for the shipped objects alone.
-        sets: how many parameter sets (contact points) and mass sets (pushing) of each object.
-        objects: names of masks and shipped objects; where None, all for the contact points, and for the pushing the
-            masks and `PUSHED_SHIPPED`.
-        modes: of the pushing: which model it plans with.
-        parts: "contact" and "push", or one of them.
-        seed: of everything random.
-        execution: how the jobs are run.
-        quick: one set, and three pairs of poses.
+    The arguments are the options of `gridpush bench planning`, and `modes` which model pushes are planned with. Without
+    `objects`, contact points are chosen on all, and the masks and `PUSHED_SHIPPED` are pushed. One set, and three pairs
+    of poses, where `quick`.
 
     Returns:
         Simulations, gap to the exhaustive optimum and time of a decision, by object; success, pushes and time of a run,
@@ -265,7 +207,7 @@ def run(
         for number in range(count)
         for name in names[part]
     ]
-    results = run_jobs(run_job, jobs, _describe, execution)
+    results = run_jobs(run_job, jobs, lambda job: f"{PART_NAMES[job.kind]}: {job.name}, set {job.number}", execution)
     decisions = [entry for result in results for entry in result if isinstance(entry, Decision)]
     runs = [entry for result in results for entry in result if isinstance(entry, Run)]
     tables = [tabulate_decisions(decisions, names["contact"])] if "contact" in parts else []
@@ -274,7 +216,7 @@ def run(
 
 def run_job(job: Job) -> list[Decision | Run]:
     """Does one job."""
-    return list(_decide(job) if job.kind == "contact" else _push(job))
+    return [*(_decide(job) if job.kind == "contact" else _push(job))]
 
 
 def _decide(job: Job) -> list[Decision]:
@@ -285,7 +227,7 @@ def _decide(job: Job) -> list[Decision]:
     options = ContactOptions()
     decisions = []
     for start, goal in protocol.pairs[: job.pairs]:
-        best = optimize_contact(obj, params, start, goal, method="exhaustive", options=options)
+        best = optimize_contact(obj, params, start, goal, method=EXHAUSTIVE, options=options)
         plans = [best]
         for method, budget in METHOD_BUDGETS.items():
             chosen = replace(options, budget=budget, seed=job.seed)
@@ -317,23 +259,13 @@ def _push(job: Job) -> list[Run]:
                 params=hidden if mode in (TRUE, LOOK_AHEAD) else None,
                 learner=Learner(seed=job.seed) if mode == LEARNING else None,
             )  # fmt: skip
+            errors = [step.prediction_error for step in done.steps]
             error = float(calc_goal_error(obj, world.true_pose, goal))
             runs.append(
                 Run(
                     job.name, mode, not world.fallen and error < SUCCESS, world.fallen, len(done.steps), done.status,
-                    *_split(done.steps),
+                    errors[0] if errors else np.nan, calc_mean(errors[1:]),
                     done.simulations, done.planning_seconds, done.learning_seconds,
                 )
             )  # fmt: skip
     return runs
-
-
-def _split(steps: Sequence[PushStep]) -> tuple[float, float]:
-    """Prediction error of the first push, and the mean of the later ones, m; NaN where there are none."""
-    errors = [step.prediction_error for step in steps]
-    first, later = errors[:1], errors[1:]
-    return first[0] if first else float("nan"), float(np.mean(later)) if later else float("nan")
-
-
-def _describe(job: Job) -> str:
-    return f"{'contact points' if job.kind == 'contact' else 'pushing'}: {job.name}, set {job.number}"

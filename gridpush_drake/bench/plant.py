@@ -34,10 +34,11 @@ from pydrake.systems.framework import DiagramBuilder
 from shapely import Point
 
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
-from gridpush_drake.bench.table import MM, Table, Value
+from gridpush_drake.bench.table import ALL, DEGREES, MM, Table, by_object, mean_of
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
+from gridpush_drake.identification.prediction import calc_pose_error
 from gridpush_drake.multibody.contact_material import MakePartnerProperties
 from gridpush_drake.multibody.grid_object import AddGridObject, Base
 from gridpush_drake.multibody.ground_truth import (
@@ -52,11 +53,8 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
 
 OBJECTS = ("claw_hammer", "combination_wrench", "toolbox", "spray_bottle")
-PUSHES = 20
-"""An object."""
-
-DISTANCE, SPEED = 0.1, 0.05
-"""m and m/s."""
+PUSHES, DISTANCE, SPEED = 20, 0.1, 0.05
+"""Of an object; m and m/s."""
 
 SLANT = radians(30)
 """Furthest from the outline's normal."""
@@ -68,7 +66,7 @@ MODEL_TIME_STEP = 1e-3
 """s, of the model: the plant's."""
 
 TRIES = 100
-BASES: tuple[Literal["planar", "free"], ...] = ("planar", "free")
+BASES: tuple[Base, ...] = ("planar", "free")
 SPINS: tuple[Literal["none", "coupled"], ...] = ("none", "coupled")
 
 
@@ -77,25 +75,16 @@ class PlantJob:
     """The pushes of one object, held in one way."""
 
     name: str
-    base: Literal["planar", "free"]
+    base: Base
     seeds: tuple[int, ...]
 
 
 @dataclass(frozen=True)
 class PlantScore:
-    """How far plant and model differ at the end of one push.
+    """How far plant (its base, its tilt) and model (its spin) differ at the end of one push, m and rad.
 
-    Attributes:
-        name: the object.
-        base: how the plant holds it.
-        seed: of its parts and of the push.
-        spin: the model's.
-        position: distance of B's origins, m.
-        angle: rad.
-        cells: mean distance of the cells, m.
-        moved: mean distance that the plant's cells went, m.
-        tracking_error: of the plant's pusher, m.
-        tilt: greatest of the plant's object, rad.
+    `position` is the distance of B's origins, `cells` the mean one of the cells, `moved` how far the plant's cells went
+    on average, and `tracking_error` the plant's pusher's.
     """
 
     name: str
@@ -110,41 +99,19 @@ class PlantScore:
     tilt: float
 
 
-def run(
-    objects: Sequence[str] = OBJECTS,
-    pushes: int = PUSHES,
-    bases: Sequence[Literal["planar", "free"]] = BASES,
-    *,
-    seed: int = 0,
-    execution: Execution = QUIET,
-) -> list[Table]:
-    """Compares the two.
-
-    Args:
-        objects: shipped objects' names.
-        pushes: how many of each.
-        bases: how the plant holds the object.
-        seed: the first push's; the others' follow.
-        execution: how the jobs are run.
-
-    Returns:
-        One table: a row for each object, base and spin model, and one over all objects.
-
-    Raises:
-        ObjectError: an object is not shipped.
-    """
-    return [make_table(calc_scores(objects, pushes, bases, seed=seed, execution=execution))]
-
-
 def calc_scores(
     objects: Sequence[str] = OBJECTS,
     pushes: int = PUSHES,
-    bases: Sequence[Literal["planar", "free"]] = BASES,
+    bases: Sequence[Base] = BASES,
     *,
     seed: int = 0,
     execution: Execution = QUIET,
 ) -> list[PlantScore]:
-    """As `run`, push by push."""
+    """Compares the two, push by push, and for each spin model; `seed` is the first push's.
+
+    Raises:
+        ObjectError: an object is not shipped.
+    """
     for name in objects:
         find_shipped_object(name)
     seeds = tuple(range(seed, seed + pushes))
@@ -163,30 +130,21 @@ def run_job(job: PlantJob) -> list[PlantScore]:
         params = sample_ground_truth(obj, seed, friction_by_part=True)
         push, pose = draw_push(obj, params, seed, radius)
         motion = pusher.push(params, push, pose)
-        last, moved = motion.poses[-1], _calc_distance(obj, motion.poses[-1], pose)
+        moved = calc_pose_error(obj, motion.poses[-1], pose).cell
         for spin in SPINS:
             expected = simulate(obj, params, push, pose, MODEL_TIME_STEP, spin=spin).final_pose
-            angle = abs((last[2] - expected[2] + np.pi) % (2 * np.pi) - np.pi)
+            error = calc_pose_error(obj, expected, motion.poses[-1])
             scores.append(
                 PlantScore(
-                    job.name, job.base, seed, spin, float(np.linalg.norm(last[:2] - expected[:2])), float(angle),
-                    _calc_distance(obj, last, expected), moved, motion.tracking_error, motion.tilt,
+                    job.name, job.base, seed, spin, error.position, error.angle, error.cell, moved,
+                    motion.tracking_error, motion.tilt,
                 )
             )  # fmt: skip
     return scores
 
 
 def draw_push(obj: GridObject, params: CellParameters, seed: int, radius: float) -> tuple[Push, np.ndarray]:
-    """Draws a pose of the object and a push that moves it.
-
-    Args:
-        obj: the object.
-        params: its masses and frictions.
-        seed: of the draw.
-        radius: of the pusher, m.
-
-    Returns:
-        The push, from a place of the outline inwards, and the pose (3,).
+    """Draws a push of a pusher's radius, from a place of the outline inwards, and a pose (3,) of the object.
 
     Raises:
         PushError: hardly any push moves the object.
@@ -199,21 +157,30 @@ def draw_push(obj: GridObject, params: CellParameters, seed: int, radius: float)
         if obj.outline.distance(Point(point + normal * radius)) < (1 - 1e-6) * radius:
             continue
         push = Push.on_outline(obj, place, angle, DISTANCE, radius=radius, speed=SPEED, pose=pose)
-        if _calc_distance(obj, simulate(obj, params, push, pose).final_pose, pose) >= MIN_MOTION:
+        if calc_pose_error(obj, simulate(obj, params, push, pose).final_pose, pose).cell >= MIN_MOTION:
             return push, pose
     raise PushError(f"{obj.name}: none of {TRIES} random pushes moves it by {MIN_MOTION * MM:g} mm")
 
 
 def make_table(scores: Sequence[PlantScore]) -> Table:
-    """Sums up scores by object, base and spin model."""
+    """Sums up scores by object, base and spin model, and over all objects."""
     names = list(dict.fromkeys(score.name for score in scores))
-    rows: list[list[Value]] = []
-    for base in dict.fromkeys(score.base for score in scores):
-        for spin in SPINS:
-            chosen = [score for score in scores if (score.base, score.spin) == (base, spin)]
-            rows += [[name, base, spin, *_sum_up([s for s in chosen if s.name == name])] for name in names]
-            if len(names) > 1:
-                rows.append(["all", base, spin, *_sum_up(chosen)])
+    groups = [
+        ((name, base, spin), found)
+        for base in dict.fromkeys(score.base for score in scores)
+        for spin in SPINS
+        for (name,), found in by_object([s for s in scores if (s.base, s.spin) == (base, spin)], names)
+        if name != ALL or len(names) > 1
+    ]
+    columns = {
+        "pushes": len,
+        "moved, mm": mean_of("moved", MM),
+        "mean, mm": mean_of("position", MM),
+        "max, mm": lambda some: MM * max(score.position for score in some),
+        "mean, °": mean_of("angle", DEGREES),
+        "max, °": lambda some: DEGREES * max(score.angle for score in some),
+        "cells, mm": mean_of("cells", MM),
+    }
     worst = max(score.tracking_error for score in scores)
     notes = (
         f"Difference of the last poses after pushes of {DISTANCE * 100:g} cm at {SPEED * 100:g} cm/s; random parts.",
@@ -222,25 +189,7 @@ def make_table(scores: Sequence[PlantScore]) -> Table:
         "Spin: the model's; none is the plant's sphere feet.",
         f"The plant's pusher left its path by at most {worst * 1e6:.1f} µm.",
     )
-    columns = (
-        "object", "base", "spin", "pushes", "moved, mm", "mean, mm", "max, mm", "mean, °", "max, °", "cells, mm",
-    )  # fmt: skip
-    return Table("MultibodyPlant against the grid LCP", columns, rows, notes, keys=3)
-
-
-def _sum_up(scores: Sequence[PlantScore]) -> list[Value]:
-    position = MM * np.array([score.position for score in scores])
-    angle = np.degrees([score.angle for score in scores])
-    return [
-        len(scores), MM * float(np.mean([score.moved for score in scores])), float(position.mean()),
-        float(position.max()), float(angle.mean()), float(angle.max()),
-        MM * float(np.mean([score.cells for score in scores])),
-    ]  # fmt: skip
-
-
-def _calc_distance(obj: GridObject, a: np.ndarray, b: np.ndarray) -> float:
-    """Mean distance of the cells at two poses, m."""
-    return float(np.linalg.norm(obj.cells_at(a) - obj.cells_at(b), axis=1).mean())
+    return Table.of("MultibodyPlant against the grid LCP", ("object", "base", "spin"), groups, columns, notes)
 
 
 TIME_STEP = {"planar": 1e-3, "free": 2e-3}
@@ -252,11 +201,8 @@ STICTION_TOLERANCE = 1e-5
 PUSH_HEIGHT = 0.012
 """m, of the sphere's center above the table."""
 
-PUSHER_MASS = 1.0
-"""kg, of each of the pusher's two bodies."""
-
-PUSHER_GAIN, PUSHER_DAMPING = 1e7, 1e4
-"""N/m and N s/m."""
+PUSHER_MASS, PUSHER_GAIN, PUSHER_DAMPING = 1.0, 1e7, 1e4
+"""kg, of each of the pusher's two bodies; N/m and N s/m."""
 
 TABLE_SIZE = (4.0, 4.0, 0.1)
 """m."""
@@ -315,15 +261,7 @@ class PlantPusher:
         self.simulator = Simulator(builder.Build())
 
     def push(self, params: CellParameters, push: Push, pose: ArrayLike = (0.0, 0.0, 0.0)) -> PlantMotion:
-        """Pushes the object from rest.
-
-        Args:
-            params: the object's masses and frictions.
-            push: of a pusher of this one's radius.
-            pose: (3,) of the object at the beginning, m and rad.
-
-        Returns:
-            The motion.
+        """Pushes the object from rest at a pose (3,), m and rad, with these masses and frictions.
 
         Raises:
             PushError: the pusher's radius is another.
@@ -357,12 +295,7 @@ class PlantPusher:
 
 
 def AddPusher(plant: MultibodyPlant, radius: float, height: float) -> ModelInstanceIndex:
-    """Adds a sphere on two prismatic joints, x and y of the world, with PD gains.
-
-    Args:
-        plant: before Finalize.
-        radius: m.
-        height: of the sphere's center, m.
+    """Adds a sphere on two prismatic joints, x and y of the world, with PD gains, before Finalize.
 
     Returns:
         Its model instance; the desired state is x, y (m) and their rates.

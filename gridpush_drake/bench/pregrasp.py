@@ -5,53 +5,48 @@ Two experiments in the quasi-static LCP world with a table's edge (`bench.pregra
     sliding     every object with hidden masses and frictions is explored, slid to the edge and grasped there, by the
                 method, by the paper's two ablations, and with the true parameters
     exploring   pokes chosen by design, or at random, until the center of mass's standard deviation is small
+
+The center is wanted in both directions, or, as for a goal at the table's edge, across one line: here along the object's
+longest direction. Both ways choose from the same pokes, all of one length. A long poke tells more, whichever it is, and
+two or three of them are needed in any case: so the shorter the pokes, the more there is to gain by design.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
-from gridpush_drake.bench.pregrasp_exploration import (
-    AIMS,
-    ALONG,
-    BOTH,
-    DISTANCES,
-    WANTED_STD,
-    ExplorationScore,
-    explore,
-)
 from gridpush_drake.bench.pregrasp_world import EdgeWorld, MujocoWorld, Outcome, PaperLearner, run_pregrasp
-from gridpush_drake.bench.protocol import MASS_RANGE, PLANNING_METERS_PER_PIXEL
-from gridpush_drake.bench.public_data import find_masks
-from gridpush_drake.bench.table import MM, PERCENT, Table, Value
+from gridpush_drake.bench.protocol import (
+    MASS_RANGE,
+    PLANNING_METERS_PER_PIXEL,
+    add_pose_noise,
+    find_masks,
+    know_friction,
+)
+from gridpush_drake.bench.table import MM, PERCENT, Column, Table, count_of, mean_of
 from gridpush_drake.bench.truth_sets import KINDS
+from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.geometry.se2 import make_direction
+from gridpush_drake.geometry.se2 import Array, make_direction
+from gridpush_drake.identification.learning import identify
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.pregrasp.exploration import PokeOptions, choose_poke, make_center_functional, make_pokes
 from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, Gripper, find_grasp_parts
 from gridpush_drake.planning.pregrasp.planner import PreGraspOptions, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 MASK_OBJECT = "hammer"
 """The paper's own hammer, a mask among the public data."""
 
-OBJECTS = (
-    "claw_hammer",
-    "combination_wrench",
-    "pliers",
-    "spray_bottle",
-    "spring_clamp",
-    "toolbox",
-    "toothpaste_tube",
-)
+OBJECTS = ("claw_hammer", "combination_wrench", "pliers", "spray_bottle", "spring_clamp", "toolbox", "toothpaste_tube")
 """Those of the shipped objects that have a graspable part."""
 
 RECTANGLE, RADIUS, HEXAGON = (0.9, 0.7), 0.45, 0.5
@@ -67,28 +62,12 @@ def find_mask(data: Path) -> Path:
 
 
 def load_bench_object(name: str, friction_range: tuple[float, float], mask: Path | None = None) -> GridObject:
-    """Loads an object, its support friction known to be within a range, its parts' masses not at all.
-
-    Args:
-        name: of OBJECTS, or of the mask.
-        friction_range: least and greatest coefficient of any cell.
-        mask: file of the paper's object; None for a shipped one.
-
-    Returns:
-        The object; the prior coefficient is the range's geometric mean.
-
-    Raises:
-        ObjectError: no shipped object has this name, or the mask cannot be read.
-    """
+    """Loads an object, or its mask, as `know_friction` has it. Raises ObjectError where there is no such object."""
     if mask is not None:
         obj = GridObject.from_mask(mask, meters_per_pixel=PLANNING_METERS_PER_PIXEL, name=name)
     else:
         obj = GridObject.from_yaml(find_shipped_object(name))
-    low, high = friction_range
-    prior = replace(
-        obj.prior, total_mass=None, friction=float(np.sqrt(low * high)), friction_min=low, friction_max=high
-    )
-    return replace(obj, prior=prior)
+    return know_friction(obj, *friction_range)
 
 
 def make_table(seed: int) -> SupportSurface:
@@ -101,105 +80,131 @@ def make_table(seed: int) -> SupportSurface:
     return SupportSurface.from_polygon(HEXAGON * make_direction(np.pi / 3 * np.arange(6)))
 
 
+WANTED_STD = 0.005
+"""m, of the center of mass, in the direction wanted or, of both, in the one least known."""
+
+BOTH, ALONG = "both directions", "along the object"
+AIMS = (BOTH, ALONG)
+"""What of the center of mass is wanted."""
+
+DISTANCES = (0.02, 0.04, 0.08)
+"""Of the pokes, m."""
+
+MAX_POKES = 20
+"""Made before giving up; then counted as one more."""
+
+
 LIKELY = {BOTH: 5.991 / 2, ALONG: 3.841}
 """What 95 % of chi squares stay below, per direction: of two degrees of freedom, and of one."""
-
-SLIDE_COLUMNS = ("runs", "graspable, %", "dropped", "given up", "pokes", "slides")
-EXPLORE_COLUMNS = ("runs", "by design", "at random", "ratio", "error, mm", "at random, mm", "within 95 %, %")
 
 
 @dataclass(frozen=True)
 class SlideScore:
-    """How one run ended.
-
-    Attributes:
-        name: of the object.
-        method: of what is believed.
-        outcome: the end.
-        near: whether the part to be grasped is as near to the true center of mass as asked.
-    """
+    """How one run with an object ended, by the method's belief."""
 
     name: str
     method: str
     outcome: Outcome
-    near: bool = True
+
+
+SLIDE_COLUMNS: dict[str, Column] = {
+    "runs": len,
+    "graspable, %": mean_of("grasped", PERCENT),
+    "dropped": count_of("dropped", True),
+    "given up": lambda outcomes: sum(not (outcome.grasped or outcome.dropped) for outcome in outcomes),
+    "pokes": mean_of("pokes"),
+    "slides": mean_of("slides"),
+}
 
 
 def tabulate_slides(scores: Sequence[SlideScore], methods: Sequence[str]) -> Table:
     """Successes, drops and refusals by method."""
-    return Table(
-        "Pre-grasp sliding, hidden masses and frictions",
-        ("method", *SLIDE_COLUMNS),
-        _make_slide_rows(methods, lambda method: [score for score in scores if score.method == method]),
-        (
-            "graspable: a part hangs over the edge far enough, and the object is at rest.",
-            "dropped: it fell off the table on the way. given up: no safe way was found, and it is still on the table.",
-            "learned: stability for all masses that agree with the pushes; true: hidden parameters known; "
-            "uniform: uniform mass, nothing learned; unbounded: the paper's identification, friction without a bound.",
-            "pokes, slides: mean number of pushes.",
-        ),
+    groups = [((method,), [score.outcome for score in scores if score.method == method]) for method in methods]
+    notes = (
+        "graspable: a part hangs over the edge far enough, and the object is at rest.",
+        "dropped: it fell off the table on the way. given up: no safe way was found, and it is still on the table.",
+        "learned: stability for all masses that agree with the pushes; true: hidden parameters known; "
+        "uniform: uniform mass, nothing learned; unbounded: the paper's identification, friction without a bound.",
+        "pokes, slides: mean number of pushes.",
     )
+    return Table.of("Pre-grasp sliding, hidden masses and frictions", ("method",), groups, SLIDE_COLUMNS, notes)
 
 
 def tabulate_objects(scores: Sequence[SlideScore], objects: Sequence[str], method: str) -> Table:
     """One method's runs by object."""
-    chosen = [score for score in scores if score.method == method]
-    rows = _make_slide_rows(objects, lambda name: [score for score in chosen if score.name == name])
-    return Table(f"Pre-grasp sliding by object, {method}", ("object", *SLIDE_COLUMNS), rows)
+    groups = [((name,), [s.outcome for s in scores if (s.method, s.name) == (method, name)]) for name in objects]
+    return Table.of(f"Pre-grasp sliding by object, {method}", ("object",), groups, SLIDE_COLUMNS)
 
 
-def _make_slide_rows(keys: Sequence[str], find: Callable[[str], list[SlideScore]]) -> list[tuple[Value, ...]]:
-    """A row for each key that has scores."""
-    rows: list[tuple[Value, ...]] = []
-    for key in keys:
-        outcomes = [score.outcome for score in find(key)]
-        if outcomes:
-            grasped, dropped = sum(o.grasped for o in outcomes), sum(o.dropped for o in outcomes)
-            share, given_up = PERCENT * grasped / len(outcomes), len(outcomes) - grasped - dropped
-            pokes, slides = (float(np.mean([getattr(o, what) for o in outcomes])) for what in ("pokes", "slides"))
-            rows.append((key, len(outcomes), share, dropped, given_up, pokes, slides))
-    return rows
+@dataclass(frozen=True)
+class Trace:
+    """One run: how many pokes were made until the standard deviation was small, `MAX_POKES` + 1 where it never was.
+
+    The final estimate's error is of what is wanted, m; its square in units of its covariance, for each direction
+    wanted, is 1 on average where that is right.
+    """
+
+    pokes: int
+    error: float
+    chi_square: float
+
+
+@dataclass(frozen=True)
+class ExplorationScore:
+    """Both ways with one object and one mass set."""
+
+    name: str
+    aim: str
+    distance: float
+    active: Trace
+    random: Trace
+
+
+EXPLORE_COLUMNS: dict[str, Column] = {
+    "runs": len,
+    "by design": lambda scores: _mean_pokes(scores, "active"),
+    "at random": lambda scores: _mean_pokes(scores, "random"),
+    "ratio": lambda scores: _mean_pokes(scores, "active") / _mean_pokes(scores, "random"),
+    "error, mm": lambda scores: MM * float(np.mean([score.active.error for score in scores])),
+    "at random, mm": lambda scores: MM * float(np.mean([score.random.error for score in scores])),
+    "within 95 %, %": lambda scores: PERCENT * float(np.mean([_is_within(score) for score in scores])),
+}
+
+
+def _mean_pokes(scores: Sequence[ExplorationScore], way: str) -> float:
+    return float(np.mean([getattr(score, way).pokes for score in scores]))
+
+
+def _is_within(score: ExplorationScore) -> list[bool]:
+    return [trace.chi_square <= LIKELY[score.aim] for trace in (score.active, score.random)]
 
 
 def tabulate_exploration(scores: Sequence[ExplorationScore]) -> Table:
     """Pokes needed, by design and at random, by their length; and whether the stated spread is right."""
     lengths = sorted({score.distance for score in scores})
-    return Table(
-        f"Pokes until the center of mass is known to {WANTED_STD * MM:.0f} mm",
-        ("wanted", "poke, mm", *EXPLORE_COLUMNS),
-        _make_exploration_rows(
-            {MM * length: [score for score in scores if score.distance == length] for length in lengths}
-        ),
-        (
-            "by design, at random: mean number of pokes; the poke said to tell most, or any of the same pool.",
-            "wanted: of the center of mass; in both directions the least known one counts.",
-            "error: mean distance of the final estimate from the true center.",
-            "within 95 %: runs of either kind whose true center is within the 95 % range that the estimate states.",
-        ),
-        keys=2,
+    groups = [
+        ((aim, MM * length), [score for score in scores if (score.aim, score.distance) == (aim, length)])
+        for aim in AIMS
+        for length in lengths
+    ]
+    title = f"Pokes until the center of mass is known to {WANTED_STD * MM:.0f} mm"
+    notes = (
+        "by design, at random: mean number of pokes; the poke said to tell most, or any of the same pool.",
+        "wanted: of the center of mass; in both directions the least known one counts.",
+        "error: mean distance of the final estimate from the true center.",
+        "within 95 %: runs of either kind whose true center is within the 95 % range that the estimate states.",
     )
+    return Table.of(title, ("wanted", "poke, mm"), groups, EXPLORE_COLUMNS, notes)
 
 
 def tabulate_exploration_by_object(scores: Sequence[ExplorationScore], objects: Sequence[str]) -> Table:
     """The same by object, over all lengths."""
-    rows = _make_exploration_rows({name: [score for score in scores if score.name == name] for name in objects})
-    return Table("The same by object, pokes of all lengths", ("wanted", "object", *EXPLORE_COLUMNS), rows, keys=2)
-
-
-def _make_exploration_rows(groups: Mapping[Any, Sequence[ExplorationScore]]) -> list[tuple[Value, ...]]:
-    """A row for each aim and key of a group that has scores."""
-    rows: list[tuple[Value, ...]] = []
-    for aim in AIMS:
-        for key, group in groups.items():
-            chosen = [score for score in group if score.aim == aim]
-            if chosen:
-                active, random = [score.active for score in chosen], [score.random for score in chosen]
-                designed, drawn = (float(np.mean([trace.pokes for trace in traces])) for traces in (active, random))
-                errors = (MM * float(np.mean([trace.errors[-1] for trace in traces])) for traces in (active, random))
-                within = np.mean([trace.chi_square <= LIKELY[aim] for trace in (*active, *random)])
-                share = PERCENT * float(within)
-                rows.append((aim, key, len(chosen), designed, drawn, designed / drawn, *errors, share))
-    return rows
+    groups = [
+        ((aim, name), [score for score in scores if (score.aim, score.name) == (aim, name)])
+        for aim in AIMS
+        for name in objects
+    ]
+    return Table.of("The same by object, pokes of all lengths", ("wanted", "object"), groups, EXPLORE_COLUMNS)
 
 
 LEARNED, WIDE, TRUE = "learned", "learned, wide friction", "true"
@@ -241,9 +246,6 @@ must come close to tipping; the true masses still leave a grasp in every case.""
 MAX_ARMS = {"toolbox": 0.15}
 """The same for objects that offer nothing to hold so near to their middle: this one can be taken by its edge only."""
 
-ARM_SLACK = 0.02
-"""m that a grasp may be farther from the true center of mass than `MAX_ARM` and still count as near."""
-
 OFFSET = 0.05
 """m, at most, of the object from the table's middle at the beginning."""
 
@@ -253,13 +255,9 @@ PAPER_PUSHES = 4
 
 @dataclass(frozen=True)
 class Job:
-    """One object with one mass set and seed, by one method, or both ways of exploring.
+    """One object with one mass set and seed, by one of METHODS or EXPLORING.
 
     Attributes:
-        name: of the object.
-        mass_set: its number.
-        seed: of table, start and noise.
-        method: of METHODS or EXPLORING.
         depth: of the gripper's fingers, m.
         mask: file of the paper's object.
         friction: range of the true frictions, and what is known of them.
@@ -291,22 +289,11 @@ def run(
     friction: tuple[float, float] = FRICTION_RANGE,
     support: str | None = None,
 ) -> list[Table]:
-    """Measures both experiments.
+    """Measures both experiments; the arguments are the options of `gridpush bench pregrasp`, and `methods` of METHODS.
 
-    Args:
-        objects: names; where None, all shipped objects with a graspable part, and the paper's hammer of the data.
-        mass_sets: hidden sets of masses and frictions an object.
-        seeds: tables, starts and noises a mass set; the table takes turns with both.
-        methods: of METHODS.
-        seed: of everything random.
-        execution: how the jobs are run.
-        depth: of the gripper's fingers, m; the deeper, the nearer the object comes to tipping.
-        experiment: of EXPERIMENTS.
-        quick: only `QUICK_MASS_SETS` mass sets and `QUICK_SEEDS` seeds.
-        data: folder of the paper's masks; None for the shipped objects alone.
-        friction: range of the true frictions, which is known, but for the method WIDE.
-        support: how a body stands that MuJoCo moves, of `truth_sets.KINDS`; only sliding, by the first method, on
-            rectangular tables. None for the LCP world.
+    The table takes turns with mass sets and seeds; only QUICK_MASS_SETS and QUICK_SEEDS of them where `quick`. With
+    `support` (of `truth_sets.KINDS`) MuJoCo moves the objects: only sliding, by the first method, on rectangular
+    tables; None stands for the LCP world. What is known of the friction is its range, but for the method WIDE.
 
     Returns:
         Slides by method; slides of the first method by object; and pokes by design and at random, by their length and
@@ -320,8 +307,15 @@ def run(
     objects = known if objects is None else objects
     if support is not None:
         methods, experiment = methods[:1], SLIDING_ONLY
-    _check(objects, known, mass_sets, seeds, methods, experiment)
-    _check_world(friction, support)
+        check_known("support", [support], KINDS)
+    check_known("objects", objects, known)
+    check_known("methods", methods, METHODS)
+    check_known("experiment", [experiment], EXPERIMENTS)
+    for what, count in (("mass sets", mass_sets), ("seeds", seeds)):
+        if count < 1:
+            raise GridPushError(f"{what}: {count}; expected at least 1")
+    if not 0 < friction[0] <= friction[1] < np.inf:
+        raise GridPushError(f"friction: {friction[0]:g} to {friction[1]:g}; expected 0 < least <= greatest")
     if quick:
         mass_sets, seeds = min(mass_sets, QUICK_MASS_SETS), min(seeds, QUICK_SEEDS)
     sliding, exploring = experiment != EXPLORING_ONLY, experiment != SLIDING_ONLY
@@ -332,7 +326,7 @@ def run(
         for name in objects
         for method in (*(methods if sliding else ()), *(EXPLORING if exploring and i == 0 else ()))
     ]
-    done = run_jobs(run_job, jobs, _describe, execution)
+    done = run_jobs(run_job, jobs, lambda job: f"{job.name}, mass set {job.mass_set}, {job.method}", execution)
     slides = [score for score in done if isinstance(score, SlideScore)]
     pokes = [score for score in done if isinstance(score, ExplorationScore)]
     tables = []
@@ -356,12 +350,11 @@ def run_job(job: Job) -> SlideScore | ExplorationScore:
         world = EdgeWorld(obj, truth, make_table(job.seed + job.mass_set), start, rng)
     else:
         world = MujocoWorld(obj, truth, RECTANGLE, start, rng, job.support)
-    arm = MAX_ARMS.get(job.name, MAX_ARM)
-    options = PreGraspOptions(min_pokes=_min_pokes(job.method), max_arm=arm)
+    known = PreGraspOptions().min_pokes
+    min_pokes = {LEARNED: known, WIDE: known, UNBOUNDED: PAPER_PUSHES}.get(job.method, 0)
+    options = PreGraspOptions(min_pokes=min_pokes, max_arm=MAX_ARMS.get(job.name, MAX_ARM))
     planner = PreGraspPlanner(obj, world.surface, options, parts)
-
-    outcome = _run(world, planner, job.method)
-    return SlideScore(job.name, job.method, outcome, near=outcome.arm <= arm + ARM_SLACK)
+    return SlideScore(job.name, job.method, _run(world, planner, job.method))
 
 
 def _run(world: EdgeWorld, planner: PreGraspPlanner, method: str) -> Outcome:
@@ -383,11 +376,6 @@ def make_truth(obj: GridObject, mass_set: int) -> CellParameters:
     return replace(truth, contact_friction=float(rng.uniform(*CONTACT_FRICTION_RANGE)))
 
 
-def _min_pokes(method: str) -> int:
-    known = PreGraspOptions().min_pokes
-    return {LEARNED: known, WIDE: known, UNBOUNDED: PAPER_PUSHES}.get(method, 0)
-
-
 @lru_cache(maxsize=32)
 def _load(
     name: str, depth: float, friction_range: tuple[float, float], mask: Path | None
@@ -396,28 +384,56 @@ def _load(
     return obj, tuple(find_grasp_parts(obj, Gripper(depth=depth)))
 
 
-def _check_world(friction: tuple[float, float], support: str | None) -> None:
-    if not 0 < friction[0] <= friction[1] < np.inf:
-        raise GridPushError(f"friction: {friction[0]:g} to {friction[1]:g}; expected 0 < least <= greatest")
-    if support is not None and support not in KINDS:
-        raise GridPushError(f"support: {support}; expected one of {', '.join(KINDS)}")
+def explore(
+    obj: GridObject,
+    truth: CellParameters,
+    name: str,
+    mass_set: int,
+    seed: int,
+    aim: str = BOTH,
+    distance: float = PokeOptions().distance,
+) -> ExplorationScore:
+    """Pokes an object both ways, from the same hidden truth; `distance` is the pokes', m.
+
+    All its cells are made to rub alike: only then is the center of friction the center of mass.
+    """
+    alike = CellParameters(truth.mass, np.full(obj.n, obj.prior.friction), truth.contact_friction)
+    long = np.linalg.svd(obj.p_BC - obj.p_BC.mean(axis=0))[2][0]
+    wanted = np.eye(2) if aim == BOTH else long[None]
+    options = PokeOptions(distance=distance)
+    runs = [
+        _poke(obj, alike, wanted, options, active, np.random.default_rng([seed, mass_set])) for active in (True, False)
+    ]
+    return ExplorationScore(name, aim, distance, *runs)
 
 
-def _check(
-    objects: Sequence[str],
-    known_objects: Sequence[str],
-    mass_sets: int,
-    seeds: int,
-    methods: Sequence[str],
-    experiment: str,
-) -> None:
-    check_known("objects", objects, known_objects)
-    check_known("methods", methods, METHODS)
-    check_known("experiment", [experiment], EXPERIMENTS)
-    for what, count in (("mass sets", mass_sets), ("seeds", seeds)):
-        if count < 1:
-            raise GridPushError(f"{what}: {count}; expected at least 1")
-
-
-def _describe(job: Job) -> str:
-    return f"{job.name}, mass set {job.mass_set}, {job.method}"
+def _poke(
+    obj: GridObject,
+    truth: CellParameters,
+    wanted: Array,
+    options: PokeOptions,
+    active: bool,
+    rng: np.random.Generator,
+) -> Trace:
+    """One run; `wanted` (1 or 2, 2) are the directions in which the center is."""
+    center, found = wanted @ truth.center_of_mass(obj), None
+    model, pose, log = UncertainModel.of_prior(obj), np.zeros(3), list[ObservedPush]()
+    std = error = chi_square = np.inf
+    while len(log) < MAX_POKES and not std < WANTED_STD:
+        pokes = make_pokes(model, pose, options)
+        if active:
+            F = wanted @ make_center_functional(model)
+            push = choose_poke(model, pose, pokes, F).push
+        else:
+            push = pokes[int(rng.integers(len(pokes)))]
+        after = add_pose_noise(simulate(obj, truth, push, pose, regime="quasi_static").final_pose, rng)
+        log.append(ObservedPush(f"poke_{len(log)}", push, pose, np.array([push.duration]), after[None]))
+        pose = after
+        seen = PushLog(tuple(log))
+        found = identify(obj, seen, regime="quasi_static", start=found)
+        model = UncertainModel.of_identification(found, log=seen if active else None)
+        covariance = wanted @ found.identifiability.center_of_friction_covariance @ wanted.T
+        off = wanted @ found.identifiability.center_of_friction - center
+        std, error = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])), float(np.linalg.norm(off))
+        chi_square = float(off @ np.linalg.solve(covariance, off)) / len(wanted)
+    return Trace(len(log) if std < WANTED_STD else MAX_POKES + 1, error, chi_square)

@@ -48,11 +48,6 @@ ONE_OBSERVATION = PreGraspLoopOptions(observations=1)
 """Nothing moves between two pushes: the object is decided on as it is first seen."""
 
 
-def add_pose_noise(pose: Array, rng: np.random.Generator) -> Array:
-    """A pose (3,) with noise."""
-    return pose + np.array([POSITION_STD, POSITION_STD, ANGLE_STD]) * rng.standard_normal(3)
-
-
 class EdgeWorld(SimulatedWorld):
     """A hidden object on a table, whose support presses as much as what lies on it bears; seen anew at every look."""
 
@@ -108,7 +103,7 @@ class MujocoWorld(EdgeWorld):
             support: how it stands, of `truth_sets.KINDS`.
 
         Raises:
-            GridPushError: the support is not known, or MuJoCo is not installed.
+            GridPushError: MuJoCo is not installed.
             ObjectError: no three feet are found that it stands on.
         """
         x, y = size[0] / 2, size[1] / 2
@@ -140,23 +135,13 @@ class MujocoWorld(EdgeWorld):
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended.
-
-    Attributes:
-        grasped: whether a part was declared graspable, and truly hangs over with the object at rest.
-        dropped: whether the object fell.
-        pokes: made.
-        slides: made.
-        reason: the loop's last one.
-        arm: m from the true center of mass to the middle of the part to be grasped; NaN where there is none.
-    """
+    """How a run ended: whether a part was declared graspable, and truly hangs over with the object at rest; or fell."""
 
     grasped: bool
     dropped: bool
     pokes: int
     slides: int
     reason: str
-    arm: float = np.nan
 
 
 def run_pregrasp(
@@ -169,23 +154,18 @@ def run_pregrasp(
         planner: decides.
         learn: learns after every push; None never.
         infer: says what is held possible; by default what the identification's posterior says.
-
-    Returns:
-        The outcome.
     """
     loop = PreGraspLoop(planner, lambda *_: None, infer=infer, options=ONE_OBSERVATION)
-    state = run_loop(loop, planner.obj, world, _is_over, learn=learn, surface=world.surface).state
+    state = run_loop(loop, planner.obj, world, is_over, learn=learn, surface=world.surface).state
     status = state.status
     if world.fallen:
         return Outcome(False, True, status.pokes, status.slides, status.reason)
-    grasped, arm = status.mode == PreGraspMode.VERIFYING, np.nan
-    if grasped and status.goal is not None:
-        arm = float(np.linalg.norm(status.goal.part.p_BG - world.hidden.center_of_mass(world.obj)))
-    grasped = grasped and _hangs_over(world, planner)
-    return Outcome(grasped, False, status.pokes, status.slides, status.reason, arm)
+    grasped = status.mode == PreGraspMode.VERIFYING and _hangs_over(world, planner)
+    return Outcome(grasped, False, status.pokes, status.slides, status.reason)
 
 
-def _is_over(state: PreGraspState) -> bool:
+def is_over(state: PreGraspState) -> bool:
+    """Whether a loop is done, but for the grasp."""
     return state.status.over or state.status.mode in (PreGraspMode.VERIFYING, PreGraspMode.LOST)
 
 

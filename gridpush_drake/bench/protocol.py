@@ -1,7 +1,7 @@
 """The paper's protocols: what is hidden, pushed, drawn and split (Song & Boularias, RSS 2020, VI).
 
-They are drawn by seed for the objects that ship with the package, and read for the paper's own, which are masks of the
-public data.
+They are drawn by seed for the objects that ship with the package, and read for the paper's own: masks NAME_label.pgm
+anywhere below a clone of MASK_SOURCE, with `protocol.json` beside them, where there is one, in place of what is drawn.
 
     simulated   hidden masses, ten pushes and their splits (VI.A). Where the paper pushes with a square finger of 3 cm,
                 a disc of 1.5 cm radius stands in for it. Pushes are numbered from the object's left to its right, the
@@ -20,12 +20,10 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.bench.public_data import find_masks, find_protocol
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.geometry.outline import OutlineEdges
+from gridpush_drake.geometry.polygons import OutlineEdges
 from gridpush_drake.geometry.se2 import Array, make_direction
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.mask import read_labels
@@ -35,12 +33,12 @@ from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
-MAX_CELLS = 127
-METERS_PER_PIXEL = 0.001
-"""Of the masks in simulations, m, unless the data say otherwise."""
+MASK_SOURCE = "GitHub changkyu/rss2020_changkyu"
+MASK_ENDING, PROTOCOL = "_label.pgm", "protocol.json"
 
-PLANNING_METERS_PER_PIXEL = 0.53 / 640
-"""Of the masks as real objects, likewise."""
+MAX_CELLS = 127
+METERS_PER_PIXEL, PLANNING_METERS_PER_PIXEL = 0.001, 0.53 / 640
+"""Of the masks in simulations, and as real objects, m, unless the data say otherwise."""
 
 MASS_SETS = 10
 """Drawn for each object."""
@@ -52,17 +50,8 @@ TRAINING = (1, 2, 3, 4, 5)
 """Numbers of pushes to learn from; the others of the ten are predicted."""
 
 PUSHES_PER_SIDE = 5
-SPEED = 0.1
-"""m/s."""
-
-DURATION = 2.0
-"""s."""
-
-FINGER_RADIUS = 0.015
-"""m."""
-
-OBSERVED_EVERY = 0.1
-"""s between observations of the pose."""
+SPEED, DURATION, FINGER_RADIUS, OBSERVED_EVERY = 0.1, 2.0, 0.015, 0.1
+"""Of a simulated push, m/s and s; of its finger, m; and s between observations of the pose."""
 
 SUPPORT_FRICTION = 0.4
 """Of every cell, in the simulated truth; it is also the identifier's prior."""
@@ -73,25 +62,44 @@ PUSHED_SHIPPED = ("combination_wrench", "pliers", "toothpaste_tube")
 PAIRS = 10
 """Of start and goal poses."""
 
-TABLE_CENTER, TABLE_RADIUS = (0.63, 0.0), 0.5
-"""Of the round table, m."""
+TABLE_CENTER, TABLE_RADIUS, PLACE_RADIUS = (0.63, 0.0), 0.5, 0.28
+"""Of the round table, and within which poses are drawn, evenly, m: the widest object then hangs over by 45 mm."""
 
-PLACE_RADIUS = 0.28
-"""Within which poses are drawn about the table's center, evenly, m: the widest object then hangs over by 45 mm."""
-
-OVERHANG = 0.045
-"""m by which cells may hang over the table's edge; the protocol's own poses make the widest object do so by 36 mm."""
-
-FINGER_OVERHANG = 0.1
-"""m by which the finger's center may be beyond the edge: it ends above the table, and pushes back what hangs over."""
+OVERHANG, FINGER_OVERHANG = 0.045, 0.1
+"""m by which cells may hang over the table's edge (the protocol's own poses make the widest object do so by 36 mm), and
+the finger's center: it ends above the table, and pushes back what hangs over."""
 
 POSITION_STD, ANGLE_STD = 0.0005, 0.003
 """Noise of poses that are seen by whoever plans, m per axis and rad."""
 
-Part = TypeVar("Part")
+Drawn = TypeVar("Drawn", bound="Protocol | PlanningProtocol")
 
 Masses = dict[str, tuple[tuple[float, ...], ...]]
 """Of an object: mass of a cell of each label 1, 2, ..., kg, by mass set."""
+
+
+def check_folder(data: Path, expected: str) -> None:
+    """Raises GridPushError where there is no such folder."""
+    if not data.is_dir():
+        raise GridPushError(f"{data}: is no folder; expected {expected}")
+
+
+def find_masks(data: Path) -> dict[str, Path]:
+    """The paper's masks anywhere below a folder, by the objects' names.
+
+    Raises:
+        GridPushError: there is no such folder, no mask in it, or two of one name.
+    """
+    check_folder(data, f"a clone of {MASK_SOURCE}")
+    masks: dict[str, Path] = {}
+    for path in sorted(data.rglob(f"*{MASK_ENDING}")):
+        name = path.name.removesuffix(MASK_ENDING)
+        if name in masks:
+            raise GridPushError(f"{path}: is a second mask of {name}, beside {masks[name]}; expected one of each")
+        masks[name] = path
+    if not masks:
+        raise GridPushError(f"{data}: holds no mask; expected files NAME{MASK_ENDING}, as of {MASK_SOURCE}")
+    return masks
 
 
 @dataclass(frozen=True)
@@ -104,7 +112,7 @@ class Split:
 
 @dataclass(frozen=True)
 class Protocol:
-    """The protocol's numbers.
+    """The simulated protocol's numbers.
 
     Attributes:
         masks: the paper's objects' files, by name; the other objects are shipped.
@@ -121,12 +129,7 @@ class Protocol:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """An object with one mass set, pushed ten times.
-
-    Attributes:
-        obj: as the identifier sees it: one part, and no prior but the defaults.
-        log: the ten observed pushes.
-    """
+    """An object with one mass set as the identifier sees it (one part, no prior but the defaults), pushed ten times."""
 
     obj: GridObject
     log: PushLog
@@ -134,41 +137,29 @@ class Case:
 
 @lru_cache(maxsize=4)
 def make_protocol(data: Path | None = None, seed: int = 0) -> Protocol:
-    """Draws the protocol for the shipped objects, and reads what the public data have of it.
-
-    Args:
-        data: folder of the paper's masks, with or without `protocol.json` beside them; None for the shipped objects.
-        seed: of what is drawn.
-
-    Returns:
-        The protocol.
+    """The simulated protocol: of the shipped objects, and of the masks in a folder.
 
     Raises:
         GridPushError: there is no such folder, no mask in it, or `protocol.json` is not of its form.
     """
-    labels: dict[str, NDArray[Any]] = {
-        name: GridObject.from_yaml(find_shipped_object(name)).labels for name in list_shipped_objects()
-    }
-    masks: dict[str, Path] = {}
-    if data is not None:
-        masks = find_masks(data)
-        labels = {name: read_labels(path) for name, path in masks.items()} | labels
+    masks = {} if data is None else find_masks(data)
+    labels: dict[str, NDArray[Any]] = {name: read_labels(path) for name, path in masks.items()}
+    labels |= {name: GridObject.from_yaml(find_shipped_object(name)).labels for name in list_shipped_objects()}
     drawn = Protocol(masks, {name: draw_masses(name, seen, seed) for name, seen in labels.items()}, draw_splits(seed))
-    path = find_protocol(masks)
-    return drawn if path is None else _read_protocol(path, drawn)
+
+    def read(content: Any) -> Protocol:
+        splits = {
+            int(count): tuple(Split(tuple(split["train"]), tuple(split["test"])) for split in splits)
+            for count, splits in content["splits"].items()
+        }
+        scale = float(content["metres_per_pixel"]["simulated"])
+        return Protocol(masks, _read_masses(content, drawn.masses), splits, scale)
+
+    return _read_document(drawn, "masses_by_label, splits and metres_per_pixel.simulated", read)
 
 
 def draw_masses(name: str, labels: NDArray[Any], seed: int) -> tuple[tuple[float, ...], ...]:
-    """Draws an object's mass sets.
-
-    Args:
-        name: of the object; it changes what is drawn.
-        labels: of its cells or pixels; 0 is no part.
-        seed: of the draw.
-
-    Returns:
-        `MASS_SETS` times the mass of a cell of each label 1, 2, ..., kg.
-    """
+    """Draws, `MASS_SETS` times, the mass of a cell of each label 1, 2, ... of an object's cells or pixels, kg."""
     rng = np.random.default_rng([seed, crc32(name.encode())])
     return tuple(map(tuple, rng.uniform(*MASS_RANGE, (MASS_SETS, int(labels.max()))).tolist()))
 
@@ -183,26 +174,16 @@ def draw_splits(seed: int) -> dict[int, tuple[Split, ...]]:
     }
 
 
-def _read_protocol(path: Path, drawn: Protocol) -> Protocol:
-    """The protocol with what `protocol.json` has in place of what was drawn."""
-
-    def read(content: Any) -> Protocol:
-        splits = {
-            int(count): tuple(Split(tuple(split["train"]), tuple(split["test"])) for split in splits)
-            for count, splits in content["splits"].items()
-        }
-        scale = float(content["metres_per_pixel"]["simulated"])
-        return Protocol(drawn.masks, _read_masses(content, drawn.masses), splits, scale)
-
-    return _read_document(path, "masses_by_label, splits and metres_per_pixel.simulated", read)
-
-
 def _read_masses(content: Any, drawn: Masses) -> Masses:
     return {name: tuple(map(tuple, content["masses_by_label"].get(name, sets))) for name, sets in drawn.items()}
 
 
-def _read_document(path: Path, expected: str, read: Callable[[Any], Part]) -> Part:
-    """A part of `protocol.json`, of which `expected` names the keys."""
+def _read_document(drawn: Drawn, expected: str, read: Callable[[Any], Drawn]) -> Drawn:
+    """What `protocol.json` has, of which `expected` names the keys; where there is none, what was drawn."""
+    beside = (mask.with_name(PROTOCOL) for mask in drawn.masks.values())
+    path = next((path for path in beside if path.is_file()), None)
+    if path is None:
+        return drawn
     try:
         return read(json.loads(path.read_text()))
     except OSError as error:
@@ -212,30 +193,19 @@ def _read_document(path: Path, expected: str, read: Callable[[Any], Part]) -> Pa
 
 
 def make_case(protocol: Protocol, name: str, mass_set: int) -> Case:
-    """Simulates the ten pushes of an object with hidden masses.
-
-    Args:
-        protocol: the protocol.
-        name: of the object.
-        mass_set: number of the mass set.
-
-    Returns:
-        The observed pushes, and the object without its labels.
+    """Simulates the ten pushes of an object with one of its hidden mass sets.
 
     Raises:
         GridPushError: the protocol has no such object.
     """
     if name not in protocol.masses:
         raise GridPushError(f"objects: {name!r} is not in the protocol; expected one of {', '.join(protocol.masses)}")
-    prior = PhysicalPrior(friction=SUPPORT_FRICTION)
-    mask, scale = protocol.masks.get(name), protocol.meters_per_pixel
-    if mask is None:
-        obj = replace(GridObject.from_yaml(find_shipped_object(name)), prior=prior)
+    obj = replace(read_object(protocol, name), prior=PhysicalPrior(friction=SUPPORT_FRICTION))
+    if name in protocol.masks:
+        columns = read_labels(protocol.masks[name]).shape[1]
+    else:
         left, _, right, _ = obj.outline.bounds
         columns = round((right - left) / METERS_PER_PIXEL)
-    else:
-        obj = GridObject.from_mask(mask, meters_per_pixel=scale, max_cells=MAX_CELLS, prior=prior)
-        columns = read_labels(mask).shape[1]
     masses = dict(enumerate(protocol.masses[name][mass_set], start=1))
     truth = CellParameters.by_part(obj, masses, SUPPORT_FRICTION)
     pushes = make_pushes(obj, columns)
@@ -246,12 +216,7 @@ def make_case(protocol: Protocol, name: str, mass_set: int) -> Case:
 def make_pushes(obj: GridObject, columns: int) -> list[Push]:
     """The ten pushes, for an object at the pose (0, 0, 0): along -y onto the upper side, then along +y onto the lower.
 
-    Args:
-        obj: the object.
-        columns: of its image, from its first to its last pixel.
-
-    Returns:
-        The pushes; the disc touches the outline at their start.
+    The disc touches the outline at their start; `columns` is how many the object's image has, first to last pixel.
     """
     left, _, right, _ = obj.outline.bounds
     step = columns // PUSHES_PER_SIDE
@@ -262,18 +227,9 @@ def make_pushes(obj: GridObject, columns: int) -> list[Push]:
 
 
 def place_disc(edges: OutlineEdges, x: float, side: int, radius: float) -> float:
-    """Where a disc that comes along y first touches the outline.
+    """The y, m, of a disc's center that comes along y, from `side` +1 (above) or -1, where it touches the outline.
 
     The center then lies on the outline grown by the radius: on a circle about a vertex or on a shifted edge.
-
-    Args:
-        edges: of the outline, body frame, m.
-        x: of the disc's center, m, within the outline's extent.
-        side: +1 to come from above (+y), -1 from below.
-        radius: of the disc, m.
-
-    Returns:
-        y of the disc's center, m.
     """
     flip = np.array([1.0, side])
     start, end = edges.start * flip, edges.end * flip
@@ -299,7 +255,7 @@ def _observe(obj: GridObject, truth: CellParameters, name: str, push: Push) -> O
 
 @dataclass(frozen=True, eq=False)
 class PlanningProtocol:
-    """The protocol's numbers.
+    """The planning protocol's numbers.
 
     Attributes:
         seed: of what was drawn.
@@ -330,24 +286,21 @@ class PlanningProtocol:
 
 @lru_cache(maxsize=4)
 def make_planning_protocol(data: Path | None = None, seed: int = 0) -> PlanningProtocol:
-    """Draws the protocol, and reads what the public data have of it.
-
-    Args:
-        data: folder of the paper's masks, with or without `protocol.json` beside them; None for the shipped objects.
-        seed: of what is drawn.
-
-    Returns:
-        The protocol.
-
-    Raises:
-        GridPushError: there is no such folder, no mask in it, or `protocol.json` is not of its form.
-    """
+    """The planning protocol, of the shipped objects and of the masks in a folder. Raises as `make_protocol`."""
     masks = {} if data is None else find_masks(data)
     masses = {name: draw_masses(name, read_labels(path), seed) for name, path in masks.items()}
     surface = SupportSurface.round(TABLE_CENTER, TABLE_RADIUS)
     drawn = PlanningProtocol(seed, masks, masses, draw_pairs(seed), surface)
-    path = find_protocol(masks)
-    return drawn if path is None else _read_planning_protocol(path, drawn)
+
+    def read(content: Any) -> PlanningProtocol:
+        planning = content["planning"]
+        pairs = np.stack([np.array(planning[end], dtype=np.float64) for end in ("start", "goal")], axis=1)
+        table = planning["table"]
+        surface = SupportSurface.round(table["centre"], float(table["radius"]))
+        scale = float(content["metres_per_pixel"]["real_and_planning"])
+        return PlanningProtocol(seed, masks, _read_masses(content, masses), pairs, surface, scale)
+
+    return _read_document(drawn, "masses_by_label, planning and metres_per_pixel", read)
 
 
 def draw_pairs(seed: int) -> Array:
@@ -359,27 +312,12 @@ def draw_pairs(seed: int) -> Array:
     return np.concatenate([places, heading[..., None]], axis=-1)
 
 
-def _read_planning_protocol(path: Path, drawn: PlanningProtocol) -> PlanningProtocol:
-    """The protocol with what `protocol.json` has in place of what was drawn."""
-
-    def read(content: Any) -> PlanningProtocol:
-        planning = content["planning"]
-        pairs = np.stack([np.array(planning[end], dtype=np.float64) for end in ("start", "goal")], axis=1)
-        table = planning["table"]
-        surface = SupportSurface.round(table["centre"], float(table["radius"]))
-        scale = float(content["metres_per_pixel"]["real_and_planning"])
-        return PlanningProtocol(drawn.seed, drawn.masks, _read_masses(content, drawn.masses), pairs, surface, scale)
-
-    return _read_document(path, "masses_by_label, planning and metres_per_pixel", read)
-
-
 def list_objects(protocol: PlanningProtocol, shipped: Sequence[str] | None = None) -> list[str]:
     """Names of the masks and of the shipped objects, of all where None."""
     return [*protocol.masks, *(list_shipped_objects() if shipped is None else shipped)]
 
 
-@lru_cache(maxsize=32)
-def read_planning_object(protocol: PlanningProtocol, name: str) -> GridObject:
+def read_object(protocol: Protocol | PlanningProtocol, name: str) -> GridObject:
     """An object by its name, with its parts. Raises ObjectError where there is none."""
     if name in protocol.masks:
         return GridObject.from_mask(
@@ -389,9 +327,24 @@ def read_planning_object(protocol: PlanningProtocol, name: str) -> GridObject:
     return GridObject.from_yaml(find_shipped_object(name))
 
 
+read_planning_object = lru_cache(maxsize=32)(read_object)
+"""The same, of a planning protocol, each once."""
+
+
 def hide_parts(obj: GridObject) -> GridObject:
     """The object as whoever learns sees it: one part."""
-    return GridObject(obj.name, obj.p_BC, obj.cell_size, np.ones(obj.n, dtype=np.int64), obj.outline, obj.prior)
+    return replace(obj, labels=np.ones(obj.n, dtype=np.int64))
+
+
+def add_pose_noise(pose: Array, rng: np.random.Generator) -> Array:
+    """A pose (3,) as it is seen."""
+    return pose + np.array([POSITION_STD, POSITION_STD, ANGLE_STD]) * rng.standard_normal(3)
+
+
+def know_friction(obj: GridObject, low: float, high: float) -> GridObject:
+    """The object with support friction known to be within a range, its geometric mean the prior, but no weight."""
+    middle = float(np.sqrt(low * high))
+    return replace(obj, prior=replace(obj.prior, total_mass=None, friction=middle, friction_min=low, friction_max=high))
 
 
 def make_hidden(protocol: PlanningProtocol, name: str, mass_set: int) -> CellParameters:

@@ -19,21 +19,22 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from scipy import stats
+from scipy.io import whosmat
 
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.plant import DISTANCE, SPEED, draw_push
-from gridpush_drake.bench.protocol import ANGLE_STD, MASS_RANGE, POSITION_STD, hide_parts
-from gridpush_drake.bench.public_data import find_push_logs
+from gridpush_drake.bench.protocol import ANGLE_STD, MASS_RANGE, POSITION_STD, add_pose_noise, check_folder, hide_parts
 from gridpush_drake.bench.table import MM, Table, Value, check_figure, write_panels
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import identify
-from gridpush_drake.identification.prediction import calc_pose_error, predict
+from gridpush_drake.identification.prediction import calc_final_errors, predict
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object, list_shipped_objects
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.pushes.importers import find_importer
+from gridpush_drake.pushes.importers.cmu import POSE_SIZE
 from gridpush_drake.pushes.importers.mit import read_model_errors
-from gridpush_drake.pushes.importers.registry import find_importer
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
 
 PUSHES = 50
@@ -45,15 +46,10 @@ FRICTION_RANGE = (0.2, 0.5)
 
 @lru_cache(maxsize=1)
 def simulate_log(path: Path, seed: int, number: int) -> tuple[PushLog, GridObject]:
-    """Simulates a log, quasi-static.
+    """Simulates the log of an object's file with this number, quasi-static.
 
-    Args:
-        path: of the object.
-        seed: of everything random.
-        number: of the log; the hidden parameters, pushes and noise of each are its own.
-
-    Returns:
-        The pushes as seen, and the object as whoever learns sees it: one part of unknown mass.
+    The hidden parameters, pushes and noise of each number are its own. The object comes back as whoever learns sees it:
+    one part of unknown mass.
 
     Raises:
         ObjectError: the file cannot be read.
@@ -64,24 +60,56 @@ def simulate_log(path: Path, seed: int, number: int) -> tuple[PushLog, GridObjec
     truth_seed, first = (int(value) for value in rng.integers(2**31, size=2))
     truth = CellParameters.random(obj, truth_seed, MASS_RANGE, FRICTION_RANGE)
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
-    noise = np.array([POSITION_STD, POSITION_STD, ANGLE_STD])
     pushes = []
     for i in range(PUSHES):
         push, pose = draw_push(obj, truth, first + i, radius)
         last = simulate(obj, truth, push, pose, regime="quasi_static").final_pose
-        before, after = (at + noise * rng.standard_normal(3) for at in (pose, last))
+        before, after = add_pose_noise(pose, rng), add_pose_noise(last, rng)
         pushes.append(ObservedPush(f"push_{i + 1:02d}", push, before, np.array([push.duration]), after[None]))
     plain = replace(obj, prior=replace(obj.prior, total_mass=None))
     return PushLog(tuple(pushes), source=f"{obj.name}, simulated, number {number}"), hide_parts(plain)
 
 
-def describe_pushes() -> str:
-    """How the pushes are made, in a sentence."""
-    return (
-        f"Simulated by our own model: hidden masses and frictions by part, {PUSHES} pushes of {100 * DISTANCE:g} cm at "
-        f"{100 * SPEED:g} cm/s from random places, poses seen with {1e3 * POSITION_STD:g} mm and {ANGLE_STD:g} rad of "
-        "noise."
-    )
+CMU_SOURCE, MIT_SOURCE = "GitHub robinzhoucmu/MLab_EXP", "GitHub robinzhoucmu/PlanarManipulationToolBox"
+
+RECORDS = "record_all"
+"""The variable of a MATLAB file that holds pushes."""
+
+
+def find_push_logs(data: Path, min_pushes: int) -> list[tuple[str, Path]]:
+    """Finds real robots' push logs below a folder: the kind ("cmu" or "mit") and the file of each, CMU's first.
+
+    Files of CMU's form with fewer than `min_pushes` are passed over.
+
+    Raises:
+        GridPushError: there is no such folder, or no push log in it.
+    """
+    expected = f"push logs as of {CMU_SOURCE} (text files of {min_pushes} or more pushes) or of {MIT_SOURCE} (.mat)"
+    check_folder(data, expected)
+    logs = [("cmu", path) for path in sorted(data.rglob("*.txt")) if _count_cmu_pushes(path) >= min_pushes]
+    logs += [("mit", path) for path in sorted(data.rglob("*.mat")) if _has_records(path)]
+    if not logs:
+        raise GridPushError(f"{data}: holds no push log; expected {expected}")
+    return logs
+
+
+def _count_cmu_pushes(path: Path) -> int:
+    """How many pushes a file of CMU's form begins by saying it has; 0 for another file."""
+    try:
+        with path.open() as file:
+            count, before, after = (file.readline().split() for _ in range(3))
+        if len(count) == 1 and len(before) == len(after) == POSE_SIZE:
+            return int(count[0])
+    except (OSError, ValueError):
+        pass
+    return 0
+
+
+def _has_records(path: Path) -> bool:
+    try:
+        return any(name == RECORDS for name, _, _ in whosmat(path))
+    except (OSError, ValueError, TypeError, NotImplementedError):
+        return False
 
 
 CMU_RHO = 0.05 * 2**0.5
@@ -103,15 +131,9 @@ UNIFORM, POSES, CENTER = "uniform pressure", "poses only", "poses + center of ma
 
 @dataclass(frozen=True)
 class Job:
-    """One file and split, learned from with some numbers of training pushes.
+    """One log ("cmu", "mit" or "simulated" of an object's file) and split, and numbers of pushes to learn from.
 
-    Attributes:
-        path: of the log; of simulated pushes, of the object.
-        kind: "cmu", "mit" or "simulated".
-        split: its number; of simulated pushes, also of their hidden truth.
-        counts: numbers of training pushes.
-        seed: of everything random.
-        name: of the log; its file's where empty.
+    The split's number is also that of the simulated truth; a log without a name has its file's.
     """
 
     path: Path
@@ -152,19 +174,8 @@ def run(
 ) -> list[Table]:
     """Measures the default method on the public push data sets, or on simulated pushes that stand in for them.
 
-    Args:
-        data: folder of the public push logs; None for simulated pushes of the shipped objects.
-        objects: shipped objects to simulate; all where None. Without data only.
-        splits: seeded splits of each file.
-        counts: numbers of training pushes for the CMU files.
-        seed: of the splits and of the identification.
-        quick: only `QUICK_SPLITS` splits, with 5 and 25 pushes.
-        figure: file for the curve of the error against the number of training pushes.
-        force: whether an existing figure may be replaced.
-        execution: how the jobs are run.
-
-    Returns:
-        The CMU files at 5 and 25 training pushes; the curve; and the MIT files. Without data, the simulated pushes.
+    The arguments are the options of `gridpush bench real`, and `counts` the numbers of training pushes for the CMU
+    files; `quick` leaves QUICK_SPLITS and SHOWN_COUNTS of them. `objects` are for simulated pushes, without `data`.
 
     Raises:
         GridPushError: the data are not there, or an argument does not go with them.
@@ -178,33 +189,27 @@ def run(
     if data is None:
         if figure is not None:
             raise GridPushError("figure: is of real pushes; expected --data with it")
-        return _run_simulated(list_shipped_objects() if objects is None else objects, splits, seed, execution)
-    if objects is not None:
-        raise GridPushError("objects: are for simulated pushes; expected none with --data")
-    files = name_logs(find_push_logs(Path(data).resolve(), CMU_TEST + max(counts)))
-    for _, kind, path in files:
-        _read(path, kind)
+        names, counts = list_shipped_objects() if objects is None else objects, SHOWN_COUNTS
+        files = [(name, "simulated", find_shipped_object(name)) for name in names]
+    else:
+        if objects is not None:
+            raise GridPushError("objects: are for simulated pushes; expected none with --data")
+        files = name_logs(find_push_logs(Path(data).resolve(), CMU_TEST + max(counts)))
+        for _, kind, path in files:
+            _read(path, kind)
     jobs = [Job(path, kind, split, counts, seed, name) for name, kind, path in files for split in range(splits)]
-    results = run_jobs(run_job, jobs, _describe, execution)
+    results = run_jobs(run_job, jobs, lambda job: f"{job.name}, split {job.split}", execution)
     scores = [score for result in results for score in result]
-    tables = []
+    tables = [] if data is not None else [_tabulate_simulated(scores, names)]
     cmu = [name for name, kind, _ in files if kind == "cmu"]
     if cmu:
         tables += [_tabulate_cmu(scores, cmu, counts), _tabulate_curve(scores, cmu, counts)]
         if figure is not None:
-            write_curve(figure, scores, [name for name in cmu if name in FEET_SETS] or cmu, counts, force)
+            write_curve(figure, scores, choose_feet(cmu), counts, force)
     mit = {name: path for name, kind, path in files if kind == "mit"}
     if mit:
         tables.append(_tabulate_mit(scores, mit))
     return tables
-
-
-def _run_simulated(objects: Sequence[str], splits: int, seed: int, execution: Execution) -> list[Table]:
-    """The simulated pushes of shipped objects, which stand in for real ones."""
-    paths = [find_shipped_object(name) for name in objects]
-    jobs = [Job(path, "simulated", split, SHOWN_COUNTS, seed) for path in paths for split in range(splits)]
-    scores = [score for result in run_jobs(run_job, jobs, _describe, execution) for score in result]
-    return [_tabulate_simulated(scores, objects)]
 
 
 def name_logs(logs: Sequence[tuple[str, Path]]) -> list[tuple[str, str, Path]]:
@@ -238,21 +243,19 @@ def run_job(job: Job) -> list[Score]:
 
 
 def _score(job: Job, model: str, training: int, obj: GridObject, params: CellParameters, test: PushLog) -> Score:
-    errors = [
-        calc_pose_error(obj, made.at_observations[-1], seen.final_pose)
-        for made, seen in zip(predict(obj, params, test), test, strict=True)
-    ]
+    errors = [error for error in calc_final_errors(obj, predict(obj, params, test), test) if error is not None]
     position, angle = tuple(error.position for error in errors), tuple(error.angle for error in errors)
     return Score(job.name or job.path.stem, job.split, model, training, position, angle)
-
-
-def _describe(job: Job) -> str:
-    return f"{job.name or job.path.stem}, split {job.split}"
 
 
 @lru_cache(maxsize=1)
 def _read(path: Path, kind: str) -> tuple[PushLog, GridObject]:
     return find_importer(kind)().read(path)
+
+
+def choose_feet(names: Sequence[str]) -> list[str]:
+    """Those of the files whose mean counts; all where none of FEET_SETS is among them."""
+    return [name for name in names if name in FEET_SETS] or list(names)
 
 
 def _choose(scores: Sequence[Score], names: Sequence[str], model: str, training: int) -> list[Score]:
@@ -279,20 +282,15 @@ def _tabulate_cmu(scores: Sequence[Score], names: Sequence[str], counts: Sequenc
     rows: list[list[Value]] = []
     shown = [count for count in reversed(SHOWN_COUNTS) if count in counts] or list(counts[-1:])
     variants = [(UNIFORM, 0), *((model, count) for count in shown for model in (CENTER, POSES))]
-    feet = [name for name in names if name in FEET_SETS]
+    feet = choose_feet(names)
     for model, training in variants:
-        errors = np.concatenate([s.combined() for s in _choose(scores, feet or names, model, training)])
-        row: list[Value] = [model, training]
-        row += [format_interval(calc_split_means(scores, [name], model, training)) for name in names]
-        row += [
-            format_interval(calc_split_means(scores, feet or names, model, training)),
-            float(np.median(errors)),
-            float(np.quantile(errors, 0.9)),
-        ]
-        rows.append(row)
+        errors = np.concatenate([s.combined() for s in _choose(scores, feet, model, training)])
+        means = [calc_split_means(scores, of, model, training) for of in (*([name] for name in names), feet)]
+        spread = float(np.median(errors)), float(np.quantile(errors, 0.9))
+        rows.append([model, training, *map(format_interval, means), *spread])
     notes = (
         "|dxy| + rho |dtheta| of held-out pushes, rho = 70.7 mm; mean over splits ± 95 % confidence (Student's t).",
-        f"Mean, median and 90th percentile over the feet sets: {', '.join(feet or names)}.",
+        f"Mean, median and 90th percentile over the feet sets: {', '.join(feet)}.",
         "Repeating the same push differs by about 1.4 mm.",
     )
     columns = ("model", "training", *names, "mean", "median", "p90")
@@ -301,23 +299,16 @@ def _tabulate_cmu(scores: Sequence[Score], names: Sequence[str], counts: Sequenc
 
 def _tabulate_curve(scores: Sequence[Score], names: Sequence[str], counts: Sequence[int]) -> Table:
     rows: list[list[Value]] = []
-    feet = [name for name in names if name in FEET_SETS] or list(names)
+    uniform = {name: calc_split_means(scores, [name], UNIFORM, 0) for name in names}
     for count in counts:
         row: list[Value] = [count]
         for model in (CENTER, POSES):
-            worse = [
-                float(
-                    (
-                        calc_split_means(scores, [name], model, count) - calc_split_means(scores, [name], UNIFORM, 0)
-                    ).mean()
-                )
-                for name in names
-            ]
-            row += [
-                format_interval(calc_split_means(scores, feet, model, count)),
-                max(worse),
-                names[int(np.argmax(worse))],
-            ]
+            worse = {
+                name: float((calc_split_means(scores, [name], model, count) - uniform[name]).mean()) for name in names
+            }
+            worst = max(worse, key=lambda name: worse[name])
+            feet = calc_split_means(scores, choose_feet(names), model, count)
+            row += [format_interval(feet), worse[worst], worst]
         rows.append(row)
     notes = ("Worst: on the set where learning helps least, its mean error less that of uniform pressure, mm.",)
     columns = ("training", CENTER, "worst", "on", POSES, "worst", "on")
@@ -344,7 +335,9 @@ def _tabulate_simulated(scores: Sequence[Score], names: Sequence[str]) -> Table:
     ]
     notes = (
         "Nothing here is real: pass real robots' pushes with --data.",
-        describe_pushes(),
+        f"Simulated by our own model: hidden masses and frictions by part, {PUSHES} pushes of {100 * DISTANCE:g} cm at "
+        f"{100 * SPEED:g} cm/s from random places, poses seen with {1e3 * POSITION_STD:g} mm and {ANGLE_STD:g} rad of "
+        "noise.",
         f"{CMU_TEST} pushes are held out; mean over splits, each with hidden parameters of its own, ± 95 % confidence.",
     )
     columns = ("object, simulated", "model", *POSE_COLUMNS)

@@ -1,4 +1,4 @@
-"""How fast a push is simulated and differentiated, beside MuJoCo and the paper, and how fast an object is identified.
+"""`gridpush bench speed`: how fast pushes are simulated and differentiated, and objects identified.
 
 Timing on one core: by the clock on the wall, and of identification by that of the processor.
 """
@@ -8,10 +8,11 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter, process_time
+from typing import NamedTuple
 
 import numpy as np
 from shapely import LineString
@@ -21,9 +22,8 @@ from gridpush_drake.bench.jobs import Report, count_steps
 from gridpush_drake.bench.pregrasp import find_mask
 from gridpush_drake.bench.protocol import METERS_PER_PIXEL
 from gridpush_drake.bench.table import MS, Table, Value
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import Regime, simulate
-from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.problem import PushProblem, TimedPush
 from gridpush_drake.objects.grid_object import GridObject
@@ -32,30 +32,18 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 
-@dataclass(frozen=True)
-class Timing:
+class Timing(NamedTuple):
     """How long something takes, s: the median and the quartiles over the repetitions."""
 
     median: float
     low: float
     high: float
-    repetitions: int
 
 
 def measure(
     work: Callable[[], object], repetitions: int, warm_up: int = 1, clock: Callable[[], float] = perf_counter
 ) -> Timing:
-    """Times `work`.
-
-    Args:
-        work: what is timed.
-        repetitions: how often.
-        warm_up: runs before, not counted.
-        clock: gives s.
-
-    Returns:
-        Median and quartiles.
-    """
+    """Times `work` by a clock that gives s, after `warm_up` runs that are not counted."""
     for _ in range(warm_up):
         work()
     seconds = []
@@ -64,7 +52,7 @@ def measure(
         work()
         seconds.append(clock() - begin)
     low, median, high = np.quantile(seconds, [0.25, 0.5, 0.75])
-    return Timing(float(median), float(low), float(high), repetitions)
+    return Timing(float(median), float(low), float(high))
 
 
 @contextmanager
@@ -96,11 +84,9 @@ FINAL, EVERY = ", with the Jacobian of the final pose", ", with the Jacobian of 
 PLACE = 0.7
 """Where along the object's width it is pushed, 0 to 1."""
 
-SIZES = (10, 30, 100, 300, 1000, 3000, 10000)
-"""Numbers of cells for the cost against n."""
-
-LINEAR_FROM = 300
-"""Cells from which on the slope is fitted: below, the work that does not depend on n shows."""
+SIZES, LINEAR_FROM = (10, 30, 100, 300, 1000, 3000, 10000), 300
+"""Numbers of cells for the cost against n; from where on the slope is fitted: below, work that does not depend on n
+shows."""
 
 START_UPS = 7
 """Of each command that starts Python."""
@@ -124,10 +110,8 @@ POKE, POKE_SPEED, POKE_SLANT, POKE_RADIUS = 0.06, 0.03, 0.4, 0.01
 OBSERVED, POSE_NOISE = 10, (3e-4, 3e-4, 3e-3)
 """Poses seen of each push, and their noise, m and rad."""
 
-FEW = 25
-"""Pushes from which on an identification is timed once, not IDENTIFY_REPETITIONS times."""
-
-IDENTIFY_REPETITIONS = 5
+FEW, IDENTIFY_REPETITIONS = 25, 5
+"""Pushes from which on an identification is timed once, and how often it is with fewer."""
 
 Announce = Callable[[str], None]
 
@@ -150,9 +134,6 @@ def run(
         logs: numbers of cells and pushes to identify from.
         with_mujoco: whether to run MuJoCo beside, where it is installed.
         report: called with what begins, as of jobs.
-
-    Returns:
-        The tables: one push, cost against n, identification, start-up.
     """
     announce = count_steps(report, len(_simulations(obj)) + int(with_mujoco) + len(sizes) + len(logs) + 1)
     with one_core() as pinned:
@@ -175,11 +156,7 @@ def make_bench_push(obj: GridObject) -> Push:
 
 
 def load_hammer(data: Path | None) -> GridObject:
-    """Loads the paper's hammer from a folder of masks, or, where that is None, the shipped one in its place.
-
-    Raises:
-        GridPushError: the mask is not there.
-    """
+    """Loads the paper's hammer from a folder of masks, or, where that is None, the shipped one in its place."""
     if data is None:
         return GridObject.from_yaml(find_shipped_object("claw_hammer"))
     return GridObject.from_mask(find_mask(data), meters_per_pixel=METERS_PER_PIXEL, name="hammer mask")
@@ -189,13 +166,17 @@ def _simulations(obj: GridObject) -> dict[str, Callable[[], object]]:
     """What is timed, by name; the Jacobian is expanded to all its named blocks."""
     params, push, steps = CellParameters.random(obj, seed=0), make_bench_push(obj), round(DURATION / DT)
     high = replace(params, push_height=PUSH_HEIGHT)
-    works: dict[str, Callable[[], object]] = {}
-    for regime in ("inertial", "quasi_static"):
-        for suffix, record in (("", None), (FINAL, [steps]), (EVERY, range(steps + 1))):
-            works[f"{regime}{suffix}"] = partial(_simulate, obj, params, push, regime, record)
-    for suffix, record in (("", None), (FINAL, [steps])):
-        works[f"quasi_static, loads shift{suffix}"] = partial(_simulate, obj, high, push, "quasi_static", record)
-    return works
+    recorded: dict[str, Sequence[int] | None] = {"": None, FINAL: [steps], EVERY: range(steps + 1)}
+    kinds: list[tuple[str, CellParameters, Regime]] = [
+        ("inertial", params, "inertial"), ("quasi_static", params, "quasi_static"),
+        ("quasi_static, loads shift", high, "quasi_static"),
+    ]  # fmt: skip
+    return {
+        name + suffix: partial(_simulate, obj, shifting, push, regime, record)
+        for name, shifting, regime in kinds
+        for suffix, record in recorded.items()
+        if shifting is params or suffix != EVERY
+    }
 
 
 def _simulate(
@@ -220,25 +201,16 @@ def _measure_push(obj: GridObject, repetitions: int, with_mujoco: bool, pinned: 
     ]
     if with_mujoco:
         announce("MuJoCo")
-        beside = _measure_mujoco(obj)
-        if isinstance(beside, Timing):
+        try:
+            work = make_mujoco_push(obj, CellParameters.random(obj, seed=0), make_bench_push(obj))
+            beside = measure(work, repetitions=3, warm_up=0)
             rows.append(_row("MuJoCo, cells as boxes, step 2 ms", beside, beside.median / plain))
-        else:
-            notes.append(beside)
+        except ImportError:
+            notes.append("MuJoCo is not installed: pip install 'gridpush-drake[bench]'.")
     rows.append(["the paper, simulation", PAPER_SIMULATION * MS, None, None, PAPER_SIMULATION / plain])
     rows.append(["the paper, gradient by itself", PAPER_GRADIENT * MS, None, None, PAPER_GRADIENT / plain])
     notes.append("The paper's times are as published, on its authors' computer.")
     return Table("One push", ("what", "median, ms", "25 %, ms", "75 %, ms", "times the first"), rows, notes)
-
-
-def _measure_mujoco(obj: GridObject) -> Timing | str:
-    from gridpush_drake.bench.mujoco_push import make_mujoco_push
-
-    try:
-        push = make_mujoco_push(obj, CellParameters.random(obj, seed=0), make_bench_push(obj))
-    except ImportError:
-        return "MuJoCo is not installed: pip install 'gridpush-drake[bench]'."
-    return measure(push, repetitions=3, warm_up=0)
 
 
 def _measure_sizes(sizes: Sequence[int], repetitions: int, announce: Announce) -> Table:
@@ -338,9 +310,70 @@ def _measure_start_up() -> Table:
             ),
             START_UPS,
         )
-        rows.append([name, timing.median, timing.low, timing.high])
+        rows.append([name, *timing])
     return Table("Start-up", ("what", "median, s", "25 %, s", "75 %, s"), rows, [f"Processes, {START_UPS} runs each."])
 
 
 def _row(name: str, timing: Timing, ratio: float) -> list[Value]:
-    return [name, timing.median * MS, timing.low * MS, timing.high * MS, ratio]
+    return [name, *(MS * seconds for seconds in timing), ratio]
+
+
+MUJOCO_TIME_STEP, PUSHER_GAIN, PUSHER_MASS = 0.002, 1e4, 1.0
+"""MuJoCo's default, s; of the position servo that drives the pusher, N/m; kg."""
+
+
+def make_mujoco_push(obj: GridObject, params: CellParameters, push: Push) -> Callable[[], np.ndarray]:
+    """Prepares the same push in MuJoCo: the object's cells as boxes of one free body on a plane, pushed by a sphere.
+
+    Returns:
+        What runs the push, straight and at constant velocity, from the beginning and returns the final pose (x, y,
+        theta).
+
+    Raises:
+        ImportError: MuJoCo is not installed (`pip install 'gridpush-drake[bench]'`).
+    """
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(_describe_scene(obj, params, push))
+    data = mujoco.MjData(model)
+    steps = round(push.duration / MUJOCO_TIME_STEP)
+    targets = push.tip_at(np.arange(1, steps + 1) * MUJOCO_TIME_STEP) - push.start
+    velocity = np.asarray(push.velocity)
+
+    def run() -> np.ndarray:
+        mujoco.mj_resetData(model, data)
+        data.qvel[-2:] = velocity
+        for target in targets:
+            data.ctrl[:] = target
+            mujoco.mj_step(model, data)
+        w, x, y, z = data.qpos[3:7]
+        return np.array([*data.qpos[:2], np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))])
+
+    return run
+
+
+def _describe_scene(obj: GridObject, params: CellParameters, push: Push) -> str:
+    """The scene in MJCF; a contact with the plane has the cell's friction, one with the pusher the pusher's."""
+    half = obj.cell_size / 2
+    boxes = "\n".join(
+        f'<geom type="box" pos="{x} {y} 0" size="{half} {half} {half}" mass="{mass}" conaffinity="3" '
+        f'friction="{mu} 0.005 0.0001"/>'
+        for (x, y), mass, mu in zip(obj.p_BC, params.mass, params.friction, strict=True)
+    )
+    damping = 2 * np.sqrt(PUSHER_GAIN * PUSHER_MASS)
+    return f"""
+<mujoco>
+  <option timestep="{MUJOCO_TIME_STEP}"/>
+  <worldbody>
+    <geom type="plane" size="2 2 0.1" friction="0 0.005 0.0001"/>
+    <body pos="0 0 {half}"><freejoint/>{boxes}</body>
+    <body pos="{push.start[0]} {push.start[1]} {half}" gravcomp="1">
+      <joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>
+      <geom type="sphere" size="{push.radius}" mass="{PUSHER_MASS}" contype="2" conaffinity="0" priority="1"
+            friction="{params.contact_friction} 0.005 0.0001"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <position joint="x" kp="{PUSHER_GAIN}" kv="{damping}"/><position joint="y" kp="{PUSHER_GAIN}" kv="{damping}"/>
+  </actuator>
+</mujoco>"""

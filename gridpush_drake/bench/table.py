@@ -1,9 +1,9 @@
 """What a bench shows: a table of what was measured, for people and for machines, and figures as files."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from math import floor, isfinite, isnan, log10
+from math import floor, isfinite, isnan, log10, pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,13 +17,15 @@ from gridpush_drake.files import check_writable, write_whole
 
 if TYPE_CHECKING:
     import rich.console
-    import rich.table
     from matplotlib.axes import Axes
 
 Value = str | float | int | None
 
-MM, MS, PERCENT = 1e3, 1e3, 100.0
-"""Millimeters in a meter, milliseconds in a second, percent in the whole."""
+Column = Callable[[Any], Value]
+"""What a column of a table says of the results that a row is of."""
+
+MM, MS, PERCENT, DEGREES = 1e3, 1e3, 100.0, 180 / pi
+"""Millimeters in a meter, milliseconds in a second, percent in the whole, degrees in a radian."""
 
 FRAME, PADDING = 1, 3
 """Characters of a shown table: its left border, and what a column has beside its text."""
@@ -53,6 +55,32 @@ class Table:
         for row in self.rows:
             if len(row) != len(self.columns):
                 raise ValueError(f"{self.title}: a row of {len(row)} values; expected {len(self.columns)}")
+
+    @classmethod
+    def of(
+        cls,
+        title: str,
+        keys: Sequence[str],
+        groups: Iterable[tuple[Sequence[Value], Sequence[Any]]],
+        columns: Mapping[str, Column],
+        notes: Sequence[str] = (),
+        digits: int = 3,
+    ) -> "Table":
+        """Tabulates results by groups.
+
+        Args:
+            title: of the table.
+            keys: names of the columns that say what a row is of.
+            groups: of each row the values of these, and its results; those without any are left out.
+            columns: of the others the name, and what it says of a row's results.
+            notes: as of the table.
+            digits: likewise.
+
+        Returns:
+            The table.
+        """
+        rows = [[*key, *(calc(results) for calc in columns.values())] for key, results in groups if len(results)]
+        return cls(title, (*keys, *columns), rows, notes, digits, len(keys))
 
     def to_dict(self) -> dict[str, Any]:
         """The table as JSON has it."""
@@ -131,18 +159,38 @@ class Table:
         return table
 
 
-def calc_mean(values: Sequence[float]) -> float:
+def calc_mean(values: Iterable[float | None]) -> float:
     """Of those that are numbers; NaN where there is none."""
-    known = [value for value in values if isfinite(value)]
+    known = [value for value in values if value is not None and isfinite(value)]
     return sum(known) / len(known) if known else float("nan")
 
 
-DPI = 150
+def mean_of(field: str, scale: float = 1.0) -> Column:
+    """A column of `Table.of`: the mean of a field of the results, times `scale`."""
+    return lambda results: scale * calc_mean(getattr(result, field) for result in results)
+
+
+def count_of(field: str, value: object) -> Column:
+    """Likewise: how many of the results have this value of a field."""
+    return lambda results: sum(getattr(result, field) == value for result in results)
+
+
+ALL = "all"
+"""Key of the row of all results."""
+
+
+def by_object(
+    results: Sequence[Any], names: Sequence[str], *keys: str, key: str = "name"
+) -> list[tuple[tuple[str, ...], list[Any]]]:
+    """Groups of `Table.of`: results of each object, by their field `key`, and of all; `keys` come before the name."""
+    groups = [((*keys, name), [result for result in results if getattr(result, key) == name]) for name in names]
+    return [*groups, ((*keys, ALL), list(results))]
+
+
+DPI, ENDINGS = 150, (".png", ".pdf", ".svg")
 
 PANEL, LEGEND_HEIGHT = (3.6, 2.7), 0.6
 """Width and height of a figure's panel, and of its legend, inches."""
-
-ENDINGS = (".png", ".pdf", ".svg")
 
 
 def check_figure(path: Path | str, force: bool) -> None:

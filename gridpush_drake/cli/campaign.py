@@ -1,7 +1,4 @@
-"""`gridpush campaign`: whole episodes with many seeds and objects, and how safe the robot is.
-
-What is slow to import is imported when the command runs, so that `gridpush` starts fast.
-"""
+"""`gridpush campaign`: whole episodes with many seeds and objects, and how safe the robot is."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,6 +12,7 @@ from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import exists, make_folder, read_text, write_whole
 
 if TYPE_CHECKING:
+    from gridpush_drake.bench.jobs import Results
     from gridpush_drake.station.scenario import PushScenario
 
 MAX_EPISODES = 1_000_000
@@ -53,7 +51,7 @@ def campaign(
 ) -> None:  # fmt: skip
     """Run whole episodes with many seeds and objects: how many are held, dropped, given up, and why.
 
-    Writes scenario.yaml, episodes.jsonl (a line an episode, at once) and table.md.
+    Writes scenario.yaml, episodes.jsonl (a line for each episode, as soon as it ends) and table.md.
     """
     from gridpush_drake.bench.campaign import EPISODES, SCENARIO, TABLE, describe_settings, run
     from gridpush_drake.bench.jobs import open_results
@@ -65,12 +63,21 @@ def campaign(
     numbers = parse_seeds("--seeds", seeds, MAX_EPISODES // len(chosen))
     for name in chosen:
         check_scenario(scenario.model_copy(update={"object": name}))
-    with options.connecting(dask) as executor:
+
+    def begin() -> "Results":
         make_folder(out)
         results = open_results(out / EPISODES, "campaign", describe_settings(task, scenario), force)
-        _write_scenario(out / SCENARIO, format_scenario(scenario), force)
-        with options.executing("campaign", results, workers, executor) as execution:
-            found = run(task, scenario, chosen, numbers, out, execution)
+        path, text = out / SCENARIO, format_scenario(scenario)
+        if force or not exists(path):
+            write_whole(path, text, force)
+        elif read_text(path, "a scenario", GridPushError) != text:
+            raise GridPushError(
+                f"{path}: differs from the scenario given; expected the same, another --out, or --force to begin anew"
+            )
+        return results
+
+    with options.executing("campaign", workers, dask, begin) as execution:
+        found = run(task, scenario, chosen, numbers, out, execution)
     table = found.tabulate()
     write_whole(out / TABLE, table.to_markdown(), force=True)
     if json:
@@ -81,15 +88,7 @@ def campaign(
 
 
 def parse_seeds(option: str, text: str, most: int) -> list[int]:
-    """Reads seeds.
-
-    Args:
-        option: its name, for the message.
-        text: as FORM says.
-        most: seeds that there may be.
-
-    Returns:
-        The seeds, each once, in order.
+    """Reads seeds as FORM says: each once, in order, and at most so many.
 
     Raises:
         OptionError: the text is something else, or there are none or too many.
@@ -128,17 +127,3 @@ def _find_objects(scenario: "PushScenario", names: str | None) -> dict[str, str]
         else:
             found[str(path.resolve())] = hash_content(read_bytes(path, "an object file", ObjectError))
     return found
-
-
-def _write_scenario(path: Path, text: str, force: bool) -> None:
-    """Writes the campaign's scenario, where it does not lie there already.
-
-    Raises GridPushError where another one does.
-    """
-    if exists(path) and not force:
-        if read_text(path, "a scenario", GridPushError) != text:
-            raise GridPushError(
-                f"{path}: differs from the scenario given; expected the same, another --out, or --force to begin anew"
-            )
-        return
-    write_whole(path, text, force)

@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from time import monotonic
 from typing import TYPE_CHECKING, Any
@@ -52,6 +52,15 @@ def print_json(document: dict[str, Any]) -> None:
     print(to_json(document))
 
 
+def print_found(document: dict[str, Any], lines: Iterable[str], as_json: bool) -> None:
+    """Prints what a command found: as one JSON document, or in lines of words."""
+    if as_json:
+        print_json(document)
+    else:
+        for line in lines:
+            print_line(line)
+
+
 def to_json(document: dict[str, Any]) -> str:
     """A document as JSON; numbers that are not finite become null, arrays lists, and whatever else its text."""
     return json.dumps(_plain(document), indent=2, ensure_ascii=False, allow_nan=False)
@@ -71,16 +80,11 @@ def _plain(value: Any) -> Any:
 
 @contextmanager
 def search_progress(what: str, budget: int | None) -> Iterator[Callable[["HistoryEntry"], None]]:
-    """Shows how a search goes, on standard error.
+    """Shows how a search goes, on standard error; yields what the search calls with each of its steps.
 
-    Args:
-        what: the search, in a word or two.
-        budget: simulations it may spend; None where it decides itself.
-
-    Yields:
-        What the search calls with each of its steps.
+    The budget is of simulations; None where the search decides itself.
     """
-    with _showing(what, budget) as show:
+    with count_progress(what, budget) as show:
 
         def report(entry: "HistoryEntry") -> None:
             found = f"{entry.simulations} simulations, cell error {entry.loss * MM:.2f} mm"
@@ -90,33 +94,14 @@ def search_progress(what: str, budget: int | None) -> Iterator[Callable[["Histor
 
 
 @contextmanager
-def count_progress(what: str, total: int) -> Iterator[Callable[..., None]]:
-    """Shows how far a count has come, and what is being done, on standard error.
-
-    Args:
-        what: the work.
-        total: to count to.
-
-    Yields:
-        What the work calls now and then, with what it is doing, a detail that changes all the time, such as the
-        simulated time, and its count: `report(doing, detail, count)`.
-    """
-    with _showing(what, total) as show:
-        yield show
-
-
-@contextmanager
 def work_progress(what: str) -> Iterator[Callable[[str, int, int], None]]:
     """Shows how much of some work is done: a bar on a terminal's standard error, elsewhere a plain line now and then.
-
-    Args:
-        what: the work.
 
     Yields:
         What the work calls, as often as it likes, with what it is at or did last, how many steps are done, and how many
         there are.
     """
-    with _showing(what, None, LINE_EVERY) as show:
+    with count_progress(what, None, LINE_EVERY) as show:
         begun = monotonic()
 
         def report(doing: str, done: int, total: int) -> None:
@@ -152,7 +137,9 @@ class PlainProgress:
 
 
 @contextmanager
-def _showing(what: str, total: int | None, period: float = PLAIN_PERIOD) -> Iterator[Callable[..., None]]:
+def count_progress(
+    what: str, total: int | None, period: float = PLAIN_PERIOD
+) -> Iterator[Callable[..., None]]:  # fmt: skip
     """Shows work on standard error: a bar on a terminal, else plain lines.
 
     Args:
@@ -161,7 +148,8 @@ def _showing(what: str, total: int | None, period: float = PLAIN_PERIOD) -> Iter
         period: between two plain lines about the same thing, s.
 
     Yields:
-        What is called with what is being done, a detail of it, the count, and what to count to.
+        What the work calls now and then, with what it is doing, a detail that changes all the time, such as the
+        simulated time, the count, and what to count to: `report(doing, detail, count, of)`.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -171,12 +159,8 @@ def _showing(what: str, total: int | None, period: float = PLAIN_PERIOD) -> Iter
         plain = PlainProgress(period)
         yield lambda doing, detail="", count=0, of=total: plain.update(f"{what}: {doing}", detail)
         return
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}", markup=False),
-        BarColumn(bar_width=20),
-        TimeElapsedColumn(),
-    )
+    words = TextColumn("{task.description}", markup=False)
+    columns = (SpinnerColumn(), words, BarColumn(bar_width=20), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(what, total=total)
 

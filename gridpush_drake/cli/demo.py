@@ -1,20 +1,13 @@
-"""`gridpush demo`: a robot and an object it knows nothing about: poked, learned, slid to the edge, grasped, lifted.
-
-What is slow to import is imported when the command runs, so that `gridpush` starts fast.
-"""
+"""`gridpush demo`: a robot and an object it knows nothing about: poked, learned, slid to the edge, grasped, lifted."""
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import print_json, print_notice
-
-if TYPE_CHECKING:
-    from gridpush_drake.cli.demo_tasks import DemoTask
-    from gridpush_drake.station.scenario import PushScenario
 
 EXIT_NOT_DONE = 1
 """Where everything went as it should but the robot did not get there."""
@@ -28,13 +21,6 @@ class TaskName(StrEnum):
     identify = "identify"
     push = "push"
     pregrasp = "pregrasp"
-
-
-class CameraName(StrEnum):
-    """What sees the object."""
-
-    ideal = "ideal"
-    rgbd = "rgbd"
 
 
 RGBD_RATE = 10.0
@@ -57,8 +43,8 @@ def demo(
         str | None,
         typer.Option(
             metavar="NAME|DIR",
-            help="gantry, iiwa14 or panda, or the folder of a robot.yaml that names its scenes: such a scene takes the "
-            "place of the scenario's directives.  [default: the scenario's, an iiwa14]",
+            help="gantry, iiwa14 or panda, or the folder of a robot.yaml of yours; its scene replaces the "
+            "scenario's.  [default: the scenario's, an iiwa14]",
         ),
     ] = None,
     scenario_file: Annotated[
@@ -69,7 +55,7 @@ def demo(
         int | None, typer.Option(min=1, help="How many pushes to learn from (--task identify).  [default: 8]")
     ] = None,
     camera: Annotated[
-        CameraName | None,
+        Literal["ideal", "rgbd"] | None,
         typer.Option(
             help="ideal: the robot is told object and poses, with noise; rgbd: it has a color and depth camera, "
             "finds the object in a photograph and tracks it.  [default: the scenario's, ideal]"
@@ -85,34 +71,51 @@ def demo(
         bool, typer.Option("--open", help="Watch it in the browser, and open the report at the end.")
     ] = False,
     realtime_rate: Annotated[
-        float, typer.Option(min=0, metavar="R", help="Simulated seconds a second, at most; 0: as fast as it goes.")
+        float,
+        typer.Option(
+            min=0, metavar="R", help="Greatest number of simulated seconds in a second; 0: as fast as it goes."
+        ),
     ] = 0.0,
     port: Annotated[
-        int | None, typer.Option(metavar="N", help="For Meshcat to listen on.  [default: the first free one from 7000]")
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Port of Meshcat's page, where the run can be watched.  [default: the first free one from 7000]",
+        ),
     ] = None,
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Let a simulated robot deal with an object whose weights are hidden from it; write a report and a recording.
+    """Let a simulated robot poke an object to learn it, then push or lift it; write a report and a recording.
 
-    Exit code 1 where the robot did not get there.
+    Exit code 1 where the robot did not reach its goal.
     """
     from gridpush_drake.cli.demo_tasks import TASKS, print_summary, write_files
-    from gridpush_drake.files import check_writable, make_folder
+    from gridpush_drake.files import make_folder
     from gridpush_drake.multibody.meshcat_server import StartMeshcatServer
     from gridpush_drake.station.robot import make_robot_directives
+    from gridpush_drake.station.scenario import read_scenario
     from gridpush_drake.station.scene import check_scenario
 
     if pushes is not None and task is not TaskName.identify:
         raise options.OptionError(f"--pushes: is for --task identify; {task} decides itself how many to make")
     chosen = TASKS[task]
-    scenario = _make_scenario(chosen, scenario_file, object_file, pushes, camera, seed)
+    scenario = read_scenario(scenario_file) if scenario_file else chosen.make_scenario()
+    if object_file is not None:
+        scenario.object = object_file
+    if pushes is not None:
+        scenario.pokes.count = pushes
+    if camera is not None:
+        scenario.camera.kind = camera
+    if camera == "rgbd":
+        scenario.camera.rate = min(scenario.camera.rate, RGBD_RATE)
+    if seed is not None:
+        scenario.seed = seed
     if robot is not None:
         scenario.directives = make_robot_directives(robot, grasping=task is TaskName.pregrasp)
     check_scenario(scenario)
     make_folder(out)
-    for name in chosen.files:
-        check_writable(out / name, force)
+    options.check_outputs(force, *(out / name for name in chosen.files))
     meshcat = StartMeshcatServer(port)
     options.compile_kernels()
     print_notice(f"Watch it at {meshcat.web_url()}")
@@ -133,28 +136,3 @@ def demo(
         raise typer.Exit(EXIT_INTERRUPTED)
     if not summary.get("done", True):
         raise typer.Exit(EXIT_NOT_DONE)
-
-
-def _make_scenario(
-    task: "DemoTask",
-    scenario_file: Path | None,
-    object_file: str | None,
-    pushes: int | None,
-    camera: CameraName | None,
-    seed: int | None,
-) -> "PushScenario":
-    """The scenario of a file, or the task's own one, with what the command line says instead."""
-    from gridpush_drake.station.scenario import read_scenario
-
-    scenario = read_scenario(scenario_file) if scenario_file else task.make_scenario()
-    if object_file is not None:
-        scenario.object = object_file
-    if pushes is not None:
-        scenario.pokes.count = pushes
-    if camera is not None:
-        scenario.camera.kind = camera.value
-    if camera == CameraName.rgbd:
-        scenario.camera.rate = min(scenario.camera.rate, RGBD_RATE)
-    if seed is not None:
-        scenario.seed = seed
-    return scenario

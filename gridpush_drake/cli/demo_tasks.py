@@ -1,15 +1,14 @@
 """What `gridpush demo` can do: how each task is run, what it leaves in the folder, and what it says."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import yaml
 from pydrake.geometry import Meshcat
-from pydrake.systems.analysis import Simulator
 
+from gridpush_drake.bench.campaign import calc_center_error
 from gridpush_drake.cli.console import MM, count_progress, print_line
 from gridpush_drake.files import write_whole
 from gridpush_drake.identification.learning import describe_prior
@@ -34,27 +33,20 @@ from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.stream import write_stream_csv
 from gridpush_drake.report.page import ReportSummary, make_report
 from gridpush_drake.report.plan_figures import GraspDrawn, PushDrawn, draw_pre_grasp, draw_push_run
-from gridpush_drake.station.identify_task import FINISHED, IdentifyTask, IdentifyTaskRecord
-from gridpush_drake.station.limit_monitor import LimitReport
-from gridpush_drake.station.pregrasp_task import HELD, PreGraspRecord, PreGraspTask
-from gridpush_drake.station.push_task import GOAL_COLOR, REACHED, PushTask, PushTaskRecord
+from gridpush_drake.station.identify_task import IdentifyTask, IdentifyTaskRecord
+from gridpush_drake.station.pregrasp_task import PreGraspRecord, PreGraspTask
+from gridpush_drake.station.push_task import GOAL_COLOR, PushTask, PushTaskRecord
 from gridpush_drake.station.scenario import PushScenario, read_scenario, write_scenario
-from gridpush_drake.station.task import TaskStep
-from gridpush_drake.systems.messages import ContactPointMode, PreGraspMode, PreGraspStatus, PushStatus
+from gridpush_drake.station.task import TaskStatus
+from gridpush_drake.systems.messages import ContactPointMode, PreGraspMode, PushStatus
 
 FRAMES_PER_SECOND = 20.0
 """Of the recording."""
 
 FILES = (
-    "report.html",
-    "recording.html",
-    "model.yaml",
-    "object.yaml",
-    "pushes.csv",
-    "stream.csv",
-    "truth.yaml",
+    "report.html", "recording.html", "model.yaml", "object.yaml", "pushes.csv", "stream.csv", "truth.yaml",
     "scenario.yaml",
-)
+)  # fmt: skip
 """That a task leaves in its folder, the report first."""
 
 HELD_OUT = "held_out.csv"
@@ -85,56 +77,94 @@ PREGRASP_TITLES = {
 """Likewise; `status` is the controller's."""
 
 
-class DemoTask(Protocol):
+class DemoTask:
     """A task of the demo. `record` is what its run came to: a `TaskRecord` of its own kind.
 
     Attributes:
+        station: the kind of task that the robot does.
+        scenario: its own one, among the shipped models; None for an iiwa with a finger.
+        done: status of a run in which all went well; None where there is nothing to reach.
         files: that it leaves in its folder, the report first.
         marks: of the recording's legend, besides the estimate's.
     """
 
-    files: tuple[str, ...]
-    marks: tuple[Mark, ...]
+    station: Callable[[PushScenario, Meshcat], Any]
+    scenario: str | None = None
+    done: TaskStatus | None = None
+    files: tuple[str, ...] = FILES
+    marks: tuple[Mark, ...] = ()
 
     def make_scenario(self) -> PushScenario:
         """The scenario that it has by itself."""
+        return PushScenario() if self.scenario is None else read_scenario(find_models() / self.scenario)
 
     def run(self, scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> Any:
         """Runs the task and records it from the moment when all is set up; returns the record."""
+        task = self.station(scenario, meshcat)
+        task.AimCamera(meshcat)
+        with count_progress("the robot", self.count_steps(scenario)) as report:
+
+            def show(status: PushStatus, logged: int) -> None:
+                doing, count = self.describe_step(task, status)
+                report(doing, f"{task.simulator.get_context().get_time():.0f} s simulated", count)
+
+            meshcat.StartRecording(FRAMES_PER_SECOND)
+            return task.run(progress=show, realtime_rate=realtime_rate)
+
+    def count_steps(self, scenario: PushScenario) -> int:
+        """How many steps the progress counts to."""
+        return 1
+
+    def describe_step(self, task: Any, status: PushStatus) -> tuple[str, int]:
+        """What is being done, by the push executor's status, and how far the count is."""
+        raise NotImplementedError
+
+    def name_phase(self, status: Any) -> str:
+        """What a controller's step is called beside the recording."""
+        raise NotImplementedError
 
     def list_phases(self, record: Any) -> list[Phase]:
-        """What the robot did when, for the recording."""
+        """What the robot did when, for the recording: a phase a step of the controller."""
+        return [Phase(step.time, self.name_phase(step.status), step.status.reason) for step in record.steps]
 
     def split_log(self, record: Any) -> tuple[PushLog, PushLog]:
-        """The pushes to learn from and those held out."""
+        """The pushes to learn from and those held out: none."""
+        return record.log, record.log[:0]
+
+    def make_summary(self, record: Any) -> ReportSummary:
+        """What the report shows of the run."""
+        raise NotImplementedError
 
     def make_report(self, record: Any) -> str:
-        """The report, as HTML; the record has an estimate."""
+        """The report, as HTML, of the pushes that the last estimate was learned from; the record has one."""
+        found = record.estimates[-1]
+        used = record.log.subset([i for i, seen in enumerate(record.log) if seen.name in found.push_names])
+        return make_report(found, used, truth=record.truth, summary=self.make_summary(record), sight=record.sight)
 
     def summarize(self, record: Any) -> dict[str, Any]:
-        """What came of it, in SI units, for JSON; "object", "status" and "done", whether the robot got there."""
+        """What came of it, in SI units, for JSON; "done": whether the robot got there."""
+        limits = record.limit_report
+        return {
+            "object": record.obj.name,
+            "status": record.status,
+            **({} if self.done is None else {"done": record.status == self.done}),
+            "message": record.message,
+            "simulated_seconds": record.duration,
+            "limit_report": vars(limits) | {"touched": sorted(map(list, limits.touched))},
+        }
 
     def describe(self, summary: dict[str, Any]) -> list[str]:
         """A summary in lines of words."""
+        raise NotImplementedError
 
 
 def write_files(
     task: DemoTask, folder: Path, scenario: PushScenario, record: Any, meshcat: Meshcat | None, force: bool
 ) -> list[Path]:
-    """Writes what a run came to.
+    """Writes what a run came to, and gives the files in the order of the task's; not what it was too short for.
 
-    The model is the station's own: that which `gridpush identify` makes of object.yaml and pushes.csv.
-
-    Args:
-        task: that was run.
-        folder: where; it exists.
-        scenario: of the run.
-        record: of the run; what it was too short for is not written.
-        meshcat: with its recording; None where there is none.
-        force: whether existing files may be replaced.
-
-    Returns:
-        The files written, in the order of the task's.
+    The model is the station's own: that which `gridpush identify` makes of object.yaml and pushes.csv. Without Meshcat,
+    there is no recording.
 
     Raises:
         OutputError: a file exists and `force` is not set, or it cannot be written.
@@ -173,29 +203,23 @@ def print_summary(task: DemoTask, summary: dict[str, Any], written: list[Path]) 
     print_line(f"\nIn {written[0].parent}: {', '.join(path.name for path in written)}.")
 
 
-class IdentifyDemo:
+class IdentifyDemo(DemoTask):
     """A robot pokes an object it knows nothing about, and comes to know it."""
 
-    files: tuple[str, ...] = (*FILES[:5], HELD_OUT, *FILES[5:])
-    marks: tuple[Mark, ...] = ()
+    station = IdentifyTask
+    files = (*FILES[:5], HELD_OUT, *FILES[5:])
 
-    def make_scenario(self) -> PushScenario:
-        """An iiwa with a finger."""
-        return PushScenario()
+    def count_steps(self, scenario: PushScenario) -> int:
+        """Pushes to learn from, and those held out."""
+        return scenario.pokes.count + scenario.pokes.test_count
 
-    def run(self, scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> IdentifyTaskRecord:
-        """Pokes and learns."""
-        task = IdentifyTask(scenario, meshcat)
-        training, total = scenario.pokes.count, scenario.pokes.count + scenario.pokes.test_count
-
-        def describe(status: PushStatus) -> tuple[str, int]:
-            kind = "push" if status.executed < training else "held-out push"
-            at = min(status.executed + 1, total)
-            refused = f" (refused {status.refused}: {status.reason})" if status.reason else ""
-            return f"{kind} {at} of {total}, {status.phase}{refused}", status.executed
-
-        with _recording(task, meshcat, task.simulator, total, describe) as progress:
-            return task.run(progress=progress, realtime_rate=realtime_rate)
+    def describe_step(self, task: Any, status: PushStatus) -> tuple[str, int]:
+        """The push that is being made."""
+        total, refused = self.count_steps(task.station.scenario), ""
+        kind = "push" if status.executed < task.station.scenario.pokes.count else "held-out push"
+        if status.reason:
+            refused = f" (refused {status.refused}: {status.reason})"
+        return f"{kind} {min(status.executed + 1, total)} of {total}, {status.phase}{refused}", status.executed
 
     def list_phases(self, record: IdentifyTaskRecord) -> list[Phase]:
         """Pushes to learn from, then pushes to test."""
@@ -226,15 +250,8 @@ class IdentifyDemo:
 
     def summarize(self, record: IdentifyTaskRecord) -> dict[str, Any]:
         """Errors before and after learning, and how the robot behaved."""
-        summary: dict[str, Any] = {
-            "object": record.obj.name,
-            "status": record.status,
-            "message": record.message,
-            "pushes": len(record.training_log),
-            "held_out": len(record.held_out_log),
-            "simulated_seconds": record.duration,
-            "limit_report": _describe_limit_report(record.limit_report),
-        }
+        counts = {"pushes": len(record.training_log), "held_out": len(record.held_out_log)}
+        summary = super().summarize(record) | counts
         if record.estimates:
             summary["learned"] = record.estimates[-1].message
             found, centers = record.estimates[-1], _calc_center_errors(record)
@@ -248,7 +265,7 @@ class IdentifyDemo:
     def describe(self, summary: dict[str, Any]) -> list[str]:
         """Errors before and after learning."""
         name = summary["object"].replace("_", " ")
-        lines = [summary["message"]] if summary["status"] != FINISHED else []
+        lines = [summary["message"]] if summary["status"] != TaskStatus.FINISHED else []
         if "after" not in summary:
             return [*lines, f"Nothing was learned about the {name}."]
         lines.append(f"The {name} after {summary['pushes']} pushes: {summary['learned']}")
@@ -259,54 +276,28 @@ class IdentifyDemo:
         return lines
 
 
-class PushDemo:
+class PushDemo(DemoTask):
     """A robot pushes an object it knows nothing about to a goal, and learns it on the way."""
 
-    files: tuple[str, ...] = FILES
-    marks: tuple[Mark, ...] = (Mark(to_css(GOAL_COLOR), "where the object should lie"),)
+    station, done = PushTask, TaskStatus.REACHED
+    marks = (Mark(to_css(GOAL_COLOR), "where the object should lie"),)
 
-    def make_scenario(self) -> PushScenario:
-        """An iiwa with a finger."""
-        return PushScenario()
+    def count_steps(self, scenario: PushScenario) -> int:
+        """As many pushes as may be made."""
+        return scenario.goal.max_pushes
 
-    def run(self, scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> PushTaskRecord:
-        """Pushes until the object lies at the goal."""
-        task = PushTask(scenario, meshcat)
+    def describe_step(self, task: Any, status: PushStatus) -> tuple[str, int]:
+        """The push that is being made."""
+        return f"push {status.executed + (not status.ready)}, {status.phase}", status.executed
 
-        def describe(status: PushStatus) -> tuple[str, int]:
-            return f"push {status.executed + (not status.ready)}, {status.phase}", status.executed
-
-        with _recording(task, meshcat, task.simulator, scenario.goal.max_pushes, describe) as progress:
-            return task.run(progress=progress, realtime_rate=realtime_rate)
-
-    def list_phases(self, record: PushTaskRecord) -> list[Phase]:
+    def name_phase(self, status: Any) -> str:
         """A phase a push."""
-        return [
-            Phase(step.time, PUSH_TITLES[step.status.mode].format(step.status.pushes + 1), step.status.reason)
-            for step in record.steps
-        ]
-
-    def split_log(self, record: PushTaskRecord) -> tuple[PushLog, PushLog]:
-        """None is held out."""
-        return record.log, record.log[:0]
-
-    def make_report(self, record: PushTaskRecord) -> str:
-        """Where the object lay after every push."""
-        return _report_run(record, self._make_report_summary(record))
+        return PUSH_TITLES[status.mode].format(status.pushes + 1)
 
     def summarize(self, record: PushTaskRecord) -> dict[str, Any]:
         """How far from the goal it ended."""
-        return {
-            "object": record.obj.name,
-            "status": record.status,
-            "done": record.status == REACHED,
-            "message": record.message,
-            "pushes": record.pushes,
-            "goal": [float(value) for value in record.goal],
-            "error": record.error,
-            "simulated_seconds": record.duration,
-            "limit_report": _describe_limit_report(record.limit_report),
-        }
+        goal = [float(value) for value in record.goal]
+        return super().summarize(record) | {"pushes": record.pushes, "goal": goal, "error": record.error}
 
     def describe(self, summary: dict[str, Any]) -> list[str]:
         """How far from the goal it ended."""
@@ -315,7 +306,8 @@ class PushDemo:
             f"  mean distance of its cells from where they should be: {summary['error'] * MM:.1f} mm",
         ]
 
-    def _make_report_summary(self, record: PushTaskRecord) -> ReportSummary:
+    def make_summary(self, record: PushTaskRecord) -> ReportSummary:
+        """Where the object lay after every push."""
         steps = []
         for count, (seen, pose) in enumerate(zip(record.log, record.rest_poses[1:], strict=False), start=1):
             x, y = seen.push.start.tolist()
@@ -344,57 +336,25 @@ class PushDemo:
         )
 
 
-class PreGraspDemo:
+class PreGraspDemo(DemoTask):
     """A robot pokes an object, learns it, slides it to the table's edge, grasps what hangs over, and lifts it."""
 
-    files: tuple[str, ...] = FILES
-    marks: tuple[Mark, ...] = ()
+    station, done, scenario = PreGraspTask, TaskStatus.HELD, GRASP_SCENARIO
 
-    def make_scenario(self) -> PushScenario:
-        """The shipped scenario of a robot that can grasp."""
-        return read_scenario(find_models() / GRASP_SCENARIO)
+    def describe_step(self, task: Any, status: PushStatus) -> tuple[str, int]:
+        """What the controller is at."""
+        now = task.read("status", task.controller)
+        return f"{now.mode}, {_count(now.pokes, 'poke')} and {_count(now.slides, 'slide')}", int(now.over)
 
-    def run(self, scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> PreGraspRecord:
-        """Pokes, slides, grasps and lifts."""
-        task = PreGraspTask(scenario, meshcat)
-
-        def describe(_: PushStatus) -> tuple[str, int]:
-            now = task.read("status", task.controller)
-            return f"{now.mode}, {_count(now.pokes, 'poke')} and {_count(now.slides, 'slide')}", int(now.over)
-
-        with _recording(task, meshcat, task.simulator, 1, describe) as progress:
-            return task.run(progress=progress, realtime_rate=realtime_rate)
-
-    def list_phases(self, record: PreGraspRecord) -> list[Phase]:
+    def name_phase(self, status: Any) -> str:
         """A phase a step of the controller."""
-        return [
-            Phase(step.time, PREGRASP_TITLES[step.status.mode].format(status=step.status), step.status.reason)
-            for step in record.steps
-        ]
-
-    def split_log(self, record: PreGraspRecord) -> tuple[PushLog, PushLog]:
-        """None is held out."""
-        return record.log, record.log[:0]
-
-    def make_report(self, record: PreGraspRecord) -> str:
-        """The object's trajectory to the edge, and how safely it lies there."""
-        return _report_run(record, self._make_report_summary(record))
+        return PREGRASP_TITLES[status.mode].format(status=status)
 
     def summarize(self, record: PreGraspRecord) -> dict[str, Any]:
         """Whether the object was lifted, and how well its center of mass was known."""
         last = record.last
-        summary: dict[str, Any] = {
-            "object": record.obj.name,
-            "status": record.status,
-            "done": record.status == HELD,
-            "message": record.message,
-            "pokes": last.pokes,
-            "slides": last.slides,
-            "grasps": last.grasps,
-            "raised": record.raised,
-            "simulated_seconds": record.duration,
-            "limit_report": _describe_limit_report(record.limit_report),
-        }
+        summary = super().summarize(record)
+        summary |= {"pokes": last.pokes, "slides": last.slides, "grasps": last.grasps, "raised": record.raised}
         if record.estimates:
             errors = _calc_center_errors(record)
             summary |= {name: {"center_of_mass_error": error} for name, error in errors.items()}
@@ -408,7 +368,8 @@ class PreGraspDemo:
             lines.append(_compare("error of the center of mass", "center_of_mass_error", summary))
         return lines
 
-    def _make_report_summary(self, record: PreGraspRecord) -> ReportSummary:
+    def make_summary(self, record: PreGraspRecord) -> ReportSummary:
+        """The object's trajectory to the edge, and how safely it lies there."""
         last = record.last
         masses = UncertainModel.of_identification(record.estimates[-1]).masses
         poses = [step.pose for step in record.steps if np.isfinite(step.pose).all() and not step.status.over]
@@ -432,7 +393,11 @@ class PreGraspDemo:
             "within what holds the object it stays put; it was judged on every place where the center of mass may "
             "still be.",
             heads=("time", "what", "why"),
-            steps=[_describe_step(step) for step in record.steps if step.status.mode != PreGraspMode.WAITING],
+            steps=[
+                (f"{step.time:.1f}\N{NO-BREAK SPACE}s", step.status.mode, step.status.reason)
+                for step in record.steps
+                if step.status.mode != PreGraspMode.WAITING
+            ],
         )
 
 
@@ -440,65 +405,16 @@ TASKS: dict[str, DemoTask] = {"identify": IdentifyDemo(), "push": PushDemo(), "p
 """By the words of `demo.TaskName`."""
 
 
-@contextmanager
-def _recording(task: Any, meshcat: Meshcat, simulator: Simulator, total: int, describe: Any) -> Iterator[Any]:
-    """Begins a recording of the station and shows the progress.
-
-    Args:
-        task: with `AimCamera`.
-        meshcat: records from now on.
-        simulator: of the task, for the time.
-        total: to count to.
-        describe: what is being done by a status of the push executor, and how far the count is.
-
-    Yields:
-        What the run calls with that status and the number of pushes logged.
-    """
-    task.AimCamera(meshcat)
-    with count_progress("the robot", total) as report:
-
-        def show(status: PushStatus, logged: int) -> None:
-            doing, count = describe(status)
-            report(doing, f"{simulator.get_context().get_time():.0f} s simulated", count)
-
-        meshcat.StartRecording(FRAMES_PER_SECOND)
-        yield show
-
-
-def _report_run(record: PushTaskRecord | PreGraspRecord, summary: ReportSummary) -> str:
-    """The report of a task that learns on the way, from the pushes its last estimate was learned from."""
-    found = record.estimates[-1]
-    used = record.log.subset([i for i, seen in enumerate(record.log) if seen.name in found.push_names])
-    return make_report(found, used, truth=record.truth, summary=summary, sight=record.sight)
-
-
-def _describe_limit_report(limit_report: LimitReport) -> dict[str, Any]:
-    """How the robot behaved, for JSON."""
-    return {
-        "position_share": limit_report.position_share,
-        "velocity_share": limit_report.velocity_share,
-        "torque_share": limit_report.torque_share,
-        "tracking_error": limit_report.tracking_error,
-        "touched": sorted(map(list, limit_report.touched)),
-    }
-
-
 def _calc_center_errors(record: Any) -> dict[str, float]:
     """Distance of the center of mass from the true one, m, "before", assuming an even object, and "after"; or {}."""
-    if record.truth is None:
-        return {}
-    obj, true = record.obj, record.truth.center_of_mass(record.obj)
-    compared = {"before": CellParameters.uniform(obj), "after": record.estimates[-1].params}
-    return {name: float(np.linalg.norm(params.center_of_mass(obj) - true)) for name, params in compared.items()}
+    compared = {"before": CellParameters.uniform(record.obj), "after": record.estimates[-1].params}
+    known = {} if record.truth is None else compared
+    return {name: calc_center_error(record, params) for name, params in known.items()}
 
 
 def _compare(what: str, key: str, summary: dict[str, Any]) -> str:
     before, after = (summary[when][key] * MM for when in ("before", "after"))
     return f"  {what}: {before:.1f} mm assuming an even object, {after:.1f} mm as learned"
-
-
-def _describe_step(step: TaskStep[PreGraspStatus]) -> tuple[str, str, str]:
-    return f"{step.time:.1f}\N{NO-BREAK SPACE}s", step.status.mode, step.status.reason
 
 
 def _count(count: int, what: str) -> str:

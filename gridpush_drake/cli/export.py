@@ -1,7 +1,4 @@
-"""`gridpush export`: an object or a learned model as a model for other simulators.
-
-What is slow to import is imported when the command runs, so that `gridpush` starts fast.
-"""
+"""`gridpush export`: an object or a learned model as a model for other simulators."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -9,7 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import print_json, print_line
+from gridpush_drake.cli.console import print_found
 
 Format = Literal["sdf", "urdf", "mjcf"]
 
@@ -40,7 +37,8 @@ def export(
     json: options.Json = False,
 ) -> None:
     """Write an object or a learned model for Drake (SDFormat, URDF) or MuJoCo (MJCF)."""
-    from gridpush_drake.files import check_writable
+    from gridpush_drake.multibody.mjcf import WriteMjcf
+    from gridpush_drake.multibody.sdformat import WriteSdf, WriteUrdf
 
     chosen = file_format or SUFFIXES.get(out.suffix)
     if chosen is None:
@@ -49,34 +47,24 @@ def export(
         )
     if base == "planar" and chosen != "sdf":
         raise options.OptionError(f"base: is 'planar'; expected 'free', or the format sdf: {chosen} cannot say it here")
-    check_writable(out, force)
+    options.check_outputs(force, out)
     loaded = options.load_target(target, largest_piece)
 
     if chosen == "sdf":
-        from gridpush_drake.multibody.sdformat import WriteSdf
-
         WriteSdf(loaded.obj, loaded.params, out, force, base=base, height=height)
-    elif chosen == "urdf":
-        from gridpush_drake.multibody.urdf import WriteUrdf
-
-        WriteUrdf(loaded.obj, loaded.params, out, force, height=height)
     else:
-        from gridpush_drake.multibody.mjcf import WriteMjcf
-
-        WriteMjcf(loaded.obj, loaded.params, out, force, height=height)
-    if json:
-        print_json(
-            {
-                "object": loaded.obj.name,
-                "cells": loaded.obj.n,
-                "total_mass": loaded.params.total_mass,
-                "format": chosen,
-                "base": base,
-                "height": height,
-                "written": [str(out)],
-            }
-        )
-        return
+        write = WriteUrdf if chosen == "urdf" else WriteMjcf
+        write(loaded.obj, loaded.params, out, force, height=height)
+    obj, mass = loaded.obj, loaded.params.total_mass
     source = "learned model" if loaded.model else "object, mass and friction spread evenly"
-    print_line(f"{loaded.obj.name} ({source}): {loaded.obj.n} cells, {loaded.params.total_mass:.3g} kg, {base} base")
-    print_line(f"Wrote {out}.")
+    found = {
+        "object": obj.name,
+        "cells": obj.n,
+        "total_mass": mass,
+        "format": chosen,
+        "base": base,
+        "height": height,
+        "written": [str(out)],
+    }
+    line = f"{obj.name} ({source}): {obj.n} cells, {mass:.3g} kg, {base} base"
+    print_found(found, [line, *options.describe_written(out)], json)

@@ -1,7 +1,4 @@
-"""`gridpush identify`: learn a model from observed pushes.
-
-What is slow to import is imported when the command runs, so that `gridpush` starts fast.
-"""
+"""`gridpush identify`: learn a model from observed pushes."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -10,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import MM, print_json, print_line, search_progress
+from gridpush_drake.cli.console import MM, print_found, search_progress
 
 if TYPE_CHECKING:
     from gridpush_drake.identification.result import Identification
@@ -43,14 +40,12 @@ def identify(
 ) -> None:
     """Learn an object's friction and mass from pushes of it."""
     from gridpush_drake.errors import PushLogError
-    from gridpush_drake.files import check_writable, write_whole
+    from gridpush_drake.files import write_whole
     from gridpush_drake.identification.learning import identify as search
     from gridpush_drake.identification.model_file import write_model
     from gridpush_drake.pushes.plausibility import explain_no_contact
 
-    for path in (out, report):
-        if path is not None:
-            check_writable(path, force)
+    options.check_outputs(force, out, report)
     obj = options.load_object(object_file, largest_piece)
     full = options.load_log(pushes, obj)
     log = full.supported
@@ -69,10 +64,7 @@ def identify(
         "overhanging_pushes": [seen.name for seen in full.overhanging],
         "written": [str(path) for path in (out, report) if path],
     }
-    if json:
-        print_json(found)
-    else:
-        print_result(result, found)
+    print_found(found, [*explain_result(result, found), "", *options.describe_written(out, report)], json)
 
 
 def describe_result(result: "Identification", log: "PushLog") -> dict[str, Any]:
@@ -107,30 +99,25 @@ def describe_result(result: "Identification", log: "PushLog") -> dict[str, Any]:
     }
 
 
-def print_result(result: "Identification", found: dict[str, Any]) -> None:
-    """Prints what an identification found."""
+def explain_result(result: "Identification", found: dict[str, Any]) -> list[str]:
+    """The same in lines of words."""
     center, spread = result.identifiability.center_of_friction, result.identifiability.center_of_friction_covariance
-    print_line(
-        f"{result.obj.name}: {result.obj.n} cells, {len(result.push_names)} pushes, {result.simulations} simulations"
-    )
-    print_line(result.message)
-    print_line(
-        f"cell error of these pushes: {found['mean_cell_error'] * MM:.2f} mm; "
-        f"{found['mean_cell_error_before'] * MM:.2f} mm with uniform friction"
-    )
     x, y = (
         f"{value * MM:.1f} ± {max(variance, 0.0) ** 0.5 * MM:.1f}"
         for value, variance in zip(center, spread.diagonal(), strict=True)
     )
-    print_line(f"center of friction: x {x} mm, y {y} mm, in the body frame")
-    print_line(f"contact friction: {result.params.contact_friction:.2f} ± {result.std.contact_friction:.2f}")
+    lines = [
+        f"{result.obj.name}: {result.obj.n} cells, {len(result.push_names)} pushes, {result.simulations} simulations",
+        result.message,
+        f"cell error of these pushes: {found['mean_cell_error'] * MM:.2f} mm; "
+        f"{found['mean_cell_error_before'] * MM:.2f} mm with uniform friction",
+        f"center of friction: x {x} mm, y {y} mm, in the body frame",
+        f"contact friction: {result.params.contact_friction:.2f} ± {result.std.contact_friction:.2f}",
+    ]
     if result.unused_pushes:
-        print_line(f"left out, as the pusher never touched the object: {', '.join(result.unused_pushes)}")
-    for outlier in result.outliers:
-        print_line(outlier.describe())
+        lines.append(f"left out, as the pusher never touched the object: {', '.join(result.unused_pushes)}")
+    lines += [outlier.describe() for outlier in result.outliers]
     if found["overhanging_pushes"]:
-        print_line(options.describe_overhanging(found["overhanging_pushes"]))
-    print_line("What these pushes say, and what they cannot:")
-    for statement in result.identifiability.statements:
-        print_line(f"  - {statement}")
-    print_line(f"\nWrote {' and '.join(found['written'])}.")
+        lines.append(options.describe_overhanging(found["overhanging_pushes"]))
+    statements = [f"  - {statement}" for statement in result.identifiability.statements]
+    return [*lines, "What these pushes say, and what they cannot:", *statements]

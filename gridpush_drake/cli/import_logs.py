@@ -1,6 +1,6 @@
 """`gridpush import`: public data sets and ROS bags to a push log and an object file.
 
-There is a command for each importer in `pushes.importers.registry`, with the options that are its fields.
+There is a command for each importer in `pushes.importers`, with the options that are its fields.
 """
 
 import dataclasses
@@ -12,11 +12,11 @@ import typer
 from typer.core import TyperGroup
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import print_json, print_line
+from gridpush_drake.cli.console import print_found
 from gridpush_drake.errors import OutputError
 
 if TYPE_CHECKING:
-    from gridpush_drake.pushes.importers.registry import Importer
+    from gridpush_drake.pushes.importers import Importer
 
 OutDir = Annotated[
     Path | None,
@@ -37,13 +37,13 @@ class ImporterGroup(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """The importers' names."""
-        from gridpush_drake.pushes.importers.registry import IMPORTERS
+        from gridpush_drake.pushes.importers import IMPORTERS
 
         return list(IMPORTERS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """The command of an importer; None where there is no such importer."""
-        from gridpush_drake.pushes.importers.registry import find_importer
+        from gridpush_drake.pushes.importers import find_importer
 
         if cmd_name not in self.commands and cmd_name in self.list_commands(ctx):
             self.commands[cmd_name] = _make_command(cmd_name, find_importer(cmd_name))
@@ -64,8 +64,14 @@ def _make_command(name: str, importer: "type[Importer]") -> Any:
     def run(file: Path, out_dir: Path | None, out_csv: Path | None, out_object: Path | None, force: bool, json: bool,
             **chosen: Any) -> None:  # fmt: skip
         paths = _check_outputs(out_dir, out_csv, out_object, force)
-        values = {key: _read_value(types[key], value) for key, value in chosen.items()}
-        _write(importer(**values), file, paths, force, json)
+        for key, value in chosen.items():
+            if value is not None and _is_object(types[key]):
+                chosen[key] = options.load_object(value)
+        pushes, obj = importer(**chosen).read(file)
+        pushes.write_csv(paths[0], force)
+        obj.write_yaml(paths[1], force=force)
+        found = {"object": obj.name, "cells": obj.n, "pushes": len(pushes), "written": list(map(str, paths))}
+        print_found(found, [f"{len(pushes)} pushes of {obj.name}. Wrote {paths[0]} and {paths[1]}."], json)
 
     file = Annotated[Path, typer.Argument(metavar=importer.file, help=f"A file of {importer.source}.")]
     parameters = [Parameter("file", Parameter.POSITIONAL_OR_KEYWORD, annotation=file)]
@@ -88,10 +94,6 @@ def _describe_option(field: "dataclasses.Field[Any]", kind: Any) -> Any:
     return Annotated[kind, typer.Option(*names, help=field.metadata["help"])]
 
 
-def _read_value(kind: Any, value: Any) -> Any:
-    return options.load_object(value) if _is_object(kind) and value is not None else value
-
-
 def _is_object(kind: Any) -> bool:
     from gridpush_drake.objects.grid_object import GridObject
 
@@ -101,7 +103,7 @@ def _is_object(kind: Any) -> bool:
 def _check_outputs(
     out_dir: Path | None, out_csv: Path | None, out_object: Path | None, force: bool
 ) -> tuple[Path, Path]:
-    from gridpush_drake.files import check_writable, make_folder
+    from gridpush_drake.files import make_folder
 
     if (out_dir is None) == (out_csv is None or out_object is None):
         raise OutputError("--out-dir: expected a folder, or both --out-csv and --out-object instead of it")
@@ -109,16 +111,5 @@ def _check_outputs(
         make_folder(out_dir)
     folder = out_dir or Path()
     paths = out_csv or folder / "pushes.csv", out_object or folder / "object.yaml"
-    for path in paths:
-        check_writable(path, force)
+    options.check_outputs(force, *paths)
     return paths
-
-
-def _write(importer: "Importer", file: Path, paths: tuple[Path, Path], force: bool, json: bool) -> None:
-    pushes, obj = importer.read(file)
-    pushes.write_csv(paths[0], force)
-    obj.write_yaml(paths[1], force=force)
-    if json:
-        print_json({"object": obj.name, "cells": obj.n, "pushes": len(pushes), "written": list(map(str, paths))})
-    else:
-        print_line(f"{len(pushes)} pushes of {obj.name}. Wrote {paths[0]} and {paths[1]}.")

@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import Timer, current_thread, main_thread
 from types import FrameType
@@ -60,22 +60,14 @@ app = typer.Typer(
     context_settings={"help_option_names": ["--help", "-h"]},
 )
 
-app.command("demo")(demo.demo)
-app.command("campaign")(campaign.campaign)
-app.command("identify")(identify.identify)
-app.command("predict")(predict.predict)
-app.command("simulate")(simulate.simulate)
-app.command("show")(show.show)
-app.command("plan")(plan.plan)
-app.command("export")(export.export)
-app.command("view")(view.view)
-app.command("slide")(slide.slide)
-app.command("object")(object_from_photo.make_object)
-app.command("calibrate")(calibrate.calibrate)
-app.command("track")(track.track)
-app.command("record")(record.record)
-app.command("twin")(twin.twin)
-app.command("robot")(robot.robot)
+COMMANDS: dict[str, Callable[..., None]] = {
+    "demo": demo.demo, "campaign": campaign.campaign, "identify": identify.identify, "predict": predict.predict,
+    "simulate": simulate.simulate, "show": show.show, "plan": plan.plan, "export": export.export, "view": view.view,
+    "slide": slide.slide, "object": object_from_photo.make_object, "calibrate": calibrate.calibrate,
+    "track": track.track, "record": record.record, "twin": twin.twin, "robot": robot.robot,
+}  # fmt: skip
+for name, command in COMMANDS.items():
+    app.command(name)(command)
 app.add_typer(import_logs.app, name="import")
 app.add_typer(bench.app, name="bench")
 

@@ -1,9 +1,6 @@
-"""What several commands share: options, tables, the objects, models and logs they read, and compiled kernels.
+"""What several commands share: options, tables, the objects, models and logs they read, and compiled kernels."""
 
-What is slow to import is imported when a function runs, so that `gridpush` starts fast.
-"""
-
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Timer
@@ -11,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from gridpush_drake.cli.console import print_line, print_notice, work_progress
+from gridpush_drake.cli.console import print_notice, work_progress
 from gridpush_drake.errors import GridPushError, PlanningError
 from gridpush_drake.files import check_writable, exists
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
-    from gridpush_drake.bench.jobs import Execution, Executor, Results
+    from gridpush_drake.bench.jobs import Execution, Results
     from gridpush_drake.dynamics.simulation import Regime as SimulatedRegime
     from gridpush_drake.identification.result import Identification
     from gridpush_drake.objects.grid_object import GridObject
@@ -52,7 +49,7 @@ LargestPiece = Annotated[bool, typer.Option("--largest-piece", help="Of a mask i
 
 Regime = Annotated[
     Literal["auto", "quasi_static", "inertial"],
-    typer.Option(help="Slow pushes are quasi_static, fast ones inertial."),
+    typer.Option(help="quasi_static for slow pushes, inertial for fast ones; auto: by their speed."),
 ]
 
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
@@ -80,15 +77,7 @@ class OptionError(GridPushError):
 
 
 def parse_numbers(option: str, text: str, names: str) -> tuple[float, ...]:
-    """Reads numbers separated by commas.
-
-    Args:
-        option: its name, for the message.
-        text: what was given.
-        names: the form, such as "x,y".
-
-    Returns:
-        As many finite numbers as `names` has.
+    """Reads as many finite numbers, separated by commas, as `names` has, such as "x,y".
 
     Raises:
         OptionError: the text is something else.
@@ -153,13 +142,7 @@ def parse_shape(option: str, text: str) -> "SupportSurface":
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """What a command works on.
-
-    Attributes:
-        obj: the object.
-        params: what it is taken to weigh and rub: the model's, or uniform ones by the object's prior.
-        model: the model, where it is one.
-    """
+    """What a command works on: an object, what it is taken to weigh and rub (the model's, or uniform by its prior)."""
 
     obj: "GridObject"
     params: "CellParameters"
@@ -173,40 +156,36 @@ class Target:
 
 
 @contextmanager
-def connecting(dask: str | None) -> "Iterator[Executor | None]":
-    """Connects to the cluster at an address; yields None without one. Raises GridPushError where none answers."""
-    if dask is None:
-        yield None
-        return
-    from gridpush_drake.bench.cluster import open_cluster
-
-    with open_cluster(dask) as cluster:
-        yield cluster
-
-
-@contextmanager
-def executing(what: str, results: "Results", workers: int, executor: "Executor | None") -> "Iterator[Execution]":
+def executing(
+    what: str, workers: int, dask: str | None, open_results: "Callable[[], Results]"
+) -> "Iterator[Execution]":
     """How jobs are run: their results are kept, and what is done is shown.
 
     Args:
         what: they are of, in a word.
-        results: where they are kept.
         workers: processes here.
-        executor: instead of those; None for them.
+        dask: address of a cluster that runs them instead; None for none.
+        open_results: where they are kept; called once the cluster has answered.
 
-    Yields:
-        What `run_jobs` takes.
+    Raises:
+        GridPushError: no cluster answers.
     """
     from gridpush_drake.bench.jobs import Execution
 
-    known = f", {len(results.lines)} of them from before" if results.lines else ""
+    with ExitStack() as stack:
+        executor = None
+        if dask is not None:
+            from gridpush_drake.bench.cluster import open_cluster
 
-    def prepare() -> None:
-        print_notice(f"{what}: results are kept in {results.path}{known}")
-        compile_kernels()
+            executor = stack.enter_context(open_cluster(dask))
+        results = open_results()
+        known = f", {len(results.lines)} of them from before" if results.lines else ""
 
-    with work_progress(what) as report:
-        yield Execution(workers, report, results, prepare, executor)
+        def prepare() -> None:
+            print_notice(f"{what}: results are kept in {results.path}{known}")
+            compile_kernels()
+
+        yield Execution(workers, stack.enter_context(work_progress(what)), results, prepare, executor)
 
 
 def check_outputs(force: bool, *paths: Path | None) -> None:
@@ -216,10 +195,10 @@ def check_outputs(force: bool, *paths: Path | None) -> None:
             check_writable(path, force)
 
 
-def print_written(paths: "Sequence[str]") -> None:
-    """Says which files were written, where any were."""
-    if paths:
-        print_line(f"Wrote {' and '.join(paths)}.")
+def describe_written(*paths: Path | None) -> list[str]:
+    """Says in a line which files were written, where any were."""
+    written = " and ".join(str(path) for path in paths if path is not None)
+    return [f"Wrote {written}."] if written else []
 
 
 def load_object(name: str, largest_piece: bool = False) -> "GridObject":
@@ -250,11 +229,14 @@ def load_target(name: str, largest_piece: bool = False) -> Target:
 
 
 def load_log(path: Path, obj: "GridObject", *, require_final: bool = True) -> "PushLog":
-    """Reads a push log, made with the pusher that the object's file names."""
-    from gridpush_drake.pushes.push_log import PushLog
+    """Reads a push log, made with the pusher that the object's file names; says so where it names none."""
+    from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
 
     log = PushLog.read_csv(path, require_final=require_final)
-    if log.radius_given or obj.prior.pusher_radius is None:
+    if log.radius_given:
+        return log
+    if obj.prior.pusher_radius is None:
+        print_notice(f"{obj.name}: no pusher.radius in its file; {DEFAULT_PUSHER_RADIUS:g} m is taken for the pusher's")
         return log
     return log.with_radius(obj.prior.pusher_radius)
 

@@ -1,7 +1,4 @@
-"""`gridpush plan`: pushes that bring an object to a goal pose.
-
-What is slow to import is imported when the command runs, so that `gridpush` starts fast.
-"""
+"""`gridpush plan`: pushes that bring an object to a goal pose."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import MM, print_json, print_line
+from gridpush_drake.cli.console import MM, print_found
 
 if TYPE_CHECKING:
     from gridpush_drake.planning.goal.push_plan import PushPlan
@@ -46,7 +43,15 @@ def plan(
     from gridpush_drake.files import write_whole
     from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS, ContactOptions
     from gridpush_drake.planning.goal.next_push import GoalRules
-    from gridpush_drake.planning.goal.push_plan import describe_plan, plan_pushes, write_plan
+    from gridpush_drake.planning.goal.push_plan import (
+        GOAL_BLOCKED,
+        GOAL_OFF_TABLE,
+        START_BLOCKED,
+        START_OFF_TABLE,
+        describe_plan,
+        plan_pushes,
+        write_plan,
+    )
     from gridpush_drake.planning.push_constraints import PushConstraints
 
     options.check_outputs(force, out, picture)
@@ -66,7 +71,9 @@ def plan(
     )
     options.compile_kernels()
     found = plan_pushes(target.obj, target.params, pose, aim, rules)
-    _refuse_bad_ends(found)
+    for option, ends in (("--goal", (GOAL_OFF_TABLE, GOAL_BLOCKED)), ("--start", (START_OFF_TABLE, START_BLOCKED))):
+        if found.status in ends:
+            raise options.OptionError(f"{option}: {found.status}: {found.reason}")
     if out is not None:
         write_plan(out, found, target.obj.name, finger, force)
     if picture is not None:
@@ -75,36 +82,23 @@ def plan(
 
         write_whole(picture, to_png(draw_plan(target.obj, found, surface, obstacles)), force)
     written = [str(path) for path in (out, picture) if path is not None]
-    if json:
-        print_json({**describe_plan(found, target.obj.name, finger), "written": written})
-    else:
-        _print_plan(target.obj.name, found, written)
+    document = {**describe_plan(found, target.obj.name, finger), "written": written}
+    print_found(document, [*_describe(target.obj.name, found), *options.describe_written(out, picture)], json)
     if not found.reached:
         raise typer.Exit(options.EXIT_NO_PLAN)
 
 
-def _refuse_bad_ends(found: "PushPlan") -> None:
-    """Raises OptionError where the object cannot lie at the start or the goal."""
-    from gridpush_drake.planning.goal.push_plan import GOAL_BLOCKED, GOAL_OFF_TABLE, START_BLOCKED, START_OFF_TABLE
-
-    if found.status in (GOAL_OFF_TABLE, GOAL_BLOCKED):
-        raise options.OptionError(f"--goal: {found.status}: {found.reason}")
-    if found.status in (START_OFF_TABLE, START_BLOCKED):
-        raise options.OptionError(f"--start: {found.status}: {found.reason}")
-
-
-def _print_plan(name: str, found: "PushPlan", written: list[str]) -> None:
+def _describe(name: str, found: "PushPlan") -> list[str]:
     from math import degrees
 
-    print_line(f"{name}: {found.status}: {found.reason}")
+    lines = [f"{name}: {found.status}: {found.reason}"]
     for number, (planned, error) in enumerate(zip(found.pushes, found.errors, strict=True), start=1):
         (x0, y0), (x1, y1) = planned.push.xy[0] * MM, planned.push.xy[-1] * MM
         x, y, theta = planned.pose
-        print_line(
+        lines.append(
             f"push {number}  from {x0:.1f}, {y0:.1f} to {x1:.1f}, {y1:.1f} mm in {planned.push.duration:.1f} s: object "
             f"at x {x * MM:.1f} mm, y {y * MM:.1f} mm, theta {degrees(theta):.1f}°, {error * MM:.1f} mm from the goal"
         )
     if not found.pushes:
-        print_line(f"No push; {found.error * MM:.1f} mm from the goal.")
-    print_line(f"{found.simulations} simulated pushes, {found.seconds:.1f} s.")
-    options.print_written(written)
+        lines.append(f"No push; {found.error * MM:.1f} mm from the goal.")
+    return [*lines, f"{found.simulations} simulated pushes, {found.seconds:.1f} s."]

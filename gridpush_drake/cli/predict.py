@@ -1,7 +1,4 @@
-"""`gridpush predict`: where pushes take an object.
-
-What is slow to import is imported when the command runs, so that `gridpush` starts fast.
-"""
+"""`gridpush predict`: where pushes take an object."""
 
 import csv
 import io
@@ -15,7 +12,7 @@ from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_json, print_line, print_table
 
 if TYPE_CHECKING:
-    from gridpush_drake.identification.prediction import ErrorSummary, PoseError, Prediction, Spread
+    from gridpush_drake.identification.prediction import ErrorSummary, Prediction
 
 COLUMNS = ("push", "x", "y", "theta")
 """Final pose of each push, m and rad, world frame."""
@@ -36,13 +33,13 @@ def predict(
     """Predict where pushes take an object, and compare with where they took it."""
     from gridpush_drake.dynamics.motion import MotionStatus
     from gridpush_drake.errors import PushLogError
-    from gridpush_drake.files import check_writable, write_whole
+    from gridpush_drake.files import write_whole
     from gridpush_drake.identification.learning import choose_regime
     from gridpush_drake.identification.prediction import calc_final_errors, predict_spread, summarize_errors
     from gridpush_drake.identification.prediction import predict as predict_log
     from gridpush_drake.pushes.plausibility import explain_no_contact
 
-    check_writable(out, force)
+    options.check_outputs(force, out)
     target = options.load_target(model, largest_piece)
     full = options.load_log(pushes, target.obj, require_final=False)
     log = full.supported
@@ -56,6 +53,7 @@ def predict(
     errors = calc_final_errors(target.obj, predictions, log)
     spreads = predict_spread(target.model, log, chosen) if target.model else []
     seen = [(error, spread) for error, spread in zip(errors, spreads, strict=False) if error is not None]
+    summaries, rho = summarize_errors(target.obj, predictions, log), target.obj.radius_of_gyration
     found: dict[str, Any] = {
         "object": target.obj.name,
         "model": "learned" if target.model else "prior",
@@ -63,63 +61,48 @@ def predict(
         "pushes": len(predictions),
         "untouched": [prediction.name for prediction in predictions if prediction.status == MotionStatus.NO_CONTACT],
         "overhanging": [seen.name for seen in full.overhanging],
-        "errors": summarize_errors(target.obj, predictions, log),
+        "errors": [_describe_summary(error) for error in summaries],
         "within_interval": [sum(error.cell <= spread.cell_error for error, spread in seen), len(seen)],
         "written": [str(out)],
-    }
+        "rho_mm": rho * MM,
+        "errors_by_push": [
+            {"push": made.name, "position_mm": None, "angle_deg": None, "cell_mm": None, "combined_mm": None}
+            if error is None  # its final pose is not known
+            else {
+                "push": made.name, "position_mm": error.position * MM, "angle_deg": error.angle * DEGREES,
+                "cell_mm": error.cell * MM, "combined_mm": error.combined(rho) * MM,
+            }
+            for made, error in zip(predictions, errors, strict=True)
+        ],
+        "spread_by_push": [
+            {
+                "push": spread.name, "x_std_mm": spread.std[0] * MM, "y_std_mm": spread.std[1] * MM,
+                "theta_std_deg": spread.std[2] * DEGREES, "cell_90_mm": spread.cell_error * MM,
+            }
+            for spread in spreads
+        ],
+    }  # fmt: skip
     if json:
-        rho = target.obj.radius_of_gyration
-        by_push = [_describe_error(made.name, error, rho) for made, error in zip(predictions, errors, strict=True)]
-        summaries = [_describe_summary(error) for error in found["errors"]]
-        spread_by_push = [_describe_spread(spread) for spread in spreads]
-        more = {"rho_mm": rho * MM, "errors_by_push": by_push, "spread_by_push": spread_by_push}
-        print_json({**found, "errors": summaries, **more})
-    else:
-        _print_found(found, model)
-
-
-def _print_found(found: dict[str, Any], name: str) -> None:
-    if found["model"] == "prior":
-        print_line(f"{name} is an object, not a model: predicted with its prior, mass and friction spread evenly.")
+        print_json(found)
+        return
+    if target.model is None:
+        print_line(f"{model} is an object, not a model: predicted with its prior, mass and friction spread evenly.")
     if found["untouched"]:
         print_line(f"The pusher never touches the object in: {', '.join(found['untouched'])}")
     if found["overhanging"]:
         print_line(options.describe_overhanging(found["overhanging"]))
-    if found["errors"]:
-        print_errors(f"Errors of {found['errors'][0].pushes} final poses", found["errors"])
+    if summaries:
+        print_errors(f"Errors of {summaries[0].pushes} final poses", summaries)
     within, of = found["within_interval"]
     if of:
         print_line(f"{within} of {of} cell errors are within what the model expects of 90 %.")
-    print_line(f"Wrote {found['written'][0]}.")
+    print_line(f"Wrote {out}.")
 
 
 def _describe_summary(error: "ErrorSummary") -> dict[str, Any]:
     """A summary for machines; its numbers are in its unit, "mm" or "deg"."""
-    values = {"mean": error.mean, "median": error.median, "p90": error.p90}
-    unit = "deg" if error.unit == "°" else error.unit
-    return {
-        "name": error.name, "unit": unit, "pushes": error.pushes,
-        **{key: value * error.scale for key, value in values.items()},
-    }  # fmt: skip
-
-
-def _describe_error(name: str, error: "PoseError | None", rho: float) -> dict[str, Any]:
-    """A push's error for machines; null where its final pose is not known."""
-    if error is None:
-        return {"push": name, "position_mm": None, "angle_deg": None, "cell_mm": None, "combined_mm": None}
-    return {
-        "push": name, "position_mm": error.position * MM, "angle_deg": error.angle * DEGREES,
-        "cell_mm": error.cell * MM, "combined_mm": error.combined(rho) * MM,
-    }  # fmt: skip
-
-
-def _describe_spread(spread: "Spread") -> dict[str, Any]:
-    """How far a push may be off, for machines: standard deviations, and the cell error that 90 % stay below."""
-    x, y, theta = spread.std.tolist()
-    return {
-        "push": spread.name, "x_std_mm": x * MM, "y_std_mm": y * MM, "theta_std_deg": theta * DEGREES,
-        "cell_90_mm": spread.cell_error * MM,
-    }  # fmt: skip
+    values = {key: getattr(error, key) * error.scale for key in ("mean", "median", "p90")}
+    return {"name": error.name, "unit": "deg" if error.unit == "°" else error.unit, "pushes": error.pushes, **values}
 
 
 def print_errors(title: str, errors: "list[ErrorSummary]") -> None:

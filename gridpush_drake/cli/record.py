@@ -1,23 +1,14 @@
-"""`gridpush record`: a continuous stream of poses to a push log.
-
-What is slow to import is imported when the command runs, so that `gridpush` starts fast.
-"""
+"""`gridpush record`: a continuous stream of poses to a push log."""
 
 from dataclasses import replace
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import MM, print_json, print_line
-
-if TYPE_CHECKING:
-    from gridpush_drake.objects.grid_object import GridObject
-    from gridpush_drake.planning.support_surface import SupportSurface
-    from gridpush_drake.pushes.push_log import PushLog
-    from gridpush_drake.pushes.stream import Delay
+from gridpush_drake.cli.console import MM, print_found
 
 MS = 1e3
 """Milliseconds in a second."""
@@ -42,7 +33,9 @@ def record(
     engaged_below: Annotated[
         float, typer.Option(help="Height of the tip's center below which it can touch the object, m.")
     ] = ENGAGED_BELOW,
-    pose_delay: Annotated[float, typer.Option(help="How old an object's pose is at its time in the stream, s.")] = 0.0,
+    pose_delay: Annotated[
+        float, typer.Option(help="How much older the object's poses are than their times say, s.")
+    ] = 0.0,
     table: Annotated[
         str | None,
         typer.Option(metavar="SHAPE", help=f"Marks pushes with a part off its edge: {options.FORMS}."),
@@ -52,12 +45,12 @@ def record(
 ) -> None:
     """Cut a stream of the tip's and the object's poses into pushes, as the robot does while it pokes."""
     from gridpush_drake.errors import PushLogError
-    from gridpush_drake.files import check_writable
+    from gridpush_drake.planning.support_surface import stayed_supported
     from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
     from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
     from gridpush_drake.pushes.stream import estimate_delay, read_stream_csv, record_pushes
 
-    check_writable(out, force)
+    options.check_outputs(force, out)
     for option, value in (("--engaged-below", engaged_below), ("--pose-delay", pose_delay)):
         if not isfinite(value):
             raise options.OptionError(f"{option}: is {value}; expected a finite number")
@@ -66,54 +59,33 @@ def record(
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
     how = SegmenterOptions(engaged_below=engaged_below), RecordOptions(pose_delay=pose_delay)
     samples = read_stream_csv(stream)
-    found = record_pushes(samples, obj, radius, *how, str(stream))
-    log = found.log
+    recorded = record_pushes(samples, obj, radius, *how, str(stream))
+    log = recorded.log
     if not len(log):
-        why = "; ".join(found.unusable) or "the tip never moved the object while it was down"
+        why = "; ".join(recorded.unusable) or "the tip never moved the object while it was down"
         raise PushLogError(f"{stream}: holds no push: {why}; expected a tip below {engaged_below:g} m that pushes")
     if surface is not None:
-        log = _mark_overhang(log, obj, surface)
+        pushes = tuple(replace(seen, overhang=not stayed_supported(obj, seen, surface)) for seen in log)
+        log = replace(log, pushes=pushes, table=surface.corners)
     log.write_csv(out, force)
     delay = estimate_delay(samples, obj, radius, *how)
-    if json:
-        print_json(
-            {
-                "object": obj.name,
-                "pushes": len(log),
-                "delay": describe_delay(delay),
-                "overhanging": [seen.name for seen in log if seen.overhang],
-                "unusable": list(found.unusable),
-                "unfinished": found.unfinished,
-                "written": [str(out)],
-            }
-        )
-        return
-    print_line(f"{len(log)} pushes, {sum(seen.push.length for seen in log) / len(log) * MM:.0f} mm long on average.")
+    found = {
+        "object": obj.name,
+        "pushes": len(log),
+        "delay": None if delay is None else {key: getattr(delay, key) for key in ("value", "std", "pushes")},
+        "overhanging": [seen.name for seen in log if seen.overhang],
+        "unusable": list(recorded.unusable),
+        "unfinished": recorded.unfinished,
+        "written": [str(out)],
+    }
+    length = sum(seen.push.length for seen in log) / len(log)
+    lines = [f"{len(log)} pushes, {length * MM:.0f} mm long on average."]
     if delay is not None:
-        print_line(explain_delay(delay, "--pose-delay"))
-    if found.unfinished:
-        print_line("The stream ends within a push, which is left out.")
-    for text in found.unusable:
-        print_line(f"Left out: {text}.")
-    print_line(f"Wrote {out}.")
-
-
-def _mark_overhang(log: "PushLog", obj: "GridObject", surface: "SupportSurface") -> "PushLog":
-    """The log with the table, and with what was seen of each push: whether a part of the object hung over the edge."""
-    from gridpush_drake.planning.support_surface import stayed_supported
-
-    pushes = tuple(replace(seen, overhang=not stayed_supported(obj, seen, surface)) for seen in log)
-    return replace(log, pushes=pushes, table=surface.corners)
-
-
-def describe_delay(delay: "Delay | None") -> dict[str, Any] | None:
-    """A delay for JSON."""
-    return None if delay is None else {"value": delay.value, "std": delay.std, "pushes": delay.pushes}
-
-
-def explain_delay(delay: "Delay", option: str) -> str:
-    """A delay in words; `option` is what states it."""
-    return (
-        f"The object's poses are {delay.value * MS:.0f} +- {delay.std * MS:.0f} ms later than {option} says, by "
-        f"{delay.pushes} pushes."
-    )
+        lines.append(
+            f"The object's poses are {delay.value * MS:.0f} +- {delay.std * MS:.0f} ms later than --pose-delay says, "
+            f"by {delay.pushes} pushes."
+        )
+    if recorded.unfinished:
+        lines.append("The stream ends within a push, which is left out.")
+    lines += [f"Left out: {text}." for text in recorded.unusable]
+    print_found(found, [*lines, *options.describe_written(out)], json)

@@ -171,6 +171,8 @@ def _describe_loop(link: "HardwareLink") -> dict[str, Any]:
         "worst_period": report.worst_period,
         "late_share": report.late_share,
         "pauses": report.pauses,
+        "silences": report.silences,
+        "force": report.force,
         "left_out": report.left_out,
     }
 

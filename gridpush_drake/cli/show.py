@@ -1,7 +1,4 @@
-"""`gridpush show`: a picture of an object or a model.
-
-What is slow to import is imported when the command runs, so that `gridpush` starts fast.
-"""
+"""`gridpush show`: a picture of an object or a model."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +6,7 @@ from typing import Annotated
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import print_json, print_line
+from gridpush_drake.cli.console import MM, print_found
 
 
 def show(
@@ -20,24 +17,23 @@ def show(
     json: options.Json = False,
 ) -> None:
     """Draw an object with its parts, or what a model learned of it."""
-    from gridpush_drake.files import check_writable, write_whole
+    from gridpush_drake.files import write_whole
     from gridpush_drake.report.figures import draw_model, draw_object
 
-    check_writable(out, force)
+    options.check_outputs(force, out)
     loaded = options.load_target(target, largest_piece)
     obj = loaded.obj
     write_whole(out, draw_object(obj) if loaded.model is None else draw_model(loaded.model), force)
-    if json:
-        print_json(
-            {
-                "object": obj.name,
-                "kind": "model" if loaded.model else "object",
-                "cells": obj.n,
-                "cell_size": obj.cell_size,
-                "parts": sorted(set(obj.labels.tolist())),
-                "written": [str(out)],
-            }
-        )
-        return
-    print_line(f"{obj.name}: {obj.n} cells of {obj.cell_size * 1e3:.1f} mm, {len(set(obj.labels.tolist()))} part(s)")
-    print_line(f"Wrote {out}.")
+    parts = sorted(set(obj.labels.tolist()))
+    found = {
+        "object": obj.name,
+        "kind": "model" if loaded.model else "object",
+        "cells": obj.n,
+        "cell_size": obj.cell_size,
+        "parts": parts,
+        "written": [str(out)],
+    }
+    left, low, right, high = (bound * MM for bound in obj.outline.bounds)
+    size = f"{right - left:.0f} mm by {high - low:.0f} mm"
+    line = f"{obj.name}: {size}, {obj.n} cells of {obj.cell_size * MM:.1f} mm, {len(parts)} part(s)"
+    print_found(found, [line, *options.describe_written(out)], json)

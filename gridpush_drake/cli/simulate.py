@@ -1,22 +1,14 @@
-"""`gridpush simulate`: push an object in simulation.
+"""`gridpush simulate`: push an object in simulation."""
 
-What is slow to import is imported when the command runs, so that `gridpush` starts fast.
-"""
-
+from collections.abc import Sequence
+from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import MM, print_json, print_line
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from gridpush_drake.dynamics.motion import Motion
-    from gridpush_drake.dynamics.push import Push
-    from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.cli.console import MM, print_found
 
 PUSH_NAME = "push_1"
 
@@ -44,68 +36,55 @@ def simulate(
     json: options.Json = False,
 ) -> None:
     """Simulate one push of an object or of a learned model."""
+    import numpy as np
+
+    from gridpush_drake.dynamics.push import Push
     from gridpush_drake.dynamics.simulation import simulate as simulate_push
     from gridpush_drake.files import write_whole
     from gridpush_drake.objects.parameters import CellParameters
+    from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
 
     options.check_outputs(force, out, picture)
     loaded = options.load_target(target, largest_piece)
-    push = _make_push(start, velocity, duration, loaded.obj.prior.pusher_radius if radius is None else radius)
+    finger = loaded.obj.prior.pusher_radius if radius is None else radius
+    push = Push(
+        options.parse_numbers("--start", start, "x,y"),
+        options.parse_numbers("--velocity", velocity, "vx,vy"),
+        duration,
+        DEFAULT_PUSHER_RADIUS if finger is None else finger,
+    )
     pose_W = options.parse_numbers("--pose", pose, "x,y,theta")
     params = loaded.params if mass_seed is None else CellParameters.random(loaded.obj, mass_seed)
     chosen = loaded.resolve_regime(regime, "inertial")
     options.compile_kernels()
     motion = simulate_push(loaded.obj, params, push, pose_W, regime=chosen)
     if out is not None:
-        _make_log(push, motion, samples).write_csv(out, force)
+        steps = len(motion.times) - 1
+        rows = np.unique(np.rint(np.linspace(0, steps, min(samples, steps) + 1)).astype(int))[1:]
+        seen = ObservedPush(PUSH_NAME, push, motion.poses[0], motion.times[rows], motion.poses[rows])
+        PushLog((seen,)).write_csv(out, force)
     if picture is not None:
         from gridpush_drake.report.figures import draw_motion
 
         write_whole(picture, draw_motion(loaded.obj, push, motion.poses), force)
-    _print_motion(loaded.obj.name, chosen, motion, [str(path) for path in (out, picture) if path], json)
-
-
-def _make_push(start: str, velocity: str, duration: float, radius: float | None) -> "Push":
-    from gridpush_drake.dynamics.push import Push
-    from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
-
-    tip, v = options.parse_numbers("--start", start, "x,y"), options.parse_numbers("--velocity", velocity, "vx,vy")
-    return Push(tip, v, duration, DEFAULT_PUSHER_RADIUS if radius is None else radius)
-
-
-def _make_log(push: "Push", motion: "Motion", samples: int) -> "PushLog":
-    import numpy as np
-
-    from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-
-    steps = len(motion.times) - 1
-    rows = np.unique(np.rint(np.linspace(0, steps, min(samples, steps) + 1)).astype(int))[1:]
-    seen = ObservedPush(PUSH_NAME, push, motion.poses[0], motion.times[rows], motion.poses[rows])
-    return PushLog((seen,))
-
-
-def _print_motion(name: str, regime: str, motion: "Motion", written: list[str], json: bool) -> None:
     first, last = motion.poses[0], motion.final_pose
-    if json:
-        print_json(
-            {
-                "object": name,
-                "regime": regime,
-                "status": motion.status,
-                "initial_pose": first,
-                "final_pose": last,
-                "penetration": motion.penetration,
-                "written": written,
-            }
-        )
-        return
-    print_line(f"{name}, {regime}: {motion.status}")
-    print_line(f"from  {_describe_pose(first)}")
-    print_line(f"to    {_describe_pose(last)}")
-    options.print_written(written)
+    found = {
+        "object": loaded.obj.name,
+        "regime": chosen,
+        "status": motion.status,
+        "initial_pose": first,
+        "final_pose": last,
+        "penetration": motion.penetration,
+        "written": [str(path) for path in (out, picture) if path],
+    }
+    lines = [
+        f"{loaded.obj.name}, {chosen}: {motion.status}",
+        f"from  {_describe_pose(first.tolist())}",
+        f"to    {_describe_pose(last.tolist())}",
+        *options.describe_written(out, picture),
+    ]
+    print_found(found, lines, json)
 
 
-def _describe_pose(pose: "np.ndarray") -> str:
-    from math import degrees
-
+def _describe_pose(pose: Sequence[float]) -> str:
     return f"x {pose[0] * MM:.2f} mm, y {pose[1] * MM:.2f} mm, theta {degrees(pose[2]):.2f}°"

@@ -1,7 +1,4 @@
-"""`gridpush slide`: where to slide an object so that it can be grasped at the table's edge, and by which pushes.
-
-What is slow to import is imported when the command runs, so that `gridpush` starts fast.
-"""
+"""`gridpush slide`: where to slide an object so that it can be grasped at the table's edge, and by which pushes."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import MM, print_json, print_line, to_json
+from gridpush_drake.cli.console import MM, print_found, to_json
 
 if TYPE_CHECKING:
     from gridpush_drake.planning.pregrasp.planner import PreGraspPlan, PreGraspPlanner
@@ -45,7 +42,7 @@ def slide(
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Plan a slide to the table's edge, where a part hangs over for the gripper and the object stays put."""
+    """Plan pushes to the table's edge, until a part hangs over that a gripper can take and nothing falls."""
     from gridpush_drake.files import write_whole
     from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
     from gridpush_drake.planning.pregrasp.exploration import PokeOptions
@@ -66,7 +63,10 @@ def slide(
     target = options.load_target(model, largest_piece)
     middle = surface.polygon.representative_point()
     pose = (middle.x, middle.y, 0.0) if start is None else options.parse_numbers("--start", start, "x,y,theta")
-    bounds = None if friction is None else _parse_friction(friction)
+    bounds = None
+    if friction is not None:
+        low, high = options.parse_numbers("--friction", friction, "min,max")
+        bounds = low, high
     finger = target.obj.prior.pusher_radius or DEFAULT_RADIUS if radius is None else radius
     chosen = PreGraspOptions(
         gripper=Gripper(opening=opening, depth=depth),
@@ -92,17 +92,9 @@ def slide(
         from gridpush_drake.report.plan_figures import draw_slide
 
         write_whole(picture, to_png(draw_slide(planner, uncertain.masses, plan)), force)
-    if json:
-        print_json(found)
-    else:
-        _print_plan(found)
+    print_found(found, [*_explain(found), *options.describe_written(out, picture)], json)
     if plan.status != STATUS_READY:
         raise typer.Exit(options.EXIT_NO_PLAN)
-
-
-def _parse_friction(text: str) -> tuple[float, float]:
-    low, high = options.parse_numbers("--friction", text, "min,max")
-    return low, high
 
 
 def _describe(planner: "PreGraspPlanner", plan: "PreGraspPlan", model: str) -> dict[str, Any]:
@@ -144,25 +136,22 @@ def _to_text(found: dict[str, Any], out: Path) -> str:
     return str(yaml.safe_dump(json.loads(document), sort_keys=False, allow_unicode=True))
 
 
-def _print_plan(found: dict[str, Any]) -> None:
-    print_line(f"{found['object']}: {found['status']}: {found['message']}")
+def _explain(found: dict[str, Any]) -> list[str]:
+    lines = [f"{found['object']}: {found['status']}: {found['message']}"]
     if found["model"] == "prior":
-        print_line(f"{found['object']} is an object, not a model: nothing is known of its masses yet.")
+        lines.append(f"{found['object']} is an object, not a model: nothing is known of its masses yet.")
     goal = found["goal"]
     if goal is not None:
-        x, y, theta = goal["pose"]
-        print_line(
+        (x, y, theta), grasp = goal["pose"], goal["grasp"]
+        lines += [
             f"goal  x {x * MM:.1f} mm, y {y * MM:.1f} mm, theta {theta:.3f} rad; stability margin "
-            f"{goal['stability_margin'] * MM:.1f} mm at the worst"
-        )
-        grasp = goal["grasp"]
-        print_line(
-            f"grasp at {grasp['at'][0] * MM:.1f} mm, {grasp['at'][1] * MM:.1f} mm, {grasp['width'] * MM:.1f} mm wide"
-        )
+            f"{goal['stability_margin'] * MM:.1f} mm at the worst",
+            f"grasp at {grasp['at'][0] * MM:.1f} mm, {grasp['at'][1] * MM:.1f} mm, {grasp['width'] * MM:.1f} mm wide",
+        ]
     for i, push in enumerate(found["pushes"], start=1):
         (x0, y0), (x1, y1) = push["from"], push["to"]
-        print_line(
+        lines.append(
             f"push {i}  from {x0 * MM:.1f} mm, {y0 * MM:.1f} mm to {x1 * MM:.1f} mm, {y1 * MM:.1f} mm "
             f"in {push['duration']:.1f} s"
         )
-    options.print_written(found["written"])
+    return lines

@@ -16,8 +16,8 @@ DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
 ADVANCE = 0.1
 """Simulated between two looks at the clock, s."""
 
-BEHIND = 1.0
-"""Behind the clock, at which the twin says so, s."""
+BEHIND = 0.05
+"""Of the twin's time behind the clock, at which it goes on from where it is and says so, s."""
 
 Scenario = Annotated[
     Path | None,
@@ -59,6 +59,7 @@ def twin(
 
     from gridpush_drake.station.hardware_link import open_lcm
     from gridpush_drake.station.twin import MakeTwin
+    from gridpush_drake.systems.arm_guard import GuardMode
 
     scenario = read_robot_scenario(scenario_file, object_file, seed)
     network = open_lcm(lcm)
@@ -68,17 +69,25 @@ def twin(
     simulator.set_target_realtime_rate(realtime_rate)
     simulator.Initialize()
     print_notice(f"The twin speaks on {lcm} as an {diagram.world.setting.robot.arm_model}; Ctrl-C ends it.")
-    begin, told = monotonic(), False
+    begin, told, said = monotonic(), False, ""
+    context, port = simulator.get_context(), diagram.GetOutputPort("driver.status")
     try:
         while True:
-            time = simulator.get_context().get_time() + ADVANCE
+            time = context.get_time() + ADVANCE
             simulator.AdvanceTo(time)
+            status = port.Eval(context)
+            if status.reason != said and status.mode == GuardMode.HOLDING:
+                print_notice(f"{status.since:.2f} s: {status.reason}. The arm came to rest; a command moves it again.")
+            said = status.reason
             behind = (monotonic() - begin) * realtime_rate - time
-            if behind > BEHIND and not told:
-                print_notice(f"The twin is {behind:.1f} s behind the clock; give both sides a smaller --realtime-rate.")
+            if behind > BEHIND:
+                begin += behind / realtime_rate
+                simulator.ResetStatistics()  # else it would run faster than the clock once it can
+                if not told:
+                    print_notice("The twin is slower than the clock; give both sides a smaller --realtime-rate.")
                 told = True
     except KeyboardInterrupt:
-        print_notice(f"The twin ends after {simulator.get_context().get_time():.1f} s of its time.")
+        print_notice(f"The twin ends after {context.get_time():.1f} s of its time.")
 
 
 def read_robot_scenario(scenario_file: Path | None, object_file: str | None, seed: int | None) -> "PushScenario":

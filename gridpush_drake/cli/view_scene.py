@@ -36,24 +36,18 @@ from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 OBJECT, GHOST, FINGER, PUSHES, TABLE = "object", "predicted", "finger", "pushes", "table"
 """Paths in Meshcat."""
 
-TABLE_COLOR = Rgba(0.86, 0.84, 0.80)
-FINGER_COLOR = Rgba(0.25, 0.27, 0.30)
+TABLE_COLOR, FINGER_COLOR = Rgba(0.86, 0.84, 0.80), Rgba(0.25, 0.27, 0.30)
 PLAIN_COLOR = (0.62, 0.66, 0.70)
 """Cells of which nothing is known, sRGB."""
 
 TABLE_MARGIN, TABLE_THICKNESS = 0.05, 0.01
 """About what stands on the table, and of the table, m."""
 
-VIEW_SHARE = 0.65
-"""Distance of the camera, in diagonals of what is to be seen."""
+VIEW_SHARE, FINGER_SHARE = 0.65, 2.0
+"""Distance of the camera, in diagonals of what is to be seen, and height of the finger, in heights of the object."""
 
-FINGER_SHARE = 2.0
-"""Height of the finger, in heights of the object."""
-
-FRAMES_PER_SECOND = 30.0
-
-HOLD = 0.8
-"""s for which a push's first and last poses are held."""
+FRAMES_PER_SECOND, HOLD = 30.0, 0.8
+"""Of a replay, and s for which a push's first and last poses are held."""
 
 
 def describe_colors(shows: Shown) -> str:
@@ -66,14 +60,7 @@ def describe_colors(shows: Shown) -> str:
 
 
 def AddModel(meshcat: Meshcat, target: Target, shows: Shown, height: float) -> None:
-    """Draws a model at rest in its body frame: its cells in their colors, the center of mass and its ellipse.
-
-    Args:
-        meshcat: where to draw.
-        target: the model, or an object with its prior.
-        shows: what the colors stand for.
-        height: of the object, m.
-    """
+    """Draws a model at rest in its body frame: its cells in their colors, the center of mass and its ellipse."""
     _AddObject(meshcat, target, CellColors(shows), height)
     _FrameScene(meshcat, np.array(target.obj.outline.bounds).reshape(2, 2))
 
@@ -107,15 +94,8 @@ def AddPushes(
 ) -> None:
     """Records pushes one after the other: the object as observed, the finger, and the predicted poses as a ghost.
 
-    Between two observations the object is drawn on the straight line from one to the other.
-
-    Args:
-        meshcat: where to draw; its recording is begun here and left for the caller to publish.
-        target: the model that predicts, or the object alone.
-        log: the pushes.
-        predictions: one a push; None for none.
-        shows: what the cells' colors stand for.
-        height: of the object, m.
+    Between two observations the object is drawn on the straight line from one to the other. The recording is begun
+    here and left for the caller to publish.
     """
     obj = target.obj
     _AddObject(meshcat, target, CellColors(shows), height)

@@ -1,13 +1,14 @@
-"""A push: the planar motion of a disc-shaped pusher, or a given force, the paper's own setting."""
+"""A push and its steps' times: the planar motion of a disc-shaped pusher, or a given force, the paper's own setting."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from math import ceil
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridpush_drake.errors import PushError
-from gridpush_drake.geometry.se2 import make_rotation, rotate
+from gridpush_drake.errors import PushError, SimulationError, require_positive
+from gridpush_drake.geometry.se2 import check_vector, make_rotation, rotate
 from gridpush_drake.objects.grid_object import GridObject
 
 
@@ -52,11 +53,11 @@ class Push:
         start_tangent: ArrayLike | None = None,
     ) -> None:
         """Copies and checks what is given; without samples `t` and `xy`, those of the straight motion are made."""
-        begin, v = _vector("start", start), _vector("velocity", velocity)
-        _require_positive("radius", radius)
-        _require_positive("duration", duration)
+        begin = check_vector(PushError, "push: start", start, 2)
+        v = check_vector(PushError, "push: velocity", velocity, 2)
+        require_positive(PushError, "push: ", radius=radius, duration=duration)
         with np.errstate(over="ignore"):
-            end = _vector("end, start + velocity * duration,", begin + v * duration)
+            end = check_vector(PushError, "push: end, start + velocity * duration,", begin + v * duration, 2)
         values = {
             "start": begin,
             "velocity": v,
@@ -64,7 +65,9 @@ class Push:
             "radius": float(radius),
             "t": np.array([0.0, duration]) if t is None else np.array(t, dtype=np.float64),
             "xy": np.array([begin, end]) if xy is None else np.array(xy, dtype=np.float64),
-            "start_tangent": None if start_tangent is None else _vector("start_tangent", start_tangent),
+            "start_tangent": None
+            if start_tangent is None
+            else check_vector(PushError, "push: start_tangent", start_tangent, 2),
         }
         for name, value in values.items():
             if isinstance(value, np.ndarray):
@@ -73,15 +76,7 @@ class Push:
 
     @classmethod
     def along(cls, t: ArrayLike, xy: ArrayLike | Sequence[Sequence[float]], radius: float) -> "Push":
-        """Makes a push along sampled points.
-
-        Args:
-            t: (K,) times, s, strictly increasing, K >= 2; only differences matter.
-            xy: (K, 2) p_WP at those times, m, world frame.
-            radius: of the disc, m.
-
-        Returns:
-            The push.
+        """Makes a push along p_WP (K, 2), m, at times (K,), s, strictly increasing; only their differences matter.
 
         Raises:
             PushError: shapes disagree, a value is not finite, or time does not increase.
@@ -116,38 +111,33 @@ class Push:
         """Makes a straight push that starts on an object's outline.
 
         Args:
-            obj: the object.
             arc_length: where on the exterior outline, m from its first vertex, counterclockwise, modulo the perimeter.
             angle: of the motion from the inward normal there, rad, counterclockwise.
             distance: to move, m.
             radius: of the disc, m.
             duration: s; or else `speed`, m/s.
-            speed: m/s; or else `duration`, s.
             pose: (3,) X_WB of the object, m and rad.
             clearance: gap between disc and outline at the beginning, m.
 
         Returns:
-            The push. Its `start_tangent` is that of the edge: it makes `Jacobian.contact_location` the derivative by
+            The push. Its `start_tangent` is that of the edge; so `Jacobian.contact_location` is the derivative by
             `arc_length` with the motion's direction held fixed, and at a vertex the one towards the edge that
             begins there.
 
         Raises:
             PushError: not one of duration and speed is given, or a value is out of range.
         """
-        q = np.array(pose, dtype=np.float64)
-        if q.shape != (3,) or not np.isfinite(q).all():
-            raise PushError(f"push: pose is {pose!r}; expected three finite numbers")
+        q = check_vector(PushError, "push: pose", pose, 3)
         if (duration is None) == (speed is None):
             raise PushError("push: expected either duration or speed")
-        _require_positive("distance", distance)
-        _require_positive("radius", radius)
+        require_positive(PushError, "push: ", distance=distance, radius=radius)
         if not (np.isfinite([arc_length, angle]).all() and 0 <= clearance < np.inf):
             raise PushError("push: arc_length and angle must be finite, and clearance >= 0")
         if duration is None:
             assert speed is not None
-            _require_positive("speed", speed)
+            require_positive(PushError, "push: ", speed=speed)
             duration = distance / speed
-        _require_positive("duration", duration)
+        require_positive(PushError, "push: ", duration=duration)
         point, tangent, normal = obj.edges.at(arc_length)
         R = make_rotation(q[2])
         start = q[:2] + R @ (point + (radius + clearance) * normal)
@@ -197,8 +187,7 @@ class ForcePush:
             raise PushError("force push: point, force and t must be finite numbers")
         if t[0] != 0 or (np.diff(t) <= 0).any():
             raise PushError("force push: t must begin at 0 and strictly increase")
-        if not (np.isfinite(self.duration) and self.duration > 0):
-            raise PushError(f"force push: duration is {self.duration!r}; expected a positive number (s)")
+        require_positive(PushError, "force push: ", "s", duration=self.duration)
         for name, value in (("point", point), ("force", force), ("t", t)):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
@@ -209,13 +198,81 @@ class ForcePush:
         return self.force[np.maximum(index, 0)]
 
 
-def _vector(name: str, value: ArrayLike) -> NDArray[np.float64]:
-    vector = np.array(value, dtype=np.float64)
-    if vector.shape != (2,) or not np.isfinite(vector).all():
-        raise PushError(f"push: {name} is {value!r}; expected two finite numbers")
-    return vector
+Array = NDArray[np.float64]
+
+DEFAULT_DT = 0.01  # s, the longest step where none is given
+DEFAULT_TIP_STEP = 0.001  # m, the furthest the pusher moves in a step where none is given
+MAX_STEPS = 1_000_000  # of a simulation, each of which is kept: 1 km of the pusher's path by default
+SLACK = 1e-9  # share of a step by which a duration may exceed a whole number of them
 
 
-def _require_positive(name: str, value: float) -> None:
-    if not (np.isfinite(value) and value > 0):
-        raise PushError(f"push: {name} is {value!r}; expected a positive number")
+def make_times(push: Push | ForcePush, dt: float | None, regime: str = "inertial") -> Array:
+    """Cuts a push into steps of dt, s, the last one shortened to end with it; the default ones where None.
+
+    Returns:
+        (T+1,) s from the push's beginning.
+
+    Raises:
+        SimulationError: dt is not positive, or so short that there are more than MAX_STEPS.
+    """
+    if dt is not None:
+        require_positive(SimulationError, unit="s", dt=dt)
+        steps = _count_steps(push.duration / dt)
+        return np.append(np.arange(steps) * dt, push.duration)
+    if isinstance(push, ForcePush):
+        return np.linspace(0.0, push.duration, _count_steps(push.duration / DEFAULT_DT) + 1)
+    return make_path_times(push, regime)
+
+
+def make_path_times(
+    push: Push, regime: str = "inertial", tip_step: float = DEFAULT_TIP_STEP, longest: float = DEFAULT_DT
+) -> Array:
+    """Cuts a push's path into the default steps: (T+1,), s from its beginning.
+
+    "inertial": every piece of the path, whose samples are among the times, is cut into the longest steps allowed,
+    `longest` (s) and `tip_step` (m of the pusher), so that they do not jump with the piece's length and speed; the last
+    two, half a step to a whole one each, share what is left. "quasi_static": the path's length is cut evenly, whatever
+    its pieces and however long they last, for time does not matter.
+
+    Raises:
+        SimulationError: they are more than MAX_STEPS.
+    """
+    distance = np.linalg.norm(np.diff(push.xy, axis=0), axis=1)
+    if regime == "quasi_static":
+        arc = np.append(0.0, np.cumsum(distance))
+        count = _count_steps(arc[-1] / tip_step)
+        cuts = np.interp(arc[-1] * np.arange(1, count) / count, arc, push.t)
+        return np.unique(np.concatenate([[0.0], cuts, [push.duration]]))
+    wanted = np.maximum(distance / tip_step, np.diff(push.t) / longest)
+    _count_steps(float(np.maximum(wanted, 1.0).sum()))
+    pieces = [push.t[i] + (push.t[i + 1] - push.t[i]) * _cut(parts) for i, parts in enumerate(wanted)]
+    return np.append(np.concatenate(pieces), push.t[-1])
+
+
+def _count_steps(steps: float) -> int:
+    """Rounds up to a whole number of steps. Raises SimulationError where they are too many to be kept."""
+    if not steps <= MAX_STEPS:
+        raise SimulationError(
+            f"the push takes {steps:.3g} steps; expected at most {MAX_STEPS}: a shorter path or time (in m and s), or "
+            "longer steps"
+        )
+    return max(1, ceil(steps - SLACK))
+
+
+def _cut(parts: float) -> Array:
+    """Cuts 1 into steps of 1/parts, of which the last two share what is left; returns where each begins."""
+    count = _count_steps(parts)
+    if parts > count - SLACK:
+        return np.arange(count) / count
+    starts = np.arange(count) / parts
+    if count > 1:
+        starts[-1] = (starts[-2] + 1.0) / 2
+    return starts
+
+
+def check_times(times: ArrayLike) -> Array:
+    """Copies the steps' times that a caller gives, (T+1,), s: finite and strictly increasing, or a SimulationError."""
+    times = np.array(times, dtype=np.float64)
+    if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all() or (np.diff(times) <= 0).any():
+        raise SimulationError("times: expected at least two finite, strictly increasing numbers (s)")
+    return times

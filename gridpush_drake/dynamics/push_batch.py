@@ -31,42 +31,25 @@ IntArray = NDArray[np.int64]
 
 
 class BatchPush(NamedTuple):
-    """One push of a batch.
+    """One push of a batch."""
 
-    Attributes:
-        push: the pusher's motion.
-        pose: (3,) q of the object at the beginning, m and rad.
-        times: (T+1,) the steps' times, s from the push's beginning.
-        rows: (R,) the poses among the T+1 that are wanted.
-        table: (K, 2) corners in W of the table's top, m; None where it is endless.
-    """
-
-    push: Push
-    pose: Array
-    times: Array
-    rows: IntArray
-    table: Array | None
+    push: Push  # the pusher's motion
+    pose: Array  # (3,) q of the object at the beginning, m and rad
+    times: Array  # (T+1,) the steps' times, s from the push's beginning
+    rows: IntArray  # (R,) the poses among the T+1 that are wanted
+    table: Array | None  # (K, 2) corners in W of the table's top, m; None where it is endless
 
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Pushes that one call of the kernel takes: those near the same table's edge, or near none.
+    """Pushes that one call of the kernel takes: those near the same table's edge, or near none."""
 
-    Attributes:
-        chosen: (P,) which pushes of the batch.
-        table: (K, 4) the table's edges, m; None where it is far.
-        pushes: their arrays.
-        row_of_step: (S+P,) see `rollout_pushes`.
-        rows: (R,) the batch's rows that those of this group are.
-        steps: (R,) the step of each row.
-    """
-
-    chosen: IntArray
-    table: Array | None
-    pushes: Pushes
-    row_of_step: IntArray
-    rows: IntArray
-    steps: IntArray
+    chosen: IntArray  # (P,) which pushes of the batch
+    table: Array | None  # (K, 4) the table's edges, m; None where it is far
+    pushes: Pushes  # their arrays
+    row_of_step: IntArray  # (S+P,) see `rollout_pushes`
+    rows: IntArray  # (R,) the batch's rows that those of this group are
+    steps: IntArray  # (R,) the step of each row
 
 
 class PushBatch:
@@ -79,16 +62,7 @@ class PushBatch:
     """
 
     def __init__(self, obj: GridObject, pushes: Sequence[BatchPush], regime: Regime) -> None:
-        """Prepares pushes.
-
-        Args:
-            obj: the object.
-            pushes: the pushes.
-            regime: "quasi_static" or "inertial".
-
-        Raises:
-            SimulationError: an object is not on its table.
-        """
+        """Prepares pushes. Raises SimulationError: an object is not on its table."""
         self.obj, self.regime = obj, regime
         self.offsets = np.append(0, np.cumsum([len(one.rows) for one in pushes], dtype=np.int64))
         inertial = regime == "inertial"
@@ -105,14 +79,9 @@ class PushBatch:
         return len(self.offsets) - 1
 
     def simulate(self, params: CellParameters) -> tuple[Array, NDArray[np.bool_]]:
-        """Simulates all pushes.
+        """The wanted poses (R, 3), m and rad, push by push; and whether the pusher touched the object (P,).
 
-        Args:
-            params: the cells' masses and frictions.
-
-        Returns:
-            The wanted poses (R, 3), m and rad, push by push; and whether the pusher touched the object (P,), true also
-            where a step was not solved or the object tips.
+        That is true also where a step was not solved or the object tips.
         """
         poses, touched = np.empty((self.offsets[-1], 3)), np.empty(len(self), dtype=np.bool_)
         for group in self._groups:
@@ -120,14 +89,9 @@ class PushBatch:
         return poses, touched
 
     def differentiate(self, params: CellParameters) -> tuple[Array, Array]:
-        """Simulates all pushes, with exact derivatives.
+        """The wanted poses (R, 3), m and rad, push by push, and their exact derivatives (R, 3, n+3).
 
-        Args:
-            params: the cells' masses and frictions.
-
-        Returns:
-            The wanted poses (R, 3), m and rad, push by push; and their derivatives (R, 3, n+3) by the n masses, 1/kg,
-            by the contact friction, and by the place (x, y) where the push begins, 1/m.
+        They are by the n masses, 1/kg, by the contact friction, and by the place (x, y) where the push begins, 1/m.
         """
         n = self.obj.n
         poses, derivatives = np.empty((self.offsets[-1], 3)), np.empty((self.offsets[-1], 3, n + 3))

@@ -1,4 +1,4 @@
-"""`simulate` and `simulate_batch`: the grid object under a push."""
+"""`simulate` and `simulate_batch`: the grid object under a push; and one step by itself."""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -7,17 +7,18 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridpush_drake.dynamics.arguments import check_number, check_record, check_regime, check_vector
 from gridpush_drake.dynamics.kernels.call import calc_reach, find_rest_loads, make_method, run_kernel, shifts_loads
 from gridpush_drake.dynamics.kernels.forward_sensitivity import OTHER
+from gridpush_drake.dynamics.kernels.friction import LAWS
+from gridpush_drake.dynamics.kernels.friction_law import SPIN_MODELS
 from gridpush_drake.dynamics.kernels.inputs import Load, Steps
 from gridpush_drake.dynamics.kernels.step import CONVERGED
 from gridpush_drake.dynamics.kernels.support_loads import measure_depth
 from gridpush_drake.dynamics.motion import Jacobian, Motion, MotionStatus, RawJacobian
-from gridpush_drake.dynamics.push import ForcePush, Push
+from gridpush_drake.dynamics.push import ForcePush, Push, check_times, make_times
 from gridpush_drake.dynamics.reference.paper_rollout import calc_paper_jacobian
-from gridpush_drake.dynamics.time_grid import check_times, make_times
 from gridpush_drake.errors import SimulationError
+from gridpush_drake.geometry.se2 import check_vector, rotate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -25,23 +26,12 @@ Array = NDArray[np.float64]
 
 Regime = Literal["inertial", "quasi_static"]
 
-GRAVITY = 9.81
-"""m/s²."""
-
-STICTION_TOLERANCE = 1e-9
-"""m/s, of the inertial regime; a body at rest creeps slower than a few of these."""
-
-MIN_STICTION = 1e-15
-"""m/s; below it round-off rules."""
-
-RELATIVE_STICTION = 1e-7
-"""Of the speed of pusher and body; friction is never smoothed less, in either regime."""
-
-MOVED_MOST = 2.0
-"""How far B's origin may go in a slow push, as a multiple of the pusher's path."""
-
-OVERLAP_TOLERANCE = 1e-4
-"""m, of pusher and outline at the beginning."""
+GRAVITY = 9.81  # m/s²
+STICTION_TOLERANCE = 1e-9  # m/s, of the inertial regime; a body at rest creeps slower than a few of these
+MIN_STICTION = 1e-15  # m/s; below it round-off rules
+RELATIVE_STICTION = 1e-7  # of the speed of pusher and body; friction is never smoothed less, in either regime
+MOVED_MOST = 2.0  # how far B's origin may go in a slow push, as a multiple of the pusher's path
+OVERLAP_TOLERANCE = 1e-4  # m, of pusher and outline at the beginning
 
 
 def simulate(
@@ -68,8 +58,6 @@ def simulate(
     midpoint rule), except with lagged friction, which as in the paper's LCP takes them where the step begins.
 
     Args:
-        obj: the object.
-        params: its cells' masses and frictions.
         push: the pusher's motion, or a force applied to the object.
         pose: (3,) q = (x, y, theta) of B in W at the beginning, m and rad.
         dt: step, s; the last one is shortened to end with the push. By default so short that the pusher moves at most
@@ -102,7 +90,7 @@ def simulate(
     check_number("gravity", gravity, 0.0)
     check_number("stiction_tolerance", stiction_tolerance, MIN_STICTION)
     inertial = regime == "inertial"
-    q, nu = check_vector("pose", pose), check_vector("velocity", velocity)
+    q, nu = (check_vector(SimulationError, name, value, 3) for name, value in (("pose", pose), ("velocity", velocity)))
     if not inertial and nu.any():
         raise SimulationError("velocity: the quasi-static regime has none; expected (0, 0, 0)")
     if not inertial and params.friction @ params.mass * gravity <= 0:
@@ -145,23 +133,13 @@ def calc_loads(
     table: ArrayLike | None = None,
     gravity: float = GRAVITY,
 ) -> Array | None:
-    """Calculates what the cells of an object at rest bear (`docs/theory/model.md`, section 8).
+    """What the cells of an object at rest bear, (n,) N (`docs/theory/model.md`, section 8); None where it tips.
 
-    Args:
-        obj: the object.
-        params: its cells' masses.
-        pose: (3,) q where it lies, m and rad.
-        table: (K, 2) corners in W of the table's top, m; endless by default.
-        gravity: m/s².
-
-    Returns:
-        (n,) N, whose center is the center of mass; None where the object tips.
-
-    Raises:
-        SimulationError: an argument is out of range.
+    The table's top is endless, or has corners (K, 2) in W, m. The loads' center is the center of mass.
+    Raises SimulationError: an argument is out of range.
     """
     edges = None if table is None else _get_edges(table)
-    return find_rest_loads(obj, params, gravity, check_vector("pose", pose), edges)
+    return find_rest_loads(obj, params, gravity, check_vector(SimulationError, "pose", pose, 3), edges)
 
 
 def simulate_batch(
@@ -175,16 +153,11 @@ def simulate_batch(
 ) -> list[Motion]:
     """Simulates many pushes, parameter sets or objects, or combinations of them, on all cores.
 
+    Each argument is one for all, or a list; poses are (3,) or (count, 3).
+
     Args:
-        obj: one object for all, or one for each simulation.
-        params: one set for all, or one for each simulation.
-        pushes: one push for all, or one for each simulation.
-        poses: (3,) one pose for all, or (count, 3).
         workers: threads; by default one a core. The result does not depend on it.
         options: passed on to `simulate`.
-
-    Returns:
-        The motions, in order.
 
     Raises:
         SimulationError: the lists' lengths disagree, or as `simulate`.
@@ -217,17 +190,9 @@ def simulate_batch(
 def find_edges_near(
     obj: GridObject, push: Push | ForcePush, q: Array, table: ArrayLike | None, inertial: bool
 ) -> Array | None:
-    """Finds the edges (K, 4) of a table that a push may bring an object to, m; None where it cannot.
+    """The edges (K, 4) of a table, by its corners (K, 2) in W, that a push may bring an object to, m; None for none.
 
-    Args:
-        obj: the object.
-        push: the push.
-        q: (3,) pose at the beginning.
-        table: (K, 2) corners in W, m; None for an endless one.
-        inertial: the regime.
-
-    Raises:
-        SimulationError: the corners are none, or the object is not on the table.
+    Raises SimulationError: the corners are none, or the object is not on the table.
     """
     if table is None:
         return None
@@ -268,3 +233,97 @@ def _find_status(has_pusher: bool, steps: Steps) -> MotionStatus:
     if steps.gaps[0] < -OVERLAP_TOLERANCE:
         return MotionStatus.STARTED_OVERLAPPING
     return MotionStatus.OK
+
+
+def check_regime(regime: str, push: Push | ForcePush, friction: str, spin: str, gradients: bool | str) -> None:
+    """Refuses words that are not known, and combinations that make no sense, with a SimulationError."""
+    for name, value, known in (
+        ("regime", regime, ("inertial", "quasi_static")),
+        ("friction", friction, tuple(LAWS)),
+        ("spin", spin, SPIN_MODELS),
+        ("gradients", gradients, (False, True, "mass", "paper")),
+    ):
+        if value not in known:
+            raise SimulationError(f"{name} is {value!r}; expected one of {', '.join(map(repr, known))}")
+    quasi_static = regime == "quasi_static"
+    if quasi_static and isinstance(push, ForcePush):
+        raise SimulationError(
+            "regime: a force-driven push needs 'inertial'; a quasi-static body has no velocity of its own"
+        )
+    if quasi_static and gradients == "paper":
+        raise SimulationError("gradients: 'paper' differentiates momentum; it needs the inertial regime")
+    law = LAWS[friction]
+    if regime not in law.regimes:
+        raise SimulationError(f"friction: {friction!r} needs the regime {' or '.join(map(repr, law.regimes))}")
+    if (gradients if gradients != "mass" else True) not in law.gradients:
+        words = ", ".join(map(repr, law.gradients))
+        raise SimulationError(f"gradients is {gradients!r}; with friction={friction!r} expected one of {words}")
+
+
+def check_number(name: str, value: float, least: float) -> None:
+    """Raises SimulationError for what is not a finite number of at least `least`."""
+    if not (np.isfinite(value) and value >= least):
+        raise SimulationError(f"{name} is {value!r}; expected a finite number >= {least:g}")
+
+
+def check_record(record: ArrayLike, steps: int) -> NDArray[np.int64]:
+    """Copies the indices of the poses whose Jacobian is wanted, out of steps + 1; negative ones count from the end.
+
+    Raises SimulationError where they are not whole numbers in that range that name each pose once at most.
+    """
+    rows = np.array(record)
+    whole = rows.ndim == 1 and (len(rows) == 0 or np.issubdtype(rows.dtype, np.integer))
+    if not whole or (rows < -(steps + 1)).any() or (rows > steps).any():
+        raise SimulationError(f"record: expected whole numbers from {-(steps + 1)} to {steps}")
+    rows = rows.astype(np.int64)
+    rows[rows < 0] += steps + 1
+    if len(np.unique(rows)) != len(rows):
+        raise SimulationError("record: names a pose twice; expected distinct indices")
+    return rows
+
+
+STEP_STICTION = 1e-10  # m/s, and share of the speed: what sticks moves less than a few of these
+
+
+def calc_step(
+    obj: GridObject,
+    params: CellParameters,
+    q: ArrayLike,
+    nu: ArrayLike,
+    wrench: ArrayLike,
+    dt: float,
+    *,
+    friction: str = "isotropic",
+    spin: Literal["coupled", "separate", "none"] = "coupled",
+    g: float = GRAVITY,
+    stiction_tolerance: float = STEP_STICTION,
+) -> NDArray[np.float64]:
+    """Takes one condensed inertial step at a fixed pose (`docs/theory/model.md`, section 3).
+
+    Args:
+        q: (3,) pose X_WB, m and rad; directions and arms are those at this pose, as in the paper's LCP.
+        nu: (3,) velocity of B's origin in W, m/s, and yaw rate, rad/s.
+        wrench: (3,) force in W, N, and moment about B's origin, N m.
+        friction: "isotropic", or the paper's "lagged" directions, which are "separate" whatever `spin` says.
+        spin: how the cells resist spinning, see `kernels.isotropic_friction`.
+        stiction_tolerance: speed below which friction is smoothed, m/s and as a share of the speed.
+
+    Returns:
+        nu' (3,) at the end of the step, before the pose moves.
+
+    Raises:
+        SimulationError: `friction` or `spin` is none of the words, dt is not positive, or the step was not solved.
+    """
+    if friction not in LAWS:
+        raise SimulationError(f"friction is {friction!r}; expected one of {', '.join(map(repr, LAWS))}")
+    if spin not in SPIN_MODELS:
+        raise SimulationError(f"spin is {spin!r}; expected one of {', '.join(map(repr, SPIN_MODELS))}")
+    if not 0 < dt < np.inf:
+        raise SimulationError(f"dt is {dt!r}; expected a positive number (s)")
+    method = make_method(True, friction, spin, stiction_tolerance, stiction_tolerance)._replace(ahead=0.0)
+    load = Load(np.zeros((2, 2)), 0.0, -1.0, np.array([wrench], dtype=np.float64), np.zeros(2))
+    q, nu = np.array(q, dtype=np.float64), np.array(nu, dtype=np.float64)
+    record = run_kernel(obj, params, g, method, q, nu, np.array([float(dt)]), load, np.full(2, -1), np.empty((0, 3, 0)))
+    if record.statuses[0, 0] != CONVERGED:
+        raise SimulationError(f"the step of {obj.name} ({obj.n} cells) was not solved")
+    return np.append(rotate(q[2], record.twists[0, :2]), record.twists[0, 2])

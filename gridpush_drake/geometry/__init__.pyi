@@ -1,9 +1,9 @@
 from .contour import calc_contour as calc_contour
 from .contour import fit_edges as fit_edges
-from .convex import bound_by_half_planes as bound_by_half_planes
-from .convex import calc_margin_inside as calc_margin_inside
-from .convex import hull_of as hull_of
-from .outline import OutlineEdges as OutlineEdges
+from .polygons import OutlineEdges as OutlineEdges
+from .polygons import bound_by_half_planes as bound_by_half_planes
+from .polygons import calc_margin_inside as calc_margin_inside
+from .polygons import hull_of as hull_of
 from .se2 import compose as compose
 from .se2 import invert as invert
 from .se2 import make_direction as make_direction

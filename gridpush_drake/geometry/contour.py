@@ -14,17 +14,10 @@ from scipy.ndimage import gaussian_filter
 from shapely import Polygon
 from shapely.geometry.polygon import orient
 
-HALF = 0.5
-"""Share at which a pixel counts as object, and the offset of a pixel's middle from its corner."""
-
-SMOOTHING = 1.0
-"""Standard deviation of the Gaussian, pixels."""
-
-TOLERANCE = 0.75
-"""How far the simplified outline may leave the contour, pixels: just more than a pixel's step."""
-
-MIN_HOLE = 9.0
-"""Holes of less area are dropped, pixels."""
+HALF = 0.5  # share at which a pixel counts as object, and the offset of a pixel's middle from its corner
+SMOOTHING = 1.0  # standard deviation of the Gaussian, pixels
+TOLERANCE = 0.75  # how far the simplified outline may leave the contour, pixels: just more than a pixel's step
+MIN_HOLE = 9.0  # holes of less area are dropped, pixels
 
 AREA_TOLERANCE = 0.02
 """The smooth outline is kept while its area is within this part of the mask's; thin objects fail it."""
@@ -32,37 +25,23 @@ AREA_TOLERANCE = 0.02
 MAX_STEPS = 60_000
 """A mask whose boundary takes more pixel sides than this is noise at its own scale; it is traced at a coarser one."""
 
-STITCH = 0.05
-"""Pixels that only touch at a corner are joined by a bridge of about this half width, pixels."""
-
-TRIM = 2.0
-"""Length left out of the fit at each end of an edge, pixels: corners are rounded there."""
-
-MIN_FITTED = 6.0
-"""Shorter edges are not fitted but drawn from vertex to vertex, pixels."""
+STITCH = 0.05  # pixels that only touch at a corner are joined by a bridge of about this half width, pixels
+TRIM = 2.0  # length left out of the fit at each end of an edge, pixels: corners are rounded there
+MIN_FITTED = 6.0  # shorter edges are not fitted but drawn from vertex to vertex, pixels
 
 STRAIGHT = 0.75
 """Two edges become one when no point between their ends leaves the line through both by more, pixels."""
 
-MIN_CORNERS = 3
-"""No ring is left fewer."""
-
-MIN_SINE = 0.1
-"""Edges that turn by less than this do not meet at a usable intersection."""
-
-MAX_MOVE = 1.5
-"""No vertex is moved further, pixels."""
+MIN_CORNERS = 3  # no ring is left fewer
+MIN_SINE = 0.1  # edges that turn by less than this do not meet at a usable intersection
+MAX_MOVE = 1.5  # no vertex is moved further, pixels
 
 
 def calc_contour(coverage: NDArray[np.float64]) -> Polygon:
-    """Traces the outline of a mask.
+    """Traces the outline of a mask, one 8-connected piece: (height, width) share of each pixel that is object.
 
-    Args:
-        coverage: (height, width) share of each pixel that is object, 0 to 1; one 8-connected piece.
-
-    Returns:
-        A valid polygon with holes in pixels from the upper left corner, x right and y *down*, its outer ring
-        counterclockwise in these axes.
+    A valid polygon with holes in pixels from the upper left corner, x right and y *down*, its outer ring
+    counterclockwise in these axes.
     """
     scale = 1
     while _count_steps(coverage) > MAX_STEPS:

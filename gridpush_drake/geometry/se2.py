@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from shapely.affinity import affine_transform
 from shapely.geometry.base import BaseGeometry
 
+from gridpush_drake.errors import GridPushError
+
 Array = NDArray[np.float64]
 """Of numbers; docstrings say of what shape."""
 
@@ -78,3 +80,15 @@ def invert(X_AB: ArrayLike) -> Array:
 def wrap_angle(theta: ArrayLike) -> Array:
     """Wraps angles (...,), rad, into [-pi, pi)."""
     return np.asarray((np.asarray(theta, dtype=np.float64) + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def check_vector(kind: type[GridPushError], name: str, value: ArrayLike, size: int, unit: str = "") -> Array:
+    """Copies two or three finite numbers (size,). Raises `kind` where they are not."""
+    try:
+        vector = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        vector = np.empty(0)
+    if vector.shape != (size,) or not np.isfinite(vector).all():
+        count = {2: "two", 3: "three"}[size]
+        raise kind(f"{name} is {value!r}; expected {count} finite numbers{unit and f' ({unit})'}")
+    return vector

@@ -3,7 +3,7 @@
 The i-th of a vector environment that is seeded with s does what an environment seeded with s + i does, bit for bit.
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import Any, cast
 
 import gymnasium
@@ -14,22 +14,9 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.gym.episode import Episode, GameOptions, PushGame
-from gridpush_drake.gym.explore import Explore
-from gridpush_drake.gym.push_to_goal import PushToGoal
+from gridpush_drake.gym.games import GAMES
 from gridpush_drake.gym.rendering import draw_scene
-from gridpush_drake.gym.slide_to_edge import SlideToEdge
-
-GAMES: dict[str, Callable[[GameOptions], PushGame[Any]]] = {
-    "PushToGoal": PushToGoal,
-    "SlideToEdge": SlideToEdge,
-    "Explore": Explore,
-}
-"""By the environment's name."""
-
-DEFAULTS: dict[str, dict[str, Any]] = {"SlideToEdge": {"max_pushes": 30}, "Explore": {"max_pushes": 8}}
-"""Options that a game has other defaults for."""
 
 CAMERA_SIZE, PICTURE_SIZE = 96, 480
 """Pixels along each side of what the camera sees, and of what `render` gives."""
@@ -54,9 +41,32 @@ def register_environments() -> None:
             )
 
 
-def make_game(game: str, options: dict[str, Any]) -> PushGame[Any]:
+def make_game(game: str, options: dict[str, Any]) -> PushGame:
     """Makes a game by its name, of GAMES, with fields of `GameOptions`."""
-    return GAMES[game](GameOptions(**DEFAULTS.get(game, {}) | options))
+    kind = GAMES[game]
+    return kind(GameOptions(**kind.defaults | options))
+
+
+class _View:
+    """What is seen of a game's episodes: its space, and observations in their form; with "rgb" where `camera`."""
+
+    def __init__(self, game: PushGame, camera: bool) -> None:
+        self._game, self._camera, self._spaces = game, camera, game.make_spaces()
+        if camera:
+            self._spaces["rgb"] = Box(0, np.iinfo(np.uint8).max, (CAMERA_SIZE, CAMERA_SIZE, 3), np.uint8)
+        # Gymnasium's stubs leave its type open
+        self.space = cast(Space[Observation], Dict(cast(dict[str, Space[Any]], self._spaces)))
+
+    def observe(self, episodes: Sequence[Episode]) -> Observation:
+        """What is seen of each episode, one above the other."""
+        seen = [self._game.observe(episode) for episode in episodes]
+        if self._camera:
+            for values, episode in zip(seen, episodes, strict=True):
+                values["rgb"] = draw_scene(self._game, episode, CAMERA_SIZE, show_hidden=False)
+        return {
+            name: np.clip(np.stack([values[name] for values in seen]), space.low, space.high).astype(space.dtype)
+            for name, space in self._spaces.items()
+        }
 
 
 class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
@@ -89,17 +99,17 @@ class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
     def __init__(
         self, game: str = "PushToGoal", render_mode: str | None = None, camera: bool = False, **options: Any
     ) -> None:
-        """Makes the environment.
+        """Makes the environment of a game of GAMES.
 
         Args:
-            game: of GAMES.
+            game: its name.
             render_mode: "rgb_array", or None for no pictures.
             camera: whether the observation has "rgb", the scene seen from above, which shows no masses.
             options: fields of `GameOptions`.
         """
-        self.game, self.render_mode, self._camera = make_game(game, options), render_mode, camera
-        self._spaces = _make_spaces(self.game, camera)
-        self.observation_space = _to_dict(self._spaces)
+        self.game, self.render_mode = make_game(game, options), render_mode
+        self._view = _View(self.game, camera)
+        self.observation_space = self._view.space
         self.action_space = Box(-1.0, 1.0, (3,), np.float32)
         self.episode: Episode | None = None
 
@@ -128,11 +138,7 @@ class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
 
     def _observe(self) -> Observation:
         assert self.episode is not None
-        values = _observe(self.game, self.episode, self._camera)
-        return {
-            name: np.clip(values[name], space.low, space.high).astype(space.dtype)
-            for name, space in self._spaces.items()
-        }
+        return {name: values[0] for name, values in self._view.observe([self.episode]).items()}
 
 
 class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
@@ -154,12 +160,10 @@ class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         **options: Any,
     ) -> None:
         """Makes the environment; `num_envs` is how many episodes there are, the rest as of `PushEnvironment`."""
-        self.num_envs, self.game, self.render_mode, self._camera = (
-            num_envs, make_game(game, options), render_mode, camera,
-        )  # fmt: skip
+        self.num_envs, self.game, self.render_mode = num_envs, make_game(game, options), render_mode
         self.metadata = {**METADATA, "autoreset_mode": AutoresetMode.NEXT_STEP}
-        self._spaces = _make_spaces(self.game, camera)
-        self.single_observation_space = _to_dict(self._spaces)
+        self._view = _View(self.game, camera)
+        self.single_observation_space = self._view.space
         self.single_action_space = Box(-1.0, 1.0, (3,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -176,7 +180,7 @@ class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             self._generators = [np_random(one)[0] for one in seeds]
         self.episodes = [self.game.begin(rng) for rng in self._generators]
         self._over[:] = False
-        return self._observe(), self._inform(np.zeros(self.num_envs, dtype=bool))
+        return self._view.observe(self.episodes), self._inform(np.zeros(self.num_envs, dtype=bool))
 
     def step(
         self, actions: NDArray[Any]
@@ -191,7 +195,7 @@ class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             self.episodes[i], rewards[i], terminated[i], won[i] = turn.episode, turn.reward, turn.terminated, turn.won
             cut_off[i] = not turn.terminated and self.game.is_cut_off(turn.episode)
         self._over = terminated | cut_off
-        return self._observe(), rewards, terminated, cut_off, self._inform(won)
+        return self._view.observe(self.episodes), rewards, terminated, cut_off, self._inform(won)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A picture of each episode, as `PushEnvironment.render` has it."""
@@ -203,29 +207,3 @@ class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         every = np.ones(self.num_envs, dtype=bool)
         scores = np.array([episode.score for episode in self.episodes])
         return {"score": scores, "_score": every, "is_success": won, "_is_success": every}
-
-    def _observe(self) -> Observation:
-        values = [_observe(self.game, episode, self._camera) for episode in self.episodes]
-        return {
-            name: np.clip(np.stack([value[name] for value in values]), space.low, space.high).astype(space.dtype)
-            for name, space in self._spaces.items()
-        }
-
-
-def _to_dict(spaces: dict[str, Box[Any]]) -> Space[Observation]:
-    """The spaces as one, whose type Gymnasium's stubs leave open."""
-    return cast(Space[Observation], Dict(cast(dict[str, Space[Any]], spaces)))
-
-
-def _make_spaces(game: PushGame[Any], camera: bool) -> dict[str, Box]:
-    spaces = game.make_spaces()
-    if camera:
-        spaces["rgb"] = Box(0, np.iinfo(np.uint8).max, (CAMERA_SIZE, CAMERA_SIZE, 3), np.uint8)
-    return spaces
-
-
-def _observe(game: PushGame[Any], episode: Episode, camera: bool) -> dict[str, Array]:
-    values = game.observe(episode)
-    if camera:
-        values["rgb"] = draw_scene(game, episode, CAMERA_SIZE, show_hidden=False)
-    return values

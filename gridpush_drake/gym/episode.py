@@ -6,7 +6,7 @@ simulated together; an environment is one episode, a vector environment many.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -19,6 +19,8 @@ from gridpush_drake.geometry.se2 import Array, rotate, wrap_angle
 from gridpush_drake.gym.known_shape import FINGER, KnownShape, load_shape
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
@@ -70,10 +72,6 @@ class GameOptions:
         if not (self.position_std >= 0 and self.angle_std >= 0):
             raise PlanningError("position_std and angle_std must be >= 0")
 
-    def load_shapes(self) -> tuple[KnownShape, ...]:
-        """The objects' shapes."""
-        return tuple(load_shape(one) if isinstance(one, str) else KnownShape(one) for one in self.objects)
-
 
 @dataclass(frozen=True, eq=False)
 class Episode:
@@ -90,6 +88,10 @@ class Episode:
         last_motion: (3,) by which the last push was seen to move the object, in its own frame before, m and rad.
         pushes: what was seen of every push, in order.
         fallen: whether the object fell off the table.
+        goal: (3,) q_W, m and rad; None in games without one.
+        parts: any of which is to hang over; hidden, for they tell where the center of mass is.
+        model: what a learner holds possible; None in games without one.
+        held_out: the pushes that it is tested on, from the pose (0, 0, 0).
     """
 
     shape: KnownShape
@@ -102,6 +104,10 @@ class Episode:
     last_motion: Array = field(default_factory=lambda: np.zeros(3))
     pushes: tuple[ObservedPush, ...] = ()
     fallen: bool = False
+    goal: Array | None = None
+    parts: tuple[GraspPart, ...] = ()
+    model: UncertainModel | None = None
+    held_out: PushLog = field(default_factory=lambda: PushLog(()))
 
     @property
     def log(self) -> PushLog:
@@ -109,11 +115,8 @@ class Episode:
         return PushLog(self.pushes)
 
 
-E_ = TypeVar("E_", bound=Episode)
-
-
 @dataclass(frozen=True, eq=False)
-class Turn(Generic[E_]):
+class Turn:
     """What came of one push.
 
     Attributes:
@@ -122,7 +125,7 @@ class Turn(Generic[E_]):
         won: whether the aim is reached, which ends the episode.
     """
 
-    episode: E_
+    episode: Episode
     reward: float
     won: bool = False
 
@@ -132,25 +135,32 @@ class Turn(Generic[E_]):
         return self.won or self.episode.fallen
 
 
-class PushGame(Generic[E_]):
+class PushGame:
     """What is drawn, seen and rewarded; a game is a subclass.
 
     Attributes:
+        table: its sides along x and y, m; the middle is the world's origin.
+        defaults: options that the game has other defaults for.
         options: what an episode is drawn from.
-        surface: the table, a rectangle about the world's origin.
+        shapes: of the objects.
+        surface: the table.
     """
 
-    def __init__(self, options: GameOptions, table: tuple[float, float]) -> None:
-        """Takes the options, and the table's sides along x and y, m."""
-        self.options, self.shapes = options, options.load_shapes()
-        self.surface = SupportSurface.rectangle((0.0, 0.0), table)
-        self._half = np.array(table) / 2
+    table: ClassVar[tuple[float, float]]
+    defaults: ClassVar[dict[str, Any]] = {}
 
-    def begin(self, rng: np.random.Generator) -> E_:
+    def __init__(self, options: GameOptions | None = None) -> None:
+        """Takes what an episode is drawn from."""
+        self.options = options or GameOptions()
+        self.shapes = [load_shape(one) if isinstance(one, str) else KnownShape(one) for one in self.options.objects]
+        self.surface = SupportSurface.rectangle((0.0, 0.0), self.table)
+        self._half = np.array(self.table) / 2
+
+    def begin(self, rng: np.random.Generator) -> Episode:
         """Draws an episode; `rng` also draws its noise."""
         raise NotImplementedError
 
-    def judge(self, before: E_, after: E_) -> Turn[E_]:
+    def judge(self, before: Episode, after: Episode) -> Turn:
         """What a push was worth; the episode with its `score`."""
         raise NotImplementedError
 
@@ -158,13 +168,9 @@ class PushGame(Generic[E_]):
         """What this game adds to the observation."""
         return {}
 
-    def observe_own(self, episode: E_) -> dict[str, Array]:
+    def observe_own(self, episode: Episode) -> dict[str, Array]:
         """The values of that."""
         return {}
-
-    def find_goal(self, episode: E_) -> Array | None:
-        """The goal pose (3,) that is drawn into pictures; None where there is none."""
-        return None
 
     def draw_object(self, rng: np.random.Generator) -> tuple[KnownShape, CellParameters]:
         """Draws an object and what is hidden of it."""
@@ -194,7 +200,7 @@ class PushGame(Generic[E_]):
             **self.make_own_spaces(),
         }
 
-    def observe(self, episode: E_) -> dict[str, Any]:
+    def observe(self, episode: Episode) -> dict[str, Any]:
         """What a player sees."""
         return {
             "pose": flatten_pose(episode.pose),
@@ -206,19 +212,13 @@ class PushGame(Generic[E_]):
             **self.observe_own(episode),
         }
 
-    def play(self, episodes: Sequence[E_], actions: Sequence[Array]) -> list[Turn[E_]]:
-        """Makes one push in each of the episodes, which are simulated in one batch.
+    def play(self, episodes: Sequence[Episode], actions: Sequence[Array]) -> list[Turn]:
+        """Makes one push in each of the episodes, none of them over, all simulated in one batch.
 
-        Args:
-            episodes: none of them over.
-            actions: (3,) for each, see `KnownShape.make_push`.
-
-        Returns:
-            What came of each.
+        Actions are (3,) for each, see `KnownShape.make_push`.
         """
-        pushes = [
-            episode.shape.make_push(action, episode.pose) for episode, action in zip(episodes, actions, strict=True)
-        ]
+        pairs = list(zip(episodes, actions, strict=True))
+        pushes = [episode.shape.make_push(action, episode.pose) for episode, action in pairs]
         motions = simulate_batch(
             [episode.shape.obj for episode in episodes],
             [episode.hidden for episode in episodes],
@@ -229,20 +229,18 @@ class PushGame(Generic[E_]):
             regime="quasi_static",
             table=self.surface.corners,
         )
-        played = zip(episodes, actions, pushes, motions, strict=True)
-        return [
-            self.judge(episode, self._go_on(episode, action, push, motion)) for episode, action, push, motion in played
-        ]
+        played = zip(pairs, pushes, motions, strict=True)
+        return [self.judge(pair[0], self._go_on(*pair, push, motion)) for pair, push, motion in played]
 
-    def _go_on(self, episode: E_, action: Array, push: Push, motion: Motion) -> E_:
+    def _go_on(self, episode: Episode, action: Array, push: Push, motion: Motion) -> Episode:
         """The episode after a push, not yet judged."""
         poses, fallen = motion.poses, bool(motion.tips.any())
         if fallen:
             poses = poses[: int(np.argmax(motion.tips)) + 1]
         rows = np.unique(np.rint(np.linspace(0, len(poses) - 1, OBSERVATIONS + 1)).astype(int))[1:]
-        seen, on_table = self.add_noise(poses[rows], episode.rng), True
-        if not find_supported(episode.shape.obj, poses, self.surface).all():
-            on_table = False
+        seen = self.add_noise(poses[rows], episode.rng)
+        on_table = bool(find_supported(episode.shape.obj, poses, self.surface).all())
+        if not on_table:
             at_rest = calc_loads(episode.shape.obj, episode.hidden, poses[-1], self.surface.corners)
             fallen = fallen or at_rest is None
         name = f"push_{len(episode.pushes) + 1}"
@@ -256,7 +254,7 @@ class PushGame(Generic[E_]):
             pushes=(*episode.pushes, observed),
         )  # fmt: skip
 
-    def is_cut_off(self, episode: E_) -> bool:
+    def is_cut_off(self, episode: Episode) -> bool:
         """Whether all pushes were made."""
         return len(episode.pushes) >= self.options.max_pushes
 

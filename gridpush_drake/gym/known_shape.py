@@ -22,11 +22,8 @@ from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, find_grasp_p
 PLACES = 64
 """On the outline, that are observed."""
 
-PIXELS, WINDOW = 48, 0.48
-"""Of the occupancy picture along each side, and the side's length, m."""
-
-OCCUPIED = 255
-"""Of a pixel within the object."""
+PIXELS, WINDOW, OCCUPIED = 48, 0.48, 255
+"""Of the occupancy picture along each side, the side's length, m, and the value of a pixel within the object."""
 
 FINGER = ContactOptions(distance_range=(0.01, 0.15))
 """The finger and the pushes that it can make."""
@@ -73,16 +70,11 @@ class KnownShape:
         return tuple(find_grasp_parts(self.obj))
 
     def make_push(self, action: Array, pose: Array) -> Push:
-        """Makes the push of an action.
+        """Makes the push of an action on an object that is seen at a pose (3,), m and rad.
 
-        Args:
-            action: (3,) place, direction and distance, each from -1 to 1, which stand for shares of the outline from 0
-                to 1 (which is 0 again), and for the least and the greatest of `FINGER.angle_range` and
-                `FINGER.distance_range`.
-            pose: (3,) where the object is seen, m and rad.
-
-        Returns:
-            The push.
+        The action is (3,) place, direction and distance, each from -1 to 1, which stand for shares of the outline from
+        0 to 1 (which is 0 again), and for the least and the greatest of `FINGER.angle_range` and
+        `FINGER.distance_range`.
         """
         share, angle, distance = (np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0) + 1.0) / 2.0
         s, _ = self.reachable.locate(share % 1.0)

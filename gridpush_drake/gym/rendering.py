@@ -1,7 +1,5 @@
 """Pictures of an episode, from straight above."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
@@ -12,8 +10,8 @@ from gridpush_drake.gym.episode import Episode, PushGame
 VIEW, ROOM = 1.0, 0.1
 """m: how much of a large table is seen at least, and beyond the edge of a small one."""
 
-SMOOTHING = 3
-"""Pixels drawn for each pixel of the picture, along each side."""
+SMOOTHING, LINE = 3, 0.004
+"""Pixels drawn for each pixel of the picture, along each side, and width of lines, m."""
 
 FLOOR, WOOD, PLAIN, GOAL, TIP = (70, 72, 76), (222, 205, 176), (96, 120, 160), (40, 140, 60), (200, 40, 40)
 """Colors of what is below the table, the table, the object, its goal, and the last push; RGB."""
@@ -21,18 +19,9 @@ FLOOR, WOOD, PLAIN, GOAL, TIP = (70, 72, 76), (222, 205, 176), (96, 120, 160), (
 LIGHT, HEAVY = np.array([196, 214, 240]), np.array([120, 20, 60])
 """Of the lightest and the heaviest cell."""
 
-LINE = 0.004
-"""m, width of lines."""
 
-
-def draw_scene(game: PushGame[Any], episode: Episode, size: int, show_hidden: bool) -> NDArray[np.uint8]:
-    """Draws the table, the object, its goal and the finger's last path.
-
-    Args:
-        game: that is played.
-        episode: where it stands.
-        size: of the picture along each side, pixels.
-        show_hidden: whether cells are colored by their hidden masses.
+def draw_scene(game: PushGame, episode: Episode, size: int, show_hidden: bool) -> NDArray[np.uint8]:
+    """Draws the table, the object, its goal and the finger's last path; with the cells' hidden masses where asked.
 
     Returns:
         (size, size, 3) RGB; x to the right and y up.
@@ -53,9 +42,9 @@ def draw_scene(game: PushGame[Any], episode: Episode, size: int, show_hidden: bo
     square = obj.cell_size / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     for p_BC, color in zip(obj.p_BC, _color_cells(episode, show_hidden), strict=True):
         brush.polygon(place(transform(episode.true_pose, p_BC + square)), fill=color)
-    outline, goal = np.array(obj.outline.exterior.coords), game.find_goal(episode)
-    if goal is not None:
-        brush.line(place(transform(goal, outline)), fill=GOAL, width=max(1, round(LINE * scale)))
+    if episode.goal is not None:
+        outline = np.array(obj.outline.exterior.coords)
+        brush.line(place(transform(episode.goal, outline)), fill=GOAL, width=max(1, round(LINE * scale)))
     if episode.pushes:
         push = episode.pushes[-1].push
         brush.line(place(push.xy), fill=TIP, width=max(1, round(LINE * scale)))

@@ -165,7 +165,7 @@ def _describe(uniform_is_best: bool) -> tuple[IdentificationStatus, str]:
         return IdentificationStatus.LEARNED, "Learned from the pushes."
     return (
         IdentificationStatus.PRIOR_KEPT,
-        "The pushes are explained best by all but uniform friction; only the contact friction was fitted freely.",
+        "The pushes are explained best by an almost even object; only the contact friction was fitted freely.",
     )
 
 

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.motion import Motion
+from gridpush_drake.dynamics.push import make_path_times
 from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
 from gridpush_drake.dynamics.simulation import Regime, simulate
-from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.geometry.se2 import rotate, transform, wrap_angle
 from gridpush_drake.identification.posterior import CELLS, CONTACT_FRICTION, GLOBALS
 from gridpush_drake.objects.grid_object import GridObject

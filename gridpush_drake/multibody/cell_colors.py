@@ -19,11 +19,8 @@ Shown = Literal["mass", "friction", "relative_friction"]
 
 SHOWN = ("mass", "friction", "relative_friction")
 
-MIN_SHARE, MAX_SHARE = 0.25, 4.0
-"""Ends of the color scale of shares, in even shares."""
-
-MIN_FRICTION, MAX_FRICTION = 0.1, 1.0
-"""Ends of the color scale of friction coefficients."""
+MIN_SHARE, MAX_SHARE = 0.25, 4.0  # ends of the color scale of shares, in even shares
+MIN_FRICTION, MAX_FRICTION = 0.1, 1.0  # ends of the color scale of friction coefficients
 
 
 @dataclass(frozen=True)

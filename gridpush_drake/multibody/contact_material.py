@@ -24,25 +24,16 @@ from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import ParameterError, ScenarioError
 
-PARTNER_FRICTION = 1.0
-"""Coefficient of a stiff partner."""
+PARTNER_FRICTION = 1.0  # coefficient of a stiff partner
 
 PARTNER_STIFFNESS = 1e12
 """N/m, of a stiff partner: next to it every sphere's stiffness is its contact's to 1e-6."""
 
 
 def calc_own_friction(friction: float, name: str = "friction") -> float:
-    """Finds the coefficient that gives a contact with a stiff partner the wanted friction.
+    """The coefficient that gives a contact with a stiff partner the wanted friction: mu / (2 - mu), 0 <= mu < 2.
 
-    Args:
-        friction: wanted coefficient of the contact, 0 <= mu < 2.
-        name: of the value, for the message.
-
-    Returns:
-        mu / (2 - mu).
-
-    Raises:
-        ParameterError: no coefficient gives that much.
+    Raises ParameterError: no coefficient gives that much; the message calls it `name`.
     """
     limit = 2 * PARTNER_FRICTION
     if not 0 <= friction < limit:
@@ -51,16 +42,7 @@ def calc_own_friction(friction: float, name: str = "friction") -> float:
 
 
 def MakeContactProperties(friction: float, stiffness: float, dissipation: float = 0.0) -> ProximityProperties:
-    """Makes the properties of a surface.
-
-    Args:
-        friction: its own coefficient, static and dynamic.
-        stiffness: of its point contacts, N/m.
-        dissipation: Hunt-Crossley, s/m.
-
-    Returns:
-        New properties.
-    """
+    """Makes the properties of a surface: friction, static and dynamic, stiffness, N/m, and dissipation, s/m."""
     properties = ProximityProperties()
     properties.AddProperty("material", "coulomb_friction", CoulombFriction(friction, friction))
     properties.AddProperty("material", "point_contact_stiffness", float(stiffness))
@@ -74,13 +56,7 @@ def MakePartnerProperties() -> ProximityProperties:
 
 
 def SetPartner(plant: MultibodyPlant, scene_graph: SceneGraph, geometries: Iterable[GeometryId]) -> None:
-    """Makes stiff partners of collision geometries that are there already: the table's, the pusher's tip.
-
-    Args:
-        plant: whose geometries they are; before a Context is made.
-        scene_graph: where they are registered.
-        geometries: collision geometries of the plant.
-    """
+    """Makes stiff partners of a plant's collision geometries, before a Context is made: the table's, the tip's."""
     source = plant.get_source_id()
     for geometry in geometries:
         # keep what else is known of the surface, such as its hydroelastic properties
@@ -91,25 +67,17 @@ def SetPartner(plant: MultibodyPlant, scene_graph: SceneGraph, geometries: Itera
         scene_graph.AssignRole(source, geometry, properties, RoleAssign.kReplace)
 
 
-TABLE = "table"
-"""Name of the table's model instance."""
-
-TOP_TOLERANCE = 1e-6
-"""m, about the plane z = 0; and of the table's normal, as a sine."""
+TABLE = "table"  # name of the table's model instance
+TOP_TOLERANCE = 1e-6  # m, about the plane z = 0; and of the table's normal, as a sine
 
 QUADRANT_SEGMENTS = 256
 """Of the polygon within a round table's edge, a quarter turn; it lies within 2 um of a edge of 0.5 m."""
 
-SEAM = 1e-9
-"""m: outlines are rounded to it, so that pieces of a table that meet leave no gap."""
+SEAM = 1e-9  # m: outlines are rounded to it, so that pieces of a table that meet leave no gap
 
 
 def FindTableTops(plant: MultibodyPlant, inspector: SceneGraphInspector) -> dict[GeometryId, BaseGeometry]:
-    """Finds the collision geometries whose top is the table's.
-
-    Args:
-        plant: finalised, the table fixed to its world.
-        inspector: of the scene graph that the plant is registered with.
+    """Finds the collision geometries of a finalised plant whose top is the table's.
 
     Returns:
         The outline in W, m, of each box and upright cylinder of the table that ends at z = 0.

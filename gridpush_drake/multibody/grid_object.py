@@ -1,7 +1,7 @@
 """A grid object as a body of a MultibodyPlant.
 
 One rigid body with the cells' inertia stands on contact spheres, a cell on one (or four), and is pushed at boxes along
-its outline (`contact_geometry`). Two ways to hold it:
+its outline. Two ways to hold it:
 
 * "planar": a PlanarJoint whose parent frame lies `delta` below the table's top. Each sphere is pressed in by delta, so
   cell i bears m_i g by construction, as the planar model assumes. For dt = 1 ms.
@@ -12,15 +12,28 @@ The plant's contact approximation is best left at Drake's default, "lagged": "sa
 
 Frames: the table's top is the plane z = 0 of the world; the object's bottom is z = 0 of B, whose x and y are the grid
 object's own. Spheres touch nothing but the table, sides everything but the table.
+
+A sphere that carries the share m_i g of the weight, pressed in by delta, has stiffness
+
+    k_i = m_i g / delta
+
+so that, pressed in by delta, it bears just that share, whatever the other spheres do.
+
+A finger pushes at boxes. Contact of a sphere and a box is solved in closed form in Drake, that of sphere and convex
+mesh by iteration. So each edge of the outline is the outer face of one box, as deep as the object lets it be. A
+sphere's nearest point on these boxes is the nearest point of the outline, corners and holes included; a corner shared
+by two boxes gives the same contact twice. The inside is filled with boxes too, a little clear of the outline, so that
+whatever else comes down on the object or grips it is not let through.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydrake.common import MemoryFile
 from pydrake.geometry import (
     Box,
@@ -46,25 +59,115 @@ from pydrake.multibody.tree import (
     RigidBody,
     SpatialInertia,
 )
+from shapely import Polygon, box, prepare
 
-from gridpush_drake.errors import ObjectError, ParameterError
-from gridpush_drake.multibody.contact_geometry import (
-    SPHERE_RADIUS,
-    ContactSphereLayout,
-    PlanarBox,
-    SpheresPerCell,
-    make_edge_boxes,
-    make_inner_boxes,
-)
+from gridpush_drake.errors import ObjectError, ParameterError, require_positive
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.contact_material import MakeContactProperties, calc_own_friction
 from gridpush_drake.multibody.meshcat_shapes import make_outline_mesh
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
+SPHERE_RADIUS = 0.002  # m; more than the spheres are ever pressed in
+
+SpheresPerCell = Literal[1, 4]
+
+
+@dataclass(frozen=True, eq=False)
+class ContactSphereLayout:
+    """Where the spheres are."""
+
+    p_BS: NDArray[np.float64]  # (f, 2) where they touch the table, body frame, m
+    cell: NDArray[np.int64]  # (f,) the cell that each belongs to
+    spheres_per_cell: SpheresPerCell  # 1: at the cells' centers; 4: at their corners
+
+    @classmethod
+    def for_object(cls, obj: GridObject, spheres_per_cell: SpheresPerCell = 1) -> "ContactSphereLayout":
+        """Lays out the spheres of an object, cell by cell: 1 a cell, or 4 to support it out to its edge.
+
+        Raises ParameterError: `spheres_per_cell` is neither.
+        """
+        if spheres_per_cell == 1:
+            return cls(obj.p_BC, np.arange(obj.n), 1)
+        if spheres_per_cell != 4:
+            raise ParameterError(f"spheres_per_cell is {spheres_per_cell!r}; expected 1 or 4")
+        corners = obj.cell_size / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        return cls((obj.p_BC[:, None] + corners).reshape(-1, 2), np.repeat(np.arange(obj.n), 4), 4)
+
+    def make_properties(
+        self, params: CellParameters, delta: float, gravity: float, support: Array | None = None
+    ) -> list[ProximityProperties]:
+        """Makes the spheres' contact properties, pressed in by `delta`, m.
+
+        Args:
+            support: (n,) what each cell's spheres bear where they are pressed in so far, kg; its own mass by default.
+
+        Raises:
+            ParameterError: a friction is 2 or more, which Drake's combination cannot give.
+        """
+        borne = params.mass if support is None else support
+        stiffness = borne * gravity / (delta * self.spheres_per_cell)
+        friction = [calc_own_friction(float(mu), f"friction of cell {i}") for i, mu in enumerate(params.friction)]
+        return [MakeContactProperties(friction[i], float(stiffness[i])) for i in self.cell]
+
+
+MAX_DEPTH = 0.01  # m, of the boxes behind the edges
+HALVINGS = 12  # how often a box behind an edge is made half as deep for want of room
+PROTRUSION = 1e-6  # m by which boxes may stand out of the outline, next to a sharp corner
+STRIPS = 24  # rows of boxes that fill the inside
+CLEARANCE = 5e-4  # m from the outline to the boxes that fill the inside; deeper than a finger ever presses in
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarBox:
+    """A rectangle in the body frame."""
+
+    center: Array  # (2,) m
+    angle: float  # of its length from the x axis, rad
+    size: tuple[float, float]  # (length, width), m
+
+
+def make_edge_boxes(obj: GridObject) -> list[PlanarBox]:
+    """Makes a box behind every edge of the outline, exterior first, its outer face being the edge."""
+    room = obj.outline.buffer(PROTRUSION)
+    prepare(room)
+    boxes = []
+    for start, end in zip(obj.edges.start, obj.edges.end, strict=True):
+        length = float(np.linalg.norm(end - start))
+        along = (end - start) / length
+        inward = np.array([-along[1], along[0]])
+        depth = MAX_DEPTH
+        for _ in range(HALVINGS):
+            if room.covers(Polygon([start, end, end + depth * inward, start + depth * inward])):
+                break
+            depth /= 2
+        center = (start + end) / 2 + depth / 2 * inward
+        boxes.append(PlanarBox(center, float(np.arctan2(along[1], along[0])), (length, depth)))
+    return boxes
+
+
+def make_inner_boxes(obj: GridObject) -> list[PlanarBox]:
+    """Fills the outline, clear of it, with boxes that lie in STRIPS rows along the x axis."""
+    room = obj.outline.buffer(-CLEARANCE)
+    if room.is_empty:
+        return []
+    left, bottom, right, top = room.bounds
+    boxes = []
+    for low, high in pairwise(np.linspace(bottom, top, STRIPS + 1)):
+        outside = box(left, low, right, high).difference(room)
+        # the row is free where nothing outside is seen along y
+        seen = sorted((part.bounds[0], part.bounds[2]) for part in getattr(outside, "geoms", [outside]) if part.area)
+        reached = left
+        for start, end in [*seen, (right, right)]:
+            if start - reached > CLEARANCE:
+                boxes.append(PlanarBox(np.array([reached + start, low + high]) / 2, 0.0, (start - reached, high - low)))
+            reached = max(reached, end)
+    return boxes
+
+
 Base = Literal["planar", "free"]
 
-DEFAULT_HEIGHT = 0.03
-"""m."""
+DEFAULT_HEIGHT = 0.03  # m
 
 DEFAULT_DELTA = {"planar": 1e-3, "free": 1e-6}
 """m the spheres are pressed in; a free body on softer spheres tips falsely."""
@@ -73,11 +176,8 @@ SIDE_STIFFNESS = 3e5
 """N/m, of the outline: a push of 3 N presses the finger in by 0.01 mm. Friction of Drake's lagged contact follows the
 normal force of the step before: on a stiffer outline that force jumps from step to step, and the finger slips."""
 
-SIDE_DISSIPATION = 100.0
-"""s/m, of the outline's contacts (Hunt-Crossley): it keeps the finger from bouncing."""
-
-DEFAULT_COLOR = (0.55, 0.62, 0.7, 1.0)
-"""Red, green, blue and opacity."""
+SIDE_DISSIPATION = 100.0  # s/m, of the outline's contacts (Hunt-Crossley): it keeps the finger from bouncing
+DEFAULT_COLOR = (0.55, 0.62, 0.7, 1.0)  # red, green, blue and opacity
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,9 +250,6 @@ def AddGridObject(
 
     Args:
         plant: discrete; its gravity field is the one that the spheres are made for.
-        scene_graph: of the plant.
-        obj: the object.
-        params: the true masses and frictions.
         base: how it is held, see above.
         table: collision geometries that the spheres stand on; top at z = 0.
         height: of the object, m.
@@ -166,9 +263,6 @@ def AddGridObject(
         visual: whether it has illustration geometry.
         color: red, green, blue and opacity of that.
 
-    Returns:
-        The parts.
-
     Raises:
         ObjectError: `base` is neither, a size is not positive, there is no table, or a model of that name.
         ParameterError: the parameters are of another number of cells, or a friction is 2 or more.
@@ -176,9 +270,7 @@ def AddGridObject(
     if base not in DEFAULT_DELTA:
         raise ObjectError(f"base is {base!r}; expected 'planar' or 'free'")
     delta = DEFAULT_DELTA[base] if delta is None else delta
-    for what, value in (("height", height), ("delta", delta), ("side_stiffness", side_stiffness)):
-        if not 0 < value < np.inf:
-            raise ObjectError(f"{what} is {value!r}; expected a positive number")
+    require_positive(ObjectError, height=height, delta=delta, side_stiffness=side_stiffness)
     table = list(table)
     if not table:
         raise ObjectError("table is empty; expected the collision geometries that the spheres stand on")
@@ -201,18 +293,9 @@ def AddGridObject(
 
 
 def MakeSpatialInertia(obj: GridObject, params: CellParameters, height: float = DEFAULT_HEIGHT) -> SpatialInertia:
-    """Sums up the cells' inertia, each a homogeneous square prism.
+    """Sums up the cells' inertia, each a homogeneous square prism: M_BBo_B, about B's origin, at the object's bottom.
 
-    Args:
-        obj: the object.
-        params: its cells' masses.
-        height: of the prisms, m.
-
-    Returns:
-        M_BBo_B, about B's origin, at the object's bottom.
-
-    Raises:
-        ParameterError: the parameters are of another number of cells, or Drake finds the masses unphysical.
+    Raises ParameterError: the parameters are of another number of cells, or Drake finds the masses unphysical.
     """
     params.center_of_mass(obj)  # says so where the numbers of cells differ
     total = SpatialInertia.Zero()
@@ -249,14 +332,7 @@ def calc_gravity(plant: MultibodyPlant) -> float:
 def ApplyGridObjectFilters(
     plant: MultibodyPlant, scene_graph: SceneGraph, handle: GridObjectInPlant, table: Iterable[GeometryId]
 ) -> None:
-    """Lets the spheres touch the table alone, and the sides everything but the table, of what is in the plant by now.
-
-    Args:
-        plant: the plant.
-        scene_graph: of the plant.
-        handle: the object.
-        table: collision geometries that the spheres stand on.
-    """
+    """Lets the spheres touch the table alone, the sides everything but the table, of what is in the plant by now."""
     table = list(table)
     inspector = scene_graph.model_inspector()
     others = set(inspector.GetGeometryIds(GeometrySet(inspector.GetAllGeometryIds()), Role.kProximity)) - set(table)

@@ -16,6 +16,7 @@ from pydrake.systems.framework import Context
 from scipy.spatial import cKDTree
 
 from gridpush_drake.errors import ObjectError
+from gridpush_drake.geometry.se2 import check_vector
 from gridpush_drake.multibody.grid_object import GridObjectInPlant, MakeSideProperties, MakeSpatialInertia, calc_gravity
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
@@ -29,8 +30,7 @@ FRICTION_RANGE = (0.2, 0.6)
 CONTACT_FRICTION_RANGE = (0.35, 0.65)
 
 
-MIN_TILT = 0.05
-"""Least factor of a mass that is tilted, see `resample_parameters`."""
+MIN_TILT = 0.05  # least factor of a mass that is tilted, see `resample_parameters`
 
 
 def sample_ground_truth(
@@ -45,16 +45,11 @@ def sample_ground_truth(
     """Draws what the parts weigh and how they rub; the total mass is the object's, or DEFAULT_TOTAL_MASS.
 
     Args:
-        obj: the object.
-        seed: of the draw.
         cell_mass_range: of a cell's mass before all are scaled to the total, kg; log-uniform, one draw a part.
         friction_range: of the coefficient against the support.
         contact_friction_range: of the coefficient against the pusher.
         friction_by_part: whether every part has a friction of its own. Slow pushes cannot tell mass and friction apart,
             and the center of mass can only be learned where they do not vary both.
-
-    Returns:
-        The truth.
     """
     drawn = CellParameters.random(obj, seed, cell_mass_range, friction_range if friction_by_part else None)
     total = obj.prior.total_mass or DEFAULT_TOTAL_MASS
@@ -65,18 +60,10 @@ def sample_ground_truth(
 
 
 def resample_parameters(obj: GridObject, params: CellParameters, other: GridObject) -> CellParameters:
-    """Puts the parameters of an object's cells on another grid of the same object, such as one that a camera saw.
+    """The parameters of an object's cells on another grid of it, in the same frame, such as one that a camera saw.
 
     Each cell takes mass by area and friction from the nearest one; then masses are tilted, linearly over the object, so
-    that total mass and center of mass are kept.
-
-    Args:
-        obj: the object.
-        params: its parameters.
-        other: the other grid, in the same frame.
-
-    Returns:
-        The parameters of `other`; `params` themselves where it is the same object.
+    that total mass and center of mass are kept. `params` themselves where it is the same object.
     """
     if other is obj:
         return params
@@ -93,8 +80,7 @@ def resample_parameters(obj: GridObject, params: CellParameters, other: GridObje
 Support = Literal["own_weight", "foundation", "three_feet"]
 """How a free body stands: each cell bears its own weight, on an evenly compliant bottom, or on three feet."""
 
-FEET_SLACK = 0.002
-"""m that the center of mass lies within three feet's triangle, beside what a push takes away."""
+FEET_SLACK = 0.002  # m that the center of mass lies within three feet's triangle, beside what a push takes away
 
 SOFT = 1e-3
 """Stiffness of the bottom beside three feet, relative to an even one: it bears where a foot is over the edge."""
@@ -105,17 +91,12 @@ TRIES = 20_000
 def calc_support(
     obj: GridObject, params: CellParameters, support: Support, seed: int, push_height: float
 ) -> NDArray[np.float64] | None:
-    """Says how stiff a body's feet are, one below each cell.
+    """Says how stiff a body's feet are, one below each cell; None for own weight.
 
-    Args:
-        obj: the object.
-        params: the truth.
-        support: how it stands.
-        seed: of the feet's places.
-        push_height: of the pusher above the table, m: three feet stand so far apart that it does not tip the body.
+    Three feet, drawn by a seed, stand so far apart that a pusher at `push_height`, m, does not tip the body.
 
     Returns:
-        (n,) what each foot bears where all are pressed in as far as by the body's weight, kg; None for own weight.
+        (n,) what each foot bears where all are pressed in as far as by the body's weight, kg.
 
     Raises:
         ObjectError: no three feet are found.
@@ -132,11 +113,7 @@ def calc_support(
 
 
 def draw_feet(obj: GridObject, params: CellParameters, margin: float, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Draws (3,) cells whose triangle holds the center of mass, at least `margin`, m, within its sides.
-
-    Raises:
-        ObjectError: none are found.
-    """
+    """Draws (3,) cells whose triangle holds the center of mass, `margin`, m, within its sides; else ObjectError."""
     center = shapely.Point(params.center_of_mass(obj))
     for _ in range(TRIES):
         cells = rng.choice(obj.n, 3, replace=False)
@@ -173,20 +150,8 @@ def describe_truth(obj: GridObject, truth: CellParameters) -> dict[str, Any]:
 def SetGridObjectPose(
     plant: MultibodyPlant, plant_context: Context, handle: GridObjectInPlant, pose: ArrayLike
 ) -> None:
-    """Puts an object down on the table, at rest.
-
-    Args:
-        plant: the plant.
-        plant_context: its Context.
-        handle: the object.
-        pose: (3,) q = (x, y, theta) of B in W, m and rad.
-
-    Raises:
-        ObjectError: the pose is not three finite numbers.
-    """
-    q = np.array(pose, dtype=np.float64)
-    if q.shape != (3,) or not np.isfinite(q).all():
-        raise ObjectError(f"pose is {pose!r}; expected three finite numbers: x, y (m), theta (rad)")
+    """Puts an object down on the table, at rest, at q (3,) of B in W. Raises ObjectError: q is not three numbers."""
+    q = check_vector(ObjectError, "pose", pose, 3, "x, y, m, theta, rad")
     if handle.joint is not None:
         handle.joint.set_pose(plant_context, q[:2], q[2])
     else:
@@ -198,14 +163,7 @@ def SetGridObjectPose(
 def SetGridObjectVelocity(
     plant: MultibodyPlant, plant_context: Context, handle: GridObjectInPlant, velocity: ArrayLike
 ) -> None:
-    """Sets an object's planar velocity.
-
-    Args:
-        plant: the plant.
-        plant_context: its Context.
-        handle: the object.
-        velocity: (3,) (vx, vy, w) of B's origin in W, m/s and rad/s.
-    """
+    """Sets an object's planar velocity (3,), (vx, vy, w) of B's origin in W, m/s and rad/s."""
     vx, vy, w = np.asarray(velocity, dtype=np.float64)
     if handle.joint is not None:
         handle.joint.set_translational_velocity(plant_context, [vx, vy])
@@ -234,12 +192,8 @@ def SetGridObjectParameters(
     """Changes the truth: inertia, what each sphere bears and how it rubs, the friction of the sides.
 
     Args:
-        plant: the plant.
-        scene_graph: of the plant.
         context: of the Diagram that holds both; `Simulator.reset_context` and `Diagram.CreateDefaultContext` bring back
             the parameters that the object was added with.
-        handle: the object.
-        params: the new masses and frictions.
         support: (n,) as `AddGridObject`.
 
     Raises:

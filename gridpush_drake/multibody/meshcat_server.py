@@ -14,8 +14,7 @@ from gridpush_drake.files import check_writable, read_head, write_whole
 from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.multibody.recording_overlay import Overlay, add_overlay
 
-MIN_PORT, MAX_PORT = 1024, 65535
-"""Ports below belong to the system."""
+MIN_PORT, MAX_PORT = 1024, 65535  # ports below belong to the system
 
 LAYERS_TO_LEAVE_OUT = ("/drake/proximity", "/drake/contact_forces", "/drake/inertia")
 """What a recording is not for: collision geometry, contact forces, inertia ellipsoids."""
@@ -23,28 +22,20 @@ LAYERS_TO_LEAVE_OUT = ("/drake/proximity", "/drake/contact_forces", "/drake/iner
 CAMERA_AZIMUTH, CAMERA_ELEVATION = -1.75, 0.85
 """Where the camera stands as seen from its target, rad: before the table, a little to the left."""
 
-MARK = b"<title>Drake MeshCat</title>"
-"""What stands in every page of Meshcat."""
-
-MARK_ROOM = 4096
-"""Bytes within which it stands."""
-
-BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.97, 0.975, 0.98), (0.80, 0.82, 0.85)
-"""Colors of the background, sRGB."""
+MARK = b"<title>Drake MeshCat</title>"  # what stands in every page of Meshcat
+MARK_ROOM = 4096  # bytes within which it stands
+BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.97, 0.975, 0.98), (0.80, 0.82, 0.85)  # colors of the background, sRGB
 
 LIGHTS = {"AmbientLight": 1.2, "PointLightNegativeX": 14.0, "PointLightPositiveX": 14.0}
 """Intensities that show a horizontal face near the origin in its own color; Meshcat's own make it a third brighter."""
 
 
 def StartMeshcatServer(port: int | None = None, host: str = "localhost") -> Meshcat:
-    """Starts Meshcat, with a light background and neither grid nor axes.
+    """Starts Meshcat, with a light background and neither grid nor axes; `web_url()` is its page.
 
     Args:
         port: to listen on; the first free one from 7000 on where None, any free one where 0.
         host: to listen on: "localhost" for this machine alone, "*" for every network it is in.
-
-    Returns:
-        The server; `web_url()` is its page.
 
     Raises:
         StationError: the port is out of range or in use, or the host is not this machine's.
@@ -82,14 +73,9 @@ def AimCamera(
     azimuth: float = CAMERA_AZIMUTH,
     elevation: float = CAMERA_ELEVATION,
 ) -> None:
-    """Points the camera at a place.
+    """Points the camera at a place (3,) in W, m, from a distance, m.
 
-    Args:
-        meshcat: the scene.
-        target: (3,) where to look, world frame, m.
-        distance: of the camera from there, m.
-        azimuth: of the camera as seen from there, rad from the x axis.
-        elevation: of the camera as seen from there, rad from the table.
+    Azimuth (rad from the x axis) and elevation (rad from the table) are the camera's, as seen from that place.
     """
     direction = [*cos(elevation) * make_direction(azimuth), sin(elevation)]
     p_WT: Any = np.asarray(target, dtype=np.float64)
@@ -112,11 +98,7 @@ def PublishOnce(meshcat: Meshcat) -> None:
 def write_recording(meshcat: Meshcat, path: Path | str, force: bool = False, overlay: Overlay | None = None) -> None:
     """Writes the scene, with what was recorded, as one self-contained HTML file that plays when it is opened.
 
-    Args:
-        meshcat: the scene; its recording is stopped and published, and LAYERS_TO_LEAVE_OUT are deleted from it.
-        path: the HTML file.
-        force: whether an existing file may be replaced.
-        overlay: what stands beside the scene; None for nothing.
+    The recording is stopped and published, and LAYERS_TO_LEAVE_OUT are deleted from the scene.
 
     Raises:
         OutputError: the file exists and `force` is not set, or it cannot be written.

@@ -23,29 +23,16 @@ from trimesh import Trimesh
 from gridpush_drake.geometry.se2 import Array, make_direction
 from gridpush_drake.objects.grid_object import GridObject
 
-CELL_SHARE = 0.94
-"""Side of a drawn cell, in cells; the rest is the gap that lets cells be told apart."""
-
-CIRCLE_SIDES = 48
-"""Straight pieces of a drawn circle."""
-
-MIN_HALF_AXIS = 1e-5
-"""Of a drawn ellipse, m; one that is narrower has no area to speak of."""
-
-MIN_LENGTH = 1e-5
-"""Of a drawn arrow, m."""
+CELL_SHARE = 0.94  # side of a drawn cell, in cells; the rest is the gap that lets cells be told apart
+CIRCLE_SIDES = 48  # straight pieces of a drawn circle
+MIN_HALF_AXIS = 1e-5  # of a drawn ellipse, m; one that is narrower has no area to speak of
+MIN_LENGTH = 1e-5  # of a drawn arrow, m
 
 
 def make_cell_prisms(obj: GridObject, height: float, share: float = CELL_SHARE) -> Trimesh:
-    """Makes a prism a cell, standing on the plane z = 0 of the body frame, open below.
+    """Makes a prism a cell, standing on the plane z = 0 of the body frame, open below; its side is `share` of a cell's.
 
-    Args:
-        obj: the object.
-        height: of the prisms, m.
-        share: side of a prism, in cells.
-
-    Returns:
-        The mesh; its 8 n vertices come by corner, then by cell (the first n are all cells' first corners).
+    The 8 n vertices come by corner, then by cell (the first n are all cells' first corners).
     """
     side, cell = share * obj.cell_size, np.arange(obj.n)
     box = _drop_floor(trimesh.creation.box(bounds=[[-side / 2, -side / 2, 0.0], [side / 2, side / 2, height]]))
@@ -63,13 +50,7 @@ def make_outline_prism(obj: GridObject, height: float) -> Trimesh:
 def make_outline_mesh(outline: Polygon, height: float, normals: bool = False) -> str:
     """Makes a closed prism of an outline, m, from z = 0 to `height`, m, as Wavefront OBJ text, faces outwards.
 
-    Args:
-        outline: m.
-        height: m.
-        normals: whether each face has its own vertices with normals, as renderers want them.
-
-    Returns:
-        The text.
+    With `normals` each face has its own vertices with normals, as renderers want them.
     """
     mesh = trimesh.creation.extrude_triangulation(*_triangulate(outline), height)
     if normals:
@@ -78,31 +59,13 @@ def make_outline_mesh(outline: Polygon, height: float, normals: bool = False) ->
 
 
 def make_outline_edge(obj: GridObject, height: float, width: float) -> Trimesh:
-    """Makes a flat band about an object's outline, half inside and half outside; body frame, at z = `height`, m.
-
-    Args:
-        obj: the object.
-        height: m.
-        width: of the band, m.
-
-    Returns:
-        The mesh.
-    """
+    """Makes a flat band about an object's outline, half inside and half outside; body frame, at z = `height`, m."""
     band = obj.outline.buffer(width / 2).difference(obj.outline.buffer(-width / 2))
     return _make_plate(band, height)
 
 
 def make_disc(covariance: ArrayLike, center: ArrayLike, height: float) -> Trimesh:
-    """Makes a flat ellipse, the points p with (p - c)' S^-1 (p - c) <= 1.
-
-    Args:
-        covariance: (2, 2) S, m².
-        center: (2,) c, m.
-        height: z, m.
-
-    Returns:
-        The mesh.
-    """
+    """Makes a flat ellipse at z = `height`, m, the points p with (p - c)' S^-1 (p - c) <= 1: S in m², c in m."""
     return _make_plate(_make_ellipse(covariance, center), height)
 
 
@@ -113,16 +76,9 @@ def make_ring(covariance: ArrayLike, center: ArrayLike, height: float, width: fl
 
 
 def make_arrow(start: ArrayLike, end: ArrayLike, height: float, width: float) -> Trimesh:
-    """Makes a flat arrow.
+    """Makes a flat arrow from `start` (2,) to `end` (2,) at z = `height`, m, with a shaft of a width, m.
 
-    Args:
-        start: (2,) of its tail, m.
-        end: (2,) of its point, m.
-        height: z, m.
-        width: of its shaft, m; the head is three times as wide and long, at most the whole arrow.
-
-    Returns:
-        The mesh.
+    The head is three times as wide and long, at most the whole arrow.
     """
     tail, point = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
     length = float(np.linalg.norm(point - tail))
@@ -168,48 +124,27 @@ def _make_ellipse(covariance: ArrayLike, center: ArrayLike, margin: float = 0.0)
 
 VISIBLE = "visible"
 
-CENTER_COLOR = Rgba(0.93, 0.07, 0.42)
-"""Of the center of mass and its ellipse; no color of viridis comes near."""
+CENTER_COLOR = Rgba(0.93, 0.07, 0.42)  # of the center of mass and its ellipse; no color of viridis comes near
 
 ELLIPSE_OPACITY = 0.3
 
-SIGMAS = 2.0
-"""Half axes of the ellipse, in standard deviations."""
-
-PLAN_COLOR = Rgba(0.93, 0.38, 0.05)
-"""Of what is to come: a push, and the pose it is predicted to end in."""
+SIGMAS = 2.0  # half axes of the ellipse, in standard deviations
+PLAN_COLOR = Rgba(0.93, 0.38, 0.05)  # of what is to come: a push, and the pose it is predicted to end in
 
 GHOST_OPACITY = 0.3
 
-CENTER_RADIUS = 0.0025
-"""Of the dot at the center of mass, m."""
-
-RING_WIDTH = 0.0012
-"""Of the ellipse's edge, m."""
-
-ARROW_WIDTH = 0.005
-"""Of a push's shaft, m."""
-
-LAYER = 0.001
-"""Between what is drawn one over the other, m."""
-
-EDGE_WIDTH = 0.0015
-"""Of a ghost's upper edge, m."""
+CENTER_RADIUS = 0.0025  # of the dot at the center of mass, m
+RING_WIDTH = 0.0012  # of the ellipse's edge, m
+ARROW_WIDTH = 0.005  # of a push's shaft, m
+LAYER = 0.001  # between what is drawn one over the other, m
+EDGE_WIDTH = 0.0015  # of a ghost's upper edge, m
 
 GHOST_SHARE = 0.97
 """Height of a ghost, in heights of its object, whose own top then covers it where the two meet."""
 
 
 def AddCells(meshcat: Meshcat, path: str, obj: GridObject, colors: ArrayLike, height: float) -> None:
-    """Draws an object's cells as one mesh, standing on z = 0 of its body frame.
-
-    Args:
-        meshcat: where to draw.
-        path: what is there already is replaced.
-        obj: the object.
-        colors: (n, 3) sRGB, 0 to 1.
-        height: of the cells, m.
-    """
+    """Draws an object's cells as one mesh, standing on z = 0 of its body frame, in `colors` (n, 3), sRGB, 0 to 1."""
     mesh = make_cell_prisms(obj, height)
     light = srgb_to_linear(np.asarray(colors, dtype=np.float64))
     vertices, faces = _to_columns(mesh)
@@ -221,12 +156,8 @@ def AddCells(meshcat: Meshcat, path: str, obj: GridObject, colors: ArrayLike, he
 def AddCenter(meshcat: Meshcat, path: str, center: ArrayLike, covariance: ArrayLike, height: float) -> None:
     """Draws an estimated point and its ellipse of SIGMAS standard deviations, flat, from z = `height` up.
 
-    Args:
-        meshcat: where to draw.
-        path: a dot is drawn at `path`/dot, the ellipse and its edge at `path`/ellipse and `path`/edge.
-        center: (2,) body frame, m; nothing is drawn where it is not finite.
-        covariance: (2, 2) m²; nothing but the dot is drawn where it is not finite.
-        height: m.
+    A dot is drawn at `path`/dot, the ellipse and its edge at `path`/ellipse and `path`/edge; nothing where `center`
+    (2,), m, is not finite, and the dot alone where `covariance` (2, 2), m², is not.
     """
     if not np.isfinite(center).all():
         return
@@ -242,12 +173,7 @@ def AddCenter(meshcat: Meshcat, path: str, center: ArrayLike, covariance: ArrayL
 def AddGhost(meshcat: Meshcat, path: str, obj: GridObject, height: float, color: Rgba = PLAN_COLOR) -> None:
     """Draws a translucent prism of an object's outline, body frame, with its upper edge as an opaque band.
 
-    Args:
-        meshcat: where to draw.
-        path: the prism is drawn at `path`/body, the edge at `path`/edge.
-        obj: the object.
-        height: of the object, m; the body ends a little below it and the edge lies a little above.
-        color: of both.
+    They are at `path`/body, which ends a little below `height`, m, and at `path`/edge, which lies a little above.
     """
     _AddMesh(meshcat, f"{path}/body", make_outline_prism(obj, GHOST_SHARE * height), _fade(color, GHOST_OPACITY))
     edge = make_outline_edge(obj, height + LAYER / 2, EDGE_WIDTH)
@@ -265,14 +191,10 @@ def AddArrow(meshcat: Meshcat, path: str, start: ArrayLike, end: ArrayLike, heig
 
 
 def SwapVisible(meshcat: Meshcat, shown: str | None, hidden: str | None, time: float, period: float) -> None:
-    """Shows one path instead of another, from `time` on, live and in the recording where one is made.
+    """Shows one path instead of another, from `time` (s) on, live and in the recording where one is made.
 
-    Args:
-        meshcat: the scene.
-        shown: the path to be seen from now on; in the recording it is hidden before.
-        hidden: the path to be seen no more; in the recording it stays as it is until a `period` before, at least.
-        time: in the recording, s.
-        period: what passed since the scene was drawn last, s.
+    In the recording `shown` is hidden before; `hidden` stays as it is until a `period` (s) before, at least: what
+    passed since the scene was drawn last.
     """
     recording = meshcat.get_mutable_recording()
     begin = recording.start_time()

@@ -28,35 +28,22 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-TIME_STEP = 1e-3
-"""s."""
-
-FOOT_RADIUS = 0.002
-"""m, of the spheres that stand on the table."""
+TIME_STEP = 1e-3  # s
+FOOT_RADIUS = 0.002  # m, of the spheres that stand on the table
 
 WALL_RADIUS = 1e-4
 """m, of the capsules along the outline, which the pusher touches; its own radius should be less by as much."""
 
-SINKAGE = 2e-4
-"""m that a compliant bottom sinks under its weight."""
+SINKAGE = 2e-4  # m that a compliant bottom sinks under its weight
 
 DAMPING_RATIO = 0.3
 """Of the body's motion up and down on its feet; explicit in time, so that rocking, which is faster, stays stable."""
 
-REGULARIZATION = 1e3
-"""R f of a foot, m/s²."""
-
-SLIP_DAMPING = 200.0
-"""b, 1/s."""
-
-IMPRATIO, TOLERANCE = 1e5, 1e-12
-"""Of the cone, and of MuJoCo's solver."""
-
-MIN_IMPEDANCE = 1e-4
-"""MuJoCo's least."""
-
-TABLE_HALF = 5.0
-"""m, half a side of the table."""
+REGULARIZATION = 1e3  # R f of a foot, m/s²
+SLIP_DAMPING = 200.0  # b, 1/s
+IMPRATIO, TOLERANCE = 1e5, 1e-12  # of the cone, and of MuJoCo's solver
+MIN_IMPEDANCE = 1e-4  # MuJoCo's least
+TABLE_HALF = 5.0  # m, half a side of the table
 
 WALL_IMPEDANCE, WALL_TIME = 0.99, 0.002
 """Of the ring where a finger touches it: its impedance, and in how many seconds it gives back what it gave way."""
@@ -78,14 +65,10 @@ Element = ElementTree.Element
 
 
 def calc_springs(load: Array, sinkage: float, inverse: float) -> tuple[Array, Array, Array]:
-    """Calculates MuJoCo's numbers for contacts that give way by `sinkage` under a load.
+    """Calculates MuJoCo's numbers for contacts that give way by `sinkage` (m) under loads (K,), N.
 
-    The force is stiffness times depth, at any depth, as the impedance does not vary with it.
-
-    Args:
-        load: (K,) N.
-        sinkage: m.
-        inverse: of the mass that MuJoCo takes for granted (`body_invweight0`), 1/kg.
+    The force is stiffness times depth, at any depth, as the impedance does not vary with it. `inverse` is of the mass
+    that MuJoCo takes for granted (`body_invweight0`), 1/kg.
 
     Returns:
         `solref` (K, 2), `solreffriction` (K, 2), and the impedance (K,), the first two entries of `solimp`.
@@ -99,18 +82,9 @@ def calc_springs(load: Array, sinkage: float, inverse: float) -> tuple[Array, Ar
 
 
 def make_mjcf(obj: GridObject, params: CellParameters, height: float) -> str:
-    """Makes the model's text.
+    """Makes the model's text: a table at z = 0 and the object on it, whose name body and joint have.
 
-    Args:
-        obj: the object.
-        params: what its cells weigh and how they rub.
-        height: of the object, m.
-
-    Returns:
-        MJCF: a table at z = 0 and the object on it, at the world's origin; body and joint have the object's name.
-
-    Raises:
-        ObjectError: the object's name is empty, or the height is not more than the feet's.
+    Raises ObjectError: the object's name is empty, or the height is not more than the feet's.
     """
     if not obj.name:
         raise ObjectError("name is empty; expected one for the body")
@@ -146,19 +120,7 @@ def make_mjcf(obj: GridObject, params: CellParameters, height: float) -> str:
 
 
 def WriteMjcf(obj: GridObject, params: CellParameters, path: Path | str, force: bool, *, height: float) -> None:
-    """Writes the model to a file.
-
-    Args:
-        obj: the object.
-        params: what its cells weigh and how they rub.
-        path: the file.
-        force: whether an existing file may be replaced.
-        height: of the object, m.
-
-    Raises:
-        OutputError: the file cannot be written.
-        ObjectError: as `make_mjcf`.
-    """
+    """Writes the model to a file. Raises OutputError where it cannot be written, and ObjectError as `make_mjcf`."""
     write_whole(path, make_mjcf(obj, params, height), force)
 
 

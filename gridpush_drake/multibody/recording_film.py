@@ -39,17 +39,10 @@ FLAGS = (
 )
 """Of a browser without window, display or graphics card."""
 
-PAGE_TIME, PATIENCE = 10_000, 600.0
-"""What the page may take by its own clock, ms, and the browser by ours, s."""
-
-SIZE = (640, 400)
-"""Of the scene, pixels; the caption is below it."""
-
-SECONDS, FRAMES_PER_SECOND = 12.0, 8
-"""Of the film; it plays as much faster than the recording as it is shorter."""
-
-REST = 1.5
-"""s that the last picture stays."""
+PAGE_TIME, PATIENCE = 10_000, 600.0  # what the page may take by its own clock, ms, and the browser by ours, s
+SIZE = (640, 400)  # of the scene, pixels; the caption is below it
+SECONDS, FRAMES_PER_SECOND = 12.0, 8  # of the film; it plays as much faster than the recording as it is shorter
+REST = 1.5  # s that the last picture stays
 
 CAPTION, FONT_SIZE, TEXT, PAPER = 30, 17, (35, 39, 46), (255, 255, 255)
 """Height of the caption and of its letters, pixels; colors of letters and ground, RGB."""
@@ -58,13 +51,11 @@ COLORS, PALETTE_BITS, SOME = 192, 5, 8
 """Of a GIF, the same for all of its pictures: how many, the bits by which colors are told apart that they stand for,
 and the pictures that these are taken from."""
 
-ZOOM = 1.25
-"""By which the recording's view is drawn nearer."""
+ZOOM = 1.25  # by which the recording's view is drawn nearer
 
 WEBP_QUALITY = 70
 
-MAX_PAGE = 64_000_000
-"""Bytes of a recording."""
+MAX_PAGE = 64_000_000  # bytes of a recording
 
 ENDINGS = (".gif", ".webp")
 
@@ -120,13 +111,7 @@ def find_browser() -> str:
 
 
 def write_film(recording: Path | str, path: Path | str, force: bool = False, *, seconds: float = SECONDS) -> None:
-    """Makes a film of a recording.
-
-    Args:
-        recording: the page, as `write_recording` writes it.
-        path: GIF or WebP, by its ending.
-        force: whether an existing file may be replaced.
-        seconds: that the film takes, without the last picture's rest.
+    """Makes a film of a recording, GIF or WebP by its ending, that takes `seconds` without the last picture's rest.
 
     Raises:
         OutputError, StationError: as `check_film`; or the browser drew nothing.
@@ -141,17 +126,9 @@ def write_film(recording: Path | str, path: Path | str, force: bool = False, *, 
 
 
 def draw_frames(page: str, count: int) -> tuple[float, list[Image.Image]]:
-    """Draws a recording.
+    """Draws a recording at `count` moments, evenly from its beginning to its end; and how long it takes, s.
 
-    Args:
-        page: its HTML.
-        count: of moments, evenly from its beginning to its end.
-
-    Returns:
-        How long it takes, s, and the pictures.
-
-    Raises:
-        StationError: there is no browser, or it drew nothing.
+    Raises StationError: there is no browser, or it drew nothing.
     """
     head, body, tail = page.rpartition("</body>")
     script = SCRIPT.substitute(width=SIZE[0], height=SIZE[1], zoom=ZOOM, count=count)
@@ -170,7 +147,9 @@ def draw_frames(page: str, count: int) -> tuple[float, list[Image.Image]]:
     if found is None:
         raise StationError("the browser drew no film of the recording; expected a page that Meshcat wrote")
     film = json.loads(found[1])
-    return float(film["duration"]), [_decode(picture) for picture in film["pictures"]]
+    data = (BytesIO(base64.b64decode(address.partition(",")[2])) for address in film["pictures"])
+    pictures = [Image.open(picture).convert("RGB") for picture in data]
+    return float(film["duration"]), pictures
 
 
 def read_phases(page: str) -> list[tuple[float, str]]:
@@ -192,10 +171,6 @@ def add_caption(picture: Image.Image, words: str) -> Image.Image:
     place = (CAPTION // 2, picture.height + CAPTION // 2)
     ImageDraw.Draw(framed).text(place, words, TEXT, ImageFont.load_default(FONT_SIZE), anchor="lm")
     return framed
-
-
-def _decode(address: str) -> Image.Image:
-    return Image.open(BytesIO(base64.b64decode(address.partition(",")[2]))).convert("RGB")
 
 
 def _pack(frames: Sequence[Image.Image], kind: str) -> bytes:

@@ -19,82 +19,50 @@ from gridpush_drake.multibody.cell_colors import CellColors
 from gridpush_drake.multibody.meshcat_shapes import CENTER_COLOR, PLAN_COLOR, SIGMAS
 from gridpush_drake.objects.grid_object import GridObject
 
-PAGE_END = "</body>"
-"""Before the last one of a page the overlay is inserted."""
+PAGE_END = "</body>"  # before the last one of a page the overlay is inserted
 
 PERCENT = 100.0
 
-SCALE_COLORS = 17
-"""Of a scale; the page blends between them."""
-
-TICKS = 5
-"""Of a scale."""
-
-GRAM = 1e-3
-"""In kg."""
-
-DIGITS = 2
-"""Of a tick's value."""
+SCALE_COLORS = 17  # of a scale; the page blends between them
+TICKS = 5  # of a scale
+GRAM = 1e-3  # in kg
+DIGITS = 2  # of a tick's value
 
 
 @dataclass(frozen=True)
 class ColorScale:
-    """A bar of colors with values beside it.
+    """A bar of colors with values beside it."""
 
-    Attributes:
-        title: what the colors stand for, with its unit.
-        colors: CSS colors from the smallest value to the greatest, evenly spaced.
-        ticks: (place, text) of some values, place from 0, the smallest, to 1.
-    """
-
-    title: str
-    colors: tuple[str, ...]
-    ticks: tuple[tuple[float, str], ...]
+    title: str  # what the colors stand for, with its unit
+    colors: tuple[str, ...]  # CSS colors from the smallest value to the greatest, evenly spaced
+    ticks: tuple[tuple[float, str], ...]  # (place, text) of some values, place from 0, the smallest, to 1
 
 
 @dataclass(frozen=True)
 class Mark:
-    """Something that is drawn, for the legend.
+    """Something that is drawn, for the legend."""
 
-    Attributes:
-        color: CSS color.
-        text: what it stands for.
-        kind: "dot", "line" or "area".
-    """
-
-    color: str
-    text: str
-    kind: str = "area"
+    color: str  # CSS color
+    text: str  # what it stands for
+    kind: str = "area"  # "dot", "line" or "area"
 
 
 @dataclass(frozen=True)
 class Phase:
-    """What is being done from some time on.
+    """What is being done from some time on."""
 
-    Attributes:
-        time: in the recording, s.
-        title: in a few words.
-        detail: in a sentence; may be empty.
-    """
-
-    time: float
-    title: str
-    detail: str = ""
+    time: float  # in the recording, s
+    title: str  # in a few words
+    detail: str = ""  # in a sentence; may be empty
 
 
 @dataclass(frozen=True)
 class Overlay:
-    """What stands beside a recording.
+    """What stands beside a recording."""
 
-    Attributes:
-        scale: of the cells' colors; None for none.
-        marks: of the legend.
-        phases: in order; none where nothing is recorded.
-    """
-
-    scale: ColorScale | None = None
-    marks: tuple[Mark, ...] = ()
-    phases: tuple[Phase, ...] = ()
+    scale: ColorScale | None = None  # of the cells' colors; None for none
+    marks: tuple[Mark, ...] = ()  # of the legend
+    phases: tuple[Phase, ...] = ()  # in order; none where nothing is recorded
 
 
 def make_color_scale(obj: GridObject, colors: CellColors) -> ColorScale:

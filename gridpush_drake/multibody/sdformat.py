@@ -1,4 +1,4 @@
-"""A grid object as an SDFormat model, in one file, for Drake's parser.
+"""A grid object as an SDFormat or URDF model, in one file, for Drake's parser.
 
 It has what `AddGridObject` gives a plant: the cells' inertia, a contact sphere a cell, boxes along and within the
 outline; the cells are what is seen. SDFormat filters collisions by link and model only, so nothing is filtered: instead
@@ -6,6 +6,9 @@ the sides end `SIDE_LIFT` above the table and the spheres are lower than a finge
 
 The file supposes that table and pusher are stiff partners: of friction 1, and of point contact stiffness 1e12 N/m
 (`contact_material`). Then cell i has friction mu_i, and bears m_i g where the base is "planar".
+
+URDF says the same of a free object. It has no friction itself: each collision has it, and its stiffness, in Drake's own
+elements, which other simulators leave out; the inertia and the shapes are for anyone.
 """
 
 from pathlib import Path
@@ -17,37 +20,28 @@ from pydrake.geometry import ProximityProperties
 
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.files import write_whole
-from gridpush_drake.multibody.contact_geometry import (
-    SPHERE_RADIUS,
-    ContactSphereLayout,
-    SpheresPerCell,
-    make_edge_boxes,
-    make_inner_boxes,
-)
 from gridpush_drake.multibody.grid_object import (
     DEFAULT_COLOR,
     DEFAULT_DELTA,
     DEFAULT_HEIGHT,
     SIDE_STIFFNESS,
+    SPHERE_RADIUS,
     Base,
+    ContactSphereLayout,
     MakeSideProperties,
     MakeSpatialInertia,
+    SpheresPerCell,
+    make_edge_boxes,
+    make_inner_boxes,
     refuse_unphysical,
 )
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-DRAKE = "http://drake.mit.edu"
-"""XML namespace of Drake's elements."""
-
-VERSION = "1.9"
-"""Of SDFormat."""
-
-GRAVITY = 9.81
-"""m/s², that the spheres are made for; Drake's own."""
-
-SIDE_LIFT = 0.003
-"""m from the object's bottom to that of its sides; more than the spheres are pressed in."""
+DRAKE = "http://drake.mit.edu"  # XML namespace of Drake's elements
+VERSION = "1.9"  # of SDFormat
+GRAVITY = 9.81  # m/s², that the spheres are made for; Drake's own
+SIDE_LIFT = 0.003  # m from the object's bottom to that of its sides; more than the spheres are pressed in
 
 NOTICE = (
     " A grid object: a sphere under every cell, boxes along the outline for a finger to push. Table and finger are to "
@@ -68,20 +62,14 @@ def make_sdf(
     side_stiffness: float = SIDE_STIFFNESS,
     gravity: float = GRAVITY,
 ) -> str:
-    """Makes the model's text.
+    """Makes the model's text; the model and its link have the object's name.
 
     Args:
-        obj: the object.
-        params: what its cells weigh and how they rub.
         base: "free", or "planar": held by a planar joint to a frame `delta` below the world's z = 0.
         height: of the object, m; more than SIDE_LIFT.
         delta: m the spheres are pressed in; by default as `AddGridObject`.
-        spheres_per_cell: 1 or 4.
         side_stiffness: of the outline's contacts, N/m.
         gravity: m/s², that the spheres are made for.
-
-    Returns:
-        SDFormat; the model and its link have the object's name.
 
     Raises:
         ObjectError: `base` is neither, a size is out of range, or SDFormat has no such names.
@@ -122,21 +110,7 @@ def WriteSdf(
     height: float = DEFAULT_HEIGHT,
     spheres_per_cell: SpheresPerCell = 1,
 ) -> None:
-    """Writes the model to a file.
-
-    Args:
-        obj: the object.
-        params: what its cells weigh and how they rub.
-        path: the file.
-        force: whether an existing file may be replaced.
-        base: as `make_sdf`.
-        height: as `make_sdf`, m.
-        spheres_per_cell: as `make_sdf`.
-
-    Raises:
-        OutputError: the file cannot be written.
-        ObjectError, ParameterError: as `make_sdf`.
-    """
+    """Writes what `make_sdf` makes to a file. Raises OutputError where it cannot be written."""
     write_whole(path, make_sdf(obj, params, base, height=height, spheres_per_cell=spheres_per_cell), force)
 
 
@@ -210,3 +184,52 @@ def _add_collision(link: Element, name: str, pose: ArrayLike, properties: Proxim
 def _add(parent: Element, tag: str, values: ArrayLike) -> None:
     """Adds numbers, so written that they are read back exactly."""
     ElementTree.SubElement(parent, tag).text = " ".join(repr(float(value)) for value in np.asarray(values))
+
+
+LIMIT = " Friction and stiffness are in Drake's elements alone: other simulators see shapes and inertia only. "
+
+
+def make_urdf(obj: GridObject, params: CellParameters, *, height: float = DEFAULT_HEIGHT) -> str:
+    """Makes the text of a URDF model, whose robot and link have the object's name; errors are those of `make_sdf`."""
+    source = ElementTree.fromstring(make_sdf(obj, params, height=height)).find("model/link")
+    assert source is not None
+    robot = Element("robot", name=obj.name)
+    robot.append(ElementTree.Comment(NOTICE + LIMIT))
+    link = ElementTree.SubElement(robot, "link", name=obj.name)
+    for part in source:
+        made = ElementTree.SubElement(link, part.tag, part.attrib)
+        x, y, z, *angles = _read(part, "pose").split()
+        ElementTree.SubElement(made, "origin", xyz=f"{x} {y} {z}", rpy=" ".join(angles))
+        if part.tag == "inertial":
+            ElementTree.SubElement(made, "mass", value=_read(part, "mass"))
+            ElementTree.SubElement(made, "inertia", {entry.tag: _read(entry) for entry in part.iterfind("inertia/*")})
+            continue
+        _add_shape(made, part)
+        for color in part.iterfind("material/diffuse"):
+            material = ElementTree.SubElement(made, "material", name="cell")
+            ElementTree.SubElement(material, "color", rgba=_read(color))
+        for given in part.iterfind(f"{{{DRAKE}}}proximity_properties"):
+            properties = ElementTree.SubElement(made, given.tag)
+            for entry in given:
+                ElementTree.SubElement(properties, entry.tag, value=_read(entry))
+    ElementTree.indent(robot)
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
+
+
+def WriteUrdf(
+    obj: GridObject, params: CellParameters, path: Path | str, force: bool = False, *, height: float = DEFAULT_HEIGHT
+) -> None:
+    """Writes what `make_urdf` makes to a file. Raises OutputError where it cannot be written."""
+    write_whole(path, make_urdf(obj, params, height=height), force)
+
+
+def _add_shape(made: Element, part: Element) -> None:
+    (shape,) = part.iterfind("geometry/*")
+    geometry = ElementTree.SubElement(made, "geometry")
+    ElementTree.SubElement(geometry, shape.tag, {size.tag: _read(size) for size in shape})
+
+
+def _read(element: Element, path: str = ".") -> str:
+    found = element.find(path)
+    assert found is not None
+    return found.text or ""

@@ -40,11 +40,8 @@ Point = tuple[float, float, float]
 ToolPose = tuple[float, float, float, float]
 """p_WP of the tip's center, m, and the tool's yaw, rad: 0 is `R_WP_DOWN`."""
 
-TURNING_RADIUS = 0.3
-"""m of path that a turn by a radian counts."""
-
-RAMP_PEAK = 1.5
-"""Greatest slope of 3 u^2 - 2 u^3: a ramp's greatest acceleration over its mean one."""
+TURNING_RADIUS = 0.3  # m of path that a turn by a radian counts
+RAMP_PEAK = 1.5  # greatest slope of 3 u^2 - 2 u^3: a ramp's greatest acceleration over its mean one
 
 ROUND_OFF = 1e-9
 """Share of a segment by which it is not worth cutting it short, and of a ramp by which it is not worth cruising."""
@@ -52,23 +49,14 @@ ROUND_OFF = 1e-9
 
 @dataclass(frozen=True)
 class TrajectorySegment:
-    """One straight motion of the tool, or a wait.
+    """One straight motion of the tool, or a wait."""
 
-    Attributes:
-        phase: what it is part of.
-        start: `Point` or `ToolPose` at the beginning.
-        end: likewise at the end.
-        speed: greatest, m/s along the path.
-        acceleration: greatest, m/s².
-        wait: to stay at the end, s.
-    """
-
-    phase: StrEnum
-    start: tuple[float, ...]
-    end: tuple[float, ...]
-    speed: float = 1.0
-    acceleration: float = 1.0
-    wait: float = 0.0
+    phase: StrEnum  # what it is part of
+    start: tuple[float, ...]  # `Point` or `ToolPose` at the beginning
+    end: tuple[float, ...]  # likewise at the end
+    speed: float = 1.0  # greatest, m/s along the path
+    acceleration: float = 1.0  # greatest, m/s²
+    wait: float = 0.0  # to stay at the end, s
 
     @cached_property
     def length(self) -> float:

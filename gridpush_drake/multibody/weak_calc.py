@@ -16,14 +16,9 @@ Attributes are set as ever."""
 
 
 def weakly(method: Callable[..., Any], *more: Any) -> Callable[..., Any]:
-    """Wraps a bound method so that it does not keep its object alive.
+    """Wraps a bound method so that it does not keep its object alive; `more` arguments come after the caller's.
 
-    Args:
-        method: bound; it is only called while its object lives, as Drake does with a system's.
-        more: arguments that come after the caller's.
-
-    Returns:
-        A function of the caller's arguments.
+    It is only called while its object lives, as Drake does with a system's.
     """
     find = WeakMethod(method)
 

@@ -1,53 +1,43 @@
-"""Square cells that fill a shape: how large they are, where their lattice lies, and which of them touch."""
+"""Square cells that fill an outline: how large they are, where their lattice lies, and which of them touch."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from scipy.spatial import Delaunay, QhullError, cKDTree
-from shapely import Polygon
+from shapely import MultiPolygon, Polygon
+from shapely.geometry.polygon import orient
+from shapely.validation import explain_validity
 
 from gridpush_drake.errors import ObjectError
 
-DEFAULT_MAX_CELLS = 127
-"""The paper's largest grid."""
-
-MAX_CELLS = 10_000
-"""Of an object; what learning keeps grows with the square of their number."""
-
-MAX_LABEL = 2**31 - 1
-"""Of a part."""
+DEFAULT_MAX_CELLS = 127  # the paper's largest grid
+MAX_CELLS = 10_000  # of an object; what learning keeps grows with the square of their number
+MAX_LABEL = 2**31 - 1  # of a part
 
 MIN_SIZE, MAX_SIZE = 1e-6, 1e4
 """Of a cell's side, least, and of any coordinate of an object, greatest, m; beyond them no object is pushed."""
 
 
 class CellGrid(NamedTuple):
-    """The geometry of a grid object, body frame; see `GridObject`.
+    """The geometry of a grid object, body frame; see `GridObject`."""
 
-    Attributes:
-        p_BC: (n, 2) cell centers, m.
-        cell_size: side of a cell, m.
-        labels: (n,) the part each cell belongs to, >= 1.
-        outline: contour with holes, m.
-    """
-
-    p_BC: NDArray[np.float64]
-    cell_size: float
-    labels: NDArray[np.int64]
-    outline: Polygon
+    p_BC: NDArray[np.float64]  # (n, 2) cell centers, m
+    cell_size: float  # side of a cell, m
+    labels: NDArray[np.int64]  # (n,) the part each cell belongs to, >= 1
+    outline: Polygon  # contour with holes, m
 
 
 Share = Callable[[NDArray[np.float64], float], NDArray[np.float64]]
 """Given the lower corners (k, 2) of square cells and their size, how much of each is object: (k,), 0 to 1."""
 
-MIN_SHARE = 0.5 - 1e-9
-"""A cell belongs to the object when at least half of it does."""
+MIN_SHARE = 0.5 - 1e-9  # a cell belongs to the object when at least half of it does
 
 SIZES_FROM, SIZES_TO = 0.9, 1.6
 """Range of sizes tried, in sides of the square cell whose `max_cells` copies have the shape's area."""
@@ -55,62 +45,43 @@ SIZES_FROM, SIZES_TO = 0.9, 1.6
 MAX_SIZES, MIN_SIZES = 80, 24
 """How many sizes are tried in that range; as many again that divide a side of the bounding box."""
 
-POINT_BUDGET = 3_000_000
-"""Cells that may be tested in a range of sizes before fewer sizes are tried."""
-
-MAX_PHASED = 20_000
-"""In a lattice of more cells than this its phase hardly matters, and only one is tried."""
+POINT_BUDGET = 3_000_000  # cells that may be tested in a range of sizes before fewer sizes are tried
+MAX_PHASED = 20_000  # in a lattice of more cells than this its phase hardly matters, and only one is tried
 
 MAX_LATTICE_PER_CELL = 20
 """A lattice this many times `max_cells` (and above MAX_PHASED) means a shape far thinner than its bounding box."""
 
-EXACT = 1e-6
-"""Below this error the cells tile the shape."""
+EXACT = 1e-6  # below this error the cells tile the shape
 
 EXACT_LOSS, EXACT_DISCOUNT = 0.11, 0.25
 """Cells that tile the shape are preferred while they leave no more than this part of `max_cells` unused: it then
 counts with this weight."""
 
-ERROR_WEIGHT = 2.0
-"""A relative error weighs as much as this many times that part of `max_cells` left unused."""
+ERROR_WEIGHT = 2.0  # a relative error weighs as much as this many times that part of `max_cells` left unused
 
 AREA_WEIGHT = 0.5
 """Weight of the area's error (logarithmic): the cells' area matters less to sliding than where they are."""
 
-ROUNDING = 1e-9
-"""Relative slack within which a size divides a side."""
+ROUNDING = 1e-9  # relative slack within which a size divides a side
 
 
 @dataclass(frozen=True)
 class Region:
-    """What a lattice is to be true to.
+    """What a lattice is to be true to."""
 
-    Attributes:
-        low: (2,) lower corner of the bounding box.
-        extent: (2,) its sides.
-        area: of the shape.
-        centroid: (2,) of the shape.
-        covariance: (2, 2) second central moments of its area over its area.
-    """
-
-    low: NDArray[np.float64]
-    extent: NDArray[np.float64]
-    area: float
-    centroid: NDArray[np.float64]
-    covariance: NDArray[np.float64]
+    low: NDArray[np.float64]  # (2,) lower corner of the bounding box
+    extent: NDArray[np.float64]  # (2,) its sides
+    area: float  # of the shape
+    centroid: NDArray[np.float64]  # (2,) of the shape
+    covariance: NDArray[np.float64]  # (2, 2) second central moments of its area over its area
 
 
 @dataclass(frozen=True)
 class Cells:
-    """Square cells.
+    """Square cells."""
 
-    Attributes:
-        corners: (n, 2) their lower corners.
-        size: their side.
-    """
-
-    corners: NDArray[np.float64]
-    size: float
+    corners: NDArray[np.float64]  # (n, 2) their lower corners
+    size: float  # their side
 
     @property
     def centers(self) -> NDArray[np.float64]:
@@ -135,14 +106,9 @@ def choose_cells(region: Region, share: Share, overlap: Share, max_cells: int, m
     the second moments and of the area. The choice is deterministic.
 
     Args:
-        region: the shape.
         share: decides which cells belong (at least half).
         overlap: exact share of each cell's area, for shapes so thin that no cell is half full.
-        max_cells: the most cells, >= 1.
         min_size: no smaller cells than this, in the region's unit.
-
-    Returns:
-        The cells, at least one.
     """
     low = max(min_size, SIZES_FROM * float(np.sqrt(region.area / max_cells)))
     high = low * (SIZES_TO / SIZES_FROM)
@@ -230,7 +196,6 @@ def calc_adjacency(p_BC: ArrayLike, cell_size: float) -> NDArray[np.int64]:
 
     Args:
         p_BC: (n, 2) cell centers on a square lattice, any one frame, m.
-        cell_size: side of a cell, m.
 
     Returns:
         (m, 2) pairs i < j in increasing order; as a graph they connect all n cells.
@@ -280,3 +245,121 @@ def _delaunay_edges(p_BC: NDArray[np.float64], cell_size: float) -> NDArray[np.i
 
 def _tidy(pairs: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.unique(np.sort(pairs, axis=1), axis=0).reshape(-1, 2)
+
+
+THINNEST = 1e-12  # an outline whose area is below this share of its squared diameter has none
+EDGE_SLACK = 1e-9  # a center this near the outline, in diameters, is on it and counts as inside
+
+
+def fill_outline(
+    outline: ArrayLike | Polygon,
+    parts: Mapping[int, ArrayLike | Polygon | MultiPolygon],
+    max_cells: int,
+    *,
+    name: str,
+) -> CellGrid:
+    """Fills a polygon with square cells whose centers are inside it.
+
+    Args:
+        outline: (k, 2) vertices, or a Polygon (with holes), body frame, m.
+        parts: polygons by label >= 1, body frame, m; the first to cover a cell's center names its part, and a
+            cell that none covers belongs to part 1.
+
+    Returns:
+        The cells and the outline, which runs counterclockwise, holes clockwise.
+
+    Raises:
+        ObjectError: a polygon crosses itself or has no area, a label is below 1, or the count is not positive.
+    """
+    check_max_cells(name, max_cells)
+    polygon = make_polygon(outline, f"{name}: outline")
+    polygons = {label: _make_part(label, part, name) for label, part in parts.items()}
+    region = _describe(polygon)
+    slightly_larger = polygon.buffer(EDGE_SLACK * float(np.linalg.norm(region.extent)), join_style="mitre")
+    shapely.prepare(slightly_larger)
+
+    def share(corners: NDArray[np.float64], size: float) -> NDArray[np.float64]:
+        return shapely.contains_xy(slightly_larger, *(corners + size / 2).T).astype(np.float64)
+
+    def overlap(corners: NDArray[np.float64], size: float) -> NDArray[np.float64]:
+        boxes = shapely.box(*corners.T, *(corners + size).T)
+        return shapely.area(shapely.intersection(boxes, polygon)) / size**2
+
+    cells = choose_cells(region, share, overlap, int(max_cells))
+    return CellGrid(cells.centers, cells.size, _label(cells.centers, polygons), polygon)
+
+
+def make_polygon(points: ArrayLike | Polygon, what: str, holes: tuple[ArrayLike, ...] = ()) -> Polygon:
+    """Makes a valid polygon without repeated vertices, counterclockwise, holes clockwise.
+
+    Args:
+        points: (k, 2) vertices, k >= 3, either way round, first one repeated or not, m; or a Polygon.
+        what: what it is, at the head of an error's message.
+        holes: vertices of its holes, m.
+
+    Raises:
+        ObjectError: it is not finite, has no area, crosses itself, or a hole is not inside it.
+    """
+    if isinstance(points, Polygon):
+        polygon = points
+        _check_coordinates(shapely.get_coordinates(polygon), what)
+    else:
+        rings = [_ring(hole, f"{what}, hole {i}") for i, hole in enumerate(holes)]
+        polygon = Polygon(_ring(points, what), rings)
+    if polygon.is_empty:
+        raise ObjectError(f"{what} is empty; expected at least three vertices")
+    width, height = np.subtract(polygon.bounds[2:], polygon.bounds[:2])
+    if not (np.isfinite(polygon.area) and polygon.convex_hull.area > THINNEST * (width**2 + height**2)):
+        raise ObjectError(f"{what} encloses no area; expected vertices in meters, not all on one line")
+    if not polygon.is_valid:
+        raise ObjectError(f"{what} is not a simple polygon ({explain_validity(polygon)}); it must not cross itself")
+    return orient(shapely.force_2d(shapely.remove_repeated_points(polygon)))
+
+
+def _ring(points: ArrayLike, what: str) -> NDArray[np.float64]:
+    try:
+        ring = np.asarray(points, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ObjectError(f"{what} is not a list of [x, y] points, in meters") from error
+    if ring.ndim != 2 or ring.shape[1] != 2 or len(ring) < 3:
+        raise ObjectError(f"{what} has shape {ring.shape}; expected at least three [x, y] points, in meters")
+    _check_coordinates(ring, what)
+    return ring
+
+
+def _check_coordinates(points: NDArray[np.float64], what: str) -> None:
+    if not np.isfinite(points).all():
+        raise ObjectError(f"{what} has a coordinate that is not finite; expected numbers in meters")
+    farthest = np.abs(points).max(initial=0.0)
+    if farthest > MAX_SIZE:
+        raise ObjectError(f"{what} has a coordinate of {farthest:g} m; expected at most {MAX_SIZE:g} m")
+
+
+def _make_part(label: int, part: ArrayLike | Polygon | MultiPolygon, name: str) -> Polygon | MultiPolygon:
+    if isinstance(label, bool) or not isinstance(label, int | np.integer) or label < 1:
+        raise ObjectError(f"{name}: part label is {label!r}; expected a whole number, 1 or more")
+    if isinstance(part, MultiPolygon):
+        return MultiPolygon([make_polygon(piece, f"{name}: part {label}") for piece in part.geoms])
+    return make_polygon(part, f"{name}: part {label}")
+
+
+def _describe(polygon: Polygon) -> Region:
+    """Area, centroid and second moments by Green's theorem over the rings, outer +, holes -."""
+    center = np.array(polygon.centroid.coords[0])
+    moments = np.zeros((2, 2))
+    for ring in (polygon.exterior, *polygon.interiors):
+        p = np.asarray(ring.coords) - center
+        a, b = p[:-1], p[1:]
+        cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+        for i, j in np.ndindex(2, 2):
+            mixed = a[:, i] * b[:, j] + b[:, i] * a[:, j]
+            moments[i, j] += cross @ (2 * a[:, i] * a[:, j] + mixed + 2 * b[:, i] * b[:, j]) / 24
+    low, high = np.array(polygon.bounds).reshape(2, 2)
+    return Region(low, high - low, polygon.area, center, moments / polygon.area)
+
+
+def _label(centers: NDArray[np.float64], parts: Mapping[int, Polygon | MultiPolygon]) -> NDArray[np.int64]:
+    labels = np.zeros(len(centers), dtype=np.int64)
+    for label, part in parts.items():
+        labels[shapely.intersects_xy(part, *centers.T) & (labels == 0)] = label
+    return np.where(labels == 0, 1, labels)

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from shapely import Polygon
 
-from gridpush_drake.errors import ObjectError
+from gridpush_drake.errors import ObjectError, require_positive
 from gridpush_drake.files import write_whole
-from gridpush_drake.geometry.outline import OutlineEdges
+from gridpush_drake.geometry.polygons import OutlineEdges
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.objects.cells import (
     DEFAULT_MAX_CELLS,
@@ -24,11 +24,10 @@ from gridpush_drake.objects.cells import (
     MIN_SIZE,
     CellGrid,
     calc_adjacency,
+    fill_outline,
 )
 from gridpush_drake.objects.mask import coarsen_mask
-from gridpush_drake.objects.object_file import dump_object, make_cells, read_object_file
-from gridpush_drake.objects.outline import fill_outline
-from gridpush_drake.objects.prior import PhysicalPrior
+from gridpush_drake.objects.object_file import PhysicalPrior, dump_object, make_cells, read_object_file
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +71,7 @@ class GridObject:
             raise ObjectError(f"{self.name}: p_BC must be finite")
         if labels.min() < 1:
             raise ObjectError(f"{self.name}: a label is {labels.min()}; expected whole numbers, 1 or more")
-        if not (np.isfinite(self.cell_size) and self.cell_size > 0):
-            raise ObjectError(f"{self.name}: cell_size is {self.cell_size!r}; expected a positive number (m)")
+        require_positive(ObjectError, f"{self.name}: ", "m", cell_size=self.cell_size)
         if not isinstance(self.outline, Polygon) or self.outline.is_empty or not self.outline.is_valid:
             raise ObjectError(f"{self.name}: the outline must be a simple polygon that does not cross itself")
         self._check_size(p_BC)
@@ -124,12 +122,10 @@ class GridObject:
         """Reads a label image (PGM, PNG): 0 is background, every other value a part.
 
         Args:
-            path: the image.
             meters_per_pixel: its scale, m.
             max_cells: the most cells to make.
             largest_piece: keep the largest connected piece where there are several.
             name: what to call it; the file's stem where not given.
-            prior: what is known of mass and friction.
 
         Returns:
             The object; B is at the cells' centroid, x right and y up in the image.
@@ -159,11 +155,6 @@ class GridObject:
             outline: (k, 2) vertices, or a Polygon (with holes), m; its coordinates are the body frame.
             parts: polygons by label >= 1; a cell whose center none covers belongs to part 1.
             max_cells: the most cells to make.
-            name: what to call it.
-            prior: what is known of mass and friction.
-
-        Returns:
-            The object.
 
         Raises:
             ObjectError: the polygon crosses itself or has no area, or the count is not positive.
@@ -172,14 +163,7 @@ class GridObject:
 
     @classmethod
     def from_yaml(cls, path: Path | str, *, largest_piece: bool = False) -> "GridObject":
-        """Reads an object file (README, "Bring your own object").
-
-        Args:
-            path: the YAML file; a mask it names is looked up beside it.
-            largest_piece: as in `from_mask`.
-
-        Returns:
-            The object.
+        """Reads an object file, see `docs/howto/own_object.md`; a mask it names is looked up beside it.
 
         Raises:
             ObjectError: the file cannot be read, has an unknown key or a value out of range; the message names
@@ -195,10 +179,6 @@ class GridObject:
 
     def write_yaml(self, path: Path | str, force: bool = False) -> None:
         """Writes the object as an outline with its cells and prior, so that `from_yaml` gives it back, bit for bit.
-
-        Args:
-            path: the YAML file to be written.
-            force: whether an existing file may be replaced.
 
         Raises:
             OutputError: the file exists and `force` is not set, or it cannot be written.

@@ -14,27 +14,19 @@ from PIL.PngImagePlugin import PngImageFile
 from scipy.ndimage import find_objects, label, map_coordinates
 from shapely.geometry.polygon import orient
 
-from gridpush_drake.errors import ObjectError
+from gridpush_drake.errors import ObjectError, require_positive
 from gridpush_drake.files import MEGABYTE, open_file, read_bytes
 from gridpush_drake.geometry.contour import calc_contour
 from gridpush_drake.objects.cells import CellGrid, Cells, Region, Share, check_max_cells, choose_cells
 
-MAX_PIXELS = 400_000_000
-"""Larger images are refused before they are decoded."""
-
-MAX_FILE_SIZE = 1024 * MEGABYTE
-"""Of an image file, bytes: more than the most pixels take at 16 bit."""
-
-STRIP_PIXELS = 4_000_000
-"""Pixels looked at in one go."""
+MAX_PIXELS = 400_000_000  # larger images are refused before they are decoded
+MAX_FILE_SIZE = 1024 * MEGABYTE  # of an image file, bytes: more than the most pixels take at 16 bit
+STRIP_PIXELS = 4_000_000  # pixels looked at in one go
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
-PNG_MODES = ("1", "L", "P", "I", "I;16")
-"""Pillow's names of images with one number per pixel."""
-
-PNG_DEPTH_AT = 24
-"""Place of the bit depth in a PNG file."""
+PNG_MODES = ("1", "L", "P", "I", "I;16")  # Pillow's names of images with one number per pixel
+PNG_DEPTH_AT = 24  # place of the bit depth in a PNG file
 
 PNG_GRAY_STRETCH = {2: 85, 4: 17}
 """Pillow stretches gray of so few bits to 0 to 255 by this factor; labels are wanted as stored."""
@@ -44,11 +36,8 @@ PGM_GAP = rb"(?:\s|#[^\r\n]*+[\r\n])++"
 
 PGM_HEADER = re.compile(rb"(P[25])" + (PGM_GAP + rb"(\d{1,9}+)") * 3 + rb"(?:[ \t]*+#[^\r\n]*+)?\s")
 
-MAX_PLAIN_SIZE = 32 * MEGABYTE
-"""Of a plain PGM, whose numbers are text, bytes."""
-
-PGM_HEADER_ROOM = 4096
-"""Bytes within which a PGM header must end."""
+MAX_PLAIN_SIZE = 32 * MEGABYTE  # of a plain PGM, whose numbers are text, bytes
+PGM_HEADER_ROOM = 4096  # bytes within which a PGM header must end
 
 FORM = "a PGM or PNG label image: 0 is background, every other value a part"
 
@@ -59,13 +48,9 @@ Rows = Callable[[int, int], NDArray[np.generic]]
 
 
 def read_labels(path: Path) -> NDArray[np.uint16]:
-    """Reads a label image, cropped to what is not background.
+    """Reads a label image, cropped to what is not background, 0: (height, width), rows run down the image.
 
-    Args:
-        path: a PGM (plain or raw, 8 or 16 bit) or PNG (gray of 1 to 16 bit, or palette) file.
-
-    Returns:
-        (height, width) labels, 0 is background; rows run down the image.
+    A PGM (plain or raw, 8 or 16 bit) or PNG (gray of 1 to 16 bit, or palette) file.
 
     Raises:
         ObjectError: the file cannot be read, is a color image or another kind of file, is too large, or holds
@@ -130,7 +115,8 @@ def _read_pgm(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
         raise ObjectError(f"{path}: is a PGM of greatest value {greatest}; expected 1 to 65535")
     try:
         if header[1] == b"P2":
-            numbers = re.sub(rb"#[^\r\n]*", b"", _read_plain(path)[header.end() :]).split()
+            text = read_bytes(path, "a raw PGM (P5), which takes less room", ObjectError, MAX_PLAIN_SIZE)
+            numbers = re.sub(rb"#[^\r\n]*", b"", text[header.end() :]).split()
             pixels = np.array(numbers[: width * height], dtype=np.uint16).reshape(height, width)
         else:
             kind = np.dtype(np.uint8 if greatest <= np.iinfo(np.uint8).max else ">u2")
@@ -138,10 +124,6 @@ def _read_pgm(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
     except (OSError, ValueError, OverflowError) as error:
         raise ObjectError(f"{path}: is a damaged PGM, shorter than its {width} x {height} pixels") from error
     return crop(path, lambda first, last: pixels[first:last], width, height)
-
-
-def _read_plain(path: Path) -> bytes:
-    return read_bytes(path, "a raw PGM (P5), which takes less room", ObjectError, MAX_PLAIN_SIZE)
 
 
 def _check_size(path: Path, width: int, height: int) -> None:
@@ -154,34 +136,18 @@ def _check_size(path: Path, width: int, height: int) -> None:
 WORKING_PIXELS = 4_000_000
 """Larger masks are averaged over square blocks of pixels down to about this many before they are traced."""
 
-MAX_PARTS = 100
-"""More labels than this are taken for a photograph or a softened edge."""
+MAX_PARTS = 100  # more labels than this are taken for a photograph or a softened edge
 
 
 def coarsen_mask(
     path: Path, meters_per_pixel: float, max_cells: int, *, largest_piece: bool = False, name: str
 ) -> CellGrid:
-    """Reads a label image and coarsens it to square cells.
+    """Reads a label image and coarsens it to square cells, none smaller than a pixel; as `GridObject.from_mask`.
 
     A cell belongs to the object when at least half its area does, and to the part that covers most of it.
-
-    Args:
-        path: PGM or PNG; 0 is background, every other value a part.
-        meters_per_pixel: its scale, m.
-        max_cells: the most cells to make; cells are not made smaller than a pixel.
-        largest_piece: keep the largest connected piece where there are several.
-        name: of the object, for messages.
-
-    Returns:
-        The cells and the outline; B is at the cells' centroid, x right and y up in the image.
-
-    Raises:
-        ObjectError: the image cannot be read or is not a label image, is empty, has several pieces (and
-            `largest_piece` is not set), or a scale or count is not positive.
     """
     check_max_cells(name, max_cells)
-    if not (np.isfinite(meters_per_pixel) and meters_per_pixel > 0):
-        raise ObjectError(f"{path}: meters_per_pixel is {meters_per_pixel!r}; expected a positive number (m)")
+    require_positive(ObjectError, f"{path}: ", "m", meters_per_pixel=meters_per_pixel)
     labels = _keep_one_piece(path, read_labels(path), largest_piece)
     values = _find_values(path, labels)
     block = int(np.ceil(np.sqrt(labels.size / WORKING_PIXELS)))

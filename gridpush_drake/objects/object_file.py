@@ -1,5 +1,6 @@
 """Object files: an object's outline or mask and what is known of it, as YAML; and those that are shipped."""
 
+from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
@@ -12,11 +13,64 @@ from pydantic import Field, Strict, model_validator
 from shapely import LinearRing, Polygon
 
 from gridpush_drake.errors import ObjectError, ParameterError
-from gridpush_drake.objects.cells import DEFAULT_MAX_CELLS, MAX_CELLS, MAX_LABEL, CellGrid
+from gridpush_drake.objects.cells import DEFAULT_MAX_CELLS, MAX_CELLS, MAX_LABEL, CellGrid, fill_outline, make_polygon
 from gridpush_drake.objects.mask import coarsen_mask
-from gridpush_drake.objects.outline import fill_outline, make_polygon
-from gridpush_drake.objects.prior import PhysicalPrior
 from gridpush_drake.yaml_file import StrictSchema, check_mapping, read_mapping
+
+
+@dataclass(frozen=True)
+class PhysicalPrior:
+    """Prior knowledge of an object, all of it optional.
+
+    Attributes:
+        total_mass: kg; None where it was not weighed.
+        center_of_mass: (x, y) in the body frame, m; None where unknown.
+        center_of_mass_std: its standard deviation per axis, m.
+        friction: prior friction coefficient of the cells against the support.
+        friction_min: smallest coefficient held possible.
+        friction_max: largest coefficient held possible.
+        contact_friction: prior friction coefficient of the pusher against the object.
+        contact_friction_std: its standard deviation.
+        pusher_radius: m; None where the object's file does not say.
+        push_height: above the table, where the pusher touches, m; it comes with the pusher's radius. None where nothing
+            is said of it: every cell is then taken to bear its own weight.
+
+    Raises:
+        ParameterError: a value is out of range.
+    """
+
+    total_mass: float | None = None
+    center_of_mass: tuple[float, float] | None = None
+    center_of_mass_std: float = 0.002
+    friction: float = 0.4
+    friction_min: float = 0.05
+    friction_max: float = 1.0
+    contact_friction: float = 0.5
+    contact_friction_std: float = 0.15
+    pusher_radius: float | None = None
+    push_height: float | None = None
+
+    def __post_init__(self) -> None:
+        positive = (
+            "total_mass", "center_of_mass_std", "friction", "friction_min", "friction_max",
+            "contact_friction_std", "pusher_radius", "push_height",
+        )  # fmt: skip
+        for name in positive:
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise ParameterError(f"{name} is {value!r}; expected a positive number")
+        if self.push_height is not None and self.pusher_radius is None:
+            raise ParameterError("push_height is given without pusher_radius; expected both")
+        if not (np.isfinite(self.contact_friction) and self.contact_friction >= 0):
+            raise ParameterError(f"contact_friction is {self.contact_friction!r}; expected a number >= 0")
+        if not self.friction_min <= self.friction <= self.friction_max:
+            raise ParameterError(
+                f"friction.prior is {self.friction!r}; expected min <= prior <= max, "
+                f"here {self.friction_min} to {self.friction_max}"
+            )
+        if self.center_of_mass is not None and not np.isfinite(self.center_of_mass).all():
+            raise ParameterError(f"center_of_mass.at is {self.center_of_mass!r}; expected two finite numbers")
+
 
 POINTS = "at least three points [x, y], in meters"
 LABEL = f"a whole number, 1 or more, at most {MAX_LABEL}"
@@ -142,11 +196,7 @@ class ObjectSchema(StrictSchema):
         return self
 
     def to_prior(self) -> PhysicalPrior:
-        """What the file says of mass and friction.
-
-        Raises:
-            ParameterError: the values do not fit together.
-        """
+        """What the file says of mass and friction. Raises ParameterError: the values do not fit together."""
         center = self.center_of_mass
         return PhysicalPrior(
             total_mass=self.total_mass,
@@ -183,19 +233,9 @@ def read_object_file(path: Path) -> ObjectSchema:
 
 
 def make_cells(schema: ObjectSchema, name: str, folder: Path, largest_piece: bool = False) -> CellGrid:
-    """Makes the cells and the outline that a schema describes.
+    """Makes the cells and the outline that a schema describes; a mask that it names is looked up in `folder`.
 
-    Args:
-        schema: of the object.
-        name: of the object, for messages.
-        folder: where a mask that it names is looked up.
-        largest_piece: keep the largest connected piece of a mask that has several.
-
-    Returns:
-        The geometry.
-
-    Raises:
-        ObjectError: a polygon crosses itself or has no area, or the mask cannot be read or is none.
+    Raises ObjectError: a polygon crosses itself or has no area, or the mask cannot be read or is none.
     """
     if schema.mask is not None:
         image, scale = folder / schema.mask.image, schema.mask.meters_per_pixel
@@ -215,18 +255,7 @@ def make_cells(schema: ObjectSchema, name: str, folder: Path, largest_piece: boo
 def describe_object(
     name: str, grid: CellGrid, prior: PhysicalPrior, height: float | None = None, seen: SeenSchema | None = None
 ) -> dict[str, Any]:
-    """The plain values of which `ObjectSchema` makes the same object again, bit for bit.
-
-    Args:
-        name: of the object.
-        grid: its geometry.
-        prior: what is known of its mass and friction.
-        height: of the object, m, where it is known.
-        seen: where the body frame was in a photograph, where there is one.
-
-    Returns:
-        The values, in the order of a file.
-    """
+    """The plain values, in a file's order, of which `ObjectSchema` makes the same object again, bit for bit."""
     data: dict[str, Any] = {"name": name, "outline": _points(grid.outline.exterior)}
     if grid.outline.interiors:
         data["holes"] = [_points(ring) for ring in grid.outline.interiors]
@@ -269,12 +298,6 @@ def list_shipped_objects() -> list[str]:
 
 def find_shipped_object(name: str) -> Path:
     """Finds the file of an object that comes with the package.
-
-    Args:
-        name: as `list_shipped_objects` gives it.
-
-    Returns:
-        The file's path.
 
     Raises:
         ObjectError: there is none of that name; the message suggests the nearest and lists all.

@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from gridpush_drake.errors import ParameterError
 from gridpush_drake.objects.grid_object import GridObject
 
-DEFAULT_TOTAL_MASS = 1.0
-"""kg, for objects that were never weighed."""
+DEFAULT_TOTAL_MASS = 1.0  # kg, for objects that were never weighed
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,16 +60,7 @@ class CellParameters:
         friction: float | None = None,
         contact_friction: float | None = None,
     ) -> "CellParameters":
-        """Spreads the mass evenly over the cells; what is not given comes from `obj.prior`.
-
-        Args:
-            obj: the object.
-            total_mass: kg.
-            friction: coefficient of every cell against the support.
-            contact_friction: coefficient of the pusher against the object.
-
-        Returns:
-            The parameters.
+        """Spreads the mass (kg) evenly over the cells; what is not given comes from `obj.prior`.
 
         Raises:
             ParameterError: a value is out of range.
@@ -92,16 +82,7 @@ class CellParameters:
         friction: Mapping[int, float] | float | None = None,
         contact_friction: float | None = None,
     ) -> "CellParameters":
-        """Gives every cell of a part the same values.
-
-        Args:
-            obj: the object, with its cells' `labels`.
-            mass: kg per *cell*, by label.
-            friction: coefficient by label, or one for all.
-            contact_friction: coefficient of the pusher against the object.
-
-        Returns:
-            The parameters.
+        """Gives every cell of a part the same values: kg per *cell*, and friction by label, or one for all.
 
         Raises:
             ParameterError: a label of the object is missing, or a value is out of range.
@@ -123,17 +104,9 @@ class CellParameters:
         friction_range: tuple[float, float] | None = None,
         by: str = "part",
     ) -> "CellParameters":
-        """Draws masses (log-uniform, kg per cell) and frictions (uniform), one per part or per cell.
+        """Draws masses (log-uniform, kg per cell) and frictions (uniform), one per "part" or per "cell".
 
-        Args:
-            obj: the object.
-            seed: of the draw.
-            mass_range: least and greatest cell mass, kg.
-            friction_range: least and greatest coefficient; None gives every cell `obj.prior.friction`.
-            by: "part" or "cell".
-
-        Returns:
-            The parameters.
+        Without a range of frictions every cell has `obj.prior.friction`.
 
         Raises:
             ParameterError: a range is not positive and increasing, or `by` is neither word.
@@ -165,7 +138,8 @@ class CellParameters:
 
     def center_of_mass(self, obj: GridObject) -> NDArray[np.float64]:
         """p_BBcm, (2,), m."""
-        self._check(obj)
+        if obj.n != self.n:
+            raise ParameterError(f"parameters of {self.n} cells; expected {obj.n}, as {obj.name} has")
         return self.mass @ obj.p_BC / self.total_mass
 
     def inertia(self, obj: GridObject) -> float:
@@ -178,10 +152,6 @@ class CellParameters:
         load = self.mass * self.friction
         total = load.sum()
         return load / total if total > 0 else np.full(self.n, 1 / self.n)
-
-    def _check(self, obj: GridObject) -> None:
-        if obj.n != self.n:
-            raise ParameterError(f"parameters of {self.n} cells; expected {obj.n}, as {obj.name} has")
 
 
 def _spread(obj: GridObject, name: str, by_label: Mapping[int, float] | ArrayLike) -> NDArray[np.float64]:

@@ -33,7 +33,7 @@ from shapely.geometry.polygon import orient
 
 from gridpush_drake.errors import PerceptionError
 from gridpush_drake.geometry.se2 import transform, wrap_angle
-from gridpush_drake.objects.outline import make_polygon
+from gridpush_drake.objects.cells import make_polygon
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.detection import draw_contours, look_at_table
 from gridpush_drake.perception.foreground import (

@@ -29,8 +29,7 @@ from gridpush_drake.pushes.push_log import PushLog
 
 Pose = tuple[float, float, float]
 
-WAITING, LOST, FAILED = "waiting", "lost", "failed"
-"""Modes of every loop."""
+WAITING, LOST, FAILED = "waiting", "lost", "failed"  # modes of every loop
 
 
 @dataclass(frozen=True)
@@ -73,15 +72,10 @@ class LoopOptions:
 
 @dataclass(frozen=True)
 class PoseFilter:
-    """What was seen since everything came to rest; never changed, only replaced.
+    """What was seen since everything came to rest; never changed, only replaced."""
 
-    Attributes:
-        poses: (x, y, theta) of B in W, m and rad, the last one last.
-        last_seen: when the object was, s.
-    """
-
-    poses: tuple[Pose, ...] = ()
-    last_seen: float = 0.0
+    poses: tuple[Pose, ...] = ()  # (x, y, theta) of B in W, m and rad, the last one last
+    last_seen: float = 0.0  # when the object was, s
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -104,16 +98,7 @@ class PoseFilter:
         return time - self.last_seen > options.timeout
 
     def take_in(self, time: float, pose: Array, options: LoopOptions) -> "PoseFilter":
-        """With another pose.
-
-        Args:
-            time: of the observation, s.
-            pose: (3,) seen, m and rad; NaN where the object was not.
-            options: what is of one rest, and how many poses are kept.
-
-        Returns:
-            The latest poses that are of one rest with this one; none where the object was not seen.
-        """
+        """With the pose (3,) seen at `time`, s: the latest of one rest with it; none where it is NaN, not seen."""
         if not np.isfinite(pose).all():
             return self.forget()
         poses = np.array([*self.poses, pose])[-options.observations :]
@@ -137,22 +122,13 @@ class PushPhase(StrEnum):
 
 @dataclass(frozen=True)
 class PushStatus:
-    """Where an executor stands.
+    """Where an executor stands."""
 
-    Attributes:
-        phase: "idle", "approaching", "descending", "pushing", "settling", "retracting" or "clearing" (it goes
-            out of the camera's way).
-        command_id: of the last command taken up or refused; 0 before the first.
-        executed: commands carried out to the end, or broken off.
-        refused: commands refused.
-        reason: why the last command was refused; empty where it was not.
-    """
-
-    phase: PushPhase = PushPhase.IDLE
-    command_id: int = 0
-    executed: int = 0
-    refused: int = 0
-    reason: str = ""
+    phase: PushPhase = PushPhase.IDLE  # what it is doing; "clearing" goes out of the camera's way
+    command_id: int = 0  # of the last command taken up or refused; 0 before the first
+    executed: int = 0  # commands carried out to the end, or broken off
+    refused: int = 0  # commands refused
+    reason: str = ""  # why the last command was refused; empty where it was not
 
     @property
     def ready(self) -> bool:
@@ -188,7 +164,7 @@ class GraspStatus:
     """Where an executor stands.
 
     Attributes:
-        phase: "idle", "approaching", "entering", "closing", "lifting", "holding", "opening" or "retreating".
+        phase: what it is doing.
         command_id: of the last command taken up or refused; 0 before the first.
         outcome: of that command: "" (under way), "refused", "missed" (closed on nothing), "slipped" (lost while lifting
             or holding) or "held" (lifted, and held for the time: the phase stays "holding").
@@ -234,29 +210,26 @@ class Observation:
         return bool(np.isfinite(self.pose).all())
 
 
-@dataclass(frozen=True, eq=False)
-class LoopState:
-    """All that a loop remembers; never changed, only replaced.
+class Unchanging:
+    """What is never changed, only replaced. Its copy is itself: Drake copies all states at every update of one."""
 
-    Attributes:
-        status: what it says of itself: frozen, with a `mode`, a `reason` in a sentence and an `expected_pose`.
-        filter: poses seen since everything came to rest.
-        push: the last one asked for; None before the first, and where it was withdrawn.
-        push_id: of the last one asked for, counted from 1; an id is never used again.
-        refused: pushes that were refused since the last one that was not.
-        request: the decision under way beside the loop; None where none is.
-    """
-
-    status: Any
-    filter: PoseFilter = field(default_factory=PoseFilter)
-    push: Push | None = None
-    push_id: int = 0
-    refused: tuple[Push, ...] = ()
-    request: Any = None
-
-    def __deepcopy__(self: "L", memo: dict[int, Any]) -> "L":
-        """Itself: Drake copies the state at every update, and nothing in it is ever changed."""
+    def __deepcopy__(self: "U", memo: dict[int, Any]) -> "U":
         return self
+
+
+U = TypeVar("U", bound=Unchanging)
+
+
+@dataclass(frozen=True, eq=False)
+class LoopState(Unchanging):
+    """All that a loop remembers."""
+
+    status: Any  # what it says of itself: frozen, with a `mode`, a `reason` and an `expected_pose`
+    filter: PoseFilter = field(default_factory=PoseFilter)  # poses seen since everything came to rest
+    push: Push | None = None  # the last one asked for; None before the first, and where it was withdrawn
+    push_id: int = 0  # of the last one asked for, counted from 1; an id is never used again
+    refused: tuple[Push, ...] = ()  # pushes that were refused since the last one that was not
+    request: Any = None  # the decision under way beside the loop; None where none is
 
     def is_pending(self, robot: PushStatus) -> bool:
         """Whether the robot has not taken the push up yet."""
@@ -280,12 +253,9 @@ class ClosedLoop(Generic[L]):
     """One decision after another on what to do with an object, by what is seen.
 
     It holds what never changes; whatever does is in the state, so that one loop may be stepped with many states.
-
-    Attributes:
-        options: how it observes, and when it gives up.
     """
 
-    options: LoopOptions
+    options: LoopOptions  # how it observes, and when it gives up
 
     def begin(self) -> L:
         """The state before the first observation."""
@@ -312,8 +282,11 @@ class ClosedLoop(Generic[L]):
         return now, len(now.filter) >= self.options.observations
 
     def decide(self, now: L, seen: Observation) -> L:
-        """The state after the decision that is due: a pure function, which may be calculated beside the loop."""
-        return self._decide(now, seen)
+        """The state after the decision that is due, with the object observed at rest: a pure function.
+
+        It may be calculated beside the loop.
+        """
+        raise NotImplementedError
 
     def is_outdated(self, now: L, seen: Observation) -> bool:
         """Whether a decision for `now` is of no use any more: the robot is at work, or the object not where it was."""
@@ -330,10 +303,6 @@ class ClosedLoop(Generic[L]):
     def _prepare(self, now: L, seen: Observation) -> L:
         """What is new from outside, such as another goal, taken in between pushes."""
         return now
-
-    def _decide(self, now: L, seen: Observation) -> L:
-        """The decision, with the object observed at rest."""
-        raise NotImplementedError
 
     def _count_made(self, now: L, seen: Observation) -> dict[str, Any]:
         """What the status says once a push was made."""

@@ -25,11 +25,8 @@ PoseRule = Callable[[Array], NDArray[np.bool_]]
 PushRule = Callable[[Push], bool]
 """Whether a push can be carried out."""
 
-CHECK_EVERY = 0.003
-"""m of the pusher's motion between poses that are checked."""
-
-SLACK = 1e-6
-"""m, for round-off."""
+CHECK_EVERY = 0.003  # m of the pusher's motion between poses that are checked
+SLACK = 1e-6  # m, for round-off
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,11 +84,7 @@ class PushConstraints:
         return PushChecker(self, obj, np.asarray(pose, dtype=np.float64), radius)
 
     def allow_pose(self, obj: GridObject, pose: ArrayLike) -> tuple[bool, bool]:
-        """Whether the object may be at a pose (3,) by itself.
-
-        Returns:
-            Whether all cells are as far from the table's edge as they must, and whether an obstacle is in the way.
-        """
+        """Whether all cells are far enough from the table's edge at a pose (3,), and whether an obstacle is there."""
         q = np.asarray(pose, dtype=np.float64)
         body = shapely.polygons(transform(q[None], np.array(make_body(obj).exterior.coords)[:-1]))[0]
         on_table, blocked = True, False
@@ -123,7 +116,8 @@ class PushChecker:
             table = surface.polygon.buffer(-constraints.edge_margin)
             if surface.is_convex:
                 self._hull = np.array(self.body.convex_hull.exterior.coords)[:-1]
-            over = self._measure_overhang(pose, table)
+            points = shapely.points(transform(pose[None], self._hull)[0])
+            over = 0.0 if table.is_empty else float(shapely.distance(points, table).max())
             self._table = table.buffer(over + SLACK) if over > 0 else table.buffer(SLACK)
             self._finger_table = surface.polygon.buffer(-constraints.finger_inset)
             shapely.prepare(self._table)
@@ -199,15 +193,7 @@ class PushChecker:
         return allowed
 
     def count_allowed(self, tip: Array, poses: Array) -> int:
-        """How far a push may go.
-
-        Args:
-            tip: (T+1, 2) p_WP of the disc's center, m.
-            poses: (T+1, 3) of the object.
-
-        Returns:
-            How many of the steps' ends, from the first on, are allowed; 0 where the push must not even begin.
-        """
+        """How many of a push's tip places (T+1, 2) and poses (T+1, 3), from the first on, are allowed."""
         if self.constraints.is_free:
             return len(tip)
         step = max(float(np.linalg.norm(np.diff(tip, axis=0), axis=1).mean()), SLACK)
@@ -217,10 +203,6 @@ class PushChecker:
             return len(tip)
         first = int(np.argmin(allowed))
         return int(rows[first - 1]) + 1 if first else 0
-
-    def _measure_overhang(self, pose: Array, table: BaseGeometry) -> float:
-        points = transform(pose[None], self._hull)[0]
-        return float(shapely.distance(shapely.points(points), table).max()) if not table.is_empty else 0.0
 
 
 def make_body(obj: GridObject) -> Polygon:

@@ -13,9 +13,8 @@ import shapely
 from numpy.typing import ArrayLike
 from shapely import MultiPoint, Point
 
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import Regime, simulate
-from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.identification.learning import identify
@@ -27,14 +26,9 @@ from gridpush_drake.planning.push_constraints import make_body
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
-OBSERVATIONS = 4
-"""Poses that are seen during a push, after the first, its end among them."""
-
-FALL_CHECKS = 40
-"""Poses of a push at which it is checked whether the object falls."""
-
-REGIME: Regime = "quasi_static"
-"""Of the true motion."""
+OBSERVATIONS = 4  # poses that are seen during a push, after the first, its end among them
+FALL_CHECKS = 40  # poses of a push at which it is checked whether the object falls
+REGIME: Regime = "quasi_static"  # of the true motion
 
 UNSEEN = np.full(3, np.nan)
 
@@ -79,12 +73,9 @@ class SimulatedWorld:
         seed: int | np.random.Generator = 0,
         observations: int = OBSERVATIONS,
     ) -> None:
-        """Puts the object down.
+        """Puts the object down at `pose` (3,), m and rad.
 
         Args:
-            obj: the object.
-            hidden: its true masses and frictions.
-            pose: (3,) where it lies, m and rad.
             surface: the table; None for one without end.
             position_std: standard deviation of seen positions, per axis, m.
             angle_std: of seen angles, rad.
@@ -155,15 +146,10 @@ Learn = Callable[[GridObject, PushLog, Identification | None], Identification | 
 
 @dataclass(frozen=True)
 class Learner:
-    """Learns after every push, beginning where it ended the last time.
+    """Learns after every push, beginning where it ended the last time."""
 
-    Attributes:
-        memory: most pushes, the latest, that are learned from; the cost grows with them.
-        seed: of the identification.
-    """
-
-    memory: int = 8
-    seed: int = 0
+    memory: int = 8  # most pushes, the latest, that are learned from; the cost grows with them
+    seed: int = 0  # of the identification
 
     def select(self, log: PushLog) -> PushLog:
         """The pushes that are learned from."""
@@ -179,21 +165,13 @@ class Learner:
 
 @dataclass(frozen=True, eq=False)
 class LoopRun(Generic[L]):
-    """What came of stepping a loop to its end.
+    """What came of stepping a loop to its end."""
 
-    Attributes:
-        state: the last one.
-        log: the pushes that were made.
-        identification: what was learned from them; None where that is nothing.
-        planning_seconds: wall-clock time of the loop's steps.
-        learning_seconds: wall-clock time.
-    """
-
-    state: L
-    log: PushLog = field(default_factory=lambda: PushLog(()))
-    identification: Identification | None = None
-    planning_seconds: float = 0.0
-    learning_seconds: float = 0.0
+    state: L  # the last one
+    log: PushLog = field(default_factory=lambda: PushLog(()))  # the pushes that were made
+    identification: Identification | None = None  # what was learned from them; None where that is nothing
+    planning_seconds: float = 0.0  # wall-clock time of the loop's steps
+    learning_seconds: float = 0.0  # wall-clock time
 
 
 def run_loop(
@@ -210,18 +188,11 @@ def run_loop(
     """Steps a loop in a world until it is over.
 
     Args:
-        loop: decides.
         obj: the object, as whoever learns sees it.
-        world: carries out its pushes.
-        is_over: whether a state is the last one.
         learn: learns after every push; None never.
         goal: (3,) that the loop is shown; none where None.
         surface: the table, as whoever learns knows it; None where pushes keep clear of its edge.
-        progress: called after every push with the state that asked for it, what was seen, and whether that was learned
-            from.
-
-    Returns:
-        The last state, and what led to it.
+        progress: called after every push with the state that asked for it, what was seen, and whether it taught.
     """
     run = LoopRun(loop.begin(), PushLog((), table=None if surface is None else surface.corners))
     time, target = 0.0, UNSEEN if goal is None else goal

@@ -22,18 +22,15 @@ from scipy.optimize import linprog
 from shapely import Polygon
 from shapely.geometry.polygon import orient
 
-from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import make_direction, rotate
+from gridpush_drake.errors import PlanningError, require_positive
+from gridpush_drake.geometry.se2 import Array, check_vector, make_direction, rotate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush
-
-Array = NDArray[np.float64]
 
 ROUND_SIDES = 120
 """Sides of the polygon that stands for a round table; the edge is then off by R (1 - cos(pi/120)) = R/2900."""
 
-FIT_ANGLES = 48
-"""Directions in which a body is tried on a table, over a full turn."""
+FIT_ANGLES = 48  # directions in which a body is tried on a table, over a full turn
 
 STRAIGHT = 1e-9
 """m², cross product of two edges above which a corner turned the wrong way makes a table concave."""
@@ -62,56 +59,32 @@ class SupportSurface:
 
     @classmethod
     def rectangle(cls, center: ArrayLike, size: ArrayLike) -> "SupportSurface":
-        """A rectangle along the world's axes.
-
-        Args:
-            center: (x, y), m.
-            size: its sides along x and y, m.
-
-        Returns:
-            The table.
+        """A rectangle along the world's axes, of a center (x, y) and sides (along x and y), m.
 
         Raises:
             PlanningError: a number is not finite, or a side is not positive.
         """
-        (x, y), (width, height) = _vector("center", center), _vector("size", size)
+        x, y = check_vector(PlanningError, "table: center", center, 2, "m")
+        width, height = check_vector(PlanningError, "table: size", size, 2, "m")
         if width <= 0 or height <= 0:
             raise PlanningError(f"table: size is ({width:g}, {height:g}); expected positive sides (m)")
         return cls(shapely.box(x - width / 2, y - height / 2, x + width / 2, y + height / 2))
 
     @classmethod
     def round(cls, center: ArrayLike, radius: float) -> "SupportSurface":
-        """A disc.
-
-        Args:
-            center: (x, y), m.
-            radius: m.
-
-        Returns:
-            The table, an inscribed polygon of `ROUND_SIDES` sides.
+        """A disc, m, as an inscribed polygon of `ROUND_SIDES` sides.
 
         Raises:
             PlanningError: a number is not finite, or the radius is not positive.
         """
-        p = _vector("center", center)
-        if not (np.isfinite(radius) and radius > 0):
-            raise PlanningError(f"table: radius is {radius!r}; expected a positive number (m)")
+        p = check_vector(PlanningError, "table: center", center, 2, "m")
+        require_positive(PlanningError, "table: ", "m", radius=radius)
         angle = 2 * np.pi * np.arange(ROUND_SIDES) / ROUND_SIDES
         return cls(Polygon(p + radius * make_direction(angle)))
 
     @classmethod
     def from_polygon(cls, points: ArrayLike | Sequence[Sequence[float]]) -> "SupportSurface":
-        """A polygon by its corners.
-
-        Args:
-            points: (k, 2) in either turning, k >= 3, m.
-
-        Returns:
-            The table.
-
-        Raises:
-            PlanningError: the corners are no simple polygon.
-        """
+        """A polygon by its corners (k, 2) in either turning, m. Raises PlanningError where it is no simple polygon."""
         corners = np.array(points, dtype=np.float64)
         if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(corners).all():
             raise PlanningError(f"table: points of shape {corners.shape}; expected (k, 2) finite numbers, k >= 3 (m)")
@@ -151,34 +124,12 @@ class SupportSurface:
         return float(self.edge_lengths.sum())
 
     def edge_at(self, arc_length: float) -> tuple[Array, Array]:
-        """Finds a place on the edge.
-
-        Args:
-            arc_length: m from the first corner, counterclockwise, modulo the perimeter.
-
-        Returns:
-            The point (2,), m, and the outward unit normal (2,) there.
-        """
+        """The point (2,), m, at an arc length (m from the first corner, counterclockwise), and the normal there."""
         s = arc_length % self.perimeter
         begins = np.cumsum(self.edge_lengths) - self.edge_lengths
         edge = int(np.searchsorted(begins, s, side="right")) - 1
         normal = self.edge_normals[edge]
         return self.corners[edge] + (s - begins[edge]) * np.array([-normal[1], normal[0]]), normal
-
-    def nearest_edge(self, point: ArrayLike) -> tuple[Array, Array, float]:
-        """Finds the place of the edge that is nearest to a point.
-
-        Args:
-            point: (2,) m.
-
-        Returns:
-            The place (2,), m, the outward unit normal (2,) of its edge, and its arc length from the first corner, m.
-        """
-        p = np.asarray(point, dtype=np.float64)
-        feet, share = self._project(p[None])
-        edge = int(np.argmin(((feet[0] - p) ** 2).sum(axis=1)))
-        begin = float(self.edge_lengths[:edge].sum())
-        return feet[0, edge], self.edge_normals[edge], begin + float(share[0, edge]) * float(self.edge_lengths[edge])
 
     def contains(self, points: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
         """Whether points (..., 2) are on the table, at least `margin` (m) inside its edge, or so far out if negative.
@@ -187,7 +138,7 @@ class SupportSurface:
         """
         p = np.asarray(points, dtype=np.float64)
         if self.is_convex:
-            return np.asarray(self._half_plane_distances(p) >= margin)
+            return np.asarray((self.edge_offsets - p @ self.edge_normals.T).min(axis=-1) >= margin)
         if margin:
             return np.asarray(self.signed_distances(p) >= margin)
         return np.asarray(shapely.contains_xy(self.polygon, p[..., 0], p[..., 1]))
@@ -196,20 +147,16 @@ class SupportSurface:
         """Distance of points (..., 2) to the edge (...,), m: positive on the table, negative beyond it."""
         p = np.asarray(points, dtype=np.float64)
         flat = p.reshape(-1, 2)
-        feet, _ = self._project(flat)
+        along = np.roll(self.corners, -1, axis=0) - self.corners
+        share = ((flat[:, None] - self.corners) * along).sum(axis=2) / self.edge_lengths**2
+        feet = self.corners + np.clip(share, 0.0, 1.0)[..., None] * along
         distance = np.sqrt(((feet - flat[:, None]) ** 2).sum(axis=2).min(axis=1)).reshape(p.shape[:-1])
         return np.where(self.contains(p), distance, -distance)
 
     def cell_distances(self, obj: GridObject, pose: ArrayLike) -> Array:
-        """How far inside the edge each cell's square is.
+        """How far inside the edge each cell's square is at poses (..., 3): the least signed distance, (..., n) m.
 
-        Args:
-            obj: the object.
-            pose: (..., 3) X_WB, m and rad.
-
-        Returns:
-            (..., n) the least signed distance over the square, m: negative where any of it is beyond the edge. For a
-            concave table a lower bound, the center's less half the diagonal.
+        For a concave table a lower bound: the center's less half the diagonal.
         """
         q = np.asarray(pose, dtype=np.float64)
         centers = obj.cells_at(q)
@@ -222,27 +169,15 @@ class SupportSurface:
         return np.asarray(gaps.min(axis=-1))
 
     def contains_cells(self, obj: GridObject, pose: ArrayLike, margin: float = 0.0) -> bool | NDArray[np.bool_]:
-        """Whether every cell's square is on the table, at least `margin` (m) inside the edge.
-
-        Args:
-            obj: the object.
-            pose: (3,) or (..., 3) X_WB, m and rad.
-            margin: m.
-
-        Returns:
-            One truth, or (...,) of them.
-        """
+        """Whether every cell's square is on the table, at least `margin` (m) inside the edge, at poses (..., 3)."""
         inside = self.cell_distances(obj, pose).min(axis=-1) >= margin
         return bool(inside) if np.ndim(inside) == 0 else np.asarray(inside)
 
     def fits(self, body: ArrayLike) -> bool:
-        """Whether a convex body can lie on the table, turned in some direction.
+        """Whether a convex body of corners (V, 2), m, can lie on the table, turned in some direction.
 
         In each of `FIT_ANGLES` directions: whether the edges' half-planes, moved in by how far the body reaches across
         them, have a point in common. Of a concave table the convex hull is tried.
-
-        Args:
-            body: (V, 2) corners, m.
         """
         table = self if self.is_convex else SupportSurface(self.polygon.convex_hull)
         offsets = table.edge_offsets
@@ -252,18 +187,6 @@ class SupportSurface:
                 return True
         return False
 
-    def _half_plane_distances(self, p: Array) -> Array:
-        """Least distance (...,) inside the edges' lines; convex tables only."""
-        offsets = self.edge_offsets
-        return np.asarray((offsets - p @ self.edge_normals.T).min(axis=-1))
-
-    def _project(self, p: Array) -> tuple[Array, Array]:
-        """The nearest point of every edge (N, k, 2) to points (N, 2), and where it is on the edge (N, k), 0 to 1."""
-        along = np.roll(self.corners, -1, axis=0) - self.corners
-        share = ((p[:, None] - self.corners) * along).sum(axis=2) / self.edge_lengths**2
-        share = np.clip(share, 0.0, 1.0)
-        return self.corners + share[..., None] * along, share
-
 
 def _have_common_point(normals: Array, offsets: Array) -> bool:
     """Whether half-planes n.p <= offset (m) have a point in common: whether n.p + t <= offset with some t >= 0."""
@@ -272,29 +195,11 @@ def _have_common_point(normals: Array, offsets: Array) -> bool:
     return bool(best.status == 0 and -best.fun >= 0)
 
 
-def _vector(name: str, value: ArrayLike) -> Array:
-    vector = np.array(value, dtype=np.float64)
-    if vector.shape != (2,) or not np.isfinite(vector).all():
-        raise PlanningError(f"table: {name} is {value!r}; expected two finite numbers (m)")
-    return vector
-
-
-ROUND_OFF = 1e-9
-"""m."""
+ROUND_OFF = 1e-9  # m
 
 
 def find_supported(obj: GridObject, poses: ArrayLike, surface: SupportSurface, inset: float = 0.0) -> NDArray[np.bool_]:
-    """Whether cells' centers are on the table.
-
-    Args:
-        obj: the object.
-        poses: (..., 3) X_WB, m and rad.
-        surface: the table.
-        inset: m inside the edge that a center must be.
-
-    Returns:
-        (..., n).
-    """
+    """Whether cells' centers are on the table, at least `inset` (m) inside its edge, at poses (..., 3): (..., n)."""
     q = np.asarray(poses, dtype=np.float64)
     if not surface.is_convex:
         return surface.contains(obj.cells_at(q), inset)

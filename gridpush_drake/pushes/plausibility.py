@@ -8,6 +8,7 @@ is let go at speed v slides on for v^2 / (2 mu g).
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -25,20 +26,11 @@ Array = NDArray[np.float64]
 TRAVEL_FACTOR = 2.0
 """Times the pusher's path that the centroid, or a point at the radius of gyration as the body turns, may move."""
 
-SPEED_FACTOR = 2.0
-"""Times the pusher's mean speed at which it may let go of the object."""
-
-NOISE_SHARE = 0.25
-"""Of the object's diameter, by which a pose may be off besides."""
-
-MAX_SPEED = 30.0
-"""Of a pusher, mean, m/s."""
-
-MAX_DIAMETER = 10.0
-"""Of an object that is not doubted, m."""
-
-MAX_FIRST_ANGLE = 4 * np.pi
-"""Of an object at a push's beginning, where it is not doubted, rad."""
+SPEED_FACTOR = 2.0  # times the pusher's mean speed at which it may let go of the object
+NOISE_SHARE = 0.25  # of the object's diameter, by which a pose may be off besides
+MAX_SPEED = 30.0  # of a pusher, mean, m/s
+MAX_DIAMETER = 10.0  # of an object that is not doubted, m
+MAX_FIRST_ANGLE = 4 * np.pi  # of an object at a push's beginning, where it is not doubted, rad
 
 GAP, GAP_SHARE = 0.005, 0.05
 """A pusher this far off the outline, m plus this share of the object's diameter, is not where the log says."""
@@ -46,26 +38,19 @@ GAP, GAP_SHARE = 0.005, 0.05
 MANY, FEW = 0.5, 0.2
 """Shares of a log's pushes: so many out of place make it doubtful, so few leave a reading of its units standing."""
 
-MM = 1e-3
-"""Meters in a millimeter."""
+MM = 1e-3  # meters in a millimeter
 
 IN_DEGREES = "object_theta: in degrees? expected rad"
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One thing that cannot be true, or hardly.
+class Finding(NamedTuple):
+    """One thing that cannot be true, or hardly."""
 
-    Attributes:
-        message: push, column, what is wrong and the likely cause, in one line.
-        about_first: whether what a prediction begins with is in doubt (the units, the pusher's path, the first pose)
-            rather than what was seen later, which only learning needs.
-        certain: whether it cannot be true; otherwise it may be.
-    """
-
-    message: str
+    message: str  # push, column, what is wrong and the likely cause, in one line
+    certain: bool  # whether it cannot be true; otherwise it may be
     about_first: bool
-    certain: bool
+    """Whether what a prediction begins with is in doubt (the units, the pusher's path, the first pose) rather than what
+    was seen later, which only learning needs."""
 
 
 @dataclass(frozen=True)
@@ -89,8 +74,6 @@ def check_plausible(obj: GridObject, log: PushLog, *, learning: bool) -> None:
     """Refuses a log that cannot be true of an object, and warns of one that hardly can.
 
     Args:
-        obj: the object.
-        log: the pushes.
         learning: whether later poses are learned from, so that an impossible one spoils the result; where pushes
             are only to be predicted, it is warned of.
 
@@ -109,25 +92,16 @@ def check_plausible(obj: GridObject, log: PushLog, *, learning: bool) -> None:
 
 
 def find_implausible(obj: GridObject, log: PushLog) -> list[Finding]:
-    """Finds what cannot be true of a log, or hardly, at most one finding of a kind.
-
-    Args:
-        obj: the object.
-        log: the pushes.
-
-    Returns:
-        The findings; none where the log is plausible.
-    """
-    kinds = (_find_units, _find_fast_pushers, _find_jumps, _find_turns, _find_large_objects, _find_large_angles)
+    """Finds what cannot be true of a log, or hardly, at most one finding of a kind."""
     found: list[Finding] = []
-    for kind in kinds:
-        findings = list(kind(obj, log))
-        if not findings:
+    for find, certain, about_first in KINDS:
+        messages = list(find(obj, log))
+        if not messages:
             continue
-        first, more = findings[0], len(findings) - 1
+        more = len(messages) - 1
         also = f" (and {more} more push{'es' if more > 1 else ''})" if more else ""
-        found.append(Finding(first.message + also, first.about_first, first.certain))
-        if first.certain:
+        found.append(Finding(messages[0] + also, certain, about_first))
+        if certain:
             break
     return found
 
@@ -143,7 +117,7 @@ def explain_no_contact(obj: GridObject, log: PushLog) -> str:
     )
 
 
-def _find_units(obj: GridObject, log: PushLog) -> Iterator[Finding]:
+def _find_units(obj: GridObject, log: PushLog) -> Iterator[str]:
     """Lengths or angles in other units: the pusher is where it cannot be, and in those units it is not."""
     wrong = _are_misplaced(obj, log, AS_SAID)
     reading = _choose_reading(obj, log, float(wrong.mean())) if wrong.any() else None
@@ -152,11 +126,9 @@ def _find_units(obj: GridObject, log: PushLog) -> Iterator[Finding]:
     for i in np.flatnonzero(wrong):
         gap, depth = _calc_gap(obj, log[int(i)], AS_SAID)
         place = f"{gap:.3g} m off" if gap >= depth else f"{depth:.3g} m inside"
-        yield Finding(
+        yield (
             f"push {log[int(i)].name!r}, column {reading.says}; as it stands, the pusher is {place} the outline of "
-            f"{obj.name}",
-            about_first=True,
-            certain=True,
+            f"{obj.name}"
         )
 
 
@@ -173,21 +145,19 @@ def _choose_reading(obj: GridObject, log: PushLog, wrong: float) -> _Units | Non
     return next((units for units in readings if _are_misplaced(obj, log, units).mean() <= FEW), None)
 
 
-def _find_fast_pushers(obj: GridObject, log: PushLog) -> Iterator[Finding]:
+def _find_fast_pushers(obj: GridObject, log: PushLog) -> Iterator[str]:
     for seen in log:
         speed = seen.push.length / seen.push.duration
         if speed > MAX_SPEED:
-            yield Finding(
+            yield (
                 f"push {seen.name!r}, column t: the pusher moves {seen.push.length:.3g} m in {seen.push.duration:.3g} "
-                f"s; expected at most {MAX_SPEED:g} m/s: are times in s, and tip_x, tip_y in m?",
-                about_first=True,
-                certain=True,
+                f"s; expected at most {MAX_SPEED:g} m/s: are times in s, and tip_x, tip_y in m?"
             )
 
 
-def _find_jumps(obj: GridObject, log: PushLog) -> Iterator[Finding]:
+def _find_jumps(obj: GridObject, log: PushLog) -> Iterator[str]:
     for seen in log:
-        centroids = np.vstack([obj.cells_at(seen.pose).mean(axis=0), _calc_centroids(obj, seen)])
+        centroids = np.vstack([obj.cells_at(seen.pose).mean(axis=0), obj.cells_at(seen.poses_observed).mean(axis=1)])
         moved = centroids - centroids[0]
         far = np.linalg.norm(moved, axis=1)
         k = int(np.argmax(far))
@@ -196,47 +166,46 @@ def _find_jumps(obj: GridObject, log: PushLog) -> Iterator[Finding]:
             continue
         column = ("object_x", "object_y")[int(np.argmax(np.abs(moved[k])))]
         cause = "in millimeters, or a lost track?" if far[k] * MM < allowed else "a lost track?"
-        yield Finding(
+        yield (
             f"push {seen.name!r}, column {column}: the object moves {far[k]:.3g} m by t = {seen.t_observed[k - 1]:.3g} "
-            f"s, in a push of {seen.push.length:.3g} m; expected less than {allowed:.3g} m: {cause}",
-            about_first=False,
-            certain=True,
+            f"s, in a push of {seen.push.length:.3g} m; expected less than {allowed:.3g} m: {cause}"
         )
 
 
-def _find_turns(obj: GridObject, log: PushLog) -> Iterator[Finding]:
+def _find_turns(obj: GridObject, log: PushLog) -> Iterator[str]:
     for seen in log:
         turned = np.abs(seen.poses_observed[:, 2] - seen.pose[2])
         allowed = _calc_reach(obj, seen) / obj.radius_of_gyration
         if not len(turned) or turned.max() <= allowed:
             continue
         k = int(np.argmax(turned))
-        yield Finding(
+        yield (
             f"push {seen.name!r}, column object_theta: the object turns {turned[k]:.3g} rad by t = "
             f"{seen.t_observed[k]:.3g} s, in a push of {seen.push.length:.3g} m; expected less than {allowed:.3g} rad: "
-            "in degrees, or a lost track?",
-            about_first=False,
-            certain=True,
+            "in degrees, or a lost track?"
         )
 
 
-def _find_large_objects(obj: GridObject, log: PushLog) -> Iterator[Finding]:
+def _find_large_objects(obj: GridObject, log: PushLog) -> Iterator[str]:
     if _calc_diameter(obj) > MAX_DIAMETER:
-        yield Finding(
-            f"{obj.name}: its outline spans {_calc_diameter(obj):.3g} m; in millimeters? expected m",
-            about_first=True,
-            certain=False,
-        )
+        yield (f"{obj.name}: its outline spans {_calc_diameter(obj):.3g} m; in millimeters? expected m")
 
 
-def _find_large_angles(obj: GridObject, log: PushLog) -> Iterator[Finding]:
+def _find_large_angles(obj: GridObject, log: PushLog) -> Iterator[str]:
     for seen in log:
         if abs(seen.pose[2]) > MAX_FIRST_ANGLE:
-            yield Finding(
-                f"push {seen.name!r}, column {IN_DEGREES}; the object lies at {seen.pose[2]:.4g}",
-                about_first=True,
-                certain=False,
-            )
+            yield (f"push {seen.name!r}, column {IN_DEGREES}; the object lies at {seen.pose[2]:.4g}")
+
+
+KINDS = (
+    (_find_units, True, True),
+    (_find_fast_pushers, True, True),
+    (_find_jumps, True, False),
+    (_find_turns, True, False),
+    (_find_large_objects, False, True),
+    (_find_large_angles, False, True),
+)
+"""What finds what is wrong, whether it is certain, and whether it is about what a prediction begins with."""
 
 
 def _calc_reach(obj: GridObject, seen: ObservedPush) -> float:
@@ -249,11 +218,6 @@ def _calc_reach(obj: GridObject, seen: ObservedPush) -> float:
 def _calc_diameter(obj: GridObject) -> float:
     left, low, right, high = obj.outline.bounds
     return float(np.hypot(right - left, high - low))
-
-
-def _calc_centroids(obj: GridObject, seen: ObservedPush) -> Array:
-    """(K, 2) of the object's cells in W at the later observations, m."""
-    return obj.cells_at(seen.poses_observed).mean(axis=1)
 
 
 def _are_misplaced(obj: GridObject, log: PushLog, units: _Units) -> NDArray[np.bool_]:

@@ -14,9 +14,9 @@ import csv
 import difflib
 import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import NamedTuple, NoReturn, overload
 
@@ -40,25 +40,17 @@ OVERHANG = "overhang"
 TABLE = "table"
 COLUMNS = (*REQUIRED, *FORCE, OVERHANG, TABLE)
 
-FLAGS = {"": False, "0": False, "1": True}
-"""What may stand in a column that says yes or no."""
+FLAGS = {"": False, "0": False, "1": True}  # what may stand in a column that says yes or no
 
 WHAT = "a push log (CSV)"
 
 UNITS = {"t": "s", "object_theta": "rad", "force_x": "N", "force_y": "N"}
 """Unit of each column; m where not listed."""
 
-SUGGESTION_CUTOFF = 0.5
-"""Similarity (0 to 1) from which a known column is suggested for an unknown one."""
-
-MAX_SHOWN = 60
-"""Characters of a refused value that a message repeats."""
-
-MAX_NUMBER = 1e12
-"""Magnitude of a number in a log, beyond which it is none that was measured."""
-
-MIN_TIME_STEP = 1e-9
-"""s between two rows of a push."""
+SUGGESTION_CUTOFF = 0.5  # similarity (0 to 1) from which a known column is suggested for an unknown one
+MAX_SHOWN = 60  # characters of a refused value that a message repeats
+MAX_NUMBER = 1e12  # magnitude of a number in a log, beyond which it is none that was measured
+MIN_TIME_STEP = 1e-9  # s between two rows of a push
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,35 +157,27 @@ class PushLog:
 
     @classmethod
     def read_csv(cls, path: Path | str, radius: float | None = None, *, require_final: bool = True) -> "PushLog":
-        """Reads a push log; README, "Bring your own pushes", has the columns.
+        """Reads a push log; `docs/howto/own_pushes.md` has the columns.
 
         Args:
-            path: the CSV file.
             radius: of the pusher, m; DEFAULT_PUSHER_RADIUS where None, and `radius_given` says so.
             require_final: whether every push must have an observation after its first row.
-
-        Returns:
-            The log.
 
         Raises:
             PushLogError: the file cannot be read or breaks the form; the message names the file, the line,
                 the column and the expected form.
             PushError: the radius is not positive.
         """
-        return read_push_csv(Path(path), radius, require_final=require_final)
+        return _read_push_csv(Path(path), radius, require_final)
 
     def write_csv(self, path: Path | str, force: bool = False) -> None:
         """Writes the log so that `read_csv` gives its numbers back bit for bit.
-
-        Args:
-            path: the CSV file.
-            force: whether an existing file may be replaced.
 
         Raises:
             PushLogError: two pushes have the same name, or there is no push.
             OutputError: the file exists and `force` is not set, or it cannot be written.
         """
-        write_push_csv(self, Path(path), force)
+        _write_push_csv(self, Path(path), force)
 
     def __len__(self) -> int:
         return len(self.pushes)
@@ -221,11 +205,7 @@ class PushLog:
 
     @property
     def supported(self) -> "PushLog":
-        """The pushes that a model can explain: all, where the table is known, else those wholly on it.
-
-        Raises:
-            PushLogError: there are pushes, but none of them is such a one.
-        """
+        """The pushes that a model can explain: all, where the table is known, else `on_table`."""
         return self if self.table is not None else self.on_table
 
     @property
@@ -271,22 +251,23 @@ class _Row(NamedTuple):
     table: NDArray[np.float64] | None
 
 
-def read_push_csv(path: Path, radius: float | None, *, require_final: bool = True) -> PushLog:
-    """Reads a push log; see `PushLog.read_csv`."""
+def _read_push_csv(path: Path, radius: float | None, require_final: bool) -> PushLog:
     seen: dict[str, int] = {}
     pushes = []
     table: NDArray[np.float64] | None = None
-    for rows in _groups(_rows(path, _read_text(path))):
+    read = (_parse_row(path, line, cells) for line, cells in read_table(path, WHAT, REQUIRED, _check_header))
+    for _, group in groupby(read, lambda row: row.push):
+        rows = list(group)
         first = rows[0]
         if first.push in seen:
-            _fail(
+            fail(
                 path, first.line, "push",
                 f"push {first.push!r} began on line {seen[first.push]} already; expected its rows together",
             )  # fmt: skip
         seen[first.push] = first.line
         for row in rows:
             if table is not None and row.table is not None and not np.array_equal(row.table, table):
-                _fail(path, row.line, TABLE, "is another one than before; expected one table in a log")
+                fail(path, row.line, TABLE, "is another one than before; expected one table in a log")
             table = table if row.table is None else row.table
         pushes.append(_observed_push(path, rows, DEFAULT_PUSHER_RADIUS if radius is None else radius, require_final))
     if not pushes:
@@ -294,8 +275,7 @@ def read_push_csv(path: Path, radius: float | None, *, require_final: bool = Tru
     return PushLog(tuple(pushes), str(path), radius_given=radius is not None, table=table)
 
 
-def write_push_csv(log: PushLog, path: Path, force: bool = False) -> None:
-    """Writes a push log; see `PushLog.write_csv`."""
+def _write_push_csv(log: PushLog, path: Path, force: bool) -> None:
     check_writable(path, force)
     names = [seen.name for seen in log]
     if not names:
@@ -338,67 +318,71 @@ def _cells(seen: ObservedPush, with_force: bool) -> Iterator[list[str]]:
         yield row
 
 
-def _read_text(path: Path) -> str:
-    text = read_text(path, WHAT, PushLogError)
+def read_table(
+    path: Path, what: str, required: Sequence[str], check_header: Callable[[Path, int, list[str]], None]
+) -> Iterator[tuple[int, dict[str, str]]]:
+    """The rows of a CSV file: their lines' numbers, and their cells by column.
+
+    Raises PushLogError: the file cannot be read, is empty or no CSV, or a row is longer or shorter than the header.
+    """
+    text = read_text(path, what, PushLogError)
     if "\0" in text:
-        raise PushLogError(f"{path}: is not UTF-8 text (it holds a NUL); expected {WHAT}")
-    return text
-
-
-def _rows(path: Path, text: str) -> Iterator[_Row]:
+        raise PushLogError(f"{path}: is not UTF-8 text (it holds a NUL); expected {what}")
     reader = csv.reader(io.StringIO(text, newline=""))
-    at: dict[str, int] | None = None
+    header: list[str] = []
     try:
         for cells in reader:
             if not any(cell.strip() for cell in cells):
                 continue
-            if at is None:
-                at = _column_indices(path, reader.line_num, [cell.strip() for cell in cells])
-            elif len(cells) != len(at):
-                raise PushLogError(f"{path}, line {reader.line_num}: has {len(cells)} fields; the header has {len(at)}")
+            if not header:
+                header = [cell.strip() for cell in cells]
+                check_header(path, reader.line_num, header)
+            elif len(cells) != len(header):
+                number = f"has {len(cells)} fields; the header has {len(header)}"
+                raise PushLogError(f"{path}, line {reader.line_num}: {number}")
             else:
-                yield _parse_row(path, reader.line_num, cells, at)
+                yield reader.line_num, dict(zip(header, cells, strict=True))
     except csv.Error as error:
         raise PushLogError(f"{path}, line {reader.line_num}: is not CSV: {error}") from error
-    if at is None:
-        raise PushLogError(f"{path}: is empty; expected the header {','.join(REQUIRED)}")
+    if not header:
+        raise PushLogError(f"{path}: is empty; expected the header {','.join(required)}")
 
 
-def _column_indices(path: Path, line: int, header: Sequence[str]) -> dict[str, int]:
-    at = {name: i for i, name in enumerate(header)}
+def _check_header(path: Path, line: int, header: list[str]) -> None:
     form = f"expected comma-separated {','.join(REQUIRED)} and, if known, {','.join(FORCE)}, {OVERHANG} and {TABLE}"
-    if len(at) != len(header):
-        twice = next(name for i, name in enumerate(header) if name in header[:i])
-        _fail(path, line, twice, f"is there twice; {form}")
+    twice = next((name for name in header if header.count(name) > 1), None)
+    if twice is not None:
+        fail(path, line, twice, f"is there twice; {form}")
     unknown = [name for name in header if name not in COLUMNS]
-    for name in (name for name in REQUIRED if name not in at):
+    for name in (name for name in REQUIRED if name not in header):
         close = difflib.get_close_matches(name, unknown, 1, SUGGESTION_CUTOFF)
         hint = f"; rename {close[0]!r} to {name!r}?" if close else ""
-        _fail(path, line, name, f"is missing{hint}; {form}")
+        fail(path, line, name, f"is missing{hint}; {form}")
     if unknown:
         close = difflib.get_close_matches(unknown[0], COLUMNS, 1, SUGGESTION_CUTOFF)
         hint = f"did you mean {close[0]!r}? " if close else ""
-        _fail(path, line, unknown[0], f"is unknown; {hint}{form}")
-    missing = [name for name in FORCE if name not in at]
+        fail(path, line, unknown[0], f"is unknown; {hint}{form}")
+    missing = [name for name in FORCE if name not in header]
     if len(missing) == 1:
-        _fail(path, line, missing[0], f"is missing; the columns {' and '.join(FORCE)} come together")
-    return at
+        fail(path, line, missing[0], f"is missing; the columns {' and '.join(FORCE)} come together")
 
 
-def _parse_row(path: Path, line: int, cells: list[str], at: dict[str, int]) -> _Row:
-    name = cells[at["push"]].strip()
+def _parse_row(path: Path, line: int, cells: dict[str, str]) -> _Row:
+    name = cells["push"].strip()
     if not name:
-        _fail(path, line, "push", "is empty; expected the push's name, on each of its rows")
+        fail(path, line, "push", "is empty; expected the push's name, on each of its rows")
     pose, force = (
-        [_number(path, line, column, cells[at[column]]) for column in columns]
-        if columns[0] in at and any(cells[at[column]].strip() for column in columns)
+        [_read_number(path, line, column, cells[column]) for column in columns]
+        if any(cells.get(column, "").strip() for column in columns)
         else None
         for columns in (POSE, FORCE)
     )
-    tip = [_number(path, line, column, cells[at[column]]) for column in TIP]
-    overhang = OVERHANG in at and _flag(path, line, OVERHANG, cells[at[OVERHANG]])
-    table = _table(path, line, cells[at[TABLE]].strip()) if TABLE in at else None
-    return _Row(line, name, _number(path, line, "t", cells[at["t"]]), tip, pose, force, overhang, table)
+    tip = [_read_number(path, line, column, cells[column]) for column in TIP]
+    flag = cells.get(OVERHANG, "").strip()
+    if flag not in FLAGS:
+        fail(path, line, OVERHANG, f"is {flag!r}; expected 0 or 1, or empty")
+    table = _table(path, line, cells.get(TABLE, "").strip())
+    return _Row(line, name, _read_number(path, line, "t", cells["t"]), tip, pose, force, FLAGS[flag], table)
 
 
 def _table(path: Path, line: int, cell: str) -> NDArray[np.float64] | None:
@@ -409,56 +393,40 @@ def _table(path: Path, line: int, cell: str) -> NDArray[np.float64] | None:
     except shapely.GEOSException:
         polygon = None
     if not isinstance(polygon, shapely.Polygon) or polygon.interiors or not polygon.is_valid or polygon.area <= 0:
-        _fail(
-            path,
-            line,
-            TABLE,
-            f"is {cell[:MAX_SHOWN]!r}; expected POLYGON ((x y, x y, ...)) in m that does not cross itself",
-        )
+        form = "expected POLYGON ((x y, x y, ...)) in m that does not cross itself"
+        fail(path, line, TABLE, f"is {cell[:MAX_SHOWN]!r}; {form}")
     return np.asarray(orient(polygon).exterior.coords)[:-1, :2]
 
 
-def _flag(path: Path, line: int, column: str, cell: str) -> bool:
-    if cell.strip() not in FLAGS:
-        _fail(path, line, column, f"is {cell.strip()!r}; expected 0 or 1, or empty")
-    return FLAGS[cell.strip()]
+def _read_number(path: Path, line: int, column: str, cell: str) -> float:
+    group = next((columns for columns in (POSE, FORCE) if column in columns), None)
+    form = f"a finite number ({UNITS.get(column, 'm')})" + (f", or {', '.join(group)} empty" if group else "")
+    return read_number(path, line, column, cell, form)
 
 
-def _number(path: Path, line: int, column: str, cell: str) -> float:
+def read_number(path: Path, line: int, column: str, cell: str, form: str) -> float:
+    """A cell's number. Raises PushLogError where it is not one that was measured; `form` says what is expected."""
     try:
         value = float(cell)
     except ValueError:
         value = math.nan
     if not math.isfinite(value) or abs(value) > MAX_NUMBER or "_" in cell:
-        group = next((columns for columns in (POSE, FORCE) if column in columns), None)
-        form = f"a finite number ({UNITS.get(column, 'm')})" + (f", or {', '.join(group)} empty" if group else "")
-        _fail(path, line, column, f"is {cell.strip()[:MAX_SHOWN]!r}; expected {form}")
+        fail(path, line, column, f"is {cell.strip()[:MAX_SHOWN]!r}; expected {form}")
     return value
-
-
-def _groups(rows: Iterator[_Row]) -> Iterator[list[_Row]]:
-    group: list[_Row] = []
-    for row in rows:
-        if group and row.push != group[0].push:
-            yield group
-            group = []
-        group.append(row)
-    if group:
-        yield group
 
 
 def _observed_push(path: Path, rows: list[_Row], radius: float, require_final: bool) -> ObservedPush:
     first = rows[0]
     if first.pose is None:
-        _fail(path, first.line, POSE[0], f"is empty; expected a pose on push {first.push!r}'s first row")
+        fail(path, first.line, POSE[0], f"is empty; expected a pose on push {first.push!r}'s first row")
     if len(rows) == 1:
-        _fail(path, first.line, "push", f"push {first.push!r} has one row; expected at least two")
+        fail(path, first.line, "push", f"push {first.push!r} has one row; expected at least two")
     for before, row in pairwise(rows):
         if row.t - before.t < MIN_TIME_STEP:
-            _fail(path, row.line, "t", f"is {row.t!r} after {before.t!r}; expected times (s) that increase")
+            fail(path, row.line, "t", f"is {row.t!r} after {before.t!r}; expected times (s) that increase")
     seen = [row for row in rows[1:] if row.pose is not None]
     if require_final and not seen:
-        _fail(
+        fail(
             path, rows[-1].line, POSE[0],
             f"is empty; expected the object's pose on a later row of push {first.push!r} too",
         )  # fmt: skip
@@ -478,5 +446,6 @@ def _observed_push(path: Path, rows: list[_Row], radius: float, require_final: b
     )
 
 
-def _fail(path: Path, line: int, column: str, what: str) -> NoReturn:
-    raise PushLogError(f"{path}, line {line}, column {column}: {what}")
+def fail(path: Path, line: int, column: str, what: str) -> NoReturn:
+    """Raises a PushLogError that names file, line and column."""
+    raise PushLogError(f"{path}, line {line}, column {column[:MAX_SHOWN]}: {what}")

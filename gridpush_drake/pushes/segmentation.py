@@ -33,19 +33,12 @@ Numbers = tuple[float, float, float]
 
 
 class Sample(NamedTuple):
-    """What was seen at one time, W.
+    """What was seen at one time, W."""
 
-    Attributes:
-        t: s.
-        pose: q = (x, y, theta) of the object, m and rad; not finite where it was not seen.
-        tip: p_WP of the tip's center, m.
-        velocity: v_WP, m/s.
-    """
-
-    t: float
-    pose: Numbers
-    tip: Numbers
-    velocity: Numbers
+    t: float  # s
+    pose: Numbers  # q = (x, y, theta) of the object, m and rad; not finite where it was not seen
+    tip: Numbers  # p_WP of the tip's center, m
+    velocity: Numbers  # v_WP, m/s
 
 
 @dataclass(frozen=True)
@@ -89,38 +82,27 @@ class Episode:
 
 @dataclass(frozen=True)
 class SegmenterState:
-    """What the segmenter remembers.
+    """What the segmenter remembers."""
 
-    Attributes:
-        rest: observations of the object since it last came to rest.
-        path: the present push while the tip is down; empty where there is none.
-        after: from its stop on, lifted or not; empty while it moves.
-        lifted: whether it has ended by lifting.
-    """
-
-    rest: tuple[Sample, ...] = ()
-    path: tuple[Sample, ...] = ()
-    after: tuple[Sample, ...] = ()
-    lifted: bool = False
+    rest: tuple[Sample, ...] = ()  # observations of the object since it last came to rest
+    path: tuple[Sample, ...] = ()  # the present push while the tip is down; empty where there is none
+    after: tuple[Sample, ...] = ()  # from its stop on, lifted or not; empty while it moves
+    lifted: bool = False  # whether it has ended by lifting
 
 
 def advance(state: SegmenterState, sample: Sample, options: SegmenterOptions) -> tuple[SegmenterState, Episode | None]:
-    """Takes in one sample.
+    """Takes in one sample, later than all before: the state after it, and the episode that it ends, if any.
 
-    Args:
-        state: before it.
-        sample: later than all before; it is passed over where the tip is not known.
-        options: see `SegmenterOptions`.
-
-    Returns:
-        The state after it, and the episode that it ends, if any.
+    It is passed over where the tip is not known.
     """
     if not all(map(isfinite, (*sample.tip, *sample.velocity))):
         return state, None
     moving = sample.tip[2] < options.engaged_below and _slides(sample.velocity, options)
     if not state.path:
-        return (_begin(state.rest, sample) if moving else _rest(state, sample, options)), None
-    lifted = state.lifted or sample.tip[2] > _find_lift_height(state.path, options)
+        kept = tuple(seen for seen in state.rest if seen.t >= sample.t - options.rest_window)
+        return (_begin(state.rest, sample) if moving else SegmenterState((*kept, sample))), None
+    lift_height = min(options.engaged_below, min(seen.tip[2] for seen in state.path) + options.lift)
+    lifted = state.lifted or sample.tip[2] > lift_height
     stopped_for = sample.t - state.after[0].t if state.after else 0.0
     if moving and (state.lifted or (not lifted and stopped_for >= options.pause)):
         return _begin(state.after, sample), Episode(state.rest, state.path, state.after)
@@ -145,50 +127,27 @@ def _begin(rest: tuple[Sample, ...], sample: Sample) -> SegmenterState:
     return SegmenterState(rest, (*rest[-1:], sample))
 
 
-def _rest(state: SegmenterState, sample: Sample, options: SegmenterOptions) -> SegmenterState:
-    kept = tuple(seen for seen in state.rest if seen.t >= sample.t - options.rest_window)
-    return SegmenterState((*kept, sample))
-
-
-def _find_lift_height(path: tuple[Sample, ...], options: SegmenterOptions) -> float:
-    return min(options.engaged_below, min(sample.tip[2] for sample in path) + options.lift)
-
-
-SAME_TIME = 1e-6
-"""s; times that differ by less are one."""
+SAME_TIME = 1e-6  # s; times that differ by less are one
 
 UNUSABLE = (GridPushError, np.linalg.LinAlgError, ArithmeticError, ValueError)
 """What a push that was badly seen may lead to when it is written down or learned from."""
 
-LATEST = 5
-"""Observations at the end whose median tells where the object rests."""
+LATEST = 5  # observations at the end whose median tells where the object rests
 
 
 @dataclass(frozen=True)
 class RecordOptions:
-    """How a push is written down.
+    """How a push is written down."""
 
-    Attributes:
-        observations: most poses a push, the last one included.
-        min_distance: of the tip; less is no push, m.
-        reach: a tip that never came closer to the object than its radius and this did not push it, m.
-        path_tolerance: by which the thinned path may differ from the measured one, m.
-        still: the tip has not yet, or no longer, moved within this of its first, or last, place, m.
-        coast: how long the object may slide on after the tip's stop, s.
-        rest_tolerance: observations further than this from where the object rests are not of that rest, m.
-        rest_angle_tolerance: likewise, rad.
-        pose_delay: how old a pose is when it is read, s.
-    """
-
-    observations: int = 10
-    min_distance: float = 0.005
-    reach: float = 0.005
-    path_tolerance: float = 5e-5
-    still: float = 5e-5
-    coast: float = 0.1
-    rest_tolerance: float = 0.003
-    rest_angle_tolerance: float = 0.03
-    pose_delay: float = 0.0
+    observations: int = 10  # most poses a push, the last one included
+    min_distance: float = 0.005  # of the tip; less is no push, m
+    reach: float = 0.005  # a tip that never came closer to the object than its radius and this did not push it, m
+    path_tolerance: float = 5e-5  # by which the thinned path may differ from the measured one, m
+    still: float = 5e-5  # the tip has not yet, or no longer, moved within this of its first, or last, place, m
+    coast: float = 0.1  # how long the object may slide on after the tip's stop, s
+    rest_tolerance: float = 0.003  # observations further than this from where the object rests are not of that rest, m
+    rest_angle_tolerance: float = 0.03  # likewise, rad
+    pose_delay: float = 0.0  # how old a pose is when it is read, s
 
 
 def name_push(count: int) -> str:
@@ -199,25 +158,17 @@ def name_push(count: int) -> str:
 def make_observed_push(
     episode: Episode, obj: GridObject, radius: float, name: str, options: RecordOptions
 ) -> ObservedPush | None:
-    """Makes the log's entry.
+    """Makes the log's entry for a tip of `radius`, m.
 
-    Args:
-        episode: what was seen.
-        obj: the object.
-        radius: of the tip, m.
-        name: what to call the push.
-        options: see `RecordOptions`.
-
-    Returns:
-        The push; None where the tip hardly moved or never came near the object, or where the object was not seen both
-        before and after.
+    None where the tip hardly moved or never came near the object, or where that was not seen both before and after.
     """
     pose = calc_rest_pose(episode.before, options)
     t, xy = _trim(episode.path, options.still)
     if pose is None or len(t) < 2:
         return None
     traveled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
-    if traveled[-1] < options.min_distance or _calc_distance(obj, pose, xy) > radius + options.reach:
+    distance = obj.outline.distance(LineString(transform_back(pose, xy)))
+    if traveled[-1] < options.min_distance or distance > radius + options.reach:
         return None
     end, t, xy = _add_coast(episode, t, xy, options.coast)
     traveled = np.append(traveled, np.full(len(t) - len(traveled), traveled[-1]))
@@ -262,13 +213,9 @@ def thin_path(t: Array, xy: Array, keep: Array, tolerance: float) -> tuple[Array
     """Leaves out samples that linear interpolation in time replaces (the algorithm of Ramer, Douglas and Peucker).
 
     Args:
-        t: (K,) times, s, increasing.
-        xy: (K, 2) places, m.
+        t: (K,) times, s, increasing; and the places `xy` (K, 2), m.
         keep: times that the path is cut at in any case, within it, s.
         tolerance: m.
-
-    Returns:
-        The times (L,) and places (L, 2) that are left.
     """
     times = np.union1d(t, keep)
     places = np.column_stack([np.interp(times, t, xy[:, axis]) for axis in (0, 1)])
@@ -328,11 +275,6 @@ def _snap(time: float, t: Array) -> float:
     """The nearest of the times t where round-off alone keeps `time` from it."""
     nearest = float(t[np.argmin(np.abs(t - time))])
     return nearest if abs(nearest - time) < SAME_TIME else time
-
-
-def _calc_distance(obj: GridObject, pose: Array, xy: Array) -> float:
-    """Least distance of the tip's center from the object where it lies at the beginning, m."""
-    return float(obj.outline.distance(LineString(transform_back(pose, xy))))
 
 
 def _continue_turns(pose: Array, seen: list[tuple[float, Array]]) -> Array:

@@ -12,16 +12,15 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from gridpush_drake.errors import PushLogError
-from gridpush_drake.files import read_text, write_whole
+from gridpush_drake.files import write_whole
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.push_log import MAX_NUMBER, MAX_SHOWN, POSE, ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import POSE, ObservedPush, PushLog, fail, read_number, read_table
 from gridpush_drake.pushes.segmentation import (
     UNUSABLE,
     RecordOptions,
@@ -43,25 +42,17 @@ COLUMNS = ("t", *TIP, *VELOCITY, *POSE)
 
 WHAT = "a stream of poses (CSV)"
 
-VELOCITY_WINDOW = 0.1
-"""Over which a velocity is found from places by a straight line, s."""
+VELOCITY_WINDOW = 0.1  # over which a velocity is found from places by a straight line, s
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """The pushes of a stream.
+    """The pushes of a stream."""
 
-    Attributes:
-        log: the pushes.
-        begins: when in the stream each began, s.
-        unusable: why motions that may have been pushes could not be written down.
-        unfinished: whether the stream ended within a push, which is left out.
-    """
-
-    log: PushLog
-    begins: tuple[float, ...] = ()
-    unusable: tuple[str, ...] = ()
-    unfinished: bool = False
+    log: PushLog  # the pushes
+    begins: tuple[float, ...] = ()  # when in the stream each began, s
+    unusable: tuple[str, ...] = ()  # why motions that may have been pushes could not be written down
+    unfinished: bool = False  # whether the stream ended within a push, which is left out
 
 
 def record_pushes(
@@ -76,14 +67,10 @@ def record_pushes(
 
     Args:
         samples: of the stream, later and later.
-        obj: the object.
         radius: of the tip, m.
         segmenter: when a push begins and ends.
         record: how it is written down.
         source: where the stream came from.
-
-    Returns:
-        The pushes.
     """
     segmenter, record = segmenter or SegmenterOptions(), record or RecordOptions()
     state, pushes, begins, unusable = SegmenterState(), list[ObservedPush](), list[float](), list[str]()
@@ -103,15 +90,9 @@ def record_pushes(
 
 
 def calc_velocities(t: Array, places: Array, window: float = VELOCITY_WINDOW) -> Array:
-    """Finds velocities by straight lines through the places within half a window of each.
+    """Finds velocities (K, d), m/s, by straight lines through the places within half a window (s) of each.
 
-    Args:
-        t: (K,) times, s, strictly increasing.
-        places: (K, d) m; rows that are not finite are not known.
-        window: s.
-
-    Returns:
-        (K, d) m/s; NaN where fewer than two places are known within the window.
+    NaN where fewer than two places are known within it; rows of `places` (K, d), m, that are not finite are not known.
     """
     known = np.asarray(np.isfinite(places).all(axis=1))
     weight = known.astype(float)
@@ -138,56 +119,30 @@ def calc_velocities(t: Array, places: Array, window: float = VELOCITY_WINDOW) ->
 
 
 def make_samples(t: Array, tip: Array, velocity: Array, poses: Array) -> list[Sample]:
-    """Puts a stream's samples together.
-
-    Args:
-        t: (K,) s.
-        tip: (K, 3) p_WP, m.
-        velocity: (K, 3) v_WP, m/s.
-        poses: (K, 3) q_W of the object, m and rad; NaN where it was not seen.
-
-    Returns:
-        The samples.
-    """
+    """Puts samples together: times (K,), p_WP and v_WP of the tip (K, 3), q_W (K, 3), NaN where it was not seen."""
     rows = zip(t.tolist(), poses.tolist(), tip.tolist(), velocity.tolist(), strict=True)
     return [Sample(time, tuple(pose), tuple(place), tuple(v)) for time, pose, place, v in rows]
 
 
-DELAY_RANGE = 0.3
-"""Greatest delay that is looked for, s."""
-
-DELAY_ROUNDS = 3
-"""Of writing the pushes down with the delay found so far."""
-
-DELAY_OBSERVATIONS = 100
-"""Most poses a push that the delay is found from."""
-
-MIN_OBSERVATIONS = 5
-"""Of a push whose delay can be estimated."""
-
-LAST_SHARE = 0.2
-"""Of a push's path, at its end, on which the object moves with the tip."""
+DELAY_RANGE = 0.3  # greatest delay that is looked for, s
+DELAY_ROUNDS = 3  # of writing the pushes down with the delay found so far
+DELAY_OBSERVATIONS = 100  # most poses a push that the delay is found from
+MIN_OBSERVATIONS = 5  # of a push whose delay can be estimated
+LAST_SHARE = 0.2  # of a push's path, at its end, on which the object moves with the tip
 
 END_VARIANCE = 9.0
 """Of a parabola's value at the end of its N points, in variances of one of them by N; that of the rest is small."""
 
-MAD_TO_STD = 1.4826
-"""Standard deviation by median absolute deviation, of normal errors."""
+MAD_TO_STD = 1.4826  # standard deviation by median absolute deviation, of normal errors
 
 
 @dataclass(frozen=True)
 class Delay:
-    """How late the object's poses are against the tip's places.
+    """How late the object's poses are against the tip's places."""
 
-    Attributes:
-        value: s, positive where the poses are late.
-        std: of it, s.
-        pushes: from which it was found.
-    """
-
-    value: float
-    std: float
-    pushes: int
+    value: float  # s, positive where the poses are late
+    std: float  # of it, s
+    pushes: int  # from which it was found
 
 
 def estimate_delay(
@@ -203,11 +158,7 @@ def estimate_delay(
     delay, b and c that fit it best. Of all pushes the median counts: in some the tip slides off before it stops. As the
     poses at rest are chosen by the delay, the pushes are written down once more with what was found.
 
-    Args:
-        samples, obj, radius, segmenter, record: as of `record_pushes`; delays are beyond `record.pose_delay`.
-
-    Returns:
-        The delay; None where no push has poses enough.
+    The arguments are those of `record_pushes`; delays are beyond `record.pose_delay`. None where poses are too few.
     """
     record = replace(record or RecordOptions(), observations=DELAY_OBSERVATIONS)
     start, found, errors = record.pose_delay, list[float](), list[float]()
@@ -252,82 +203,52 @@ def _fit_delay(seen: ObservedPush, rho: float) -> tuple[float, float] | None:
 def write_stream_csv(samples: Sequence[Sample], path: Path | str, force: bool = False) -> None:
     """Writes a stream so that `read_stream_csv` gives its numbers back bit for bit.
 
-    Args:
-        samples: of the stream.
-        path: the CSV file.
-        force: whether an existing file may be replaced.
-
-    Raises:
-        OutputError: the file exists and `force` is not set, or it cannot be written.
+    Raises OutputError: the file exists and `force` is not set, or it cannot be written.
     """
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(COLUMNS)
     for sample in samples:
-        groups = ((*sample.tip, *sample.velocity), sample.pose)
-        writer.writerow([repr(float(sample.t)), *(cell for group in groups for cell in _write_cells(group))])
+        row = [repr(float(sample.t))]
+        for numbers in ((*sample.tip, *sample.velocity), sample.pose):
+            row += [repr(float(number)) if all(map(math.isfinite, numbers)) else "" for number in numbers]
+        writer.writerow(row)
     write_whole(path, buffer.getvalue(), force)
-
-
-def _write_cells(numbers: Sequence[float]) -> list[str]:
-    return [repr(float(number)) if all(map(math.isfinite, numbers)) else "" for number in numbers]
 
 
 def read_stream_csv(path: Path | str) -> list[Sample]:
     """Reads a stream.
 
-    Args:
-        path: the CSV file.
-
-    Returns:
-        Its samples.
-
-    Raises:
-        PushLogError: the file cannot be read or breaks the form; the message names the file, the line, the column and
-            the expected form.
+    Raises PushLogError: the file cannot be read or breaks the form; the message names file, line, column and form.
     """
     path = Path(path)
-    rows = csv.reader(io.StringIO(read_text(path, WHAT, PushLogError).replace("\0", "\N{REPLACEMENT CHARACTER}")))
     t, groups = list[float](), list[list[list[float]]]()
-    header: list[str] | None = None
-    try:
-        for cells in rows:
-            if not any(cell.strip() for cell in cells):
-                continue
-            if header is None:
-                header = _check_header(path, rows.line_num, [cell.strip() for cell in cells])
-                continue
-            if len(cells) != len(header):
-                raise PushLogError(
-                    f"{path}, line {rows.line_num}: has {len(cells)} fields; the header has {len(header)}"
-                )
-            row = dict(zip(header, cells, strict=True))
-            t.append(_read_time(path, rows.line_num, row["t"], t))
-            groups.append([_read_group(path, rows.line_num, row, group) for group in (TIP, VELOCITY, POSE)])
-    except csv.Error as error:
-        raise PushLogError(f"{path}, line {rows.line_num}: is not CSV: {error}") from error
-    if header is None or not t:
-        raise PushLogError(f"{path}: is empty; expected the header {','.join(REQUIRED)} and rows below it")
+    measured = False
+    for line, row in read_table(path, WHAT, REQUIRED, _check_header):
+        t.append(_read_time(path, line, row["t"], t))
+        groups.append([_read_group(path, line, row, group) for group in (TIP, VELOCITY, POSE)])
+        measured = VELOCITY[0] in row
+    if not t:
+        raise PushLogError(f"{path}: is empty; expected rows below the header {','.join(REQUIRED)}")
     times, (tip, velocity, poses) = np.array(t), np.array(groups).transpose(1, 0, 2)
-    return make_samples(times, tip, velocity if VELOCITY[0] in header else calc_velocities(times, tip), poses)
+    return make_samples(times, tip, velocity if measured else calc_velocities(times, tip), poses)
 
 
-def _check_header(path: Path, line: int, header: list[str]) -> list[str]:
+def _check_header(path: Path, line: int, header: list[str]) -> None:
     form = f"expected {','.join(REQUIRED)} and, if known, {TIP[2]} and {', '.join(VELOCITY)}"
     for name in header:
         if name not in COLUMNS or header.count(name) > 1:
-            _fail(path, line, name, f"is {'there twice' if name in COLUMNS else 'unknown'}; {form}")
+            fail(path, line, name, f"is {'there twice' if name in COLUMNS else 'unknown'}; {form}")
     there = [name for name in VELOCITY if name in header]
     for name in (*REQUIRED, *(VELOCITY if there else ())):
         if name not in header:
-            _fail(path, line, name, f"is missing; {form}")
-    return header
+            fail(path, line, name, f"is missing; {form}")
 
 
 def _read_time(path: Path, line: int, cell: str, before: list[float]) -> float:
     time = _read_number(path, line, "t", cell)
     if before and time <= before[-1]:
-        _fail(path, line, "t", f"is {time!r} after {before[-1]!r}; expected times (s) that increase")
+        fail(path, line, "t", f"is {time!r} after {before[-1]!r}; expected times (s) that increase")
     return time
 
 
@@ -340,16 +261,6 @@ def _read_group(path: Path, line: int, row: dict[str, str], columns: tuple[str, 
 
 
 def _read_number(path: Path, line: int, column: str, cell: str) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value) or abs(value) > MAX_NUMBER or "_" in cell:
-        group = next((columns for columns in (TIP, VELOCITY, POSE) if column in columns), None)
-        form = "a finite number" + (f", or {', '.join(group)} empty" if group else " (s)")
-        _fail(path, line, column, f"is {cell.strip()[:MAX_SHOWN]!r}; expected {form}")
-    return value
-
-
-def _fail(path: Path, line: int, column: str, what: str) -> NoReturn:
-    raise PushLogError(f"{path}, line {line}, column {column[:MAX_SHOWN]}: {what}")
+    group = next((columns for columns in (TIP, VELOCITY, POSE) if column in columns), None)
+    form = "a finite number" + (f", or {', '.join(group)} empty" if group else " (s)")
+    return read_number(path, line, column, cell, form)

@@ -18,11 +18,8 @@ PHOTOGRAPH_HEIGHT, TRACK_HEIGHT = 3.9, 2.2
 BAND = 2.0
 """Standard deviations that the band about zero is wide, either way: 95 % of the errors belong into it."""
 
-CLIP = 3.0
-"""Of what is drawn: so many times the 95th percentile of the errors."""
-
-SHOWN = 95
-"""The percentile."""
+CLIP, SHOWN = 3.0, 95
+"""What is drawn: so many times the percentile of the errors."""
 
 
 @dataclass(frozen=True, eq=False)

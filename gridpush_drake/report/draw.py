@@ -17,12 +17,13 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colorbar import Colorbar
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, PathPatch, Polygon
+from matplotlib.patches import Circle, Patch, PathPatch, Polygon
 from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.polygon import orient
 
+from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.objects.grid_object import GridObject
@@ -30,11 +31,8 @@ from gridpush_drake.objects.grid_object import GridObject
 MM = 1e3
 """Millimeters in a meter."""
 
-INK = "#2b2f36"
-"""Outlines and text."""
-
-PALE = "#dfe5ec"
-"""Cells without a value."""
+INK, PALE, FAINT, TABLE = "#2b2f36", "#dfe5ec", "#a9b0b8", "#f3efe6"
+"""Outlines and text; cells without a value; where things began, and whatever stays in the background; a table's top."""
 
 PART_COLORS = ("#7fa7c9", "#e3b778", "#8fbf9f", "#c99bb8", "#b3a6d9", "#a9a9a3")
 """Parts in order of their labels, over again after the last."""
@@ -42,14 +40,14 @@ PART_COLORS = ("#7fa7c9", "#e3b778", "#8fbf9f", "#c99bb8", "#b3a6d9", "#a9a9a3")
 CELL_MAP = "viridis"
 """Color map of values where none is asked for."""
 
-CELL_LINE, OUTLINE_LINE = 0.4, 1.4
+CELL_LINE, OUTLINE_LINE, ARROW_LINE, TIP_LINE = 0.4, 1.4, 1.6, 1.2
 """Line widths, points."""
 
 FONT = 9
 """Size of text, points."""
 
-MARGIN = 0.04
-"""Room about the object, in its larger side."""
+MARGIN, FRAME_SHARE, SCALE_DROP = 0.04, 0.03, 0.05
+"""In an object's larger side: room about it with axes and without, and how far below it the scale bar is."""
 
 BAR_SHARE, BAR_GAP = 0.04, 0.03
 """Width of a color bar and its distance, in widths of the axes."""
@@ -57,50 +55,23 @@ BAR_SHARE, BAR_GAP = 0.04, 0.03
 MAX_TICKS = 5
 """On one axis or color bar."""
 
-LEARNED = "#2468a8"
-"""What the learned model says."""
+LEARNED, BEFORE = "#2468a8", "#c9822b"
+"""What the learned model says, and what was held before learning."""
 
-BEFORE = "#c9822b"
-"""What was held before learning."""
+PAGE_WIDTH, HALF_WIDTH = 8.0, 4.6
+"""Of a figure as wide as the page, and of one half as wide, inches."""
 
-FAINT = "#a9b0b8"
-"""Where things began, and whatever stays in the background."""
-
-PAGE_WIDTH = 8.0
-"""Of a figure as wide as the page, inches."""
-
-HALF_WIDTH = 4.6
-"""Of a figure half as wide, inches."""
-
-BAR_ROOM = 0.55
-"""Beside a panel, for its color bar, inches."""
-
-TITLE_ROOM = 0.5
-"""Above a panel, inches."""
+BAR_ROOM, TITLE_ROOM = 0.55, 0.5
+"""Beside a panel, for its color bar, and above it, inches."""
 
 CENTIMETER = 0.01
 """Lengths from here on are given in cm, shorter ones in mm; m."""
 
-ROUND = (5, 2, 1)
-"""What a round length begins with."""
-
-SCALE_DROP = 0.05
-"""How far below the object the scale bar is, in the object's larger side."""
-
-FRAME_SHARE = 0.03
-"""Room about the object, in its larger side."""
-
-SCALE_SHARE = 0.4
-"""A scale bar is at most this share of the object's width."""
-
-TABLE = "#f3efe6"
-"""The table's top."""
+ROUND, SCALE_SHARE = (5, 2, 1), 0.4
+"""What a scale bar's length begins with, and the share of the object's width that it is at most."""
 
 LEGEND_PAD = 4.5
 """Between the axes and a legend below them, in its font's size: room for ticks and a label."""
-
-ARROW_LINE = 1.6
-"""Line width, points."""
 
 
 def to_png(figure: Figure) -> bytes:
@@ -158,15 +129,7 @@ def draw_cells(
 
 
 def draw_parts(ax: Axes, obj: GridObject) -> PolyCollection:
-    """Draws the cells in the colors of their parts, with a legend that counts them.
-
-    Args:
-        ax: where to draw, body frame, m; its aspect is made equal.
-        obj: the object.
-
-    Returns:
-        The cells.
-    """
+    """Draws the cells in the colors of their parts, body frame, m, with a legend that counts them; gives the cells."""
     labels, index, counts = np.unique(obj.labels, return_inverse=True, return_counts=True)
     colors = [PART_COLORS[i % len(PART_COLORS)] for i in range(len(labels))]
     cells = PolyCollection(
@@ -192,19 +155,7 @@ def draw_outline(
     linestyle: str = "solid",
     alpha: float = 1.0,
 ) -> PathPatch:
-    """Draws the outline with its holes.
-
-    Args:
-        ax: where to draw, world frame, m.
-        obj: the object.
-        pose: (x, y, theta) X_WB, m and rad.
-        color: of the line.
-        linestyle: as matplotlib names it.
-        alpha: opacity, 0 to 1.
-
-    Returns:
-        The outline.
-    """
+    """Draws the outline with its holes, world frame, m, at a pose (x, y, theta) X_WB, m and rad; gives the outline."""
     outline = orient(obj.outline)
     rings = [transform(pose, np.array(ring.coords)[:, :2]) for ring in (outline.exterior, *outline.interiors)]
     path = Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))
@@ -259,6 +210,13 @@ def draw_arrow(ax: Axes, start: ArrayLike, end: ArrayLike, color: str) -> None:
     )  # fmt: skip
 
 
+def draw_tips(ax: Axes, push: Push, color: str) -> None:
+    """Draws the path of the finger, open where it begins."""
+    ax.plot(*push.xy.T, color=color, linewidth=TIP_LINE)
+    for center, filling in ((push.xy[0], "none"), (push.xy[-1], color)):
+        ax.add_patch(Circle(tuple(center), push.radius, facecolor=filling, edgecolor=color))
+
+
 def frame_points(ax: Axes, points: Sequence[ArrayLike], room: float) -> None:
     """Sets the axes' limits to all points (k, 2), m, with `room` about them, m."""
     together = np.concatenate([np.asarray(part) for part in points])
@@ -279,18 +237,7 @@ def add_legend_below(ax: Axes, handles: Sequence[Line2D], columns: int) -> None:
 def make_panels(
     obj: GridObject, rows: int, columns: int, *, width: float = PAGE_WIDTH, max_height: float = 3.2
 ) -> tuple[Figure, np.ndarray]:
-    """Makes a grid of panels, each of the object's proportions.
-
-    Args:
-        obj: the object.
-        rows: of panels.
-        columns: of panels.
-        width: of the whole, inches.
-        max_height: of a panel, inches.
-
-    Returns:
-        The figure, on an Agg canvas, and its axes (rows, columns).
-    """
+    """As `make_grid`, with panels of the object's proportions; `max_height` is theirs, inches."""
     x0, y0, x1, y1 = obj.outline.bounds
     panel = max(width / columns - BAR_ROOM, 1.0)
     height = min(max(panel * (y1 - y0) / (x1 - x0), 0.8), max_height) + TITLE_ROOM
@@ -302,6 +249,12 @@ def make_grid(rows: int, columns: int, width: float, height: float) -> tuple[Fig
     figure = Figure(figsize=(width, height * rows), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def make_chart(width: float, height: float) -> tuple[Figure, Axes]:
+    """Makes a figure of one pair of axes, inches."""
+    figure, axes = make_grid(1, 1, width, height)
+    return figure, axes[0, 0]
 
 
 def hide_axes(ax: Axes, title: str = "") -> None:
@@ -326,24 +279,14 @@ def add_scale_bar(ax: Axes, obj: GridObject) -> None:
     length = calc_round_length(SCALE_SHARE * max(x1 - x0, y1 - y0))
     below = y0 - obj.cell_size / 2 - SCALE_DROP * max(x1 - x0, y1 - y0)
     ax.plot([x0, x0 + length], [below, below], color=INK, linewidth=2, solid_capstyle="butt")
-    ax.annotate(
-        f" {_describe_length(length)}",
-        (x0 + length, below),
-        va="center",
-        fontsize=FONT - 1,
-        color=INK,
-        annotation_clip=False,
-    )
+    words = f" {length * 100:g} cm" if length >= CENTIMETER else f" {length * MM:g} mm"
+    ax.annotate(words, (x0 + length, below), va="center", fontsize=FONT - 1, color=INK, annotation_clip=False)
 
 
 def calc_round_length(longest: float) -> float:
     """The greatest 1, 2 or 5 times a power of ten that is at most `longest`."""
     power = 10.0 ** floor(log10(longest))
     return next(first * power for first in ROUND if first * power <= longest * (1 + 1e-9))
-
-
-def _describe_length(length: float) -> str:
-    return f"{length * 100:g} cm" if length >= CENTIMETER else f"{length * 1000:g} mm"
 
 
 def tidy(ax: Axes, x: str, y: str) -> None:

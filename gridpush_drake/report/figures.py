@@ -7,11 +7,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle
-from numpy.typing import ArrayLike, NDArray
+from matplotlib.patches import Rectangle
+from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.geometry.se2 import transform_back
+from gridpush_drake.geometry.se2 import Array, transform_back
 from gridpush_drake.identification.result import HistoryEntry, Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -32,29 +32,26 @@ from gridpush_drake.report.draw import (
     draw_cells,
     draw_outline,
     draw_parts,
+    draw_tips,
     frame_object,
     hide_axes,
+    make_chart,
     make_grid,
     make_panels,
     tidy,
     to_png,
 )
 
-Array = NDArray[np.float64]
-
 LEGEND_COLUMNS = 3
 
-ARROW_HEAD = 0.01
-"""Share of a path that its arrow's head is drawn along."""
+MOTION_WIDTH, ARROW_HEAD = 6.0, 0.01
+"""Of a motion's figure, inches, and share of a path that its arrow's head is drawn along."""
 
 GHOSTS = 5
 """Faint outlines along a drawn motion, its two ends apart."""
 
-SPREAD_MAP = "BuPu"
-"""Color map of standard deviations."""
-
-SHARE_MAP = "YlGnBu"
-"""Color map of what was learned, 0 to 1."""
+SPREAD_MAP, SHARE_MAP = "BuPu", "YlGnBu"
+"""Color maps of standard deviations, and of what was learned, 0 to 1."""
 
 FAINTEST = 0.25
 """Opacity of a cell of which nothing was learned."""
@@ -62,26 +59,22 @@ FAINTEST = 0.25
 GRAM = 1e3
 """Grams in a kilogram."""
 
-MAX_OVERLAYS = 8
-"""Pushes drawn one by one."""
+MAX_OVERLAYS, OVERLAY_COLUMNS = 8, 4
+"""Pushes drawn one by one, in all and side by side."""
 
-MAX_DUMBBELLS = 32
-"""Pushes compared line by line; above this, as a scatter of points."""
-
-OVERLAY_COLUMNS = 4
-
-LINE_HEIGHT = 0.22
-"""Of a push in the line by line comparison, inches."""
+MAX_DUMBBELLS, LINE_HEIGHT = 32, 0.22
+"""Pushes compared line by line (above this, as a scatter of points), and the height of each, inches."""
 
 
-def draw_object_parts(obj: GridObject, width: float = HALF_WIDTH) -> Figure:
+def draw_object_parts(obj: GridObject) -> Figure:
     """Draws the object with its parts."""
-    figure, axes = make_panels(obj, 1, 1, width=width, max_height=width)
-    draw_parts(axes[0, 0], obj)
-    _put_legend_above(axes[0, 0])
-    hide_axes(axes[0, 0])
-    frame_object(axes[0, 0], obj)
-    add_scale_bar(axes[0, 0], obj)
+    figure, axes = make_panels(obj, 1, 1, width=HALF_WIDTH, max_height=HALF_WIDTH)
+    ax = axes[0, 0]
+    draw_parts(ax, obj)
+    _put_legend_above(ax)
+    hide_axes(ax)
+    frame_object(ax, obj)
+    add_scale_bar(ax, obj)
     return figure
 
 
@@ -105,17 +98,8 @@ def draw_pushes(result: Identification, log: PushLog, held_out: PushLog | None =
 
 
 def draw_loss(history: Sequence[HistoryEntry], before: float | None = None) -> Figure:
-    """Draws the loss along the search.
-
-    Args:
-        history: of the search.
-        before: mean cell error with uniform parameters, m.
-
-    Returns:
-        The figure.
-    """
-    figure, axes = make_grid(1, 1, HALF_WIDTH, 0.55 * HALF_WIDTH)
-    ax = axes[0, 0]
+    """Draws the loss along the search, and the mean cell error with uniform parameters, m, where it is given."""
+    figure, ax = make_chart(HALF_WIDTH, 0.55 * HALF_WIDTH)
     simulations = [entry.simulations for entry in history]
     loss = [entry.loss * MM for entry in history]
     ax.step(simulations, loss, where="post", color=LEARNED, linewidth=1.6, label="best so far")
@@ -131,15 +115,10 @@ def draw_loss(history: Sequence[HistoryEntry], before: float | None = None) -> F
 def draw_learning(errors: Sequence[float], noise_floor: float | None = None) -> Figure:
     """Draws how the error of held-out predictions falls with the pushes learned from.
 
-    Args:
-        errors: mean cell error of the held-out pushes, m: before the first push, after it, after the second, ...
-        noise_floor: error that the true parameters leave, m, where it is known.
-
-    Returns:
-        The figure.
+    `errors` are their mean cell errors, m, before the first push and after each; `noise_floor` is the error that the
+    true parameters leave, where it is known.
     """
-    figure, axes = make_grid(1, 1, 6.5, 2.9)
-    ax = axes[0, 0]
+    figure, ax = make_chart(6.5, 2.9)
     ax.plot(np.arange(len(errors)), np.array(errors) * MM, "o-", color=LEARNED, markersize=5, linewidth=1.6)
     ax.axhline(errors[0] * MM, color=BEFORE, linewidth=1.2, linestyle="dashed", label="even object")
     if noise_floor is not None:
@@ -151,31 +130,12 @@ def draw_learning(errors: Sequence[float], noise_floor: float | None = None) -> 
     return figure
 
 
-def draw_path(obj: GridObject, push: Push, poses: Array, width: float = 6.0) -> Figure:
-    """Draws a simulated motion: the object from its beginning to its end, and the pusher's path."""
-    figure, axes = make_grid(1, 1, width, 0.75 * width)
-    ax = axes[0, 0]
-    for pose in poses[np.linspace(0, len(poses) - 1, GHOSTS + 2).astype(int)[1:-1]]:
-        draw_outline(ax, obj, pose=pose, color=FAINT, alpha=0.5)
-    draw_outline(ax, obj, pose=poses[0], color=FAINT, linestyle="dashed")
-    draw_cells(ax, obj, pose=poses[-1])
-    _draw_tip(ax, push)
-    ax.autoscale_view()
-    return figure
-
-
 def _put_legend_above(ax: Axes) -> None:
     legend = ax.get_legend()
     if legend is not None:
         legend.set_loc("lower center")
         legend.set_bbox_to_anchor((0.5, 1.0), ax.transAxes)
         legend.set_ncols(LEGEND_COLUMNS)
-
-
-def _draw_tip(ax: Axes, push: Push) -> None:
-    ax.plot(*push.xy.T, color=LEARNED, linewidth=1)
-    for center, filled in ((push.xy[0], False), (push.xy[-1], True)):
-        ax.add_patch(Circle(tuple(center), push.radius, facecolor=LEARNED if filled else "none", edgecolor=LEARNED))
 
 
 def _draw_arrow(ax: Axes, path: Array, color: str, label: str | None) -> None:
@@ -191,14 +151,7 @@ def draw_learned_maps(result: Identification, truth: CellParameters | None = Non
     """Draws the load and the mass that would go with it beside their standard deviations, and the truth if known.
 
     The load is a cell's share of the support's friction in units of the even share, so 1 everywhere where it is even.
-    What was learned is drawn full, what is the prior's faint.
-
-    Args:
-        result: the model.
-        truth: what the object's cells really are.
-
-    Returns:
-        The figure: a row for the load and one for mass.
+    What was learned is drawn full, what is the prior's faint; a row for the load and one for mass.
     """
     obj, known = result.obj, result.identifiability
     friction = known.relative_friction * obj.n
@@ -235,10 +188,9 @@ def draw_unknown_maps(result: Identification) -> Figure:
     _draw_map(axes[0, 1], obj, known.mass_min * GRAM, "smallest possible mass", "g a cell", limits)
     _draw_map(axes[0, 2], obj, greatest, "greatest possible mass", "g a cell", limits)
     low, high = known.center_of_mass_box
-    for ax in axes[0, 1:]:
-        if np.isfinite(known.center_of_mass_box).all():
-            ax.plot(*_rectangle(low, high), color="white", linewidth=3)
-            ax.plot(*_rectangle(low, high), color=LEARNED, linewidth=1.5)
+    for ax in axes[0, 1:] if np.isfinite(known.center_of_mass_box).all() else ():
+        for color, width in (("white", 3.0), (LEARNED, 1.5)):
+            ax.add_patch(Rectangle(low, *(high - low), fill=False, edgecolor=color, linewidth=width))
     add_scale_bar(axes[0, 0], obj)
     return figure
 
@@ -269,10 +221,6 @@ def _limits(values: Array, others: Array | None = None, zero: bool = False) -> t
     return (low, low + apart) if zero else ((low + high - apart) / 2, (low + high + apart) / 2)
 
 
-def _rectangle(low: Array, high: Array) -> tuple[list[float], list[float]]:
-    return [low[0], high[0], high[0], low[0], low[0]], [low[1], low[1], high[1], high[1], low[1]]
-
-
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """How one push came out.
@@ -281,8 +229,7 @@ class Outcome:
         seen: the push.
         before: (3,) final pose predicted with uniform parameters, m and rad.
         after: (3,) as the learned model predicts it.
-        error_before: mean cell error, m, of the one.
-        error_after: of the other.
+        error_before: mean cell error, m, of the one; `error_after` of the other.
         held_out: whether the model never saw it.
     """
 
@@ -304,14 +251,10 @@ def draw_overlays(obj: GridObject, outcomes: Sequence[Outcome]) -> Figure:
         ax.set_axis_off()
     for ax, outcome in zip(axes.flat, chosen, strict=False):
         _draw_overlay(ax, obj, outcome)
+    drawn = {"before the push": FAINT, "observed": INK, "uniform friction": BEFORE, "learned": LEARNED}
     handles = [
         Line2D([], [], color=color, linestyle="dashed" if color == FAINT else "solid", linewidth=1.6, label=label)
-        for label, color in (
-            ("before the push", FAINT),
-            ("observed", INK),
-            ("uniform friction", BEFORE),
-            ("learned", LEARNED),
-        )
+        for label, color in drawn.items()
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=FONT)
     return figure
@@ -336,9 +279,8 @@ def draw_errors(outcomes: Sequence[Outcome]) -> Figure:
 
 
 def _draw_dumbbells(outcomes: Sequence[Outcome]) -> Figure:
-    figure, axes = make_grid(1, 1, 6.5, LINE_HEIGHT * len(outcomes) + 0.9)
-    ax = axes[0, 0]
-    before, after = _errors(outcomes)
+    figure, ax = make_chart(6.5, LINE_HEIGHT * len(outcomes) + 0.9)
+    before, after = MM * np.array([(outcome.error_before, outcome.error_after) for outcome in outcomes]).T
     places = np.arange(len(outcomes))[::-1]
     ax.hlines(places, before, after, color=FAINT, linewidth=1.2)
     ax.plot(before, places, "o", color=BEFORE, markersize=5, label="uniform friction")
@@ -353,9 +295,8 @@ def _draw_dumbbells(outcomes: Sequence[Outcome]) -> Figure:
 
 
 def _draw_scatter(outcomes: Sequence[Outcome]) -> Figure:
-    figure, axes = make_grid(1, 1, 5.0, 4.6)
-    ax = axes[0, 0]
-    before, after = _errors(outcomes)
+    figure, ax = make_chart(5.0, 4.6)
+    before, after = MM * np.array([(outcome.error_before, outcome.error_after) for outcome in outcomes]).T
     held_out = np.array([outcome.held_out for outcome in outcomes])
     for which, color, label in ((~held_out, LEARNED, "learned from"), (held_out, BEFORE, "held out")):
         if which.any():
@@ -370,13 +311,6 @@ def _draw_scatter(outcomes: Sequence[Outcome]) -> Figure:
     return figure
 
 
-def _errors(outcomes: Sequence[Outcome]) -> tuple[Array, Array]:
-    return (
-        np.array([outcome.error_before for outcome in outcomes]) * MM,
-        np.array([outcome.error_after for outcome in outcomes]) * MM,
-    )
-
-
 def draw_object(obj: GridObject) -> bytes:
     """The object with its parts, as PNG."""
     return to_png(draw_object_parts(obj))
@@ -388,5 +322,12 @@ def draw_model(result: Identification) -> bytes:
 
 
 def draw_motion(obj: GridObject, push: Push, poses: Array) -> bytes:
-    """An object's motion (T+1, 3) under a push, as PNG."""
-    return to_png(draw_path(obj, push, poses))
+    """A simulated motion (T+1, 3), as PNG: the object from its beginning to its end, and the pusher's path."""
+    figure, ax = make_chart(MOTION_WIDTH, 0.75 * MOTION_WIDTH)
+    for pose in poses[np.linspace(0, len(poses) - 1, GHOSTS + 2).astype(int)[1:-1]]:
+        draw_outline(ax, obj, pose=pose, color=FAINT, alpha=0.5)
+    draw_outline(ax, obj, pose=poses[0], color=FAINT, linestyle="dashed")
+    draw_cells(ax, obj, pose=poses[-1])
+    draw_tips(ax, push, LEARNED)
+    ax.autoscale_view()
+    return to_png(figure)

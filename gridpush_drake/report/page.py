@@ -1,7 +1,7 @@
 """The report: one self-contained HTML page about a learned model, and about what a robot did, where one did."""
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
@@ -16,7 +16,6 @@ from gridpush_drake.dynamics.simulation import GRAVITY
 from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.prediction import (
     ErrorSummary,
-    Prediction,
     calc_final_errors,
     calc_mean_cell_error,
     predict,
@@ -47,40 +46,42 @@ Row = tuple[str, str, str]
 
 def list_numbers(result: Identification, truth: CellParameters | None = None) -> list[Row]:
     """The quantities that sum a model up, each with its standard deviation, and the truth where it is known."""
-    known = result.identifiability
-    rows = [_describe_part(result, label, truth) for label in _parts(result)]
-    rows.append(
-        (
-            "center of friction",
-            _point(
-                known.center_of_friction, np.sqrt(np.maximum(np.diagonal(known.center_of_friction_covariance), 0.0))
-            ),
-            "" if truth is None else _point(truth.relative_friction() @ result.obj.p_BC),
-        )
-    )
+    obj, known, params = result.obj, result.identifiability, result.params
+
+    def told(describe: Callable[[CellParameters], str]) -> str:
+        return "" if truth is None else describe(truth)
+
+    spread = np.sqrt(np.maximum(np.diagonal(known.center_of_friction_covariance), 0.0))
     low, high = known.center_of_mass_box
+    labels = np.unique(obj.labels).tolist()
+    rows = [_describe_part(result, label, truth) for label in labels] if len(labels) > 1 else []
     rows += [
         (
+            "center of friction",
+            _point(known.center_of_friction, spread),
+            told(lambda true: _point(true.relative_friction() @ obj.p_BC)),
+        ),
+        (
             "center of mass, estimate",
-            _point(result.params.center_of_mass(result.obj)),
-            "" if truth is None else _point(truth.center_of_mass(result.obj)),
+            _point(params.center_of_mass(obj)),
+            told(lambda true: _point(true.center_of_mass(obj))),
         ),
         ("center of mass, possible", f"x {_range(low[0], high[0])}, y {_range(low[1], high[1])}", ""),
         (
             "contact friction",
-            f"{result.params.contact_friction:.2f} ± {result.std.contact_friction:.2f}",
-            "" if truth is None else f"{truth.contact_friction:.2f}",
+            f"{params.contact_friction:.2f} ± {result.std.contact_friction:.2f}",
+            told(lambda true: f"{true.contact_friction:.2f}"),
         ),
         (
             "total mass",
-            f"{result.params.total_mass:.3g} kg" + _describe_mass_source(result),
-            "" if truth is None else f"{truth.total_mass:.3g} kg",
+            f"{params.total_mass:.3g} kg" + _describe_mass_source(result),
+            told(lambda true: f"{true.total_mass:.3g} kg"),
         ),
         ("left unexplained", f"{result.noise_std * MM:.2f} mm per axis", ""),
     ]
     if result.force is not None:
         friction, std = result.force.friction, result.force.friction * result.force.relative_std
-        true_friction = "" if truth is None else f"{GRAVITY * float(truth.mass @ truth.friction):.2f} N"
+        true_friction = told(lambda true: f"{GRAVITY * float(true.mass @ true.friction):.2f} N")
         rows.append(("friction with the table, of the measured forces", f"{friction:.2f} ± {std:.2f} N", true_friction))
     return rows
 
@@ -103,11 +104,6 @@ def describe_making(result: Identification, log: PushLog, version: str) -> list[
         ("seed", str(result.seed)),
         ("gridpush-drake", version),
     ]
-
-
-def _parts(result: Identification) -> list[int]:
-    labels = np.unique(result.obj.labels)
-    return labels.tolist() if len(labels) > 1 else []
 
 
 def _describe_part(result: Identification, label: int, truth: CellParameters | None) -> Row:
@@ -162,9 +158,7 @@ SIMILAR = 0.05
 class _Comparison:
     """One log, predicted before and after learning."""
 
-    log: PushLog
-    before: list[Prediction]
-    after: list[Prediction]
+    held_out: bool
     errors_before: list[ErrorSummary]
     errors_after: list[ErrorSummary]
     outcomes: list[Outcome]
@@ -210,19 +204,21 @@ def make_report(
     compared = [training, *([fresh] if fresh else [])]
     judged = fresh if fresh and fresh.outcomes else training
     outcomes = [outcome for comparison in reversed(compared) for outcome in comparison.outcomes]
+    known = truth is not None and held_out is not None and learning
+    floor = calc_mean_cell_error(obj, truth, held_out, identification.regime) if known else None  # type: ignore[arg-type]
     text = files("gridpush_drake.report").joinpath("templates", TEMPLATE).read_text(encoding="utf-8")
     return Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True).from_string(
         text
     ).render(
         name=obj.name.replace("_", " "),
-        headline=_make_headline(identification, judged, fresh is judged) if summary is None else summary.headline,
+        headline=_make_headline(identification, judged) if summary is None else summary.headline,
         message=identification.message,
         facts=_list_facts(identification, judged, log, held_out) if summary is None else summary.facts,
         summary=summary,
         sight=None if sight is None else sight.describe(),
         figures=_draw_figures(identification, log, held_out, truth, training.cell[0], outcomes)
         | {
-            "learning": _embed(_draw_learning(identification, held_out, truth, learning)) if learning else None,
+            "learning": _embed(draw_learning(learning, floor)) if learning else None,
             "summary": None if summary is None else _embed(summary.figure),
             "sight": None if sight is None else _embed(draw_sight(sight)),
         },
@@ -231,7 +227,7 @@ def make_report(
         overlays_shown=min(len(outcomes), MAX_OVERLAYS),
         outcomes=len(outcomes),
         line_by_line=len(outcomes) <= MAX_DUMBBELLS,
-        error_tables=[_tabulate_errors(comparison, comparison is fresh) for comparison in compared],
+        error_tables=[_tabulate_errors(comparison) for comparison in compared],
         unused=identification.unused_pushes,
         refused=[outlier.describe() for outlier in identification.outliers],
         statements=identification.identifiability.statements,
@@ -261,14 +257,6 @@ def _draw_figures(
     return {name: None if figure is None else _embed(figure) for name, figure in figures.items()}
 
 
-def _draw_learning(
-    result: Identification, held_out: PushLog | None, truth: CellParameters | None, learning: Sequence[float]
-) -> Figure:
-    known = truth is not None and held_out is not None
-    floor = calc_mean_cell_error(result.obj, truth, held_out, result.regime) if known else None  # type: ignore[arg-type]
-    return draw_learning(learning, floor)
-
-
 def _compare(result: Identification, log: PushLog, held_out: bool) -> _Comparison:
     run = partial(predict, result.obj, log=log, regime=result.regime)
     before, after = run(params=CellParameters.uniform(result.obj)), run(params=result.params)
@@ -278,23 +266,17 @@ def _compare(result: Identification, log: PushLog, held_out: bool) -> _Compariso
         for seen, first, second, (one, other) in zip(log, before, after, errors, strict=True)
         if one is not None and other is not None
     ]
-    return _Comparison(
-        log,
-        before,
-        after,
-        summarize_errors(result.obj, before, log),
-        summarize_errors(result.obj, after, log),
-        outcomes,
-    )
+    first, last = (summarize_errors(result.obj, poses, log) for poses in (before, after))
+    return _Comparison(held_out, first, last, outcomes)
 
 
-def _make_headline(result: Identification, judged: _Comparison, held_out: bool) -> str:
+def _make_headline(result: Identification, judged: _Comparison) -> str:
     """The first sentence: what came of it, in plain words."""
     before, after = judged.cell
     name = result.obj.name.replace("_", " ")
     if result.status == IdentificationStatus.NO_DATA or not np.isfinite(after):
         return f"Nothing was learned about the {name}: the pusher touched it in none of the pushes."
-    which = "pushes it had never seen" if held_out else "the pushes it learned from"
+    which = "pushes it had never seen" if judged.held_out else "the pushes it learned from"
     if result.status == IdentificationStatus.PRIOR_KEPT:
         return (
             f"These pushes gave no reason to leave the assumption of an even object: predictions of {which} are off by "
@@ -326,18 +308,12 @@ def _list_facts(
     return facts
 
 
-def _tabulate_errors(comparison: _Comparison, held_out: bool) -> dict[str, Any]:
-    rows = [
-        (
-            first.name,
-            *(
-                f"{value * first.scale:.2f} {first.unit}"
-                for value in (first.mean, second.mean, second.median, second.p90)
-            ),
-        )
-        for first, second in zip(comparison.errors_before, comparison.errors_after, strict=True)
-    ]
-    kind = "held out" if held_out else "learned from"
+def _tabulate_errors(comparison: _Comparison) -> dict[str, Any]:
+    rows = []
+    for first, second in zip(comparison.errors_before, comparison.errors_after, strict=True):
+        values = (first.mean, second.mean, second.median, second.p90)
+        rows.append((first.name, *(f"{value * first.scale:.2f} {first.unit}" for value in values)))
+    kind = "held out" if comparison.held_out else "learned from"
     return {"title": f"{len(comparison.outcomes)} pushes {kind}", "rows": rows}
 
 

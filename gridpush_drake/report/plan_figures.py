@@ -1,8 +1,7 @@
 """Figures of plans and of runs: pushing to a goal, sliding to the table's edge, and grasping there."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -36,27 +35,18 @@ from gridpush_drake.report.draw import (
     draw_cells,
     draw_outline,
     draw_table,
+    draw_tips,
     frame_points,
+    make_chart,
     make_grid,
     tidy,
 )
 
-HOLDS = "#4f9d69"
-"""What holds the object."""
+HOLDS, GRASP, OBSTACLE = "#4f9d69", "#b3423f", "#c7bdb0"
+"""What holds the object, what the gripper takes, and what is in the way."""
 
-GRASP = "#b3423f"
-"""What the gripper takes."""
-
-OBSTACLE = "#c7bdb0"
-
-WIDTH, MAX_HEIGHT = 6.5, 7.5
-"""Of a plan's figure, inches."""
-
-LEGEND_ROOM = 0.7
-"""Beside a plan's drawing, inches."""
-
-PANEL_HEIGHT = 4.4
-"""Of figures with two panels, inches."""
+WIDTH, MAX_HEIGHT, LEGEND_ROOM, PANEL_HEIGHT = 6.5, 7.5, 0.7, 4.4
+"""Of a plan's figure, beside its drawing, and of figures with two panels, inches."""
 
 ROOM, CLOSE_UP = 0.05, 0.06
 """About what is drawn, and about an object in a close-up, m."""
@@ -68,25 +58,14 @@ JAW_LENGTH, JAW_WIDTH = 0.08, 0.02
 def draw_plan(
     obj: GridObject, plan: PushPlan, surface: SupportSurface | None = None, obstacles: Sequence[Shape] = ()
 ) -> Figure:
-    """Draws a plan.
-
-    Args:
-        obj: the object.
-        plan: its pushes; where there are none, start and goal alone are drawn.
-        surface: the table; None for one without end.
-        obstacles: what is in the way.
-
-    Returns:
-        The figure.
-    """
+    """Draws a plan's pushes; without any, start and goal alone. The table is without end where it is None."""
     poses, pushes = plan.poses, [planned.push for planned in plan.pushes]
     shapes = [np.array(obstacle.exterior.coords)[:, :2] for obstacle in obstacles]
     points = [obj.cells_at(np.array([*poses, plan.goal])).reshape(-1, 2), *(push.xy for push in pushes), *shapes]
     if surface is not None:
         points.append(surface.corners)
     width, height = np.ptp(np.concatenate(points), axis=0) + 2 * ROOM
-    figure, axes = make_grid(1, 1, WIDTH, min(WIDTH * height / width, MAX_HEIGHT) + LEGEND_ROOM)
-    ax = axes[0, 0]
+    figure, ax = make_chart(WIDTH, min(WIDTH * height / width, MAX_HEIGHT) + LEGEND_ROOM)
     for shape in shapes:
         ax.add_patch(Polygon(shape, facecolor=OBSTACLE, edgecolor=INK, zorder=0.5))
     _draw_pushes(ax, obj, poses, pushes, plan.goal, surface, "predicted end")
@@ -181,12 +160,7 @@ def _draw_errors(ax: Axes, errors: Array, expected: Sequence[float], tolerance: 
     ax.plot(np.arange(len(errors)), MM * errors, color=LEARNED, marker="o", zorder=3)
     handles = [Line2D([], [], color=LEARNED, marker="o", label="seen")]
     if len(expected):
-        marks: dict[str, Any] = {
-            "color": BEFORE,
-            "marker": "D",
-            "markerfacecolor": "white",
-            "linestyle": "none",
-        }
+        marks: dict[str, Any] = {"color": BEFORE, "marker": "D", "markerfacecolor": "white", "linestyle": "none"}
         ax.plot(np.arange(1, len(expected) + 1), MM * np.asarray(expected), zorder=4, **marks)
         handles.append(Line2D([], [], label="expected", **marks))
     if tolerance is not None:
@@ -206,26 +180,20 @@ def draw_slide(planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGras
         planner: object, table and options.
         masses: the masses that stability was judged on.
         plan: the plan; where nothing is safe, its safest goal is drawn.
-
-    Returns:
-        The figure.
     """
     figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
-    _draw_slides(axes[0, 0], planner, plan)
-    _draw_goal(axes[0, 1], planner, masses, plan)
-    return figure
-
-
-def _draw_slides(ax: Axes, planner: PreGraspPlanner, plan: PreGraspPlan) -> None:
+    ax = axes[0, 0]
     _draw_outlines(ax, planner.obj, plan.poses, planner.surface)
     draw_cells(ax, planner.obj, pose=plan.poses[-1])
     for push in plan.pushes:
-        _draw_tips(ax, push, LEARNED)
+        draw_tips(ax, push, LEARNED)
     if plan.poke is not None:
-        _draw_tips(ax, plan.poke, BEFORE)
+        draw_tips(ax, plan.poke, BEFORE)
     frame_points(ax, [planner.surface.corners], CLOSE_UP)
     count = len(plan.pushes)
     ax.set_title(f"{plan.status}: {count} push{'' if count == 1 else 'es'}", fontsize=FONT, color=INK)
+    _draw_goal(axes[0, 1], planner, masses, plan)
+    return figure
 
 
 def _draw_goal(ax: Axes, planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGraspPlan) -> None:
@@ -237,15 +205,12 @@ def _draw_goal(ax: Axes, planner: PreGraspPlanner, masses: PlausibleMassSet, pla
     draw_table(ax, planner.surface.corners)
     draw_cells(ax, planner.obj, pose=goal.pose, alpha=0.6)
     hull = calc_support_polygon(planner.obj, goal.pose, planner.surface, planner.options.goal.inset)
-    handles = _draw_areas(
-        ax,
-        goal.pose,
-        (
-            (hull, HOLDS, "what holds it"),
-            (masses.center_of_mass_polygon, BEFORE, "where the center of mass may be"),
-            (goal.part.footprint, GRASP, "gripper"),
-        ),
+    areas = (
+        (hull, HOLDS, "what holds it"),
+        (masses.center_of_mass_polygon, BEFORE, "where the center of mass may be"),
+        (goal.part.footprint, GRASP, "gripper"),
     )
+    handles = _draw_areas(ax, goal.pose, areas)
     frame_points(ax, [transform(goal.pose, np.asarray(planner.obj.outline.exterior.coords)[:, :2])], CLOSE_UP)
     ax.legend(handles=handles, fontsize=FONT - 1, frameon=False, loc="upper left")
     ax.set_title(
@@ -254,36 +219,16 @@ def _draw_goal(ax: Axes, planner: PreGraspPlanner, masses: PlausibleMassSet, pla
     )  # fmt: skip
 
 
-def _draw_tips(ax: Axes, push: Push, color: str) -> None:
-    """The path of the finger, open where it begins."""
-    ax.plot(*push.xy.T, color=color, linewidth=1.2)
-    ax.add_patch(Circle((push.xy[0, 0], push.xy[0, 1]), push.radius, facecolor="none", edgecolor=color))
-    ax.add_patch(Circle((push.xy[-1, 0], push.xy[-1, 1]), push.radius, facecolor=color, edgecolor=color))
-
-
-@dataclass(frozen=True, eq=False)
-class PushDrawn:
-    """A push as it was made.
-
-    Attributes:
-        start: (2,) of the finger's center, W, m.
-        end: (2,) likewise.
-        poke: whether it was to learn; else to slide.
-    """
+class PushDrawn(NamedTuple):
+    """A push as it was made: the finger's center at its start and its end, W, m, and whether it was to learn."""
 
     start: Array
     end: Array
     poke: bool
 
 
-@dataclass(frozen=True, eq=False)
-class GraspDrawn:
-    """A grasp as it was made.
-
-    Attributes:
-        point: (2,) p_WG, m.
-        approach: heading of the fingers, rad.
-    """
+class GraspDrawn(NamedTuple):
+    """A grasp as it was made: (2,) p_WG, m, and the heading of the fingers, rad."""
 
     point: Array
     approach: float
@@ -313,29 +258,21 @@ def draw_pre_grasp(
         The figure.
     """
     figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
-    _draw_trajectory(axes[0, 0], obj, surface, poses, pushes)
-    _draw_end(axes[0, 1], obj, surface, poses[-1], masses, truth, grasp)
-    return figure
-
-
-def _draw_trajectory(
-    ax: Axes, obj: GridObject, surface: SupportSurface, poses: Sequence[Array], pushes: Sequence[PushDrawn]
-) -> None:
+    ax = axes[0, 0]
     _draw_outlines(ax, obj, poses, surface)
     draw_cells(ax, obj, pose=poses[-1])
     for push in pushes:
         draw_arrow(ax, push.start, push.end, BEFORE if push.poke else LEARNED)
     frame_points(ax, [*(obj.cells_at(pose) for pose in poses), *(np.array([p.start, p.end]) for p in pushes)], CLOSE_UP)
-    add_legend_below(
-        ax,
-        [
-            Line2D([], [], color=INK, linestyle="dashed", label="start"),
-            Line2D([], [], color=BEFORE, marker=">", label="pokes"),
-            Line2D([], [], color=LEARNED, marker=">", label="slides"),
-        ],
-        2,
-    )
+    handles = [
+        Line2D([], [], color=INK, linestyle="dashed", label="start"),
+        Line2D([], [], color=BEFORE, marker=">", label="pokes"),
+        Line2D([], [], color=LEARNED, marker=">", label="slides"),
+    ]
+    add_legend_below(ax, handles, 2)
     ax.set_title("The path to the table's edge", fontsize=FONT, color=INK)
+    _draw_end(axes[0, 1], obj, surface, poses[-1], masses, truth, grasp)
+    return figure
 
 
 def _draw_end(

@@ -3,7 +3,7 @@
 Posture: of all in which the finger's tip is somewhere, the one that is nearest to the nominal posture. With q the joint
 angles, J(q) the tip's Jacobian (rotation above translation) and e the pose's error, one step of
 
-    dq = J+ e + (I - J+ J)(q_nominal - q)
+    dq = J+ e + (I - J+ J)(q_nominal - q) = J+ (e - J (q_nominal - q)) + q_nominal - q
 
 moves the tip where it should be and, in the null space, as near to q_nominal as possible. Drake's differential inverse
 kinematics with joint centering, which moves the arm by way of its driver, has the same fixed point: what is found here
@@ -15,6 +15,7 @@ takes 8 ms a path; Drake's differential inverse kinematics in its place 11 ms, a
 arrived (7 paths of 10 instead of 6); Drake's `InverseKinematics` by SNOPT 510 ms, and misses a quarter of the postures.
 """
 
+from functools import lru_cache
 from threading import RLock
 
 import numpy as np
@@ -52,8 +53,8 @@ CENTERING_TOLERANCE = 1e-6
 SPATIAL = 6
 """Directions in which a body can turn and move."""
 
-ROUND_OFF = 1e-9
-"""Of a Jacobian's entry that is zero."""
+ROUND_OFF = 1e-6
+"""Of a Jacobian's entry that is zero; a model's pi has eight digits or so."""
 
 MAX_STEPS = 200
 """Of the search for one posture from another that may be far off."""
@@ -122,10 +123,10 @@ class ArmPosture:
         with self._lock:
             X_WP = self.calc_tip_pose(q)
             J = self._calc_jacobian(self._world)
-        e = np.concatenate([_calc_rotation_error(X_WP.rotation().matrix(), R_WP.matrix()), p_WP - X_WP.translation()])
-        J_plus = np.linalg.pinv(J)
+        turn = (R_WP @ X_WP.rotation().inverse()).ToAngleAxis()
+        e = np.concatenate([turn.angle() * turn.axis(), p_WP - X_WP.translation()])
         away = q_nominal - q
-        return J_plus @ e + away - J_plus @ (J @ away), float(np.linalg.norm(e))
+        return np.linalg.lstsq(J, e - J @ away)[0] + away, float(np.linalg.norm(e))
 
     def solve(self, p_WP: ArrayLike, q_nominal: Array, q_seed: Array) -> Array | None:
         """Finds the posture with the tool down and its tip at p_WP.
@@ -171,15 +172,6 @@ def CalcStartPosture(control_plant: MultibodyPlant, robot: Robot, p_WP: ArrayLik
     return q
 
 
-def _calc_rotation_error(R_WP: Array, R_wanted: Array) -> Array:
-    """(3,) rotation vector in W that turns R_WP into the wanted one, for small angles exact to second order, rad."""
-    R = R_wanted @ R_WP.T
-    sine = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    length = np.linalg.norm(sine)
-    angle = np.arctan2(length, (np.trace(R) - 1.0) / 2.0)
-    return sine if length < np.finfo(float).eps else angle / length * sine
-
-
 STEP = 0.02
 """m along the path, between the postures searched."""
 
@@ -188,6 +180,9 @@ STEPS_PER_POSTURE = 8
 
 ARRIVED = 1e-5
 """m and rad, of a posture that is reached."""
+
+LEADS = 1024
+"""Straight pieces of paths whose postures are kept."""
 
 REGION_STEP = 0.025
 """m, between places that are tried to find out how far an arm reaches."""
@@ -219,6 +214,7 @@ class ArmReach:
         self._p_WN = self._posture.calc_tip_pose(self._nominal).translation()
         self._lower, self._upper = self._posture.lower + margin, self._posture.upper - margin
         self._speed = share * self._posture.speed
+        self._lead = lru_cache(LEADS)(self._find_postures)  # a path is asked about at several speeds
 
     def __call__(self, path: ArrayLike, speeds: ArrayLike, yaws: ArrayLike | None = None) -> str | None:
         """None where the tip can go along `path`, else a sentence that says why not.
@@ -273,29 +269,50 @@ class ArmReach:
 
     def _follow(self, q: Array, start: Array, end: Array, speed: float | None) -> tuple[Array, str | None]:
         """Leads the arm from posture q, tip and yaw at `start` (4,), to `end`; returns its last posture and stop."""
-        turn = float(end[3] - start[3])
-        length = float(np.hypot(np.linalg.norm(end[:3] - start[:3]), TURNING_RADIUS * turn))
-        count = int(np.ceil(length / STEP))
+        postures, reason = self._lead(tuple(q), tuple(start), tuple(end))
+        if speed is not None and len(postures) > 1:
+            length, count = _measure(start, end)
+            shares = np.abs(np.diff(postures, axis=0)) * speed * count / length / self._speed
+            too_fast = np.flatnonzero(shares.max(axis=1) > 1.0)
+            if too_fast.size:
+                i = int(too_fast[0])
+                k = int(shares[i].argmax())
+                where = _describe_place(start, end, (i + 1) / count)
+                return postures[i + 1], f"{self._posture.describe_speed(k, shares[i, k] * self._speed[k])} at {where}"
+        return postures[-1], reason
+
+    def _find_postures(
+        self, q: tuple[float, ...], start: tuple[float, ...], end: tuple[float, ...]
+    ) -> tuple[Array, str | None]:
+        """(k, n) the postures on the way, from q itself to the last within the limits, and what stops the arm."""
+        first, last = np.array(start), np.array(end)
+        count, postures = _measure(first, last)[1], [np.array(q)]
         for i in range(1, count + 1):
-            p_WP = start[:3] + (end[:3] - start[:3]) * (i / count)
-            R_WP = calc_tool_rotation(float(start[3]) + turn * (i / count))
-            before, where = q, "({:.2f}, {:.2f}, {:.2f}) m".format(*p_WP)
+            *p_WP, yaw = first + (last - first) * (i / count)
+            posture, target, R_WP = postures[-1], np.array(p_WP), calc_tool_rotation(float(yaw))
             for _ in range(STEPS_PER_POSTURE):
-                dq, error = self._posture.calc_step(q, p_WP, self._nominal, R_WP)
-                q = q + dq
+                dq, error = self._posture.calc_step(posture, target, self._nominal, R_WP)
+                posture = posture + dq
                 if error < ARRIVED:
                     break
             if not error < ARRIVED:
-                return q, f"the arm does not reach {where}"
-            stopped = np.flatnonzero((q < self._lower) | (q > self._upper))
+                return np.array(postures), f"the arm does not reach {_describe_place(first, last, i / count)}"
+            stopped = np.flatnonzero((posture < self._lower) | (posture > self._upper))
             if stopped.size:
-                return q, f"joint {stopped[0] + 1} of the arm would come to its limit at {where}"
-            if speed is not None:
-                share = np.abs(q - before) * speed * count / length / self._speed
-                if share.max() > 1.0:
-                    k = int(share.argmax())
-                    return q, f"{self._posture.describe_speed(k, share[k] * self._speed[k])} at {where}"
-        return q, None
+                where = _describe_place(first, last, i / count)
+                return np.array(postures), f"joint {stopped[0] + 1} of the arm would come to its limit at {where}"
+            postures.append(posture)
+        return np.array(postures), None
+
+
+def _measure(start: Array, end: Array) -> tuple[float, int]:
+    """Length of a straight piece of a path, m, a turn counted at TURNING_RADIUS, and its number of steps."""
+    length = float(np.hypot(np.linalg.norm(end[:3] - start[:3]), TURNING_RADIUS * (end[3] - start[3])))
+    return length, int(np.ceil(length / STEP))
+
+
+def _describe_place(start: Array, end: Array, share: float) -> str:
+    return "({:.2f}, {:.2f}, {:.2f}) m".format(*(start + (end - start) * share)[:3])
 
 
 DRIVER_OUTPUTS = (

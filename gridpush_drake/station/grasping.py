@@ -75,7 +75,7 @@ def make_grasp_trajectory_options(
     return GraspTrajectoryOptions(
         p_PG=(x, y, z),
         travel_height=scenario.finger.travel_height,
-        force=min(pregrasp.force, gripper.max_force),
+        force=gripper.limit_force(pregrasp.force),
         opening=gripper.opening,
         closing_speed=gripper.closing_speed,
         hold_time=pregrasp.hold,

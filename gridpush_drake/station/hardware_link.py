@@ -1,9 +1,11 @@
 """`HardwareLink`: between a `HardwareStation` and the LCM that its robot is on; it moves the station's time on.
 
 The station's time is the robot's: with every status it goes on by what has passed between two of them, as
-`drake-iiwa-driver` and Drake's own controllers have it. Where none comes, it goes on by the clock, so that the guard
-notices and stops the arm. Where the controller itself was late by more than a status may be old, its time stands still
-for that long: the arm holds meanwhile, and nothing is made up for.
+`drake-iiwa-driver` and Drake's own controllers have it. Where none comes it stands still, and no command goes out: the
+robot's driver brings the arm to rest. Where the robot's clock turns out to have gone on meanwhile by more than a status
+may be old, or nothing comes for long, the guard is told, and the arm is stopped for good. Where the robot's clock stood
+still, too, a twin's on a busy computer, nothing is amiss. Where the controller itself was late by more than a period,
+its time has stood still for that long, and nothing is made up for: it becomes slower, and hurries never.
 
 Messages in both directions pass through here. One that cannot be read, is of another size, or is not newer than the
 last one is left out and noted. Until `armed`, no command goes out.
@@ -15,6 +17,7 @@ from dataclasses import dataclass, field
 from time import monotonic
 from typing import Any
 
+import numpy as np
 from drake import lcmt_planar_manipuland_status, lcmt_schunk_wsg_status
 from pydrake.lcm import DrakeLcm, DrakeLcmInterface
 from pydrake.systems.analysis import Simulator
@@ -30,7 +33,7 @@ from gridpush_drake.station.robot_messages import (
     OBJECT_STATUS,
     find_arm_messages,
 )
-from gridpush_drake.systems.arm_guard import GuardMode, GuardStatus
+from gridpush_drake.systems.arm_guard import BY_SILENCE, BY_USER, DONE, GuardMode, GuardStatus
 from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS
 
 DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
@@ -46,11 +49,20 @@ PATIENCE = 5.0
 QUIET = 0.3
 """Of statuses before the first command, s: a driver that has just started takes one for somebody else's."""
 
-OVERDUE = 2 * ARM_PERIOD
-"""Since the last status, after which the station's time goes on without it, s."""
+MADE_UP = ARM_PERIOD
+"""By how much the station's time may leap to keep up with the robot's, s."""
 
 LATE = 0.01
 """Between two commands, that counts as late, s."""
+
+OVERDUE = 2 * ARM_PERIOD
+"""Since the last status, after which the next one says whether the robot's clock stood still, s."""
+
+SILENCE = 1.0
+"""Of a robot before it is given up, s."""
+
+NOTED = 10
+"""How often the log says of a kind of lateness when it was; all are counted."""
 
 STOPPING_TIME = 2.0
 """Within which the guard has brought any arm to rest, s."""
@@ -59,9 +71,6 @@ ROUNDING = 1e-9
 """s."""
 
 HALF = 0.5
-
-BY_USER, DONE = 1.0, 2.0
-"""What the guard is told to stop for."""
 
 
 def open_lcm(url: str) -> DrakeLcm:
@@ -85,6 +94,8 @@ class LinkReport:
         worst_period: longest between two, s.
         late: how many came later than `LATE`.
         pauses: how often the controller itself was late by more than a status may be old.
+        silences: how often the robot itself paused for as long, and went on.
+        force: greatest on the finger's tip, N.
         left_out: messages that were not taken, by why.
         events: (s, text) what happened when.
     """
@@ -93,6 +104,8 @@ class LinkReport:
     worst_period: float = 0.0
     late: int = 0
     pauses: int = 0
+    silences: int = 0
+    force: float = 0.0
     left_out: dict[str, int] = field(default_factory=dict)
     events: list[tuple[float, str]] = field(default_factory=list)
 
@@ -111,10 +124,12 @@ class LinkReport:
         """In a sentence."""
         text = (
             f"{self.steps} commands, the longest period {1e3 * self.worst_period:.1f} ms, "
-            f"{100 * self.late_share:.2f} % over {1e3 * LATE:.0f} ms"
+            f"{100 * self.late_share:.2f} % over {1e3 * LATE:.0f} ms; at most {self.force:.1f} N on the finger's tip"
         )
         if self.pauses:
             text += f"; the controller paused {self.pauses} times"
+        if self.silences:
+            text += f"; the robot paused {self.silences} times"
         return text + "".join(f"; {count} messages left out: {why}" for why, count in self.left_out.items())
 
 
@@ -170,8 +185,8 @@ class HardwareLink:
             self.bus.Subscribe(name, self._make_collector(name))
         self._fault = ""
         self._station: HardwareStation | None = None
-        self._stop = 0.0
-        self._stepped = self._told = 0.0
+        self._stop, self._silent = 0.0, False
+        self._stepped = self._told = self._waited = 0.0  # waited: since the last status, s
         self._base = 0.0  # the robot's time when the station's was 0, s
         self._said = GuardStatus()
 
@@ -216,7 +231,7 @@ class HardwareLink:
 
     def begin(self, diagram: Diagram, station: Any, context: Context) -> None:
         """Writes the robot's status into a fresh Context of the Diagram that the station is in; see `Drive`."""
-        self._station, self._stop, self._said = station, 0.0, GuardStatus()
+        self._station, self._stop, self._said, self._silent = station, 0.0, GuardStatus(), False
         self._listen()
         for channel in self._channels.values():
             channel.passed = channel.data is None
@@ -249,7 +264,7 @@ class HardwareLink:
         """One status in, or none where it is overdue, and one command out."""
         assert self._station is not None
         context = simulator.get_mutable_context()
-        now, target = context.get_time(), self._receive(context.get_time())
+        now, target = context.get_time(), self._receive(context)
         self._pass_in()
         if self._stop:
             self._station.RequestStop(context, self._stop)
@@ -261,31 +276,61 @@ class HardwareLink:
         self._pass_out()
         own = self._station.GetMyContextFromRoot(context)
         status: GuardStatus = self._station.GetOutputPort("guard.status").Eval(own)
+        force = float(np.linalg.norm(self._station.GetOutputPort("pusher.force").Eval(own)))
+        self.report.force = max(self.report.force, force)
         if (status.mode, status.reason) != (self._said.mode, self._said.reason):
             self.note(f"guard {status.mode}{status.reason and f': {status.reason}'}")
         self._said = status
 
-    def _receive(self, now: float) -> float:
+    def _receive(self, context: Context) -> float:
         """Waits for the next status; returns the time of the station's that it, or its absence, brings, s."""
-        before = self._arm.utime
-        if self._robot is not None:
-            self._robot()
+        assert self._station is not None
+        now, before, greatest_age = context.get_time(), self._arm.utime, self._station.scenario.safety.status_age
         while True:
+            if self._robot is not None:
+                self._robot()
             self._listen()
             if self._arm.utime > before:
                 break
-            if self._robot is not None or monotonic() - self._arm.came > OVERDUE / self._rate:
+            self._waited = self.status_age if self._robot is None else self._waited + ARM_PERIOD
+            if self._waited > (greatest_age if self._stop else SILENCE) - ROUNDING:
+                self._give_up(context)
                 self._wait_period()
                 return now + ARM_PERIOD
+        went_on = (self._arm.utime - before) / MICROSECONDS
+        if self._waited > greatest_age:
+            self._note_silence(context, went_on > greatest_age + ROUNDING)
+        self._waited = 0.0
         # in whole periods, and half of one beyond: so that a status that is a little early or late brings one command
         target = (round((self._arm.utime / MICROSECONDS - self._base) / ARM_PERIOD) + HALF) * ARM_PERIOD
-        assert self._station is not None
-        if target - now > self._station.scenario.safety.status_age:
+        late = target - now - ARM_PERIOD
+        if abs(late) < MADE_UP + ROUNDING:
+            return target
+        if late > greatest_age:
             self.report.pauses += 1
-            self.note(f"the controller was late by {1e3 * (target - now):.0f} ms; it went on from where it was")
-            self._base += target - now - ARM_PERIOD
-            return now + ARM_PERIOD
-        return target
+            if self.report.pauses <= NOTED:
+                self.note(f"the controller was late by {1e3 * late:.0f} ms; it went on from where it was")
+        self._base += late
+        return now + ARM_PERIOD
+
+    def _give_up(self, context: Context) -> None:
+        """Stops the arm over a robot that is not heard of: its driver has brought it to rest, and nothing moves it."""
+        assert self._station is not None
+        self._station.RequestStop(context, BY_SILENCE)
+        self._silent = True
+
+    def _note_silence(self, context: Context, went_on: bool) -> None:
+        """What a long silence means: where the robot went on meanwhile, the arm is stopped."""
+        assert self._station is not None
+        self._stepped = monotonic()  # it was not the controller that was late
+        if went_on:
+            self._give_up(context)
+            return
+        self.report.silences += 1
+        if self.report.silences <= NOTED:
+            self.note(
+                f"the robot stood still for {1e3 * self._waited:.0f} ms, by its own clock, too; it was waited for"
+            )
 
     def _wait_period(self) -> None:
         """Lets a period pass since the last step, by the clock."""
@@ -309,7 +354,7 @@ class HardwareLink:
         if self._messages.command in self._out:
             self.report.note_period((now - self._stepped) * self._rate)
             self._stepped = now
-        if self.armed:
+        if self.armed and not self._silent:
             for name, data in self._out.items():
                 self._lcm.Publish(name, data)
         self._out.clear()
@@ -327,8 +372,9 @@ class HardwareLink:
                 self._leave_out(self._fault)
             elif message.utime <= channel.utime:
                 self._leave_out(f"{name} was not newer than the one before")
-            else:
+            elif channel.passed or channel is not self._arm or self._waited < OVERDUE:
                 channel.data, channel.utime, channel.came, channel.passed = data, message.utime, monotonic(), False
+            # else the first status after a silence counts: it says whether the robot's clock stood still, too
 
         return take
 

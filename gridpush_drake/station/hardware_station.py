@@ -21,7 +21,6 @@ from gridpush_drake.multibody.tool_motion import R_WP_DOWN
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.station.arm import DRIVER_OUTPUTS, ArmPosture
 from gridpush_drake.station.grasping import ExportOutputs
-from gridpush_drake.station.robot import find_robot
 from gridpush_drake.station.robot_messages import (
     ARM_PERIOD,
     AddGripperMessages,
@@ -94,6 +93,7 @@ def make_limits(scenario: PushScenario, control_plant: MultibodyPlant) -> GuardL
         control_plant.GetVelocityUpperLimits(),
         np.full(n, safety.acceleration),
         safety.torque_share * effort,
+        safety.force,
         safety.status_age,
         safety.pose_jump,
         safety.pose_turn,
@@ -113,9 +113,11 @@ class HardwareStation(Station):
         output_ports:
         - guard.status
         - guard.position
+        - pusher.force
 
     - ``stop``: (1,) see `ArmGuard`; need not be connected.
     - ``guard.status``: abstract `GuardStatus`; ``guard.position``: (n,) as sent to the robot, rad.
+    - ``pusher.force``: (3,) on the finger's tip, from the torques on the joints, N.
     """
 
     __slots__ = NO_SLOTS
@@ -199,16 +201,15 @@ def MakeHardwareStation(
         StationError: the arm cannot take the posture of its home.
     """
     check_tracked(scenario)
-    check_scenario(scenario)
+    robot = check_scenario(scenario)
     plant, scene_graph = ParseScene(scenario)
     table_top = FindTableOutline(plant, scene_graph.model_inspector())
-    robot = find_robot(scenario.directives)
-    setting = MakeSetting(scenario, LoadPushedObject(scenario), None, (), plant, robot, table_top)
+    setting = MakeSetting(scenario, LoadPushedObject(scenario, robot), None, (), plant, robot, table_top)
     n, messages = len(setting.q_start), find_arm_messages(robot)
     builder = DiagramBuilder()
     status = messages.AddStatusReceiver(builder, lcm, n)
     tip = builder.AddNamedSystem("tip_sensor", ArmTipSensor(setting.control_plant, robot.finger.tip_frame))
-    for port in ("position_measured", "velocity_estimated"):
+    for port in ("position_measured", "velocity_estimated", "torque_external"):
         builder.Connect(status[port], tip.GetInputPort(port))
     pusher_state, object_pose = tip.GetOutputPort("pusher_state"), AddObjectReceiver(builder, lcm)
     gripper_state, gripper = (None, None) if robot.gripper is None else AddGripperMessages(builder, lcm)
@@ -222,10 +223,12 @@ def MakeHardwareStation(
     for port in ("position_measured", "torque_external", "time_measured"):
         builder.Connect(status[port], guard.GetInputPort(port))
     builder.Connect(pusher_state, guard.GetInputPort("pusher_state"))
+    builder.Connect(tip.GetOutputPort("force"), guard.GetInputPort("force"))
     builder.Connect(object_pose, guard.GetInputPort("object_pose"))
     builder.Connect(guard.GetOutputPort("position"), messages.AddCommandSender(builder, lcm, n))
     builder.ExportInput(guard.GetInputPort("stop"), "stop")
     ExportOutputs(builder, guard, "guard", ("status", "position"))
+    ExportOutputs(builder, tip, "pusher", ("force",))
     state = builder.AddNamedSystem("arm_state", Multiplexer([n, n]))
     for index, port in enumerate(("position_measured", "velocity_estimated")):
         builder.Connect(status[port], state.get_input_port(index))

@@ -18,8 +18,8 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.pregrasp.exploration import PokeOptions
-from gridpush_drake.planning.pregrasp.flat_parts import FlatPart, PadLimit
 from gridpush_drake.planning.pregrasp.goals import ArmLimits, GoalOptions, PreGraspGoal
+from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart, PadLimit
 from gridpush_drake.planning.pregrasp.planner import ACCEPTED_SHARE, PreGraspOptions, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp, check_thickness, choose_varied, find_side_grasps
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
@@ -173,7 +173,7 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         self.surface = make_surface(station.table_top)
         self.obj = station.obj
         measures = station.robot.gripper
-        gripper, force = measures.make_side_gripper(), min(scenario.pregrasp.force, measures.max_force)
+        gripper, force = measures.make_side_gripper(), measures.limit_force(scenario.pregrasp.force)
         check_thickness(self.obj, scenario.object_height, gripper)
         pads = PadLimit.of_object(self.obj, gripper, force)
         self._finder = GraspFinder(station, self.obj, self.surface, pads)

@@ -17,8 +17,7 @@ from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.multibody.contact_material import TABLE, FindTableOutline, SetPartner
 from gridpush_drake.multibody.grid_object import AddGridObject, Base, GridObjectInPlant
 from gridpush_drake.multibody.ground_truth import SetGridObjectParameters, SetGridObjectPose, resample_parameters
-from gridpush_drake.multibody.parser import MakeParser
-from gridpush_drake.multibody.visual_meshes import AddVisualMeshes, find_drake_models
+from gridpush_drake.multibody.parser import AddVisualMeshes, MakeParser, find_drake_models
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -240,8 +239,8 @@ def AddWorld(
         ScenarioError: the scenario makes no sense, see `check_scenario`.
         StationError: the arm cannot take the posture in which it begins.
     """
-    check_scenario(scenario)
-    obj = true_obj = LoadPushedObject(scenario)
+    robot = check_scenario(scenario)
+    obj = true_obj = LoadPushedObject(scenario, robot)
     found = None
     if scenario.camera.kind == "rgbd":
         found = TakePhotograph(scenario, true_obj)
@@ -251,7 +250,6 @@ def AddWorld(
     plant.set_name("plant")
     plant.set_stiction_tolerance(scenario.simulation.stiction_tolerance)
     scene_graph.set_name("scene_graph")
-    robot = find_robot(scenario.directives)
     instances, table = AddStationScene(plant, scene_graph, scenario, robot)
     object_in_plant = AddGridObject(
         plant,

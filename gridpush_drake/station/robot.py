@@ -201,6 +201,10 @@ class GripperMeasures(_Measures):
         lengths = {field.name for field in fields(SideGripper)} & set(GripperMeasures.model_fields)
         return SideGripper(**self.model_dump(include=lengths))
 
+    def limit_force(self, force: float) -> float:
+        """With how much it presses where so much is asked for, N."""
+        return min(force, self.max_force)
+
 
 M = TypeVar("M", bound=_Measures)
 
@@ -286,12 +290,12 @@ def list_robots(*, grasping: bool = False) -> list[str]:
     return sorted(name for name, scenes in found.items() if scenes and (scenes.grasp or not grasping))
 
 
-def make_robot_directives(robot: str, *, grasping: bool) -> list[ModelDirective]:
+def make_robot_directives(robot: str, *, grasping: bool | None) -> list[ModelDirective]:
     """Makes the directives of a scene that has a robot at a table.
 
     Args:
         robot: name of one that comes with the package; or the folder of one, or its robot.yaml.
-        grasping: whether it is to grasp, or only to push.
+        grasping: whether it is to grasp, or only to push; None to grasp where it can.
 
     Returns:
         The directives.
@@ -309,12 +313,16 @@ def make_robot_directives(robot: str, *, grasping: bool) -> list[ModelDirective]
         near = suggest(robot, list_robots())
         raise ScenarioError(f"robot {robot} is not known{near}, or the folder of a robot.yaml")
     scenes = read_measures(path, ArmMeasures).scenes
+    if grasping is None:
+        grasping = scenes is not None and scenes.grasp is not None
     scene = scenes and (scenes.grasp if grasping else scenes.push)
     if not scene:
         what = "grasp" if grasping else "push"
-        why = "has no gripper:" if grasping else "cannot be had:"
+        why, or_else = (" has no gripper", ", or a task that only pushes") if grasping else ("", "")
         able = ", ".join(list_robots(grasping=grasping))
-        raise ScenarioError(f"robot {robot} {why} its robot.yaml names no scene to {what} in; expected one of {able}")
+        raise ScenarioError(
+            f"robot {robot}{why}: its robot.yaml has no `scenes: {{{what}: FILE}}`; expected one of {able}{or_else}"
+        )
     url = scene if "://" in scene else (path.resolve().parent / scene).as_uri()
     return [ModelDirective(add_directives=AddDirectives(file=url))]
 

@@ -42,6 +42,7 @@ from pydrake.systems.primitives import MatrixGain
 from gridpush_drake.errors import StationError
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.station.robot import Robot
+from gridpush_drake.systems.arm_guard import CommandRamp
 from gridpush_drake.systems.planar_manipuland_status import (
     MICROSECONDS,
     PlanarManipulandStatusReceiver,
@@ -102,19 +103,34 @@ class IiwaMessages:
         _Publish(builder, lcm, self.command, self.command_type, sender.get_output_port(), ARM_PERIOD)
         return sender.GetInputPort("position")
 
-    def AddRobotSide(self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int, driver: System) -> None:
-        """Adds what a robot's driver does: commands go to a `SimIiwaDriver`, statuses come from it.
+    def AddRobotSide(
+        self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int, driver: dict[str, OutputPort], ramp: CommandRamp
+    ) -> None:
+        """Adds what a robot's driver does: makes statuses of its ports, by name, and feeds a ramp with commands.
 
-        Until the first command the arm stays where it is; after the last it stays where that said.
+        Until the first command the arm stays where it is.
         """
         commands = builder.AddNamedSystem("arm_command_receiver", IiwaCommandReceiver(n))
-        _Subscribe(builder, lcm, self.command, self.command_type, commands.GetInputPort("lcmt_iiwa_command"))
-        builder.Connect(driver.GetOutputPort("position_measured"), commands.GetInputPort("position_measured"))
-        builder.Connect(commands.GetOutputPort("position"), driver.GetInputPort("position"))
-        status = builder.AddNamedSystem("arm_status_sender", IiwaStatusSender(n))
+        builder.Connect(commands.GetOutputPort("time"), ramp.GetInputPort("time_sent"))
+        self._ConnectRobotSide(builder, lcm, driver, ramp, commands, IiwaStatusSender(n))
+
+    def _ConnectRobotSide(
+        self,
+        builder: DiagramBuilder,
+        lcm: DrakeLcmInterface,
+        driver: dict[str, OutputPort],
+        ramp: CommandRamp,
+        commands: System,
+        status: System,
+    ) -> None:
+        _Subscribe(builder, lcm, self.command, self.command_type, commands.GetInputPort(self.command_type.__name__))
+        builder.Connect(driver["position_measured"], commands.GetInputPort("position_measured"))
+        builder.Connect(commands.GetOutputPort("position"), ramp.GetInputPort("position_desired"))
+        builder.AddNamedSystem("arm_status_sender", status)
         for port in map(status.get_input_port, range(status.num_input_ports())):
-            if driver.HasOutputPort(port.get_name()):
-                builder.Connect(driver.GetOutputPort(port.get_name()), port)
+            name = PANDA_NAMES.get(port.get_name(), port.get_name())
+            if name in driver:
+                builder.Connect(driver[name], port)
         _Publish(builder, lcm, self.status, self.status_type, status.get_output_port(), ARM_PERIOD)
 
 
@@ -135,13 +151,10 @@ class PandaMessages(IiwaMessages):
         """Likewise; the time of the status is read from the message."""
         receiver = builder.AddNamedSystem("arm_status_receiver", PandaStatusReceiver(n))
         _Subscribe(builder, lcm, self.status, self.status_type, receiver.get_input_port())
-        clock = builder.AddNamedSystem("arm_status_clock", StatusClock(self.status_type))
-        subscriber = LcmSubscriberSystem.Make(self.status, self.status_type, lcm)
-        builder.AddNamedSystem("arm_status_clock_subscriber", subscriber)
-        builder.Connect(subscriber.get_output_port(), clock.get_input_port())
+        clock = _AddClock(builder, lcm, "arm_status_clock", self.status, self.status_type)
         ports = map(receiver.get_output_port, range(receiver.num_output_ports()))
         named = {PANDA_NAMES.get(port.get_name(), port.get_name()): port for port in ports}
-        return named | {"time_measured": clock.get_output_port()}
+        return named | {"time_measured": clock}
 
     def AddCommandSender(self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int) -> InputPort:
         """Likewise."""
@@ -149,33 +162,29 @@ class PandaMessages(IiwaMessages):
         _Publish(builder, lcm, self.command, self.command_type, sender.get_output_port(), ARM_PERIOD)
         return sender.GetInputPort("position")
 
-    def AddRobotSide(self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int, driver: System) -> None:
-        """Likewise."""
+    def AddRobotSide(
+        self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int, driver: dict[str, OutputPort], ramp: CommandRamp
+    ) -> None:
+        """Likewise; the time of the command is read from the message."""
         commands = builder.AddNamedSystem("arm_command_receiver", PandaCommandReceiver(n, POSITION_MODE))
-        _Subscribe(builder, lcm, self.command, self.command_type, commands.GetInputPort("lcmt_panda_command"))
-        builder.Connect(driver.GetOutputPort("position_measured"), commands.GetInputPort("position_measured"))
-        builder.Connect(commands.GetOutputPort("position"), driver.GetInputPort("position"))
-        status = builder.AddNamedSystem("arm_status_sender", PandaStatusSender(n))
-        for port in map(status.get_input_port, range(status.num_input_ports())):
-            name = PANDA_NAMES.get(port.get_name(), port.get_name())
-            if driver.HasOutputPort(name):
-                builder.Connect(driver.GetOutputPort(name), port)
-        _Publish(builder, lcm, self.status, self.status_type, status.get_output_port(), ARM_PERIOD)
+        clock = _AddClock(builder, lcm, "arm_command_clock", self.command, self.command_type)
+        builder.Connect(clock, ramp.GetInputPort("time_sent"))
+        self._ConnectRobotSide(builder, lcm, driver, ramp, commands, PandaStatusSender(n))
 
 
-class StatusClock(LeafSystem):
-    """Reads the time of a status.
+class MessageClock(LeafSystem):
+    """Reads the time of a message.
 
     .. pydrake_system::
 
-        name: StatusClock
+        name: MessageClock
         input_ports:
         - message
         output_ports:
-        - time_measured
+        - time
 
     * message: abstract, of the kind it was made for, with a `utime`, us.
-    * time_measured: vector of 1, that, s.
+    * time: vector of 1, that, s.
     """
 
     __slots__ = NO_SLOTS
@@ -184,7 +193,7 @@ class StatusClock(LeafSystem):
         """Takes messages of a kind."""
         super().__init__()
         self._message = self.DeclareAbstractInputPort("message", AbstractValue.Make(kind()))
-        self.DeclareVectorOutputPort("time_measured", 1, weakly(self._calc), {self._message.ticket()})
+        self.DeclareVectorOutputPort("time", 1, weakly(self._calc), {self._message.ticket()})
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         output.SetAtIndex(0, self._message.Eval(context).utime / MICROSECONDS)
@@ -278,6 +287,14 @@ def AddObjectSender(
     )
     builder.AddNamedSystem("object_publisher", publisher)
     builder.Connect(sender.get_output_port(), publisher.get_input_port())
+
+
+def _AddClock(builder: DiagramBuilder, lcm: DrakeLcmInterface, name: str, channel: str, kind: Any) -> OutputPort:
+    """Adds what reads the time of a channel's messages, s."""
+    clock = builder.AddNamedSystem(name, MessageClock(kind))
+    subscriber = builder.AddNamedSystem(f"{name}_subscriber", LcmSubscriberSystem.Make(channel, kind, lcm))
+    builder.Connect(subscriber.get_output_port(), clock.get_input_port())
+    return clock.get_output_port()
 
 
 def _Subscribe(builder: DiagramBuilder, lcm: DrakeLcmInterface, channel: str, kind: Any, port: InputPort) -> None:

@@ -30,6 +30,7 @@ from pydrake.systems.sensors import CameraConfig as DrakeCameraConfig
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.files import is_file, read_text, write_whole
 from gridpush_drake.multibody.ground_truth import CELL_MASS_RANGE, CONTACT_FRICTION_RANGE, FRICTION_RANGE, Support
+from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.yaml_file import MAX_YAML_SIZE, NOT_YAML, check_yaml, explain, list_expected, shorten, suggest
 
 CURRENT_VERSION = 1
@@ -47,6 +48,9 @@ MAX_SEED = 2**63 - 1
 
 MIN_POKE = 0.01
 """Least path of a push that explores, m: as far as it must move the object to be made (`RandomPokeOptions`)."""
+
+ROBOT = "robot"
+"""Key of a file that names a robot instead of its scene."""
 
 WHAT = "a scenario (object, base, directives, ...)"
 
@@ -375,16 +379,20 @@ class SafetyConfig(_Config):
 
     Attributes:
         status_age: greatest age of what the robot says of itself, s.
+        command_age: greatest age of a command, after which a twin brings the arm to rest, s; see `CommandRamp`.
         acceleration: greatest of a joint, rad/s² (m/s² where it slides).
         torque_share: greatest torque on a joint from outside, as a share of what the joint can give.
+        force: greatest on the finger's tip, N.
         pose_jump: farthest that the object may be seen to move at once, m.
         pose_turn: likewise, rad.
         margin: beyond workspace and home, that the tip may go, m.
     """
 
     status_age: Annotated[Number, _positive("s")] = 0.05
+    command_age: Annotated[Number, _positive("s")] = 0.01
     acceleration: Annotated[Number, _positive("rad/s²")] = 10.0
     torque_share: Annotated[Number, _positive("of the joint's own", high=1.0)] = 0.1
+    force: Annotated[Number, _positive("N")] = 30.0
     pose_jump: Annotated[Number, _positive("m")] = 0.03
     pose_turn: Annotated[Number, _positive("rad")] = 0.3
     margin: Annotated[Number, _not_negative("m")] = 0.1
@@ -530,7 +538,8 @@ def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushSce
     """Reads a scenario, or one of several in a file.
 
     Args:
-        path: the YAML file.
+        path: the YAML file. Instead of `directives` it may have `robot`, the name of one that comes with the package or
+            the folder of a robot.yaml, for the scene that it names, to grasp in where it can.
         child_name: key of the document's root under which the scenario stands; the root itself where None.
 
     Returns:
@@ -555,6 +564,8 @@ def parse_scenario(path: Path, text: str, *, child_name: str | None = None) -> P
         if not isinstance(data, dict):
             raise ScenarioError(f"the scenario is {shorten(data)}; expected `key: value` lines")
         _check_version(data.get("version", CURRENT_VERSION))
+        if ROBOT in data:
+            data = _name_robot(path, data)
         scenario = PushScenario(**data)
     except ScenarioError as error:
         raise ScenarioError(f"{where}: {error}") from error
@@ -618,6 +629,18 @@ def _parse(path: Path, text: str) -> dict[str, Any]:
         if not isinstance(key, str):
             raise ScenarioError(f"{path}: {key}: unknown key; expected {WHAT}")
     return {key: value for key, value in data.items() if not key.startswith("_")}
+
+
+def _name_robot(path: Path, data: dict[str, Any]) -> dict[str, Any]:
+    """The scene of the robot that the data names, in its place."""
+    robot = data[ROBOT]
+    if not isinstance(robot, str) or not robot.strip():
+        raise ScenarioError(f"{ROBOT} is {shorten(robot)}; expected a robot's name, or the folder of a robot.yaml")
+    if "directives" in data:
+        raise ScenarioError(f"{ROBOT} and directives are both given; expected one of them")
+    beside = path.parent / robot
+    directives = make_robot_directives(str(beside) if is_file(beside / "robot.yaml") else robot, grasping=None)
+    return {key: value for key, value in data.items() if key != ROBOT} | {"directives": directives}
 
 
 def _pick_child(path: Path, data: dict[str, Any], name: str) -> Any:

@@ -101,8 +101,8 @@ TURNS = 36
 """Headings that are tried where the object does not lie on the table, to say whether it could."""
 
 
-def check_scenario(scenario: PushScenario) -> None:
-    """Checks that a scenario can be built and makes sense.
+def check_scenario(scenario: PushScenario) -> Robot:
+    """Checks that a scenario can be built and makes sense; returns its robot.
 
     Raises:
         ScenarioError: a value will not do; the object is unknown, larger than the table, or does not lie on it; the
@@ -122,6 +122,7 @@ def check_scenario(scenario: PushScenario) -> None:
     _check_others(scenario, obj, table)
     _check_tip(robot, plant, inspector)
     _check_reach(scenario, plant, robot)
+    return robot
 
 
 def CalcTipReach(plant: MultibodyPlant, robot: Robot, tip_height: float) -> tuple[NDArray[np.float64], float, float]:
@@ -270,7 +271,8 @@ def _check_home(scenario: PushScenario, plant: MultibodyPlant, robot: Robot, box
     except StationError as error:
         raise ScenarioError(
             f"directives: {robot.arm_model} on its base at {base} does not reach its home, {_describe_point(home)}, "
-            "with the finger down; expected a base about as high as the table, and a home and posture that fit it"
+            "with the finger down; expected a base about as high as the table, a home in reach, and a posture near it, "
+            "where the flange's z axis points down"
         ) from error
     height = scenario.finger.push_height
     reach = ArmReach(control_plant, robot, q_start)

@@ -119,12 +119,12 @@ def AddLogs(builder: DiagramBuilder, ports: dict[str, OutputPort], period: float
         LogVectorOutput(port, builder, period).set_name(name)
 
 
-def LoadPushedObject(scenario: PushScenario) -> GridObject:
+def LoadPushedObject(scenario: PushScenario, robot: Robot | None = None) -> GridObject:
     """Reads the scenario's object, with its finger as the pusher. Raises ScenarioError where there is none.
 
     In a planar plant every cell bears its own weight, however high it is pushed.
     """
-    obj, finger = load_object(scenario), find_robot(scenario.directives).finger
+    obj, finger = load_object(scenario), (robot or find_robot(scenario.directives)).finger
     height = scenario.finger.push_height if scenario.base == "free" else None
     return replace(obj, prior=replace(obj.prior, pusher_radius=finger.tip_radius, push_height=height))
 

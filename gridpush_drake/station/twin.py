@@ -1,17 +1,27 @@
 """`MakeTwin`: a simulated robot that speaks what a real one's drivers speak, and what tells the pose it sees."""
 
+import numpy as np
 from pydrake.lcm import DrakeLcmInterface
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, OutputPort
 from pydrake.systems.lcm import LcmInterfaceSystem
+from pydrake.systems.primitives import LinearSystem
 
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
-from gridpush_drake.station.arm import AddArmDriver
+from gridpush_drake.station.arm import DRIVER_OUTPUTS, AddArmDriver
 from gridpush_drake.station.camera import StationCamera
-from gridpush_drake.station.grasping import AddGripperController
+from gridpush_drake.station.grasping import AddGripperController, ExportOutputs
 from gridpush_drake.station.push_station import AddSensors, AddWorld, World
-from gridpush_drake.station.robot_messages import AddGripperSide, AddObjectSender, find_arm_messages
+from gridpush_drake.station.robot_messages import ARM_PERIOD, AddGripperSide, AddObjectSender, find_arm_messages
 from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.station import Setting
+from gridpush_drake.systems.arm_guard import CommandRamp
+
+TORQUE = "torque_external"
+"""Port of an arm's driver."""
+
+ESTIMATION_TIME = 0.03
+"""In which an arm's estimate of that follows, s: in the simulation a knock lasts one time step, and is as strong."""
 
 
 def check_tracked(scenario: PushScenario) -> None:
@@ -24,8 +34,34 @@ def check_tracked(scenario: PushScenario) -> None:
         raise ScenarioError("others: over LCM one object's pose is told; expected an empty list")
 
 
+def _AddCommandRamp(builder: DiagramBuilder, setting: Setting) -> CommandRamp:
+    safety, speed = setting.scenario.safety, setting.control_plant.GetVelocityUpperLimits()
+    acceleration = np.full_like(speed, safety.acceleration)
+    ramp = builder.AddNamedSystem("command_ramp", CommandRamp(speed, acceleration, safety.command_age, ARM_PERIOD))
+    ExportOutputs(builder, ramp, "driver", ("status",))
+    return ramp
+
+
+def _AddLowPass(builder: DiagramBuilder, port: OutputPort, period: float) -> OutputPort:
+    """The torques from outside as an arm estimates them: a knock is spread over some time."""
+    keep, size = np.exp(-period / ESTIMATION_TIME), port.size()
+    A, B = keep * np.eye(size), (1 - keep) * np.eye(size)
+    low_pass = LinearSystem(A=A, B=B, C=np.eye(size), D=np.zeros((size, size)), time_period=period)
+    builder.AddNamedSystem("torque_estimator", low_pass)
+    builder.Connect(port, low_pass.get_input_port())
+    return low_pass.get_output_port()
+
+
 class Twin(Diagram):
     """A simulated robot on LCM, in real time or not.
+
+    .. pydrake_system::
+
+        name: Twin
+        output_ports:
+        - driver.status
+
+    - ``driver.status``: abstract `GuardStatus` of its `CommandRamp`.
 
     Attributes:
         world: plant, robot, object and table.
@@ -71,7 +107,10 @@ def MakeTwin(scenario: PushScenario, lcm: DrakeLcmInterface, *, listens: bool = 
         builder.AddNamedSystem("lcm", LcmInterfaceSystem(lcm))
     driver = AddArmDriver(builder, plant, robot, instances.arm, setting.control_plant)
     messages = find_arm_messages(robot)
-    messages.AddRobotSide(builder, lcm, len(setting.q_start), driver)
+    ramp, ports = _AddCommandRamp(builder, setting), {name: driver.GetOutputPort(name) for name in DRIVER_OUTPUTS}
+    builder.Connect(ramp.GetOutputPort("position"), driver.GetInputPort("position"))
+    ports[TORQUE] = _AddLowPass(builder, ports[TORQUE], scenario.simulation.time_step)
+    messages.AddRobotSide(builder, lcm, len(setting.q_start), ports, ramp)
     if robot.gripper is not None:
         controller = AddGripperController(builder, plant, instances.gripper)
         state = plant.get_state_output_port(instances.gripper)

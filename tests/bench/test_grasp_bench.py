@@ -4,22 +4,24 @@ import numpy as np
 import pytest
 
 from gridpush_drake.bench import grasp
-from gridpush_drake.bench.grasp import GraspScore, tabulate
+from gridpush_drake.bench.campaign import DROPPED, GAVE_UP, Episode
+from gridpush_drake.bench.grasp import tabulate
 from gridpush_drake.cli.main import main
 from gridpush_drake.errors import GridPushError, ObjectError
 
-HELD = GraspScore("pliers", 0, "held", "It was lifted.", 4, 2, 0.1, 0.002, 60.0, 30.0)
+HELD = Episode("pliers", 0, "held", "It was lifted.", "held", 6, 4, 2, 0.1, 0.002, 60.0, 30.0)
 
 
 def test_the_table_counts_what_happened():
     scores = [
         HELD,
         replace(HELD, seed=1, pokes=6, raised=0.09, center_of_mass_error=0.004, duration=80.0, wall=50.0),
-        replace(HELD, seed=2, status="failed", message="No safe way.", pokes=8, slides=5, raised=0.0, wall=10.0),
-        replace(HELD, name="toolbox", status="dropped", message="It fell.", raised=-0.7, slides=1),
-        replace(HELD, name="toolbox", seed=1, status="stuck", message="Nothing.", pokes=0, slides=0, duration=61.0),
+        replace(HELD, seed=2, status="failed", message="No safe way.", outcome=GAVE_UP, pokes=8, slides=5, wall=10.0),
+        replace(HELD, object="toolbox", status="dropped", message="It fell.", outcome=DROPPED, raised=-0.7, slides=1),
+        replace(HELD, object="toolbox", seed=1, status="stuck", message="Nothing.", outcome=GAVE_UP, duration=61.0),
     ]
-    scores[-1] = replace(scores[-1], center_of_mass_error=np.nan, raised=0.0, wall=40.0)
+    scores[2] = replace(scores[2], raised=0.0)
+    scores[-1] = replace(scores[-1], pokes=0, slides=0, center_of_mass_error=None, raised=0.0, wall=40.0)
     table = tabulate(scores, ["pliers", "toolbox"])
     rows = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
     assert [row["object"] for row in rows] == ["pliers", "toolbox", "all"]

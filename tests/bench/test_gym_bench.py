@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.bench import gym
-from gridpush_drake.bench.gym_policies import (
+from gridpush_drake.bench.gym import (
     WEIGHTS,
     EnvironmentWorld,
     choose_by_weights,

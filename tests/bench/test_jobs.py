@@ -10,12 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from gridpush_drake.bench import drake, grasp, paper, planning, plant, pregrasp, real
+from gridpush_drake.bench import campaign, drake, paper, planning, plant, pregrasp, real
 from gridpush_drake.bench.jobs import Execution, open_results, run_jobs
 from gridpush_drake.bench.paper import Score
 from gridpush_drake.bench.planning import Decision, Run
-from gridpush_drake.bench.pregrasp import SlideScore
-from gridpush_drake.bench.pregrasp_exploration import ExplorationScore, Trace
+from gridpush_drake.bench.pregrasp import ExplorationScore, SlideScore, Trace
 from gridpush_drake.bench.pregrasp_world import Outcome
 from gridpush_drake.errors import GridPushError, OutputError
 
@@ -174,7 +173,7 @@ def test_nothing_is_written_before_the_first_result(tmp_path, monkeypatch):
         open_results(tmp_path / "none" / "kept.jsonl", "doubling", {})
 
 
-TRACE = Trace(3, (0.1, 0.004), (0.2, nan), 1.5)
+TRACE = Trace(3, nan, 1.5)
 
 
 @pytest.mark.parametrize(
@@ -184,9 +183,9 @@ TRACE = Trace(3, (0.1, 0.004), (0.2, nan), 1.5)
         (planning.run_job, [Decision("a", "gradient", 28, -1e-17, 0.3)]),
         (planning.run_job, [Run("a", "true", True, False, 3, "reached", nan, 0.1, 99, 1.0, 0.0)]),
         (real.run_job, [real.Score("a", 0, "poses", 5, (0.1, 0.2), (nan, 0.3))]),
-        (pregrasp.run_job, SlideScore("a", "learned", Outcome(True, False, 3, 2, "held", nan), False)),
+        (pregrasp.run_job, SlideScore("a", "learned", Outcome(True, False, 3, 2, "held"))),
         (pregrasp.run_job, ExplorationScore("a", "both directions", 0.02, TRACE, replace(TRACE, pokes=21))),
-        (grasp.run_job, grasp.GraspScore("a", 0, "held", "", 3, 2, 0.1, nan, 30.0, 12.5)),
+        (campaign.run_episode, campaign.Episode("a", 0, "held", "", "held", 5, 3, 2, nan, None, 30.0, 12.5)),
         (
             drake.run_job,
             drake.StationScore("a", 0, "finished", 8, 4, (0.1, 0.2, nan), (0.1, 0.2), 0.1, 0.5, 0, 9.0),
@@ -196,9 +195,9 @@ TRACE = Trace(3, (0.1, 0.004), (0.2, nan), 1.5)
 )
 def test_every_benchs_results_come_back_as_they_were(tmp_path, function, result):
     results = open_results(tmp_path / "kept.jsonl", "some", {})
-    results.bind(function).append(Job(1, tmp_path), result)
+    results.append(function, Job(1, tmp_path), result)
     again = open_results(tmp_path / "kept.jsonl", "some", {})
-    found = again.bind(function).find([Job(0, tmp_path), Job(1, tmp_path)])
+    found = again.find(function, [Job(0, tmp_path), Job(1, tmp_path)])
     assert list(found) == [1]
     assert repr(found[1]) == repr(result)
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from gridpush_drake.bench.jobs import Execution
-from gridpush_drake.bench.public_data import find_push_logs
 from gridpush_drake.bench.real import (
     CENTER,
     FEET_SETS,
@@ -12,6 +11,7 @@ from gridpush_drake.bench.real import (
     UNIFORM,
     Job,
     calc_split_means,
+    find_push_logs,
     name_logs,
     run,
     run_job,

@@ -3,8 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.mujoco_push import make_mujoco_push
-from gridpush_drake.bench.speed import load_hammer, make_bench_push, run
+from gridpush_drake.bench.speed import load_hammer, make_bench_push, make_mujoco_push, run
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.objects.parameters import CellParameters

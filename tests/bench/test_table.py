@@ -5,7 +5,8 @@ import pytest
 from rich.console import Console
 
 from gridpush_drake.bench import drake, grasp, paper, planning, plant, pregrasp, real
-from gridpush_drake.bench.pregrasp_exploration import AIMS, DISTANCES, ExplorationScore, Trace
+from gridpush_drake.bench.campaign import Episode
+from gridpush_drake.bench.pregrasp import AIMS, DISTANCES, ExplorationScore, Trace
 from gridpush_drake.bench.pregrasp_world import Outcome
 from gridpush_drake.bench.speed import measure, one_core
 from gridpush_drake.bench.table import Table
@@ -112,11 +113,11 @@ def make_pregrasp_tables():
     slides = [
         pregrasp.SlideScore(name, method, Outcome(True, False, 13, 12, "")) for name, method in product(NAMES, methods)
     ]
-    trace = Trace(21, (ERROR,), (ERROR,), 1.0)
+    trace = Trace(21, ERROR, 1.0)
     pokes = [
         ExplorationScore(name, aim, distance, trace, trace) for name, aim, distance in product(NAMES, AIMS, DISTANCES)
     ]
-    grasps = [grasp.GraspScore(name, 0, "dropped", "It fell.", 3, 2, 0.1, 0.2, 123.4, 234.5) for name in NAMES]
+    grasps = [Episode(name, 0, "dropped", "It fell.", "dropped", 5, 3, 2, 0.1, 0.2, 123.4, 234.5) for name in NAMES]
     return [
         pregrasp.tabulate_slides(slides, methods),
         pregrasp.tabulate_objects(slides, NAMES, methods[0]),

@@ -1,20 +1,27 @@
 """README and the pages of the site: their commands, code, files and links are there, and run.
 
-The notebooks among them run when the site is built; `docs/extending.md` in `tests/station/test_own_controller.py`.
+The notebooks among them run when the site is built; the controller of `docs/extending.md` in
+`tests/station/test_own_controller.py`.
 """
 
 import re
+import sys
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
+import numpy as np
 import pytest
 import typer
 import yaml
 
 from gridpush_drake.cli.main import app
+from gridpush_drake.errors import PushLogError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import list_shipped_objects
 from gridpush_drake.pushes.push_log import COLUMNS, PushLog
+from gridpush_drake.station import PushScenario
+from tests.helpers.finite_difference import check_jacobian
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -23,6 +30,15 @@ PAGES = [page for page in PAGES if page.is_file() and "generated" not in page.pa
 TEXTS = {str(page.relative_to(ROOT)): page.read_text(encoding="utf-8") for page in PAGES}
 NOTEBOOKS = {name for name, text in TEXTS.items() if "mystnb" in text}
 RUN_ELSEWHERE = NOTEBOOKS | {"docs/extending.md"}
+DIRECTIVES = (
+    "{toctree}",
+    "{public-names}",
+    "{station-diagram}",
+    "{eval-rst}",
+    "{figure}",
+    "{include}",
+    "{literalinclude}",
+)
 EVERYWHERE = {"--help"}
 """Options of every command."""
 
@@ -71,15 +87,82 @@ def test_the_python_type_checks(tmp_path):
 
 @pytest.mark.parametrize("name", sorted(name for name, text in TEXTS.items() if "import" in text))
 def test_the_python_names_public_things_only(name):
-    code = "\n".join(
-        re.findall(r"```(?:python|\{code-cell\}|\{code-block\} python).*?\n(.*?)```", TEXTS[name], re.DOTALL)
-    )
+    blocks = re.findall(r"```(?:python|\{code-cell\}|\{code-block\} python).*?\n(.*?)```", TEXTS[name], re.DOTALL)
+    code = "\n".join(block for block in blocks if not block.startswith('"""'))  # which is a file within the package
     ours = re.findall(r"^ *from gridpush_drake([\w.]*) import (?:\(([^)]*)\)|([^\n]*))", code, re.MULTILINE)
     for module, many, few in ours:
         package = import_module(f"gridpush_drake{module}")
         names = {part.strip() for part in (many or few).replace("\n", " ").split(",") if part.strip()}
         public = set(getattr(package, "__all__", ())) or {n for n in vars(package) if n.endswith(("Error", "Warning"))}
         assert names <= public, f"gridpush_drake{module}: {names - public}"
+
+
+def run_fragment(number, monkeypatch):
+    """The names that a fragment of `docs/extending.md` defines: a file to be put beside those of the package."""
+    fragment = find_blocks("docs/extending.md", r"\{code-block\} python")[number]
+    module = ModuleType(f"fragment_{number}")
+    monkeypatch.setitem(sys.modules, module.__name__, module)  # where a dataclass looks for its annotations
+    exec(compile(fragment, "docs/extending.md", "exec"), vars(module))
+    return vars(module)
+
+
+def test_the_friction_law_is_one(monkeypatch):
+    law = run_fragment(0, monkeypatch)["RIBBED"]
+    rng = np.random.default_rng(0)
+    cells, k, xi, eps = rng.normal(size=(2, 9)), rng.uniform(0.1, 1.0, 9), np.array([0.1, -0.2, 0.3]), 1e-2
+
+    def dissipation(xi, k=k):
+        return law.calc_dissipation.py_func(law.make(k, 0.1, "coupled"), cells, eps, xi)
+
+    def derivatives(xi, k=k):
+        g, H = np.zeros(3), np.zeros((3, 3))
+        law.add_derivatives.py_func(law.make(k, 0.1, "coupled"), cells, eps, xi, False, g, H)
+        return g, H
+
+    f = np.zeros((3, 9))
+    law.fill_load_derivatives.py_func(law.make(k, 0.1, "coupled"), cells, eps, xi, f)
+    g, H = derivatives(xi)
+    check_jacobian(dissipation, xi, g, step=1e-3, order=4)
+    check_jacobian(lambda xi: derivatives(xi)[0], xi, H, step=1e-3, order=4)
+    check_jacobian(lambda k: derivatives(xi, k)[0], k, f, step=1e-3)
+
+
+def test_the_importer_is_one(tmp_path, block, monkeypatch):
+    importer = run_fragment(2, monkeypatch)["LabImporter"]
+    tracks = tmp_path / "tracks.txt"
+    tracks.write_text("0 -90 0 0 0 0\n500 -80 0 0 0 0\n1000 -70 0 8 0 1\n\n0 -60 0 8 0 1\n900 -50 0 17 0 2\n")
+    log, obj = importer(GridObject.from_yaml(block)).read(tracks)
+    assert obj.name and [len(push.t_observed) for push in log] == [2, 1]
+    np.testing.assert_allclose(log[0].final_pose, [0.008, 0.0, np.radians(1)])
+    np.testing.assert_allclose((log[0].push.radius, log[0].push.length), (0.006, 0.02))
+    tracks.write_text("0 -90 0 0 0 0\n")
+    with pytest.raises(PushLogError, match=r"tracks\.txt: block 1; expected blocks"):
+        importer(obj).read(tracks)
+
+
+def test_two_objects_are_a_scenario():
+    scene = yaml.safe_load(find_blocks("docs/extending.md", "yaml")[2])
+    scenario = PushScenario(**scene)
+    assert scenario.object in list_shipped_objects() and [other.object for other in scenario.others] == ["pliers"]
+
+
+def test_every_block_is_tried_somewhere():
+    """Python runs (`EXAMPLES`); of all else there is a test, here or where the page is named in the tests."""
+    found = {
+        (name, language): len(find_blocks(name, re.escape(language)))
+        for name in TEXTS.keys() - NOTEBOOKS
+        for language in re.findall(r"^```([^\n]*\w[^\n]*)\n", TEXTS[name], re.MULTILINE)
+        if language != "python" and not language.startswith(DIRECTIVES)
+    }
+    assert found == {
+        (
+            "docs/extending.md",
+            "{code-block} python",
+        ): 5,  # a law, its entry, an importer, its entry, a second identifier
+        ("docs/extending.md", "yaml"): 3,  # a robot and its scene (tests/station/test_robot.py), two objects
+        ("docs/howto/own_object.md", "yaml"): 1,
+        ("docs/howto/own_pushes.md", "csv"): 1,
+    }
 
 
 def test_there_are_seven_notebooks():

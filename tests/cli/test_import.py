@@ -4,8 +4,8 @@ import json
 import pytest
 
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.importers import IMPORTERS, find_importer
 from gridpush_drake.pushes.importers.cmu import triangle_block
-from gridpush_drake.pushes.importers.registry import IMPORTERS, find_importer
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.shared_data import shared_data
 

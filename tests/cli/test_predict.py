@@ -7,6 +7,7 @@ import pytest
 
 from gridpush_drake.identification.model_file import read_model
 from gridpush_drake.identification.prediction import calc_final_errors, predict
+from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import PushLog
 
 
@@ -31,6 +32,16 @@ def test_predicts_with_an_objects_prior_and_says_so(gridpush, block, pushes, tmp
     outcome = gridpush("predict", block, pushes, "--out", tmp_path / "predicted.csv")
     assert outcome.code == 0
     assert "an object, not a model: predicted with its prior" in outcome.out
+
+
+def test_says_which_radius_it_takes(gridpush, block, pushes, tmp_path):
+    plain = GridObject.from_yaml(block)
+    replace(plain, prior=replace(plain.prior, pusher_radius=None)).write_yaml(tmp_path / "plain.yaml")
+    said = [
+        gridpush("predict", path, pushes, "--out", tmp_path / f"{path.stem}.csv").err
+        for path in (block, tmp_path / "plain.yaml")
+    ]
+    assert said == ["", "block: no pusher.radius in its file; 0.005 m is taken for the pusher's\n"]
 
 
 def test_prints_one_json_document(gridpush, model, pushes, tmp_path):

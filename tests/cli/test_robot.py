@@ -62,7 +62,7 @@ def test_two_processes_and_the_robot_is_lost(tmp_path):
     assert "the robot has sent no status for" in robot["summary"]["message"]
     assert "guard holding: the robot has sent no status for" in robot["log"]
     assert "The arm was stopped at" in robot["err"]
-    assert told["commands_after_last_change"] >= 1
+    assert told["commands_for"] < STOPS_WITHIN  # then none: the robot's driver brings the arm to rest
     assert told["largest_step"] < 0.01
     looked = told["looked"]
     assert looked["code"] == 0, looked["err"]

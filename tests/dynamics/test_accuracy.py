@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_pushes import make_random_contents, make_random_push, refine
 from tests.helpers.shapes import SHAPES, make_shape

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from pydrake.solvers import MathematicalProgram, MobyLcpSolver
 
-from gridpush_drake.dynamics.condensed_step import calc_step
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.reference.isotropic_socp import solve_isotropic_socp
 from gridpush_drake.dynamics.reference.maximal_solvers import solve_as_lcp, solve_as_qp
-from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.dynamics.simulation import calc_step, simulate
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_pushes import DT, make_random_step

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.motion import Motion, MotionStatus
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
 from gridpush_drake.dynamics.simulation import Regime, simulate
-from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters

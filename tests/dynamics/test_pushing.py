@@ -9,9 +9,8 @@ from gridpush_drake.dynamics.kernels.contact import COLUMNS, CX, CY, NX, NY, Edg
 from gridpush_drake.dynamics.kernels.contact_modes import SEPARATE, SLIDE_MINUS, SLIDE_PLUS, STICK
 from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
 from gridpush_drake.dynamics.kernels.inputs import Load
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_pushes import make_random_contents, make_random_push

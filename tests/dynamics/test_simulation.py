@@ -5,13 +5,11 @@ import pickle
 import numpy as np
 import pytest
 
-from gridpush_drake.dynamics.condensed_step import calc_step
 from gridpush_drake.dynamics.kernels.isotropic_friction import Isotropic
 from gridpush_drake.dynamics.kernels.rollout import rollout
-from gridpush_drake.dynamics.push import ForcePush, Push
+from gridpush_drake.dynamics.push import ForcePush, Push, make_path_times
 from gridpush_drake.dynamics.reference.paper_rollout import fill_paper_gradient
-from gridpush_drake.dynamics.simulation import simulate, simulate_batch
-from gridpush_drake.dynamics.time_grid import make_path_times
+from gridpush_drake.dynamics.simulation import calc_step, simulate, simulate_batch
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters

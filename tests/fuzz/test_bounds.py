@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gridpush_drake.dynamics.push import ForcePush, Push
+from gridpush_drake.dynamics.push import MAX_STEPS, ForcePush, Push
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.dynamics.time_grid import MAX_STEPS
 from gridpush_drake.errors import GridPushError, ObjectError, OutputError, ParameterError, PushError, SimulationError
 from gridpush_drake.files import check_writable, make_folder, read_bytes, write_whole
 from gridpush_drake.identification.model_file import looks_like_model, read_model

@@ -14,9 +14,9 @@ from gridpush_drake.dynamics.simulation import calc_loads, simulate
 from gridpush_drake.errors import ObjectError, PlanningError
 from gridpush_drake.geometry.se2 import transform_back, wrap_angle
 from gridpush_drake.gym import PushEnvironment, PushVectorEnvironment
-from gridpush_drake.gym.environments import GAMES, PICTURE_SIZE
+from gridpush_drake.gym.environments import PICTURE_SIZE
+from gridpush_drake.gym.games import GAMES, PER_METER, REACHED
 from gridpush_drake.gym.known_shape import FINGER, OCCUPIED, PIXELS, PLACES, WINDOW, load_shape
-from gridpush_drake.gym.push_to_goal import PER_METER, REACHED
 from gridpush_drake.planning.contact.trial import calc_goal_error
 
 NAMES = tuple(GAMES)

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.dynamics.time_grid import make_path_times
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog

@@ -24,6 +24,8 @@ class TwinBench:
 
     Attributes:
         spoil: by the channel, what becomes of the twin's messages.
+        disturb: what becomes of the commands.
+        paused: for how many periods yet it stands still, as a twin whose computer is busy.
         rows: (time, positions, velocities) of the twin's arm, s, rad and rad/s.
     """
 
@@ -33,12 +35,13 @@ class TwinBench:
         self.twin = MakeTwin(scenario, self._inside, listens=False)
         self.simulator = Simulator(self.twin)
         self.spoil: dict[str, Spoiler] = {}
+        self.disturb: Callable[[bytes], list[bytes]] | None = None
         self.rows: list[tuple[float, np.ndarray, np.ndarray]] = []
         for channel in (self.messages.status, OBJECT_STATUS):
             self._inside.Subscribe(channel, partial(self._pass_out, channel))
         self.lcm.Subscribe(self.messages.command, self._pass_in)
         self._last: Any = None
-        self._count = 0
+        self._count = self.paused = 0
         self._reset()
         self.link = HardwareLink(self.lcm, find_robot(scenario.directives), robot=self.move)
         self.task = task(scenario, make_station=partial(MakeHardwareStation, lcm=self.link.bus))
@@ -50,6 +53,7 @@ class TwinBench:
     def begin(self) -> None:
         """The twin as at its beginning, but for its clock, and all as it should be."""
         self.spoil.clear()
+        self.disturb = None
         self.rows.clear()
         self.link.report.events.clear()
         self._reset()
@@ -60,6 +64,9 @@ class TwinBench:
 
     def move(self) -> None:
         """Moves the twin on by a period; its messages go out, and commands come in."""
+        if self.paused > 0:
+            self.paused -= 1
+            return
         self._count += 1
         self._inside.HandleSubscriptions(0)
         self.simulator.AdvanceTo((self._count + 0.5) * ARM_PERIOD)
@@ -74,6 +81,17 @@ class TwinBench:
         away = [time for time, q, _ in self.rows if time > begin and np.abs(q - held).max() > near]
         return max(away, default=begin) - begin
 
+    def calc_force(self) -> float:
+        """On the finger's tip from the object, N, as it truly is."""
+        plant, tip = self.twin.world.plant, self.twin.world.setting.robot.finger.tip_frame
+        contacts = plant.get_contact_results_output_port().Eval(
+            plant.GetMyContextFromRoot(self.simulator.get_context())
+        )
+        infos = map(contacts.point_pair_contact_info, range(contacts.num_point_pair_contacts()))
+        body = plant.GetBodyByName(tip).index()
+        forces = [info.contact_force() for info in infos if body in (info.bodyA_index(), info.bodyB_index())]
+        return float(np.linalg.norm(np.sum(forces, axis=0))) if forces else 0.0
+
     def _reset(self) -> None:
         context = self.twin.CreateDefaultContext()
         context.SetTime((self._count + 0.5) * ARM_PERIOD)
@@ -87,7 +105,8 @@ class TwinBench:
 
     def _pass_in(self, data: bytes) -> None:
         self._last = self.messages.command_type.decode(data)
-        self._inside.Publish(self.messages.command, data)
+        for message in [data] if self.disturb is None else self.disturb(data):
+            self._inside.Publish(self.messages.command, message)
 
     def _pass_out(self, channel: str, data: bytes) -> None:
         spoil = self.spoil.get(channel)

@@ -113,8 +113,8 @@ class Watch:
         }
 
 
-def start(command: str, folder: Path, *more: str) -> subprocess.Popen:
-    arguments = ["--scenario", str(folder / "scenario.yaml"), "--lcm", URL, "--realtime-rate", str(RATE), *more]
+def start(command: str, folder: Path, *more: str, rate: float = RATE) -> subprocess.Popen:
+    arguments = ["--scenario", str(folder / "scenario.yaml"), "--lcm", URL, "--realtime-rate", str(rate), *more]
     return subprocess.Popen(
         [sys.executable, "-m", "gridpush_drake.cli.main", command, *arguments],
         stdout=subprocess.PIPE,
@@ -177,12 +177,12 @@ def lose_twin(folder: Path) -> dict:
     robot = start_robot(folder, "robot")
     watch.until_pushing()
     twin.kill()
+    killed = time.monotonic()
     twin.communicate()
     watch.until(lambda: robot.poll() is not None, "the end")
     told["robot"] = end(robot, "robot", folder)
     q = np.array([position for _, position in watch.commands])
-    changed = np.flatnonzero(np.abs(np.diff(q, axis=0)).max(axis=1) > 0)
-    told["commands_after_last_change"] = len(q) - 2 - int(changed[-1])
+    told["commands_for"] = RATE * (watch.commands[-1][0] - killed)
     told["largest_step"] = float(np.abs(np.diff(q, axis=0)).max())
 
     again = start("twin", folder)
@@ -194,13 +194,29 @@ def lose_twin(folder: Path) -> dict:
     return told
 
 
-STORIES = {story.__name__: story for story in (lose_controller, lose_twin)}
+def whole_story(folder: Path, *seeds: str) -> list[dict]:
+    """Poked, learned, slid, grasped and lifted in real time, for each of some seeds; minutes each, so no test."""
+    (folder / "scenario.yaml").write_text((Path(__file__).parents[2] / "models/scenarios/grasp.yaml").read_text())
+    told = []
+    for seed in seeds:
+        watch, twin = Watch(), start("twin", folder, "--seed", seed, rate=1.0)
+        watch.until(lambda watch=watch: bool(watch.statuses and watch.poses), "the twin")
+        more = ["--task", "pregrasp", "--go", "--json", "--seed", seed, "--out", str(folder / seed)]
+        robot = start("robot", folder, *more, rate=1.0)
+        out, err = robot.communicate()
+        told.append({"seed": seed, "code": robot.returncode, **json.loads(out or "{}"), "err": err})
+        twin.send_signal(signal.SIGINT)
+        twin.communicate()
+    return told
 
 
-def main(story: str, folder: str) -> None:
+STORIES = {story.__name__: story for story in (lose_controller, lose_twin, whole_story)}
+
+
+def main(story: str, folder: str, *more: str) -> None:
     """Tells a story."""
     (Path(folder) / "scenario.yaml").write_text(SCENARIO)
-    print(json.dumps(STORIES[story](Path(folder))))
+    print(json.dumps(STORIES[story](Path(folder), *more)))
 
 
 if __name__ == "__main__":

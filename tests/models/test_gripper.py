@@ -13,7 +13,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
 from gridpush_drake.multibody.parser import MakeParser, find_models
-from gridpush_drake.planning.pregrasp.flat_parts import PadLimit
+from gridpush_drake.planning.pregrasp.grasp_parts import PadLimit
 from gridpush_drake.station.robot import GripperMeasures, read_measures
 
 CLOSING_DOWN = RigidTransform(RollPitchYaw(-np.pi / 2, np.pi / 2, 0.0), [0.0, 0.0, 0.0])

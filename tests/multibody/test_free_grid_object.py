@@ -15,8 +15,7 @@ from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.plant_object import make_scene
 from tests.helpers.shapes import rectangle
 
-TABLE_EDGE = 2.0
-"""m, x of the edge of a table of 4 m about the origin."""
+TABLE_EDGE = 2.0  # m, x of the edge of a table of 4 m about the origin
 
 
 @pytest.mark.parametrize("name", ["claw_hammer", "toothpaste_tube"])

@@ -8,8 +8,14 @@ from pydrake.geometry import Role
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from gridpush_drake.multibody.parser import MakeParser, find_models
-from gridpush_drake.multibody.visual_meshes import MESHES, NETWORK_VARIABLE, AddVisualMeshes, find_drake_models
+from gridpush_drake.multibody.parser import (
+    MESHES,
+    NETWORK_VARIABLE,
+    AddVisualMeshes,
+    MakeParser,
+    find_drake_models,
+    find_models,
+)
 
 TRIANGLE = {
     "asset": {"version": "2.0"},

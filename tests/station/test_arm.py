@@ -196,7 +196,21 @@ def test_the_tip_is_told_from_the_joints(posture):
     q, v, h = np.array(ROBOT.arm.posture), np.linspace(-0.5, 0.7, 7), 1e-6
     sensor.GetInputPort("position_measured").FixValue(context, q)
     sensor.GetInputPort("velocity_estimated").FixValue(context, v)
-    state = sensor.get_output_port().Eval(context)
+    state = sensor.GetOutputPort("pusher_state").Eval(context)
     before, here, after = (posture.calc_tip_pose(q + dt * v).translation() for dt in (-h, 0.0, h))
     np.testing.assert_allclose(state[:3], here, atol=1e-12)
     np.testing.assert_allclose(state[3:], (after - before) / (2 * h), atol=1e-8)
+
+
+def test_the_force_on_the_tip_is_told_from_the_torques(posture):
+    sensor = ArmTipSensor(MakeControlPlant(ROBOT), ROBOT.finger.tip_frame)
+    context = sensor.CreateDefaultContext()
+    q, force, h = np.array(ROBOT.arm.posture), np.array([3.0, -4.0, 12.0]), 1e-6
+    steps = h * np.eye(7)
+    J = np.transpose([
+        (posture.calc_tip_pose(q + dq).translation() - posture.calc_tip_pose(q - dq).translation()) / (2 * h)
+        for dq in steps
+    ])  # fmt: skip
+    sensor.GetInputPort("position_measured").FixValue(context, q)
+    sensor.GetInputPort("torque_external").FixValue(context, J.T @ force)
+    np.testing.assert_allclose(sensor.GetOutputPort("force").Eval(context), force, atol=1e-6)

@@ -8,9 +8,11 @@ from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.station import IdentifyTask, MakePushStation, PushScenario, TaskStatus
 from gridpush_drake.station.hardware_link import HardwareLink, open_lcm
 from gridpush_drake.station.hardware_station import MakeHardwareStation
-from gridpush_drake.station.robot import find_robot
-from gridpush_drake.station.robot_messages import ARM_MESSAGES, OBJECT_STATUS
+from gridpush_drake.station.robot import find_robot, make_robot_directives
+from gridpush_drake.station.robot_messages import ARM_MESSAGES, ARM_PERIOD, OBJECT_STATUS
+from gridpush_drake.station.scenario import PartTruth
 from gridpush_drake.station.twin import MakeTwin
+from gridpush_drake.systems.arm_guard import GuardMode
 from gridpush_drake.systems.messages import PushPhase
 from tests.helpers.twin_bench import TwinBench
 
@@ -48,7 +50,7 @@ def test_it_has_the_ports_of_the_simulated_station_but_for_what_nobody_knows(ben
 
     simulated, real = list_ports(MakePushStation(make_scenario())), list_ports(bench.task.station)
     assert real[0] - simulated[0] == {"stop"}
-    assert real[1] - simulated[1] == {"guard.status", "guard.position"}
+    assert real[1] - simulated[1] == {"guard.status", "guard.position", "pusher.force"}
     assert simulated[0] <= real[0]
     assert simulated[1] - real[1] == {"object.pose_true", "body_poses", "contact_results", "query_object"}
 
@@ -152,6 +154,103 @@ def test_a_fault_in_the_middle_of_a_push_stops_the_arm_and_holds_it(bench, chann
     assert np.isfinite(bench.task.read("object.pose")).all()
 
 
+def test_a_robot_that_pauses_is_waited_for(bench, finished):
+    """As a twin does whose computer is busy: its clock stands still, too."""
+    bench.begin()
+    begun, advance, before = [], bench.link.advance, bench.link.report.silences
+
+    def pause(simulator, time):
+        if not begun and bench.task.read("executor.status").phase == PushPhase.PUSHING:
+            begun.append(bench.time)
+            bench.paused = 100
+        advance(simulator, time)
+
+    bench.link.advance = pause
+    try:
+        record = bench.task.run(drive=bench.link)
+    finally:
+        del bench.link.advance
+    assert record.status == TaskStatus.FINISHED, record.message
+    np.testing.assert_allclose(record.log[0].final_pose, finished[0].log[0].final_pose, atol=0.003)
+    told = [text for _, text in bench.link.report.events]
+    assert any("the robot stood still for 500 ms, by its own clock, too" in text for text in told)
+    assert bench.link.report.silences == before + 1
+    assert begun
+
+
+@pytest.mark.slow
+def test_a_blocked_finger_stops_the_arm_which_then_presses_no_more_and_begins_again():
+    scenario = make_scenario()
+    scenario.truth.parts = [PartTruth(label=label, cell_mass=20.0) for label in (1, 2)]  # no arm moves that
+    scenario.safety.torque_share = 1.0
+    blocked = TwinBench(scenario, IdentifyTask)
+    blocked.begin()
+    record = blocked.task.run(drive=blocked.link)
+    assert record.status == TaskStatus.STOPPED
+    assert "the force on the finger's tip is " in record.message
+    assert "30.0 N are allowed" in record.message
+    noticed = blocked.time - blocked.task.simulator.get_context().get_time() + blocked.task.read("guard.status").since
+    for _ in range(100):
+        blocked.move()
+    stop = blocked.find_stop(noticed, NEAR)
+    pressed, presses = blocked.link.report.force, blocked.calc_force()
+    print(f"at rest {1e3 * stop:.0f} ms after 30 N; at most {pressed:.0f} N, then {presses:.0f} N")
+    assert stop < STOPS_WITHIN
+    assert 30.0 < pressed < 100.0
+    assert presses < 15.0
+    blocked.link.armed = True
+    again = blocked.task.run(drive=blocked.link)  # it goes up from there, and to the same push
+    assert again.status == TaskStatus.STOPPED
+    assert again.duration > 1.0
+
+
+def run_until_pushing(bench, seconds=0.35):
+    """Begins a run, and breaks it off so long after a push began."""
+    bench.task.begin(drive=bench.link)
+    simulator, since = bench.task.simulator, np.inf
+    simulator.Initialize()
+    while bench.time < since + seconds:
+        bench.link.advance(simulator, simulator.get_context().get_time() + ARM_PERIOD)
+        if bench.task.read("executor.status").phase == PushPhase.PUSHING:
+            since = min(since, bench.time)
+
+
+@pytest.mark.parametrize("name", ["bench", pytest.param("panda", marks=pytest.mark.slow)])
+def test_where_the_controller_dies_the_robot_comes_to_rest_smoothly(name, request):
+    bench = request.getfixturevalue(name)
+    bench.begin()
+    run_until_pushing(bench)
+    fault = bench.time
+    for _ in range(100):
+        bench.move()
+    driver = bench.twin.GetOutputPort("driver.status").Eval(bench.simulator.get_context())
+    assert (driver.mode, driver.reason) == (GuardMode.HOLDING, "no command has come for 10 ms; 10 ms are allowed")
+    speed = np.array([v for time, _, v in bench.rows if time > fault - 0.1])
+    stop = bench.find_stop(fault, NEAR)
+    print(f"at rest {1e3 * stop:.0f} ms after the last command")
+    assert np.abs(speed[:10]).max() > MIN_SPEED
+    assert stop < STOPS_WITHIN
+    assert np.abs(np.diff(speed, axis=0)).max() / ARM_PERIOD < 2 * bench.task.station.scenario.safety.acceleration
+
+
+@pytest.mark.slow
+def test_commands_that_are_doubled_lost_or_overtaken_change_little(bench, finished):
+    bench.begin()
+    sent = []
+
+    def disturb(data):
+        sent.append(data)
+        k = len(sent)
+        if k % 10 == 3:
+            return []
+        return [data, data] if k % 10 == 5 else [data, sent[-3]] if k % 10 == 8 else [data]
+
+    bench.disturb = disturb
+    record = bench.task.run(drive=bench.link)
+    assert record.status == TaskStatus.FINISHED, record.message
+    np.testing.assert_allclose(record.log[0].final_pose, finished[0].log[0].final_pose, atol=0.002)
+
+
 @pytest.mark.slow
 def test_doubled_late_and_broken_messages_are_left_out_and_change_nothing(bench, finished):
     expected = finished[0].log[0].final_pose
@@ -196,18 +295,31 @@ def test_nothing_goes_out_before_it_is_armed(bench):
     assert bench.find_stop(bench.rows[0][0], NEAR) == 0.0
 
 
-@pytest.mark.slow
-def test_a_panda_speaks_messages_of_its_own():
+def make_panda_scenario():
     scenario = make_scenario()
-    scene = "package://gridpush_drake/scenes/panda_push.dmd.yaml"
-    scenario.directives = [ModelDirective(add_directives=AddDirectives(file=scene))]
-    panda = TwinBench(scenario, IdentifyTask)
+    scenario.directives = make_robot_directives("panda", grasping=False)
+    return scenario
+
+
+@pytest.fixture(scope="module")
+def panda():
+    return TwinBench(make_panda_scenario(), IdentifyTask)
+
+
+@pytest.mark.slow
+def test_a_panda_speaks_messages_of_its_own_and_stops_as_fast(panda):
     assert (panda.messages.status, panda.messages.command) == ("PANDA_STATUS", "PANDA_COMMAND")
     panda.begin()
     record = panda.task.run(drive=panda.link)
     assert (record.status, len(record.log)) == (TaskStatus.FINISHED, 1), record.message
     assert record.limit_report.ok
     assert panda.link.report.left_out == {}
+    panda.begin()
+    fault = Fault(panda, panda.messages.status, vanish)
+    assert panda.task.run(drive=panda.link).status == TaskStatus.STOPPED
+    stop = panda.find_stop(fault.begun, NEAR)
+    print(f"at rest {1e3 * stop:.0f} ms after the last status")
+    assert stop < STOPS_WITHIN
 
 
 def test_a_robot_whose_messages_nobody_knows_is_refused():

@@ -177,6 +177,25 @@ def test_what_will_not_do_is_refused_by_file_field_and_form(tmp_path, text, mess
     assert str(caught.value).startswith(str(tmp_path / "scenario.yaml"))
 
 
+def test_a_robot_stands_for_the_scene_that_it_names(tmp_path):
+    panda = read(tmp_path, "robot: panda\nseed: 3")
+    assert (find_robot(panda.directives).arm_model, panda.seed) == ("panda", 3)
+    assert find_robot(panda.directives).gripper is not None
+    assert find_robot(read(tmp_path, "robot: gantry").directives).gripper is None
+    assert "panda_grasp" in text_of(tmp_path, panda)
+    own = tmp_path / "own"
+    own.mkdir()
+    (own / "robot.yaml").write_text((find_models() / "robots/panda/robot.yaml").read_text())
+    assert find_robot(read(tmp_path, "robot: own").directives).arm_model == "panda"
+    for text, message in (
+        ("robot: pnda", "robot pnda is not known; did you mean panda"),
+        ("robot: 3", "robot is 3; expected a robot's name"),
+        ("robot: panda\ndirectives: []", "robot and directives are both given; expected one of them"),
+    ):
+        with pytest.raises(ScenarioError, match=message):
+            read(tmp_path, text)
+
+
 def test_a_file_that_cannot_be_read_is_named(tmp_path):
     with pytest.raises(ScenarioError, match=r"none\.yaml: cannot be read: No such file"):
         read_scenario(tmp_path / "none.yaml")

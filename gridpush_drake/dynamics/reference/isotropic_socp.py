@@ -11,11 +11,33 @@ from scipy.linalg import null_space
 from scipy.sparse import csc_array, diags_array
 
 from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM, SPIN_MODELS
-from gridpush_drake.dynamics.reference.conic import solve_conic
 from gridpush_drake.dynamics.reference.maximal_lcp import STANDARD_GRAVITY, twist_to_cells
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+
+CONIC_TOLERANCE = 1e-13  # Clarabel's relative and absolute tolerance, on problems scaled to one
+
+USABLE = ("Solved", "AlmostSolved", "InsufficientProgress")
+"""Statuses whose point is near enough to be refined; the caller verifies what it makes of it."""
+
+
+def solve_conic(
+    P: csc_array, q: NDArray[np.float64], A: csc_array, cones: list[object]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Solves  min x·P x/2 + q·x  s.t.  -A x in the cones,  for x (k,) and the duals z (r,).
+
+    P (k, k) is given by its upper triangle, A is (r, k); Clarabel's cones have r rows in all.
+    Raises SimulationError: the solver stopped short.
+    """
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = settings.tol_ktratio = CONIC_TOLERANCE
+    solution = clarabel.DefaultSolver(P, q, A, np.zeros(A.shape[0]), cones, settings).solve()
+    if str(solution.status) not in USABLE:
+        raise SimulationError(f"Clarabel stopped with {solution.status}")
+    return np.array(solution.x), np.array(solution.z)
+
 
 ZERO_NORMS = (1e-9, 1e-7, 1e-5)
 """Relative sizes of |A_i u| in the cone program's solution that are taken for zero, tried in turn."""
@@ -23,13 +45,11 @@ ZERO_NORMS = (1e-9, 1e-7, 1e-5)
 SUBSPACE_TOLERANCE = 1e-10
 """Relative singular value below which the subspace of vanishing norms ignores a direction."""
 
-POLISH_DISTANCE = 1e-4
-"""Greatest correction that Newton's method may make to the cone program's solution."""
+POLISH_DISTANCE = 1e-4  # greatest correction that Newton's method may make to the cone program's solution
 
 MAX_NEWTON_STEPS = 30
 
-NEWTON_TOLERANCE = 1e-13
-"""Relative Newton step that ends the polish."""
+NEWTON_TOLERANCE = 1e-13  # relative Newton step that ends the polish
 
 
 def solve_isotropic_socp(
@@ -51,12 +71,9 @@ def solve_isotropic_socp(
     terms are |u - u_free|² / 2, with u_free of unit length: three unknowns, and one epigraph variable a cone.
 
     Args:
-        obj: the object.
-        params: mass and friction of its cells.
         q: (3,) pose X_WB, m and rad.
         nu: (3,) velocity of B's origin in W, m/s, and yaw rate, rad/s.
         wrench: (3,) W = force in W, N, and moment about B's origin, N m.
-        dt: time step, s.
         g: gravity, m/s².
         spin: "separate", "coupled" or "none".
 

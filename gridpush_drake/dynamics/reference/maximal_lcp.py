@@ -25,8 +25,7 @@ from gridpush_drake.errors import SimulationError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-STANDARD_GRAVITY = 9.81
-"""m/s²."""
+STANDARD_GRAVITY = 9.81  # m/s²
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,17 +79,11 @@ def make_maximal_lcp(
     """Writes down the LCP of one step.
 
     Args:
-        obj: the object.
-        params: mass and friction of its cells.
         q: (3,) pose X_WB, m and rad.
         xdot: (3n,) velocities of the cells, rad/s and m/s.
         F: (3n,) torque and force applied to the cells, N m and N.
-        dt: time step, s.
         g: gravity, m/s².
         spanning_tree: keep one tree of the adjacent pairs, or all pairs (redundant rows, the same velocities).
-
-    Returns:
-        The LCP.
 
     Raises:
         SimulationError: a shape disagrees, a number is not finite, or dt is not positive.
@@ -121,12 +114,7 @@ def make_maximal_lcp(
 def twist_to_cells(obj: GridObject, q: ArrayLike) -> NDArray[np.float64]:
     """T (3n, 3) with xdot = T nu, nu = (vx, vy, w) of B's origin in W: v_i = v + w z × r_i.
 
-    Args:
-        obj: the object.
-        q: (3,) pose X_WB, m and rad.
-
-    Returns:
-        T; r_i is the arm from B's origin to cell i in world axes, m.
+    r_i is the arm from B's origin to cell i in world axes, m, at the pose q (3,).
     """
     q = np.asarray(q, dtype=np.float64)
     rx, ry = (obj.cells_at(q) - q[:2]).T

@@ -1,39 +1,158 @@
-"""Reference solvers of the maximal LCP: as an LCP and as a QP.
+"""Reference solvers of the maximal LCP: as an LCP and as a QP. Both are slow and exact.
 
 The LCP is the KKT system of a convex QP, so its velocities are unique and two unrelated solvers must agree on them:
 
     min 1/2 |xdot - xdot_t|²_M - dt F·xdot + sum_j bound_j max(0, -(J_f xdot)_j)    s.t.  J_e xdot = 0
 
-Both are slow and exact; the compiled kernel is what simulations run on.
+They share a dimensionless form, an exact linear solve, and the residuals. With e the largest entry of the momentum
+without friction, y = M^(1/2) xdot / e and lam_f = D(bound) s, the LCP reads
+
+    y - h + C^T lam - G^T s = 0,    e (h + C^T lam_0) = M^(-1/2) (M xdot_t + dt F),   C h = 0
+    C y = 0,                        C = N J_e M^(-1/2), rows of unit length
+    0 <= G y + gamma ⟂ s >= 0,      G = D(bound) J_f M^(-1/2) / e
+    0 <= 1 - s ⟂ gamma >= 0
+
+(here gamma stands for D(bound) gamma / e²). Rows of J_f that are zero or whose bound is zero carry no friction and
+are left out.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import clarabel
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import block_array, csc_array, csr_array, diags_array, eye_array, vstack
+from scipy.sparse.linalg import splu
 
-from gridpush_drake.dynamics.reference.conic import solve_conic
-from gridpush_drake.dynamics.reference.isotropic_socp import solve_isotropic_socp
-from gridpush_drake.dynamics.reference.maximal_kkt import (
-    KktResiduals,
-    NormalizedLcp,
-    calc_residuals,
-    normalize,
-    project,
-)
+from gridpush_drake.dynamics.reference.isotropic_socp import solve_conic, solve_isotropic_socp
 from gridpush_drake.dynamics.reference.maximal_lcp import MaximalLcp
 from gridpush_drake.errors import SimulationError
 
+PROXIMAL_WEIGHT = 1e-12  # delta of `project`: makes redundant rows of C harmless; its effect is iterated away
+
+MAX_REFINEMENTS = 40
+
+ROUND_OFF = 1e-15  # relative residual at which refinement stops
+NEAR_ROUND_OFF = 1e3  # multiple of it below which refinement stops once it halves no more
+
+
+@dataclass(frozen=True, eq=False)
+class NormalizedLcp:
+    """The LCP without units (see the module's docstring)."""
+
+    root_mass: NDArray[np.float64]  # (3n,) M^(1/2)
+    e: float  # the momentum scale, (N s)/kg^(1/2)
+    rows: NDArray[np.int64]  # indices of the friction rows that are kept, (k,)
+    h: NDArray[np.float64]  # (3n,) momentum without friction, that of a rigid motion
+    lam_0: NDArray[np.float64]  # multipliers of rigidity without friction
+    C: csr_array  # (3(n-1) or more, 3n) rigidity
+    norm: NDArray[np.float64]  # lengths of J_e M^(-1/2)'s rows
+    G: csr_array  # (k, 3n) friction
+
+
+@dataclass(frozen=True)
+class KktResiduals:
+    """How well each line of the LCP holds: the largest violation, as a share of the problem's own scale.
+
+    Impulses are measured by P, the largest cell's m |v_t| + dt |F| + bound; velocities by V, the same of the
+    whole body over its mass; moments and yaw rates by P s and V / s, s the cell size; products by P V.
+    """
+
+    momentum: float  # |M (xdot - xdot_t) - dt F - J_e^T lam_e - J_f^T lam_f|
+    rigidity: float  # |J_e xdot|
+    rho: float  # max(0, -rho), rho = J_f xdot + gamma
+    lam_f: float  # max(0, -lam_f)
+    xi: float  # max(0, -xi), xi = bound - lam_f
+    gamma: float  # max(0, -gamma)
+    rho_lam_f: float  # |rho lam_f|
+    xi_gamma: float  # |xi gamma|
+
+    @property
+    def worst(self) -> float:
+        """The largest of them."""
+        return max(getattr(self, field.name) for field in fields(self))
+
+
+def normalize(lcp: MaximalLcp) -> NormalizedLcp:
+    """Takes the units out of the LCP."""
+    root_mass = np.sqrt(lcp.M)
+    per_root_mass = diags_array(1 / root_mass)
+    rows = np.flatnonzero((lcp.bound > 0) & (abs(lcp.J_f).sum(axis=1) > 0))
+    C = csr_array(lcp.J_e @ per_root_mass)
+    norm = np.sqrt((C * C).sum(axis=1))
+    C = csr_array(diags_array(1 / norm) @ C)
+    h, lam_0 = project(C, (lcp.M * lcp.xdot + lcp.dt * lcp.F) / root_mass)
+    e = np.abs(h).max() or 1.0
+    G = csr_array(diags_array(lcp.bound[rows] / e) @ lcp.J_f[rows] @ per_root_mass)
+    return NormalizedLcp(root_mass, e, rows, h / e, lam_0 / e, C, norm, G)
+
+
+def project(
+    C: csr_array, r: NDArray[np.float64], lam: NDArray[np.float64] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Solves y + C^T lam = r, C y = 0: y is r (N,) or (N, j), projected onto the null space of C (k, N).
+
+    The proximal method of multipliers, [[1, C^T], [C, -delta]] [dy; dlam] = residual, repeated down to round-off:
+    one sparse factorization that does not mind redundant rows. Where those leave lam open the result stays
+    next to the lam that it started from, zero where not given.
+    """
+    k, N = C.shape
+    y = np.zeros_like(r)
+    lam = np.zeros((k,) + r.shape[1:]) if lam is None else lam.copy()
+    if not k or not r.size:
+        return r.copy(), lam
+    factor = splu(block_array([[eye_array(N), C.T], [C, -PROXIMAL_WEIGHT * eye_array(k)]]).tocsc())
+    best, goal = np.inf, ROUND_OFF * np.abs(r).max(initial=0.0)
+    for _ in range(MAX_REFINEMENTS):
+        residual = np.concatenate([r - y - C.T @ lam, -(C @ y)])
+        size = np.abs(residual).max()
+        if size <= goal or (best < NEAR_ROUND_OFF * goal and size > best / 2):
+            break
+        best = min(best, size)
+        step = factor.solve(residual)
+        y, lam = y + step[:N], lam + step[N:]
+    return y, lam
+
+
+def calc_residuals(
+    lcp: MaximalLcp,
+    xdot: NDArray[np.float64],
+    lam_e: NDArray[np.float64],
+    lam_f: NDArray[np.float64],
+    gamma: NDArray[np.float64],
+) -> KktResiduals:
+    """Evaluates every line of the LCP for velocities (3n,) after the step, impulses, and speeds gamma (2n,)."""
+    n, s = lcp.n, lcp.cell_size
+    length = np.tile([s, 1.0, 1.0], n)
+    length_f = np.repeat([1.0, s], n)
+    length_e = np.tile([s, 1.0, 1.0], len(lam_e) // 3)
+    b = (lcp.bound / length_f).reshape(2, n).sum(axis=0)
+    P = ((np.abs(lcp.M * lcp.xdot) + np.abs(lcp.dt * lcp.F)) / length).reshape(n, 3).sum(axis=1) + b
+    V = P.sum() / lcp.mass.sum() or 1.0
+    P = P.max() or 1.0
+    rho, xi = lcp.J_f @ xdot + gamma, lcp.bound - lam_f
+    momentum = lcp.M * (xdot - lcp.xdot) - lcp.dt * lcp.F - lcp.J_e.T @ lam_e - lcp.J_f.T @ lam_f
+
+    def largest(value: NDArray[np.float64]) -> float:
+        return float(np.abs(value).max(initial=0.0))
+
+    return KktResiduals(
+        momentum=largest(momentum / length) / P,
+        rigidity=largest((lcp.J_e @ xdot) * length_e) / V,
+        rho=largest(np.minimum(rho, 0) * length_f) / V,
+        lam_f=largest(np.minimum(lam_f, 0) / length_f) / P,
+        xi=largest(np.minimum(xi, 0) / length_f) / P,
+        gamma=largest(np.minimum(gamma, 0) * length_f) / V,
+        rho_lam_f=largest(rho * lam_f) / (P * V),
+        xi_gamma=largest(xi * gamma) / (P * V),
+    )
+
+
 __all__ = ["LcpSolution", "LcpSolver", "solve_as_lcp", "solve_as_qp", "solve_isotropic_socp"]
 
-SIGN_TOLERANCE = 1e-11
-"""Violation of a sign, in the dimensionless LCP, that counts as a wrong active set."""
-
-MAX_ACTIVE_SETS = 600
-"""Active sets to try before giving up."""
+SIGN_TOLERANCE = 1e-11  # violation of a sign, in the dimensionless LCP, that counts as a wrong active set
+MAX_ACTIVE_SETS = 600  # active sets to try before giving up
 
 STICK, SLIDE, REVERSE = 0, 1, 2
 
@@ -61,18 +180,13 @@ class LcpSolution:
 
 
 def solve_as_lcp(lcp: MaximalLcp, lcp_solver: LcpSolver) -> LcpSolution:
-    """Eliminates xdot and lam_e and solves the LCP in (s, gamma) that is left.
+    """Eliminates xdot and lam_e and solves the LCP in (s, gamma) that is left, with a solver of dense LCPs.
 
     With P the projector onto the null space of C, y = h + P G^T s and
 
         0 <= [s; gamma]  ⟂  [[G P G^T, 1], [-1, 0]] [s; gamma] + [G h; 1] >= 0.
 
-    Args:
-        lcp: the LCP.
-        lcp_solver: a solver of dense LCPs, Lemke's for instance.
-
-    Returns:
-        The solution; as good as `lcp_solver` is, see its residuals.
+    The solution is as good as that solver is, see its residuals.
     """
     unit = normalize(lcp)
     k = len(unit.rows)
@@ -87,18 +201,12 @@ def solve_as_lcp(lcp: MaximalLcp, lcp_solver: LcpSolver) -> LcpSolution:
 
 
 def solve_as_qp(lcp: MaximalLcp) -> LcpSolution:
-    """Solves the convex QP with an interior point method, then the equations of its active set exactly.
+    """Solves the convex QP with an interior point method, then the equations of its active set exactly, to round-off.
 
     Every friction row slides (s = 1), sticks (G y = 0) or is carried backwards (s = 0). The interior point solution
     tells which; y and the multipliers then solve linear equations, whose signs are verified. Where one is wrong the
     active set method for the dual (a QP in 0 <= s <= 1) takes over: s goes towards the equations' solution up to the
     first bound, whose row is held there; when none is in the way the row that moves against its state is released.
-
-    Args:
-        lcp: the LCP.
-
-    Returns:
-        The solution, to round-off.
 
     Raises:
         SimulationError: the interior point method failed, or no active set has the right signs.

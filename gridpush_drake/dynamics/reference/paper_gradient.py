@@ -33,11 +33,8 @@ from gridpush_drake.dynamics.reference.maximal_solvers import LcpSolution
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-AT_BOUND = 1e-9
-"""Share of the bound within which a friction impulse counts as zero or as at its bound."""
-
-REDUNDANT = 1e-10
-"""Relative singular value below which rows of C count as redundant."""
+AT_BOUND = 1e-9  # share of the bound within which a friction impulse counts as zero or as at its bound
+REDUNDANT = 1e-10  # relative singular value below which rows of C count as redundant
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,15 +51,9 @@ class PaperGradient:
 
 
 def calc_x11(lcp: MaximalLcp, solution: LcpSolution, T: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
-    """X11 (3n, 3n): from impulses on the cells to the velocities that they cause.
+    """X11 (3n, 3n): from impulses on the cells to the velocities that they cause, 1/(kg m²) and 1/kg.
 
-    Args:
-        lcp: the LCP.
-        solution: its solution, which says what sticks.
-        T: (3n, 3) `twist_to_cells`, for the condensed form T X_B T^T; without it the paper's formula in J_e, O(n³).
-
-    Returns:
-        X11, 1/(kg m²) between yaw rates and moments, 1/kg between velocities and forces.
+    With T (3n, 3), `twist_to_cells`, by the condensed form T X_B T^T; without it by the paper's formula in J_e, O(n³).
     """
     if T is not None:
         return T @ _condensed_x11(lcp, solution, T) @ T.T
@@ -79,16 +70,9 @@ def calc_x11(lcp: MaximalLcp, solution: LcpSolution, T: NDArray[np.float64] | No
 def calc_paper_gradient(
     lcp: MaximalLcp, solution: LcpSolution, T: NDArray[np.float64] | None = None, *, g: float = STANDARD_GRAVITY
 ) -> PaperGradient:
-    """Differentiates the velocities after the step by every cell's mass and friction.
+    """Differentiates the velocities after a step of a moving object by every cell's mass and friction.
 
-    Args:
-        lcp: the LCP of a moving object.
-        solution: its solution.
-        T: (3n, 3) `twist_to_cells`, for the condensed route in O(n²); without it the explicit one in O(n³).
-        g: gravity, m/s².
-
-    Returns:
-        The derivatives.
+    With T (3n, 3), `twist_to_cells`, by the condensed route in O(n²); without it by the explicit one in O(n³).
     """
     by_mass, by_friction = _impulse_derivatives(lcp, solution, g)
     if T is None:
@@ -109,11 +93,8 @@ def calc_paper_loss_gradient(
     """Differentiates the paper's loss |x_{t+1} - x*_{t+1}|², x_{t+1} = x_t + xdot dt, so dloss/dxdot = 2 dt error.
 
     Args:
-        lcp: the LCP of a moving object.
-        solution: its solution.
         error: (3n,) x_{t+1} - x*_{t+1} in the cells' order, rad and m; zero where the loss ignores an entry.
         T: as in `calc_paper_gradient`.
-        g: gravity, m/s².
 
     Returns:
         dloss/dm (n,), per kg, and dloss/dmu (n,).
@@ -145,12 +126,9 @@ def calc_paper_step_jacobian(
     motion that the step reversed has no friction; a body that the step brings to rest stays there, with no derivative.
 
     Args:
-        obj: the object.
-        params: mass and friction of its cells.
         q: (3,) pose X_WB before the step, m and rad.
         nu: (3,) velocity of B's origin in W, m/s, and yaw rate, rad/s, before the step.
         nu_next: (3,) after it.
-        dt: time step, s.
         g: gravity, m/s².
 
     Returns:

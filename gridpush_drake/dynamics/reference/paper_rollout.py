@@ -26,6 +26,7 @@ from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
 from gridpush_drake.dynamics.kernels.inputs import Steps
 from gridpush_drake.dynamics.kernels.lagged_friction import SPEED_AT_REST, YAW_RATE_AT_REST
 from gridpush_drake.dynamics.motion import Jacobian
+from gridpush_drake.geometry.se2 import make_rotation
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -44,19 +45,9 @@ def calc_paper_jacobian(
     gravity: float,
     method: Method,
 ) -> Jacobian:
-    """Differentiates each recorded pose by the step that led to it.
+    """Differentiates each recorded pose (rows, (R,)) by the step that led to it: the blocks `mass` and `friction`.
 
-    Args:
-        obj: the object.
-        params: mass and friction of its cells.
-        steps: the kernel's record.
-        dts: (T,) s.
-        rows: (R,) the poses wanted; that of pose 0, which no step led to, is zero.
-        gravity: m/s².
-        method: how the steps were taken; inertial.
-
-    Returns:
-        The blocks `mass` and `friction`; the others are zero.
+    The others are zero, and so is the row of pose 0, which no step led to. The steps `dts` (T,), s, are inertial.
     """
     t = np.maximum(rows - 1, 0)
     dt, arm = dts[t], SPIN_ARM * obj.cell_size
@@ -159,8 +150,5 @@ def _calc_inertia(obj: GridObject, params: CellParameters) -> Array:
 def _rotations(angles: Array) -> Array:
     """(R, 3, 3) from the body's axes to those of W, for twists."""
     R = np.zeros((len(angles), 3, 3))
-    R[:, 0, 0] = R[:, 1, 1] = np.cos(angles)
-    R[:, 1, 0] = np.sin(angles)
-    R[:, 0, 1] = -R[:, 1, 0]
-    R[:, 2, 2] = 1.0
+    R[:, :2, :2], R[:, 2, 2] = make_rotation(angles), 1.0
     return R

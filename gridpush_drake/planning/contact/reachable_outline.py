@@ -14,18 +14,13 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
-from gridpush_drake.errors import PlanningError
+from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 
-TOUCHING = 1e-6
-"""m; a disc this much inside the object still counts as touching."""
-
-ARC_SEGMENTS = 64
-"""Chords of a quarter circle, of the grown object."""
-
-MIN_PIECE = 1e-5
-"""m; a reachable piece must be longer, unless its edge is not."""
+TOUCHING = 1e-6  # m; a disc this much inside the object still counts as touching
+ARC_SEGMENTS = 64  # chords of a quarter circle, of the grown object
+MIN_PIECE = 1e-5  # m; a reachable piece must be longer, unless its edge is not
 
 END_ROOM = 1e-7
 """Reachable pieces end this share of the perimeter short of a vertex, where the normal is still the edge's own."""
@@ -99,21 +94,12 @@ class ReachableOutline:
 
 @lru_cache(maxsize=64)
 def find_reachable_outline(obj: GridObject, radius: float, clearance: float = 0.0) -> ReachableOutline:
-    """Finds where a disc can begin to push.
-
-    Args:
-        obj: the object.
-        radius: of the disc, m.
-        clearance: gap between disc and outline that must be free too, m.
-
-    Returns:
-        The reachable pieces.
+    """Finds where a disc of `radius` (m), with a gap of `clearance` (m) that must be free too, can begin to push.
 
     Raises:
         PlanningError: the radius is not positive, the clearance negative, or there is no reachable place.
     """
-    if not (np.isfinite(radius) and radius > 0):
-        raise PlanningError(f"radius is {radius!r}; expected a positive number (m)")
+    require_positive(PlanningError, unit="m", radius=radius)
     if not (np.isfinite(clearance) and clearance >= 0):
         raise PlanningError(f"clearance is {clearance!r}; expected a number >= 0 (m)")
     edges, reach = obj.edges, radius + clearance

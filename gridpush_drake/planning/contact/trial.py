@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.motion import MotionStatus
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import Regime, simulate
-from gridpush_drake.dynamics.time_grid import make_path_times
-from gridpush_drake.errors import PlanningError
+from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -58,8 +57,7 @@ def calc_goal_error(obj: GridObject, pose: ArrayLike, goal: ArrayLike) -> Array:
     return np.asarray(np.hypot(difference[..., 0], difference[..., 1]).mean(axis=-1))
 
 
-DEFAULT_RADIUS = 0.008
-"""Of a finger of which nothing else is said, m: `models/fingers/rod`'s."""
+DEFAULT_RADIUS = 0.008  # of a finger of which nothing else is said, m: `models/fingers/rod`'s
 
 
 @dataclass(frozen=True)
@@ -106,70 +104,43 @@ class ContactOptions:
         low, high = self.angle_range
         if not -np.pi / 2 < low <= high < np.pi / 2:
             raise PlanningError(f"angle_range is {(low, high)!r}; expected -pi/2 < least <= greatest < pi/2 (rad)")
-        if not (np.isfinite(self.speed) and self.speed > 0):
-            raise PlanningError(f"speed is {self.speed!r}; expected a positive number (m/s)")
+        require_positive(PlanningError, unit="m/s", speed=self.speed)
         for name in ("starts", "budget", "places", "angles"):
             if getattr(self, name) < 1:
                 raise PlanningError(f"{name} is {getattr(self, name)!r}; expected at least 1")
 
 
-RECORD_EVERY = 4
-"""Steps between those whose Jacobian is kept."""
-
-MIN_RESIDUAL = 1e-4
-"""m, below which a cell's error weighs no more in the Gauss-Newton matrix."""
+RECORD_EVERY = 4  # steps between those whose Jacobian is kept
+MIN_RESIDUAL = 1e-4  # m, below which a cell's error weighs no more in the Gauss-Newton matrix
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A simulated push, at its best distance.
+    """A simulated push, at its best distance."""
 
-    Attributes:
-        arc_length: m.
-        piece: of the reachable outline.
-        angle: from the inward normal, rad.
-        distance: m.
-        pose: (3,) q_W at its end.
-        cost: mean cell error to the goal, m; infinite where the push is not allowed.
-        slope: (3,) derivative of the cost by arc length, direction and distance, -, m/rad, -; None where not asked for.
-        curvature: (3, 3) Gauss-Newton matrix of the same.
-    """
-
-    arc_length: float
-    piece: int
-    angle: float
-    distance: float
-    pose: Array
-    cost: float
-    slope: Array | None = None
-    curvature: Array | None = None
+    arc_length: float  # m
+    piece: int  # of the reachable outline
+    angle: float  # from the inward normal, rad
+    distance: float  # m
+    pose: Array  # (3,) q_W at its end
+    cost: float  # mean cell error to the goal, m; infinite where the push is not allowed
+    slope: Array | None = None  # (3,) of the cost by arc length, direction and distance; None where not asked for
+    curvature: Array | None = None  # (3, 3) Gauss-Newton matrix of the same
 
 
 @dataclass(eq=False)
 class TrialRunner:
-    """Simulates pushes from one pose towards one goal, and counts them.
-
-    Attributes:
-        obj: the object.
-        params: its model.
-        pose: (3,) where it lies.
-        goal: (3,) where it should.
-        reach: where the disc can touch.
-        checker: the rules.
-        options: what pushes may be chosen from.
-        distance_range: least and greatest distance that are tried, m.
-        simulations: run so far.
-    """
+    """Simulates pushes from one pose towards one goal, and counts them."""
 
     obj: GridObject
     params: CellParameters
-    pose: Array
-    goal: Array
-    reach: ReachableOutline
+    pose: Array  # (3,) where it lies
+    goal: Array  # (3,) where it should
+    reach: ReachableOutline  # where the disc can touch
     checker: PushChecker
-    options: ContactOptions
-    distance_range: tuple[float, float]
-    simulations: int = 0
+    options: ContactOptions  # what pushes may be chosen from
+    distance_range: tuple[float, float]  # least and greatest distance that are tried, m
+    simulations: int = 0  # run so far
 
     def make_push(self, arc_length: float, angle: float, distance: float) -> Push:
         """The push with these parameters."""
@@ -229,17 +200,7 @@ class TrialRunner:
 
 
 def calc_cost_derivatives(obj: GridObject, pose: Array, goal: Array, dq: Array) -> tuple[Array, Array]:
-    """Differentiates the mean cell error.
-
-    Args:
-        obj: the object.
-        pose: (3,) q.
-        goal: (3,).
-        dq: (3, k) derivative of q by k parameters.
-
-    Returns:
-        The gradient (k,) and the Gauss-Newton matrix (k, k).
-    """
+    """Gradient (k,) and Gauss-Newton matrix (k, k) of the mean cell error, by dq (3, k), the pose's by k parameters."""
     residual = obj.cells_at(pose) - obj.cells_at(goal)
     length = np.maximum(np.linalg.norm(residual, axis=1), MIN_RESIDUAL)
     arm = obj.cells_at(pose) - pose[:2]

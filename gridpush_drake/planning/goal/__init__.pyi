@@ -1,4 +1,6 @@
 from .next_push import GoalRules as GoalRules
+from .next_push import Robustness as Robustness
+from .next_push import RobustnessOptions as RobustnessOptions
 from .next_push import choose_push as choose_push
 from .push_plan import PushPlan as PushPlan
 from .push_plan import plan_pushes as plan_pushes
@@ -6,5 +8,3 @@ from .push_plan import write_plan as write_plan
 from .push_to_goal import PushRun as PushRun
 from .push_to_goal import PushToGoalLoop as PushToGoalLoop
 from .push_to_goal import push_to_goal as push_to_goal
-from .robustness import Robustness as Robustness
-from .robustness import RobustnessOptions as RobustnessOptions

@@ -18,18 +18,12 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.push_constraints import PushChecker
 
-LATTICE_STEP = 0.03
-"""m between positions of the lattice; made wider where MAX_POSITIONS would be exceeded."""
+LATTICE_STEP = 0.03  # m between positions of the lattice; made wider where MAX_POSITIONS would be exceeded
 
 MAX_POSITIONS = 2500
-TURNS = 24
-"""Angles of the lattice, in a whole turn."""
-
-ROOM = 0.25
-"""m about start, goal and obstacles within which paths are searched for, where there is no table."""
-
-LINE_STEP = 0.01
-"""m between poses that are checked along a straight path, as their cells move."""
+TURNS = 24  # angles of the lattice, in a whole turn
+ROOM = 0.25  # m about start, goal and obstacles within which paths are searched for, where there is no table
+LINE_STEP = 0.01  # m between poses that are checked along a straight path, as their cells move
 
 NEIGHBORS = np.array(
     [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, -1, 0), (1, 0, 1), (1, 0, -1), (0, 1, 1), (0, 1, -1)]
@@ -81,15 +75,12 @@ class CostToGo:
     def is_clear(self, a: Array, b: Array) -> bool:
         """Whether the object can be moved and turned straight from pose a (3,) to pose b (3,)."""
         turn = float(wrap_angle(b[2] - a[2]))
-        length = float(np.abs(self.obj.cells_at(a) - self.obj.cells_at(b)).max()) + abs(turn) * self._radius
+        radius = float(np.linalg.norm(self.obj.p_BC - self._centroid, axis=1).max())
+        length = float(np.abs(self.obj.cells_at(a) - self.obj.cells_at(b)).max()) + abs(turn) * radius
         share = np.linspace(0.0, 1.0, 2 + int(length / LINE_STEP))[:, None]
         center = (1 - share) * self._center(a) + share * self._center(b)
         poses = self._from_center(center, a[2] + share[:, 0] * turn)
         return bool(self.checker.allows_geometry(poses).all())
-
-    @property
-    def _radius(self) -> float:
-        return float(np.linalg.norm(self.obj.p_BC - self._centroid, axis=1).max())
 
     def _center(self, pose: Array) -> Array:
         return transform(pose, self._centroid[None])[0]

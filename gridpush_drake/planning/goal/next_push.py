@@ -1,9 +1,17 @@
-"""The next push of a sequence: searches over one and two pushes, compared.
+"""The next push of a sequence: searches over one and two pushes, compared, and cut short where the model may be wrong.
 
 Horizon 1 aims for the goal itself (or, where something is in between, for places along the path). Horizon 2 asks, of
 the best few of these pushes and of pushes towards waypoints, such as the object turned first where it lies, how near a
 second push from their predicted end would come. One push that is good enough is taken; else the first of two that are;
 else the first of the two that come nearest. Where nothing gains, every place is tried with every direction.
+
+A push is made only as far as it keeps the rules, with some leeway, not just by the model but by every sample: other
+models that may be the true one. By each of them its own center of friction must also stay over the table. Samples are
+drawn from the posterior; before anything was learned they are objects heavier towards one side,
+
+    k_i ~ exp(a u · (p_i - c) / r),   u all around,   r the farthest cell's distance from the cells' centroid c,
+
+little (a small) and much: where a push turns an object to either side, the worst is often in between.
 """
 
 from collections.abc import Sequence
@@ -12,33 +20,121 @@ from itertools import islice
 
 import numpy as np
 
-from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import Array, rotate, transform, wrap_angle
+from gridpush_drake.dynamics.push import Push, make_path_times
+from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.errors import PlanningError, require_positive
+from gridpush_drake.geometry.se2 import Array, make_direction, rotate, transform, wrap_angle
+from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.contact.optimization import (
-    ContactMethod,
-    ContactPlan,
-    optimize_contact,
-)
+from gridpush_drake.planning.contact.optimization import ContactMethod, ContactPlan, optimize_contact
 from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
-from gridpush_drake.planning.goal.robustness import Robustness, RobustnessOptions
 from gridpush_drake.planning.push_constraints import PushConstraints
 
-DEFAULT_TOLERANCE = 0.02
-"""Mean cell error at which a goal counts as reached, m: the paper's."""
+
+@dataclass(frozen=True)
+class RobustnessOptions:
+    """How many other models may be the true one, and what must hold by all of them.
+
+    Attributes:
+        samples: from the posterior that a push is tried with.
+        tilts: a above: how uneven an object may be of which nothing is known.
+        sides: directions u of each.
+        leeway: m by which cells may hang over further by a sample than by the model.
+        center_margin: m by which the center of friction must stay over the table.
+        seed: of the draws.
+    """
+
+    samples: int = 6
+    tilts: tuple[float, ...] = (1.0, 2.0)
+    sides: int = 4
+    leeway: float = 0.03
+    center_margin: float = 0.03
+    seed: int = 0
+
+
+def draw_model_samples(
+    obj: GridObject, params: CellParameters, identification: Identification | None, options: RobustnessOptions
+) -> list[CellParameters]:
+    """Other models that may be the true one; `identification` is None where nothing was learned."""
+    if identification is not None:
+        return identification.samples(options.samples, options.seed)
+    arm = obj.p_BC - obj.p_BC.mean(axis=0)
+    farthest = max(float(np.linalg.norm(arm, axis=1).max()), obj.cell_size)
+    # along the object's longest axis first, where unevenness matters most
+    axis = np.linalg.eigh(arm.T @ arm)[1][:, -1]
+    turns = np.arctan2(axis[1], axis[0]) + 2 * np.pi * np.arange(options.sides) / options.sides
+    slopes = make_direction(turns) @ arm.T / farthest
+    return [replace(params, mass=params.mass * np.exp(tilt * slope)) for tilt in options.tilts for slope in slopes]
+
+
+@dataclass(eq=False)
+class Robustness:
+    """Cuts pushes short; counts the simulations it takes.
+
+    Attributes:
+        obj: the object.
+        models: the model first, then the samples.
+        constraints: the rules.
+        contact: what pushes are made like.
+        options: what must hold.
+        simulations: run so far.
+    """
+
+    obj: GridObject
+    models: Sequence[CellParameters]
+    constraints: PushConstraints
+    contact: ContactOptions
+    options: RobustnessOptions
+    simulations: int = 0
+
+    def cut(self, pose: Array, planned: PlannedPush) -> PlannedPush | None:
+        """The part of a push from `pose` that is safe by all models; None where that is nothing."""
+        if self.constraints.surface is None and not self.constraints.obstacles:
+            return planned
+        times = make_path_times(planned.push, self.contact.regime)
+        rules = replace(
+            self.constraints, edge_margin=self.constraints.edge_margin - self.options.leeway, pose_rule=None
+        )
+        checker = rules.start_at(self.obj, pose, self.contact.radius)
+        usable, nominal = len(times), None
+        for params in self.models:
+            motion = simulate(self.obj, params, planned.push, pose, times=times, regime=self.contact.regime)
+            self.simulations += 1
+            nominal = motion.poses if nominal is None else nominal
+            usable = min(
+                usable, checker.count_allowed(motion.tip, motion.poses), self._count_supported(params, motion.poses)
+            )
+        distance = self.contact.speed * times[usable - 1] if usable else 0.0
+        if nominal is None or distance < self.contact.distance_range[0]:
+            return None
+        if usable == len(times):
+            return planned
+        whole = planned.push
+        push = Push(
+            whole.start, whole.velocity, float(times[usable - 1]), whole.radius, start_tangent=whole.start_tangent
+        )
+        return replace(planned, distance=float(distance), push=push, pose=nominal[usable - 1].copy())
+
+    def _count_supported(self, params: CellParameters, poses: Array) -> int:
+        """How many of the poses, from the first on, keep the model's center of friction over the table."""
+        surface = self.constraints.surface
+        if surface is None:
+            return len(poses)
+        center = (params.relative_friction() @ self.obj.p_BC)[None]
+        room = surface.signed_distances(transform(poses, center)[:, 0])
+        held = room >= min(self.options.center_margin, float(room[0])) - 1e-9
+        return len(poses) if held.all() else int(np.argmin(held))
+
+
+DEFAULT_TOLERANCE = 0.02  # mean cell error at which a goal counts as reached, m: the paper's
 
 DEFAULT_MAX_PUSHES = 25
 
-BEAM = 3
-"""First pushes towards the goal that a second is searched for."""
-
-SECOND_STARTS, SECOND_BUDGET = 5, 16
-"""Starts of the second push's search, and its most simulations."""
-
-MIN_GAIN = 0.001
-"""m by which a push must shorten what is left to go to be worth making."""
+BEAM = 3  # first pushes towards the goal that a second is searched for
+SECOND_STARTS, SECOND_BUDGET = 5, 16  # starts of the second push's search, and its most simulations
+MIN_GAIN = 0.001  # m by which a push must shorten what is left to go to be worth making
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +162,7 @@ class GoalRules:
     max_pushes: int = DEFAULT_MAX_PUSHES
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.tolerance) and self.tolerance > 0):
-            raise PlanningError(f"tolerance is {self.tolerance!r}; expected a positive number (m)")
+        require_positive(PlanningError, unit="m", tolerance=self.tolerance)
         if self.max_pushes < 0:
             raise PlanningError(f"max_pushes is {self.max_pushes!r}; expected 0 or more")
         if self.horizon not in (1, 2):
@@ -76,21 +171,13 @@ class GoalRules:
 
 @dataclass(frozen=True, eq=False)
 class NextPush:
-    """A decision.
+    """A decision."""
 
-    Attributes:
-        push: the push; None where none gains enough.
-        cost: what is left to go after it, m (mean cell error, round obstacles).
-        final_cost: what is expected to be left at the end of the horizon, m.
-        horizon: 1 or 2, that of the search the push comes from.
-        simulations: that the decision took.
-    """
-
-    push: PlannedPush | None
-    cost: float
-    final_cost: float
-    horizon: int
-    simulations: int
+    push: PlannedPush | None  # the push; None where none gains enough
+    cost: float  # what is left to go after it, m (mean cell error, round obstacles)
+    final_cost: float  # what is expected to be left at the end of the horizon, m
+    horizon: int  # 1 or 2, that of the search the push comes from
+    simulations: int  # that the decision took
 
 
 def choose_push(
@@ -101,18 +188,9 @@ def choose_push(
     rules: GoalRules,
     robustness: Robustness | None = None,
 ) -> NextPush:
-    """Decides on the next push.
+    """Decides on the next push of an object at `pose` (3,), m and rad.
 
-    Args:
-        obj: the object.
-        params: its model.
-        pose: (3,) where it lies, m and rad.
-        cost_to_go: to the goal.
-        rules: how to push; a push that comes as near as the tolerance is good enough.
-        robustness: cuts pushes short; None makes them as they are planned.
-
-    Returns:
-        The decision.
+    One that comes as near as the tolerance is good enough. `robustness` cuts pushes short; None makes them as planned.
     """
     search = _PushSearch(obj, params, pose, cost_to_go, rules, robustness)
     first = search.find_first("gradient")

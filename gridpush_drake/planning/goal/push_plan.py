@@ -13,11 +13,11 @@ import yaml
 from numpy.typing import ArrayLike
 from shapely import Point
 
+from gridpush_drake.errors import PlanningError
 from gridpush_drake.files import write_whole
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.contact.optimization import check_pose
 from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.goal.next_push import GoalRules, choose_push
@@ -42,8 +42,7 @@ REASONS = {
 }
 """What each status means, in a sentence."""
 
-LOOK_AHEAD = GoalRules(horizon=2)
-"""Rules of a plan that trusts its model."""
+LOOK_AHEAD = GoalRules(horizon=2)  # rules of a plan that trusts its model
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,23 +89,16 @@ def plan_pushes(
     goal: ArrayLike,
     rules: GoalRules = LOOK_AHEAD,
 ) -> PushPlan:
-    """Plans pushes that bring an object to a goal pose, trusting the model.
-
-    Args:
-        obj: the object.
-        params: its model.
-        pose: (3,) q_W where it lies, m and rad.
-        goal: (3,) where it should.
-        rules: how to push; their robustness is not asked for.
+    """Plans pushes that bring an object from `pose` (3,) to `goal` (3,), m and rad, trusting the model.
 
     Returns:
-        The plan; its `status` says whether it gets there, and if not why.
+        The plan; its `status` says whether it gets there, and if not why. The rules' robustness is not asked for.
 
     Raises:
         PlanningError: an argument is out of range.
     """
     begin = perf_counter()
-    q, aim = check_pose("pose", pose), check_pose("goal", goal)
+    q, aim = check_vector(PlanningError, "pose", pose, 3), check_vector(PlanningError, "goal", goal, 3)
     pushes: list[PlannedPush] = []
     simulations, start = 0, q
     status = check_ends(obj, q, aim, rules.constraints, rules.contact.radius)
@@ -171,16 +163,7 @@ LINE_WIDTH = 120
 
 
 def describe_plan(plan: PushPlan, name: str, radius: float) -> dict[str, Any]:
-    """A plan as plain lists and numbers.
-
-    Args:
-        plan: the plan.
-        name: of the object.
-        radius: of the pusher, m.
-
-    Returns:
-        The document.
-    """
+    """A plan as plain lists and numbers; `radius` is the pusher's, m."""
     return {
         "gridpush_plan": FORMAT_VERSION,
         "object": name,
@@ -208,33 +191,7 @@ def describe_plan(plan: PushPlan, name: str, radius: float) -> dict[str, Any]:
 
 
 def write_plan(path: Path | str, plan: PushPlan, name: str, radius: float, force: bool = False) -> None:
-    """Writes a plan.
-
-    Args:
-        path: the YAML file.
-        plan: the plan.
-        name: of the object.
-        radius: of the pusher, m.
-        force: whether an existing file may be replaced.
-
-    Raises:
-        OutputError: the file exists and `force` is not set, or it cannot be written.
-    """
+    """Writes a plan. Raises OutputError where the file exists and `force` is not set, or it cannot be written."""
     document = describe_plan(plan, name, radius)
-    text = yaml.dump(document, Dumper=_Dumper, sort_keys=False, width=LINE_WIDTH)
+    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=LINE_WIDTH)
     write_whole(path, HEADER + text, force)
-
-
-class _Dumper(yaml.SafeDumper):
-    """Lists of numbers on one line."""
-
-
-def _represent_list(dumper: Any, value: list[Any]) -> Any:
-    return dumper.represent_sequence("tag:yaml.org,2002:seq", value, flow_style=not any(map(_is_block, value)))
-
-
-def _is_block(value: Any) -> bool:
-    return isinstance(value, dict | list)
-
-
-_Dumper.add_representer(list, _represent_list)

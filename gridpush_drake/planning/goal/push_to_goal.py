@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import GridPushError
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.errors import GridPushError, PlanningError
+from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -33,10 +33,9 @@ from gridpush_drake.planning.closed_loop import (
     Observation,
     Pose,
 )
-from gridpush_drake.planning.contact.optimization import check_pose
 from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
-from gridpush_drake.planning.goal.next_push import GoalRules, NextPush, choose_push
+from gridpush_drake.planning.goal.next_push import GoalRules, NextPush, Robustness, choose_push, draw_model_samples
 from gridpush_drake.planning.goal.push_plan import (
     REACHED,
     REASONS,
@@ -45,7 +44,6 @@ from gridpush_drake.planning.goal.push_plan import (
     check_ends,
     find_stop_reason,
 )
-from gridpush_drake.planning.goal.robustness import Robustness, draw_model_samples
 from gridpush_drake.planning.simulated_world import Learner, PushWorld, run_loop
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
@@ -58,19 +56,12 @@ MOVED = 0.01
 
 @dataclass(frozen=True, eq=False)
 class PushDecision:
-    """What to do.
+    """What to do."""
 
-    Attributes:
-        status: why to end, see `push_plan.REASONS`; None where a push should be made.
-        error: mean cell error to the goal now, m.
-        chosen: the next push; None where there should be none, or none was searched for.
-        cost_to_go: to the goal, to be given to the next decision; None where it was not needed.
-    """
-
-    status: str | None
-    error: float
-    chosen: NextPush | None = None
-    cost_to_go: CostToGo | None = None
+    status: str | None  # why to end, see `push_plan.REASONS`; None where a push should be made
+    error: float  # mean cell error to the goal now, m
+    chosen: NextPush | None = None  # the next push; None where there should be none, or none was searched for
+    cost_to_go: CostToGo | None = None  # to be given to the next decision; None where it was not needed
 
 
 def decide_push(
@@ -83,20 +74,12 @@ def decide_push(
     rules: GoalRules,
     cost_to_go: CostToGo | None = None,
 ) -> PushDecision:
-    """Decides on the next push.
+    """Decides on the next push of an object from `pose` (3,) to `goal` (3,), m and rad.
 
     Args:
-        obj: the object.
-        pose: (3,) q_W where it lies, m and rad.
-        goal: (3,) where it should.
         made: pushes so far.
-        params: the model.
         identification: that the model comes from; None where nothing was learned.
-        rules: how to push.
         cost_to_go: of the decision before, to the same goal by the same rules; None where there was none.
-
-    Returns:
-        The decision.
 
     Raises:
         PlanningError: the finger fits nowhere on the outline.
@@ -120,15 +103,7 @@ def decide_push(
 
 
 def forbid(rules: GoalRules, refused: tuple[Push, ...]) -> GoalRules:
-    """The rules without pushes like some that were refused.
-
-    Args:
-        rules: the rules.
-        refused: the pushes.
-
-    Returns:
-        The rules, with a push rule that asks this first.
-    """
+    """The rules with a push rule that asks first whether a push is like some that were refused."""
     if not refused:
         return rules
     before = rules.constraints
@@ -159,8 +134,7 @@ class ContactPointMode(StrEnum):
     LOST = "lost"
 
 
-REFUSED, ERROR = "refused", "error"
-"""Causes of a failure that planning does not know of."""
+REFUSED, ERROR = "refused", "error"  # causes of a failure that planning does not know of
 
 
 @dataclass(frozen=True)
@@ -194,27 +168,16 @@ class ContactPointStatus:
 
 @dataclass(frozen=True, eq=False)
 class PushToGoalState(LoopState):
-    """All that the loop remembers; never changed, only replaced.
+    """All that the loop remembers; never changed, only replaced."""
 
-    Attributes:
-        status: a `ContactPointStatus`.
-        begun: whether a goal, or that there is none, was heeded.
-        goal: that is pushed to; None where there is none.
-        decided_at: (3,) where the object lay at the last decision.
-        planned: the push under way, or the last one, as planned.
-        cost_to_go: to the goal.
-        logged: pushes in the log when the last push was asked for.
-        simulations: of the planner, towards this goal.
-    """
-
-    status: ContactPointStatus = field(default_factory=ContactPointStatus)
-    begun: bool = False
-    goal: Pose | None = None
-    decided_at: Array | None = None
-    planned: PlannedPush | None = None
-    cost_to_go: CostToGo | None = None
-    logged: int = 0
-    simulations: int = 0
+    status: ContactPointStatus = field(default_factory=ContactPointStatus)  # a `ContactPointStatus`
+    begun: bool = False  # whether a goal, or that there is none, was heeded
+    goal: Pose | None = None  # that is pushed to; None where there is none
+    decided_at: Array | None = None  # (3,) where the object lay at the last decision
+    planned: PlannedPush | None = None  # the push under way, or the last one, as planned
+    cost_to_go: CostToGo | None = None  # to the goal
+    logged: int = 0  # pushes in the log when the last push was asked for
+    simulations: int = 0  # of the planner, towards this goal
 
     def turn_to(self, mode: str, reason: str, **others: Any) -> "PushToGoalState":
         """In another mode, with nothing seen yet, and neither a push under way nor a cause unless `others` says so."""
@@ -275,7 +238,8 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
         begun = PushToGoalState(begun=True, goal=wanted, push=now.push, push_id=now.push_id, filter=now.filter)
         return begun.turn_to(WAITING, reason)
 
-    def _decide(self, now: PushToGoalState, seen: Observation) -> PushToGoalState:
+    def decide(self, now: PushToGoalState, seen: Observation) -> PushToGoalState:
+        """The next push, or the end."""
         pose, goal, found = now.filter.calc_mean(), np.array(now.goal), seen.identification
         if now.status.mode in (REACHED, FAILED):
             since = np.inf if now.decided_at is None else calc_goal_error(self.obj, pose, now.decided_at)
@@ -309,19 +273,12 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
 
 @dataclass(frozen=True, eq=False)
 class PushStep:
-    """One round: what was planned, what happened, and whether it was learned from.
+    """One round: what was planned, what happened, and whether it was learned from."""
 
-    Attributes:
-        planned: the push with its predicted end.
-        seen: what happened.
-        prediction_error: mean cell distance between predicted and seen end, m.
-        learned: whether the model was learned anew after it.
-    """
-
-    planned: PlannedPush
-    seen: ObservedPush
-    prediction_error: float
-    learned: bool
+    planned: PlannedPush  # the push with its predicted end
+    seen: ObservedPush  # what happened
+    prediction_error: float  # mean cell distance between predicted and seen end, m
+    learned: bool  # whether the model was learned anew after it
 
 
 @dataclass(frozen=True, eq=False)
@@ -373,25 +330,19 @@ def push_to_goal(
     options: LoopOptions = ONE_OBSERVATION,
     progress: Callable[[PushStep], None] | None = None,
 ) -> PushRun:
-    """Pushes an object to a goal pose in a world, observing it after every push, and learning on the way.
+    """Pushes an object to a goal pose (3,), m and rad, in a world, seeing it after every push, and learning on the way.
+
+    An object that was moved by somebody else between pushes is pushed from where it then lies.
 
     Args:
-        world: that carries out pushes.
-        obj: the object.
-        goal: (3,) where it should lie, m and rad.
-        rules: how to push.
         params: the model to begin with; uniform by the object's prior where None.
         learner: learns after every push that does not reach the goal; None never.
-        options: how the object is observed.
         progress: called after every push.
-
-    Returns:
-        What came of it. An object that was moved by somebody else between pushes is pushed from where it then lies.
 
     Raises:
         PlanningError: an argument is out of range.
     """
-    aim, steps = check_pose("goal", goal), list[PushStep]()
+    aim, steps = check_vector(PlanningError, "goal", goal, 3), list[PushStep]()
     loop = PushToGoalLoop(obj, rules, params, options)
 
     def learn(obj: GridObject, log: PushLog, before: Identification | None) -> Identification | None:
@@ -408,14 +359,13 @@ def push_to_goal(
         if progress is not None:
             progress(steps[-1])
 
-    run = run_loop(loop, obj, world, _is_over, learn=learn, goal=aim, progress=note)
+    def is_over(state: PushToGoalState) -> bool:
+        return state.status.mode in (REACHED, FAILED, LOST)
+
+    run = run_loop(loop, obj, world, is_over, learn=learn, goal=aim, progress=note)
     status, found = run.state.status, run.identification
     return PushRun(
         aim, tuple(steps), status.cause or status.mode.value, status.reason, status.error,
         loop.params if found is None else found.params, found, run.state.simulations, run.planning_seconds,
         run.learning_seconds,
     )  # fmt: skip
-
-
-def _is_over(state: PushToGoalState) -> bool:
-    return state.status.mode in (REACHED, FAILED, LOST)

@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.errors import PlanningError
+from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, transform_back
 from gridpush_drake.identification.noise import NoiseModel
 from gridpush_drake.identification.posterior import calc_center_jacobian
@@ -58,30 +58,20 @@ class PokeOptions:
     min_separation: float = 0.04
 
     def __post_init__(self) -> None:
-        for name in ("radius", "speed", "distance"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise PlanningError(f"poke: {name} is {getattr(self, name)!r}; expected a positive number")
+        require_positive(PlanningError, "poke: ", radius=self.radius, speed=self.speed, distance=self.distance)
         if self.places < 1 or not self.angles:
             raise PlanningError("poke: expected at least one place and one angle")
 
 
 @dataclass(frozen=True, eq=False)
 class PokeChoice:
-    """The poke to make next.
+    """The poke to make next."""
 
-    Attributes:
-        push: the poke.
-        index: among those offered.
-        std: of what matters, in the direction least known, now.
-        expected_std: the same after the poke.
-        expected_stds: (N,) the same for every poke offered; infinite where it would not touch the object.
-    """
-
-    push: Push
-    index: int
-    std: float
-    expected_std: float
-    expected_stds: Array
+    push: Push  # the poke
+    index: int  # among those offered
+    std: float  # of what matters, in the direction least known, now
+    expected_std: float  # the same after the poke
+    expected_stds: Array  # (N,) the same for every poke offered; infinite where it would not touch the object
 
 
 def make_pokes(
@@ -92,14 +82,7 @@ def make_pokes(
 ) -> list[Push]:
     """Makes pokes to choose from: all places, with all angles, that are new, touch the object and break no rule.
 
-    Args:
-        model: of the object, with the places of the pokes made before.
-        pose: (3,) where it lies, X_WB, m and rad.
-        options: places, angles, distance.
-        constraints: that the predicted motion must keep to the end; none where None.
-
-    Returns:
-        The pokes; empty where none is allowed.
+    The object lies at `pose` (3,); the predicted motion keeps `constraints` to the end. There may be none.
     """
     options = options or PokeOptions()
     obj, params = model.obj, model.params
@@ -129,11 +112,7 @@ def choose_poke(model: UncertainModel, pose: ArrayLike, pokes: Sequence[Push], F
     Args:
         model: of the object, with its posterior.
         pose: (3,) where the object lies, X_WB, m and rad.
-        pokes: to choose from.
         F: (m, n+1) what matters, as derivatives by z.
-
-    Returns:
-        The choice.
 
     Raises:
         PlanningError: there is no poke to choose from, or none touches the object.
@@ -153,15 +132,9 @@ def choose_poke(model: UncertainModel, pose: ArrayLike, pokes: Sequence[Push], F
 
 
 def calc_observation(model: UncertainModel, push: Push, pose: ArrayLike) -> tuple[Array, Array] | None:
-    """What the end of a push would show.
+    """What the end of a push from `pose` (3,) would show; None where it does not touch the object.
 
-    Args:
-        model: of the object, with its posterior.
-        push: the push.
-        pose: (3,) where the object lies, X_WB, m and rad.
-
-    Returns:
-        J (3, n+1) of the residual by z, and R (3, 3) its noise, m²; None where the push does not touch the object.
+    Returns J (3, n+1) of the residual by z, and R (3, 3) its noise, m².
     """
     obj, q = model.obj, np.asarray(pose, dtype=np.float64)
     seen = ObservedPush("poke", push, q, np.array([push.duration]), q[None])
@@ -174,14 +147,7 @@ def calc_observation(model: UncertainModel, push: Push, pose: ArrayLike) -> tupl
 
 
 def calc_remaining(S: Array, F: Array, J: Array, R: Array) -> Array:
-    """Covariance (m, m) of what matters after an observation, F S' F^T.
-
-    Args:
-        S: (n+1, n+1) covariance of z.
-        F: (m, n+1) what matters.
-        J: (r, n+1) the observation.
-        R: (r, r) its noise.
-    """
+    """Covariance (m, m) of what matters, F (m, n+1), after J (r, n+1) was observed with noise R (r, r): F S' F^T."""
     SJ = S @ J.T
     G = F @ SJ
     return np.asarray(F @ S @ F.T - G @ np.linalg.solve(J @ SJ + R, G.T))
@@ -193,14 +159,6 @@ def calc_worst_std(covariance: Array) -> float:
 
 
 def make_center_functional(model: UncertainModel, direction: ArrayLike | None = None) -> Array:
-    """The center of friction, m: its derivatives by z.
-
-    Args:
-        model: of the object, with its posterior.
-        direction: (2,) unit vector in the body frame; both coordinates where None.
-
-    Returns:
-        (1, n+1) or (2, n+1).
-    """
+    """The center of friction, m: its derivatives by z, (2, n+1), or (1, n+1) along `direction` (2,), body frame."""
     F = calc_center_jacobian(model.require_posterior().calc_share(), model.obj.p_BC)
     return F if direction is None else np.asarray(direction, dtype=np.float64)[None] @ F

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.convex import calc_margin_inside, find_weakest_direction, hull_of
+from gridpush_drake.geometry.polygons import calc_margin_inside, find_weakest_direction, hull_of
 from gridpush_drake.geometry.se2 import Array, make_direction, rotate, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
@@ -48,18 +48,14 @@ class ArmLimits:
     can_grasp: Callable[["PreGraspGoal", PlausibleMassSet], bool] | None = None
 
 
-ANY_ARM = ArmLimits()
-"""An arm that can do anything."""
+ANY_ARM = ArmLimits()  # an arm that can do anything
 
 
-TOUCH = 1e-9
-"""m, for round-off."""
-
-GOALS_FOR_AN_ARM = 6
-"""Goals looked for that the arm can grasp at; to ask the arm takes time."""
-
-PARTS_FOR_AN_ARM = 12
-"""Parts that hang over which the arm is asked about."""
+TOUCH = 1e-9  # m, for round-off
+SHALLOWER = 0.5  # of the overhang, where with all of it nothing is safe
+DEEPER = (3.0, 5.0)  # of it, where with less the gripper gets hold of nothing: its pads may need what lies farther in
+GOALS_FOR_AN_ARM = 6  # goals looked for that the arm can grasp at; to ask the arm takes time
+PARTS_FOR_AN_ARM = 12  # parts that hang over which the arm is asked about
 
 
 @dataclass(frozen=True)
@@ -130,16 +126,9 @@ class PreGraspGoal:
 
 
 def calc_overhangs(parts: Sequence[GraspPart], pose: ArrayLike, surface: SupportSurface) -> Array:
-    """How far the parts' footprints are beyond the edge.
+    """How far the parts' footprints are beyond the edge, (P,) m; negative where some of one is over the table.
 
-    Args:
-        parts: P graspable parts.
-        pose: (3,) X_WB, m and rad.
-        surface: the table.
-
-    Returns:
-        (P,) m; negative where some of a footprint is over the table. On a convex table it is measured from the line
-        of one edge, and so a little too small beyond a corner.
+    On a convex table it is measured from the line of one edge, and so a little too small beyond a corner.
     """
     q = np.asarray(pose, dtype=np.float64)
     corners = transform(q, np.array([part.footprint for part in parts]).reshape(-1, 4, 2))
@@ -160,14 +149,6 @@ def find_grasp_at(
     limits: ArmLimits = ANY_ARM,
 ) -> PreGraspGoal | None:
     """The part that can be taken where the object lies now, the nearest to the middle of its possible centers of mass.
-
-    Args:
-        masses: the masses held possible.
-        parts: the graspable parts.
-        pose: (3,) X_WB, m and rad.
-        surface: the table.
-        options: `min_overhang` and `inset` count.
-        limits: of the arm that is to grasp it.
 
     Returns:
         The present pose as a goal, whatever its margin; None where no part that the arm can take hangs over far enough.
@@ -195,56 +176,36 @@ def find_pregrasp_goals(
     options: GoalOptions | None = None,
     limits: ArmLimits = ANY_ARM,
 ) -> list[PreGraspGoal]:
-    """Seeks goal poses.
-
-    Args:
-        masses: the masses held possible.
-        parts: the graspable parts.
-        pose: (3,) where the object is, X_WB, m and rad.
-        surface: the table.
-        options: how to seek.
-        limits: of the arm that is to grasp the object.
+    """Seeks goal poses for an object at `pose` (3,), X_WB, m and rad.
 
     Returns:
-        The goals: safe ones, whose margin is at least `options.margin`, by rank; and where there are none the one
-        with the greatest margin alone.
+        Safe ones, whose margin is at least `options.margin`, by rank; where there are none, the one with the greatest
+        margin alone.
 
     Raises:
         PlanningError: there is no graspable part, or the table is smaller than the object.
     """
     options = options or GoalOptions()
-    obj, q = masses.obj, np.asarray(pose, dtype=np.float64)
-    check_room(obj, parts, surface)
-    for shrink in (1.0, 0.5):
-        goals = _find_goals(masses, parts, q, surface, replace(options, overhang=shrink * options.overhang), limits)
-        if goals and goals[0].margin >= options.margin:
+    q = np.asarray(pose, dtype=np.float64)
+    check_room(masses.obj, parts, surface)
+    for share in (1.0, SHALLOWER, *DEEPER):
+        wanted = replace(options, overhang=share * options.overhang)
+        goals: list[PreGraspGoal] = []
+        for candidate, part in _propose(masses, parts, q, surface, wanted, limits):
+            reached = float(calc_overhangs([part], candidate, surface)[0])
+            if reached >= options.min_overhang:
+                margin, weakest = _judge(masses, candidate, surface, options.inset)
+                travel = float(calc_goal_error(masses.obj, q, candidate))
+                goals.append(PreGraspGoal(candidate, part, reached, margin, travel, weakest))
+        safe = [goal for goal in goals if goal.margin >= options.margin]
+        if safe:
+            rank = sorted(safe, key=lambda at: at.travel + options.charge * max(options.comfort - at.margin, 0.0))
+            goals = _keep(rank, masses, limits)
+        else:
+            goals = _keep(sorted(goals, key=lambda at: -at.margin), masses, limits)[:1]
+        if goals and (safe or share != 1.0):
             break
     return goals
-
-
-def _find_goals(
-    masses: PlausibleMassSet,
-    parts: Sequence[GraspPart],
-    q: Array,
-    surface: SupportSurface,
-    options: GoalOptions,
-    limits: ArmLimits,
-) -> list[PreGraspGoal]:
-    """The goals at one overhang."""
-    poses, chosen = _propose(masses, parts, q, surface, options, limits)
-    goals: list[PreGraspGoal] = []
-    for candidate, part in zip(poses, chosen, strict=True):
-        overhang = float(calc_overhangs([part], candidate, surface)[0])
-        if overhang < options.min_overhang:
-            continue
-        margin, weakest = _judge(masses, candidate, surface, options.inset)
-        travel = float(calc_goal_error(masses.obj, q, candidate))
-        goals.append(PreGraspGoal(candidate, part, overhang, margin, travel, weakest))
-    safe = [goal for goal in goals if goal.margin >= options.margin]
-    if not safe:
-        return _keep(sorted(goals, key=lambda goal: -goal.margin), masses, limits)[:1]
-    rank = sorted(safe, key=lambda goal: goal.travel + options.charge * max(options.comfort - goal.margin, 0.0))
-    return _keep(rank, masses, limits)
 
 
 def _keep(goals: list[PreGraspGoal], masses: PlausibleMassSet, limits: ArmLimits) -> list[PreGraspGoal]:
@@ -272,8 +233,8 @@ def _propose(
     surface: SupportSurface,
     options: GoalOptions,
     limits: ArmLimits,
-) -> tuple[Array, list[GraspPart]]:
-    """Poses (N, 3) that are promising by what a straight edge would say, and the part that hangs over in each."""
+) -> list[tuple[Array, GraspPart]]:
+    """Poses (3,) that are promising by what a straight edge would say, and the part that hangs over in each."""
     obj = masses.obj
     feet = np.array([part.footprint for part in parts])
     angles = 2 * np.pi * np.arange(options.directions) / options.directions
@@ -298,12 +259,9 @@ def _propose(
     promising = sorted((f for f in found if f[0] >= options.margin), key=lambda f: f[1])
     if not promising:
         promising = sorted(found, key=lambda f: (-round(f[0], 4) if np.isfinite(f[0]) else np.inf, f[1]))
-    kept = promising[: options.tried]
-    return np.array([f[2] for f in kept]).reshape(-1, 3), [f[3] for f in kept]
+    return [(goal, part) for _, _, goal, part in promising[: options.tried]]
 
 
 def _judge(masses: PlausibleMassSet, pose: Array, surface: SupportSurface, inset: float) -> tuple[float, Array]:
-    hull = calc_support_polygon(masses.obj, pose, surface, inset)
-    return calc_margin_inside(masses.center_of_mass_polygon, hull), find_weakest_direction(
-        masses.center_of_mass_polygon, hull
-    )
+    centers, hull = masses.center_of_mass_polygon, calc_support_polygon(masses.obj, pose, surface, inset)
+    return calc_margin_inside(centers, hull), find_weakest_direction(centers, hull)

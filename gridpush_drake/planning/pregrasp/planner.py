@@ -30,7 +30,6 @@ from gridpush_drake.planning.pregrasp.exploration import (
     make_center_functional,
     make_pokes,
 )
-from gridpush_drake.planning.pregrasp.flat_parts import FlatPart, PadLimit, find_flat_parts, find_held_parts
 from gridpush_drake.planning.pregrasp.goals import (
     ANY_ARM,
     ArmLimits,
@@ -40,9 +39,16 @@ from gridpush_drake.planning.pregrasp.goals import (
     find_grasp_at,
     find_pregrasp_goals,
 )
-from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, Gripper, find_grasp_parts
+from gridpush_drake.planning.pregrasp.grasp_parts import (
+    FlatPart,
+    GraspPart,
+    Gripper,
+    PadLimit,
+    find_flat_parts,
+    find_grasp_parts,
+    find_held_parts,
+)
 from gridpush_drake.planning.pregrasp.slides import (
-    Slide,
     SlideOptions,
     make_stability_rule,
     plan_slide,
@@ -54,8 +60,7 @@ from gridpush_drake.planning.support_surface import SupportSurface
 
 Action = Literal["poke", "slide", "grasp", "fail"]
 
-MM = 1e3
-"""Millimeters in a meter."""
+MM = 1e3  # millimeters in a meter
 
 
 ACCEPTED_SHARE = 2 / 3
@@ -103,19 +108,22 @@ class PreGraspDecision:
 
     Attributes:
         action: "poke" and "slide" are pushes to make; "grasp" and "fail" end the task.
-        push: to make; None at the end.
-        goal: that the slide goes to, or the present pose where it can be grasped; None where there is none.
-        expected_pose: (3,) of the object after a slide; None otherwise.
-        margin: stability margin of the goal at the worst, m; NaN without a goal.
         reason: in a sentence.
+        goal: that the slide goes to, or the present pose where it can be grasped; None where there is none.
+        push: to make; None at the end.
+        expected_pose: (3,) of the object after a slide; None otherwise.
     """
 
     action: Action
-    push: Push | None
-    goal: PreGraspGoal | None
-    expected_pose: Array | None
-    margin: float
     reason: str
+    goal: PreGraspGoal | None = None
+    push: Push | None = None
+    expected_pose: Array | None = None
+
+    @property
+    def margin(self) -> float:
+        """Stability margin of the goal at the worst, m; NaN without a goal."""
+        return np.nan if self.goal is None else self.goal.margin
 
 
 class PreGraspPlanner:
@@ -138,14 +146,7 @@ class PreGraspPlanner:
         parts: Sequence[GraspPart] | None = None,
         limits: ArmLimits = ANY_ARM,
     ) -> None:
-        """Finds the graspable parts.
-
-        Args:
-            obj: the object.
-            surface: the table.
-            options: how far to go, and how carefully.
-            parts: the narrow parts, where they are known already.
-            limits: of the arm that is to do it.
+        """Finds the graspable parts; `parts` are the narrow ones, where they are known already.
 
         Raises:
             PlanningError: there is no graspable part, or the table is smaller than the object.
@@ -161,17 +162,7 @@ class PreGraspPlanner:
     def decide(
         self, pose: ArrayLike, model: UncertainModel | None, pokes: int = 0, slides: int = 0
     ) -> PreGraspDecision:
-        """Decides what to do next.
-
-        Args:
-            pose: (3,) where the object is seen, X_WB, m and rad.
-            model: of the object; None before the first push.
-            pokes: made so far.
-            slides: made so far.
-
-        Returns:
-            The decision.
-        """
+        """Decides what to do next, with the object seen at `pose` (3,), m and rad; without a model before any push."""
         q = np.asarray(pose, dtype=np.float64)
         if model is None:
             return self._poke(q, UncertainModel.of_prior(self.obj), None, pokes, "nothing is known of the object yet")
@@ -194,7 +185,7 @@ class PreGraspPlanner:
         why = pads.describe_best(self.flat_parts, centers)
         if model.posterior is not None and find_held_parts(self.flat_parts, pads, centers.mean(axis=0)[None]):
             return self._poke(q, model, None, pokes, why)
-        return _fail(why, None)
+        return PreGraspDecision("fail", why)
 
     def _decide_with(
         self, parts: Sequence[GraspPart], q: Array, model: UncertainModel, pokes: int, slides: int
@@ -203,22 +194,31 @@ class PreGraspPlanner:
         here = find_grasp_at(model.masses, parts, q, self.surface, self.options.goal, self.limits)
         if here is not None and here.margin >= ACCEPTED_SHARE * self.options.goal.margin:
             reason = f"a part hangs over, and the object stays put with {here.margin * MM:.0f} mm to spare"
-            return PreGraspDecision("grasp", None, here, None, here.margin, reason)
+            return PreGraspDecision("grasp", reason, here)
         if model.posterior is not None and pokes < self.options.min_pokes:
             return self._poke(q, model, None, pokes, "too little is known of the object yet")
         goals = self._find_goals(q, model, parts)
         if not goals:
             return self._poke_or_give_up(q, model, parts, pokes)
         if goals[0].margin < self.options.goal.margin:
-            return self._poke(q, model, goals[0], pokes, self._describe_lack(goals[0].margin))
+            safest, asked = goals[0].margin * MM, self.options.goal.margin * MM
+            why = (
+                f"the safest goal has a stability margin of {safest:.0f} mm at the worst; {asked:.0f} mm are asked for"
+            )
+            return self._poke(q, model, goals[0], pokes, why)
         if slides >= self.options.max_slides:
-            return _fail(f"not at the edge after {slides} slides", goals[0])
+            return PreGraspDecision("fail", f"not at the edge after {slides} slides", goals[0])
         slide = plan_slide(
             model.masses, model.params, model.samples, q, goals, self.surface, self.options.slide, self.limits
         )
         if slide is None:
             return self._poke(q, model, goals[0], pokes, "no push towards a goal is safe all the way")
-        return _slide(slide)
+        planned = slide.planned
+        reason = (
+            f"{planned.cost * MM:.0f} mm from a goal after this push; stability margin {slide.margin * MM:.0f} mm "
+            "or more on the way"
+        )
+        return PreGraspDecision("slide", reason, slide.goal, planned.push, planned.pose)
 
     def _find_parts_near(self, model: UncertainModel, arm: float) -> tuple[GraspPart, ...]:
         """The parts no farther than `arm` (m) from where the center of mass is estimated."""
@@ -235,39 +235,38 @@ class PreGraspPlanner:
     ) -> PreGraspDecision:
         """No goal with `parts`: a poke where the center of mass may still turn out to be near others that allow one."""
         if any(isinstance(part, FlatPart) for part in parts):
-            return _fail("no pose lets a part that the pads hold hang over the edge where the arm can take it", None)
+            why = "no pose lets a part that the pads hold hang over the edge where the arm can take it"
+            return PreGraspDecision("fail", why)
         arm = self.options.max_arm
         near = f" within {arm * MM:.0f} mm of the center of mass" if np.isfinite(arm) else ""
         why = f"no pose lets a graspable part{near} hang over the edge where the arm can take it"
         reachable = self._find_parts_near(model, arm + REACHABLE_SIGMAS * _calc_center_std(model))
         if len(reachable) == len(parts) or not self._find_goals(pose, model, reachable):
-            return _fail(why, None)
+            return PreGraspDecision("fail", why)
         return self._poke(pose, model, None, pokes, why)
-
-    def _describe_lack(self, margin: float) -> str:
-        needed = f"{self.options.goal.margin * MM:.0f} mm are asked for"
-        return f"the safest goal has a stability margin of {margin * MM:.0f} mm at the worst; {needed}"
 
     def _poke(
         self, pose: Array, model: UncertainModel, best: PreGraspGoal | None, pokes: int, why: str
     ) -> PreGraspDecision:
         """The poke that tells most about the center of mass, across the edge of the best goal; or failure."""
         if model.posterior is None:
-            return _fail(f"{why}, and pokes would not tell more", best)
+            return PreGraspDecision("fail", f"{why}, and pokes would not tell more", best)
         if pokes >= self.options.max_pokes:
-            return _fail(f"{why}, after {pokes} pokes", best)
+            return PreGraspDecision("fail", f"{why}, after {pokes} pokes", best)
         direction = None if best is None else best.weakest
         choice = suggest_poke(model, pose, self.surface, direction, self.options, self.limits)
         if choice is None:
-            return _fail(f"{why}, and no poke keeps the object on the table", best)
+            return PreGraspDecision("fail", f"{why}, and no poke keeps the object on the table", best)
         if best is not None and best.margin + REACHABLE_SIGMAS * choice.std < self.options.goal.margin:
-            return _fail(f"{why}; pokes cannot tell mass from friction, only closer friction bounds would help", best)
+            return PreGraspDecision(
+                "fail", f"{why}; pokes cannot tell mass from friction, only closer friction bounds would help", best
+            )
         reason = (
             f"{why}; this poke is expected to bring the center's standard deviation"
             f"{'' if direction is None else ' across the edge'} from {choice.std * MM:.1f} mm "
             f"to {choice.expected_std * MM:.1f} mm"
         )
-        return PreGraspDecision("poke", choice.push, best, None, np.nan if best is None else best.margin, reason)
+        return PreGraspDecision("poke", reason, best, choice.push)
 
 
 def suggest_poke(
@@ -278,18 +277,13 @@ def suggest_poke(
     options: PreGraspOptions | None = None,
     limits: ArmLimits = ANY_ARM,
 ) -> PokeChoice | None:
-    """The poke that is expected to tell most about the center of mass.
+    """The poke that is expected to tell most about the center of mass; None where none keeps the object on the table.
 
     Args:
         model: of the object; its `posterior` must not be None.
         pose: (3,) where the object lies, X_WB, m and rad.
         surface: the table, inside whose edge the object stays, or at least as far in and as stable as it is.
         direction: (2,) unit vector in the body frame along which the center matters; both where None.
-        options: what pokes may be chosen from.
-        limits: of the arm that is to poke.
-
-    Returns:
-        The poke; None where none within the arm's reach keeps the object on the table.
 
     Raises:
         PlanningError: the model leaves nothing to learn.
@@ -322,18 +316,6 @@ def _calc_center_std(model: UncertainModel) -> float:
     return calc_worst_std(F @ model.posterior.covariance @ F.T)
 
 
-def _slide(slide: Slide) -> PreGraspDecision:
-    reason = (
-        f"{slide.planned.cost * MM:.0f} mm from a goal after this push; stability margin {slide.margin * MM:.0f} mm "
-        "or more on the way"
-    )
-    return PreGraspDecision("slide", slide.planned.push, slide.goal, slide.planned.pose, slide.goal.margin, reason)
-
-
-def _fail(reason: str, goal: PreGraspGoal | None) -> PreGraspDecision:
-    return PreGraspDecision("fail", None, goal, None, np.nan if goal is None else goal.margin, reason)
-
-
 STATUS_READY = "ready"
 STATUS_POKE_FIRST = "poke_first"
 STATUS_FAILED = "failed"
@@ -362,16 +344,7 @@ class PreGraspPlan:
 
 
 def plan_pregrasp(planner: PreGraspPlanner, model: UncertainModel, pose: ArrayLike) -> PreGraspPlan:
-    """Plans a slide to the end.
-
-    Args:
-        planner: object, table and options.
-        model: of the object. Motions are predicted with its `params`.
-        pose: (3,) where the object lies, X_WB, m and rad.
-
-    Returns:
-        The plan.
-    """
+    """Plans a slide from `pose` (3,), X_WB, m and rad, to the end; motions are predicted with the model's `params`."""
     poses, pushes = [np.array(pose, dtype=np.float64)], list[Push]()
     while True:
         decision = planner.decide(poses[-1], model, planner.options.min_pokes, len(pushes))

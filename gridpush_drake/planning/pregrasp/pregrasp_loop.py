@@ -36,8 +36,8 @@ from gridpush_drake.planning.closed_loop import (
     Pose,
     PushPhase,
 )
-from gridpush_drake.planning.pregrasp.flat_parts import FlatPart
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
+from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart
 from gridpush_drake.planning.pregrasp.planner import PreGraspDecision, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
 from gridpush_drake.planning.pregrasp.slides import TippingMonitor
@@ -118,19 +118,12 @@ NO_PUSH = (PreGraspMode.STOPPING, PreGraspMode.VERIFYING, PreGraspMode.GRASPING,
 
 @dataclass(frozen=True, eq=False)
 class PreGraspState(LoopState):
-    """All that the loop remembers; never changed, only replaced.
+    """All that the loop remembers; never changed, only replaced."""
 
-    Attributes:
-        status: a `PreGraspStatus`.
-        monitor: of the push under way, or the last one.
-        grasp: the last one asked for; None before the first.
-        grasp_id: of that grasp, counted from 1.
-    """
-
-    status: PreGraspStatus = field(default_factory=PreGraspStatus)
-    monitor: TippingMonitor | None = None
-    grasp: SideGrasp | None = None
-    grasp_id: int = 0
+    status: PreGraspStatus = field(default_factory=PreGraspStatus)  # a `PreGraspStatus`
+    monitor: TippingMonitor | None = None  # of the push under way, or the last one
+    grasp: SideGrasp | None = None  # the last one asked for; None before the first
+    grasp_id: int = 0  # of that grasp, counted from 1
 
     @property
     def shown_push(self) -> Push | None:
@@ -161,15 +154,7 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         seed: int = 0,
         options: PreGraspLoopOptions | None = None,
     ) -> None:
-        """Takes what never changes.
-
-        Args:
-            planner: decides, for one object on one table.
-            find_grasp: finds how to take the object where it lies.
-            infer: says what is held possible; by default what the identification's posterior says.
-            seed: of the draws from that.
-            options: how to go about it.
-        """
+        """Takes what never changes; without `infer`, the identification's posterior says what is held possible."""
         self.planner, self.seed, self._find_grasp = planner, seed, find_grasp
         self.options: PreGraspLoopOptions = options or PreGraspLoopOptions()
         self._infer = infer or self.infer_from_identification
@@ -220,7 +205,8 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         poke = now.status.mode == PreGraspMode.EXPLORING
         return {"pokes": now.status.pokes - poke, "slides": now.status.slides - (not poke)}
 
-    def _decide(self, now: PreGraspState, seen: Observation) -> PreGraspState:
+    def decide(self, now: PreGraspState, seen: Observation) -> PreGraspState:
+        """The next push, or the end."""
         pose = now.filter.calc_mean()
         try:
             uncertain = self._infer(seen.identification, seen.log)

@@ -22,10 +22,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.dynamics.simulation import calc_loads, simulate
-from gridpush_drake.dynamics.time_grid import make_path_times
-from gridpush_drake.geometry.convex import calc_margin_inside, hull_of
+from gridpush_drake.geometry.polygons import calc_margin_inside, hull_of
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -34,29 +33,20 @@ from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush, c
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, PreGraspGoal
 from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, calc_stability_margin, calc_stability_margins
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
-from gridpush_drake.planning.push_constraints import PoseRule, PushConstraints
+from gridpush_drake.planning.push_constraints import CHECK_EVERY, PoseRule, PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 
 FREE_OVERHANG = 1.0
 """m that cells may hang over the edge as far as the push search is concerned; stability is the limit."""
 
-CHECK_EVERY = 0.003
-"""m of the pusher's motion between poses that are checked."""
-
 
 @dataclass(frozen=True, eq=False)
 class EdgeMotion:
-    """What became of an object pushed near the edge.
+    """What became of an object pushed near the edge."""
 
-    Attributes:
-        poses: (K, 3) along the push, the first before it, m and rad.
-        traveled: (K,) m of the pusher's path at each.
-        fell: whether the object fell off the table; the poses end where it did.
-    """
-
-    poses: Array
-    traveled: Array
-    fell: bool
+    poses: Array  # (K, 3) along the push, the first before it, m and rad
+    traveled: Array  # (K,) m of the pusher's path at each
+    fell: bool  # whether the object fell off the table; the poses end where it did
 
     @property
     def final_pose(self) -> Array:
@@ -67,18 +57,7 @@ class EdgeMotion:
 def simulate_near_edge(
     obj: GridObject, params: CellParameters, push: Push, pose: ArrayLike, surface: SupportSurface
 ) -> EdgeMotion:
-    """Simulates a slow push of an object that may hang over the edge, up to where it falls.
-
-    Args:
-        obj: the object.
-        params: its cells' masses and frictions.
-        push: the pusher's motion.
-        pose: (3,) X_WB at the beginning, m and rad.
-        surface: the table.
-
-    Returns:
-        The motion.
-    """
+    """Simulates a slow push from `pose` (3,) of an object that may hang over the edge, up to where it falls."""
     q = np.asarray(pose, dtype=np.float64)
     if calc_loads(obj, params, q, surface.corners) is None:
         return EdgeMotion(q[None].copy(), np.zeros(1), True)
@@ -119,19 +98,12 @@ class SlideOptions:
 
 @dataclass(frozen=True, eq=False)
 class Slide:
-    """A push towards a goal.
+    """A push towards a goal."""
 
-    Attributes:
-        planned: the push, and where it is expected to end.
-        goal: that it goes to.
-        margin: least stability margin of any draw on the way, m.
-        spread: root mean square distance of the draws' ends from their mean, of the cells, m.
-    """
-
-    planned: PlannedPush
-    goal: PreGraspGoal
-    margin: float
-    spread: float
+    planned: PlannedPush  # the push, and where it is expected to end
+    goal: PreGraspGoal  # that it goes to
+    margin: float  # least stability margin of any draw on the way, m
+    spread: float  # root mean square distance of the draws' ends from their mean, of the cells, m
 
 
 def make_stability_rule(
@@ -160,8 +132,7 @@ def calc_kept_margin(
     return min(margin, float(whole), calc_stability_margin(masses, pose, surface, inset))
 
 
-THINNER = 1e-4
-"""m that a margin may become thinner where it is thin already, for round-off."""
+THINNER = 1e-4  # m that a margin may become thinner where it is thin already, for round-off
 
 
 def plan_slide(
@@ -174,20 +145,12 @@ def plan_slide(
     options: SlideOptions | None = None,
     limits: ArmLimits = ANY_ARM,
 ) -> Slide | None:
-    """Chooses the next push.
+    """Chooses the next push; None where none is safe, within the arm's reach, and brings the object nearer to a goal.
 
     Args:
-        masses: the masses held possible.
-        params: the model.
         draws: further models to try the pushes on; the model itself is always tried.
         pose: (3,) where the object lies, X_WB, m and rad.
         goals: best first.
-        surface: the table.
-        options: how to choose.
-        limits: of the arm that is to push.
-
-    Returns:
-        The push; None where none is safe, within the arm's reach, and brings the object nearer to a goal.
     """
     options = options or SlideOptions()
     q = np.asarray(pose, dtype=np.float64)
@@ -258,8 +221,7 @@ def _try(
     return Slide(cut, goal, margin, spread)
 
 
-MM = 1e3
-"""Millimeters in a meter."""
+MM = 1e3  # millimeters in a meter
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
-from gridpush_drake.geometry.convex import hull_of
+from gridpush_drake.geometry.polygons import hull_of
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
@@ -25,16 +25,9 @@ SUPPORT_INSET = 0.002
 def calc_support_polygon(
     obj: GridObject, pose: ArrayLike, surface: SupportSurface, inset: float = SUPPORT_INSET
 ) -> Array:
-    """What holds the object: the convex hull of the cells' centers that are on the table.
+    """What holds the object: the convex hull of the cells' centers that are on the table, `inset` (m) inside its edge.
 
-    Args:
-        obj: the object.
-        pose: (3,) X_WB, m and rad.
-        surface: the table.
-        inset: m inside the edge that a center must be.
-
-    Returns:
-        (V, 2) corners, body frame, m, counterclockwise; empty where no three cells hold it.
+    (V, 2) corners, body frame, m, counterclockwise; empty where no three cells hold it.
     """
     return hull_of(obj.p_BC[find_supported(obj, pose, surface, inset)])
 
@@ -42,16 +35,9 @@ def calc_support_polygon(
 def calc_stability_margins(
     masses: PlausibleMassSet, poses: ArrayLike, surface: SupportSurface, inset: float = SUPPORT_INSET
 ) -> Array:
-    """How far the center of mass at its worst stays inside what holds the object, at many poses.
+    """How far the center of mass at its worst stays inside what holds the object, (K,) m, at poses (K, 3), m and rad.
 
-    Args:
-        masses: the plausible masses.
-        poses: (K, 3) X_WB, m and rad.
-        surface: the table.
-        inset: m inside the edge that a cell's center must be to hold.
-
-    Returns:
-        (K,) m; negative where some mass distribution tips.
+    Negative where some mass distribution tips; a cell's center must be `inset` (m) inside the edge to hold.
     """
     obj = masses.obj
     q = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
@@ -71,13 +57,12 @@ def calc_stability_margin(
 
 @kernel()
 def calc_margins(points, supported, inner, margins):
-    """Calculates margins.
+    """Fills in `margins` (K,): the least distance of `inner` inside the hull's edges, m; -inf where three do not hold.
 
     Args:
         points: (n, 2) in order of x, then y, m.
         supported: (K, n) which of them are on the table, pose by pose.
         inner: (V, 2) points that must stay inside the hull of those, m.
-        margins: (K,) out: the least distance of `inner` inside the hull's edges, m; -inf where three do not hold.
     """
     n = points.shape[0]
     hull = np.empty((2 * n + 2, 2))

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.convex import bound_by_half_planes
+from gridpush_drake.geometry.polygons import bound_by_half_planes
 from gridpush_drake.geometry.se2 import Array, make_direction, transform_back
 from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.learning import describe_prior
@@ -35,23 +35,12 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
 
-PRIOR_AMPLITUDE = 1.0
-"""Standard deviation of log k before the first poke: a half to twice, or so."""
-
-MASS_DRAWS = 300
-"""From the posterior, for the set of plausible masses."""
-
-CONFIDENCE = 0.99
-"""Share of the draws whose every mass distribution the bound holds for, by direction."""
-
-DIRECTIONS = 72
-"""Half-planes that bound the center of mass; every 5°."""
-
-PRIOR_SIGMAS = 3.0
-"""Standard deviations about a center of mass known beforehand that the set is cut down to."""
-
-SLIDE_SAMPLES = 4
-"""Models besides the estimate that a slide's pushes are tried on."""
+PRIOR_AMPLITUDE = 1.0  # standard deviation of log k before the first poke: a half to twice, or so
+MASS_DRAWS = 300  # from the posterior, for the set of plausible masses
+CONFIDENCE = 0.99  # share of the draws whose every mass distribution the bound holds for, by direction
+DIRECTIONS = 72  # Half-planes that bound the center of mass; every 5°
+PRIOR_SIGMAS = 3.0  # standard deviations about a center of mass known beforehand that the set is cut down to
+SLIDE_SAMPLES = 4  # models besides the estimate that a slide's pushes are tried on
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,13 +85,8 @@ class PlausibleMassSet:
         """All masses that agree with what was learned.
 
         Args:
-            obj: the object.
             posterior: of its relative friction.
             friction_range: least and greatest friction coefficient of any cell; the object's own bounds where None.
-            seed: of the draws.
-
-        Returns:
-            The set.
 
         Raises:
             PlanningError: the range is not positive and increasing.
@@ -120,14 +104,7 @@ class PlausibleMassSet:
         return cls(obj, mass, mass)
 
     def calc_support(self, directions: ArrayLike) -> Array:
-        """How far the center of mass can be in directions, the greatest over the set.
-
-        Args:
-            directions: (D, 2) unit vectors, body frame.
-
-        Returns:
-            (D,) h, m.
-        """
+        """How far the center of mass can be along unit vectors (D, 2), body frame, at most: h (D,), m."""
         p = self.obj.p_BC
         far = [calc_farthest_center(p @ d, self.mass_min, self.mass_max) for d in np.asarray(directions, np.float64)]
         return np.array([np.quantile(values, self.confidence, method="higher") for values in far])
@@ -185,15 +162,7 @@ class UncertainModel:
         seed: int = 0,
         log: PushLog | None = None,
     ) -> "UncertainModel":
-        """Takes what pushes said, with the noise that they showed.
-
-        Args:
-            found: the model with its posterior.
-            friction_range: least and greatest friction coefficient of any cell; the object's own bounds where None.
-            sample_count: further models to try slides on.
-            seed: of all draws.
-            log: the pushes, so that pokes are not repeated.
-        """
+        """Takes what pushes said, with the noise that they showed; by `log` pokes are not repeated."""
         starts = [transform_back(seen.pose, seen.push.start[None])[0] for seen in log or ()]
         return cls(
             found.obj, found.params, found.posterior, found.noise_scale, friction_range, sample_count,
@@ -213,11 +182,7 @@ class UncertainModel:
 
     @cached_property
     def masses(self) -> PlausibleMassSet:
-        """The set of masses that stability is judged on.
-
-        Raises:
-            PlanningError: the friction range is not positive and increasing.
-        """
+        """The masses that stability is judged on. Raises PlanningError: the friction range is not increasing."""
         if self.posterior is None:
             return PlausibleMassSet.of_masses(self.obj, self.params)
         with threadpool_limits(limits=1, user_api="blas"):
@@ -231,11 +196,7 @@ class UncertainModel:
         return tuple(self.posterior.draw_parameters(self.params, self.sample_count, self.seed))
 
     def require_posterior(self) -> Posterior:
-        """Returns the posterior, which a poke can narrow.
-
-        Raises:
-            PlanningError: the parameters are taken for granted.
-        """
+        """The posterior, which a poke can narrow. Raises PlanningError: the parameters are taken for granted."""
         if self.posterior is None:
             raise PlanningError("model: parameters taken for granted; expected a posterior that pokes can narrow")
         return self.posterior

@@ -1,1 +1,46 @@
-"""Importers of public data sets, a file each; `registry` lists them and says what an importer is."""
+"""Importers of public data sets and of ROS bags: what one is, and which there are.
+
+An importer is a frozen dataclass in a file of its own here, and a line in `IMPORTERS`; its fields are then the options
+of `gridpush import NAME`. What it reads becomes a push log and an object, in SI units, radians and one world frame.
+"""
+
+from importlib import import_module
+from pathlib import Path
+from typing import ClassVar, Protocol
+
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.pushes.push_log import PushLog
+
+IMPORTERS = {
+    "bag": "bag.BagImporter",
+    "cmu": "cmu.CmuImporter",
+    "mit": "mit.MitImporter",
+}
+"""By the name that follows `gridpush import`: the module here, and the class in it."""
+
+
+class Importer(Protocol):
+    """Reads one file of others' pushes; its fields are what a user may choose.
+
+    A field is a bool, a number, a text, or a GridObject where an object's file or name is asked for. Its metadata has
+    its `help` and, where it is not called after the field, its `name` on the command line. The first line of the
+    class's docstring is the command's help.
+    """
+
+    file: ClassVar[str]  # a stand-in for the file's name, such as "LOG.txt"
+    source: ClassVar[str]  # where such files are from
+
+    def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
+        """Reads a file's pushes, and the object that was pushed.
+
+        Raises:
+            PushLogError: the file cannot be read or is not of its form; the message names the file and what is wrong.
+        """
+        ...
+
+
+def find_importer(name: str) -> type[Importer]:
+    """Imports the importer of a name in `IMPORTERS`."""
+    module, class_name = IMPORTERS[name].split(".")
+    importer: type[Importer] = getattr(import_module(f"{__package__}.{module}"), class_name)
+    return importer

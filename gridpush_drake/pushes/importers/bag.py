@@ -25,26 +25,13 @@ Array = NDArray[np.float64]
 
 EXTRA = "pip install 'gridpush-drake[bags]'"
 
-NS = 1e-9
-"""Seconds in a nanosecond."""
-
-MS = 1e3
-"""Milliseconds in a second."""
-
-FORCE_SIZE = 3
-"""Numbers of a force, and of a position."""
-
-MAX_SHOWN = 200
-"""Characters of another package's message."""
-
-MAX_GAP = 6
-"""Median periods of a topic, across which nothing is interpolated."""
-
-MIN_MESSAGES = 2
-"""Of a topic that can be interpolated."""
-
-MIN_DELAY, SURE = 0.005, 3.0
-"""s, and standard deviations, from which on an unstated delay is told."""
+NS = 1e-9  # seconds in a nanosecond
+MS = 1e3  # milliseconds in a second
+FORCE_SIZE = 3  # numbers of a force, and of a position
+MAX_SHOWN = 200  # characters of another package's message
+MAX_GAP = 6  # median periods of a topic, across which nothing is interpolated
+MIN_MESSAGES = 2  # of a topic that can be interpolated
+MIN_DELAY, SURE = 0.005, 3.0  # s, and standard deviations, from which on an unstated delay is told
 
 TF = "TFMessage"
 
@@ -60,19 +47,12 @@ WRENCH = "WrenchStamped"
 
 
 class Track(NamedTuple):
-    """What a topic tells.
+    """What a topic tells."""
 
-    Attributes:
-        what: the topic, and the frame in it.
-        frame: in which it is told; empty where the messages do not say.
-        t: (K,) s from the bag's beginning, increasing.
-        values: (K, 7) p and quaternion (x, y, z, w), m; or (K, 3) a force, N.
-    """
-
-    what: str
-    frame: str
-    t: Array
-    values: Array
+    what: str  # the topic, and the frame in it
+    frame: str  # in which it is told; empty where the messages do not say
+    t: Array  # (K,) s from the bag's beginning, increasing
+    values: Array  # (K, 7) p and quaternion (x, y, z, w), m; or (K, 3) a force, N
 
 
 @dataclass(frozen=True)
@@ -81,17 +61,6 @@ class BagImporter:
 
     A topic is named as in the bag; of a tf topic also the child frame, after a colon: /tf:object. Times are those in
     the messages' headers.
-
-    Attributes:
-        obj: the object; its file says the pusher's radius.
-        object_topic: of the object's body frame.
-        tip_topic: of the tip's center.
-        force_topic: of the force on the object, in the frame of the poses.
-        object_delay, tip_delay: by which what a header says is later than what was seen, s.
-        rate: of the common clock, Hz.
-        table_height: z of the table's top in the bag's frame, m.
-        engaged_below: height of the tip's center above the table below which it can touch the object, m.
-        negate_force: whether the sensor tells the force on the pusher.
     """
 
     file: ClassVar[str] = "BAG"
@@ -103,7 +72,7 @@ class BagImporter:
     object_topic: str = field(
         default="",
         metadata={
-            "help": "Topic of the object: PoseStamped, TransformStamped, Odometry; of tf with the frame, /tf:object."
+            "help": "Topic of the object: PoseStamped, TransformStamped, Odometry; for tf add the frame, /tf:object."
         },
     )
     tip_topic: str = field(default="", metadata={"help": "Topic of the pusher's tip, likewise."})
@@ -121,13 +90,7 @@ class BagImporter:
     negate_force: bool = field(default=False, metadata={"help": "The sensor tells the force on the pusher."})
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
-        """Reads a bag.
-
-        Args:
-            path: the file, or a ROS 2 bag's folder.
-
-        Returns:
-            The pushes, and the object.
+        """Reads a bag: a file, or a ROS 2 bag's folder.
 
         Raises:
             PushLogError: `rosbags` is not installed; the bag cannot be read; a topic is not there, holds other messages
@@ -183,20 +146,9 @@ class BagImporter:
 
 
 def make_stream(path: Path, thing: Track, tip: Track, rate: float, table_height: float) -> list[Sample]:
-    """Brings two tracks to one clock.
+    """Brings two tracks to one clock of a rate, Hz, from where both begin to where one ends.
 
-    Args:
-        path: of the bag, for messages.
-        thing: poses of the object.
-        tip: of the tip.
-        rate: of the clock, Hz.
-        table_height: z of the table's top, m.
-
-    Returns:
-        The stream, from where both begin to where one ends.
-
-    Raises:
-        PushLogError: the tracks do not overlap.
+    Raises PushLogError: the tracks do not overlap.
     """
     first, last = max(thing.t[0], tip.t[0]), min(thing.t[-1], tip.t[-1])
     if last <= first:

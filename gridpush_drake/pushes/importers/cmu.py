@@ -24,48 +24,31 @@ from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import read_text
 from gridpush_drake.geometry.se2 import compose, invert, rotate, transform_back
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.prior import PhysicalPrior
+from gridpush_drake.objects.object_file import PhysicalPrior
 from gridpush_drake.pushes.push_log import MAX_NUMBER, MAX_SHOWN, ObservedPush, PushLog, nearest_turn
 
 POSE_FORM = "x y z (mm) qw qx qy qz"
 FORCE_FORM = "t (s) fx fy (N)"
 TOOL_FORM = "t (s) x y z (mm) qw qx qy qz"
 
-POSE_SIZE, FORCE_SIZE, TOOL_SIZE = 7, 3, 8
-"""Numbers on a line of each kind."""
-
-QUATERNION_TOLERANCE = 1e-3
-"""Largest difference of a quaternion's norm from 1."""
+POSE_SIZE, FORCE_SIZE, TOOL_SIZE = 7, 3, 8  # numbers on a line of each kind
+QUATERNION_TOLERANCE = 1e-3  # largest difference of a quaternion's norm from 1
 
 
-MAX_DIGITS = 9
-"""Of a count."""
+MAX_DIGITS = 9  # of a count
 
 
 class CmuPush(NamedTuple):
-    """One push as logged.
+    """One push as logged."""
 
-    Attributes:
-        before: (7,) the object's pose before, mm and quaternion w x y z, robot base frame.
-        after: (7,) the same after.
-        force: (F, 3) rows t fx fy, s and N, sensor frame.
-        tool: (T, 8) rows t x y z qw qx qy qz, s, mm and quaternion, robot base frame.
-    """
-
-    before: NDArray[np.float64]
-    after: NDArray[np.float64]
-    force: NDArray[np.float64]
-    tool: NDArray[np.float64]
+    before: NDArray[np.float64]  # (7,) the object's pose before, mm and quaternion w x y z, robot base frame
+    after: NDArray[np.float64]  # (7,) the same after
+    force: NDArray[np.float64]  # (F, 3) rows t fx fy, s and N, sensor frame
+    tool: NDArray[np.float64]  # (T, 8) rows t x y z qw qx qy qz, s, mm and quaternion, robot base frame
 
 
 def read_cmu(path: Path) -> list[CmuPush]:
-    """Reads every push of a file.
-
-    Args:
-        path: the text file.
-
-    Returns:
-        The pushes, in the file's order.
+    """Reads every push of a file, in its order.
 
     Raises:
         PushLogError: the file cannot be read, is cut short, goes on after its last push, or a line is not
@@ -139,55 +122,34 @@ class _Lines:
         raise PushLogError(f"{self._path}, line {number}: is {shown[:MAX_SHOWN]!r}; expected {what}")
 
 
-MM = 1e-3
-"""Meters in a millimeter."""
+MM = 1e-3  # meters in a millimeter
 
 CENTROID = (0.050, 0.050)
 """The block's centroid, from the logged origin (the right-angle corner) in body axes, m."""
 
-OUTLINE = ((-0.05, -0.05), (0.10, -0.05), (-0.05, 0.10))
-"""The block's corners about its centroid, m."""
+OUTLINE = ((-0.05, -0.05), (0.10, -0.05), (-0.05, 0.10))  # the block's corners about its centroid, m
 
 TIP_OFFSET = (-0.0012, -0.00085)
 """From the logged tool point to the tip's center, tool's axes, m; from contact geometry over all logs."""
 
-TIP_EXTENSION = 0.00065
-"""What the tool travels along its straight path after its logging stops, m."""
-
-TIP_RADIUS = 0.0005
-"""m."""
-
-STANDSTILL = 0.00005
-"""A tool within this of where it starts (or ends) stands still, m: half a step of its log."""
-
-STRAIGHT = 0.0002
-"""A tool's path within this of a straight line is one, m: it is logged in steps of 0.1 mm."""
-
-SENSOR_AXES = ((2**-0.5, 2**-0.5), (2**-0.5, -(2**-0.5)))
-"""R_tool: from the force sensor's axes to the tool's."""
-
-BLOCK_MASS = 1.518
-"""kg."""
+TIP_EXTENSION = 0.00065  # what the tool travels along its straight path after its logging stops, m
+TIP_RADIUS = 0.0005  # m
+STANDSTILL = 0.00005  # a tool within this of where it starts (or ends) stands still, m: half a step of its log
+STRAIGHT = 0.0002  # a tool's path within this of a straight line is one, m: it is logged in steps of 0.1 mm
+SENSOR_AXES = ((2**-0.5, 2**-0.5), (2**-0.5, -(2**-0.5)))  # R_tool: from the force sensor's axes to the tool's
+BLOCK_MASS = 1.518  # kg
 
 CONTACT_FRICTION, CONTACT_FRICTION_STD = 0.5, 0.15
 """What is held of the tip's friction coefficient on the block's side, and its standard deviation."""
 
-BLOCK_CELLS = 55
-"""Most cells of the block's grid."""
-
-UNIFORM_PLATE_STD = 0.002
-"""How well the center of mass of a uniform plate is known to be at its centroid, m."""
+BLOCK_CELLS = 55  # most cells of the block's grid
+UNIFORM_PLATE_STD = 0.002  # how well the center of mass of a uniform plate is known to be at its centroid, m
 
 
 def triangle_block(uniform_plate: bool = False) -> GridObject:
-    """Makes the pushed block.
+    """Makes the pushed block; B is at its centroid, x and y along its legs.
 
-    Args:
-        uniform_plate: whether to hold it known that the block is a uniform plate, with its center of mass at
-            the centroid.
-
-    Returns:
-        The block; B is at its centroid, x and y along its legs.
+    As a uniform plate its center of mass is held to be known at the centroid.
     """
     prior = PhysicalPrior(
         total_mass=BLOCK_MASS,
@@ -204,13 +166,8 @@ def triangle_block(uniform_plate: bool = False) -> GridObject:
 class CmuImporter:
     """Pushes of a triangular block (Zhou, Paolini, Bagnell, Mason, ICRA 2016).
 
-    Attributes:
-        calibrate: whether to correct the logged tool point to the tip's center (TIP_OFFSET), to take the
-            log's steps out of its straight path, and to let it travel on for TIP_EXTENSION; without, the
-            logged point is taken as it is.
-        shuffle: whether to put the pushes in random order, so that no two neighbors are known to be chained.
-        uniform_plate: as in `triangle_block`.
-        seed: of that order.
+    To calibrate is to correct the logged tool point to the tip's center (TIP_OFFSET), to take the log's steps out of
+    its straight path, and to let it travel on for TIP_EXTENSION. Shuffled, no two neighbors are known to be chained.
     """
 
     file: ClassVar[str] = "LOG.txt"
@@ -229,16 +186,9 @@ class CmuImporter:
             raise PushLogError(f"seed is {self.seed}; expected 0 or more")
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
-        """Reads a file of CMU pushes.
+        """Reads a file of CMU pushes, named by their place in the log, each observed at its end only; and the block.
 
-        Args:
-            path: the text file.
-
-        Returns:
-            The pushes, named by their place in the log, each observed at its end only; and the block.
-
-        Raises:
-            PushLogError: the file cannot be read or is not of the format, or a push's tool does not move.
+        Raises PushLogError: the file cannot be read or is not of the format, or a push's tool does not move.
         """
         path = Path(path)
         logged = read_cmu(path)
@@ -247,7 +197,7 @@ class CmuImporter:
         digits = len(str(count))
         pushes = []
         for place, i in enumerate(order, start=1):
-            if not _has_path(logged[i].tool):
+            if not np.linalg.norm(logged[i].tool[-1, 1:3] - logged[i].tool[0, 1:3]) * MM > STANDSTILL:
                 raise PushLogError(f"{path}: push {i + 1}: the tool does not move; expected a path")
             pushes.append(_observe(logged[i], f"push_{place:0{digits}}", self.calibrate))
         return PushLog(tuple(pushes), str(path)), triangle_block(self.uniform_plate)
@@ -308,10 +258,6 @@ def _travel_on(t: NDArray[np.float64], p: NDArray[np.float64]) -> tuple[NDArray[
     length = np.linalg.norm(travel)
     share = TIP_EXTENSION / length
     return np.append(t, t[-1] + share * t[-1]), np.vstack([p, p[-1] + share * travel])
-
-
-def _has_path(tool: NDArray[np.float64]) -> bool:
-    return bool(np.linalg.norm(tool[-1, 1:3] - tool[0, 1:3]) * MM > STANDSTILL)
 
 
 def _in_time_order(rows: NDArray[np.float64]) -> NDArray[np.float64]:

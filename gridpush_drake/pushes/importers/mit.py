@@ -26,17 +26,14 @@ from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import MEGABYTE, open_file
 from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.objects.prior import PhysicalPrior
+from gridpush_drake.objects.object_file import PhysicalPrior
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog, nearest_turn
 
 TRIANGLE_CORNER = (0.045, 0.045)
 """Where the triangles' right angle is: the frame is that of the 90 mm square the markers were put on, m."""
 
-ELLIPSE_VERTICES = 120
-"""Vertices of an ellipse's polygon; it then lies within 0.03 mm."""
-
-HEXAGON_RADIUS = 0.0605
-"""From the hexagon's center to its vertices, the first on the x axis, m."""
+ELLIPSE_VERTICES = 120  # vertices of an ellipse's polygon; it then lies within 0.03 mm
+HEXAGON_RADIUS = 0.0605  # from the hexagon's center to its vertices, the first on the x axis, m
 
 BUTTER_HALF_MM = (
     (-27.46, 0.00), (-27.94, -3.73), (-29.67, -8.71), (-32.20, -13.67), (-35.23, -18.62),
@@ -50,8 +47,7 @@ BUTTER_HALF_MM = (
 )  # fmt: skip
 """Half of the butterfly's outline; the other half is this one turned by pi about the origin, mm."""
 
-MM = 1e-3
-"""Meters in a millimeter."""
+MM = 1e-3  # meters in a millimeter
 
 
 def _rectangle(along_x: float, along_y: float) -> NDArray[np.float64]:
@@ -67,15 +63,6 @@ def _ellipse(along_x: float, along_y: float) -> NDArray[np.float64]:
     return make_direction(angle) * (along_x / 2, along_y / 2)
 
 
-def _hexagon() -> NDArray[np.float64]:
-    return HEXAGON_RADIUS * make_direction(np.arange(6) * np.pi / 3)
-
-
-def _butter() -> NDArray[np.float64]:
-    half = np.array(BUTTER_HALF_MM) * MM
-    return np.vstack([half, -half])
-
-
 MIT_SHAPES: dict[str, Callable[[], NDArray[np.float64]]] = {
     "rect1": lambda: _rectangle(0.0900, 0.0900),
     "rect2": lambda: _rectangle(0.08991, 0.11258),
@@ -86,42 +73,34 @@ MIT_SHAPES: dict[str, Callable[[], NDArray[np.float64]]] = {
     "ellip1": lambda: _ellipse(0.10500, 0.10500),
     "ellip2": lambda: _ellipse(0.10500, 0.13089),
     "ellip3": lambda: _ellipse(0.10500, 0.15700),
-    "hex": _hexagon,
-    "butter": _butter,
+    "hex": lambda: HEXAGON_RADIUS * make_direction(np.arange(6) * np.pi / 3),
+    "butter": lambda: np.vstack([np.array(BUTTER_HALF_MM) * MM, -(np.array(BUTTER_HALF_MM) * MM)]),
 }
 """(k, 2) vertices by the data set's name of the shape, m."""
 
 
-TIP_RADIUS = 0.00475
-"""m."""
-
-SPEED = 0.010
-"""Of the pusher where the file does not say (`vel`, mm/s), m/s."""
+TIP_RADIUS = 0.00475  # m
+SPEED = 0.010  # of the pusher where the file does not say (`vel`, mm/s), m/s
 
 
-MIT_CELLS = 60
-"""Most cells of an object's grid."""
+MIT_CELLS = 60  # most cells of an object's grid
 
 WHAT = "a MATLAB v5 file"
 
-MAX_SIZE = 16 * MEGABYTE
-"""Of a file, bytes; the data set's have a tenth of one megabyte."""
+MAX_SIZE = 16 * MEGABYTE  # of a file, bytes; the data set's have a tenth of one megabyte
 
 RECORD_SIZES = {"init_pose_gt": 3, "final_pose_gt": 3, "init_tip_pt": 2, "final_tip_pt": 2}
 """What is read of a record, and how many numbers each has (m, rad)."""
 
-MODEL_ERRORS = ("avg_diff_disp", "avg_diff_angle")
-"""The other model's mean errors in the file, m and rad."""
+MODEL_ERRORS = ("avg_diff_disp", "avg_diff_angle")  # the other model's mean errors in the file, m and rad
 
 
 @dataclass(frozen=True)
 class MitImporter:
     """Pushes of the MIT push data set (Yu, Bauza, Fazeli, Rodriguez, IROS 2016).
 
-    Attributes:
-        shape: the object's name in MIT_SHAPES; where neither it nor `obj` is given, the last part of the
-            file's name after an underscore if it is one, otherwise the file's own `shape_id`.
-        obj: the object, for a shape that is not among them.
+    Without `shape` and `obj` the object is the last part of the file's name after an underscore if that is one,
+    otherwise the file's own `shape_id`.
     """
 
     file: ClassVar[str] = "FILE.mat"
@@ -136,14 +115,7 @@ class MitImporter:
     )
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
-        """Reads a file of MIT pushes.
-
-        Args:
-            path: the MATLAB v5 file.
-
-        Returns:
-            The pushes, straight and at constant speed in the world frame as logged, each observed at its end
-            only; and the object.
+        """Reads a file of MIT pushes, straight and at constant speed, each observed at its end only; and the object.
 
         Raises:
             PushLogError: the file cannot be read, lacks a field or holds something else in it, a pusher does not
@@ -162,16 +134,9 @@ class MitImporter:
 
 
 def read_model_errors(path: Path | str) -> tuple[float, float]:
-    """Reads how far the file's own model is off.
+    """Reads the file's own model's mean error of the end position, m, and of the end angle, rad.
 
-    Args:
-        path: the MATLAB v5 file.
-
-    Returns:
-        Its mean error of the end position, m, and of the end angle, rad.
-
-    Raises:
-        PushLogError: the file cannot be read or does not say.
+    Raises PushLogError: the file cannot be read or does not say.
     """
     path = Path(path)
     data = _read_mat(path)

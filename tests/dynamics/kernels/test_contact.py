@@ -19,7 +19,7 @@ from gridpush_drake.dynamics.kernels.contact import (
     find_contacts,
     look_ahead,
 )
-from gridpush_drake.geometry.outline import OutlineEdges
+from gridpush_drake.geometry.polygons import OutlineEdges
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.random_objects import make_random_object
 from tests.helpers.shapes import SHAPES, rectangle, regular_polygon

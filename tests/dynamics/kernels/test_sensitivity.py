@@ -5,11 +5,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from gridpush_drake.dynamics.condensed_step import calc_step
 from gridpush_drake.dynamics.push import ForcePush, Push
 from gridpush_drake.dynamics.reference.maximal_lcp import make_maximal_lcp, twist_to_cells
 from gridpush_drake.dynamics.reference.maximal_solvers import solve_as_qp
-from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.dynamics.simulation import calc_step, simulate
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.push_cases import check_case, make_notch_case, make_random_case

@@ -8,13 +8,12 @@ from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.contact.limit_surface import predict_roughly
+from gridpush_drake.planning.contact.limit_surface import predict_roughly, screen
 from gridpush_drake.planning.contact.optimization import (
     make_runner,
     optimize_contact,
 )
 from gridpush_drake.planning.contact.reachable_outline import find_reachable_outline
-from gridpush_drake.planning.contact.search import screen
 from gridpush_drake.planning.contact.trial import ContactOptions, calc_cost_derivatives, calc_goal_error
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface

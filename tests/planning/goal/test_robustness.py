@@ -6,7 +6,7 @@ from gridpush_drake.identification.learning import identify
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.planning.contact.trial import ContactOptions
-from gridpush_drake.planning.goal.robustness import Robustness, RobustnessOptions, draw_model_samples
+from gridpush_drake.planning.goal.next_push import Robustness, RobustnessOptions, draw_model_samples
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.simulated_world import SimulatedWorld
 from gridpush_drake.planning.support_surface import SupportSurface

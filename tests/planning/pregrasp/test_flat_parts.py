@@ -11,8 +11,8 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.flat_parts import USED, PadLimit, find_flat_parts, find_held_parts
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
+from gridpush_drake.planning.pregrasp.grasp_parts import USED, PadLimit, find_flat_parts, find_held_parts
 from gridpush_drake.planning.pregrasp.planner import (
     STATUS_FAILED,
     STATUS_READY,

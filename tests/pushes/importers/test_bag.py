@@ -16,11 +16,8 @@ pytest.importorskip("rosbags", reason="rosbags is in the extra `bags`")
 
 from tests.helpers.ros_bags import Topic, sample_topic, write_bag
 
-SPEED = 0.03
-"""Of the tip while it pushes, m/s."""
-
-JITTER = 0.002
-"""Standard deviation of a stamp, s."""
+SPEED = 0.03  # of the tip while it pushes, m/s
+JITTER = 0.002  # standard deviation of a stamp, s
 
 TOPICS = {"object_topic": "/object", "tip_topic": "/tip"}
 

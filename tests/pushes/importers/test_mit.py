@@ -17,8 +17,7 @@ RECORD = {
     "final_tip_pt": [0.23, 0.14],
 }
 FILE = {"record": [RECORD, RECORD, RECORD], "vel": 10.0, "avg_diff_disp": 0.003, "avg_diff_angle": 0.05}
-MASS_PER_AREA = 0.8374 / 0.0081
-"""Of rect1, kg/m^2."""
+MASS_PER_AREA = 0.8374 / 0.0081  # of rect1, kg/m^2
 
 PUBLISHED_MASSES = {
     "rect1": 0.8374, "rect2": 1.045, "rect3": 1.2508, "tri1": 0.8028, "tri2": 0.9826, "tri3": 1.1326,

@@ -5,7 +5,7 @@ import pytest
 
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.importers.registry import IMPORTERS, find_importer
+from gridpush_drake.pushes.importers import IMPORTERS, find_importer
 
 KINDS = (bool, int, float, str, str | None, GridObject | None)
 
@@ -14,7 +14,7 @@ KINDS = (bool, int, float, str, str | None, GridObject | None)
 def test_an_importer_is_what_the_command_line_takes_it_for(name):
     importer = find_importer(name)
     types = get_type_hints(importer)
-    assert importer.__doc__.partition("\n")[0].endswith(").") and importer.file and importer.source
+    assert importer.__doc__.partition("\n")[0].endswith(".") and importer.file and importer.source
     for field in dataclasses.fields(importer):
         assert types[field.name] in KINDS
         assert field.metadata["help"].endswith(".")

@@ -1,0 +1,215 @@
+"""The three games: what is drawn for an episode, what a push is worth, and when the aim is reached.
+
+In all of them the reward is how much better the score gets, and -1 for pushing the object off the table.
+"""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from gymnasium.spaces import Box
+from threadpoolctl import threadpool_limits
+
+from gridpush_drake.dynamics.simulation import simulate
+from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.gym.episode import Episode, GameOptions, PushGame, Turn, flatten_pose
+from gridpush_drake.gym.known_shape import KnownShape
+from gridpush_drake.identification.noise import NoiseModel, NoiseScale
+from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.planning.contact.trial import calc_goal_error
+from gridpush_drake.planning.pregrasp.exploration import calc_worst_std, make_center_functional
+from gridpush_drake.planning.pregrasp.goals import calc_overhangs
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+
+PER_METER, PER_METER_FORETOLD = 10.0, 100.0
+"""Reward for a meter, towards the goal or over the edge, and of held-out error."""
+
+MARGIN, MIN_ERROR = 0.1, 0.1
+"""m inside the edge that an object with a goal lies, there and at the beginning; and its mean cell error then, m."""
+
+REACHED = 0.02
+"""m, mean cell error: the paper's."""
+
+OFFSET, MAX_ARM = 0.05, 0.06
+"""m, at most, of an object to be slid from the table's middle at the beginning, along each axis, and of a part to be
+grasped from the center of mass."""
+
+HELD_OUT, HELD_OUT_DISTANCE = 6, 0.3
+"""Pushes that the learner is tested on, and how far, as an action: nine centimeters or so."""
+
+ITERATIONS = 2
+"""Of the filter's step."""
+
+
+class PushToGoal(PushGame):
+    """`gridpush/PushToGoal-v0`: an object of hidden masses is pushed to a goal pose on a large table.
+
+    Its score is the mean distance of the cells from where they are at the goal, m (the paper's ADD). Reward: the
+    score's decrease in decimeters, and 1 for coming within 2 cm, which ends the episode.
+    """
+
+    table = (1.4, 1.2)
+
+    def begin(self, rng: np.random.Generator) -> Episode:
+        """Draws an object, where it lies and where it should."""
+        shape, hidden = self.draw_object(rng)
+        start = self._draw_pose(shape, rng)
+        goal, error = start, 0.0
+        while error < MIN_ERROR:
+            goal = self._draw_pose(shape, rng)
+            error = float(calc_goal_error(shape.obj, start, goal))
+        return Episode(shape, hidden, rng, start, self.add_noise(start, rng), error, goal=goal)
+
+    def judge(self, before: Episode, after: Episode) -> Turn:
+        """By how much nearer the goal is."""
+        assert after.goal is not None
+        error = float(calc_goal_error(after.shape.obj, after.true_pose, after.goal))
+        won = error < REACHED and not after.fallen
+        reward = PER_METER * (before.score - error) + won - after.fallen
+        return Turn(replace(after, score=error), reward, won)
+
+    def make_own_spaces(self) -> dict[str, Box]:
+        """The goal, as the pose."""
+        limit = np.array([*self._half, 1.0, 1.0], dtype=np.float32)
+        return {"goal": Box(-limit, limit)}
+
+    def observe_own(self, episode: Episode) -> dict[str, Array]:
+        """The goal, as the pose."""
+        assert episode.goal is not None
+        return {"goal": flatten_pose(episode.goal)}
+
+    def _draw_pose(self, shape: KnownShape, rng: np.random.Generator) -> Array:
+        """A pose (3,) wholly on the table."""
+        while True:
+            pose = np.append(rng.uniform(-self._half, self._half), rng.uniform(-np.pi, np.pi))
+            if self.surface.contains_cells(shape.obj, pose, MARGIN):
+                return pose
+
+
+class SlideToEdge(PushGame):
+    """`gridpush/SlideToEdge-v0`: an object is pushed over the table's edge, so far that it can be grasped.
+
+    Graspable are its narrow parts near the true center of mass, where it does not turn in the gripper. Its score is how
+    far the part that is farthest out hangs over the edge, m; negative while some of what the gripper needs is over the
+    table. Reward: the score's increase in decimeters, and 1 when a part is out, which ends the episode.
+    """
+
+    table, defaults = (0.9, 0.7), {"max_pushes": 30}
+
+    def __init__(self, options: GameOptions | None = None) -> None:
+        """Takes what an episode is drawn from. Raises PlanningError where an object has no graspable part."""
+        super().__init__(options)
+        for shape in self.shapes:
+            if not shape.grasp_parts:
+                raise PlanningError(f"objects: {shape.obj.name} has no part narrow enough to be grasped")
+
+    def begin(self, rng: np.random.Generator) -> Episode:
+        """Draws an object and where it lies, in the table's middle; again where it cannot be grasped near enough."""
+        while True:
+            shape, hidden = self.draw_object(rng)
+            center = hidden.center_of_mass(shape.obj)
+            near = tuple(part for part in shape.grasp_parts if np.linalg.norm(part.p_BG - center) <= MAX_ARM)
+            if near:
+                break
+        start = np.append(rng.uniform(-OFFSET, OFFSET, 2), rng.uniform(-np.pi, np.pi))
+        score = float(calc_overhangs(near, start, self.surface).max())
+        return Episode(shape, hidden, rng, start, self.add_noise(start, rng), score, parts=near)
+
+    def judge(self, before: Episode, after: Episode) -> Turn:
+        """By how much farther out a part is."""
+        overhang = float(calc_overhangs(after.parts, after.true_pose, self.surface).max())
+        won = overhang >= 0 and not after.fallen
+        reward = PER_METER * (overhang - before.score) + won - after.fallen
+        return Turn(replace(after, score=overhang), reward, won)
+
+
+class Explore(PushGame):
+    """`gridpush/Explore-v0`: an object is pushed so that its motion can be foretold, out of any edge's reach.
+
+    After every push a learner that is the same for all players takes in where the object was seen to end (`learn`). Its
+    score is the held-out error: how far, on average, the learner puts the cells from where they truly end under pushes
+    that nobody makes, m. Reward: the score's decrease in centimeters.
+    """
+
+    table, defaults = (4.0, 4.0), {"max_pushes": 8}
+
+    def begin(self, rng: np.random.Generator) -> Episode:
+        """Draws an object, and the pushes that the learner is tested on."""
+        shape, hidden = self.draw_object(rng)
+        start, places = np.append(np.zeros(2), rng.uniform(-np.pi, np.pi)), rng.uniform(-1.0, 1.0, (HELD_OUT, 2))
+        pushes = [shape.make_push(np.append(place, HELD_OUT_DISTANCE), np.zeros(3)) for place in places]
+        ends = [simulate(shape.obj, hidden, push, regime="quasi_static").final_pose for push in pushes]
+        held_out = PushLog(
+            tuple(
+                ObservedPush(f"held_out_{i}", push, np.zeros(3), np.array([push.duration]), end[None])
+                for i, (push, end) in enumerate(zip(pushes, ends, strict=True))
+            )
+        )
+        model = _make_prior(shape)
+        error = _calc_held_out_error(model, held_out)
+        return Episode(shape, hidden, rng, start, self.add_noise(start, rng), error, model=model, held_out=held_out)
+
+    def judge(self, before: Episode, after: Episode) -> Turn:
+        """By how much better the learner foretells."""
+        assert before.model is not None
+        model = learn(before.model, after.pushes[-1])
+        error = _calc_held_out_error(model, after.held_out)
+        reward = PER_METER_FORETOLD * (before.score - error) - after.fallen
+        return Turn(replace(after, score=error, model=model), reward)
+
+    def make_own_spaces(self) -> dict[str, Box]:
+        """What the learner says of the center of friction: x and y, body frame, and the deviation least known, m."""
+        return {"estimate": Box(-1.0, 1.0, (3,))}
+
+    def observe_own(self, episode: Episode) -> dict[str, Array]:
+        """The values of that."""
+        model = episode.model
+        assert model is not None
+        F, posterior = make_center_functional(model), model.require_posterior()
+        center = posterior.calc_share() @ model.obj.p_BC
+        return {"estimate": np.append(center, calc_worst_std(F @ posterior.covariance @ F.T))}
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")  # small matrices: threads only cost, and reorder sums
+def learn(model: UncertainModel, seen: ObservedPush) -> UncertainModel:
+    """Takes in where a push was seen to end; gives the same model where the push told nothing.
+
+    With z = (log k, log mu_c) ~ N(mean, S) of `identification.posterior`, r the residual of the push, J its exact
+    derivative by z and R its noise, it makes one step of the extended Kalman filter, taken twice, the second time at
+    the new mean:
+
+        K = S J^T (J S J^T + R)^-1,   mean' = mean - K (r + J (mean - at)),   S' = (I - K J) S (I - K J)^T + K R K^T
+    """
+    before = model.require_posterior()
+    end = replace(seen, t_observed=seen.t_observed[-1:], poses_observed=seen.poses_observed[-1:])
+    problem = PushProblem(model.obj, PushLog((end,)), model.params.friction)
+    mean, S = before.mean, before.covariance
+    for _ in range(ITERATIONS):
+        linear = problem.linearize(mean)
+        J, r = linear.by_z[0], linear.residuals[0]
+        if not J.any():
+            return model
+        R = NoiseModel().calc_covariance(linear.by_inputs[0], NoiseScale())
+        gain = np.linalg.solve(J @ S @ J.T + R, J @ S).T
+        mean = before.mean - gain @ (r + J @ (before.mean - mean))
+    left = np.eye(len(mean)) - gain @ J
+    after = Posterior(mean, left @ S @ left.T + gain @ R @ gain.T, before.prior_covariance)
+    return replace(model, params=problem.params(mean), posterior=after)
+
+
+def _calc_held_out_error(model: UncertainModel, held_out: PushLog) -> float:
+    problem = PushProblem(model.obj, held_out, model.params.friction)
+    return float(problem.calc_cell_errors(problem.residuals(model.require_posterior().mean)).mean())
+
+
+@lru_cache(maxsize=32)
+def _make_prior(shape: KnownShape) -> UncertainModel:
+    """What is held possible before any push."""
+    return UncertainModel.of_prior(shape.obj)
+
+
+GAMES: dict[str, type[PushGame]] = {game.__name__: game for game in (PushToGoal, SlideToEdge, Explore)}
+"""By the environment's name."""

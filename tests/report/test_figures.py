@@ -1,0 +1,181 @@
+"""The figures: their parts, pictures of objects, models and motions, and figures of runs."""
+
+import subprocess
+import sys
+from io import BytesIO
+from time import perf_counter
+
+import numpy as np
+import pytest
+import shapely
+from matplotlib.patches import Circle
+from PIL import Image
+from shapely import Polygon
+
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.errors import ObjectError
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.contact.trial import calc_goal_error
+from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
+from gridpush_drake.planning.support_surface import SupportSurface
+from gridpush_drake.report.draw import calc_round_length, draw_cells, draw_outline, draw_parts, make_grid, to_png
+from gridpush_drake.report.figures import draw_model, draw_motion, draw_object
+from gridpush_drake.report.plan_figures import CLOSE_UP, GraspDrawn, PushDrawn, draw_pre_grasp, draw_push_run
+from tests.helpers.made_identifications import make_block, make_identification
+from tests.helpers.shapes import make_shape
+
+RIGHT_HALF = [[0.1, 0], [0.2, 0], [0.2, 0.1], [0.1, 0.1]]
+MANY_POSES = 60
+MAX_SECONDS = 2.0
+POSES = [(0.0, 0.0, 0.0), (0.05, 0.0, 0.3), (0.1, 0.02, 0.6)]
+GOAL = (0.1, 0.03, 0.7)
+
+
+def make_axes():
+    figure, axes = make_grid(1, 1, 6.0, 4.5)
+    return figure, axes[0, 0]
+
+
+def bar():
+    return GridObject.from_outline([[0, 0], [0.2, 0], [0.2, 0.1], [0, 0.1]], parts={4: RIGHT_HALF}, max_cells=50)
+
+
+def test_cells_are_squares_where_they_are():
+    obj = bar()
+    _, ax = make_axes()
+    cells = draw_cells(ax, obj)
+    paths = [path.vertices[:4] for path in cells.get_paths()]
+    assert len(paths) == obj.n
+    np.testing.assert_allclose([corners.mean(axis=0) for corners in paths], obj.p_BC, atol=1e-12)
+    np.testing.assert_allclose(np.ptp(paths[0], axis=0), obj.cell_size)
+    assert ax.get_aspect() == 1.0
+
+
+def test_pose_places_cells_and_outline():
+    obj, pose = bar(), (0.3, -0.2, 0.8)
+    _, ax = make_axes()
+    cells = draw_cells(ax, obj, pose=pose)
+    middles = [path.vertices[:4].mean(axis=0) for path in cells.get_paths()]
+    np.testing.assert_allclose(middles, obj.cells_at(pose), atol=1e-12)
+    low, high = ax.dataLim.min, ax.dataLim.max
+    assert (low < obj.cells_at(pose).min(axis=0)).all() and (high > obj.cells_at(pose).max(axis=0)).all()
+
+
+def test_values_are_colored_and_labeled():
+    obj = bar()
+    figure, ax = make_axes()
+    cells = draw_cells(ax, obj, np.arange(obj.n), label="friction")
+    assert cells.get_clim() == (0, obj.n - 1)
+    assert [other.get_ylabel() for other in figure.axes[1:]] == ["friction"]
+    limited = draw_cells(ax, obj, np.arange(obj.n), limits=(-1, 1), cmap="magma")
+    assert limited.get_clim() == (-1, 1)
+    assert len(figure.axes) == 2
+
+
+def test_equal_values_are_drawn():
+    obj = bar()
+    figure, ax = make_axes()
+    draw_cells(ax, obj, np.full(obj.n, 0.3), label="friction")
+    assert to_png(figure).startswith(b"\x89PNG")
+
+
+def test_parts_have_a_legend_with_counts():
+    obj = bar()
+    figure, ax = make_axes()
+    draw_parts(ax, obj)
+    texts = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert texts == ["part 1: 25 cells", "part 4: 25 cells"]
+    assert to_png(figure).startswith(b"\x89PNG")
+
+
+def test_outline_has_its_holes():
+    hole = [[0.05, 0.02], [0.05, 0.08], [0.15, 0.08], [0.15, 0.02]]
+    obj = GridObject.from_outline(Polygon([[0, 0], [0.2, 0], [0.2, 0.1], [0, 0.1]], [hole]))
+    _, ax = make_axes()
+    assert len(draw_outline(ax, obj).get_path().to_polygons()) == 2
+
+
+def test_wrong_number_of_values_is_refused():
+    _, ax = make_axes()
+    with pytest.raises(ObjectError, match="one for each cell"):
+        draw_cells(ax, bar(), np.ones(3))
+
+
+def test_drawing_leaves_pyplot_alone():
+    code = "import sys, gridpush_drake.report.draw; assert 'matplotlib.pyplot' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def motion():
+    poses = np.linspace((0, 0, 0), (0.05, 0.02, 0.4), 30)
+    return draw_motion(make_block(), Push((-0.1, 0), (0.1, 0), 1.0, 0.01), poses)
+
+
+@pytest.mark.parametrize("draw", [lambda: draw_object(make_block()), lambda: draw_model(make_identification()), motion])
+def test_is_a_png_with_something_on_it(draw):
+    with Image.open(BytesIO(draw())) as image:
+        assert image.format == "PNG"
+        assert len(image.convert("RGB").getcolors(1 << 24)) > 10
+
+
+@pytest.mark.parametrize("sides", [(1e-3, 1e-3), (5.0, 5.0), (0.02, 0.6), (0.6, 0.02)])
+def test_draws_objects_of_any_size_and_shape(sides):
+    x, y = sides
+    obj = GridObject.from_outline([[0, 0], [x, 0], [x, y], [0, y]], max_cells=12)
+    for picture in (draw_object(obj), draw_model(make_identification(obj))):
+        with Image.open(BytesIO(picture)) as image:
+            assert 200 < image.width < 2000
+            assert 100 < image.height < 2000
+
+
+@pytest.mark.parametrize(("longest", "length"), [(0.12, 0.1), (0.1, 0.1), (0.099, 0.05), (0.0021, 0.002), (3.0, 2.0)])
+def test_scale_bars_are_round(longest, length):
+    assert calc_round_length(longest) == pytest.approx(length)
+
+
+def draw(obj, poses, grasp=None):
+    surface = SupportSurface(shapely.box(-0.5, -0.5, 0.5, 0.0))
+    push = PushDrawn(np.array([-0.12, -0.3]), np.array([-0.12, -0.2]), poke=True)
+    return draw_pre_grasp(
+        obj, surface, poses, [push], PlausibleMassSet.of_masses(obj, CellParameters.uniform(obj)), None, grasp
+    )
+
+
+def test_frames_everything_drawn_with_the_same_room_all_round():
+    """The frame is the bounding box of discs about all points, which shapely finds slowly."""
+    obj = GridObject.from_outline([[0, 0], [0.12, 0], [0.12, 0.06], [0, 0.06]], max_cells=8)
+    poses = [np.array([0.0, -0.3, 0.4]), np.array([0.1, -0.2, 0.9]), np.array([0.1, -0.01, 1.5])]
+    way, end = draw(obj, poses, GraspDrawn(np.array([0.1, 0.05]), -1.5)).axes
+    points = np.concatenate([*(obj.cells_at(pose) for pose in poses), [[-0.12, -0.3], [-0.12, -0.2]]])
+    slow = shapely.MultiPoint(points).buffer(CLOSE_UP).bounds
+    assert (*way.get_xlim(), *way.get_ylim()) == pytest.approx([slow[0], slow[2], slow[1], slow[3]])
+    low, high = end.get_xlim(), end.get_ylim()
+    cells = shapely.MultiPoint(obj.cells_at(poses[-1])).buffer(CLOSE_UP).bounds
+    assert low[0] <= cells[0]
+    assert high[1] >= cells[3]
+
+
+def test_draws_many_poses_quickly():
+    obj = GridObject.from_yaml(find_shipped_object("claw_hammer"))
+    rng = np.random.default_rng(0)
+    poses = list(np.column_stack([rng.uniform(-0.3, 0.3, (MANY_POSES, 2)) - (0, 0.3), rng.uniform(-3, 3, MANY_POSES)]))
+    begin = perf_counter()
+    draw(obj, poses)
+    assert perf_counter() - begin < MAX_SECONDS
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_shows_every_push_and_the_errors(count):
+    obj = make_shape("claw_hammer", 20)
+    pushes = [Push((-0.1, 0.05 * i), (0.1, 0.0), 1.0, 0.008) for i in range(count)]
+    figure = draw_push_run(obj, POSES[: count + 1], pushes, GOAL, expected=[0.02] * count, tolerance=0.02)
+    way, errors = figure.axes
+    circles = [patch for patch in way.patches if isinstance(patch, Circle)]
+    assert [circle.center for circle in circles] == [tuple(push.start) for push in pushes]
+    np.testing.assert_allclose(errors.lines[0].get_ydata(), 1e3 * calc_goal_error(obj, POSES[: count + 1], GOAL))
+    for push in pushes:
+        low, high = way.get_xlim()
+        assert low < push.xy[:, 0].min() and push.xy[:, 0].max() < high
+    assert to_png(figure).startswith(b"\x89PNG")
