@@ -69,7 +69,7 @@ SMOOTHING = 1.2
 OPENING, CLOSING = 3, 5
 """Widths, pixels, of what is too thin to be object, or a gap."""
 
-MIN_HOLE, HOLE_SCORE, HOLE_SHARE = 50, -1.0, 0.5
+MIN_HOLE, HOLE_SCORE, HOLE_SHARE = 15, -1.0, 0.5
 """A hole is filled where it has fewer pixels, or where less than this share of it has a score below that."""
 
 BAND = 6

@@ -14,6 +14,7 @@ from gridpush_drake.errors import (
 )
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.perception import Camera, DetectorOptions, detect_object, read_color, read_depth
+from gridpush_drake.perception.foreground import Foreground, fill_holes, refine_boundary
 from tests.helpers.pictures import calc_outline_error, make_camera, paint
 from tests.helpers.shared_data import shared_data
 
@@ -152,3 +153,26 @@ def test_real_photographs():
         scores[name] = (mask & true).sum() / (mask | true).sum()
     assert min(scores.values()) >= 0.90, scores
     assert np.mean(list(scores.values())) >= 0.93, scores
+
+
+@pytest.mark.parametrize(("strip", "edge"), [((-60, 7, 3), 54), ((-60, 0, 0), 54), ((-12, 0, 0), 50)])
+def test_a_side_in_the_dark_is_object_and_a_shadow_is_table(strip, edge):
+    """Four rows below a brown top: too dark for a shadow, or a shadow."""
+    difference = np.zeros((90, 120, 3), np.float32)
+    difference[20:50, 20:100], difference[50:54, 20:100] = (-30, 22, 25), strip
+    top = np.zeros((90, 120), dtype=bool)
+    top[20:50, 20:100] = True
+    found = Foreground(top, np.where(top, 5, -3).astype(np.float32), difference, np.ones(3), 0 * difference[..., 0])
+    _, coverage = refine_boundary(top, found)
+    assert 20 + coverage[10:80, 60].sum() == pytest.approx(edge, abs=0.4)
+
+
+def test_a_hole_through_which_the_table_is_plainly_seen_stays():
+    mask = np.ones((60, 60), dtype=bool)
+    mask[0], mask[10:15, 10:15], mask[30:35, 30:35], mask[50:53, 50:53] = False, False, False, False
+    score = np.where(mask, 5.0, -3.0)
+    score[30:35, 30:35] = 0.0
+    filled = fill_holes(mask, score)
+    assert not filled[10:15, 10:15].any(), "a hole"
+    assert filled[30:35, 30:35].all(), "of the table's color, but not plainly"
+    assert filled[50:53, 50:53].all(), "a speck"
