@@ -52,6 +52,9 @@ CORNER_STD = 2.5
 CORNER_REST, CORNER_REST_STD = 0.02, 0.05
 """Of a rigid bottom's load, what is not on corners, and the standard deviation of log k there."""
 
+CORNER_WEIGHT = 0.05
+"""Of a rigid bottom beforehand, where all fields together have 14.7: one push alone must not speak for it."""
+
 TILT_RIDGE = 0.01
 """Keeps the tilt finite where a corner's place is beyond all cells' centers; it takes off that much of the shift."""
 
@@ -223,7 +226,7 @@ class MapEnsemble:
         variance[rest] = CORNER_REST_STD**2
         p_BC[corners] = p_corners
         factor = calc_prior_factor(np.diag(variance), 1.0, log_contact_friction_std)
-        return [*priors, LoadPrior(mean, factor, CORNER_STD**-WEAKNESS, p_BC)]
+        return [*priors, LoadPrior(mean, factor, CORNER_WEIGHT, p_BC)]
 
     def fit_prior(self, obj: GridObject, z0: Array, log_contact_friction_std: float) -> MapEnsembleFit:
         """Gives the widest prior, where no push touched the object."""

@@ -17,6 +17,7 @@ from gridpush_drake.multibody.cell_colors import CellColors
 from gridpush_drake.multibody.meshcat_server import StartMeshcatServer, looks_like_recording
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.station.scenario import read_scenario
 from tests.helpers.chromium import find_pixels, freeze_recording, take_picture
 
 MIN_SEEN = 500
@@ -53,7 +54,7 @@ def test_learns_and_reports(gridpush, tmp_path):
     assert looks_like_recording(out / "recording.html")
     assert "Push by push" in (out / "report.html").read_text()
     assert yaml.safe_load((out / "truth.yaml").read_text())["object"] == "open_book"
-    assert yaml.safe_load((out / "scenario.yaml").read_text())["pokes"]["count"] == 2
+    assert read_scenario(out / "scenario.yaml").pokes.count == 2
 
     check_recording(out, summary["simulated_seconds"], tmp_path)
 
