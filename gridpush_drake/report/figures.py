@@ -161,7 +161,7 @@ def draw_learned_maps(result: Identification, truth: CellParameters | None = Non
             None if truth is None else truth.relative_friction() * obj.n, "× even share",
         ),
         (
-            "mass, if friction is even", result.params.mass * GRAM, result.std.mass * GRAM,
+            "mass at even friction", result.params.mass * GRAM, result.std.mass * GRAM,
             None if truth is None else truth.mass * (result.params.total_mass / truth.total_mass) * GRAM, "g a cell",
         ),
     ]  # fmt: skip
