@@ -1,9 +1,12 @@
 """Meshcat: started with clear errors, and its recordings written."""
 
+import gc
 import logging
 from math import cos, sin
 from pathlib import Path
+from threading import get_ident
 from typing import Any
+from weakref import ref
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +32,9 @@ BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.97, 0.975, 0.98), (0.80, 0.82, 0.85)  # c
 LIGHTS = {"AmbientLight": 1.2, "PointLightNegativeX": 14.0, "PointLightPositiveX": 14.0}
 """Intensities that show a horizontal face near the origin in its own color; Meshcat's own make it a third brighter."""
 
+_STARTED: list[tuple["ref[Meshcat]", int]] = []  # each server and the thread that started it
+_HELD: list[Meshcat] = []  # what the thread that collects garbage must not destroy
+
 
 def StartMeshcatServer(port: int | None = None, host: str = "localhost") -> Meshcat:
     """Starts Meshcat, with a light background and neither grid nor axes; `web_url()` is its page.
@@ -53,7 +59,21 @@ def StartMeshcatServer(port: int | None = None, host: str = "localhost") -> Mesh
     finally:
         log.setLevel(level)
     ApplySceneStyle(meshcat)
+    KeepToItsThread(meshcat)
     return meshcat
+
+
+def KeepToItsThread(meshcat: Meshcat) -> None:
+    """Has a server destroyed by this thread only, if no other was said before; it must be the one that started it.
+
+    Drake ends the process where another thread destroys it, as a worker's does that happens to collect the garbage
+    in which a dropped Diagram's server lies.
+    """
+    _STARTED[:] = [one for one in _STARTED if one[0]() is not None]
+    if all(made() is not meshcat for made, _ in _STARTED):
+        _STARTED.append((ref(meshcat), get_ident()))
+    if _hold_others not in gc.callbacks:
+        gc.callbacks.append(_hold_others)
 
 
 def ApplySceneStyle(meshcat: Meshcat) -> None:
@@ -114,6 +134,14 @@ def write_recording(meshcat: Meshcat, path: Path | str, force: bool = False, ove
 def looks_like_recording(path: Path | str) -> bool:
     """Whether a file is a page that Meshcat wrote; False where it cannot be read."""
     return MARK in read_head(path, MARK_ROOM)
+
+
+def _hold_others(phase: str, _: dict[str, int]) -> None:
+    """Before a thread collects garbage, holds the servers of the others, and lets go of its own."""
+    if phase == "start":
+        here = get_ident()
+        held = [meshcat for made, thread in _STARTED if thread != here and (meshcat := made()) is not None]
+        _HELD[:] = held
 
 
 def _explain(port: int | None, host: str) -> str:

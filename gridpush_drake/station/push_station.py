@@ -17,6 +17,7 @@ from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.multibody.contact_material import TABLE, FindTableOutline, SetPartner
 from gridpush_drake.multibody.grid_object import AddGridObject, Base, GridObjectInPlant
 from gridpush_drake.multibody.ground_truth import SetGridObjectParameters, SetGridObjectPose, resample_parameters
+from gridpush_drake.multibody.meshcat_server import KeepToItsThread
 from gridpush_drake.multibody.parser import AddVisualMeshes, MakeParser, find_drake_models
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
@@ -314,6 +315,7 @@ class PushStation(Station):
         camera: StationCamera,
         other_cameras: tuple[PlanarPoseSensor, ...],
         true_parameters: TrueParameters,
+        meshcat: Meshcat | None,
     ) -> None:
         """Takes over a builder's systems; `MakePushStation` calls it."""
         super().__init__(builder, world.setting, control, world.truth)
@@ -321,6 +323,7 @@ class PushStation(Station):
         self._kinematics, self._true_parameters = control.kinematics, true_parameters
         self.scene_graph, self.object_in_plant, self.table = world.scene_graph, world.object_in_plant, world.table
         self.robot_in_plant, self.gripper = world.robot_in_plant, world.robot_in_plant.gripper
+        self._meshcat = meshcat  # the visualizer in C++ keeps only the server, and `KeepToItsThread` asks for this
 
     def SetStart(self, root_context: Context, seed: int | None = None) -> None:
         """Puts arm and object where the scenario has them, at rest. Call it on every fresh Context.
@@ -434,7 +437,7 @@ def MakePushStation(
     builder.ExportOutput(plant.get_body_poses_output_port(), "body_poses")
     builder.ExportOutput(plant.get_contact_results_output_port(), "contact_results")
     builder.ExportOutput(world.scene_graph.get_query_output_port(), "query_object")
-    station = PushStation(builder, world, control, sensors.camera, other_cameras, true_parameters)
+    station = PushStation(builder, world, control, sensors.camera, other_cameras, true_parameters, meshcat)
     station.set_name(name)
     return station
 
@@ -443,5 +446,6 @@ def AddMeshcat(
     builder: DiagramBuilder, scene_graph: SceneGraph, meshcat: Meshcat, prefix: str = "station"
 ) -> MeshcatVisualizer:
     """Shows the illustration geometry, and nothing else, below the path `prefix`."""
+    KeepToItsThread(meshcat)
     params = MeshcatVisualizerParams(role=Role.kIllustration, prefix=prefix)
     return MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, params)

@@ -1,5 +1,9 @@
+import gc
 import socket
+from threading import Thread
+from types import SimpleNamespace
 from urllib.request import urlopen
+from weakref import ref
 
 import pytest
 from pydrake.geometry import Box, MeshcatAnimation
@@ -43,6 +47,19 @@ def test_refuses_a_port_out_of_range(port):
 def test_refuses_a_host_that_is_not_this_machine():
     with pytest.raises(StationError, match=r"'192\.0\.2\.1'"):
         StartMeshcatServer(0, "192.0.2.1")
+
+
+def test_is_destroyed_by_the_thread_that_started_it_whichever_collects_the_garbage():
+    """Elsewhere Drake would end the process."""
+    garbage = SimpleNamespace(meshcat=StartMeshcatServer(0))
+    garbage.itself, kept = garbage, ref(garbage.meshcat)
+    del garbage
+    collector = Thread(target=gc.collect)
+    collector.start()
+    collector.join()
+    assert kept() is not None
+    gc.collect()
+    assert kept() is None
 
 
 @pytest.fixture

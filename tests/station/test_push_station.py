@@ -1,8 +1,13 @@
+import gc
+from threading import Thread
+from weakref import ref
+
 import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.errors import ScenarioError
+from gridpush_drake.multibody.meshcat_server import StartMeshcatServer
 from gridpush_drake.station.arm import DRIVER_OUTPUTS
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.push_station import MakePushStation
@@ -96,3 +101,15 @@ def test_a_scenario_that_makes_no_sense_is_refused():
     scenario.object_pose = [3.0, 0.0, 0.0]
     with pytest.raises(ScenarioError, match="object_pose"):
         MakePushStation(scenario)
+
+
+def test_a_station_that_another_thread_collects_leaves_its_server_to_this_one():
+    """Whoever holds only the station; Drake ends a process in which another thread destroys a server."""
+    dropped = MakePushStation(PushScenario(), StartMeshcatServer(0))
+    kept = ref(dropped)
+    del dropped
+    collector = Thread(target=gc.collect)
+    collector.start()
+    collector.join()
+    assert kept() is None
+    gc.collect()
