@@ -19,6 +19,11 @@ GRIPPING = (GraspPhase.CLOSING, GraspPhase.LIFTING, GraspPhase.HOLDING, GraspPha
 DEFAULT_PERIOD = 0.02
 """Between two observations, s."""
 
+STRAYED = 0.02
+"""m between tip and where it should be, from which on a push was not the one that was planned."""
+
+MM = 1e3  # millimeters in a meter
+
 
 @dataclass
 class LimitReport:
@@ -29,6 +34,7 @@ class LimitReport:
         velocity_share: fastest that a joint turned.
         torque_share: greatest torque that a joint was asked for.
         tracking_error: furthest that the tip was from where it should be at the time, during pushes, m.
+        strayed: the same of those pushes, by their command, in which it was more than STRAYED.
         touched: pairs of bodies that should not have touched and did.
     """
 
@@ -36,12 +42,19 @@ class LimitReport:
     velocity_share: float = 0.0
     torque_share: float = 0.0
     tracking_error: float = 0.0
+    strayed: dict[int, float] = field(default_factory=dict)
     touched: set[tuple[str, str]] = field(default_factory=set)
 
     @property
     def ok(self) -> bool:
         """Whether all limits were kept and nothing was touched but the object, by the tip or a grasp."""
         return max(self.position_share, self.velocity_share, self.torque_share) <= 1.0 and not self.touched
+
+    def explain_strayed(self) -> str:
+        """Names the pushes in which the tip strayed, in a sentence; empty where there are none."""
+        told = [f"{MM * error:.0f} mm in push {command}" for command, error in self.strayed.items()]
+        where = "The tip was far from where it should have been"
+        return f"{where}, {', '.join(told)}: is the arm held or stuck?" if told else ""
 
 
 class LimitMonitor:
@@ -112,9 +125,13 @@ class LimitMonitor:
         )
         seen.velocity_share = share(seen.velocity_share, read(f"{self._arm}.velocity_estimated"), self._speed)
         seen.torque_share = share(seen.torque_share, read(f"{self._arm}.torque_commanded"), self._torque)
-        if read("executor.status").phase == PushPhase.PUSHING:
+        push = read("executor.status")
+        if push.phase == PushPhase.PUSHING:
             gap = read("executor.tip_pose").translation() - read("pusher.state")[:3]
-            seen.tracking_error = max(seen.tracking_error, float(np.linalg.norm(gap)))
+            error = float(np.linalg.norm(gap))
+            seen.tracking_error = max(seen.tracking_error, error)
+            if error > STRAYED:
+                seen.strayed[push.command_id] = max(seen.strayed.get(push.command_id, 0.0), error)
         if not self._speaks_of_contacts:
             return
         contacts = read("contact_results")

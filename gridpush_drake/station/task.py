@@ -100,7 +100,7 @@ class TaskRecord:
         sight: what a color and depth camera saw; None where the camera is ideal.
         estimates: the identification after each push learned from.
         status: how it ended.
-        message: the status in a sentence.
+        message: the status in a sentence, and the pushes that were not as planned.
         limit_report: how the robot behaved.
         duration: simulated, s.
     """
@@ -288,6 +288,9 @@ class StationTask(Generic[R]):
             drive.finish(simulator)
         record.stream, record.sight = station.FindStream(context), station.FindSight(context)
         self.finish(record)
+        untouched = self.read("estimate.identification").unused_pushes
+        remarks = [f"Nothing was touched in {', '.join(untouched)}."] if untouched else []
+        record.message = " ".join(filter(None, [record.message, record.limit_report.explain_strayed(), *remarks]))
         return record
 
     def begin(self, seed: int | None = None, drive: Drive | None = None) -> None:

@@ -86,6 +86,27 @@ def _beside_table():
 
 
 @pytest.mark.slow
+def test_an_arm_that_is_stuck_is_named():
+    """Its joints are locked while it pushes; the executor goes on by the clock."""
+    experiment = IdentifyTask(make_scenario(1, object="open_book"))
+    station = experiment.station
+
+    def jam(status, logged):
+        if status.phase == PushPhase.PUSHING:
+            plant = station.plant
+            context = plant.GetMyMutableContextFromRoot(experiment.simulator.get_mutable_context())
+            arm = plant.GetModelInstanceByName(station.robot.arm_model)
+            plant.SetVelocities(context, arm, np.zeros(plant.num_velocities(arm)))
+            for index in plant.GetJointIndices(arm):
+                plant.get_joint(index).Lock(context)
+
+    record = experiment.run(progress=jam)
+    ((command, error),) = record.limit_report.strayed.items()
+    assert command == 1 and error > 0.04
+    assert record.message.endswith(f"{1e3 * error:.0f} mm in push 1: is the arm held or stuck?")
+
+
+@pytest.mark.slow
 def test_an_object_out_of_the_fingers_workspace_is_an_error():
     scenario = make_scenario()
     scenario.workspace.x, scenario.workspace.y = [0.585, 0.615], [-0.015, 0.015]
