@@ -30,7 +30,7 @@ from pydrake.systems.framework import Context, DiagramBuilder, System
 from pydrake.systems.sensors import RgbdSensor
 from shapely.geometry.base import BaseGeometry
 
-from gridpush_drake.errors import CameraError, PerceptionError, ScenarioError, StationError
+from gridpush_drake.errors import CameraError, ScenarioError, StationError
 from gridpush_drake.geometry.se2 import transform_back
 from gridpush_drake.multibody.contact_material import TABLE
 from gridpush_drake.multibody.grid_object import GridObjectInPlant
@@ -38,9 +38,10 @@ from gridpush_drake.multibody.ground_truth import SetGridObjectPose
 from gridpush_drake.multibody.meshcat_shapes import make_outline_mesh
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.detection import DetectedObject, detect_object
+from gridpush_drake.perception.detection import DetectedObject
 from gridpush_drake.perception.tracking import PoseTracker
 from gridpush_drake.station.scenario import CameraConfig, PushScenario
+from gridpush_drake.systems.object_detector import ObjectDetector, ObjectNaming
 from gridpush_drake.systems.object_pose_estimator import ObjectPoseEstimator
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 from gridpush_drake.systems.rgbd_noise import RgbdNoise
@@ -52,9 +53,6 @@ LIGHT = (0.15, 0.25, 1.0)
 
 OBJECT_COLOR = (0.42, 0.13, 0.11, 1.0)
 """Of the plant's object in the camera's pictures: red, green, blue and opacity."""
-
-TABLE_SHARE = 75
-"""Percent of what is seen, nearest to its median in color, that is taken for table."""
 
 
 def check_renderer() -> None:
@@ -186,9 +184,7 @@ def AddPoseEstimator(
             hidden_by=camera.hidden_by,
         ),
     )
-    for name in ("color_image", "depth_image"):
-        builder.Connect(camera.noise.GetOutputPort(name), estimator.GetInputPort(name))
-    builder.Connect(camera.sensor.label_image_output_port(), estimator.GetInputPort("label_image"))
+    ConnectPictures(builder, camera, estimator)
     return estimator
 
 
@@ -244,16 +240,11 @@ def find_object(
     Raises:
         ScenarioError: the camera does not see an object there.
     """
-    color, depth, labels, camera = _take_photograph(scenario, builder, scene)
-    hidden = np.isin(labels, camera.hidden_by) | _find_off_table(camera.camera, scene.table_top)
-    color, depth = _fill(color, hidden, scenario.seed), np.where(hidden, np.float32(0), depth)
-    try:
-        detected = detect_object(color, depth, camera.camera)
-    except PerceptionError as error:
-        raise ScenarioError(f"camera: no object is found in the first picture: {error}") from error
-    x, y, _ = detected.X_WB
-    detected = replace(detected, X_WB=np.array([x, y, scenario.object_pose[2]]))
-    obj = replace(detected.make_grid_object(), name=true_obj.name, prior=true_obj.prior)
+    _, detector, root = _take_photograph(scenario, true_obj, builder, scene)
+    own = detector.GetMyContextFromRoot(root)
+    obj, detected, message = (detector.GetOutputPort(name).Eval(own) for name in ("object", "detection", "message"))
+    if message:
+        raise ScenarioError(f"camera: no object is found in the first picture: {message}")
     shift = transform_back(np.array(scenario.object_pose), detected.X_WB[:2])
     moved = replace(
         true_obj,
@@ -261,6 +252,32 @@ def find_object(
         outline=shapely.transform(true_obj.outline, lambda points: points - shift),
     )
     return FoundObject(obj, detected.X_WB, detected, moved)
+
+
+def AddDetector(
+    builder: DiagramBuilder, camera: RgbdCamera, scenario: PushScenario, table_top: BaseGeometry, told: GridObject
+) -> ObjectDetector:
+    """Adds what finds the object in the camera's pictures; name and prior are those of the one that is told."""
+    detector = builder.AddNamedSystem(
+        "detector",
+        ObjectDetector(
+            camera.camera,
+            naming=ObjectNaming(told.name, told.prior, scenario.object_pose[2]),
+            table_top=table_top,
+            hidden_by=camera.hidden_by,
+            seed=scenario.seed,
+            period=1 / scenario.camera.rate,
+        ),
+    )
+    ConnectPictures(builder, camera, detector)
+    return detector
+
+
+def ConnectPictures(builder: DiagramBuilder, camera: RgbdCamera, system: System) -> None:
+    """Connects what looks at the camera's pictures."""
+    for name in ("color_image", "depth_image"):
+        builder.Connect(camera.noise.GetOutputPort(name), system.GetInputPort(name))
+    builder.Connect(camera.sensor.label_image_output_port(), system.GetInputPort("label_image"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,34 +302,15 @@ class PhotographedScene:
 
 
 def _take_photograph(
-    scenario: PushScenario, builder: DiagramBuilder, scene: PhotographedScene
-) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.int16], RgbdCamera]:
-    plant = scene.plant
+    scenario: PushScenario, told: GridObject, builder: DiagramBuilder, scene: PhotographedScene
+) -> tuple[RgbdCamera, ObjectDetector, Context]:
+    """The camera, the detector, and the Diagram's Context in which it has looked at the first picture."""
     camera = AddRgbdCamera(builder, scene.scene_graph, scenario, scene.part)
+    detector = AddDetector(builder, camera, scenario, scene.table_top, told)
     diagram = builder.Build()
     root = diagram.CreateDefaultContext()
-    context = plant.GetMyMutableContextFromRoot(root)
-    plant.SetPositions(context, scene.arm, scene.q_start)
-    SetGridObjectPose(plant, context, scene.part, scenario.object_pose)
-    noise, sensor = (system.GetMyContextFromRoot(root) for system in (camera.noise, camera.sensor))
-    color = camera.noise.GetOutputPort("color_image").Eval(noise).data[..., :3]
-    depth = camera.noise.GetOutputPort("depth_image").Eval(noise).data[..., 0]
-    labels = camera.sensor.label_image_output_port().Eval(sensor).data[..., 0]
-    return color.copy(), depth.copy(), labels.copy(), camera
-
-
-def _find_off_table(camera: Camera, table_top: BaseGeometry) -> NDArray[np.bool_]:
-    """Pixels (height, width) whose rays do not meet the table's top."""
-    pixels = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1)
-    xy = camera.cast(pixels)
-    return ~np.asarray(shapely.contains_xy(table_top, xy[..., 0], xy[..., 1]))
-
-
-def _fill(color: NDArray[np.uint8], hidden: NDArray[np.bool_], seed: int) -> NDArray[np.uint8]:
-    """A picture in which colors drawn from the table's, the most common ones, stand where robot or no table is."""
-    seen = color[~hidden]
-    off = np.abs(seen - np.median(seen, axis=0)).max(axis=1)
-    table = seen[off <= np.percentile(off, TABLE_SHARE)]
-    filled = color.copy()
-    filled[hidden] = np.random.default_rng(seed).choice(table, int(hidden.sum()))
-    return filled
+    context = scene.plant.GetMyMutableContextFromRoot(root)
+    scene.plant.SetPositions(context, scene.arm, scene.q_start)
+    SetGridObjectPose(scene.plant, context, scene.part, scenario.object_pose)
+    diagram.ExecuteInitializationEvents(root)
+    return camera, detector, root
