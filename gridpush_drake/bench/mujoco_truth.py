@@ -190,13 +190,11 @@ class TruthWorld:
 
     def read_pose(self) -> Array:
         """(3,) q of B in W, m and rad."""
-        w, x, y, z = self._data.qpos[3:7]
-        return np.array([*self._data.qpos[:2], np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))])
+        return _calc_poses(self._data.qpos[None, :7])[0]
 
     def read_tilt(self) -> float:
         """Angle of B's z axis from the vertical, rad."""
-        _, x, y, _ = self._data.qpos[3:7]
-        return float(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)))
+        return float(_calc_tilts(self._data.qpos[None, :7])[0])
 
     def push(self, push: Push) -> TruthMotion:
         """Pushes the body, with a disc of this world's radius, from where it is, at rest; theta is continuous."""
@@ -206,15 +204,28 @@ class TruthWorld:
         times = np.linspace(0.0, push.duration, count + 1)
         path = push.tip_at(times)
         speed = np.diff(path, axis=0) / dt
-        seen = np.empty((count + 1, 5))
+        seen = np.empty((count + 1, 7))
         data.qvel[:] = 0
         for i in range(count + 1):
-            seen[i] = *self.read_pose(), self.read_tilt(), data.qpos[2] - self._rest_height
+            seen[i] = data.qpos[:7]
             if i < count:
                 data.qpos[7:9], data.qvel[6:8] = path[i], speed[i]
                 step(model, data)
-        seen[:, 2] = np.unwrap(seen[:, 2])
-        return TruthMotion(times, seen[:, :3], seen[:, 3], seen[:, 4])
+        poses = _calc_poses(seen)
+        poses[:, 2] = np.unwrap(poses[:, 2])
+        return TruthMotion(times, poses, _calc_tilts(seen), seen[:, 2] - self._rest_height)
+
+
+def _calc_poses(positions: Array) -> Array:
+    """(K, 3) q of B in W from (K, 7) positions and quaternions, m and rad."""
+    w, x, y, z = positions[:, 3:].T
+    return np.column_stack([positions[:, :2], np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))])
+
+
+def _calc_tilts(positions: Array) -> Array:
+    """(K,) angles of B's z axis from the vertical, rad, likewise."""
+    _, x, y, _ = positions[:, 3:].T
+    return np.asarray(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)))
 
 
 FAR = (0.0, 50.0)

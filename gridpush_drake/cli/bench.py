@@ -208,15 +208,22 @@ def pregrasp(
     seeds: Annotated[int | None, typer.Option(min=1, help="Tables, starts and noises a set.")] = None,
     depth: Annotated[float, typer.Option(help="Depth of the gripper's fingers, which must hang over, m.")] = 0.03,
     experiment: Annotated[
-        Literal["all", "sliding", "exploring"], typer.Option(help="Which of the two to measure.")
+        Literal["all", "sliding", "exploring", "materials"],
+        typer.Option(help="What to measure: all stands for the first two; materials are objects of rubber and steel."),
     ] = "all",
-    world: Annotated[
-        Literal["lcp", "mujoco"], typer.Option(help="What moves the objects: the model's own simulator, or MuJoCo.")
-    ] = "lcp",
-    support: Annotated[
-        Literal["foundation", "three_feet", "vertices", "half_height"],
-        typer.Option(help="How objects stand in MuJoCo."),
-    ] = "foundation",
+    truths: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--truth",
+            metavar="TRUTH",
+            help="What moves the objects, on rectangular tables: lcp, the model's own simulator, or MuJoCo bodies that "
+            "stand as own_weight, half_height, foundation, vertices or three_feet; may be repeated.",
+            show_default="the model's own simulator, on any table",
+        ),
+    ] = None,
+    max_arm: Annotated[
+        float, typer.Option(help="How far from its believed center of mass an object may be taken, m.")
+    ] = 0.06,
     friction: Annotated[
         tuple[float, float],
         typer.Option(
@@ -230,7 +237,7 @@ def pregrasp(
 
     return run(
         objects, mass_sets or MASS_SETS, seeds or SEEDS, depth=depth, experiment=experiment, data=data,
-        friction=friction, support=support if world == "mujoco" else None, **common,
+        friction=friction, truths=truths, max_arm=max_arm, **common,
     )  # fmt: skip
 
 

@@ -115,7 +115,8 @@ def test_runs_with_the_true_parameters():
         ({"methods": []}, "methods: none"),
         ({"mass_sets": 0}, "mass sets: 0"),
         ({"seeds": -1}, "seeds: -1"),
-        ({"support": "jelly"}, "support: jelly"),
+        ({"truths": ["jelly"]}, "truths: jelly"),
+        ({"max_arm": 0.0}, "max arm: 0"),
         ({"friction": (0.4, 0.3)}, "friction: 0.4 to 0.3"),
     ],
 )
