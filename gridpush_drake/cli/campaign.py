@@ -62,7 +62,7 @@ def campaign(
     chosen = _find_objects(scenario, objects)
     numbers = parse_seeds("--seeds", seeds, MAX_EPISODES // len(chosen))
     for name in chosen:
-        check_scenario(scenario.model_copy(update={"object": name}))
+        check_scenario(scenario.model_copy(update={"object": name}), scenario_file)
 
     def begin() -> "Results":
         make_folder(out)

@@ -113,7 +113,7 @@ def demo(
         scenario.seed = seed
     if robot is not None:
         scenario.directives = make_robot_directives(robot, grasping=task is TaskName.pregrasp)
-    check_scenario(scenario)
+    check_scenario(scenario, scenario_file)
     make_folder(out)
     options.check_outputs(force, *(out / name for name in chosen.files))
     meshcat = StartMeshcatServer(port)

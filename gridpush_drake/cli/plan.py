@@ -1,5 +1,6 @@
 """`gridpush plan`: pushes that bring an object to a goal pose."""
 
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -58,6 +59,8 @@ def plan(
     aim, pose = (
         options.parse_numbers(name, text, "x,y,theta") for name, text in (("--goal", goal), ("--start", start))
     )
+    if not isfinite(overhang):
+        raise options.OptionError(f"--overhang: is {overhang}; expected a finite number (m)")
     surface = None if table is None else options.parse_shape("--table", table)
     obstacles = [options.parse_shape("--obstacle", text).polygon for text in obstacle or ()]
     target = options.load_target(model, largest_piece)
@@ -73,7 +76,8 @@ def plan(
     found = plan_pushes(target.obj, target.params, pose, aim, rules)
     for option, ends in (("--goal", (GOAL_OFF_TABLE, GOAL_BLOCKED)), ("--start", (START_OFF_TABLE, START_BLOCKED))):
         if found.status in ends:
-            raise options.OptionError(f"{option}: {found.status}: {found.reason}")
+            form = "expected x,y,theta (m, rad) on the table, clear of what is in the way"
+            raise options.OptionError(f"{option}: {found.status}: {found.reason.rstrip('.')}; {form}")
     if out is not None:
         write_plan(out, found, target.obj.name, finger, force)
     if picture is not None:

@@ -17,7 +17,7 @@ from shapely import LineString, Point
 
 from gridpush_drake.dynamics import GRAVITY
 from gridpush_drake.errors import PushLogError, PushLogWarning
-from gridpush_drake.geometry.se2 import transform_back
+from gridpush_drake.geometry.se2 import transform, transform_back
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
@@ -155,6 +155,43 @@ def _find_fast_pushers(obj: GridObject, log: PushLog) -> Iterator[str]:
             )
 
 
+def _find_begun_off_table(obj: GridObject, log: PushLog) -> Iterator[str]:
+    for seen, rows in _find_off_table(obj, log):
+        if 0 in rows:
+            yield _describe_off_table(obj, seen, 0)
+
+
+def _find_gone_off_table(obj: GridObject, log: PushLog) -> Iterator[str]:
+    for seen, rows in _find_off_table(obj, log):
+        yield _describe_off_table(obj, seen, int(rows[0])) + ": did it fall, or a lost track?"
+
+
+def _find_off_table(obj: GridObject, log: PushLog) -> Iterator[tuple[ObservedPush, NDArray[np.intp]]]:
+    """The pushes with poses at which no cell's center is on the log's table, and which poses, the first being 0."""
+    if log.table is None:
+        return
+    table = shapely.Polygon(log.table)
+    shapely.prepare(table)
+    middle = obj.p_BC[np.argmin((obj.p_BC**2).sum(axis=1))]
+    for seen in log:
+        poses = np.vstack([seen.pose, seen.poses_observed])
+        x, y = transform(poses, middle[None])[:, 0].T
+        doubtful = np.flatnonzero(~shapely.contains_xy(table, x, y))
+        cells = obj.cells_at(poses[doubtful])
+        rows = doubtful[~shapely.contains_xy(table, cells[..., 0], cells[..., 1]).any(axis=1)]
+        if len(rows):
+            yield seen, rows
+
+
+def _describe_off_table(obj: GridObject, seen: ObservedPush, row: int) -> str:
+    t, pose = (seen.t_observed[row - 1], seen.poses_observed[row - 1]) if row else (0.0, seen.pose)
+    at = ", ".join(f"{value:.3g}" for value in pose)
+    return (
+        f"push {seen.name!r}, column table: at t = {t:.3g} s the object, at ({at}), has no cell of {obj.name} with its "
+        "center on the table; expected an object on it, and both in one frame"
+    )
+
+
 def _find_jumps(obj: GridObject, log: PushLog) -> Iterator[str]:
     for seen in log:
         centroids = np.vstack([obj.cells_at(seen.pose).mean(axis=0), obj.cells_at(seen.poses_observed).mean(axis=1)])
@@ -200,8 +237,10 @@ def _find_large_angles(obj: GridObject, log: PushLog) -> Iterator[str]:
 KINDS = (
     (_find_units, True, True),
     (_find_fast_pushers, True, True),
+    (_find_begun_off_table, True, True),
     (_find_jumps, True, False),
     (_find_turns, True, False),
+    (_find_gone_off_table, True, False),
     (_find_large_objects, False, True),
     (_find_large_angles, False, True),
 )

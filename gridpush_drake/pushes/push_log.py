@@ -393,7 +393,7 @@ def _table(path: Path, line: int, cell: str) -> NDArray[np.float64] | None:
     except shapely.GEOSException:
         polygon = None
     if not isinstance(polygon, shapely.Polygon) or polygon.interiors or not polygon.is_valid or polygon.area <= 0:
-        form = "expected POLYGON ((x y, x y, ...)) in m that does not cross itself"
+        form = "expected POLYGON ((x y, x y, ..., x y)) in m that ends where it begins and does not cross itself"
         fail(path, line, TABLE, f"is {cell[:MAX_SHOWN]!r}; {form}")
     return np.asarray(orient(polygon).exterior.coords)[:-1, :2]
 

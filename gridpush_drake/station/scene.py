@@ -101,14 +101,21 @@ TURNS = 36
 """Headings that are tried where the object does not lie on the table, to say whether it could."""
 
 
-def check_scenario(scenario: PushScenario) -> Robot:
+def check_scenario(scenario: PushScenario, source: Path | None = None) -> Robot:
     """Checks that a scenario can be built and makes sense; returns its robot.
 
     Raises:
         ScenarioError: a value will not do; the object is unknown, larger than the table, or does not lie on it; the
             finger cannot clear the object; the workspace or the object is out of the arm's reach; a directive cannot be
-            carried out. The message names the field and the expected form.
+            carried out. The message names the file, `source`, where there is one, the field and the expected form.
     """
+    try:
+        return _check_scenario(scenario)
+    except ScenarioError as error:
+        raise ScenarioError(f"{source}: {error}" if source else str(error)) from error
+
+
+def _check_scenario(scenario: PushScenario) -> Robot:
     scenario.check()
     obj = load_object(scenario)
     _check_truth(scenario, obj)

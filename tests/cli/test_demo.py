@@ -134,13 +134,15 @@ def test_refuses_an_unknown_object(refuses, tmp_path):
         ("version: 0\n", ["version", "older"]),
         ("objekt: claw_hammer\n", ["objekt", "object"]),
         ("object_pose: [2.0, 0.0, 0.0]\n", ["object_pose", "table"]),
+        ("finger: {push_height: 0}\n", ["finger.push_height is 0", "expected a positive number, in m"]),
+        ("finger: {push_height: 0.05}\n", ["finger.push_height is 0.05 m", "at most the object's height"]),
         ("workspace: {x: [2.0, 3.0]}\n", ["workspace", "reach"]),
     ],
 )
 def test_refuses_a_scenario_that_makes_no_sense(refuses, tmp_path, text, says):
     path = tmp_path / "bad.yaml"
     path.write_text(text)
-    refuses("demo", "--task", "identify", "--scenario", path, "--out", tmp_path / "demo", says=says)
+    refuses("demo", "--task", "identify", "--scenario", path, "--out", tmp_path / "demo", says=[path, *says])
 
 
 @pytest.mark.parametrize(

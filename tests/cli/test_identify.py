@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import get_args
 
 import pytest
+import yaml
 
 from gridpush_drake.cli import identify as command
 from gridpush_drake.identification import learning as search
@@ -122,6 +123,37 @@ def test_refuses_a_log_of_nothing_but_pushes_over_the_edge(refuses, block, pushe
     for name in ("identify", "predict"):
         says = [tmp_path / "over.csv", "overhang", "expected"]
         refuses(name, block, tmp_path / "over.csv", "--out", tmp_path / "out", says=says)
+
+
+@pytest.mark.parametrize("command", ["identify", "predict"])
+def test_refuses_a_table_that_the_object_is_not_on(command, refuses, block, pushes, tmp_path):
+    log = tmp_path / "far.csv"
+    header, first, *rest = pushes.read_text().splitlines()
+    for table, says in (
+        (
+            "POLYGON ((1 1, 2 1, 2 2, 1 2, 1 1))",
+            ["push_1", "column table", "no cell of block", "expected an object on"],
+        ),
+        ("POLYGON ((-1 -1, 1 -1, 1 1, -1 1))", ["line 2", "column table", "ends where it begins"]),
+    ):
+        log.write_text("\n".join([f"{header},table", f'{first},"{table}"', *(f"{row}," for row in rest)]))
+        refuses(command, block, log, "--out", tmp_path / "out", says=[log, *says])
+
+
+@pytest.mark.parametrize(("height", "says"), [("0", "positive number, in meters"), ("9", "expected less than")])
+def test_refuses_a_pusher_of_no_height_or_too_high(height, says, gridpush, refuses, block, pushes, tmp_path):
+    high = tmp_path / "high.yaml"
+    document = yaml.safe_load(block.read_text())
+    high.write_text(yaml.safe_dump(document | {"pusher": {"radius": 0.005, "height": float(height)}}))
+    says = [high, f"pusher.height is {height}", says]
+    for arguments in (
+        ("identify", high, pushes, "--out", tmp_path / "out"),
+        ("predict", high, pushes, "--out", tmp_path / "out"),
+        ("plan", high, "--goal", "0.1,0,0"),
+        ("slide", high, "--table", "round:0.4"),
+        ("simulate", high, "--start=-0.1,0", "--velocity", "0.02,0", "--duration", "1"),
+    ):
+        refuses(*arguments, says=says)
 
 
 def test_refuses_what_cannot_be_true(refuses, block, tmp_path):

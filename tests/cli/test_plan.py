@@ -63,6 +63,9 @@ def test_says_that_there_is_no_path(gridpush, block, tmp_path):
     [
         (("--goal", "0.1,0.1"), ["--goal", "x,y,theta"]),
         (("--goal", "2,0,0", *TABLE), ["--goal", "goal_off_table"]),
+        (("--goal", "2,0,0", *TABLE, "--overhang", "5"), ["--goal", "goal_off_table", "expected x,y,theta (m, rad)"]),
+        ((*GOAL, *TABLE, "--overhang", "nan"), ["--overhang", "expected a finite number (m)"]),
+        ((*GOAL, "--table", "rectangle:0.8x0.001"), ["--goal", "goal_off_table", "on the table"]),
         (("--goal", "0.3,0,0", "--obstacle", "round:0.05@0.3,0"), ["--goal", "goal_blocked"]),
         ((*GOAL, *TABLE, "--start", "3,0,0"), ["--start", "start_off_table"]),
         ((*GOAL, "--start=a,b,c"), ["--start", "x,y,theta"]),

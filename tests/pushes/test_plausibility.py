@@ -124,6 +124,38 @@ def test_a_pose_that_no_push_leads_to_is_refused_to_learn_from():
             identify(obj, wrong)
 
 
+@pytest.mark.parametrize(
+    "table",
+    [
+        [[1, 1], [2, 1], [2, 2], [1, 2]],
+        [[-1, -1], [1, -1], [1, -0.999], [-1, -0.999]],
+        [[-1, -1e-4], [1, -1e-4], [1, 1e-4], [-1, 1e-4]],  # its edges cross the object, between the cells' centers
+    ],
+)
+def test_a_table_that_the_object_is_not_on_is_refused(table):
+    obj = make_block()
+    log = replace(misread(simulated(obj, 2)), table=np.array(table, dtype=float))
+    with pytest.raises(PushLogError, match=r"^log\.csv: push 'push_1', column table: at t = 0 s the object, at \(.*"):
+        predict(obj, CellParameters.uniform(obj), log)
+    with pytest.raises(PushLogError, match=r"has no cell of block with its center on the table; expected an object on"):
+        identify(obj, log)
+
+
+def test_an_object_that_leaves_the_table_is_refused_to_learn_from():
+    obj = make_block()
+    left, low = obj.outline.bounds[:2]
+    push = Push((left - 0.005, low / 2), (0.03, 0.0), 2.0, 0.005)
+    seen = ObservedPush("over", push, np.zeros(3), [1.0, 2.0], [[0.03, 0.0, 0.0], [0.06, 0.0, 0.0]])
+    strip = np.array([[-1.0, -1.0], [left + 0.05, -1.0], [left + 0.05, 1.0], [-1.0, 1.0]])
+    log = PushLog((seen,), "log.csv", table=strip)
+    says = r"^log\.csv: push 'over', column table: at t = 2 s the object, .* did it fall, or a lost track\?$"
+    with pytest.raises(PushLogError, match=says):
+        identify(obj, log)
+    with pytest.warns(PushLogWarning, match=says):
+        predict(obj, CellParameters.uniform(obj), log)
+    assert find_implausible(obj, replace(log, table=strip + [[0, 0], [0.02, 0], [0.02, 0], [0, 0]])) == []
+
+
 def test_fast_pushers_are_refused():
     obj = make_block()
     log = simulated(obj, 2)

@@ -22,6 +22,7 @@ from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.goal.next_push import GoalRules, choose_push
 from gridpush_drake.planning.push_constraints import PushConstraints
+from gridpush_drake.planning.support_surface import find_supported
 
 REACHED = "reached"
 GOAL_OFF_TABLE, START_OFF_TABLE = "goal_off_table", "start_off_table"
@@ -141,7 +142,7 @@ def check_ends(obj: GridObject, start: Array, goal: Array, constraints: PushCons
     if checker.overlaps_obstacle(start):
         return START_BLOCKED
     table, blocked = constraints.allow_pose(obj, goal)
-    if not table:
+    if not table or (constraints.surface and not find_supported(obj, goal, constraints.surface).any()):
         return GOAL_OFF_TABLE
     if blocked:
         return GOAL_BLOCKED
