@@ -293,12 +293,18 @@ def truth(
 
 
 @_add
-def drake(**common: Any) -> "list[Table]":
+def drake(
+    camera: Annotated[
+        Literal["ideal", "rgbd"],
+        typer.Option(help="rgbd: only the station, which learns from a color and depth camera, and from ideal poses."),
+    ] = "ideal",
+    **common: Any,
+) -> "list[Table]":
     """Set Drake's plant beside the grid LCP, time the LCP system, and let the whole station learn."""
     from gridpush_drake.bench.drake import run
 
     options.compile_kernels()
-    return run(**common)
+    return run(camera=camera, **common)
 
 
 @_add
