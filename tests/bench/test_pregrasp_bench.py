@@ -95,6 +95,14 @@ def test_truths_are_measured_beside_each_other():
     assert len(truths.split(80)) == len(by_object.rows) == 1
 
 
+@pytest.mark.slow
+def test_materials_are_measured_by_what_is_told(monkeypatch):
+    monkeypatch.setattr(pregrasp, "TOLD", {"0.2 to 0.8": (0.2, 0.8)})
+    table, _ = pregrasp.run(["toolbox"], 1, 1, experiment=pregrasp.MATERIALS, execution=Execution(workers=0))
+    assert table.rows[0][:2] == ["0.2 to 0.8", 1]
+    assert table.rows[0][3] == "0 (0-79)"
+
+
 def test_one_part_is_of_rubber():
     obj = load_bench_object("toolbox", pregrasp.TOLD["0.3 to 0.4"])
     drawn = [pregrasp.draw_materials(obj, i) for i in range(6)]
