@@ -87,8 +87,8 @@ class ObjectDetector(AbstractStateSystem[DetectorState]):
 
     * color_image: abstract `ImageRgba8U`; depth_image: abstract `ImageDepth32F`, m, registered to it, 0 where it was
       not measured; need not be connected where the camera's pose is known and the object's height given.
-    * label_image: abstract `ImageLabel16I`, rendered from where the camera is: what of the robot hides the table. It
-      need not be connected.
+    * label_image: abstract `ImageLabel16I`, rendered from where the camera is: what of the robot, or
+      else, hides the table. It need not be connected.
     * trigger: vector of 1, a number. Where it becomes another one, what was found is forgotten, and looked for anew. It
       need not be connected: 0.
     * object: abstract `GridObject`, in its body frame B; None while none is found.

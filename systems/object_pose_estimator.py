@@ -94,8 +94,8 @@ class ObjectPoseEstimator(LeafSystem):
         - message
 
     * color_image: abstract `ImageRgba8U`; depth_image: abstract `ImageDepth32F`, m, registered to it.
-    * label_image: abstract `ImageLabel16I`, rendered from where the camera is: what of the robot hides the table. It
-      need not be connected, nor need depth.
+    * label_image: abstract `ImageLabel16I`, rendered from where the camera is: what of the robot, or
+      else, hides the table. It need not be connected, nor need depth.
     * object_pose: vector of 3, (x, y, theta) of B in W, m and rad, theta without jumps; NaN where it was not seen.
     * covariance: vector of 9, of the pose, row-major, m², m rad and rad²; NaN where it was not seen.
     * seen: vector of 1, 1 where the object was seen in the picture that the pose is of, 0 where not.
@@ -183,7 +183,7 @@ class ObjectPoseEstimator(LeafSystem):
         self, state: EstimatorState, frame: Frame, hidden: NDArray[np.bool_] | None
     ) -> tuple[EstimatorState, TrackedPose]:
         try:
-            tracker = state.tracker or self._tracker.start(frame, self._guess)
+            tracker = state.tracker or self._tracker.start(frame, self._guess, hidden)
             tracker, pose = self._tracker.track(tracker, frame, hidden)
         except PerceptionError as error:
             return replace(state, message=str(error)), UNSEEN

@@ -239,12 +239,13 @@ class PoseTracker:
         turn = self.options.max_turn
         self._prior = np.diag([self.options.max_step**-2, self.options.max_step**-2, turn**-2])
 
-    def start(self, frame: Frame, guess: ArrayLike | None = None) -> TrackerState:
+    def start(self, frame: Frame, guess: ArrayLike | None = None, unseen: Mask | None = None) -> TrackerState:
         """Learns what the table looks like, and finds the object.
 
         Args:
             frame: the first; the object lies in it, seen whole.
             guess: (3,) its pose (x, y, theta), W, about, m and rad; None to search everywhere.
+            unseen: see `track`.
 
         Returns:
             The state before the first `track`, which may be of the same frame.
@@ -261,8 +262,7 @@ class PoseTracker:
             0.0 if plane is None else plane.deviation,
         )
         before = None if guess is None else np.array(guess, dtype=np.float64)
-        nowhere = np.zeros(color.shape[:2], dtype=bool)
-        fit = self._find(appearance, color, depth, nowhere, before)
+        fit = self._find(appearance, color, depth, self._find_covered(unseen), before)
         if fit is None:
             problem = "no object of this outline is in view; expected the one that the object's file describes"
             raise PerceptionError(problem, draw_contours(color, found.mask))
@@ -290,11 +290,7 @@ class PoseTracker:
         if depth is not None:
             self.camera.check_size(depth, "the depth image")
             depth = self.camera.undistort(depth)
-        covered = np.zeros(color.shape[:2], dtype=bool)
-        if unseen is not None:
-            self.camera.check_size(unseen, "the mask of what is covered")
-            covered = self.camera.undistort(unseen.astype(np.uint16)) > 0
-        fit = self._find(state.appearance, color, depth, covered, state.pose)
+        fit = self._find(state.appearance, color, depth, self._find_covered(unseen), state.pose)
         if fit is None:
             return replace(state, lost=True, t=frame.t), NOT_SEEN
         pose = fit.pose.copy()
@@ -304,6 +300,13 @@ class PoseTracker:
             return replace(state, pose=pose, t=frame.t), NOT_SEEN
         tracked = TrackedPose(pose, fit.covariance, True, fit.rms)
         return replace(state, pose=pose, lost=False, t=frame.t), tracked
+
+    def _find_covered(self, unseen: Mask | None) -> Mask:
+        """The undistorted mask of what something covers."""
+        if unseen is None:
+            return np.zeros((self.camera.height, self.camera.width), dtype=bool)
+        self.camera.check_size(unseen, "the mask of what is covered")
+        return self.camera.undistort(unseen.astype(np.uint16)) > 0
 
     def _find(
         self, appearance: Appearance, color: Color, depth: NDArray[np.float32] | None, covered: Mask,

@@ -6,12 +6,13 @@ Its body frame F is chosen then; the plant's object is given in it, so that pose
 """
 
 import ctypes
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydrake.common import MemoryFile
 from pydrake.common.yaml import yaml_dump_typed
 from pydrake.geometry import (
@@ -102,7 +103,7 @@ class RgbdCamera:
         sensor: Drake's.
         noise: what its pictures go through.
         camera: its measures and pose.
-        hidden_by: labels of the robot's bodies in its label image.
+        hidden_by: labels of the robot's bodies, and of other objects, in its label image.
     """
 
     sensor: System
@@ -289,6 +290,7 @@ class PhotographedScene:
         scene_graph: of the plant.
         arm: its model instance.
         part: the object in the plant.
+        others: further objects in the plant, by what they are and where, (x, y, theta), m and rad.
         q_start: of the arm, rad.
         table_top: W, m.
     """
@@ -297,6 +299,7 @@ class PhotographedScene:
     scene_graph: SceneGraph
     arm: ModelInstanceIndex
     part: GridObjectInPlant
+    others: Sequence[tuple[GridObjectInPlant, ArrayLike]]
     q_start: NDArray[np.float64]
     table_top: BaseGeometry
 
@@ -311,6 +314,7 @@ def _take_photograph(
     root = diagram.CreateDefaultContext()
     context = scene.plant.GetMyMutableContextFromRoot(root)
     scene.plant.SetPositions(context, scene.arm, scene.q_start)
-    SetGridObjectPose(scene.plant, context, scene.part, scenario.object_pose)
+    for part, pose in ((scene.part, scenario.object_pose), *scene.others):
+        SetGridObjectPose(scene.plant, context, part, pose)
     diagram.ExecuteInitializationEvents(root)
     return camera, detector, root

@@ -84,6 +84,34 @@ def test_a_body_in_mujoco_moves_alike_and_drops():
     assert body.pose is None
 
 
+@pytest.mark.slow
+def test_truths_are_measured_beside_each_other():
+    pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
+    truths, by_object = pregrasp.run(["toolbox"], 1, 1, truths=["three_feet", "lcp"], execution=Execution(workers=0))
+    assert [row[:2] for row in truths.rows] == [["three_feet", 1], ["lcp", 1]]
+    assert [row[2] for row in truths.rows] == ["100 (21-100)"] * 2
+    assert [row[3] for row in truths.rows] == ["0 (0-79)"] * 2
+    assert min(row[6] for row in truths.rows) > 2.0
+    assert len(truths.split(80)) == len(by_object.rows) == 1
+
+
+@pytest.mark.slow
+def test_materials_are_measured_by_what_is_told(monkeypatch):
+    monkeypatch.setattr(pregrasp, "TOLD", {"0.2 to 0.8": (0.2, 0.8)})
+    table, _ = pregrasp.run(["toolbox"], 1, 1, experiment=pregrasp.MATERIALS, execution=Execution(workers=0))
+    assert table.rows[0][:2] == ["0.2 to 0.8", 1]
+    assert table.rows[0][3] == "0 (0-79)"
+
+
+def test_one_part_is_of_rubber():
+    obj = load_bench_object("toolbox", pregrasp.TOLD["0.3 to 0.4"])
+    drawn = [pregrasp.draw_materials(obj, i) for i in range(6)]
+    for friction in drawn:
+        assert len(np.unique(obj.labels[friction == pregrasp.RUBBER])) == 1
+        assert set(friction) == {pregrasp.RUBBER, pregrasp.STEEL}
+    assert len({tuple(friction) for friction in drawn}) > 1
+
+
 def test_noise_is_as_large_as_it_says():
     rng = np.random.default_rng(0)
     noise = np.array([add_pose_noise(np.zeros(3), rng) for _ in range(2000)])
