@@ -7,6 +7,7 @@ Experiments in the quasi-static LCP world with a table's edge (`bench.pregrasp_w
     exploring   pokes chosen by design, or at random, until the center of mass's standard deviation is small
     materials   the method with objects that are partly of rubber and partly of steel, told bounds of the friction that
                 hold, or do not
+    bounds      what such bounds allow at best (`bench.pregrasp_bounds`)
 
 and sliding, by the method, under truths that do not obey the model: bodies in MuJoCo, and the LCP world beside them.
 
@@ -23,6 +24,18 @@ from pathlib import Path
 import numpy as np
 
 from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
+from gridpush_drake.bench.pregrasp_bounds import (
+    DRAWN,
+    KNOWN,
+    RUBBER,
+    STEEL,
+    TOLD,
+    BoundsScore,
+    describe_share,
+    draw_materials,
+    judge_bounds,
+    tabulate_bounds,
+)
 from gridpush_drake.bench.pregrasp_world import (
     PUSH_HEIGHTS,
     EdgeWorld,
@@ -39,7 +52,7 @@ from gridpush_drake.bench.protocol import (
     find_masks,
     know_friction,
 )
-from gridpush_drake.bench.table import MM, PERCENT, Column, Share, Table, calc_mean, count_of, mean_of
+from gridpush_drake.bench.table import MM, PERCENT, Column, Table, calc_mean, count_of, mean_of
 from gridpush_drake.bench.truth_sets import KINDS
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
@@ -144,17 +157,12 @@ def tabulate_slides(scores: Sequence[SlideScore], methods: Sequence[str]) -> Tab
 
 SHARE_COLUMNS: dict[str, Column] = {
     "runs": len,
-    "reached, %": lambda outcomes: _describe_share(outcomes, "grasped"),
-    "dropped, %": lambda outcomes: _describe_share(outcomes, "dropped"),
+    "reached, %": lambda outcomes: describe_share(sum(each.grasped for each in outcomes), len(outcomes)),
+    "dropped, %": lambda outcomes: describe_share(sum(each.dropped for each in outcomes), len(outcomes)),
     "pokes": mean_of("pokes"),
     "slides": mean_of("slides"),
     "mm to spare": lambda outcomes: MM * calc_mean(each.margin for each in outcomes if each.grasped),
 }
-
-
-def _describe_share(outcomes: Sequence[Outcome], field: str) -> str:
-    share = Share.of(sum(getattr(each, field) for each in outcomes), len(outcomes))
-    return f"{PERCENT * share.count / share.total:.0f} ({PERCENT * share.low:.0f}-{PERCENT * share.high:.0f})"
 
 
 def tabulate_shares(scores: Sequence[SlideScore], by: str, keys: Sequence[str], notes: Sequence[str]) -> Table:
@@ -255,14 +263,8 @@ identification without a bound on the friction."""
 EXPLORING = {f"exploring, {aim}, {1e3 * distance:.0f} mm": (aim, distance) for distance in DISTANCES for aim in AIMS}
 """What is wanted of the center of mass, and the pokes' length (m), of each comparison of pokes."""
 
-RUBBER, STEEL = 0.8, 0.2
-"""Frictions of an object's parts where they are of different materials."""
-
-TOLD = {f"{low:g} to {high:g}": (low, high) for low, high in ((STEEL, RUBBER), (0.2, 0.6), (0.25, 0.5), (0.3, 0.4))}
-"""Bounds of the friction that the method is told of such objects; the first ones hold."""
-
-SLIDING_ONLY, EXPLORING_ONLY, MATERIALS, ALL = "sliding", "exploring", "materials", "all"
-EXPERIMENTS = (ALL, SLIDING_ONLY, EXPLORING_ONLY, MATERIALS)
+SLIDING_ONLY, EXPLORING_ONLY, MATERIALS, BOUNDS, ALL = "sliding", "exploring", "materials", "bounds", "all"
+EXPERIMENTS = (ALL, SLIDING_ONLY, EXPLORING_ONLY, MATERIALS, BOUNDS)
 
 LCP = "lcp"
 TRUTHS = (LCP, *KINDS)
@@ -304,7 +306,7 @@ PAPER_PUSHES = 4
 
 @dataclass(frozen=True)
 class Job:
-    """One object with one mass set and seed, by one of METHODS, EXPLORING or TOLD.
+    """One object with one mass set and seed, by one of METHODS, EXPLORING or TOLD, or to judge bounds.
 
     Attributes:
         depth: of the gripper's fingers, m.
@@ -348,8 +350,8 @@ def run(
     starts under each. What is known of the friction is its range, but for the method WIDE and the materials.
 
     Returns:
-        Slides by method, truth, or bounds told; slides of the first of those by object; and pokes by design and at
-        random, by their length and by object. Pokes are compared with the first seed only.
+        What bounds allow; or slides by method, truth, or bounds told, slides of the first of those by object, and pokes
+        by design and at random, by their length and by object. Pokes are compared with the first seed only.
 
     Raises:
         GridPushError: the data are not there, a name is not known, or a count is not positive.
@@ -373,7 +375,7 @@ def run(
     if quick:
         mass_sets, seeds = min(mass_sets, QUICK_MASS_SETS), min(seeds, QUICK_SEEDS)
     sliding, exploring = experiment != EXPLORING_ONLY, experiment in (ALL, EXPLORING_ONLY)
-    methods = tuple(TOLD) if experiment == MATERIALS else methods
+    methods = {MATERIALS: tuple(TOLD), BOUNDS: (DRAWN, *KNOWN)}.get(experiment, methods)
     jobs = [
         Job(name, mass_set, seed + i, method, depth, mask if name == MASK_OBJECT else None, friction, truth, max_arm)
         for mass_set in range(mass_sets)
@@ -385,6 +387,8 @@ def run(
     done = run_jobs(
         run_job, jobs, lambda job: f"{job.name}, mass set {job.mass_set}, {job.truth or job.method}", execution
     )
+    if experiment == BOUNDS:
+        return [tabulate_bounds([score for score in done if isinstance(score, BoundsScore)], friction)]
     slides = [score for score in done if isinstance(score, SlideScore)]
     pokes = [score for score in done if isinstance(score, ExplorationScore)]
     tables = []
@@ -401,13 +405,16 @@ def run(
     return tables
 
 
-def run_job(job: Job) -> SlideScore | ExplorationScore:
+def run_job(job: Job) -> SlideScore | ExplorationScore | BoundsScore:
     """Runs one job."""
-    friction_range = {WIDE: WIDE_FRICTION_RANGE, **TOLD}.get(job.method, job.friction)
+    friction_range = {WIDE: WIDE_FRICTION_RANGE, **TOLD, **KNOWN}.get(job.method, job.friction)
     obj, parts = _load(job.name, job.depth, friction_range, job.mask)
     truth = make_truth(obj, job.mass_set)
-    if job.method in TOLD:
+    max_arm = max(job.max_arm, MAX_ARMS.get(job.name, 0.0))
+    if job.method in (*TOLD, *KNOWN):
         truth = replace(truth, friction=draw_materials(obj, job.mass_set))
+    if job.method in (DRAWN, *KNOWN):
+        return judge_bounds(obj, truth, parts, make_table(0), max_arm, job.method)
     if job.method in EXPLORING:
         return explore(obj, truth, job.name, job.mass_set, job.seed, *EXPLORING[job.method])
     rng = np.random.default_rng([job.seed, job.mass_set])
@@ -421,7 +428,7 @@ def run_job(job: Job) -> SlideScore | ExplorationScore:
         world = MujocoWorld(obj, truth, RECTANGLE, start, rng, job.truth)
     known = PreGraspOptions().min_pokes
     min_pokes = {TRUE: 0, UNIFORM: 0, UNBOUNDED: PAPER_PUSHES}.get(job.method, known)
-    options = PreGraspOptions(min_pokes=min_pokes, max_arm=max(job.max_arm, MAX_ARMS.get(job.name, 0.0)))
+    options = PreGraspOptions(min_pokes=min_pokes, max_arm=max_arm)
     planner = PreGraspPlanner(world.obj, world.surface, options, parts)
     return SlideScore(job.name, job.truth or job.method, _run(world, planner, job.method))
 
@@ -443,12 +450,6 @@ def make_truth(obj: GridObject, mass_set: int) -> CellParameters:
     truth = CellParameters.random(obj, mass_set, MASS_RANGE, friction_range)
     rng = np.random.default_rng([mass_set, 1])
     return replace(truth, contact_friction=float(rng.uniform(*CONTACT_FRICTION_RANGE)))
-
-
-def draw_materials(obj: GridObject, mass_set: int) -> Array:
-    """(n,) frictions of an object one part of which is of rubber, and the others of steel."""
-    rng = np.random.default_rng([mass_set, 2])
-    return np.where(obj.labels == rng.choice(np.unique(obj.labels)), RUBBER, STEEL)
 
 
 @lru_cache(maxsize=32)

@@ -208,8 +208,11 @@ def pregrasp(
     seeds: Annotated[int | None, typer.Option(min=1, help="Tables, starts and noises a set.")] = None,
     depth: Annotated[float, typer.Option(help="Depth of the gripper's fingers, which must hang over, m.")] = 0.03,
     experiment: Annotated[
-        Literal["all", "sliding", "exploring", "materials"],
-        typer.Option(help="What to measure: all stands for the first two; materials are objects of rubber and steel."),
+        Literal["all", "sliding", "exploring", "materials", "bounds"],
+        typer.Option(
+            help="What to measure: all stands for sliding and exploring; materials are objects of rubber and steel; "
+            "bounds of the friction are judged by what they allow at best."
+        ),
     ] = "all",
     truths: Annotated[
         list[str] | None,

@@ -104,12 +104,24 @@ def test_materials_are_measured_by_what_is_told(monkeypatch):
 
 
 def test_one_part_is_of_rubber():
-    obj = load_bench_object("toolbox", pregrasp.TOLD["0.3 to 0.4"])
+    obj = load_bench_object("toolbox", (0.3, 0.4))
     drawn = [pregrasp.draw_materials(obj, i) for i in range(6)]
     for friction in drawn:
         assert len(np.unique(obj.labels[friction == pregrasp.RUBBER])) == 1
         assert set(friction) == {pregrasp.RUBBER, pregrasp.STEEL}
     assert len({tuple(friction) for friction in drawn}) > 1
+
+
+def test_bounds_that_hold_contain_the_center_and_tip_nothing():
+    table = pregrasp.run(
+        ["pliers"], 2, 1, experiment=pregrasp.BOUNDS, friction=(0.3, 0.4), execution=Execution(workers=0)
+    )[0]
+    rows = {row[0]: row[1:] for row in table.rows}
+    assert rows["0.3 to 0.4, drawn"] == [2, "100 (34-100)", "0 (0-66)", 0, 0.0]
+    assert rows["0.2 to 0.8, rubber"][2:] == ["0 (0-66)", 0, 0.0]
+    assert rows["0.3 to 0.4, rubber"][3] == 2
+    assert rows["0.3 to 0.4, rubber"][4] > rows["0.25 to 0.5, rubber"][4] > rows["0.2 to 0.6, rubber"][4] > 1.0
+    assert len(table.split(80)) == 1
 
 
 def test_noise_is_as_large_as_it_says():
