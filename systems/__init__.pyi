@@ -16,6 +16,9 @@ from .messages import PushPhase as PushPhase
 from .messages import PushStatus as PushStatus
 from .object_controller import AbstractStateSystem as AbstractStateSystem
 from .object_controller import ObjectController as ObjectController
+from .object_detector import DetectorState as DetectorState
+from .object_detector import ObjectDetector as ObjectDetector
+from .object_detector import ObjectNaming as ObjectNaming
 from .object_pose_estimator import ObjectPoseEstimator as ObjectPoseEstimator
 from .planar_manipuland_status import PlanarManipulandStatusReceiver as PlanarManipulandStatusReceiver
 from .planar_manipuland_status import PlanarManipulandStatusSender as PlanarManipulandStatusSender

@@ -18,6 +18,7 @@ from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.cell_colors import CellColors, Shown
+from gridpush_drake.multibody.meshcat_server import KeepToItsThread
 from gridpush_drake.multibody.meshcat_shapes import (
     LAYER,
     AddArrow,
@@ -222,6 +223,7 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
             StationError: `shows` or `limits` is not what `CellColors` takes.
         """
         super().__init__(NOTHING, period)
+        KeepToItsThread(meshcat)
         self._obj = obj
         self._canvas = Canvas(obj, meshcat, path.rstrip("/"), height, lift, CellColors(shows, limits), period)
         self._radius = pusher_radius or obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS

@@ -44,6 +44,39 @@ class EstimatorState:
         return self
 
 
+class RgbdInputs:
+    """The input ports of a system that looks at a color and depth camera's pictures, and what is on them."""
+
+    def __init__(self, system: LeafSystem, width: int, height: int, hidden_by: Iterable[int]) -> None:
+        """Declares `color_image`, `depth_image` and `label_image`, of which the first must be connected.
+
+        Args:
+            system: that gets the ports.
+            width: of the images, pixels.
+            height: of the images, pixels.
+            hidden_by: labels in `label_image` of what may hide the object.
+        """
+        self._hidden = np.zeros(MAX_LABEL, dtype=bool)
+        self._hidden[list(hidden_by)] = True
+        self._color = system.DeclareAbstractInputPort("color_image", Value(ImageRgba8U(width, height)))
+        self._depth = system.DeclareAbstractInputPort("depth_image", Value(ImageDepth32F(width, height)))
+        self._labels = system.DeclareAbstractInputPort("label_image", Value(ImageLabel16I(width, height)))
+
+    def take_frame(self, context: Context) -> Frame:
+        """What the camera sees, copied; without depth where that is not connected."""
+        color: NDArray[np.uint8] = self._color.Eval(context).data[..., :3]
+        depth: NDArray[np.float32] | None = None
+        if self._depth.HasValue(context):
+            depth = np.array(self._depth.Eval(context).data[..., 0])
+        return Frame(np.array(color, order="C"), depth, context.get_time())
+
+    def find_hidden(self, context: Context) -> NDArray[np.bool_] | None:
+        """The pixels (height, width) that show what may hide the object; None where nothing is known to."""
+        if not self._hidden.any() or not self._labels.HasValue(context):
+            return None
+        return self._hidden[self._labels.Eval(context).data[..., 0]]
+
+
 class ObjectPoseEstimator(LeafSystem):
     """Tracks an object through the pictures of a color and depth camera.
 
@@ -61,8 +94,8 @@ class ObjectPoseEstimator(LeafSystem):
         - message
 
     * color_image: abstract `ImageRgba8U`; depth_image: abstract `ImageDepth32F`, m, registered to it.
-    * label_image: abstract `ImageLabel16I`, rendered from where the camera is: what of the robot hides the table. It
-      need not be connected.
+    * label_image: abstract `ImageLabel16I`, rendered from where the camera is: what of the robot, or
+      else, hides the table. It need not be connected, nor need depth.
     * object_pose: vector of 3, (x, y, theta) of B in W, m and rad, theta without jumps; NaN where it was not seen.
     * covariance: vector of 9, of the pose, row-major, m², m rad and rad²; NaN where it was not seen.
     * seen: vector of 1, 1 where the object was seen in the picture that the pose is of, 0 where not.
@@ -99,12 +132,8 @@ class ObjectPoseEstimator(LeafSystem):
         super().__init__()
         self._tracker, self._latency = tracker, latency
         self._guess = None if guess is None else np.array(guess, dtype=np.float64)
-        self._hidden = np.zeros(MAX_LABEL, dtype=bool)
-        self._hidden[list(hidden_by)] = True
         self._covered = self.DeclareNumericParameter(BasicVector([0.0]))
-        self._color = self.DeclareAbstractInputPort("color_image", Value(ImageRgba8U(width, height)))
-        self._depth = self.DeclareAbstractInputPort("depth_image", Value(ImageDepth32F(width, height)))
-        self._labels = self.DeclareAbstractInputPort("label_image", Value(ImageLabel16I(width, height)))
+        self._inputs = RgbdInputs(self, width, height, hidden_by)
         self._state = self.DeclareAbstractState(AbstractValue.Make(EstimatorState()))
         self._declare_outputs()
         self.DeclareInitializationUnrestrictedUpdateEvent(self._look_first)
@@ -143,28 +172,18 @@ class ObjectPoseEstimator(LeafSystem):
         before, time = self._get_state(context), context.get_time()
         after, pose = before, UNSEEN
         if not context.get_numeric_parameter(self._covered).value()[0]:
-            after, pose = self._track(before, self._take_frame(context), self._find_hidden(context))
+            after, pose = self._track(before, self._inputs.take_frame(context), self._inputs.find_hidden(context))
         ready = time + self._latency
         due = max((at for at, _ in after.told if at <= time), default=-np.inf)
         told = tuple(item for item in after.told if item[0] >= due and item[0] < ready)
         after = replace(after, told=(*told, (ready, pose)))
         state.get_mutable_abstract_state(int(self._state)).set_value(after)
 
-    def _take_frame(self, context: Context) -> Frame:
-        color: NDArray[np.uint8] = self._color.Eval(context).data[..., :3]
-        depth: NDArray[np.float32] = self._depth.Eval(context).data[..., 0]
-        return Frame(np.ascontiguousarray(color), np.ascontiguousarray(depth), context.get_time())
-
-    def _find_hidden(self, context: Context) -> NDArray[np.bool_] | None:
-        if not self._hidden.any() or not self._labels.HasValue(context):
-            return None
-        return self._hidden[self._labels.Eval(context).data[..., 0]]
-
     def _track(
         self, state: EstimatorState, frame: Frame, hidden: NDArray[np.bool_] | None
     ) -> tuple[EstimatorState, TrackedPose]:
         try:
-            tracker = state.tracker or self._tracker.start(frame, self._guess)
+            tracker = state.tracker or self._tracker.start(frame, self._guess, hidden)
             tracker, pose = self._tracker.track(tracker, frame, hidden)
         except PerceptionError as error:
             return replace(state, message=str(error)), UNSEEN

@@ -90,10 +90,7 @@ class Worker:
         future = self._find(request)
         if not (future.done() if self.delay is None else time >= request.time + self.delay - ROUNDING):
             return None
-        try:
-            return Answer(future.result())
-        except (Exception, SystemExit) as error:
-            return Answer(error=f"{type(error).__name__}: {error}")
+        return answer_now(future.result)
 
     def close(self) -> None:
         """Ends the thread after what it is at; requests that wait are cancelled."""
@@ -117,6 +114,14 @@ class Worker:
                     future.set_exception(error)
                 self._futures[request] = future
             return future
+
+
+def answer_now(work: Callable[[], Any]) -> Answer:
+    """The answer of a function, which says so where it raised; never raises itself."""
+    try:
+        return Answer(work())
+    except (Exception, SystemExit) as error:
+        return Answer(error=f"{type(error).__name__}: {error}")
 
 
 def make_worker(answer_delay: float | None) -> Worker | None:

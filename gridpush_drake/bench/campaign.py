@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 from pydrake.common.yaml import yaml_dump_typed
 from pydrake.multibody.parsing import ModelDirectives
-from scipy.stats import binomtest
 
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
-from gridpush_drake.bench.table import MM, PERCENT, Table, Value, calc_mean
+from gridpush_drake.bench.table import CONFIDENCE, MM, PERCENT, Share, Table, Value, calc_mean
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.station.identify_task import IdentifyTask
@@ -53,9 +52,6 @@ TASKS = {
 
 REFUSED, BROKEN = "refused", "error"
 """Statuses, beside a task's, of episodes that could not be run: for a reason that the package gives, and otherwise."""
-
-CONFIDENCE = 0.95
-"""Of the intervals."""
 
 DROPPED, GAVE_UP = "dropped", "gave up"
 """What an episode came to that did not end as it should."""
@@ -157,33 +153,6 @@ def calc_center_error(record: TaskRecord, params: CellParameters) -> float:
     assert record.truth is not None  # a simulated object's is known
     found, truth = (each.center_of_mass(record.obj) for each in (params, record.truth))
     return float(np.linalg.norm(found - truth))
-
-
-@dataclass(frozen=True)
-class Share:
-    """How many of several episodes ended in one way.
-
-    Attributes:
-        count: of them.
-        total: of all.
-        low: the Wilson interval's lower end, at CONFIDENCE.
-        high: its upper end.
-    """
-
-    count: int
-    total: int
-    low: float
-    high: float
-
-    @classmethod
-    def of(cls, count: int, total: int) -> "Share":
-        """With its interval; `total` is 1 or more."""
-        interval = binomtest(count, total).proportion_ci(CONFIDENCE, method="wilson")
-        return cls(count, total, float(interval.low), float(interval.high))
-
-    def describe(self) -> str:
-        """The count, and the interval in percent."""
-        return f"{self.count} ({PERCENT * self.low:.1f} to {PERCENT * self.high:.1f} %)"
 
 
 @dataclass(frozen=True)

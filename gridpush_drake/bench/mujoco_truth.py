@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import GRAVITY
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.geometry.se2 import Array, transform
 from gridpush_drake.multibody.mjcf import (
     FOOT_RADIUS,
     IMPRATIO,
@@ -150,9 +150,14 @@ class TruthWorld:
             raise GridPushError("mujoco: is not installed; expected pip install 'gridpush-drake[bench]'") from error
 
         self.body, self.radius, self._mujoco = body, radius, mujoco
-        self._model = mujoco.MjModel.from_xml_string(_describe(body, radius, table))
-        self._data = mujoco.MjData(self._model)
-        _set_contacts(self._model, body)
+        self._table, self._steps, edges = table, 0, _find_edges(table)
+        self._rim = np.array(body.obj.outline.convex_hull.exterior.coords)[:-1]
+        scenes = ([], edges) if edges else ([],)  # away from the edges, to look for contacts with them takes most time
+        self._models = [mujoco.MjModel.from_xml_string(_describe(body, radius, table, each)) for each in scenes]
+        for model in self._models:
+            _set_contacts(model, body)
+        self._datas = [mujoco.MjData(model) for model in self._models]
+        self._model, self._data = self._models[0], self._datas[0]
         self._settle((table[0] + table[2]) / 2, (table[1] + table[3]) / 2)
 
     def _settle(self, x: float, y: float) -> None:
@@ -178,53 +183,85 @@ class TruthWorld:
         """Lets time pass while the pusher is far away."""
         self._data.qpos[7:9], self._data.qvel[6:9] = FAR, 0
         for _ in range(round(seconds / self.body.time_step)):
-            self._mujoco.mj_step(self._model, self._data)
+            self._step()
+
+    def _step(self) -> None:
+        """Takes a step in the scene with edges, or, where none is near, in the one without."""
+        if self._steps % LOOK_EVERY == 0:
+            rim = transform(self.read_pose(), self._rim)
+            left, low, right, high = self._table
+            near = min(*(rim - (left, low)).min(axis=0), *((right, high) - rim).min(axis=0)) < NEAR_EDGE
+            self._turn_to(len(self._models) - 1 if near else 0)
+        self._mujoco.mj_step(self._model, self._data)
+        self._steps += 1
+
+    def _turn_to(self, scene: int) -> None:
+        before, self._model, self._data = self._data, self._models[scene], self._datas[scene]
+        if self._data is not before:
+            for name in ("qpos", "qvel", "qacc_warmstart"):
+                getattr(self._data, name)[:] = getattr(before, name)
 
     def put(self, pose: ArrayLike) -> None:
         """Puts the body down at a pose (3,), m and rad, as it rests wholly on the table."""
         x, y, theta = np.asarray(pose, dtype=np.float64)
-        data, turned = self._data, np.zeros(4)
+        data, turned, self._steps = self._data, np.zeros(4), 0
         self._mujoco.mj_resetData(self._model, data)
         self._mujoco.mju_mulQuat(turned, np.array([np.cos(theta / 2), 0, 0, np.sin(theta / 2)]), self._rest_quaternion)
         data.qpos[:7] = x, y, self._rest_height, *turned
 
     def read_pose(self) -> Array:
         """(3,) q of B in W, m and rad."""
-        w, x, y, z = self._data.qpos[3:7]
-        return np.array([*self._data.qpos[:2], np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))])
+        return _calc_poses(self._data.qpos[None, :7])[0]
 
     def read_tilt(self) -> float:
         """Angle of B's z axis from the vertical, rad."""
-        _, x, y, _ = self._data.qpos[3:7]
-        return float(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)))
+        return float(_calc_tilts(self._data.qpos[None, :7])[0])
 
     def push(self, push: Push) -> TruthMotion:
         """Pushes the body, with a disc of this world's radius, from where it is, at rest; theta is continuous."""
-        model, data, step = self._model, self._data, self._mujoco.mj_step
         dt = self.body.time_step
         count = round(push.duration / dt)
         times = np.linspace(0.0, push.duration, count + 1)
         path = push.tip_at(times)
         speed = np.diff(path, axis=0) / dt
-        seen = np.empty((count + 1, 5))
-        data.qvel[:] = 0
+        seen = np.empty((count + 1, 7))
+        self._data.qvel[:] = 0
         for i in range(count + 1):
-            seen[i] = *self.read_pose(), self.read_tilt(), data.qpos[2] - self._rest_height
+            seen[i] = self._data.qpos[:7]
             if i < count:
-                data.qpos[7:9], data.qvel[6:8] = path[i], speed[i]
-                step(model, data)
-        seen[:, 2] = np.unwrap(seen[:, 2])
-        return TruthMotion(times, seen[:, :3], seen[:, 3], seen[:, 4])
+                self._data.qpos[7:9], self._data.qvel[6:8] = path[i], speed[i]
+                self._step()
+        poses = _calc_poses(seen)
+        poses[:, 2] = np.unwrap(poses[:, 2])
+        return TruthMotion(times, poses, _calc_tilts(seen), seen[:, 2] - self._rest_height)
 
+
+def _calc_poses(positions: Array) -> Array:
+    """(K, 3) q of B in W from (K, 7) positions and quaternions, m and rad."""
+    w, x, y, z = positions[:, 3:].T
+    return np.column_stack([positions[:, :2], np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))])
+
+
+def _calc_tilts(positions: Array) -> Array:
+    """(K,) angles of B's z axis from the vertical, rad, likewise."""
+    _, x, y, _ = positions[:, 3:].T
+    return np.asarray(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)))
+
+
+LOOK_EVERY, NEAR_EDGE = 50, 0.01
+"""Steps, and m of the outline inside an edge from where on contacts with the edges are looked for."""
 
 FAR = (0.0, 50.0)
 """m, where the pusher is while it does not push."""
 
 
-def _describe(body: TruthBody, radius: float, table: Bounds) -> str:
-    """The scene in MJCF; all contacts are between pairs that are named."""
+Edge = tuple[tuple[float, float], tuple[float, float]]
+"""Ends of a side of the table, m."""
+
+
+def _describe(body: TruthBody, radius: float, table: Bounds, edges: list[Edge]) -> str:
+    """The scene in MJCF, with some of the table's edges; all contacts are between pairs that are named."""
     left, low, right, high = table
-    edges = _find_edges(table)
     rims = "".join(
         f'<geom name="e{i}" type="capsule" size="{EDGE_RADIUS}" '
         f'fromto="{a[0]} {a[1]} {-EDGE_RADIUS} {b[0]} {b[1]} {-EDGE_RADIUS}"/>'
@@ -252,7 +289,7 @@ def _describe(body: TruthBody, radius: float, table: Bounds) -> str:
 </mujoco>"""
 
 
-def _find_edges(table: Bounds) -> list[tuple[tuple[float, float], tuple[float, float]]]:
+def _find_edges(table: Bounds) -> list[Edge]:
     """The ends of those of the table's sides that are within reach."""
     left, low, right, high = table
     corners = [(left, low), (right, low), (right, high), (left, high)]

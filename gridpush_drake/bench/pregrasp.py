@@ -1,10 +1,15 @@
 """`gridpush bench pregrasp`: slides to the table's edge with hidden masses, and what pokes are worth.
 
-Two experiments in the quasi-static LCP world with a table's edge (`bench.pregrasp_world`):
+Experiments in the quasi-static LCP world with a table's edge (`bench.pregrasp_world`):
 
     sliding     every object with hidden masses and frictions is explored, slid to the edge and grasped there, by the
                 method, by the paper's two ablations, and with the true parameters
     exploring   pokes chosen by design, or at random, until the center of mass's standard deviation is small
+    materials   the method with objects that are partly of rubber and partly of steel, told bounds of the friction that
+                hold, or do not
+    bounds      what such bounds allow at best (`bench.pregrasp_bounds`)
+
+and sliding, by the method, under truths that do not obey the model: bodies in MuJoCo, and the LCP world beside them.
 
 The center is wanted in both directions, or, as for a goal at the table's edge, across one line: here along the object's
 longest direction. Both ways choose from the same pokes, all of one length. A long poke tells more, whichever it is, and
@@ -19,7 +24,27 @@ from pathlib import Path
 import numpy as np
 
 from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
-from gridpush_drake.bench.pregrasp_world import EdgeWorld, MujocoWorld, Outcome, PaperLearner, run_pregrasp
+from gridpush_drake.bench.pregrasp_bounds import (
+    DRAWN,
+    KNOWN,
+    RUBBER,
+    STEEL,
+    TOLD,
+    BoundsScore,
+    describe_share,
+    draw_materials,
+    judge_bounds,
+    tabulate_bounds,
+)
+from gridpush_drake.bench.pregrasp_world import (
+    PUSH_HEIGHTS,
+    EdgeWorld,
+    MujocoWorld,
+    Outcome,
+    PaperLearner,
+    know_height,
+    run_pregrasp,
+)
 from gridpush_drake.bench.protocol import (
     MASS_RANGE,
     PLANNING_METERS_PER_PIXEL,
@@ -27,7 +52,7 @@ from gridpush_drake.bench.protocol import (
     find_masks,
     know_friction,
 )
-from gridpush_drake.bench.table import MM, PERCENT, Column, Table, count_of, mean_of
+from gridpush_drake.bench.table import MM, PERCENT, Column, Table, calc_mean, count_of, mean_of
 from gridpush_drake.bench.truth_sets import KINDS
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
@@ -130,6 +155,28 @@ def tabulate_slides(scores: Sequence[SlideScore], methods: Sequence[str]) -> Tab
     return Table.of("Pre-grasp sliding, hidden masses and frictions", ("method",), groups, SLIDE_COLUMNS, notes)
 
 
+SHARE_COLUMNS: dict[str, Column] = {
+    "runs": len,
+    "reached, %": lambda outcomes: describe_share(sum(each.grasped for each in outcomes), len(outcomes)),
+    "dropped, %": lambda outcomes: describe_share(sum(each.dropped for each in outcomes), len(outcomes)),
+    "pokes": mean_of("pokes"),
+    "slides": mean_of("slides"),
+    "mm to spare": lambda outcomes: MM * calc_mean(each.margin for each in outcomes if each.grasped),
+}
+
+
+def tabulate_shares(scores: Sequence[SlideScore], by: str, keys: Sequence[str], notes: Sequence[str]) -> Table:
+    """Successes and drops with their intervals, by truth or by what was told; `keys` are the scores' methods."""
+    groups = [((key,), [score.outcome for score in scores if score.method == key]) for key in keys]
+    notes = (
+        *notes,
+        "reached: a part hangs over the edge far enough, and the object is at rest; dropped: it fell, or tilts by 10°; "
+        "in brackets 95 % Wilson intervals. The other runs were given up, the object on the table.",
+        "to spare: stability margin at the worst where it was reached.",
+    )
+    return Table.of(f"Pre-grasp sliding by {by}", (by,), groups, SHARE_COLUMNS, notes)
+
+
 def tabulate_objects(scores: Sequence[SlideScore], objects: Sequence[str], method: str) -> Table:
     """One method's runs by object."""
     groups = [((name,), [s.outcome for s in scores if (s.method, s.name) == (method, name)]) for name in objects]
@@ -216,8 +263,12 @@ identification without a bound on the friction."""
 EXPLORING = {f"exploring, {aim}, {1e3 * distance:.0f} mm": (aim, distance) for distance in DISTANCES for aim in AIMS}
 """What is wanted of the center of mass, and the pokes' length (m), of each comparison of pokes."""
 
-SLIDING_ONLY, EXPLORING_ONLY, ALL = "sliding", "exploring", "all"
-EXPERIMENTS = (ALL, SLIDING_ONLY, EXPLORING_ONLY)
+SLIDING_ONLY, EXPLORING_ONLY, MATERIALS, BOUNDS, ALL = "sliding", "exploring", "materials", "bounds", "all"
+EXPERIMENTS = (ALL, SLIDING_ONLY, EXPLORING_ONLY, MATERIALS, BOUNDS)
+
+LCP = "lcp"
+TRUTHS = (LCP, *KINDS)
+"""What moves the objects: the model's own simulator, or MuJoCo bodies by how they stand."""
 
 MASS_SETS, SEEDS = 10, 3
 QUICK_MASS_SETS, QUICK_SEEDS = 2, 1
@@ -255,13 +306,14 @@ PAPER_PUSHES = 4
 
 @dataclass(frozen=True)
 class Job:
-    """One object with one mass set and seed, by one of METHODS or EXPLORING.
+    """One object with one mass set and seed, by one of METHODS, EXPLORING or TOLD, or to judge bounds.
 
     Attributes:
         depth: of the gripper's fingers, m.
         mask: file of the paper's object.
-        friction: range of the true frictions, and what is known of them.
-        support: how a body in MuJoCo stands; None for the LCP world.
+        friction: range of the true frictions, and what is known of them; not by TOLD.
+        truth: of TRUTHS, on a rectangular table; None for the LCP world, pushed at the table's height, on any.
+        max_arm: that the grasp may be from where the center of mass is believed, m.
     """
 
     name: str
@@ -271,7 +323,8 @@ class Job:
     depth: float = DEPTH
     mask: Path | None = None
     friction: tuple[float, float] = FRICTION_RANGE
-    support: str | None = None
+    truth: str | None = None
+    max_arm: float = MAX_ARM
 
 
 def run(
@@ -287,17 +340,18 @@ def run(
     quick: bool = False,
     data: Path | None = None,
     friction: tuple[float, float] = FRICTION_RANGE,
-    support: str | None = None,
+    truths: Sequence[str] | None = None,
+    max_arm: float = MAX_ARM,
 ) -> list[Table]:
-    """Measures both experiments; the arguments are the options of `gridpush bench pregrasp`, and `methods` of METHODS.
+    """Measures experiments; the arguments are the options of `gridpush bench pregrasp`, and `methods` of METHODS.
 
     The table takes turns with mass sets and seeds; only QUICK_MASS_SETS and QUICK_SEEDS of them where `quick`. With
-    `support` (of `truth_sets.KINDS`) MuJoCo moves the objects: only sliding, by the first method, on rectangular
-    tables; None stands for the LCP world. What is known of the friction is its range, but for the method WIDE.
+    `truths` (of TRUTHS) there is only sliding, by LEARNED, on rectangular tables, with the same objects, masses and
+    starts under each. What is known of the friction is its range, but for the method WIDE and the materials.
 
     Returns:
-        Slides by method; slides of the first method by object; and pokes by design and at random, by their length and
-        by object. Pokes are compared with the first seed only.
+        What bounds allow; or slides by method, truth, or bounds told, slides of the first of those by object, and pokes
+        by design and at random, by their length and by object. Pokes are compared with the first seed only.
 
     Raises:
         GridPushError: the data are not there, a name is not known, or a count is not positive.
@@ -305,60 +359,82 @@ def run(
     mask = None if data is None else find_mask(data)
     known = OBJECTS if mask is None else (*OBJECTS, MASK_OBJECT)
     objects = known if objects is None else objects
-    if support is not None:
-        methods, experiment = methods[:1], SLIDING_ONLY
-        check_known("support", [support], KINDS)
     check_known("objects", objects, known)
     check_known("methods", methods, METHODS)
     check_known("experiment", [experiment], EXPERIMENTS)
+    if truths is not None:
+        check_known("truths", truths, TRUTHS)
+        methods, experiment = (LEARNED,), SLIDING_ONLY
     for what, count in (("mass sets", mass_sets), ("seeds", seeds)):
         if count < 1:
             raise GridPushError(f"{what}: {count}; expected at least 1")
     if not 0 < friction[0] <= friction[1] < np.inf:
         raise GridPushError(f"friction: {friction[0]:g} to {friction[1]:g}; expected 0 < least <= greatest")
+    if not max_arm > 0:
+        raise GridPushError(f"max arm: {max_arm:g} m; expected more than 0")
     if quick:
         mass_sets, seeds = min(mass_sets, QUICK_MASS_SETS), min(seeds, QUICK_SEEDS)
-    sliding, exploring = experiment != EXPLORING_ONLY, experiment != SLIDING_ONLY
+    sliding, exploring = experiment != EXPLORING_ONLY, experiment in (ALL, EXPLORING_ONLY)
+    methods = {MATERIALS: tuple(TOLD), BOUNDS: (DRAWN, *KNOWN)}.get(experiment, methods)
     jobs = [
-        Job(name, mass_set, seed + i, method, depth, mask if name == MASK_OBJECT else None, friction, support)
+        Job(name, mass_set, seed + i, method, depth, mask if name == MASK_OBJECT else None, friction, truth, max_arm)
         for mass_set in range(mass_sets)
         for i in range(seeds)
         for name in objects
+        for truth in truths or (None,)
         for method in (*(methods if sliding else ()), *(EXPLORING if exploring and i == 0 else ()))
     ]
-    done = run_jobs(run_job, jobs, lambda job: f"{job.name}, mass set {job.mass_set}, {job.method}", execution)
+    done = run_jobs(
+        run_job, jobs, lambda job: f"{job.name}, mass set {job.mass_set}, {job.truth or job.method}", execution
+    )
+    if experiment == BOUNDS:
+        return [tabulate_bounds([score for score in done if isinstance(score, BoundsScore)], friction)]
     slides = [score for score in done if isinstance(score, SlideScore)]
     pokes = [score for score in done if isinstance(score, ExplorationScore)]
     tables = []
-    if sliding:
+    if truths is not None:
+        notes = f"The same bodies under each truth; frictions of {friction[0]:g} to {friction[1]:g}, as is told."
+        tables += [tabulate_shares(slides, "truth", truths, (notes,)), tabulate_objects(slides, objects, truths[0])]
+    elif experiment == MATERIALS:
+        notes = f"One part's friction is {RUBBER:g}, the others' {STEEL:g}; other bounds than the first do not hold."
+        tables += [tabulate_shares(slides, "told", methods, (notes,)), tabulate_objects(slides, objects, methods[0])]
+    elif sliding:
         tables += [tabulate_slides(slides, methods), tabulate_objects(slides, objects, methods[0])]
     if exploring:
         tables += [tabulate_exploration(pokes), tabulate_exploration_by_object(pokes, objects)]
     return tables
 
 
-def run_job(job: Job) -> SlideScore | ExplorationScore:
+def run_job(job: Job) -> SlideScore | ExplorationScore | BoundsScore:
     """Runs one job."""
-    friction_range = WIDE_FRICTION_RANGE if job.method == WIDE else job.friction
+    friction_range = {WIDE: WIDE_FRICTION_RANGE, **TOLD, **KNOWN}.get(job.method, job.friction)
     obj, parts = _load(job.name, job.depth, friction_range, job.mask)
     truth = make_truth(obj, job.mass_set)
+    max_arm = max(job.max_arm, MAX_ARMS.get(job.name, 0.0))
+    if job.method in (*TOLD, *KNOWN):
+        truth = replace(truth, friction=draw_materials(obj, job.mass_set))
+    if job.method in (DRAWN, *KNOWN):
+        return judge_bounds(obj, truth, parts, make_table(0), max_arm, job.method)
     if job.method in EXPLORING:
         return explore(obj, truth, job.name, job.mass_set, job.seed, *EXPLORING[job.method])
     rng = np.random.default_rng([job.seed, job.mass_set])
     start = np.append(rng.uniform(-OFFSET, OFFSET, 2), rng.uniform(-np.pi, np.pi))
-    if job.support is None:
+    if job.truth is None:
         world = EdgeWorld(obj, truth, make_table(job.seed + job.mass_set), start, rng)
+    elif job.truth == LCP:
+        obj, truth = know_height(obj, PUSH_HEIGHTS[0]), replace(truth, push_height=PUSH_HEIGHTS[0])
+        world = EdgeWorld(obj, truth, SupportSurface.rectangle((0.0, 0.0), RECTANGLE), start, rng)
     else:
-        world = MujocoWorld(obj, truth, RECTANGLE, start, rng, job.support)
+        world = MujocoWorld(obj, truth, RECTANGLE, start, rng, job.truth)
     known = PreGraspOptions().min_pokes
-    min_pokes = {LEARNED: known, WIDE: known, UNBOUNDED: PAPER_PUSHES}.get(job.method, 0)
-    options = PreGraspOptions(min_pokes=min_pokes, max_arm=MAX_ARMS.get(job.name, MAX_ARM))
-    planner = PreGraspPlanner(obj, world.surface, options, parts)
-    return SlideScore(job.name, job.method, _run(world, planner, job.method))
+    min_pokes = {TRUE: 0, UNIFORM: 0, UNBOUNDED: PAPER_PUSHES}.get(job.method, known)
+    options = PreGraspOptions(min_pokes=min_pokes, max_arm=max_arm)
+    planner = PreGraspPlanner(world.obj, world.surface, options, parts)
+    return SlideScore(job.name, job.truth or job.method, _run(world, planner, job.method))
 
 
 def _run(world: EdgeWorld, planner: PreGraspPlanner, method: str) -> Outcome:
-    if method in (LEARNED, WIDE):
+    if method in (LEARNED, WIDE, *TOLD):
         return run_pregrasp(world, planner)
     if method == UNBOUNDED:
         paper = PaperLearner(NO_BOUND, PAPER_PUSHES)

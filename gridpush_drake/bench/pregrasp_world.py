@@ -9,11 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridpush_drake.bench.mujoco_truth import TruthWorld
+from gridpush_drake.bench.mujoco_truth import BODY_HEIGHT, TruthBody, TruthWorld
 from gridpush_drake.bench.protocol import ANGLE_STD, POSITION_STD
 from gridpush_drake.bench.truth_sets import make_body
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import calc_loads
+from gridpush_drake.errors import ObjectError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.result import Identification
@@ -43,6 +44,12 @@ FALLEN = np.radians(10)
 
 REST_TIME = 0.5
 """s that a body in MuJoCo is given to come to rest after a push, or to tip."""
+
+PUSH_HEIGHTS = (BODY_HEIGHT / 2, BODY_HEIGHT / 4)
+"""m above the table, of the finger: the second where, pushed at the first, no three feet would bear a body."""
+
+TIME_STEP = 5e-4
+"""s of MuJoCo: the poses of bodies that stay on the table are within 0.1 mm of those of half the step."""
 
 ONE_OBSERVATION = PreGraspLoopOptions(observations=1)
 """Nothing moves between two pushes: the object is decided on as it is first seen."""
@@ -102,16 +109,19 @@ class MujocoWorld(EdgeWorld):
             rng: draws the feet's places and the noise.
             support: how it stands, of `truth_sets.KINDS`.
 
+        The height at which it is pushed is known: `obj` has it.
+
         Raises:
             GridPushError: MuJoCo is not installed.
             ObjectError: no three feet are found that it stands on.
         """
         x, y = size[0] / 2, size[1] / 2
         light = replace(hidden, mass=hidden.mass / hidden.total_mass)
-        body = make_body(support, obj, light, rng).harden()
+        body = replace(_stand(support, obj, light, rng).harden(), time_step=TIME_STEP)
+        known, told = know_height(obj, body.push_height), replace(light, push_height=body.push_height)
         self._truth = TruthWorld(body, ContactOptions().radius, (-x, -y, x, y))
         self._truth.put(pose)
-        super().__init__(obj, light, SupportSurface.rectangle((0.0, 0.0), size), pose, rng)
+        super().__init__(known, told, SupportSurface.rectangle((0.0, 0.0), size), pose, rng)
 
     def _move(self, push: Push, times: Array) -> tuple[Array, bool]:
         motion = self._truth.push(push)
@@ -133,15 +143,35 @@ class MujocoWorld(EdgeWorld):
         return bool(self._truth.read_tilt() < FALLEN)
 
 
+def _stand(support: str, obj: GridObject, params: CellParameters, rng: np.random.Generator) -> TruthBody:
+    """The body, pushed at the first of PUSH_HEIGHTS at which it stands."""
+    for height in PUSH_HEIGHTS[:-1]:
+        try:
+            return make_body(support, obj, params, rng, height)
+        except ObjectError:
+            continue
+    return make_body(support, obj, params, rng, PUSH_HEIGHTS[-1])
+
+
+def know_height(obj: GridObject, height: float) -> GridObject:
+    """The object, known to be pushed at a height, m."""
+    radius = obj.prior.pusher_radius or ContactOptions().radius
+    return replace(obj, prior=replace(obj.prior, pusher_radius=radius, push_height=height or None))
+
+
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended: whether a part was declared graspable, and truly hangs over with the object at rest; or fell."""
+    """How a run ended: whether a part was declared graspable, and truly hangs over with the object at rest; or fell.
+
+    `margin` is the goal's stability margin at the worst, m; None without a goal.
+    """
 
     grasped: bool
     dropped: bool
     pokes: int
     slides: int
     reason: str
+    margin: float | None = None
 
 
 def run_pregrasp(
@@ -158,10 +188,11 @@ def run_pregrasp(
     loop = PreGraspLoop(planner, lambda *_: None, infer=infer, options=ONE_OBSERVATION)
     state = run_loop(loop, planner.obj, world, is_over, learn=learn, surface=world.surface).state
     status = state.status
+    margin = float(status.margin) if np.isfinite(status.margin) else None
     if world.fallen:
-        return Outcome(False, True, status.pokes, status.slides, status.reason)
+        return Outcome(False, True, status.pokes, status.slides, status.reason, margin)
     grasped = status.mode == PreGraspMode.VERIFYING and _hangs_over(world, planner)
-    return Outcome(grasped, False, status.pokes, status.slides, status.reason)
+    return Outcome(grasped, False, status.pokes, status.slides, status.reason, margin)
 
 
 def is_over(state: PreGraspState) -> bool:

@@ -11,6 +11,7 @@ import rich.table
 from matplotlib.figure import Figure
 from rich.cells import cell_len
 from rich.text import Text
+from scipy.stats import binomtest
 
 from gridpush_drake.errors import OutputError
 from gridpush_drake.files import check_writable, write_whole
@@ -157,6 +158,37 @@ class Table:
         for row in self.rows:
             table.add_row(*(Text(self.format(row[i]), no_wrap=True) for i in part))
         return table
+
+
+CONFIDENCE = 0.95
+"""Of the intervals about shares."""
+
+
+@dataclass(frozen=True)
+class Share:
+    """How many of several episodes ended in one way.
+
+    Attributes:
+        count: of them.
+        total: of all.
+        low: the Wilson interval's lower end, at CONFIDENCE.
+        high: its upper end.
+    """
+
+    count: int
+    total: int
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, count: int, total: int) -> "Share":
+        """With its interval; `total` is 1 or more."""
+        interval = binomtest(count, total).proportion_ci(CONFIDENCE, method="wilson")
+        return cls(count, total, float(interval.low), float(interval.high))
+
+    def describe(self) -> str:
+        """The count, and the interval in percent."""
+        return f"{self.count} ({PERCENT * self.low:.1f} to {PERCENT * self.high:.1f} %)"
 
 
 def calc_mean(values: Iterable[float | None]) -> float:

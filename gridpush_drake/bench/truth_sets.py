@@ -160,10 +160,17 @@ def draw_masses(name: str, rng: np.random.Generator) -> tuple[GridObject, CellPa
     return obj, CellParameters(mass, friction, rng.uniform(*CONTACT_FRICTION_RANGE))
 
 
-def make_body(kind: str, obj: GridObject, params: CellParameters, rng: np.random.Generator) -> TruthBody:
-    """Puts an object of given masses on feet. Raises GridPushError where the kind is not known."""
+def make_body(
+    kind: str, obj: GridObject, params: CellParameters, rng: np.random.Generator, height: float = BODY_HEIGHT / 2
+) -> TruthBody:
+    """Puts an object of given masses on feet, pushed at a height, m; OWN_WEIGHT at the table's.
+
+    Raises:
+        GridPushError: the kind is not known.
+        ObjectError: no three feet are found that bear it while it is pushed.
+    """
     cells, weight = np.arange(obj.n), params.total_mass * GRAVITY
-    height = 0.0 if kind == OWN_WEIGHT else BODY_HEIGHT / 2
+    height = 0.0 if kind == OWN_WEIGHT else height
     if kind in (OWN_WEIGHT, HALF_HEIGHT):
         return TruthBody(obj, params, obj.p_BC, cells, params.mass * GRAVITY, SINKAGE, np.zeros(obj.n), height)
     if kind == FOUNDATION:

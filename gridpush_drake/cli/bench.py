@@ -208,15 +208,25 @@ def pregrasp(
     seeds: Annotated[int | None, typer.Option(min=1, help="Tables, starts and noises a set.")] = None,
     depth: Annotated[float, typer.Option(help="Depth of the gripper's fingers, which must hang over, m.")] = 0.03,
     experiment: Annotated[
-        Literal["all", "sliding", "exploring"], typer.Option(help="Which of the two to measure.")
+        Literal["all", "sliding", "exploring", "materials", "bounds"],
+        typer.Option(
+            help="What to measure: all stands for sliding and exploring; materials are objects of rubber and steel; "
+            "bounds of the friction are judged by what they allow at best."
+        ),
     ] = "all",
-    world: Annotated[
-        Literal["lcp", "mujoco"], typer.Option(help="What moves the objects: the model's own simulator, or MuJoCo.")
-    ] = "lcp",
-    support: Annotated[
-        Literal["foundation", "three_feet", "vertices", "half_height"],
-        typer.Option(help="How objects stand in MuJoCo."),
-    ] = "foundation",
+    truths: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--truth",
+            metavar="TRUTH",
+            help="What moves the objects, on rectangular tables: lcp, the model's own simulator, or MuJoCo bodies that "
+            "stand as own_weight, half_height, foundation, vertices or three_feet; may be repeated.",
+            show_default="the model's own simulator, on any table",
+        ),
+    ] = None,
+    max_arm: Annotated[
+        float, typer.Option(help="How far from its believed center of mass an object may be taken, m.")
+    ] = 0.06,
     friction: Annotated[
         tuple[float, float],
         typer.Option(
@@ -230,7 +240,7 @@ def pregrasp(
 
     return run(
         objects, mass_sets or MASS_SETS, seeds or SEEDS, depth=depth, experiment=experiment, data=data,
-        friction=friction, support=support if world == "mujoco" else None, **common,
+        friction=friction, truths=truths, max_arm=max_arm, **common,
     )  # fmt: skip
 
 
@@ -286,12 +296,18 @@ def truth(
 
 
 @_add
-def drake(**common: Any) -> "list[Table]":
+def drake(
+    camera: Annotated[
+        Literal["ideal", "rgbd"],
+        typer.Option(help="rgbd: only the station, which learns from a color and depth camera, and from ideal poses."),
+    ] = "ideal",
+    **common: Any,
+) -> "list[Table]":
     """Set Drake's plant beside the grid LCP, time the LCP system, and let the whole station learn."""
     from gridpush_drake.bench.drake import run
 
     options.compile_kernels()
-    return run(**common)
+    return run(camera=camera, **common)
 
 
 @_add

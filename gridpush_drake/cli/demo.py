@@ -23,10 +23,6 @@ class TaskName(StrEnum):
     pregrasp = "pregrasp"
 
 
-RGBD_RATE = 10.0
-"""Pictures a second that `--camera rgbd` takes at most, Hz: each takes long to render."""
-
-
 def demo(
     task: Annotated[
         TaskName,
@@ -106,9 +102,7 @@ def demo(
     if pushes is not None:
         scenario.pokes.count = pushes
     if camera is not None:
-        scenario.camera.kind = camera
-    if camera == "rgbd":
-        scenario.camera.rate = min(scenario.camera.rate, RGBD_RATE)
+        scenario.camera.use(camera)
     if seed is not None:
         scenario.seed = seed
     if robot is not None:

@@ -14,6 +14,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 from shapely import MultiPolygon, Polygon
+from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 
 from gridpush_drake.errors import (
@@ -85,6 +86,10 @@ GREEN, RED, BLUE, LINE = (0, 255, 0), (255, 0, 0), (0, 80, 255), 1
 
 AXIS = 0.03
 """Length of the body frame's axes in pictures, m."""
+
+
+TABLE_SHARE = 75
+"""Percent of what is seen, nearest to its median in color, that is taken for table."""
 
 
 @dataclass(frozen=True)
@@ -234,6 +239,40 @@ def look_at_table(
             color,
         )
     return color, depth, plane, camera
+
+
+def cover_pixels(color: Color, depth: Depth | None, unseen: Mask, seed: int) -> tuple[Color, Depth | None]:
+    """Paints the table over what is not to be looked at, such as the arm.
+
+    Args:
+        color: (height, width, 3) uint8.
+        depth: (height, width), m; None without a depth camera.
+        unseen: (height, width) bool, pixels that say nothing; most of the others show the table.
+        seed: of the colors, which are drawn from the table's, the most common ones.
+
+    Returns:
+        New images; depth is 0 there. The very ones that were given where nothing is unseen.
+
+    Raises:
+        NoTableError: nothing is left to be looked at.
+    """
+    if not unseen.any():
+        return color, depth
+    seen = color[~unseen]
+    if not len(seen):
+        raise NoTableError("the robot hides all of the picture; expected a table in view", color)
+    off = np.abs(seen - np.median(seen, axis=0)).max(axis=1)
+    table = seen[off <= np.percentile(off, TABLE_SHARE)]
+    covered = color.copy()
+    covered[unseen] = np.random.default_rng(seed).choice(table, int(unseen.sum()))
+    return covered, None if depth is None else np.where(unseen, np.float32(0), depth)
+
+
+def find_off_table(camera: Camera, table_top: BaseGeometry) -> Mask:
+    """Finds the pixels (height, width) whose rays do not meet the table's top, a polygon in W, m."""
+    pixels = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1)
+    xy = camera.cast(pixels)
+    return ~np.asarray(shapely.contains_xy(table_top, xy[..., 0], xy[..., 1]))
 
 
 def draw_outline(color: Color, camera: Camera, outline: Polygon, height: float, X_WB: ArrayLike) -> Color:

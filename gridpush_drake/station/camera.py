@@ -6,12 +6,13 @@ Its body frame F is chosen then; the plant's object is given in it, so that pose
 """
 
 import ctypes
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydrake.common import MemoryFile
 from pydrake.common.yaml import yaml_dump_typed
 from pydrake.geometry import (
@@ -30,7 +31,7 @@ from pydrake.systems.framework import Context, DiagramBuilder, System
 from pydrake.systems.sensors import RgbdSensor
 from shapely.geometry.base import BaseGeometry
 
-from gridpush_drake.errors import CameraError, PerceptionError, ScenarioError, StationError
+from gridpush_drake.errors import CameraError, ScenarioError, StationError
 from gridpush_drake.geometry.se2 import transform_back
 from gridpush_drake.multibody.contact_material import TABLE
 from gridpush_drake.multibody.grid_object import GridObjectInPlant
@@ -38,9 +39,10 @@ from gridpush_drake.multibody.ground_truth import SetGridObjectPose
 from gridpush_drake.multibody.meshcat_shapes import make_outline_mesh
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.detection import DetectedObject, detect_object
+from gridpush_drake.perception.detection import DetectedObject
 from gridpush_drake.perception.tracking import PoseTracker
 from gridpush_drake.station.scenario import CameraConfig, PushScenario
+from gridpush_drake.systems.object_detector import ObjectDetector, ObjectNaming
 from gridpush_drake.systems.object_pose_estimator import ObjectPoseEstimator
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 from gridpush_drake.systems.rgbd_noise import RgbdNoise
@@ -52,9 +54,6 @@ LIGHT = (0.15, 0.25, 1.0)
 
 OBJECT_COLOR = (0.42, 0.13, 0.11, 1.0)
 """Of the plant's object in the camera's pictures: red, green, blue and opacity."""
-
-TABLE_SHARE = 75
-"""Percent of what is seen, nearest to its median in color, that is taken for table."""
 
 
 def check_renderer() -> None:
@@ -104,7 +103,7 @@ class RgbdCamera:
         sensor: Drake's.
         noise: what its pictures go through.
         camera: its measures and pose.
-        hidden_by: labels of the robot's bodies in its label image.
+        hidden_by: labels of the robot's bodies, and of other objects, in its label image.
     """
 
     sensor: System
@@ -177,7 +176,7 @@ def AddPoseEstimator(
     estimator = builder.AddNamedSystem(
         "camera",
         ObjectPoseEstimator(
-            PoseTracker(found.obj.outline, height, camera.camera),
+            PoseTracker(found.obj.outline, height, camera.camera, table_top=found.table_top),
             config.rgbd.width,
             config.rgbd.height,
             period=1 / config.rate,
@@ -186,9 +185,7 @@ def AddPoseEstimator(
             hidden_by=camera.hidden_by,
         ),
     )
-    for name in ("color_image", "depth_image"):
-        builder.Connect(camera.noise.GetOutputPort(name), estimator.GetInputPort(name))
-    builder.Connect(camera.sensor.label_image_output_port(), estimator.GetInputPort("label_image"))
+    ConnectPictures(builder, camera, estimator)
     return estimator
 
 
@@ -219,12 +216,14 @@ class FoundObject:
         pose: (3,) X_WF in the photograph, m and rad.
         detected: what the detector says.
         true_obj: the plant's object, in F.
+        table_top: W, m.
     """
 
     obj: GridObject
     pose: NDArray[np.float64]
     detected: DetectedObject
     true_obj: GridObject
+    table_top: BaseGeometry
 
 
 def find_object(
@@ -244,23 +243,44 @@ def find_object(
     Raises:
         ScenarioError: the camera does not see an object there.
     """
-    color, depth, labels, camera = _take_photograph(scenario, builder, scene)
-    hidden = np.isin(labels, camera.hidden_by) | _find_off_table(camera.camera, scene.table_top)
-    color, depth = _fill(color, hidden, scenario.seed), np.where(hidden, np.float32(0), depth)
-    try:
-        detected = detect_object(color, depth, camera.camera)
-    except PerceptionError as error:
-        raise ScenarioError(f"camera: no object is found in the first picture: {error}") from error
-    x, y, _ = detected.X_WB
-    detected = replace(detected, X_WB=np.array([x, y, scenario.object_pose[2]]))
-    obj = replace(detected.make_grid_object(), name=true_obj.name, prior=true_obj.prior)
+    _, detector, root = _take_photograph(scenario, true_obj, builder, scene)
+    own = detector.GetMyContextFromRoot(root)
+    obj, detected, message = (detector.GetOutputPort(name).Eval(own) for name in ("object", "detection", "message"))
+    if message:
+        raise ScenarioError(f"camera: no object is found in the first picture: {message}")
     shift = transform_back(np.array(scenario.object_pose), detected.X_WB[:2])
     moved = replace(
         true_obj,
         p_BC=true_obj.p_BC - shift,
         outline=shapely.transform(true_obj.outline, lambda points: points - shift),
     )
-    return FoundObject(obj, detected.X_WB, detected, moved)
+    return FoundObject(obj, detected.X_WB, detected, moved, scene.table_top)
+
+
+def AddDetector(
+    builder: DiagramBuilder, camera: RgbdCamera, scenario: PushScenario, table_top: BaseGeometry, told: GridObject
+) -> ObjectDetector:
+    """Adds what finds the object in the camera's pictures; name and prior are those of the one that is told."""
+    detector = builder.AddNamedSystem(
+        "detector",
+        ObjectDetector(
+            camera.camera,
+            naming=ObjectNaming(told.name, told.prior, scenario.object_pose[2]),
+            table_top=table_top,
+            hidden_by=camera.hidden_by,
+            seed=scenario.seed,
+            period=1 / scenario.camera.rate,
+        ),
+    )
+    ConnectPictures(builder, camera, detector)
+    return detector
+
+
+def ConnectPictures(builder: DiagramBuilder, camera: RgbdCamera, system: System) -> None:
+    """Connects what looks at the camera's pictures."""
+    for name in ("color_image", "depth_image"):
+        builder.Connect(camera.noise.GetOutputPort(name), system.GetInputPort(name))
+    builder.Connect(camera.sensor.label_image_output_port(), system.GetInputPort("label_image"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,6 +292,7 @@ class PhotographedScene:
         scene_graph: of the plant.
         arm: its model instance.
         part: the object in the plant.
+        others: further objects in the plant, by what they are and where, (x, y, theta), m and rad.
         q_start: of the arm, rad.
         table_top: W, m.
     """
@@ -280,39 +301,22 @@ class PhotographedScene:
     scene_graph: SceneGraph
     arm: ModelInstanceIndex
     part: GridObjectInPlant
+    others: Sequence[tuple[GridObjectInPlant, ArrayLike]]
     q_start: NDArray[np.float64]
     table_top: BaseGeometry
 
 
 def _take_photograph(
-    scenario: PushScenario, builder: DiagramBuilder, scene: PhotographedScene
-) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.int16], RgbdCamera]:
-    plant = scene.plant
+    scenario: PushScenario, told: GridObject, builder: DiagramBuilder, scene: PhotographedScene
+) -> tuple[RgbdCamera, ObjectDetector, Context]:
+    """The camera, the detector, and the Diagram's Context in which it has looked at the first picture."""
     camera = AddRgbdCamera(builder, scene.scene_graph, scenario, scene.part)
+    detector = AddDetector(builder, camera, scenario, scene.table_top, told)
     diagram = builder.Build()
     root = diagram.CreateDefaultContext()
-    context = plant.GetMyMutableContextFromRoot(root)
-    plant.SetPositions(context, scene.arm, scene.q_start)
-    SetGridObjectPose(plant, context, scene.part, scenario.object_pose)
-    noise, sensor = (system.GetMyContextFromRoot(root) for system in (camera.noise, camera.sensor))
-    color = camera.noise.GetOutputPort("color_image").Eval(noise).data[..., :3]
-    depth = camera.noise.GetOutputPort("depth_image").Eval(noise).data[..., 0]
-    labels = camera.sensor.label_image_output_port().Eval(sensor).data[..., 0]
-    return color.copy(), depth.copy(), labels.copy(), camera
-
-
-def _find_off_table(camera: Camera, table_top: BaseGeometry) -> NDArray[np.bool_]:
-    """Pixels (height, width) whose rays do not meet the table's top."""
-    pixels = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1)
-    xy = camera.cast(pixels)
-    return ~np.asarray(shapely.contains_xy(table_top, xy[..., 0], xy[..., 1]))
-
-
-def _fill(color: NDArray[np.uint8], hidden: NDArray[np.bool_], seed: int) -> NDArray[np.uint8]:
-    """A picture in which colors drawn from the table's, the most common ones, stand where robot or no table is."""
-    seen = color[~hidden]
-    off = np.abs(seen - np.median(seen, axis=0)).max(axis=1)
-    table = seen[off <= np.percentile(off, TABLE_SHARE)]
-    filled = color.copy()
-    filled[hidden] = np.random.default_rng(seed).choice(table, int(hidden.sum()))
-    return filled
+    context = scene.plant.GetMyMutableContextFromRoot(root)
+    scene.plant.SetPositions(context, scene.arm, scene.q_start)
+    for part, pose in ((scene.part, scenario.object_pose), *scene.others):
+        SetGridObjectPose(scene.plant, context, part, pose)
+    diagram.ExecuteInitializationEvents(root)
+    return camera, detector, root

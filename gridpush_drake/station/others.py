@@ -2,7 +2,8 @@
 
 Each is a free body with cells, contact spheres and sides of its own, weighs and rubs as it is drawn from the seed, and
 is seen by a camera of its own (`other_0.pose`, `other_1.pose`, ...). Nobody learns it. Pushes keep clear of where it
-lies at the beginning, the finger by `MakeFingerRegion`, the object as the task has it.
+lies at the beginning, the finger by `MakeFingerRegion`, the object as the task has it. A color and depth camera has it
+in its pictures, and takes what it covers for unseen, as with the robot.
 """
 
 from collections.abc import Sequence
@@ -20,6 +21,7 @@ from gridpush_drake.geometry.se2 import transform_shape
 from gridpush_drake.multibody.grid_object import AddGridObject, ApplyGridObjectFilters, GridObjectInPlant
 from gridpush_drake.multibody.ground_truth import SetGridObjectParameters, SetGridObjectPose
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.station.camera import AddSeenVisual
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import MakeTruth, load_others
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
@@ -62,6 +64,8 @@ def AddOthers(
             plant, scene_graph, obj, CellParameters.uniform(obj), "free", table=table, height=config.height, name=name
         )
         x, y, theta = config.pose
+        if scenario.camera.kind == "rgbd":
+            AddSeenVisual(plant, scene_graph, part)
         others.append(OtherObject(name, (x, y, theta), part))
     for part in (pushed, *(other.part for other in others)):
         ApplyGridObjectFilters(plant, scene_graph, part, table)

@@ -163,11 +163,12 @@ def TakePhotograph(scenario: PushScenario, true_obj: GridObject) -> FoundObject:
     height, base = scenario.object_height, cast(Base, scenario.base)
     part = AddGridObject(plant, scene_graph, true_obj, truth, base, table=table, height=height, visual=False)
     AddSeenVisual(plant, scene_graph, part)
+    others = [(other.part, other.pose) for other in AddOthers(plant, scene_graph, scenario, table, part)]
     plant.Finalize()
     control_plant = MakeControlPlant(robot, CalcBasePose(plant, robot))
     q_start = CalcStartPosture(control_plant, robot, CalcHome(plant, robot))
     table_top = FindTableOutline(plant, scene_graph.model_inspector())
-    scene = PhotographedScene(plant, scene_graph, instances.arm, part, q_start, table_top)
+    scene = PhotographedScene(plant, scene_graph, instances.arm, part, others, q_start, table_top)
     return find_object(scenario, true_obj, builder, scene)
 
 

@@ -290,6 +290,12 @@ def _dump_rgbd(config: DrakeCameraConfig) -> dict[str, Any]:
     return {key: data[key] for key in RGBD_KEYS if key in data}
 
 
+CameraKind = Literal["ideal", "rgbd"]
+
+RGBD_RATE = 10.0
+"""Pictures a second that `CameraConfig.use` leaves an rgbd camera at most, Hz: each takes long to render."""
+
+
 class CameraConfig(_Config):
     """What sees the object's pose. Its noise is drawn from the scenario's seed.
 
@@ -307,7 +313,7 @@ class CameraConfig(_Config):
             time from a picture to its pose. `gridpush object --camera` reads the same.
     """
 
-    kind: Annotated[Literal["ideal", "rgbd"], Field(description="one of ideal, rgbd")] = "ideal"
+    kind: Annotated[CameraKind, Field(description="one of ideal, rgbd")] = "ideal"
     rate: Annotated[Number, _positive("Hz", low=0.1, high=1000.0)] = 30.0
     position_noise: Annotated[Number, _not_negative("m")] = 0.0005
     angle_noise: Annotated[Number, _not_negative("rad")] = radians(0.2)
@@ -320,6 +326,12 @@ class CameraConfig(_Config):
         BeforeValidator(_read_rgbd),
         PlainSerializer(_dump_rgbd),
     ] = Field(default_factory=lambda: _read_rgbd({}), description="keys of Drake's CameraConfig")
+
+    def use(self, kind: CameraKind) -> None:
+        """Takes a camera of another kind in place of the scenario's."""
+        self.kind = kind
+        if kind == "rgbd":
+            self.rate = min(self.rate, RGBD_RATE)
 
 
 class PartTruth(_Config):

@@ -12,6 +12,7 @@ from gridpush_drake.geometry.se2 import rotate
 
 pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
 
+from gridpush_drake.bench import mujoco_truth
 from gridpush_drake.bench.mujoco_truth import BODY_HEIGHT, TruthWorld
 
 RADIUS = 0.01
@@ -115,3 +116,20 @@ def test_a_set_is_reproducible_and_written_whole(tmp_path):
 def test_refuses_an_unknown_kind():
     with pytest.raises(GridPushError, match="kind: 'jelly'"):
         make_set("jelly", "claw_hammer", 0)
+
+
+def test_edges_left_out_while_they_are_far_change_nothing(monkeypatch):
+    obj, params = draw_masses("toolbox", np.random.default_rng(0))
+    body = make_body("three_feet", obj, params, np.random.default_rng(0))
+    left, low, right, high = obj.outline.bounds
+    table = (left - 1.0, low - 1.0, right + 0.02, high + 1.0)
+    push, ends = Push((left - RADIUS - 0.001, (low + high) / 2), (0.05, 0.0), 1.0, RADIUS), []
+    for near in (10.0, mujoco_truth.NEAR_EDGE):
+        monkeypatch.setattr(mujoco_truth, "NEAR_EDGE", near)
+        world = TruthWorld(body, RADIUS, table)
+        world.put((0.0, 0.0, 0.0))
+        motion = world.push(push)
+        world.wait(0.2)
+        ends.append(np.concatenate([motion.poses[-1], world.read_pose(), [world.read_tilt()]]))
+    assert ends[0][0] > 0.03  # beyond the edge by a centimeter or more
+    np.testing.assert_array_equal(ends[0], ends[1])

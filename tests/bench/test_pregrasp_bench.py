@@ -84,6 +84,46 @@ def test_a_body_in_mujoco_moves_alike_and_drops():
     assert body.pose is None
 
 
+@pytest.mark.slow
+def test_truths_are_measured_beside_each_other():
+    pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
+    truths, by_object = pregrasp.run(["toolbox"], 1, 1, truths=["three_feet", "lcp"], execution=Execution(workers=0))
+    assert [row[:2] for row in truths.rows] == [["three_feet", 1], ["lcp", 1]]
+    assert [row[2] for row in truths.rows] == ["100 (21-100)"] * 2
+    assert [row[3] for row in truths.rows] == ["0 (0-79)"] * 2
+    assert min(row[6] for row in truths.rows) > 2.0
+    assert len(truths.split(80)) == len(by_object.rows) == 1
+
+
+@pytest.mark.slow
+def test_materials_are_measured_by_what_is_told(monkeypatch):
+    monkeypatch.setattr(pregrasp, "TOLD", {"0.2 to 0.8": (0.2, 0.8)})
+    table, _ = pregrasp.run(["toolbox"], 1, 1, experiment=pregrasp.MATERIALS, execution=Execution(workers=0))
+    assert table.rows[0][:2] == ["0.2 to 0.8", 1]
+    assert table.rows[0][3] == "0 (0-79)"
+
+
+def test_one_part_is_of_rubber():
+    obj = load_bench_object("toolbox", (0.3, 0.4))
+    drawn = [pregrasp.draw_materials(obj, i) for i in range(6)]
+    for friction in drawn:
+        assert len(np.unique(obj.labels[friction == pregrasp.RUBBER])) == 1
+        assert set(friction) == {pregrasp.RUBBER, pregrasp.STEEL}
+    assert len({tuple(friction) for friction in drawn}) > 1
+
+
+def test_bounds_that_hold_contain_the_center_and_tip_nothing():
+    table = pregrasp.run(
+        ["pliers"], 2, 1, experiment=pregrasp.BOUNDS, friction=(0.3, 0.4), execution=Execution(workers=0)
+    )[0]
+    rows = {row[0]: row[1:] for row in table.rows}
+    assert rows["0.3 to 0.4, drawn"] == [2, "100 (34-100)", "0 (0-66)", 0, 0.0]
+    assert rows["0.2 to 0.8, rubber"][2:] == ["0 (0-66)", 0, 0.0]
+    assert rows["0.3 to 0.4, rubber"][3] == 2
+    assert rows["0.3 to 0.4, rubber"][4] > rows["0.25 to 0.5, rubber"][4] > rows["0.2 to 0.6, rubber"][4] > 1.0
+    assert len(table.split(80)) == 1
+
+
 def test_noise_is_as_large_as_it_says():
     rng = np.random.default_rng(0)
     noise = np.array([add_pose_noise(np.zeros(3), rng) for _ in range(2000)])
@@ -115,7 +155,8 @@ def test_runs_with_the_true_parameters():
         ({"methods": []}, "methods: none"),
         ({"mass_sets": 0}, "mass sets: 0"),
         ({"seeds": -1}, "seeds: -1"),
-        ({"support": "jelly"}, "support: jelly"),
+        ({"truths": ["jelly"]}, "truths: jelly"),
+        ({"max_arm": 0.0}, "max arm: 0"),
         ({"friction": (0.4, 0.3)}, "friction: 0.4 to 0.3"),
     ],
 )

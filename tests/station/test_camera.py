@@ -43,8 +43,12 @@ def photograph(renderer):
     take = station_camera._take_photograph
 
     def keep(*args):
-        taken.append((*take(*args), int(args[2].part.body_index)))
-        return taken[-1][:4]
+        camera, detector, root = take(*args)
+        images = (camera.noise.GetOutputPort("color_image"), camera.noise.GetOutputPort("depth_image"))
+        ports = (*images, camera.sensor.label_image_output_port())
+        color, depth, labels = (port.Eval(port.get_system().GetMyContextFromRoot(root)).data.copy() for port in ports)
+        taken.append((color[..., :3], depth[..., 0], labels[..., 0], camera, int(args[3].part.body_index)))
+        return camera, detector, root
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(station_camera, "_take_photograph", keep)

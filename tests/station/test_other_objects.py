@@ -8,6 +8,8 @@ from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake import GridIdentifier, MakePushStation, PushCommand, PushScenario, read_scenario
 from gridpush_drake.errors import ScenarioError
+from gridpush_drake.geometry.se2 import transform_shape
+from gridpush_drake.multibody.ground_truth import SetGridObjectPose
 from gridpush_drake.station.identify_task import IdentifyTask
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.others import place_others
@@ -16,6 +18,7 @@ from gridpush_drake.station.push_task import PushTask, make_rules
 from gridpush_drake.station.scene import check_scenario
 from gridpush_drake.station.station import MakeFingerRegion, make_surface
 from gridpush_drake.station.task import TaskStatus
+from tests.helpers.renderer import require_renderer
 
 SCENARIO = """
 object: open_book
@@ -147,3 +150,31 @@ def test_a_slide_to_the_edge_refuses_others():
     scenario = PushScenario(others=[{"object": "pliers", "pose": [0.6, 0.25, 0.5]}])
     with pytest.raises(ScenarioError, match="others: the slide"):
         PreGraspTask(scenario)
+
+
+@pytest.mark.slow
+def test_a_color_and_depth_camera_finds_and_tracks_the_object_among_them():
+    """In the photograph and after the object was put beside another one, 12 mm away, it is the object that is seen."""
+    require_renderer()
+    others = [{"object": "pliers", "pose": list(POSES[0])}, {"object": "toothpaste_tube", "pose": [0.65, -0.25, 0.0]}]
+    scenario = PushScenario(object="open_book", object_pose=[0.6, 0.0, 0.0], others=others)
+    scenario.camera.kind, scenario.camera.rate = "rgbd", 10.0
+    station = MakePushStation(scenario)
+    seen, true = station.found.obj.outline, station.found.true_obj.outline
+    assert seen.intersection(true).area / seen.union(true).area > 0.95
+    simulator = Simulator(station)
+    context = simulator.get_mutable_context()
+    station.SetStart(context, seed=0)
+    command(station, context, PushCommand())
+    start = station.scenario.object_pose
+    outline, theta = transform_shape(start, true), start[2]
+    gap = outline.distance(place_others(station.others)[0])
+    for time, (x, y) in ((0.15, start[:2]), (0.35, (start[0], start[1] + gap - 0.012))):
+        SetGridObjectPose(
+            station.plant, station.plant.GetMyMutableContextFromRoot(context), station.object_in_plant, (x, y, theta)
+        )
+        simulator.AdvanceTo(time)
+        assert read(station, simulator, "camera.seen")[0] == 1
+        off = read(station, simulator, "object.pose") - read(station, simulator, "object.pose_true")
+        assert np.linalg.norm(off[:2]) < 1e-3 and abs(off[2]) < np.radians(0.5), off
+    np.testing.assert_allclose(read(station, simulator, "other_0.pose"), POSES[0], atol=4 * NOISE)

@@ -1,5 +1,7 @@
 """The estimator in a Diagram: a block slides under a camera that looks straight down, drawn ray by ray."""
 
+from functools import lru_cache
+
 import numpy as np
 import pytest
 import shapely
@@ -16,6 +18,7 @@ from gridpush_drake.systems.rgbd_noise import RgbdNoise
 
 WIDTH, HEIGHT, FOCAL, ABOVE = 320, 240, 380.0, 0.6
 OUTLINE = shapely.Polygon([[-0.06, -0.03], [0.06, -0.03], [0.06, 0.0], [-0.02, 0.0], [-0.02, 0.04], [-0.06, 0.04]])
+shapely.prepare(OUTLINE)
 THICKNESS, PERIOD, SPEED, TURN = 0.03, 0.1, 0.03, 0.3
 ARM = 7
 K = [[FOCAL, 0, (WIDTH - 1) / 2], [0, FOCAL, (HEIGHT - 1) / 2], [0, 0, 1]]
@@ -26,6 +29,16 @@ PIXELS = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), axis=-1)
 
 def calc_pose(time: float) -> np.ndarray:
     return np.array([-0.03 + SPEED * time, 0.01, 0.2 + TURN * time])
+
+
+@lru_cache(maxsize=32)
+def find_block(time: float) -> np.ndarray:
+    """The share of each pixel that is block."""
+    q, subpixels = calc_pose(time), []
+    for dx, dy in ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)):
+        xy = transform_back(q, CAMERA.cast(PIXELS + (dx, dy), THICKNESS).reshape(-1, 2))
+        subpixels.append(shapely.contains_xy(OUTLINE, xy[:, 0], xy[:, 1]).reshape(HEIGHT, WIDTH))
+    return np.mean(subpixels, axis=0)
 
 
 class Painter(LeafSystem):
@@ -40,22 +53,15 @@ class Painter(LeafSystem):
         ):  # fmt: skip
             self.DeclareAbstractOutputPort(name, lambda image=image: Value(image), getattr(self, f"_draw_{name}"))
 
-    def _find_block(self, context: Context) -> np.ndarray:
-        q, subpixels = calc_pose(context.get_time()), []
-        for dx, dy in ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25)):
-            xy = transform_back(q, CAMERA.cast(PIXELS + (dx, dy), THICKNESS).reshape(-1, 2))
-            subpixels.append(shapely.contains_xy(OUTLINE, xy[:, 0], xy[:, 1]).reshape(HEIGHT, WIDTH))
-        return np.mean(subpixels, axis=0)
-
     def _draw_color(self, context: Context, output) -> None:
-        share, image = self._find_block(context)[..., None], ImageRgba8U(WIDTH, HEIGHT)
+        share, image = find_block(context.get_time())[..., None], ImageRgba8U(WIDTH, HEIGHT)
         image.mutable_data[..., :3] = np.rint(share * (120, 30, 30) + (1 - share) * (200, 170, 130))
         image.mutable_data[..., 3] = 255
         output.set_value(image)
 
     def _draw_depth(self, context: Context, output) -> None:
         image = ImageDepth32F(WIDTH, HEIGHT)
-        image.mutable_data[..., 0] = ABOVE - THICKNESS * (self._find_block(context) >= 0.5)
+        image.mutable_data[..., 0] = ABOVE - THICKNESS * (find_block(context.get_time()) >= 0.5)
         output.set_value(image)
 
     def _draw_label(self, context: Context, output) -> None:

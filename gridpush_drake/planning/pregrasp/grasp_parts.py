@@ -194,6 +194,11 @@ class PadLimit:
         """The greatest torque of the weight that the pads hold, by an arm along the fingers and by one across, N m."""
         return self.force * self.gripper.pad_length / 2, self.force * self.gripper.pad_width / 2
 
+    @property
+    def max_arm(self) -> float:
+        """How far from the center of mass the pads hold the object at most, with something to spare, m."""
+        return USED * max(self.torques) / self.weight
+
     def calc_shares(self, p_BG: Array, headings: Array, centers: Array) -> Array:
         """What share of their limit the pads would have to hold, (k,); over 1 is more than they can.
 

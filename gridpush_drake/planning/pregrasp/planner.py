@@ -85,9 +85,9 @@ class PreGraspOptions:
         max_slides: made before giving up.
         poke_margin: how far inside the edge pokes keep every cell, m.
         max_arm: farthest that a narrow part may be from where the center of mass is estimated, m: held farther off, the
-            object would turn in the gripper.
+            object would turn in the gripper. It is less where the pads would not hold the object's weight so far off.
         pads: of the gripper that takes it from beyond the edge, which can so hold what is narrow nowhere; None where
-            only narrow parts are taken.
+            only narrow parts are taken, however heavy the object is.
     """
 
     gripper: Gripper = field(default_factory=Gripper)
@@ -166,7 +166,7 @@ class PreGraspPlanner:
         q = np.asarray(pose, dtype=np.float64)
         if model is None:
             return self._poke(q, UncertainModel.of_prior(self.obj), None, pokes, "nothing is known of the object yet")
-        decision = self._decide_with(self._find_parts_near(model, self.options.max_arm), q, model, pokes, slides)
+        decision = self._decide_with(self._find_parts_near(model, self._calc_max_arm(model)), q, model, pokes, slides)
         if decision.action != "fail" or not self.flat_parts:
             return decision
         flat = self._decide_by_rim(q, model, pokes, slides)
@@ -221,6 +221,11 @@ class PreGraspPlanner:
         )
         return PreGraspDecision("slide", reason, slide.goal, planned.push, planned.pose)
 
+    def _calc_max_arm(self, model: UncertainModel) -> float:
+        """How far a narrow part may be from where the center of mass is estimated, m: less of a heavy object."""
+        pads = self.options.pads
+        return min(self.options.max_arm, np.inf if pads is None else pads.weigh(model.masses).max_arm)
+
     def _find_parts_near(self, model: UncertainModel, arm: float) -> tuple[GraspPart, ...]:
         """The parts no farther than `arm` (m) from where the center of mass is estimated."""
         middle = model.masses.center_of_mass_polygon.mean(axis=0)
@@ -238,7 +243,7 @@ class PreGraspPlanner:
         if any(isinstance(part, FlatPart) for part in parts):
             why = "no pose lets a part that the pads hold hang over the edge where the arm can take it"
             return PreGraspDecision("fail", why)
-        arm = self.options.max_arm
+        arm = self._calc_max_arm(model)
         near = f" within {arm * MM:.0f} mm of the center of mass" if np.isfinite(arm) else ""
         why = f"no pose lets a graspable part{near} hang over the edge where the arm can take it"
         reachable = self._find_parts_near(model, arm + REACHABLE_SIGMAS * _calc_center_std(model))

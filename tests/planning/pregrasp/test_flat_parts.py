@@ -169,19 +169,35 @@ def test_measured_forces_say_how_heavy_an_object_is_that_was_not_weighed(frictio
     assert narrow.masses.max_total_mass == pytest.approx(friction * np.exp(0.2) / (9.81 * 0.5))
 
 
+def make_handle(total_mass):
+    outline = shapely.box(-0.1, -0.05, 0.1, 0.15).union(shapely.box(-0.02, -0.2, 0.02, -0.05))
+    return GridObject.from_outline(outline, max_cells=80, prior=replace(PRIOR, total_mass=total_mass))
+
+
 def test_narrow_parts_go_first_and_both_reasons_are_given():
-    handle = shapely.box(-0.02, -0.2, 0.02, -0.05)
-    prior = replace(PRIOR, total_mass=3.0)
-    obj = GridObject.from_outline(shapely.box(-0.1, -0.05, 0.1, 0.15).union(handle), max_cells=80, prior=prior)
+    obj, pose = make_handle(0.3), (0.1, 0.2, 0.3)
     planner, model = make_planner(obj), UncertainModel.of_parameters(obj, CellParameters.uniform(obj))
     alone = PreGraspPlanner(obj, TABLE, PreGraspOptions(min_pokes=1))
-    pose = (0.1, 0.2, 0.3)
     np.testing.assert_array_equal(planner.decide(pose, model).push.xy, alone.decide(pose, model).push.xy)
+    obj = make_handle(3.0)
+    planner, model = make_planner(obj), UncertainModel.of_parameters(obj, CellParameters.uniform(obj))
     near = PreGraspPlanner(obj, TABLE, replace(planner.options, max_arm=0.02))
     decision = near.decide(pose, model)
     assert decision.action == "fail"
     assert "within 20 mm of the center of mass" in decision.reason
     assert "; and by the rim, the pads cannot hold it: " in decision.reason
+
+
+def test_a_heavy_object_is_not_taken_by_a_handle_that_it_would_turn_about():
+    obj, pose = make_handle(3.0), (0.1, 0.2, 0.3)
+    model = UncertainModel.of_parameters(obj, CellParameters.uniform(obj))
+    planner = make_planner(obj)
+    assert planner.options.pads.max_arm == pytest.approx(0.8 * 80.0 * 0.012 / (3.0 * 9.81), rel=1e-3)
+    decision = planner.decide(pose, model)
+    assert decision.action == "fail"
+    assert "within 26 mm of the center of mass" in decision.reason
+    stronger = make_planner(obj, force=600.0)
+    assert stronger.decide(pose, model).action == "slide"
 
 
 def test_pokes_are_made_while_the_center_of_mass_may_be_where_the_pads_hold_it():

@@ -1,0 +1,102 @@
+"""What bounds of the friction decide in pre-grasp sliding, whether they hold or not.
+
+Pushes show each cell's relative friction alone, and bounds of the friction turn it into masses that the object may have
+(`planning.pregrasp.uncertainty`). Here that relative friction is known exactly, so that nothing but the bounds is in
+doubt: is there a goal that is safe for all those masses, and does the object stay put there with its true ones? No
+method that rests on bounds does better. Objects of rubber and steel are told bounds that hold, and others that do not.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+from gridpush_drake.bench.table import MM, PERCENT, Column, Share, Table
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.pregrasp.goals import GoalOptions, find_pregrasp_goals
+from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart
+from gridpush_drake.planning.pregrasp.stability import calc_stability_margin
+from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
+from gridpush_drake.planning.support_surface import SupportSurface
+
+RUBBER, STEEL = 0.8, 0.2
+"""Frictions of an object's parts where they are of different materials."""
+
+TOLD = {f"{low:g} to {high:g}": (low, high) for low, high in ((STEEL, RUBBER), (0.2, 0.6), (0.25, 0.5), (0.3, 0.4))}
+"""Bounds of the friction that the method is told of such objects; the first ones hold."""
+
+DRAWN = "drawn"
+KNOWN = {f"known, {key}": bounds for key, bounds in TOLD.items()}
+"""Whose relative friction is known: objects whose friction is drawn within what is told, and those of TOLD."""
+
+
+def draw_materials(obj: GridObject, mass_set: int) -> Array:
+    """(n,) frictions of an object one part of which is of rubber, and the others of steel."""
+    rng = np.random.default_rng([mass_set, 2])
+    return np.where(obj.labels == rng.choice(np.unique(obj.labels)), RUBBER, STEEL)
+
+
+def describe_share(count: int, total: int) -> str:
+    """A share in percent, and its interval."""
+    share = Share.of(count, total)
+    return f"{PERCENT * count / total:.0f} ({PERCENT * share.low:.0f}-{PERCENT * share.high:.0f})"
+
+
+@dataclass(frozen=True)
+class BoundsScore:
+    """One object with known relative friction.
+
+    Attributes:
+        method: DRAWN, or of KNOWN.
+        safe: whether there is a goal that is safe for all masses within the bounds.
+        tips: whether the object tips at the best such goal.
+        outside: how far the true center of mass is outside the region that the bounds leave, m.
+    """
+
+    method: str
+    safe: bool
+    tips: bool
+    outside: float
+
+
+def judge_bounds(
+    obj: GridObject, truth: CellParameters, parts: Sequence[GraspPart], surface: SupportSurface, max_arm: float,
+    method: str,
+) -> BoundsScore:  # fmt: skip
+    """Judges the bounds that `obj` has, at the table's middle; `max_arm`, m, is the planner's."""
+    friction = truth.relative_friction()[None]
+    masses = PlausibleMassSet(obj, friction / obj.prior.friction_max, friction / obj.prior.friction_min)
+    centers = masses.center_of_mass_polygon
+    outside = float(shapely.Polygon(centers).distance(shapely.Point(truth.center_of_mass(obj))))
+    near = [part for part in parts if np.linalg.norm(part.p_BG - centers.mean(axis=0)) <= max_arm]
+    goals = find_pregrasp_goals(masses, near, np.zeros(3), surface) if near else []
+    if not goals or goals[0].margin < GoalOptions().margin:
+        return BoundsScore(method, False, False, outside)
+    true = PlausibleMassSet.of_masses(obj, truth)
+    return BoundsScore(method, True, calc_stability_margin(true, goals[0].pose, surface, 0.0) < 0, outside)
+
+
+BOUNDS_COLUMNS: dict[str, Column] = {
+    "objects": len,
+    "safe goal, %": lambda scores: describe_share(sum(each.safe for each in scores), len(scores)),
+    "tips there, %": lambda scores: describe_share(sum(each.tips for each in scores), len(scores)),
+    "center outside": lambda scores: sum(each.outside > 0 for each in scores),
+    "worst, mm": lambda scores: MM * max(each.outside for each in scores),
+}
+
+
+def tabulate_bounds(scores: Sequence[BoundsScore], friction: tuple[float, float]) -> Table:
+    """What the bounds allow, and where they mislead."""
+    label = f"{friction[0]:g} to {friction[1]:g}"
+    names = {DRAWN: f"{label}, drawn", **{key: f"{told}, rubber" for key, told in zip(KNOWN, TOLD, strict=True)}}
+    groups = [((name,), [score for score in scores if score.method == key]) for key, name in names.items()]
+    notes = (
+        f"Told are bounds of the friction: of what is drawn within them, or of one part of rubber, {RUBBER:g}, with "
+        f"others of steel, {STEEL:g}. The relative friction is known exactly.",
+        "safe goal: one where no masses within the bounds tip the object. tips there: the true ones do.",
+        "center outside: objects whose true center of mass is outside the region that the bounds leave, and how far.",
+    )
+    return Table.of("What bounds of the friction allow", ("told",), groups, BOUNDS_COLUMNS, notes)

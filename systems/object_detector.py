@@ -1,0 +1,217 @@
+"""What object lies on the table, from what a color and depth camera sees: the detector as a Drake system."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import BasicVector, Context, State
+from shapely.geometry.base import BaseGeometry
+
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import PhysicalPrior
+from gridpush_drake.perception.camera import Camera
+from gridpush_drake.perception.detection import (
+    DetectedObject,
+    DetectorOptions,
+    cover_pixels,
+    detect_object,
+    find_off_table,
+)
+from gridpush_drake.perception.frames import Frame
+from gridpush_drake.systems.object_controller import AbstractStateSystem
+from gridpush_drake.systems.object_pose_estimator import DEFAULT_PERIOD, RgbdInputs
+from gridpush_drake.systems.worker import Answer, Request, answer_now, make_worker
+
+
+@dataclass(frozen=True)
+class ObjectNaming:
+    """What a photograph does not tell of an object.
+
+    Attributes:
+        name: of the object.
+        prior: of its mass and friction; the default one where None.
+        heading: of the body frame's x axis in W, rad.
+    """
+
+    name: str = "object"
+    prior: PhysicalPrior | None = None
+    heading: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class DetectorState:
+    """All that the detector remembers; never changed, only replaced.
+
+    Attributes:
+        trigger: on its port when it began to look.
+        detected: what was found; None where nothing was, as yet.
+        obj: of it.
+        message: why nothing was found in the last picture; empty where it was, and before the first.
+        request: the search under way; None where none is.
+    """
+
+    trigger: float = 0.0
+    detected: DetectedObject | None = None
+    obj: GridObject | None = None
+    message: str = ""
+    request: Request | None = None
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "DetectorState":
+        """Itself: Drake copies the state at every update, and nothing in it is ever changed."""
+        return self
+
+
+class ObjectDetector(AbstractStateSystem[DetectorState]):
+    """Finds the one object on the table in the pictures of a color and depth camera, see `detect_object`.
+
+    .. pydrake_system::
+
+        name: ObjectDetector
+        input_ports:
+        - color_image
+        - depth_image
+        - label_image
+        - trigger
+        output_ports:
+        - object
+        - object_pose
+        - found
+        - detection
+        - message
+
+    * color_image: abstract `ImageRgba8U`; depth_image: abstract `ImageDepth32F`, m, registered to it, 0 where it was
+      not measured; need not be connected where the camera's pose is known and the object's height given.
+    * label_image: abstract `ImageLabel16I`, rendered from where the camera is: what of the robot, or
+      else, hides the table. It need not be connected.
+    * trigger: vector of 1, a number. Where it becomes another one, what was found is forgotten, and looked for anew. It
+      need not be connected: 0.
+    * object: abstract `GridObject`, in its body frame B; None while none is found.
+    * object_pose: vector of 3, (x, y, theta) of B in W, m and rad, in the picture in which it was found; else NaN.
+    * found: vector of 1, 1 where an object was found, else 0.
+    * detection: abstract `DetectedObject`, with outline, mask and the picture; None while none is found.
+    * message: abstract `str`, why none was found in the last picture: two objects, no table in view, an image of
+      another size. Empty where one was found. Whatever is in the pictures, nothing is raised.
+
+    A picture is looked at every `period` until an object is found, with `once` false also after that. Abstract state:
+    one `DetectorState`. Numeric parameter 0: the seed of the table's colors that are painted over the robot.
+    """
+
+    __slots__ = NO_SLOTS
+
+    def __init__(
+        self,
+        camera: Camera,
+        options: DetectorOptions | None = None,
+        naming: ObjectNaming | None = None,
+        *,
+        table_top: BaseGeometry | None = None,
+        hidden_by: Iterable[int] = (),
+        seed: int = 0,
+        period: float = DEFAULT_PERIOD,
+        once: bool = True,
+        answer_delay: float | None = 0.0,
+    ) -> None:
+        """Declares the system.
+
+        Args:
+            camera: that takes the pictures.
+            options: what counts as an object.
+            naming: of the object that is found.
+            table_top: where on the table objects may lie, a polygon in W, m; all that is in view where None.
+            hidden_by: labels in `label_image` of what may hide the table.
+            seed: see above.
+            period: between two pictures, s.
+            once: whether it looks no more once it has found an object, until it is triggered.
+            answer_delay: s after which what a picture tells is there; None for real time, see `make_worker`.
+
+        Raises:
+            CameraError: there is a table's top, but the camera's pose is not known.
+            PlanningError: the delay is negative.
+        """
+        super().__init__(DetectorState(), period)
+        self._worker = make_worker(answer_delay)
+        self._camera, self._options, self._naming, self._once = camera, options, naming or ObjectNaming(), once
+        self._off_table = None if table_top is None else find_off_table(camera, table_top)
+        self._seed = self.DeclareNumericParameter(BasicVector([float(seed)]))
+        self._inputs = RgbdInputs(self, camera.width, camera.height, hidden_by)
+        self._trigger = self.DeclareVectorInputPort("trigger", 1)
+        for name in ("object", "detection", "message"):
+            calc = weakly(self._calc_shown, name)
+            self.DeclareAbstractOutputPort(name, lambda: AbstractValue.Make(None), calc, {self._remembered})
+        for name, size in (("object_pose", 3), ("found", 1)):
+            self.DeclareVectorOutputPort(name, size, weakly(self._calc_vector, name), {self._remembered})
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._look_first)
+
+    def _calc_shown(self, context: Context, output: AbstractValue, name: str) -> None:
+        now = self._get_state(context)
+        output.set_value({"object": now.obj, "detection": now.detected, "message": now.message}[name])
+
+    def _calc_vector(self, context: Context, output: BasicVector, name: str) -> None:
+        detected = self._get_state(context).detected
+        if name == "found":
+            output.SetFromVector([float(detected is not None)])
+        else:
+            output.SetFromVector(np.full(3, np.nan) if detected is None else detected.X_WB)
+
+    def _look_first(self, context: Context, state: State) -> None:
+        """Sees what the first picture will show, so that something is known from the beginning."""
+        now = self._get_state(context)
+        if now.detected is None and now.request is None:
+            self._update(context, state)
+
+    def _go_on(self, context: Context, now: DetectorState) -> DetectorState:
+        if now.request is not None and self._worker is not None:
+            answer = self._worker.take(now.request, context.get_time())
+            return now if answer is None else _settle(now, answer)
+        trigger = float(self._trigger.Eval(context)[0]) if self._trigger.HasValue(context) else 0.0
+        if trigger != now.trigger and np.isfinite(trigger):
+            now = DetectorState(trigger)
+        if now.detected is not None and self._once:
+            return now
+        seed = int(context.get_numeric_parameter(int(self._seed)).value()[0])
+        frame, hidden = self._inputs.take_frame(context), self._inputs.find_hidden(context)
+        unseen = (self._off_table, hidden)
+        work = partial(find_in_frame, frame, self._camera, self._options, self._naming, unseen, seed)
+        if self._worker is None:
+            return _settle(now, answer_now(work))
+        return replace(now, request=self._worker.ask(work, context.get_time()))
+
+
+def find_in_frame(
+    frame: Frame,
+    camera: Camera,
+    options: DetectorOptions | None,
+    naming: ObjectNaming,
+    unseen: Iterable[NDArray[np.bool_] | None],
+    seed: int,
+) -> tuple[DetectedObject, GridObject] | str:
+    """Finds the object in a picture, but for what masks hide, with its cells; or says why there is none."""
+    try:
+        camera.check_size(frame.color, "the color image")
+        covered = np.zeros(frame.color.shape[:2], dtype=bool)
+        for mask in unseen:
+            if mask is not None:
+                camera.check_size(mask, "the label image")
+                covered |= mask
+        if frame.depth is not None:
+            camera.check_size(frame.depth, "the depth image")
+        detected = detect_object(*cover_pixels(frame.color, frame.depth, covered, seed), camera, options)
+        x, y, _ = detected.X_WB
+        detected = replace(detected, X_WB=np.array([x, y, naming.heading]))
+        obj = detected.make_grid_object(name=naming.name)
+        return detected, obj if naming.prior is None else replace(obj, prior=naming.prior)
+    except GridPushError as error:
+        return str(error)
+
+
+def _settle(now: DetectorState, answer: Answer) -> DetectorState:
+    """The state after a picture was looked at."""
+    if answer.error or isinstance(answer.value, str):
+        return DetectorState(now.trigger, message=answer.error or answer.value)
+    return DetectorState(now.trigger, *answer.value)
