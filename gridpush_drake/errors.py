@@ -16,6 +16,10 @@ class ObjectError(GridPushError):
     """An object, a mask, an outline or their YAML is not what it should be."""
 
 
+class ObjectWarning(UserWarning):
+    """A mask may be right, but hardly is: it seems to be inverted."""
+
+
 class ParameterError(GridPushError):
     """Cell masses, frictions or priors are out of range or of the wrong shape."""
 

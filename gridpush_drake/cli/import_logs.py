@@ -14,6 +14,7 @@ from typer.core import TyperGroup
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import print_found
 from gridpush_drake.errors import OutputError
+from gridpush_drake.files import exists, make_folder
 
 if TYPE_CHECKING:
     from gridpush_drake.pushes.importers import Importer
@@ -68,6 +69,8 @@ def _make_command(name: str, importer: "type[Importer]") -> Any:
             if value is not None and _is_object(types[key]):
                 chosen[key] = options.load_object(value)
         pushes, obj = importer(**chosen).read(file)
+        if out_dir is not None:
+            make_folder(out_dir)
         pushes.write_csv(paths[0], force)
         obj.write_yaml(paths[1], force=force)
         found = {"object": obj.name, "cells": obj.n, "pushes": len(pushes), "written": list(map(str, paths))}
@@ -103,13 +106,13 @@ def _is_object(kind: Any) -> bool:
 def _check_outputs(
     out_dir: Path | None, out_csv: Path | None, out_object: Path | None, force: bool
 ) -> tuple[Path, Path]:
-    from gridpush_drake.files import make_folder
-
+    """The paths of the log and the object; a folder is made only when there is something to write."""
     if (out_dir is None) == (out_csv is None or out_object is None):
         raise OutputError("--out-dir: expected a folder, or both --out-csv and --out-object instead of it")
-    if out_dir is not None:
-        make_folder(out_dir)
     folder = out_dir or Path()
     paths = out_csv or folder / "pushes.csv", out_object or folder / "object.yaml"
-    options.check_outputs(force, *paths)
+    if out_dir is None or out_dir.is_dir():
+        options.check_outputs(force, *paths)
+    elif exists(out_dir):
+        raise OutputError(f"--out-dir: {out_dir} is a file; expected a folder")
     return paths

@@ -35,9 +35,12 @@ from gridpush_drake.cli import (
     view,
 )
 from gridpush_drake.cli import object as object_from_photo
-from gridpush_drake.errors import GridPushError, PushLogWarning
+from gridpush_drake.errors import GridPushError, ObjectWarning, PushLogWarning
 
 EXIT_BAD_INPUT = 2
+
+DOUBTS = (ObjectWarning, PushLogWarning)
+"""Warnings that are for the user."""
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -124,16 +127,17 @@ def _run(args: list[str] | None) -> int | None:
 
 @contextmanager
 def _short_warnings() -> Iterator[None]:
-    """Prints each warning about a push log as one line on standard error, whatever filters are set."""
+    """Prints each warning about a mask or a push log as one line on standard error, whatever filters are set."""
     with warnings.catch_warnings():
-        warnings.simplefilter("always", PushLogWarning)
+        for doubt in DOUBTS:
+            warnings.simplefilter("always", doubt)
         show, told = warnings.showwarning, set[str]()
 
         def print_short(
             message: Warning | str, category: type[Warning], filename: str, lineno: int, file: Any = None,
             line: str | None = None,
         ) -> None:  # fmt: skip
-            if not issubclass(category, PushLogWarning):
+            if not issubclass(category, DOUBTS):
                 show(message, category, filename, lineno, file, line)
             elif str(message) not in told:
                 told.add(str(message))

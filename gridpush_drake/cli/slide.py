@@ -10,7 +10,15 @@ from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_found, to_json
 
 if TYPE_CHECKING:
+    from gridpush_drake.objects.grid_object import GridObject
+    from gridpush_drake.planning.pregrasp.goals import ArmLimits, PreGraspGoal
+    from gridpush_drake.planning.pregrasp.grasp_parts import PadLimit
     from gridpush_drake.planning.pregrasp.planner import PreGraspPlan, PreGraspPlanner
+    from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
+    from gridpush_drake.planning.support_surface import SupportSurface
+
+USUAL_HEIGHT = 0.03
+"""Of an object whose file does not say how thick it is, m."""
 
 
 def slide(
@@ -22,6 +30,14 @@ def slide(
     ] = None,
     opening: Annotated[float, typer.Option(help="How far the gripper opens, m.")] = 0.11,
     depth: Annotated[float, typer.Option(help="Depth of the gripper's fingers, which must hang over, m.")] = 0.03,
+    pad_force: Annotated[
+        float | None,
+        typer.Option(
+            metavar="N",
+            help="Also take by its rim what is narrow nowhere, between a jaw below it and one above that press with so "
+            "much in all.",
+        ),
+    ] = None,
     margin: Annotated[float, typer.Option(help="Stability margin asked for, m.")] = 0.003,
     radius: Annotated[
         float | None, typer.Option(help="Radius of the pusher, m; by default what the object's file says, or 0.008.")
@@ -46,8 +62,8 @@ def slide(
     from gridpush_drake.files import write_whole
     from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
     from gridpush_drake.planning.pregrasp.exploration import PokeOptions
-    from gridpush_drake.planning.pregrasp.goals import GoalOptions
-    from gridpush_drake.planning.pregrasp.grasp_parts import Gripper
+    from gridpush_drake.planning.pregrasp.goals import ANY_ARM, GoalOptions
+    from gridpush_drake.planning.pregrasp.grasp_parts import Gripper, PadLimit
     from gridpush_drake.planning.pregrasp.planner import (
         ACCEPTED_SHARE,
         STATUS_READY,
@@ -55,6 +71,7 @@ def slide(
         PreGraspPlanner,
         plan_pregrasp,
     )
+    from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
     from gridpush_drake.planning.pregrasp.slides import SlideOptions
     from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 
@@ -68,13 +85,18 @@ def slide(
         low, high = options.parse_numbers("--friction", friction, "min,max")
         bounds = low, high
     finger = target.obj.prior.pusher_radius or DEFAULT_RADIUS if radius is None else radius
+    pads = limits = None
+    if pad_force is not None:
+        pads = PadLimit.of_object(target.obj, SideGripper(opening=opening), pad_force)
+        limits = _limit_to_held(target.obj, surface, pads)
     chosen = PreGraspOptions(
         gripper=Gripper(opening=opening, depth=depth),
         goal=GoalOptions(margin=margin),
         slide=SlideOptions(margin=ACCEPTED_SHARE * margin, contact=replace(SlideOptions().contact, radius=finger)),
         poke=PokeOptions(radius=finger),
+        pads=pads,
     )
-    planner = PreGraspPlanner(target.obj, surface, chosen)
+    planner = PreGraspPlanner(target.obj, surface, chosen, limits=limits or ANY_ARM)
     if not surface.contains(target.obj.cells_at(pose)).any():
         raise options.OptionError(f"--start: is {start}; expected a place on the table")
     options.compile_kernels()
@@ -97,12 +119,30 @@ def slide(
         raise typer.Exit(options.EXIT_NO_PLAN)
 
 
+def _limit_to_held(obj: "GridObject", surface: "SupportSurface", pads: "PadLimit") -> "ArmLimits":
+    """Asks of a goal with a part of the rim whether the gripper gets there clear of the table, and holds the object."""
+    from gridpush_drake.planning.pregrasp.goals import ArmLimits
+    from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart, find_held_grasps
+    from gridpush_drake.planning.pregrasp.side_grasp import check_thickness
+
+    height = obj.height or USUAL_HEIGHT
+    check_thickness(obj, height, pads.gripper)
+
+    def can_grasp(goal: "PreGraspGoal", masses: "PlausibleMassSet") -> bool:
+        if not isinstance(goal.part, FlatPart):
+            return True
+        return bool(find_held_grasps(obj, goal.pose, surface, pads, goal.part.p_BG, height, masses))
+
+    return ArmLimits(can_grasp=can_grasp)
+
+
 def _describe(planner: "PreGraspPlanner", plan: "PreGraspPlan", model: str) -> dict[str, Any]:
     goal = plan.goal
     found: dict[str, Any] = {
         "object": planner.obj.name,
         "model": model,
         "graspable_parts": len(planner.parts),
+        "rim_parts": len(planner.flat_parts),
         "status": plan.status,
         "message": plan.message,
         "goal": None,
@@ -114,11 +154,19 @@ def _describe(planner: "PreGraspPlanner", plan: "PreGraspPlan", model: str) -> d
             "pose": goal.pose,
             "overhang": goal.overhang,
             "stability_margin": goal.margin,
-            "grasp": {"at": goal.p_WG, "closing": goal.closing_W, "width": goal.part.width},
+            "grasp": _describe_grasp(goal),
         }
     for push, after in zip(plan.pushes, plan.poses[1:], strict=True):
         found["pushes"].append({**_describe_push(push), "object_after": after})
     return found
+
+
+def _describe_grasp(goal: "PreGraspGoal") -> dict[str, Any]:
+    from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart
+
+    if isinstance(goal.part, FlatPart):
+        return {"at": goal.p_WG, "by": "rim", "approach": goal.part.heading + goal.pose[2]}
+    return {"at": goal.p_WG, "by": "narrow part", "closing": goal.closing_W, "width": goal.part.width}
 
 
 def _describe_push(push: Any) -> dict[str, Any]:
@@ -143,10 +191,14 @@ def _explain(found: dict[str, Any]) -> list[str]:
     goal = found["goal"]
     if goal is not None:
         (x, y, theta), grasp = goal["pose"], goal["grasp"]
+        if grasp["by"] == "rim":
+            how = f"by the rim, the fingers pointing along {grasp['approach']:.3f} rad"
+        else:
+            how = f"{grasp['width'] * MM:.1f} mm wide"
         lines += [
             f"goal  x {x * MM:.1f} mm, y {y * MM:.1f} mm, theta {theta:.3f} rad; stability margin "
             f"{goal['stability_margin'] * MM:.1f} mm at the worst",
-            f"grasp at {grasp['at'][0] * MM:.1f} mm, {grasp['at'][1] * MM:.1f} mm, {grasp['width'] * MM:.1f} mm wide",
+            f"grasp at {grasp['at'][0] * MM:.1f} mm, {grasp['at'][1] * MM:.1f} mm, {how}",
         ]
     for i, push in enumerate(found["pushes"], start=1):
         (x0, y0), (x1, y1) = push["from"], push["to"]

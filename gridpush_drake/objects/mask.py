@@ -2,6 +2,7 @@
 
 import re
 import struct
+import warnings
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +15,7 @@ from PIL.PngImagePlugin import PngImageFile
 from scipy.ndimage import find_objects, label, map_coordinates
 from shapely.geometry.polygon import orient
 
-from gridpush_drake.errors import ObjectError, require_positive
+from gridpush_drake.errors import ObjectError, ObjectWarning, require_positive
 from gridpush_drake.files import MEGABYTE, open_file, read_bytes
 from gridpush_drake.geometry.contour import calc_contour
 from gridpush_drake.objects.cells import CellGrid, Cells, Region, Share, check_max_cells, choose_cells
@@ -83,7 +84,29 @@ def crop(path: Path, rows: Rows, width: int, height: int) -> NDArray[np.uint16]:
     for first in range(top, bottom, step):
         last = min(bottom, first + step)
         labels[first - top : last - top] = rows(first, last)[:, left:right]
+    if labels.shape == (height, width):
+        _doubt_inverted(path, labels)
     return labels
+
+
+INVERTED_SHARE, MAIN_SHARE = 0.01, 0.9
+"""Least share of a picture, and of all background, that a hole has which is the object of an inverted mask."""
+
+
+def _doubt_inverted(path: Path, labels: NDArray[np.uint16]) -> None:
+    """Warns where all of the border is object and one hole is all there is of background."""
+    edges = (labels[0], labels[-1], labels[:, 0], labels[:, -1])
+    if not all(edge.all() for edge in edges):
+        return
+    holes, count = label(labels == 0)
+    sizes = np.bincount(holes.ravel())[1:]
+    if count and sizes.max() >= max(INVERTED_SHARE * labels.size, MAIN_SHARE * sizes.sum()):
+        warnings.warn(
+            f"{path}: is the mask inverted? The object takes all of the picture's border and has a hole of "
+            f"{sizes.max()} pixels; expected 0 for background, beyond the border too",
+            ObjectWarning,
+            stacklevel=2,
+        )
 
 
 def _read_png(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:

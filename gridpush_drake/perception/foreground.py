@@ -213,7 +213,7 @@ def score_pixels(
             says = np.where(band, EDGE_WEIGHT * says, says)
         score += says
     smooth = _blur(score, SMOOTHING)
-    mask = _morph(smooth > 0, cv2.MORPH_OPEN, OPENING)
+    mask = remove_thin(smooth > 0)
     mask = fill_holes(_morph(mask, cv2.MORPH_CLOSE, CLOSING), smooth)
     return Foreground(mask, smooth, difference, deviation, heights.astype(np.float32))
 
@@ -292,6 +292,11 @@ def _blur(image: NDArray[Any], deviation: float) -> Image:
 def dilate(mask: Mask, width: int) -> Mask:
     """Widens a mask by half of `width` pixels all around."""
     return _morph(mask, cv2.MORPH_DILATE, width)
+
+
+def remove_thin(mask: Mask) -> Mask:
+    """Takes away what is too thin to be object."""
+    return _morph(mask, cv2.MORPH_OPEN, OPENING)
 
 
 def _erode(mask: Mask, width: int) -> Mask:

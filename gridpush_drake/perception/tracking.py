@@ -29,19 +29,21 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh
 from scipy.ndimage import uniform_filter1d
 from shapely import Polygon
+from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 
 from gridpush_drake.errors import PerceptionError
 from gridpush_drake.geometry.se2 import transform, wrap_angle
 from gridpush_drake.objects.cells import make_polygon
 from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.detection import draw_contours, look_at_table
+from gridpush_drake.perception.detection import draw_contours, find_off_table, look_at_table
 from gridpush_drake.perception.foreground import (
     Foreground,
     dilate,
     find_foreground,
     find_high,
     refine_boundary,
+    remove_thin,
     score_pixels,
     to_lab,
 )
@@ -80,6 +82,10 @@ HALF = 0.5
 
 CLEARANCE = 0.015
 """What stands higher than the object by this is something else, such as the arm, m."""
+
+FLOOR, FLOOR_MARGIN = 0.05, 5
+"""What lies lower than the table by this, m, is not the object, whatever its color; nor is, beyond the table's edge,
+what is further than half of so many pixels from where the depth camera sees anything above that."""
 
 COVER_MARGIN = 9
 """Width, pixels, by which what covers the object is widened: its edges are uncertain too."""
@@ -215,8 +221,9 @@ class PoseTracker:
     """Registers a known outline to what a camera sees. It holds no state; `start` and `track` are pure."""
 
     def __init__(
-        self, outline: Polygon | ArrayLike, height: float, camera: Camera, options: TrackerOptions | None = None
-    ) -> None:
+        self, outline: Polygon | ArrayLike, height: float, camera: Camera, options: TrackerOptions | None = None,
+        table_top: BaseGeometry | None = None,
+    ) -> None:  # fmt: skip
         """Takes the object and the camera.
 
         Args:
@@ -224,6 +231,7 @@ class PoseTracker:
             height: of the object, m.
             camera: with X_WC; the table's top is at z = 0.
             options: see `TrackerOptions`.
+            table_top: polygon, W, m, beyond which the floor is seen; None where that is not known.
 
         Raises:
             CameraError: X_WC is not known.
@@ -236,6 +244,7 @@ class PoseTracker:
             raise PerceptionError(f"height is {height!r}; expected 0 to {camera.center[2]:g} m, where the camera is")
         self._ideal = camera.undistorted
         self._rays = make_rays(self._ideal)
+        self._off_table = None if table_top is None else find_off_table(self._ideal, table_top)
         turn = self.options.max_turn
         self._prior = np.diag([self.options.max_step**-2, self.options.max_step**-2, turn**-2])
 
@@ -343,17 +352,20 @@ class PoseTracker:
     ) -> _View:  # fmt: skip
         """Tells the object from the table in a part of the picture."""
         difference = to_lab(color[window]) - appearance.table[window]
-        hidden, plane, high = covered[window], None, None
+        hidden, plane, high, floor = covered[window], None, None, np.zeros(difference.shape[:2], dtype=bool)
         if depth is not None and appearance.plane is not None:
             z = np.where(depth[window] > 0, depth[window], np.nan)
             scale = float(1 / np.linalg.norm(appearance.plane))
             heights = scale * (1 - z * (self._rays[window] @ appearance.plane))
             hidden = hidden | (np.nan_to_num(heights) > self.height + CLEARANCE)
+            floor = heights < -FLOOR
+            if self._off_table is not None:
+                floor |= self._off_table[window] & ~dilate(heights > -FLOOR, FLOOR_MARGIN)
             plane = TablePlane(-appearance.plane * scale, scale, heights, appearance.height_deviation)
             high = find_high(plane)
         hidden = dilate(hidden, COVER_MARGIN) if hidden.any() else hidden
         found: Foreground = score_pixels(difference, appearance.deviation, plane, high)
-        mask, coverage = refine_boundary(found.mask & ~hidden, found, hidden)
+        mask, coverage = refine_boundary(remove_thin(found.mask & ~hidden & ~floor), found, hidden)
         return _View(coverage, mask, hidden, np.array([window[1].start, window[0].start], dtype=np.float64))
 
     def _silhouette(self, pose: Array) -> Polygon:

@@ -18,6 +18,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.goal.push_plan import PushPlan
+from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart
 from gridpush_drake.planning.pregrasp.planner import PreGraspPlan, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, calc_support_polygon
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
@@ -213,10 +214,9 @@ def _draw_goal(ax: Axes, planner: PreGraspPlanner, masses: PlausibleMassSet, pla
     handles = _draw_areas(ax, goal.pose, areas)
     frame_points(ax, [transform(goal.pose, np.asarray(planner.obj.outline.exterior.coords)[:, :2])], CLOSE_UP)
     ax.legend(handles=handles, fontsize=FONT - 1, frameon=False, loc="upper left")
-    ax.set_title(
-        f"{goal.margin * MM:.0f} mm to spare at the worst; {goal.part.width * MM:.0f} mm between the jaws",
-        fontsize=FONT, color=INK,
-    )  # fmt: skip
+    flat = isinstance(goal.part, FlatPart)
+    how = "taken by the rim" if flat else f"{goal.part.width * MM:.0f} mm between the jaws"
+    ax.set_title(f"{goal.margin * MM:.0f} mm to spare at the worst; {how}", fontsize=FONT, color=INK)
 
 
 class PushDrawn(NamedTuple):

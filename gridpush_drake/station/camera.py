@@ -176,7 +176,7 @@ def AddPoseEstimator(
     estimator = builder.AddNamedSystem(
         "camera",
         ObjectPoseEstimator(
-            PoseTracker(found.obj.outline, height, camera.camera),
+            PoseTracker(found.obj.outline, height, camera.camera, table_top=found.table_top),
             config.rgbd.width,
             config.rgbd.height,
             period=1 / config.rate,
@@ -216,12 +216,14 @@ class FoundObject:
         pose: (3,) X_WF in the photograph, m and rad.
         detected: what the detector says.
         true_obj: the plant's object, in F.
+        table_top: W, m.
     """
 
     obj: GridObject
     pose: NDArray[np.float64]
     detected: DetectedObject
     true_obj: GridObject
+    table_top: BaseGeometry
 
 
 def find_object(
@@ -252,7 +254,7 @@ def find_object(
         p_BC=true_obj.p_BC - shift,
         outline=shapely.transform(true_obj.outline, lambda points: points - shift),
     )
-    return FoundObject(obj, detected.X_WB, detected, moved)
+    return FoundObject(obj, detected.X_WB, detected, moved, scene.table_top)
 
 
 def AddDetector(

@@ -19,9 +19,9 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.pregrasp.exploration import PokeOptions
 from gridpush_drake.planning.pregrasp.goals import ArmLimits, GoalOptions, PreGraspGoal
-from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart, PadLimit
+from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart, PadLimit, find_held_grasps
 from gridpush_drake.planning.pregrasp.planner import ACCEPTED_SHARE, PreGraspOptions, PreGraspPlanner
-from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp, check_thickness, choose_varied, find_side_grasps
+from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp, check_thickness, choose_varied
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface, stayed_supported
@@ -70,19 +70,8 @@ class GraspFinder:
 
         Where `masses` are given, the pads hold the object whichever of them it has.
         """
-        found = find_side_grasps(
-            self.obj,
-            pose,
-            self.surface,
-            self.pads.gripper,
-            aim,
-            height=self.station.scenario.object_height,
-        )
-        if masses is not None:
-            points = np.array([grasp.p_BG for grasp in found]).reshape(-1, 2)
-            headings = np.array([grasp.approach for grasp in found]) - pose[2]
-            held = self.pads.holds(points, headings, masses.center_of_mass_polygon)
-            found = [found[i] for i in np.flatnonzero(held)]
+        height = self.station.scenario.object_height
+        found = find_held_grasps(self.obj, pose, self.surface, self.pads, aim, height, masses)
         for grasp in choose_varied(found, GRASPS_TRIED):
             if self._is_reached(grasp.p_WG, grasp.approach):
                 return grasp

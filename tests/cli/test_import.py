@@ -41,6 +41,7 @@ def test_refuses(refuses, tmp_path, kind):
     refuses("import", kind, path, says=["--out-dir", "--out-csv"])
     refuses("import", kind, path, *outputs[:2], says=["--out-dir", "--out-object"])
     refuses("import", kind, path, "--out-dir", path, says=[path, "folder"])
+    refuses("import", kind, path, "--out-dir", tmp_path / "new", says=[path])
     (tmp_path / "a.csv").write_text("mine")
     refuses("import", kind, path, *outputs, says=["a.csv", "--force"])
 

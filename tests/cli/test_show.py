@@ -71,5 +71,17 @@ def test_keeps_the_largest_piece_when_told(gridpush, tmp_path):
     assert outcome.code == 0, outcome.err
 
 
+def test_says_that_a_mask_may_be_inverted(gridpush, tmp_path):
+    inverted = np.full((20, 30), 255, dtype=np.uint8)
+    inverted[5:15, 8:22] = 0
+    Image.fromarray(inverted).save(tmp_path / "inverted.png")
+    path = tmp_path / "object.yaml"
+    path.write_text("mask: {image: inverted.png, meters_per_pixel: 0.001}\n")
+    outcome = gridpush("show", path, "--out", tmp_path / "picture.png")
+    assert outcome.code == 0
+    assert outcome.err.startswith("gridpush: warning: ") and "inverted.png: is the mask inverted?" in outcome.err
+    assert outcome.err.count("\n") == 1
+
+
 def test_refuses_a_file_that_is_not_there(refuses, tmp_path):
     refuses("show", tmp_path / "none.yaml", "--out", tmp_path / "picture.png", says=["none.yaml"])

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -35,6 +36,32 @@ def test_plans_draws_and_writes(gridpush, pan, tmp_path):
     assert not shapely.box(0.1, -0.15, 0.7, 0.35).contains(shapely.Point(grasp))
     with Image.open(picture) as image:
         assert image.width > 600
+
+
+def test_a_tray_is_taken_by_its_rim_where_the_pads_hold_it(gridpush, refuses, tmp_path):
+    square, tray = shapely.box(-0.08, -0.08, 0.08, 0.08), tmp_path / "tray.yaml"
+
+    def write(**known):
+        prior = PhysicalPrior(friction=0.3, friction_min=0.29, friction_max=0.31, center_of_mass=(0.0, 0.0), **known)
+        obj = GridObject.from_outline(square, max_cells=16, name="tray", prior=prior)
+        replace(obj, height=0.02).write_yaml(tray, force=True)
+
+    slide = ("slide", tray, "--table", "rectangle:0.5x0.5", "--start", "0,0.16,0")
+    write(total_mass=0.3)
+    refuses(*slide, "--opening", "0.1", says=["tray", "no graspable part"])
+    outcome = gridpush(*slide, "--opening", "0.1", "--pad-force", 80, "--json")
+    assert outcome.code == 0, outcome
+    document = json.loads(outcome.out)
+    grasp = document["goal"]["grasp"]
+    assert document["graspable_parts"] == 0 < document["rim_parts"] and grasp["by"] == "rim"
+    at, inward = np.array(grasp["at"]), np.array([np.cos(grasp["approach"]), np.sin(grasp["approach"])])
+    assert not shapely.box(-0.25, -0.25, 0.25, 0.25).contains(shapely.Point(at))
+    assert shapely.Point(at).distance(shapely.box(-0.25, -0.25, 0.25, 0.25)) < 0.05 and inward @ at < 0
+    write(total_mass=3.0)
+    outcome = gridpush(*slide, "--opening", "0.1", "--pad-force", 80)
+    assert outcome.code == 1 and "the pads cannot hold it" in outcome.out
+    refuses(*slide, "--opening", "0.03", "--pad-force", 80, says=["tray", "0.02 m thick", "expected at most"])
+    refuses(*slide, "--opening", "0.1", "--pad-force", 0, says=["force is 0", "expected a positive number"])
 
 
 def test_one_json_document_tells_what_a_poke_is_worth(gridpush):

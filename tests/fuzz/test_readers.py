@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from PIL import Image
 
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.errors import GridPushError, PushLogWarning
+from gridpush_drake.errors import GridPushError, ObjectWarning, PushLogWarning
 from gridpush_drake.identification.model_file import read_model, write_model
 from gridpush_drake.identification.prediction import predict
 from gridpush_drake.objects.grid_object import GridObject
@@ -118,7 +118,8 @@ def survives(path, text, read) -> None:
     path.write_bytes(text)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warnings.simplefilter("ignore", PushLogWarning)
+        for doubt in (ObjectWarning, PushLogWarning):
+            warnings.simplefilter("ignore", doubt)
         try:
             read(path)
         except GridPushError as error:

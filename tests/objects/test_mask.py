@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from gridpush_drake.errors import ObjectError
+from gridpush_drake.errors import ObjectError, ObjectWarning
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.mask import MAX_PIXELS, _keep_one_piece, read_labels
 from tests.helpers.shared_data import shared_data
@@ -109,10 +109,24 @@ def test_holes_are_kept_and_specks_in_the_mask_dropped(tmp_path):
     labels = np.ones((80, 100), np.uint8)
     labels[20:60, 30:70] = 0
     labels[5, 5] = labels[70:72, 90] = 0
-    obj = read(tmp_path / "h.png", labels)
+    with pytest.warns(ObjectWarning, match=r"h\.png: is the mask inverted\? .* hole of 1600 pixels"):
+        obj = read(tmp_path / "h.png", labels)
     assert len(obj.outline.interiors) == 1
     assert obj.outline.area == pytest.approx(80 * 100 - 40 * 40, rel=0.005)
     assert (np.abs(obj.p_BC).max(axis=1) > 14).all()
+
+
+def test_a_mask_that_may_well_be_right_is_not_doubted(tmp_path):
+    """A frame with background beside it, a plate with several holes, and one with a speck: each without a warning."""
+    frame = np.ones((80, 100), np.uint8)
+    frame[20:60, 30:70] = 0
+    plate, speck = np.ones((80, 100), np.uint8), np.ones((80, 100), np.uint8)
+    plate[20:40, 20:40] = plate[20:40, 60:80] = 0
+    speck[40:44, 40:44] = 0
+    for labels in (np.pad(frame, ((0, 1), (0, 0))), plate, speck, np.ones((20, 30), np.uint8)):
+        read(tmp_path / "f.png", labels)
+    with pytest.warns(ObjectWarning, match="inverted"):
+        read(tmp_path / "f.png", frame)
 
 
 def test_thin_and_corner_touching_masks_still_have_an_outline(tmp_path):

@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
+import shapely
 
 from gridpush_drake.errors import CameraError, ImageError, PerceptionError
 from gridpush_drake.perception import Camera, PoseTracker
 from gridpush_drake.perception.tracking import calc_dilution
-from tests.helpers.pictures import make_camera, paint
+from tests.helpers.pictures import cover, make_camera, paint
 
 L_SHAPE = np.array([[0, 0], [0.14, 0], [0.14, 0.04], [0.05, 0.04], [0.05, 0.12], [0, 0.12]]) - [0.05, 0.04]
 SQUARE = np.array([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]])
@@ -134,6 +135,21 @@ def test_lost_is_nan_and_found_again_elsewhere():
     state, tracked = tracker.track(state, look(L_SHAPE, elsewhere, t=2.0))
     np.testing.assert_allclose(tracked.pose, elsewhere, atol=5e-3)
     assert not state.lost
+
+
+@pytest.mark.parametrize("floor", [0.0, 1.4], ids=["too_far_to_measure", "measured"])
+def test_what_hangs_over_the_edge_is_found_again_before_the_floor(floor):
+    camera, edge = make_camera(), 0.07
+    pose = np.array([0.05, -0.02, 2.6])
+    frame = look(L_SHAPE, pose, shadow=0.2)
+    x = camera.cast(np.stack(np.meshgrid(np.arange(640), np.arange(480)), axis=-1))[..., 0]
+    beyond = (x > edge) & (cover(camera, L_SHAPE, pose, HEIGHT) < 0.5)
+    frame.color[beyond], frame.depth[beyond] = DARK, floor
+    tracker = PoseTracker(L_SHAPE, HEIGHT, camera, table_top=shapely.box(-1, -1, edge, 1))
+    state = tracker.start(look(L_SHAPE, [-0.1, 0.05, 0.3]))
+    _, tracked = tracker.track(state, frame)
+    assert tracked.seen
+    np.testing.assert_array_less(np.abs(tracked.pose - pose), [5e-4, 5e-4, np.radians(0.3)])
 
 
 def test_track_is_pure():

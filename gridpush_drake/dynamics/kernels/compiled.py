@@ -7,12 +7,14 @@ cache here is a folder named by the contents of all files of this package and of
     $NUMBA_CACHE_DIR, else $XDG_CACHE_HOME/gridpush_drake, else ~/.cache/gridpush_drake
 
 or, where that cannot be written, beside the bytecode or in the folder for temporary files. A folder that is already
-there is read where it cannot be written.
+there is read where it cannot be written. Whoever makes a new one removes those that nobody has used for a month.
 """
 
 import hashlib
 import os
+import shutil
 import tempfile
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
@@ -27,6 +29,9 @@ FAST_SUMS = frozenset({"reassoc", "contract", "nsz", "arcp"})
 
 DIGEST_LENGTH = 16
 """Hexadecimal digits of the sources' hash in the folder's name."""
+
+UNUSED = 30 * 86400.0
+"""s since a folder was last used, after which it is removed."""
 
 KERNELS = Path(__file__).parent
 
@@ -92,13 +97,24 @@ def find_cache_folder(source: Path) -> Path:
     for folder in folders:
         with suppress(OSError):
             if any(folder.iterdir()):
+                with suppress(OSError):
+                    os.utime(folder)  # its last use
                 return folder
     for folder in folders:
         with suppress(OSError):
             folder.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=folder):
+                _remove_unused(folder.parent)
                 return folder
     return Path(tempfile.gettempdir()) / f"gridpush_drake-{name}"
+
+
+def _remove_unused(place: Path) -> None:
+    """Removes the folders of other sources that were not used for long; several processes may be at it at once."""
+    for folder in place.glob(f"kernels-{'[0-9a-f]' * DIGEST_LENGTH}"):
+        with suppress(OSError):
+            if time.time() - folder.stat().st_mtime > UNUSED:
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 class _Locator(_CacheLocator):

@@ -215,12 +215,14 @@ def _find_tilt(support, cells, cell_size, loads):
     center, tilt, mean, inverse = loads.center, loads.tilt, loads.mean, loads.inverse
     S = 0.0
     half = cell_size / 2.0
+    # exp of how far from p*, or from the cells where p* is so far beyond them that exp would overflow: w is the same
+    from_x, from_y = min(max(center[0], -reach), reach), min(max(center[1], -reach), reach)
     for _ in range(_NEWTON_LIMIT):
         b0, b1 = tilt[0], tilt[1]
         for i in range(exp_x.shape[0]):
-            exp_x[i] = exp(b0 * (support.xs[i] - center[0]))
+            exp_x[i] = exp(b0 * (support.xs[i] - from_x))
         for i in range(exp_y.shape[0]):
-            exp_y[i] = exp(b1 * (support.ys[i] - center[1]))
+            exp_y[i] = exp(b1 * (support.ys[i] - from_y))
         S, sx, sy, sxx, sxy, syy = _sum_moments(support, cells, loads)
         if not S > 0.0:
             break
@@ -251,7 +253,7 @@ def _find_tilt(support, cells, cell_size, loads):
 
 @kernel(allocates=False, fast_sums=True)
 def _sum_moments(support, cells, loads):
-    """Sums m_i sigma_i exp(b·(p_i - p*)) times 1, x, y, x², x y and y², with (x, y) = p_i - p*."""
+    """Sums m_i sigma_i exp(b·p_i), up to a factor, times 1, x, y, x², x y and y², with (x, y) = p_i - p*."""
     mass, column, row = support.mass, support.column, support.row
     covered, exp_x, exp_y, cx, cy = loads.share, loads.exp_x, loads.exp_y, loads.center[0], loads.center[1]
     px, py = cells[0], cells[1]

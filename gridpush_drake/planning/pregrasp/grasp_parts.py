@@ -26,7 +26,7 @@ about a horizontal axis, friction of a level pad about its vertical normal only 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -37,7 +37,9 @@ from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, make_direction, make_rotation, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS
-from gridpush_drake.planning.pregrasp.side_grasp import SideGripper, make_rectangles
+from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp, SideGripper, find_side_grasps, make_rectangles
+from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
+from gridpush_drake.planning.support_surface import SupportSurface
 
 PIECE_SHARE = 0.95  # of the finger's depth that a piece must be long
 CHORDS = 11  # lines across a piece that say where the jaws touch it
@@ -182,6 +184,11 @@ class PadLimit:
         """For an object's total mass as it is known beforehand, or the usual one."""
         return cls(gripper, force, GRAVITY * (obj.prior.total_mass or DEFAULT_TOTAL_MASS))
 
+    def weigh(self, masses: PlausibleMassSet) -> "PadLimit":
+        """The same with the greatest weight that measured forces leave an object that was not weighed."""
+        heaviest = masses.max_total_mass
+        return self if heaviest is None else replace(self, weight=GRAVITY * heaviest)
+
     @property
     def torques(self) -> tuple[float, float]:
         """The greatest torque of the weight that the pads hold, by an arm along the fingers and by one across, N m."""
@@ -229,6 +236,23 @@ class FlatPart(GraspPart):
 def find_held_parts(parts: Sequence[FlatPart], pads: PadLimit, centers: Array) -> list[FlatPart]:
     """Those by which the pads hold the object, wherever in a polygon (v, 2) its center of mass is, body frame, m."""
     return [parts[i] for i in np.flatnonzero(pads.holds(*_stack(parts), centers)).tolist()]
+
+
+def find_held_grasps(
+    obj: GridObject, pose: Array, surface: SupportSurface, pads: PadLimit, aim: Array, height: float,
+    masses: PlausibleMassSet | None,
+) -> list[SideGrasp]:  # fmt: skip
+    """Finds where the pads can take an object as it overhangs, and hold it, whichever of some masses it has.
+
+    Without `masses` it is not asked what they hold; otherwise as `find_side_grasps`.
+    """
+    found = find_side_grasps(obj, pose, surface, pads.gripper, aim, height=height)
+    if masses is None or not found:
+        return found
+    points = np.array([grasp.p_BG for grasp in found])
+    headings = np.array([grasp.approach for grasp in found]) - pose[2]
+    held = pads.weigh(masses).holds(points, headings, masses.center_of_mass_polygon)
+    return [found[i] for i in np.flatnonzero(held)]
 
 
 def _stack(parts: Sequence[FlatPart]) -> tuple[Array, Array]:

@@ -179,6 +179,7 @@ class PreGraspPlanner:
         """Decides what to do next to take one of the flat parts by which the pads hold the object at the worst."""
         pads = self.options.pads
         assert pads is not None  # or there would be no flat parts
+        pads = pads.weigh(model.masses)
         centers = model.masses.center_of_mass_polygon
         held = find_held_parts(self.flat_parts, pads, centers)
         if held:

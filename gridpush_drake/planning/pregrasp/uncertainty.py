@@ -22,9 +22,11 @@ import shapely
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
+from gridpush_drake.dynamics.simulation import GRAVITY
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.polygons import bound_by_half_planes
 from gridpush_drake.geometry.se2 import Array, make_direction, transform_back
+from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.map_ensemble import MapEnsemble
@@ -52,6 +54,7 @@ class PlausibleMassSet:
         mass_min: (S, n) the least mass of each cell, one row for every draw of the relative friction.
         mass_max: (S, n) the greatest.
         confidence: share of the draws that a bound must hold for.
+        max_total_mass: greatest mass of the whole, kg, by measured forces; None where nothing says it but the object.
 
     Raises:
         PlanningError: shapes disagree, or the bounds are not positive and ordered.
@@ -61,6 +64,7 @@ class PlausibleMassSet:
     mass_min: Array
     mass_max: Array
     confidence: float = 1.0
+    max_total_mass: float | None = None
 
     def __post_init__(self) -> None:
         shape = self.mass_min.shape
@@ -81,12 +85,14 @@ class PlausibleMassSet:
         friction_range: tuple[float, float] | None = None,
         *,
         seed: int = 0,
+        force: ForceScale | None = None,
     ) -> "PlausibleMassSet":
         """All masses that agree with what was learned.
 
         Args:
             posterior: of its relative friction.
             friction_range: least and greatest friction coefficient of any cell; the object's own bounds where None.
+            force: what measured forces said, which bound the mass of an object that was not weighed.
 
         Raises:
             PlanningError: the range is not positive and increasing.
@@ -95,7 +101,10 @@ class PlausibleMassSet:
         if not 0 < low <= high < np.inf:
             raise PlanningError(f"friction_range is {(low, high)!r}; expected 0 < least <= greatest")
         share, _ = posterior.draw(MASS_DRAWS, seed)
-        return cls(obj, share / high, share / low, CONFIDENCE)
+        heaviest = None
+        if force is not None and obj.prior.total_mass is None:
+            heaviest = force.bounds[1] / (GRAVITY * low)
+        return cls(obj, share / high, share / low, CONFIDENCE, heaviest)
 
     @classmethod
     def of_masses(cls, obj: GridObject, params: CellParameters) -> "PlausibleMassSet":
@@ -141,6 +150,7 @@ class UncertainModel:
         sample_count: further models that slides are tried on.
         seed: of all draws.
         poke_starts: (K, 2) where the finger's center was as the pushes learned from began, body frame, m.
+        force: what measured forces said; None where there were none.
     """
 
     obj: GridObject
@@ -151,6 +161,7 @@ class UncertainModel:
     sample_count: int = 0
     seed: int = 0
     poke_starts: Array = field(default_factory=lambda: np.empty((0, 2)))
+    force: ForceScale | None = None
 
     @classmethod
     def of_identification(
@@ -166,7 +177,7 @@ class UncertainModel:
         starts = [transform_back(seen.pose, seen.push.start[None])[0] for seen in log or ()]
         return cls(
             found.obj, found.params, found.posterior, found.noise_scale, friction_range, sample_count,
-            seed, np.array(starts).reshape(-1, 2),
+            seed, np.array(starts).reshape(-1, 2), found.force,
         )  # fmt: skip
 
     @classmethod
@@ -186,7 +197,9 @@ class UncertainModel:
         if self.posterior is None:
             return PlausibleMassSet.of_masses(self.obj, self.params)
         with threadpool_limits(limits=1, user_api="blas"):
-            return PlausibleMassSet.from_posterior(self.obj, self.posterior, self.friction_range, seed=self.seed)
+            return PlausibleMassSet.from_posterior(
+                self.obj, self.posterior, self.friction_range, seed=self.seed, force=self.force
+            )
 
     @cached_property
     def samples(self) -> tuple[CellParameters, ...]:

@@ -4,6 +4,8 @@ import os
 import shutil
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -76,3 +78,20 @@ def test_the_digest_follows_every_file_of_the_folder(tmp_path, monkeypatch, chan
     else:
         (copy / "new_law.py").write_text("")
     assert calc(copy / "step.py") != calc_digest(kernels / "step.py")
+
+
+def test_folders_that_nobody_used_for_long_are_removed_by_whoever_makes_a_new_one(tmp_path, monkeypatch):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    source, now = Path(compiled.__file__), time.time()
+    mine, kept = tmp_path / f"kernels-{calc_digest(source)}", [f"kernels-{'a' * 16}", "kernels-mine", "other"]
+    for name, age in (("kernels-" + "0" * 16, 1.01), (kept[0], 0.99), (kept[1], 9.0), (kept[2], 9.0)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "something.nbi").write_bytes(b"")
+        os.utime(tmp_path / name, (now, now - age * compiled.UNUSED))
+    find = compiled.find_cache_folder.__wrapped__
+    with ThreadPoolExecutor(4) as pool:
+        assert set(pool.map(find, [source] * 8)) == {mine}
+    assert {path.name for path in tmp_path.iterdir()} == {mine.name, *kept}
+    (mine / "something.nbi").write_bytes(b"")
+    os.utime(mine, (now, now - 9 * compiled.UNUSED))
+    assert find(source) == mine and time.time() - mine.stat().st_mtime < compiled.UNUSED

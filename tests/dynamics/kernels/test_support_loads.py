@@ -130,6 +130,17 @@ def test_tips_over_its_own_edge_when_pushed_high(share, status):
     assert motion.status == status
 
 
+@pytest.mark.parametrize("regime", ["inertial", "quasi_static"])
+def test_a_pusher_high_above_the_object_tips_it_and_nothing_overflows(regime):
+    """The center that the loads would need is many lengths beyond the object."""
+    obj = make_shape("claw_hammer", 60)
+    params = CellParameters(np.full(obj.n, 0.01), np.full(obj.n, 0.9), 0.5, push_height=8 * np.ptp(obj.p_BC[:, 0]))
+    push = Push.on_outline(obj, 0.02, 0.2, 0.05, radius=0.008, speed=0.3)
+    motion = simulate(obj, params, push, regime=regime, gradients=True)
+    assert motion.status == "tips"
+    assert np.isfinite(motion.poses).all() and np.isfinite(motion.contact_forces).all()
+
+
 def test_refuses_what_makes_no_sense():
     obj = make_shape("square", 16)
     params = CellParameters.uniform(obj)

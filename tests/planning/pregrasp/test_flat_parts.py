@@ -8,6 +8,7 @@ import shapely
 from scipy.optimize import linprog
 
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
@@ -143,6 +144,29 @@ def test_what_the_pads_cannot_hold_is_refused_with_figures():
         assert figure in plan.message
     strong = make_planner(obj, force=2 * 80.0)
     assert plan_pregrasp(strong, UncertainModel.of_parameters(obj, params), (0.1, 0.2, 0.3)).status == STATUS_READY
+
+
+@pytest.mark.parametrize("friction", [0.6, 6.0])
+def test_measured_forces_say_how_heavy_an_object_is_that_was_not_weighed(friction):
+    """K of 0.6 N: at most a few hundred grams; of 6 N: it may weigh kilograms. Without forces it is taken for one."""
+    obj = make_tray(total_mass=None)
+    planner, prior = make_planner(obj, weight=9.81), UncertainModel.of_prior(obj)
+    felt = replace(prior, force=ForceScale(friction, 0.1, 6))
+    heaviest = friction * np.exp(0.2) / (9.81 * obj.prior.friction_min)
+    pads, centers = planner.options.pads, prior.masses.center_of_mass_polygon
+    assert prior.masses.max_total_mass is None and pads.weigh(prior.masses) is pads
+    assert pads.weigh(felt.masses).weight == pytest.approx(9.81 * heaviest)
+    held = len(find_held_parts(planner.flat_parts, pads.weigh(felt.masses), centers))
+    assert (held > len(find_held_parts(planner.flat_parts, pads, centers))) == (friction < 1.0)
+    decision = planner.decide((0.1, 0.2, 0.3), felt, pokes=planner.options.min_pokes)
+    assert (decision.action != "fail") == (friction < 1.0), decision.reason
+    if friction > 1.0:
+        assert f"its {9.81 * heaviest:.1f} N are up to" in decision.reason
+    weighed = replace(obj, prior=replace(obj.prior, total_mass=0.4))
+    known = replace(UncertainModel.of_prior(weighed), force=felt.force)
+    assert known.masses.max_total_mass is None
+    narrow = replace(felt, friction_range=(0.5, 0.6))
+    assert narrow.masses.max_total_mass == pytest.approx(friction * np.exp(0.2) / (9.81 * 0.5))
 
 
 def test_narrow_parts_go_first_and_both_reasons_are_given():
