@@ -6,7 +6,8 @@ r = J z + noise, with J exact from its simulation and noise ~ N(0, R) (`identifi
     S' = S - S J^T (J S J^T + R)^-1 J S
 
 whatever will be seen. What matters is linear in z near the mean, f = F z: the center of friction, which is the center
-of mass where all cells rub alike, along one direction or both; or the poses that other pushes are predicted to end in.
+of mass where all cells rub alike; how far the center of mass can be in one direction, by the friction's bounds; or the
+poses that other pushes are predicted to end in.
 The poke is chosen that makes the largest eigenvalue of F S' F^T least, the variance of what is then known least
 (Bayesian linear design by its worst direction: Chaloner and Verdinelli 1995, section 2;
 `docs/theory/identification.md`, section 7).
@@ -24,6 +25,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, transform_back
+from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.noise import NoiseModel
 from gridpush_drake.identification.posterior import calc_center_jacobian
 from gridpush_drake.identification.problem import PushProblem
@@ -162,3 +164,17 @@ def make_center_functional(model: UncertainModel, direction: ArrayLike | None = 
     """The center of friction, m: its derivatives by z, (2, n+1), or (1, n+1) along `direction` (2,), body frame."""
     F = calc_center_jacobian(model.require_posterior().calc_share(), model.obj.p_BC)
     return F if direction is None else np.asarray(direction, dtype=np.float64)[None] @ F
+
+
+def make_farthest_functional(model: UncertainModel, direction: ArrayLike) -> Array:
+    """How far the center of mass can be along `direction` (2,), body frame, m, by the friction's bounds: as above.
+
+    The bounds take it the farther, the more of the friction is far out on either side; the center of friction alone may
+    be known well long before that is.
+    """
+    d = np.asarray(direction, dtype=np.float64)
+    along, share = model.obj.p_BC @ d, model.require_posterior().calc_share()
+    low, high = model.friction_range or (model.obj.prior.friction_min, model.obj.prior.friction_max)
+    farthest = calc_farthest_center(along, share[None] / high, share[None] / low)[0]
+    mass = share / np.where(along > farthest, low, high)
+    return np.asarray(d[None] @ calc_center_jacobian(mass / mass.sum(), model.obj.p_BC))

@@ -28,6 +28,7 @@ from gridpush_drake.planning.pregrasp.exploration import (
     calc_worst_std,
     choose_poke,
     make_center_functional,
+    make_farthest_functional,
     make_pokes,
 )
 from gridpush_drake.planning.pregrasp.goals import (
@@ -68,7 +69,7 @@ ACCEPTED_SHARE = 2 / 3
 
 
 REACHABLE_SIGMAS = 4.0
-"""How many of the center's standard deviations across the edge further pokes may add to a margin."""
+"""How many standard deviations, of how far the center can be across the edge, further pokes may add to a margin."""
 
 
 @dataclass(frozen=True)
@@ -267,10 +268,10 @@ class PreGraspPlanner:
             return PreGraspDecision(
                 "fail", f"{why}; pokes cannot tell mass from friction, only closer friction bounds would help", best
             )
+        what = "the center" if direction is None else "how far the center can be across the edge"
         reason = (
-            f"{why}; this poke is expected to bring the center's standard deviation"
-            f"{'' if direction is None else ' across the edge'} from {choice.std * MM:.1f} mm "
-            f"to {choice.expected_std * MM:.1f} mm"
+            f"{why}; this poke is expected to bring the standard deviation of {what} "
+            f"from {choice.std * MM:.1f} mm to {choice.expected_std * MM:.1f} mm"
         )
         return PreGraspDecision("poke", reason, best, choice.push)
 
@@ -283,13 +284,14 @@ def suggest_poke(
     options: PreGraspOptions | None = None,
     limits: ArmLimits = ANY_ARM,
 ) -> PokeChoice | None:
-    """The poke that is expected to tell most about the center of mass; None where none keeps the object on the table.
+    """The poke that is expected to tell most of the center of mass; None where none keeps the object on the table.
 
     Args:
         model: of the object; its `posterior` must not be None.
         pose: (3,) where the object lies, X_WB, m and rad.
         surface: the table, inside whose edge the object stays, or at least as far in and as stable as it is.
-        direction: (2,) unit vector in the body frame along which the center matters; both where None.
+        direction: (2,) unit vector in the body frame along which it matters how far the center can be; where None, the
+            center matters.
 
     Raises:
         PlanningError: the model leaves nothing to learn.
@@ -306,7 +308,8 @@ def suggest_poke(
     pokes = make_pokes(model, pose, options.poke, constraints)
     if not pokes:
         return None
-    choice = choose_poke(model, pose, pokes, make_center_functional(model, direction))
+    F = make_center_functional(model) if direction is None else make_farthest_functional(model, direction)
+    choice = choose_poke(model, pose, pokes, F)
     for index in np.argsort(choice.expected_stds, kind="stable").tolist():
         expected = float(choice.expected_stds[index])
         if np.isfinite(expected) and constraints.allows_push(pokes[index]):

@@ -4,6 +4,7 @@ import pytest
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.objects.grid_object import GridObject
@@ -14,12 +15,14 @@ from gridpush_drake.planning.pregrasp.exploration import (
     calc_remaining,
     choose_poke,
     make_center_functional,
+    make_farthest_functional,
     make_pokes,
 )
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from tests.helpers.finite_difference import check_jacobian
 from tests.helpers.shapes import claw_hammer
 
 HERE = np.zeros(3)
@@ -96,6 +99,18 @@ def test_the_center_s_derivatives_agree_with_differences(hammer):
         shares = [Posterior(posterior.mean + sign * dz, np.eye(1), np.eye(1)).calc_share() for sign in (1, -1)]
         np.testing.assert_allclose(F[:, i], (shares[0] - shares[1]) @ hammer.p_BC / (2 * step), atol=1e-9)
     np.testing.assert_allclose(make_center_functional(model, [0.6, 0.8]), [[0.6, 0.8]] @ F)
+
+
+def test_how_far_the_center_can_be_has_the_derivatives_that_differences_say(hammer):
+    posterior = Posterior(np.random.default_rng(2).normal(size=hammer.n + 1), np.eye(1), np.eye(1))
+    d, bounds = np.array([0.6, 0.8]), (0.2, 0.6)
+
+    def calc_farthest(z):
+        share = Posterior(z, np.eye(1), np.eye(1)).calc_share()[None]
+        return calc_farthest_center(hammer.p_BC @ d, share / bounds[1], share / bounds[0])
+
+    model = UncertainModel(hammer, CellParameters.uniform(hammer), posterior, friction_range=bounds)
+    check_jacobian(calc_farthest, posterior.mean, make_farthest_functional(model, d))
 
 
 def test_a_poke_tells_most_about_its_own_end(model, pokes):
