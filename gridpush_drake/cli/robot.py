@@ -60,7 +60,7 @@ def robot(
 
     chosen, scenario = TASKS[task], read_robot_scenario(scenario_file, object_file, seed)
     scenario.simulation.answer_delay = None  # a real arm waits for nobody
-    check_scenario(scenario)
+    check_scenario(scenario, scenario_file)
     if go:
         make_folder(out)
         for name in (*chosen.files, LOG):
