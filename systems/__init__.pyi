@@ -16,6 +16,7 @@ from .messages import PushPhase as PushPhase
 from .messages import PushStatus as PushStatus
 from .object_controller import AbstractStateSystem as AbstractStateSystem
 from .object_controller import ObjectController as ObjectController
+from .object_detector import Detection as Detection
 from .object_detector import DetectorState as DetectorState
 from .object_detector import ObjectDetector as ObjectDetector
 from .object_detector import ObjectNaming as ObjectNaming

@@ -45,21 +45,32 @@ class ObjectNaming:
 
 
 @dataclass(frozen=True, eq=False)
+class Detection:
+    """What came of the pictures so far.
+
+    Attributes:
+        detected: what was found, with outline, mask and the picture; None where nothing was, as yet.
+        obj: of it, in its body frame B.
+        message: why nothing was found in the last picture; empty where it was, and before the first.
+    """
+
+    detected: DetectedObject | None = None
+    obj: GridObject | None = None
+    message: str = ""
+
+
+@dataclass(frozen=True, eq=False)
 class DetectorState:
     """All that the detector remembers; never changed, only replaced.
 
     Attributes:
         trigger: on its port when it began to look.
-        detected: what was found; None where nothing was, as yet.
-        obj: of it.
-        message: why nothing was found in the last picture; empty where it was, and before the first.
+        seen: what came of it.
         request: the search under way; None where none is.
     """
 
     trigger: float = 0.0
-    detected: DetectedObject | None = None
-    obj: GridObject | None = None
-    message: str = ""
+    seen: Detection = Detection()
     request: Request | None = None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "DetectorState":
@@ -79,7 +90,6 @@ class ObjectDetector(AbstractStateSystem[DetectorState]):
         - label_image
         - trigger
         output_ports:
-        - object
         - object_pose
         - found
         - detection
@@ -91,10 +101,9 @@ class ObjectDetector(AbstractStateSystem[DetectorState]):
       else, hides the table. It need not be connected.
     * trigger: vector of 1, a number. Where it becomes another one, what was found is forgotten, and looked for anew. It
       need not be connected: 0.
-    * object: abstract `GridObject`, in its body frame B; None while none is found.
     * object_pose: vector of 3, (x, y, theta) of B in W, m and rad, in the picture in which it was found; else NaN.
     * found: vector of 1, 1 where an object was found, else 0.
-    * detection: abstract `DetectedObject`, with outline, mask and the picture; None while none is found.
+    * detection: abstract `Detection`, with the object, its outline and the picture.
     * message: abstract `str`, why none was found in the last picture: two objects, no table in view, an image of
       another size. Empty where one was found. Whatever is in the pictures, nothing is raised.
 
@@ -141,19 +150,25 @@ class ObjectDetector(AbstractStateSystem[DetectorState]):
         self._seed = self.DeclareNumericParameter(BasicVector([float(seed)]))
         self._inputs = RgbdInputs(self, camera.width, camera.height, hidden_by)
         self._trigger = self.DeclareVectorInputPort("trigger", 1)
-        for name in ("object", "detection", "message"):
-            calc = weakly(self._calc_shown, name)
-            self.DeclareAbstractOutputPort(name, lambda: AbstractValue.Make(None), calc, {self._remembered})
+        remembered = {self._remembered}
+        self.DeclareAbstractOutputPort(
+            "detection", lambda: AbstractValue.Make(Detection()), weakly(self._calc_detection), remembered
+        )
+        self.DeclareAbstractOutputPort(
+            "message", lambda: AbstractValue.Make(""), weakly(self._calc_message), remembered
+        )
         for name, size in (("object_pose", 3), ("found", 1)):
-            self.DeclareVectorOutputPort(name, size, weakly(self._calc_vector, name), {self._remembered})
+            self.DeclareVectorOutputPort(name, size, weakly(self._calc_vector, name), remembered)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._look_first)
 
-    def _calc_shown(self, context: Context, output: AbstractValue, name: str) -> None:
-        now = self._get_state(context)
-        output.set_value({"object": now.obj, "detection": now.detected, "message": now.message}[name])
+    def _calc_detection(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self._get_state(context).seen)
+
+    def _calc_message(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self._get_state(context).seen.message)
 
     def _calc_vector(self, context: Context, output: BasicVector, name: str) -> None:
-        detected = self._get_state(context).detected
+        detected = self._get_state(context).seen.detected
         if name == "found":
             output.SetFromVector([float(detected is not None)])
         else:
@@ -162,7 +177,7 @@ class ObjectDetector(AbstractStateSystem[DetectorState]):
     def _look_first(self, context: Context, state: State) -> None:
         """Sees what the first picture will show, so that something is known from the beginning."""
         now = self._get_state(context)
-        if now.detected is None and now.request is None:
+        if now.seen.detected is None and now.request is None:
             self._update(context, state)
 
     def _go_on(self, context: Context, now: DetectorState) -> DetectorState:
@@ -172,7 +187,7 @@ class ObjectDetector(AbstractStateSystem[DetectorState]):
         trigger = float(self._trigger.Eval(context)[0]) if self._trigger.HasValue(context) else 0.0
         if trigger != now.trigger and np.isfinite(trigger):
             now = DetectorState(trigger)
-        if now.detected is not None and self._once:
+        if now.seen.detected is not None and self._once:
             return now
         seed = int(context.get_numeric_parameter(int(self._seed)).value()[0])
         frame, hidden = self._inputs.take_frame(context), self._inputs.find_hidden(context)
@@ -213,5 +228,5 @@ def find_in_frame(
 def _settle(now: DetectorState, answer: Answer) -> DetectorState:
     """The state after a picture was looked at."""
     if answer.error or isinstance(answer.value, str):
-        return DetectorState(now.trigger, message=answer.error or answer.value)
-    return DetectorState(now.trigger, *answer.value)
+        return DetectorState(now.trigger, Detection(message=answer.error or answer.value))
+    return DetectorState(now.trigger, Detection(*answer.value))

@@ -42,7 +42,7 @@ from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.detection import DetectedObject
 from gridpush_drake.perception.tracking import PoseTracker
 from gridpush_drake.station.scenario import CameraConfig, PushScenario
-from gridpush_drake.systems.object_detector import ObjectDetector, ObjectNaming
+from gridpush_drake.systems.object_detector import Detection, ObjectDetector, ObjectNaming
 from gridpush_drake.systems.object_pose_estimator import ObjectPoseEstimator
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 from gridpush_drake.systems.rgbd_noise import RgbdNoise
@@ -245,9 +245,10 @@ def find_object(
     """
     _, detector, root = _take_photograph(scenario, true_obj, builder, scene)
     own = detector.GetMyContextFromRoot(root)
-    obj, detected, message = (detector.GetOutputPort(name).Eval(own) for name in ("object", "detection", "message"))
-    if message:
-        raise ScenarioError(f"camera: no object is found in the first picture: {message}")
+    seen: Detection = detector.GetOutputPort("detection").Eval(own)
+    obj, detected = seen.obj, seen.detected
+    if obj is None or detected is None:
+        raise ScenarioError(f"camera: no object is found in the first picture: {seen.message}")
     shift = transform_back(np.array(scenario.object_pose), detected.X_WB[:2])
     moved = replace(
         true_obj,

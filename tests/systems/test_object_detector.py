@@ -63,7 +63,7 @@ class Run:
 
 
 def same(run: Run, expected) -> None:
-    found = run.read("detection")
+    found = run.read("detection").detected
     assert shapely.equals_exact(found.outline, expected.outline, 0.0) and found.height == expected.height
     np.testing.assert_array_equal(found.mask, expected.mask)
     np.testing.assert_array_equal(run.read("object_pose"), [*expected.X_WB[:2], NAMING.heading])
@@ -75,7 +75,7 @@ def test_finds_what_the_function_finds_bit_for_bit_in_the_first_picture():
     run.simulator.Initialize()
     assert run.read("found")[0] == 1 and run.read("message") == ""
     same(run, run.detect(0.0))
-    obj = run.read("object")
+    obj = run.read("detection").obj
     assert obj.name == "block" and obj.prior == NAMING.prior and obj.height == pytest.approx(THICKNESS, abs=1e-4)
     assert obj.outline.area == pytest.approx(OUTLINE.area, rel=0.02)
     x, y, _ = calc_pose(0.0)
@@ -101,7 +101,7 @@ def test_looks_once_or_when_it_is_triggered_or_always():
 def test_looks_until_the_arm_is_gone():
     run = Run(arm_until=0.25)
     run.advance(0.15)
-    assert run.read("found")[0] == 0 and run.read("object") is None and run.read("detection") is None
+    assert run.read("found")[0] == 0 and run.read("detection").obj is None and run.read("detection").detected is None
     assert "hides all" in run.read("message") and np.isnan(run.read("object_pose")).all()
     run.advance(0.35)
     assert run.read("found")[0] == 1 and run.read("message") == ""
@@ -115,9 +115,9 @@ def test_beside_the_diagram_it_finds_the_same_a_delay_later_in_a_clone_too():
     clone.AdvanceTo(0.25)
     run.advance(0.25)
     same(run, run.detect(0.0))
-    again = run.read("detection", clone.get_context())
-    assert shapely.equals_exact(again.outline, run.read("detection").outline, 0.0)
-    np.testing.assert_array_equal(again.picture, run.read("detection").picture)
+    again = run.read("detection", clone.get_context()).detected
+    assert shapely.equals_exact(again.outline, run.read("detection").detected.outline, 0.0)
+    np.testing.assert_array_equal(again.picture, run.read("detection").detected.picture)
 
 
 def paint(image, values):
@@ -158,7 +158,7 @@ def test_what_is_wrong_with_a_picture_is_on_the_message_port(color, depth, label
     assert detector.GetOutputPort("found").Eval(own)[0] == 0
 
 
-@pytest.mark.parametrize("name", ["object", "object_pose", "found", "detection", "message"])
+@pytest.mark.parametrize("name", ["object_pose", "found", "detection", "message"])
 def test_output_ports_depend_on_the_state_alone(name):
     detector = ObjectDetector(CAMERA)
     assert not detector.HasDirectFeedthrough(detector.GetOutputPort(name).get_index())
