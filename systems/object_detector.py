@@ -97,8 +97,8 @@ class ObjectDetector(AbstractStateSystem[DetectorState]):
 
     * color_image: abstract `ImageRgba8U`; depth_image: abstract `ImageDepth32F`, m, registered to it, 0 where it was
       not measured; need not be connected where the camera's pose is known and the object's height given.
-    * label_image: abstract `ImageLabel16I`, rendered from where the camera is: what of the robot, or
-      else, hides the table. It need not be connected.
+    * label_image: abstract `ImageLabel16I`, rendered from where the camera is: what of the robot, or else, hides the
+      table. It need not be connected.
     * trigger: vector of 1, a number. Where it becomes another one, what was found is forgotten, and looked for anew. It
       need not be connected: 0.
     * object_pose: vector of 3, (x, y, theta) of B in W, m and rad, in the picture in which it was found; else NaN.

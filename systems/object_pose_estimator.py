@@ -94,8 +94,8 @@ class ObjectPoseEstimator(LeafSystem):
         - message
 
     * color_image: abstract `ImageRgba8U`; depth_image: abstract `ImageDepth32F`, m, registered to it.
-    * label_image: abstract `ImageLabel16I`, rendered from where the camera is: what of the robot, or
-      else, hides the table. It need not be connected, nor need depth.
+    * label_image: abstract `ImageLabel16I`, rendered from where the camera is: what of the robot, or else, hides the
+      table. It need not be connected, nor need depth.
     * object_pose: vector of 3, (x, y, theta) of B in W, m and rad, theta without jumps; NaN where it was not seen.
     * covariance: vector of 9, of the pose, row-major, m², m rad and rad²; NaN where it was not seen.
     * seen: vector of 1, 1 where the object was seen in the picture that the pose is of, 0 where not.

@@ -140,8 +140,7 @@ def _hold_others(phase: str, _: dict[str, int]) -> None:
     """Before a thread collects garbage, holds the servers of the others, and lets go of its own."""
     if phase == "start":
         here = get_ident()
-        held = [meshcat for made, thread in _STARTED if thread != here and (meshcat := made()) is not None]
-        _HELD[:] = held
+        _HELD[:] = [meshcat for made, thread in _STARTED if thread != here and (meshcat := made()) is not None]
 
 
 def _explain(port: int | None, host: str) -> str:
