@@ -497,6 +497,8 @@ def _poke(
     std = error = chi_square = np.inf
     while len(log) < MAX_POKES and not std < WANTED_STD:
         pokes = make_pokes(model, pose, options)
+        if not pokes:  # there is no new place left
+            break
         if active:
             F = wanted @ make_center_functional(model)
             push = choose_poke(model, pose, pokes, F).push

@@ -36,7 +36,7 @@ from gridpush_drake.errors import PerceptionError
 from gridpush_drake.geometry.se2 import transform, wrap_angle
 from gridpush_drake.objects.cells import make_polygon
 from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.detection import draw_contours, find_off_table, look_at_table
+from gridpush_drake.perception.detection import cover_pixels, draw_contours, find_off_table, look_at_table
 from gridpush_drake.perception.foreground import (
     Foreground,
     dilate,
@@ -93,8 +93,12 @@ COVER_MARGIN = 9
 MARGIN = 30
 """About what may hold the object in the next frame, pixels."""
 
-ANGLES, BEST, COARSE = 48, 5, 4
-"""Of a search everywhere: angles tried, how many of the best are looked at closely, and the side of its pixels."""
+PIECES, ANGLES, BEST, COARSE = 4, 48, 5, 4
+"""Of a search everywhere: how many of the largest pieces are looked at, angles tried with each, how many of the best are
+tried closely, and the side of its pixels."""
+
+PAINT_SEED = 0
+"""Of the table's colors that are painted over what covers it in the first frame."""
 
 MIN_OVERLAP = 0.35
 """Least share that silhouette and foreground have in common (intersection over union) in a search everywhere."""
@@ -114,6 +118,8 @@ class TrackerOptions:
         max_step: furthest that the object goes from one frame to the next, m.
         max_turn: likewise, rad.
         lost_share: the object is lost where less of its visible outline than this is found.
+        found_share: in a search everywhere it is found where at least this of its visible outline is, and where what is
+            visible determines the pose; else the arm's, the table's edge or another thing's would do.
         pixel_noise: least standard deviation of an edge's place, pixels.
         max_dilution: the object counts as not seen where what covers it makes its pose less sure by more than this: a
             ratio of standard deviations, in the worst direction.
@@ -122,6 +128,7 @@ class TrackerOptions:
     max_step: float = 0.03
     max_turn: float = 0.3
     lost_share: float = 0.5
+    found_share: float = 0.8
     pixel_noise: float = 0.1
     max_dilution: float = 4.0
 
@@ -244,7 +251,9 @@ class PoseTracker:
             raise PerceptionError(f"height is {height!r}; expected 0 to {camera.center[2]:g} m, where the camera is")
         self._ideal = camera.undistorted
         self._rays = make_rays(self._ideal)
-        self._off_table = None if table_top is None else find_off_table(self._ideal, table_top)
+        self._off_table, self._off_table_raw = (
+            None if table_top is None else find_off_table(view, table_top) for view in (self._ideal, camera)
+        )
         turn = self.options.max_turn
         self._prior = np.diag([self.options.max_step**-2, self.options.max_step**-2, turn**-2])
 
@@ -262,10 +271,12 @@ class PoseTracker:
         Raises:
             PerceptionError: an image has another size, no table is in view, or no object that has the outline.
         """
-        color, depth, plane, _ = look_at_table(frame.color, frame.depth, self.camera)
-        found = find_foreground(color, plane)
+        color, depth = self._undistort(frame)
+        table = self._cover(frame, unseen)
+        painted, _, plane, _ = look_at_table(table.color, table.depth, self.camera)
+        found = find_foreground(painted, plane)
         appearance = Appearance(
-            to_lab(color) - found.difference,
+            to_lab(painted) - found.difference,
             found.deviation,
             None if plane is None else -plane.normal / plane.offset,
             0.0 if plane is None else plane.deviation,
@@ -293,12 +304,7 @@ class PoseTracker:
         Raises:
             ImageError: an image has another size than the camera.
         """
-        self.camera.check_size(frame.color, "the color image")
-        color = self.camera.undistort(frame.color)
-        depth = frame.depth
-        if depth is not None:
-            self.camera.check_size(depth, "the depth image")
-            depth = self.camera.undistort(depth)
+        color, depth = self._undistort(frame)
         fit = self._find(state.appearance, color, depth, self._find_covered(unseen), state.pose)
         if fit is None:
             return replace(state, lost=True, t=frame.t), NOT_SEEN
@@ -309,6 +315,22 @@ class PoseTracker:
             return replace(state, pose=pose, t=frame.t), NOT_SEEN
         tracked = TrackedPose(pose, fit.covariance, True, fit.rms)
         return replace(state, pose=pose, lost=False, t=frame.t), tracked
+
+    def _undistort(self, frame: Frame) -> tuple[Color, NDArray[np.float32] | None]:
+        """Color and depth without distortion; their sizes are checked."""
+        self.camera.check_size(frame.color, "the color image")
+        if frame.depth is None:
+            return self.camera.undistort(frame.color), None
+        self.camera.check_size(frame.depth, "the depth image")
+        return self.camera.undistort(frame.color), self.camera.undistort(frame.depth)
+
+    def _cover(self, frame: Frame, unseen: Mask | None) -> Frame:
+        """The frame with the table painted over what covers it, and over the floor: neither has the table's color."""
+        hidden = np.zeros(frame.color.shape[:2], dtype=bool) if unseen is None else unseen
+        if self._off_table_raw is not None:
+            hidden = hidden | self._off_table_raw
+        color, depth = cover_pixels(frame.color, frame.depth, hidden, PAINT_SEED)
+        return frame._replace(color=color, depth=depth)
 
     def _find_covered(self, unseen: Mask | None) -> Mask:
         """The undistorted mask of what something covers."""
@@ -325,16 +347,17 @@ class PoseTracker:
         if before is not None:
             view = self._look(appearance, color, depth, covered, self._find_window(before))
             fit = self._register(view, before)
-            if self._accepts(fit):
+            if self._accepts(fit, self.options.lost_share):
                 return fit
         whole = (slice(0, color.shape[0]), slice(0, color.shape[1]))
         view = self._look(appearance, color, depth, covered, whole)
         fits = [self._register(view, pose) for pose in self._guess(view, before)]
-        good = [fit for fit in fits if self._accepts(fit)]
+        good = [fit for fit in fits if self._accepts(fit, self.options.found_share)]
+        good = [fit for fit in good if fit.dilution <= self.options.max_dilution]
         return max(good, key=lambda fit: fit.share * fit.inside - fit.rms / MAX_RMS) if good else None
 
-    def _accepts(self, fit: _Fit) -> bool:
-        return fit.share >= self.options.lost_share and fit.inside >= MIN_INSIDE and fit.rms <= MAX_RMS
+    def _accepts(self, fit: _Fit, share: float) -> bool:
+        return fit.share >= share and fit.inside >= MIN_INSIDE and fit.rms <= MAX_RMS
 
     def _find_window(self, pose: Array) -> tuple[slice, slice]:
         """Rows and columns in which the object may be in the next frame."""
@@ -379,7 +402,7 @@ class PoseTracker:
         if count < 2:
             return []
         tried: list[tuple[float, Array]] = []
-        largest = 1 + np.argsort(-stats[1:, cv2.CC_STAT_AREA])[:2]
+        largest = 1 + np.argsort(-stats[1:, cv2.CC_STAT_AREA])[:PIECES]
         for piece in largest:
             at = self._ideal.cast((middles[piece] + HALF) * COARSE - HALF + view.corner, self.height / 2)
             for theta in np.arange(ANGLES) * (2 * np.pi / ANGLES):

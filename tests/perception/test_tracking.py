@@ -11,6 +11,7 @@ L_SHAPE = np.array([[0, 0], [0.14, 0], [0.14, 0.04], [0.05, 0.04], [0.05, 0.12],
 SQUARE = np.array([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]])
 DISC = 0.06 * np.array([[np.cos(a), np.sin(a)] for a in np.linspace(0, 2 * np.pi, 72, endpoint=False)])
 ARM = np.array([[-0.03, -0.25], [0.03, -0.25], [0.03, 0.25], [-0.03, 0.25]])
+BAR = np.array([[-0.06, -0.006], [0.06, -0.006], [0.06, 0.006], [-0.06, 0.006]])
 HEIGHT, BROWN, DARK = 0.03, (150, 120, 80), (50, 50, 55)
 START = np.array([0.02, 0.01, 0.3])
 
@@ -150,6 +151,32 @@ def test_what_hangs_over_the_edge_is_found_again_before_the_floor(floor):
     _, tracked = tracker.track(state, frame)
     assert tracked.seen
     np.testing.assert_array_less(np.abs(tracked.pose - pose), [5e-4, 5e-4, np.radians(0.3)])
+
+
+def test_no_edge_of_the_table_and_nothing_that_the_arm_hid_at_first_is_found_for_a_thin_object_that_is_hidden():
+    camera, edge = make_camera(), 0.2
+    x, y = np.moveaxis(camera.cast(np.stack(np.meshgrid(np.arange(640), np.arange(480)), axis=-1)), -1, 0)
+
+    def take(pose=None, arm=False, t=0.0):
+        """A table whose light falls off toward the back, and the floor; the arm stands there at first."""
+        frame = paint(camera, [] if pose is None else [(BAR, pose, HEIGHT, BROWN)], seed=int(10 * t), t=t)
+        shade = np.clip(1.0 - 8.0 * np.clip(y - 0.06, 0, None) ** 1.2, 0.5, 1.0)[..., None]
+        frame.color[:] = np.rint(frame.color * shade)
+        frame.color[x > edge], frame.depth[x > edge] = DARK, 1.4
+        hidden = arm & (y > 0.08) & (x < -0.02)
+        frame.color[hidden], frame.depth[hidden] = DARK, 0.4
+        return frame, hidden
+
+    tracker = PoseTracker(BAR, HEIGHT, camera, table_top=shapely.box(-1, -1, edge, 1))
+    start = np.array([0.03, -0.04, 0.3])
+    frame, hidden = take(start, arm=True)
+    state = tracker.start(frame, start, hidden)
+    for k in range(3):
+        state, tracked = tracker.track(state, *take(t=0.1 * k))
+        assert not tracked.seen
+    there = np.array([-0.05, -0.07, 2.0])
+    state, tracked = tracker.track(state, *take(there, t=0.4))
+    np.testing.assert_allclose(tracked.pose, there, atol=5e-3)
 
 
 def test_track_is_pure():
