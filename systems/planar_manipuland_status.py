@@ -7,11 +7,14 @@ from drake import lcmt_planar_manipuland_status
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, LeafSystem
 
-from gridpush_drake.geometry.se2 import wrap_angle
+from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 
 MICROSECONDS = 1e6
 """In a second."""
+
+KEPT = 32
+"""Poses that a receiver remembers."""
 
 
 class PlanarManipulandStatusReceiver(LeafSystem):
@@ -22,28 +25,34 @@ class PlanarManipulandStatusReceiver(LeafSystem):
         name: PlanarManipulandStatusReceiver
         input_ports:
         - message
+        - time
         output_ports:
         - object_pose
 
     * message: abstract `lcmt_planar_manipuland_status`, X_WB of the object's body frame; its `utime` differs from
       message to message, and is 0 before the first. A pose that is not finite says that the object is not seen.
-    * object_pose: vector of 3, x and y in W, m, and yaw, rad, as last seen; the yaw is continuous, it counts whole
-      turns. NaN where the object is not seen, or no message came for `max_age`.
+    * time: vector of 1, s, by the clock that `utime` is of. It need not be connected.
+    * object_pose: vector of 3, x and y in W, m, and yaw, rad; the yaw is continuous, it counts whole turns. It is of
+      `delay` ago, between the messages before and after; as last seen where none came since, or where the time is not
+      known. NaN where the object was not seen then, or no message came for `max_age`.
     """
 
     __slots__ = NO_SLOTS
 
-    def __init__(self, period: float, max_age: float) -> None:
+    def __init__(self, period: float, max_age: float, delay: float = 0.0) -> None:
         """Makes the receiver.
 
         Args:
             period: between two looks at the message, s.
             max_age: since the last message, after which the object is not seen, s.
+            delay: see above, s.
         """
         super().__init__()
-        self._max_age = max_age
+        self._max_age, self._delay = max_age, delay
         self._message = self.DeclareAbstractInputPort("message", AbstractValue.Make(lcmt_planar_manipuland_status()))
+        self._time = self.DeclareVectorInputPort("time", 1)
         self._pose = self.DeclareDiscreteState(np.full(3, np.nan))
+        self._kept = self.DeclareDiscreteState(np.tile([-np.inf, np.nan, np.nan, np.nan], KEPT))  # rows: s, and a pose
         self._yaw = self.DeclareDiscreteState(1)
         self._last = self.DeclareDiscreteState(2)  # the last message's utime, us, and when it came, s
         self.DeclareStateOutputPort("object_pose", self._pose)
@@ -52,15 +61,32 @@ class PlanarManipulandStatusReceiver(LeafSystem):
     def _look(self, context: Context, state: Any) -> None:
         message, time = self._message.Eval(context), context.get_time()
         utime, came = context.get_discrete_state(self._last).value()
+        kept = context.get_discrete_state(self._kept).value().reshape(KEPT, 4)
         if message.utime != utime:
             state.set_value(self._last, [message.utime, time])
             yaw = float(context.get_discrete_state(self._yaw).value()[0])
             pose = np.array([*message.position, yaw + wrap_angle(message.theta - yaw)])
             if np.isfinite(pose).all():
                 state.set_value(self._yaw, pose[2:])
-            state.set_value(self._pose, pose if np.isfinite(pose).all() else np.full(3, np.nan))
-        elif time - came > self._max_age:
-            state.set_value(self._pose, np.full(3, np.nan))
+            else:
+                pose = np.full(3, np.nan)
+            came, kept = time, np.vstack([kept[1:], [message.utime / MICROSECONDS, *pose]])
+            state.set_value(self._kept, kept.ravel())
+        clock = float(self._time.Eval(context)[0]) - self._delay if self._time.HasValue(context) else np.inf
+        state.set_value(self._pose, np.full(3, np.nan) if time - came > self._max_age else find_pose(kept, clock))
+
+
+def find_pose(kept: Array, time: float) -> Array:
+    """Finds a pose (3,) at a time, s, in rows (n, 4) of times that increase and poses; beyond them the next one.
+
+    It is NaN where a row beside it is.
+    """
+    after = int(np.searchsorted(kept[:, 0], time))
+    if after in (0, len(kept)):
+        return kept[min(after, len(kept) - 1), 1:]
+    (t0, *_), (t1, *_) = kept[after - 1], kept[after]
+    share = (time - t0) / (t1 - t0) if np.isfinite(t0) else 1.0
+    return kept[after, 1:] if share == 1.0 else (1 - share) * kept[after - 1, 1:] + share * kept[after, 1:]
 
 
 class PlanarManipulandStatusSender(LeafSystem):

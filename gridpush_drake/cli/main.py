@@ -31,6 +31,7 @@ from gridpush_drake.cli import (
     simulate,
     slide,
     track,
+    tracker,
     twin,
     view,
 )
@@ -52,7 +53,7 @@ EXIT_INTERRUPTED, EXIT_TERMINATED = (SIGNALED + number for number in SIGNALS)
 UNWIND_WITHIN = 1.5
 """s that the work has to clear up after itself; then the process ends as it is."""
 
-GRACEFUL = {"demo", "view", "twin", "robot"}
+GRACEFUL = {"demo", "view", "twin", "tracker", "robot"}
 """Commands that answer an interrupt themselves: they end in order, and write what was done."""
 
 app = typer.Typer(
@@ -67,7 +68,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "demo": demo.demo, "campaign": campaign.campaign, "identify": identify.identify, "predict": predict.predict,
     "simulate": simulate.simulate, "show": show.show, "plan": plan.plan, "export": export.export, "view": view.view,
     "slide": slide.slide, "object": object_from_photo.make_object, "calibrate": calibrate.calibrate,
-    "track": track.track, "record": record.record, "twin": twin.twin, "robot": robot.robot,
+    "track": track.track, "record": record.record, "twin": twin.twin, "tracker": tracker.tracker, "robot": robot.robot,
 }  # fmt: skip
 for name, command in COMMANDS.items():
     app.command(name)(command)

@@ -59,6 +59,7 @@ def twin(
 
     from gridpush_drake.station.hardware_link import open_lcm
     from gridpush_drake.station.twin import MakeTwin
+    from gridpush_drake.station.twin_camera import PictureProcess
     from gridpush_drake.systems.arm_guard import GuardMode
 
     scenario = read_robot_scenario(scenario_file, object_file, seed)
@@ -69,11 +70,15 @@ def twin(
     simulator.set_target_realtime_rate(realtime_rate)
     simulator.Initialize()
     print_notice(f"The twin speaks on {lcm} as an {diagram.world.setting.robot.arm_model}; Ctrl-C ends it.")
+    camera = PictureProcess(scenario, lcm) if scenario.camera.kind == "rgbd" else None
+    advance = ADVANCE if camera is None else 1 / scenario.camera.rate
     begin, told, said = monotonic(), False, ""
     context, port = simulator.get_context(), diagram.GetOutputPort("driver.status")
     try:
         while True:
-            time = context.get_time() + ADVANCE
+            if camera is not None:
+                camera.ask(context.get_time(), diagram.GetPositions(context))
+            time = context.get_time() + advance
             simulator.AdvanceTo(time)
             status = port.Eval(context)
             if status.reason != said and status.mode == GuardMode.HOLDING:
@@ -88,6 +93,9 @@ def twin(
                 told = True
     except KeyboardInterrupt:
         print_notice(f"The twin ends after {context.get_time():.1f} s of its time.")
+    finally:
+        if camera is not None:
+            camera.close()
 
 
 def read_robot_scenario(scenario_file: Path | None, object_file: str | None, seed: int | None) -> "PushScenario":

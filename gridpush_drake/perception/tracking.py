@@ -94,8 +94,8 @@ MARGIN = 30
 """About what may hold the object in the next frame, pixels."""
 
 PIECES, ANGLES, BEST, COARSE = 4, 48, 5, 4
-"""Of a search everywhere: how many of the largest pieces are looked at, angles tried with each, how many of the best are
-tried closely, and the side of its pixels."""
+"""Of a search everywhere: how many of the largest pieces are looked at, angles tried with each, how many of the best
+are looked at closely, and the side of its pixels."""
 
 PAINT_SEED = 0
 """Of the table's colors that are painted over what covers it in the first frame."""

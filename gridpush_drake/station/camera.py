@@ -113,15 +113,20 @@ class RgbdCamera:
 
 
 def AddRgbdCamera(
-    builder: DiagramBuilder, scene_graph: SceneGraph, scenario: PushScenario, part: GridObjectInPlant
+    builder: DiagramBuilder,
+    plant: MultibodyPlant,
+    scene_graph: SceneGraph,
+    scenario: PushScenario,
+    part: GridObjectInPlant | None,
 ) -> RgbdCamera:
     """Adds the scenario's camera to a builder, and connects it to the scene.
 
     Args:
         builder: plant and scene graph are in it.
-        scene_graph: of the plant, which is finalised.
+        plant: finalised.
+        scene_graph: of the plant.
         scenario: its `camera.rgbd`.
-        part: the object in the plant.
+        part: the object in the plant; None where it is not.
 
     Returns:
         The camera, as yet connected to nothing that reads it.
@@ -157,12 +162,12 @@ def AddRgbdCamera(
     builder.Connect(scene_graph.get_query_output_port(), sensor.query_object_input_port())
     builder.Connect(sensor.color_image_output_port(), noise.GetInputPort("color_image"))
     builder.Connect(sensor.depth_image_32F_output_port(), noise.GetInputPort("depth_image"))
-    return RgbdCamera(sensor, noise, camera, _find_labels(part.plant, part))
+    return RgbdCamera(sensor, noise, camera, _find_labels(plant, part))
 
 
-def _find_labels(plant: MultibodyPlant, part: GridObjectInPlant) -> tuple[int, ...]:
+def _find_labels(plant: MultibodyPlant, part: GridObjectInPlant | None) -> tuple[int, ...]:
     """Of all bodies but the table's and the object's: a MultibodyPlant labels what it renders with a body's index."""
-    seen = {plant.GetModelInstanceByName(TABLE), part.model_instance}
+    seen = {plant.GetModelInstanceByName(TABLE)} | (set() if part is None else {part.model_instance})
     bodies = map(BodyIndex, range(1, plant.num_bodies()))
     return tuple(int(body) for body in bodies if plant.get_body(body).model_instance() not in seen)
 
@@ -311,7 +316,7 @@ def _take_photograph(
     scenario: PushScenario, told: GridObject, builder: DiagramBuilder, scene: PhotographedScene
 ) -> tuple[RgbdCamera, ObjectDetector, Context]:
     """The camera, the detector, and the Diagram's Context in which it has looked at the first picture."""
-    camera = AddRgbdCamera(builder, scene.scene_graph, scenario, scene.part)
+    camera = AddRgbdCamera(builder, scene.plant, scene.scene_graph, scenario, scene.part)
     detector = AddDetector(builder, camera, scenario, scene.table_top, told)
     diagram = builder.Build()
     root = diagram.CreateDefaultContext()

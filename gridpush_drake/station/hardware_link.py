@@ -31,6 +31,7 @@ from gridpush_drake.station.robot_messages import (
     GRIPPER_COMMAND,
     GRIPPER_STATUS,
     OBJECT_STATUS,
+    decode_message,
     find_arm_messages,
 )
 from gridpush_drake.systems.arm_guard import BY_SILENCE, BY_USER, DONE, GuardMode, GuardStatus
@@ -368,9 +369,9 @@ class HardwareLink:
     def _make_taker(self, name: str, channel: _Channel) -> Callable[[bytes], None]:
         def take(data: bytes) -> None:
             try:
-                message = channel.kind.decode(data)
-            except Exception as error:  # whatever the bytes make of it; the caller is C and takes no exceptions
-                self._leave_out(f"{name} is not {channel.kind.__name__} ({error})")
+                message = decode_message(channel.kind, name, data)
+            except StationError as error:  # the caller is C and takes no exceptions
+                self._leave_out(str(error))
                 return
             if channel is self._arm and self._messages.count_joints(message) != self._n:
                 joints = self._messages.count_joints(message)

@@ -20,6 +20,7 @@ from gridpush_drake.multibody.contact_material import FindTableOutline
 from gridpush_drake.multibody.tool_motion import R_WP_DOWN
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.station.arm import DRIVER_OUTPUTS, ArmPosture
+from gridpush_drake.station.camera import calc_pose_age
 from gridpush_drake.station.grasping import ExportOutputs
 from gridpush_drake.station.robot_messages import (
     ARM_PERIOD,
@@ -197,21 +198,25 @@ def MakeHardwareStation(
         The station. Call its `SetStart` on each new Context.
 
     Raises:
-        ScenarioError: the scenario makes no sense, or has a camera of pictures or several objects.
+        ScenarioError: the scenario makes no sense, or has several objects.
         StationError: the arm cannot take the posture of its home.
     """
     check_tracked(scenario)
     robot = check_scenario(scenario)
     plant, scene_graph = ParseScene(scenario)
     table_top = FindTableOutline(plant, scene_graph.model_inspector())
-    setting = MakeSetting(scenario, LoadPushedObject(scenario, robot), None, (), plant, robot, table_top)
+    obj = LoadPushedObject(scenario, robot)
+    if scenario.camera.kind == "rgbd" and obj.height:  # as the tracker found it
+        scenario = scenario.model_copy(update={"object_height": obj.height})
+    setting = MakeSetting(scenario, obj, None, (), plant, robot, table_top)
     n, messages = len(setting.q_start), find_arm_messages(robot)
     builder = DiagramBuilder()
     status = messages.AddStatusReceiver(builder, lcm, n)
     tip = builder.AddNamedSystem("tip_sensor", ArmTipSensor(setting.control_plant, robot.finger.tip_frame))
     for port in ("position_measured", "velocity_estimated", "torque_external"):
         builder.Connect(status[port], tip.GetInputPort(port))
-    pusher_state, object_pose = tip.GetOutputPort("pusher_state"), AddObjectReceiver(builder, lcm)
+    object_pose = AddObjectReceiver(builder, lcm, status["time_measured"], calc_pose_age(scenario.camera))
+    pusher_state = tip.GetOutputPort("pusher_state")
     gripper_state, gripper = (None, None) if robot.gripper is None else AddGripperMessages(builder, lcm)
     control = AddRobotControl(builder, setting, learning, pusher_state, object_pose, gripper_state)
     if control.grasping is not None and gripper is not None:

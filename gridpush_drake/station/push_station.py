@@ -130,7 +130,7 @@ def _add_rgbd_camera(
     part: GridObjectInPlant,
     found: FoundObject,
 ) -> StationCamera:
-    rgbd = AddRgbdCamera(builder, scene_graph, scenario, part)
+    rgbd = AddRgbdCamera(builder, part.plant, scene_graph, scenario, part)
     return StationCamera(AddPoseEstimator(builder, rgbd, scenario, found), rgbd.noise)
 
 

@@ -3,6 +3,7 @@
 An arm's driver says which messages it speaks (`ARM_MESSAGES`); gripper and tracked object have messages of their own.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,6 +61,9 @@ GRIPPER_STATUS, GRIPPER_COMMAND = "SCHUNK_WSG_STATUS", "SCHUNK_WSG_COMMAND"
 OBJECT_STATUS = "PLANAR_MANIPULAND_STATUS"
 """Channels, as Drake's drivers name them; that of the object is this package's."""
 
+PICTURES = "DRAKE_RGBD_CAMERA_IMAGES"
+"""Channel of a camera's color and depth, `lcmt_image_array`, as Drake's examples name it."""
+
 OBJECT_MAX_AGE = 0.5
 """Since the last message of the object, after which it is not seen, s."""
 
@@ -86,6 +90,10 @@ class IiwaMessages:
     def count_joints(self, message: Any) -> int:
         """How many joints a status speaks of."""
         return int(message.num_joints)
+
+    def read_joints(self, message: Any) -> Sequence[float]:
+        """The measured positions in a status, rad."""
+        return tuple(message.joint_position_measured)
 
     def is_finite(self, command: Any) -> bool:
         """Whether a command is one: all its numbers are finite, and it has some."""
@@ -147,6 +155,10 @@ class PandaMessages(IiwaMessages):
     status_type: Any = lcmt_panda_status
     command_type: Any = lcmt_panda_command
 
+    def read_joints(self, message: Any) -> Sequence[float]:
+        """Likewise."""
+        return tuple(message.joint_position)
+
     def AddStatusReceiver(self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int) -> dict[str, OutputPort]:
         """Likewise; the time of the status is read from the message."""
         receiver = builder.AddNamedSystem("arm_status_receiver", PandaStatusReceiver(n))
@@ -201,6 +213,14 @@ class MessageClock(LeafSystem):
 
 ARM_MESSAGES: dict[str, IiwaMessages] = {"iiwa": IiwaMessages(), "panda": PandaMessages()}
 """By what an arm's robot.yaml says of its `messages`."""
+
+
+def decode_message(kind: Any, channel: str, data: bytes) -> Any:
+    """Decodes a message of a channel. Raises StationError where it is of another kind, or not whole."""
+    try:
+        return kind.decode(data)
+    except Exception as error:  # whatever the bytes make of it
+        raise StationError(f"{channel} is not {kind.__name__} ({error})") from error
 
 
 def find_arm_messages(robot: Robot) -> IiwaMessages:
@@ -259,9 +279,23 @@ def AddGripperSide(
     _Publish(builder, lcm, GRIPPER_STATUS, lcmt_schunk_wsg_status, status.get_output_port(0), GRIPPER_PERIOD)
 
 
-def AddObjectReceiver(builder: DiagramBuilder, lcm: DrakeLcmInterface) -> OutputPort:
-    """Adds what reads where the object is; returns the port with its pose (3,), m and rad."""
-    receiver = builder.AddNamedSystem("camera", PlanarManipulandStatusReceiver(ARM_PERIOD, OBJECT_MAX_AGE))
+def AddObjectReceiver(
+    builder: DiagramBuilder, lcm: DrakeLcmInterface, time: OutputPort | None = None, delay: float = 0.0
+) -> OutputPort:
+    """Adds what reads where the object is.
+
+    Args:
+        builder: the time's system is in it.
+        lcm: on which it is said.
+        time: by the clock of the messages, s.
+        delay: how old a pose is told, s.
+
+    Returns:
+        The port with its pose (3,), m and rad.
+    """
+    receiver = builder.AddNamedSystem("camera", PlanarManipulandStatusReceiver(ARM_PERIOD, OBJECT_MAX_AGE, delay))
+    if time is not None:
+        builder.Connect(time, receiver.GetInputPort("time"))
     subscriber = LcmSubscriberSystem.Make(OBJECT_STATUS, lcmt_planar_manipuland_status, lcm)
     builder.AddNamedSystem("object_subscriber", subscriber)
     builder.Connect(subscriber.get_output_port(), receiver.GetInputPort("message"))

@@ -226,7 +226,7 @@ def AddRobotControl(
     scenario, robot, control_plant = setting.scenario, setting.robot, setting.control_plant
     kinematics = AddArmKinematics(builder, robot, control_plant, setting.q_start)
     reach, style = ArmReach(control_plant, robot, setting.q_start), make_style(scenario, robot)
-    lookout = None if setting.found is None else setting.home  # the arm may hide the object from a real camera
+    lookout = None if scenario.camera.kind == "ideal" else setting.home  # from a real one the arm may hide the object
     executor = builder.AddNamedSystem(
         "executor", PushExecutor(setting.home, setting.obj.outline, reach, style, lookout)
     )

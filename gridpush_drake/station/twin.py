@@ -7,6 +7,7 @@ from pydrake.systems.lcm import LcmInterfaceSystem
 from pydrake.systems.primitives import LinearSystem
 
 from gridpush_drake.errors import ScenarioError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.station.arm import DRIVER_OUTPUTS, AddArmDriver
 from gridpush_drake.station.camera import StationCamera
@@ -25,11 +26,7 @@ ESTIMATION_TIME = 0.03
 
 
 def check_tracked(scenario: PushScenario) -> None:
-    """Raises ScenarioError where a scenario has what cannot be told over LCM: pictures, or several objects."""
-    if scenario.camera.kind != "ideal":
-        raise ScenarioError(
-            f"camera.kind is {scenario.camera.kind}; expected ideal: over LCM the object's pose is told"
-        )
+    """Raises ScenarioError where a scenario has what cannot be told over LCM: several objects."""
     if scenario.others:
         raise ScenarioError("others: over LCM one object's pose is told; expected an empty list")
 
@@ -75,6 +72,11 @@ class Twin(Diagram):
         self.world, self._camera = world, camera
         builder.BuildInto(self)
 
+    def GetPositions(self, root_context: Context) -> Array:
+        """All positions of the world's plant, as `TwinCamera` takes them."""
+        plant = self.world.plant
+        return np.array(plant.GetPositions(plant.GetMyContextFromRoot(root_context)))
+
     def SetStart(self, root_context: Context, seed: int | None = None) -> None:
         """Puts arm and object where the scenario has them, at rest; see `PushStation.SetStart`."""
         self.world.SetStart(self, root_context, seed)
@@ -84,6 +86,8 @@ class Twin(Diagram):
 
 def MakeTwin(scenario: PushScenario, lcm: DrakeLcmInterface, *, listens: bool = True) -> Twin:
     """Makes the twin: plant, driver, gripper and camera of a scenario, with LCM in the place of what commands them.
+
+    An ideal camera says the object's pose; pictures of an rgbd one are taken beside it, see `TwinCamera`.
 
     Args:
         scenario: what stands where, and what the object truly weighs.
@@ -95,7 +99,7 @@ def MakeTwin(scenario: PushScenario, lcm: DrakeLcmInterface, *, listens: bool = 
         The twin. Call its `SetStart` on each new Context.
 
     Raises:
-        ScenarioError: the scenario makes no sense, or has a camera of pictures or several objects.
+        ScenarioError: the scenario makes no sense, or has several objects.
         StationError: the arm cannot take the posture in which it begins.
     """
     check_tracked(scenario)
@@ -116,8 +120,9 @@ def MakeTwin(scenario: PushScenario, lcm: DrakeLcmInterface, *, listens: bool = 
         state = plant.get_state_output_port(instances.gripper)
         AddGripperSide(builder, lcm, controller, state, robot.gripper.opening)
     camera = AddSensors(builder, world.scene_graph, setting.scenario, robot, world.object_in_plant, None).camera
-    time_step = scenario.simulation.time_step  # after which a picture is on its port
-    AddObjectSender(builder, lcm, camera.source.GetOutputPort("object_pose"), 1 / scenario.camera.rate, time_step)
+    if scenario.camera.kind == "ideal":
+        time_step = scenario.simulation.time_step  # after which a pose is on its port
+        AddObjectSender(builder, lcm, camera.source.GetOutputPort("object_pose"), 1 / scenario.camera.rate, time_step)
     twin = Twin(builder, world, camera)
     twin.set_name("twin")
     return twin

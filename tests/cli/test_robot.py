@@ -1,5 +1,6 @@
 import pytest
 
+from tests.helpers.renderer import require_renderer
 from tests.helpers.two_processes import find_obstacle, run_in_namespace
 
 STOPS_WITHIN = 0.1
@@ -9,7 +10,7 @@ MIN_SPEED = 0.02
 """rad/s of a joint in the middle of a push."""
 
 
-@pytest.mark.parametrize("command", ["twin", "robot"])
+@pytest.mark.parametrize("command", ["twin", "tracker", "robot"])
 def test_says_in_one_line_what_is_wrong(refuses, command, tmp_path):
     refuses(command, "--lcm", "nonsense", says=["--lcm: 'nonsense'", "expected udpm://ADDRESS:PORT"])
     refuses(command, "--scenario", tmp_path / "missing.yaml", says=["missing.yaml"])
@@ -68,3 +69,28 @@ def test_two_processes_and_the_robot_is_lost(tmp_path):
     assert looked["code"] == 0, looked["err"]
     assert len(looked["summary"]["first_push"]) == 4
     assert looked["summary"]["status_age"] < 1.0
+
+
+@pytest.mark.slow
+def test_a_tracker_beside_them_finds_the_object_in_the_twins_pictures(tmp_path):
+    require_renderer()
+    told = tell("see_by_pictures", tmp_path)
+    robot, tracker = told["robot"], told["tracker"]
+    print(tracker["err"])
+    assert robot["code"] == 0, robot
+    assert (robot["summary"]["status"], robot["summary"]["pushes"]) == ("finished", 1)
+    assert tracker["code"] == 0
+    assert tracker["out"].startswith("An object of ")
+    assert f"Wrote {tmp_path / 'object.yaml'}" in " ".join(tracker["out"].split())
+    assert "pictures, the object seen in " in tracker["err"]
+    assert told["poses"] > 30
+    blind = told["blind"]
+    assert blind["code"] == 2
+    assert "nobody says where the object is on PLANAR_MANIPULAND_STATUS within 5 s" in blind["err"]
+    assert told["twin_code"] == 0
+
+
+def test_the_tracker_replaces_no_file_of_the_user_s(refuses, tmp_path):
+    (tmp_path / "object.yaml").write_text("mine")
+    refuses("tracker", "--out", tmp_path / "object.yaml", says=["object.yaml", "--force"])
+    assert (tmp_path / "object.yaml").read_text() == "mine"

@@ -2,18 +2,23 @@
 
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydrake.lcm import DrakeLcm
 from pydrake.systems.analysis import Simulator
 
+from gridpush_drake.objects.object_file import dump_object
+from gridpush_drake.perception.tracking import TrackedPose
 from gridpush_drake.station.hardware_link import HardwareLink
 from gridpush_drake.station.hardware_station import MakeHardwareStation
+from gridpush_drake.station.picture_tracker import PictureTracker
 from gridpush_drake.station.robot import find_robot
-from gridpush_drake.station.robot_messages import ARM_PERIOD, OBJECT_STATUS, find_arm_messages
+from gridpush_drake.station.robot_messages import ARM_PERIOD, OBJECT_STATUS, PICTURES, find_arm_messages
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.twin import MakeTwin
+from gridpush_drake.station.twin_camera import TwinCamera
 
 Spoiler = Callable[[float, bytes], list[bytes]]
 """Of the twin's time, s, and a message: what comes instead."""
@@ -112,3 +117,43 @@ class TwinBench:
         spoil = self.spoil.get(channel)
         for message in [data] if spoil is None else spoil(self.time, data):
             self.lcm.Publish(channel, message)
+
+
+class CameraBench(TwinBench):
+    """The twin with a color and depth camera, and a tracker that finds the object which the task is given.
+
+    Attributes:
+        tracker: sees every picture.
+        seen: (time, where the object truly is (3,), what the tracker said) of each.
+    """
+
+    def __init__(self, scenario: PushScenario, task: type, folder: Path) -> None:
+        self.seen: list[tuple[float, np.ndarray, TrackedPose]] = []
+        self._camera, self.tracker = TwinCamera(scenario), None
+        super().__init__(scenario, lambda scenario, make_station: None)
+        self.tracker = PictureTracker(scenario, self.lcm)
+        while self.tracker.obj is None:
+            self.move()
+        obj = self.tracker.obj
+        (folder / "object.yaml").write_text(dump_object(obj.name, obj.grid, obj.prior, obj.height))
+        known = scenario.model_copy(deep=True)
+        known.object = str(folder / "object.yaml")
+        self.task = task(known, make_station=partial(MakeHardwareStation, lcm=self.link.bus))
+
+    def move(self) -> None:
+        before, rate = self.time, self.twin.world.setting.scenario.camera.rate
+        super().move()
+        if self.tracker is None or int(self.time * rate) == int(before * rate):
+            return
+        context = self.simulator.get_context()
+        message = self._camera.make_message(self.time, self.twin.GetPositions(context))
+        self.lcm.Publish(PICTURES, message.encode())
+        tracked = self.tracker.step()
+        if tracked is not None:
+            self.seen.append((self.time, self.find_true_pose(), tracked))
+
+    def find_true_pose(self) -> np.ndarray:
+        world, context = self.twin.world, self.simulator.get_context()
+        own = world.plant.GetMyContextFromRoot(context)
+        X_WB = world.plant.EvalBodyPoseInWorld(own, world.object_in_plant.body)
+        return np.array([*X_WB.translation()[:2], X_WB.rotation().ToRollPitchYaw().yaw_angle()])

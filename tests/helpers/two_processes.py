@@ -1,4 +1,4 @@
-"""Twin and controller as processes of their own on LCM's UDP, in the network namespace that this script is run in.
+"""Twin, tracker and controller as processes of their own on LCM's UDP, in the network namespace that this is run in.
 
 `run_in_namespace` makes such a namespace and runs this file in it, with the name of a story and a folder; what the
 story came to is one JSON document on standard output.
@@ -20,6 +20,9 @@ URL = "udpm://239.255.76.67:7667?ttl=0"
 RATE = 0.2
 """The twin's seconds in one second: all processes share what computer there is."""
 
+SEEING_RATE = 0.1
+"""Likewise where pictures are rendered, too."""
+
 ENTER = 'ip link set lo up multicast on && ip route add 239.0.0.0/8 dev lo && exec "$@"'
 
 SCENARIO = """
@@ -27,6 +30,14 @@ object: open_book
 object_pose: [0.55, 0.0, 0.0]
 base: planar
 pokes: {count: 1, test_count: 0, speed: 0.06}
+"""
+
+SEEN_SCENARIO = """
+object: claw_hammer
+object_pose: [0.6, -0.15, 0.5]
+base: planar
+pokes: {count: 1, test_count: 0, speed: 0.06}
+camera: {kind: rgbd, rate: 10}
 """
 
 NEAR = 1e-3
@@ -113,8 +124,9 @@ class Watch:
         }
 
 
-def start(command: str, folder: Path, *more: str, rate: float = RATE) -> subprocess.Popen:
-    arguments = ["--scenario", str(folder / "scenario.yaml"), "--lcm", URL, "--realtime-rate", str(rate), *more]
+def start(command: str, folder: Path, *more: str, rate: float | None = RATE) -> subprocess.Popen:
+    speed = [] if rate is None else ["--realtime-rate", str(rate)]
+    arguments = ["--scenario", str(folder / "scenario.yaml"), "--lcm", URL, *speed, *more]
     return subprocess.Popen(
         [sys.executable, "-m", "gridpush_drake.cli.main", command, *arguments],
         stdout=subprocess.PIPE,
@@ -194,6 +206,27 @@ def lose_twin(folder: Path) -> dict:
     return told
 
 
+def see_by_pictures(folder: Path, rate: str = str(SEEING_RATE)) -> dict:
+    """The object is found in the pictures of the twin's camera, followed in them, and pushed; then nobody looks."""
+    (folder / "scenario.yaml").write_text(SEEN_SCENARIO)
+    watch, twin = Watch(), start("twin", folder, rate=float(rate))
+    found = folder / "object.yaml"
+    tracker = start("tracker", folder, "--out", str(found), rate=None)
+    watch.until(lambda: bool(watch.poses) and found.exists(), "the tracker")
+    more = ["--task", "identify", "--go", "--json", "--object", str(found), "--out", str(folder / "robot")]
+    robot = start("robot", folder, *more, rate=float(rate))
+    watch.until(lambda: robot.poll() is not None, "the end")
+    told = {"robot": end(robot, "robot", folder), "poses": len(watch.poses)}
+    tracker.send_signal(signal.SIGINT)
+    out, err = tracker.communicate(timeout=PATIENCE)
+    told["tracker"] = {"code": tracker.returncode, "out": out, "err": err}
+    more = ["--task", "identify", "--object", str(found), "--out", str(folder / "blind")]
+    told["blind"] = end(start("robot", folder, *more, rate=float(rate)), "blind", folder)
+    twin.send_signal(signal.SIGINT)
+    told["twin_code"] = twin.wait(PATIENCE)
+    return told
+
+
 def whole_story(folder: Path, *seeds: str) -> list[dict]:
     """Poked, learned, slid, grasped and lifted in real time, for each of some seeds; minutes each, so no test."""
     (folder / "scenario.yaml").write_text((Path(__file__).parents[2] / "models/scenarios/grasp.yaml").read_text())
@@ -210,7 +243,7 @@ def whole_story(folder: Path, *seeds: str) -> list[dict]:
     return told
 
 
-STORIES = {story.__name__: story for story in (lose_controller, lose_twin, whole_story)}
+STORIES = {story.__name__: story for story in (lose_controller, lose_twin, see_by_pictures, whole_story)}
 
 
 def main(story: str, folder: str, *more: str) -> None:

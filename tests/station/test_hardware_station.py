@@ -10,7 +10,7 @@ from gridpush_drake.station.hardware_link import HardwareLink, open_lcm
 from gridpush_drake.station.hardware_station import MakeHardwareStation
 from gridpush_drake.station.robot import find_robot, make_robot_directives
 from gridpush_drake.station.robot_messages import ARM_MESSAGES, ARM_PERIOD, OBJECT_STATUS
-from gridpush_drake.station.scenario import PartTruth
+from gridpush_drake.station.scenario import OtherConfig, PartTruth
 from gridpush_drake.station.twin import MakeTwin
 from gridpush_drake.systems.arm_guard import GuardMode
 from gridpush_drake.systems.messages import PushPhase
@@ -358,7 +358,7 @@ def test_a_wrong_url_is_refused(url):
 
 def test_what_lcm_cannot_tell_is_refused():
     scenario = make_scenario()
-    scenario.camera.kind = "rgbd"
+    scenario.others = [OtherConfig(object="pliers", pose=[0.5, 0.35, 0.0])]
     for make in (MakeTwin, lambda scenario, lcm: MakeHardwareStation(scenario, lcm=lcm)):
-        with pytest.raises(ScenarioError, match=r"camera\.kind is rgbd; expected ideal"):
+        with pytest.raises(ScenarioError, match="others: over LCM one object's pose is told"):
             make(scenario, DrakeLcm("memq://"))

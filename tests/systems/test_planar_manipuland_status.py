@@ -4,7 +4,11 @@ from drake import lcmt_planar_manipuland_status
 from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 
-from gridpush_drake.systems.planar_manipuland_status import PlanarManipulandStatusReceiver, PlanarManipulandStatusSender
+from gridpush_drake.systems.planar_manipuland_status import (
+    PlanarManipulandStatusReceiver,
+    PlanarManipulandStatusSender,
+    find_pose,
+)
 
 PERIOD, MAX_AGE = 0.01, 0.1
 
@@ -20,7 +24,7 @@ class Bench:
     def give(self, utime, pose):
         message = lcmt_planar_manipuland_status()
         message.utime, message.position, message.theta = utime, [*pose[:2]], pose[2]
-        port = self.receiver.get_input_port()
+        port = self.receiver.GetInputPort("message")
         port.FixValue(self.simulator.get_mutable_context(), AbstractValue.Make(message))
 
     def read(self, time):
@@ -39,6 +43,41 @@ def test_a_pose_is_held_until_the_next_message_or_until_it_is_too_old():
     np.testing.assert_allclose(bench.read(0.205), [0.6, -0.1, 0.3], atol=1e-15)
     bench.give(3, (np.nan, np.nan, np.nan))
     assert np.isnan(bench.read(0.225)).all()
+
+
+def test_a_pose_is_told_at_its_age_between_the_messages_about_it():
+    """The object moves evenly; messages come late, unevenly and not all."""
+    delay, end = 0.2, 3.0
+    receiver = PlanarManipulandStatusReceiver(PERIOD, 1.0, delay)
+    simulator = Simulator(receiver)
+    context = simulator.get_mutable_context()
+    rng = np.random.default_rng(5)
+
+    def calc_pose(t):
+        return np.array([0.1 * t, -0.05 * t, 3.0 + 0.4 * t])
+
+    taken = np.sort(rng.uniform(0, end, 60))
+    heard = np.maximum.accumulate(taken + rng.uniform(0.01, 0.1, 60))
+    for time in np.arange(PERIOD / 2, end, PERIOD):
+        count = int(np.searchsorted(heard, time))
+        message = lcmt_planar_manipuland_status()
+        if count:
+            pose = calc_pose(taken[count - 1])
+            message.utime, message.position, message.theta = round(1e6 * taken[count - 1]), [*pose[:2]], pose[2]
+        receiver.GetInputPort("message").FixValue(context, AbstractValue.Make(message))
+        receiver.GetInputPort("time").FixValue(context, [time])
+        simulator.AdvanceTo(time)
+        told = receiver.get_output_port().Eval(context)
+        if taken[0] + delay < time < taken[count - 1] + delay:
+            np.testing.assert_allclose(told, calc_pose(time - delay), atol=2e-6)
+    assert count > 50
+
+
+def test_between_two_poses_of_which_one_is_not_seen_nothing_is():
+    kept = np.array([[-np.inf, *[np.nan] * 3], [1.0, 0.1, 0.2, 0.3], [2.0, 0.2, 0.4, 0.5], [3.0, *[np.nan] * 3]])
+    for time, x in ((0.5, 0.1), (1.0, 0.1), (1.25, 0.125), (2.0, 0.2), (2.5, np.nan), (9.0, np.nan)):
+        np.testing.assert_allclose(find_pose(kept, time)[0], x, atol=1e-15)
+    np.testing.assert_allclose(find_pose(kept[:3], 9.0), [0.2, 0.4, 0.5], atol=1e-15)
 
 
 def test_the_yaw_counts_whole_turns_even_where_the_object_was_not_seen():

@@ -1,0 +1,80 @@
+"""`gridpush tracker`: where the object is, from a camera's pictures on LCM."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from gridpush_drake.cli import options
+from gridpush_drake.cli.console import MM, print_line, print_notice
+from gridpush_drake.cli.twin import DEFAULT_URL, LcmUrl, Scenario, read_robot_scenario
+
+WAIT = 0.1
+"""For messages, s, between two looks at whether to end."""
+
+PATIENCE = 5.0
+"""For the first picture and status, s; after it what is missing is said."""
+
+
+def tracker(
+    scenario_file: Scenario = None,
+    object_file: Annotated[
+        str | None,
+        typer.Option(
+            "--object", metavar="NAME|FILE", help="Follow this object.  [default: what is found in the first picture]"
+        ),
+    ] = None,
+    lcm: LcmUrl = DEFAULT_URL,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="OBJECT.yaml", help="Where the object that is found is written.")
+    ] = Path("object.yaml"),
+    force: options.Force = False,
+) -> None:
+    """Find an object in a camera's LCM pictures and tell `gridpush robot` where it is; Ctrl-C ends it."""
+    from gridpush_drake.files import check_writable
+    from gridpush_drake.station.hardware_link import open_lcm
+    from gridpush_drake.station.picture_tracker import PictureTracker
+    from gridpush_drake.station.robot_messages import OBJECT_STATUS
+    from gridpush_drake.station.scene import check_scenario
+    from gridpush_drake.station.station import LoadPushedObject
+
+    scenario = read_robot_scenario(scenario_file, object_file, None)
+    check_scenario(scenario, scenario_file)
+    if object_file is None:
+        check_writable(out, force)
+    given = None if object_file is None else LoadPushedObject(scenario)
+    follower = PictureTracker(scenario, open_lcm(lcm), given)
+    print_notice(f"Looking for pictures on {lcm}; Ctrl-C ends it.")
+    try:
+        _find(follower, out if given is None else None, force)
+        print_notice(f"Its pose is said on {OBJECT_STATUS}.")
+        while True:
+            follower.step(WAIT)
+    except KeyboardInterrupt:
+        print_notice(f"{follower.report.describe()}.")
+
+
+def _find(follower: Any, out: Path | None, force: bool) -> None:
+    """Looks until the object is seen, and says what is in the way; writes what was found."""
+    from time import monotonic
+
+    from gridpush_drake.files import write_whole
+    from gridpush_drake.objects.object_file import dump_object
+
+    begin, said = monotonic(), ""
+    while True:
+        tracked = follower.step(WAIT)
+        if tracked is not None and tracked.seen:
+            break
+        why = follower.find_obstacle()
+        if why and why != said and monotonic() - begin > PATIENCE:
+            print_notice(f"Not yet: {why}.")
+            said = why
+    x, y, theta = tracked.pose
+    where = f"at ({x:.3f}, {y:.3f}) m, turned by {theta:.2f} rad"
+    if out is None:
+        print_line(f"{follower.obj.name} is seen {where}.")
+        return
+    obj = follower.obj
+    write_whole(out, dump_object(obj.name, obj.grid, obj.prior, obj.height), force)
+    print_line(f"An object of {obj.n} cells, {MM * (obj.height or 0.0):.0f} mm high, is seen {where}. Wrote {out}.")

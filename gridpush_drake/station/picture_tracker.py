@@ -1,0 +1,260 @@
+"""`PictureTracker`: finds an object in a camera's pictures on LCM, and says where it is, for a `HardwareStation`.
+
+It is a process of its own beside the controller's, which therefore waits for no picture. What the arm hides it knows by
+rendering the arm where the camera is, with the joints as the robot's status has them; what else stands high is told by
+depth.
+"""
+
+from collections import Counter, deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from drake import lcmt_image_array, lcmt_planar_manipuland_status, lcmt_schunk_wsg_status
+from numpy.typing import NDArray
+from pydrake.lcm import DrakeLcmInterface
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.framework import DiagramBuilder
+
+from gridpush_drake.errors import GridPushError, PerceptionError, StationError
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.multibody.contact_material import FindTableOutline
+from gridpush_drake.multibody.parser import MakeParser
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.perception.detection import DetectedObject, find_off_table
+from gridpush_drake.perception.frames import Frame
+from gridpush_drake.perception.tracking import NOT_SEEN, PoseTracker, TrackedPose, TrackerState
+from gridpush_drake.station.camera import AddRgbdCamera
+from gridpush_drake.station.picture_messages import decode_frame
+from gridpush_drake.station.robot import GetRobotInPlant, find_robot
+from gridpush_drake.station.robot_messages import (
+    FROM_OPENING,
+    GRIPPER_STATUS,
+    OBJECT_STATUS,
+    PICTURES,
+    decode_message,
+    find_arm_messages,
+)
+from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scene import AddScene
+from gridpush_drake.station.station import LoadPushedObject
+from gridpush_drake.station.twin import check_tracked
+from gridpush_drake.systems.object_detector import ObjectNaming, find_in_frame
+from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS
+
+STATUSES = 1000
+"""Of the arm that are remembered: some seconds."""
+
+MAX_LAG = 0.5
+"""Between a picture and the arm's status nearest to it, s; beyond that their clocks are not the same."""
+
+MILLIMETERS = 1e3
+"""In a meter."""
+
+
+class RobotSilhouette:
+    """Where a scenario's robot is in the pictures of its camera."""
+
+    def __init__(self, scenario: PushScenario) -> None:
+        """Makes the scene without the object; see `TwinCamera` for what may be raised."""
+        builder = DiagramBuilder()
+        self.plant, scene_graph = AddMultibodyPlantSceneGraph(builder, scenario.simulation.time_step)
+        AddScene(MakeParser(self.plant), scenario)
+        self.plant.Finalize()
+        self.table_top = FindTableOutline(self.plant, scene_graph.model_inspector())
+        rgbd = AddRgbdCamera(builder, self.plant, scene_graph, scenario, None)
+        self.camera, self._labels, self._sensor = rgbd.camera, list(rgbd.hidden_by), rgbd.sensor
+        self._robot = GetRobotInPlant(self.plant, find_robot(scenario.directives))
+        self.num_joints = self.plant.num_positions(self._robot.arm)
+        self._diagram = builder.Build()
+        self._context = self._diagram.CreateDefaultContext()
+
+    def find(self, joints: Sequence[float], opening: float | None) -> NDArray[np.bool_]:
+        """The pixels (height, width) that show the robot.
+
+        Args:
+            joints: the arm's positions, rad.
+            opening: the gripper's, m; None where it is not known, or there is none.
+        """
+        context = self.plant.GetMyMutableContextFromRoot(self._context)
+        self.plant.SetPositions(context, self._robot.arm, np.asarray(joints))
+        if opening is not None and self._robot.gripper is not None:
+            self.plant.SetPositions(context, self._robot.gripper, FROM_OPENING[:2, 0] * opening)
+        port = self._sensor.label_image_output_port()
+        labels = port.Eval(self._sensor.GetMyContextFromRoot(self._context)).data[..., 0]
+        return np.isin(labels, self._labels)
+
+
+@dataclass
+class TrackerReport:
+    """How it went.
+
+    Attributes:
+        pictures: looked at.
+        seen: in how many of them the object was seen.
+        skipped: pictures that came while another one was looked at, and were not.
+        left_out: messages that were not taken, by why.
+    """
+
+    pictures: int = 0
+    seen: int = 0
+    skipped: int = 0
+    left_out: Counter[str] = field(default_factory=Counter)
+
+    def describe(self) -> str:
+        """In a sentence."""
+        text = f"{self.pictures} pictures, the object seen in {self.seen} of them, {self.skipped} skipped"
+        return text + "".join(f"; {count} left out: {why}" for why, count in self.left_out.items())
+
+
+class PictureTracker:
+    """Looks at pictures as they come, and says where the object is: `PLANAR_MANIPULAND_STATUS`.
+
+    Attributes:
+        obj: the object that is followed; None until it is found.
+        detected: what was found; None where the object was given.
+        message: why the object was not found in the last picture; empty where it was.
+        report: how it went.
+    """
+
+    def __init__(self, scenario: PushScenario, lcm: DrakeLcmInterface, obj: GridObject | None = None) -> None:
+        """Listens from now on.
+
+        Args:
+            scenario: robot, table and camera; which object lies there only says a name and what is known beforehand.
+            lcm: on which pictures and the arm's status come, and the pose is said.
+            obj: to follow; None for what the detector finds.
+
+        Raises:
+            ScenarioError: the camera makes no sense, or there are several objects.
+            StationError: nothing can be rendered here, or nobody knows what the robot's driver speaks.
+        """
+        check_tracked(scenario)
+        robot = find_robot(scenario.directives)
+        self._told = LoadPushedObject(scenario, robot)
+        self.obj, self.message = obj, ""
+        self.detected: DetectedObject | None = None
+        self.report = TrackerReport()
+        self._scenario, self._lcm, self._messages = scenario, lcm, find_arm_messages(robot)
+        self._silhouette = RobotSilhouette(scenario)
+        self._off_table = find_off_table(self._silhouette.camera, self._silhouette.table_top)
+        self._statuses: deque[tuple[int, Sequence[float]]] = deque(maxlen=STATUSES)
+        self._opening: float | None = None
+        self._picture: bytes | None = None
+        self._last = -1
+        self._tracker: PoseTracker | None = None
+        self._state: TrackerState | None = None
+        lcm.Subscribe(PICTURES, self._take_picture)
+        lcm.Subscribe(self._messages.status, self._take_status)
+        if robot.gripper is not None:
+            lcm.Subscribe(GRIPPER_STATUS, self._take_gripper)
+
+    def step(self, timeout: float = 0.0) -> TrackedPose | None:
+        """Waits for messages for so long, s, and looks at the newest picture.
+
+        Returns:
+            What it told; None where there was none, or it could not be looked at.
+
+        Raises:
+            StationError: the clock of the pictures is not the robot's.
+        """
+        self._lcm.HandleSubscriptions(round(1e3 * timeout))
+        data, self._picture = self._picture, None
+        if data is None or not self._statuses:
+            return None
+        try:
+            frame = decode_frame(decode_message(lcmt_image_array, PICTURES, data), self._silhouette.camera)
+        except GridPushError as error:
+            self.report.left_out[str(error)] += 1
+            return None
+        utime = round(MICROSECONDS * frame.t)
+        if utime <= self._last:
+            self.report.left_out["a picture was not newer than the one before"] += 1
+            return None
+        self._last = utime
+        tracked = self._look(frame, self._silhouette.find(self._find_joints(utime), self._opening))
+        self.report.pictures += 1
+        self.report.seen += tracked.seen
+        self._say(utime, tracked.pose)
+        return tracked
+
+    def find_obstacle(self) -> str:
+        """Says why no pose is told yet; empty where one is."""
+        if not self._statuses:
+            return f"no status of the robot on {self._messages.status}"
+        if self._last < 0:
+            left_out = "".join(f" ({why})" for why in self.report.left_out)
+            return f"no picture on {PICTURES}{left_out}"
+        return self.message
+
+    def _look(self, frame: Frame, hidden: NDArray[np.bool_]) -> TrackedPose:
+        """Finds the object in a picture, at first anywhere."""
+        guess = None
+        if self.obj is None:
+            found = self._detect(frame, hidden)
+            if found is None:
+                return NOT_SEEN
+            guess = found.X_WB
+        assert self.obj is not None
+        if self._tracker is None:
+            height = self.obj.height or self._scenario.object_height
+            camera, table_top = self._silhouette.camera, self._silhouette.table_top
+            self._tracker = PoseTracker(self.obj.outline, height, camera, table_top=table_top)
+        try:
+            state = self._state or self._tracker.start(frame, guess, hidden)
+        except PerceptionError as error:
+            self.message = str(error)
+            return NOT_SEEN
+        self._state, tracked = self._tracker.track(state, frame, hidden)
+        self.message = ""
+        return tracked
+
+    def _detect(self, frame: Frame, hidden: NDArray[np.bool_]) -> DetectedObject | None:
+        naming = ObjectNaming(self._told.name, self._told.prior, self._scenario.object_pose[2])
+        unseen = (self._off_table, hidden)
+        found = find_in_frame(frame, self._silhouette.camera, None, naming, unseen, self._scenario.seed)
+        if isinstance(found, str):
+            self.message = found
+            return None
+        self.detected, self.obj = found
+        return self.detected
+
+    def _find_joints(self, utime: int) -> Sequence[float]:
+        """Of the status nearest to a picture."""
+        near, joints = min(self._statuses, key=lambda status: abs(status[0] - utime))
+        lag = abs(near - utime) / MICROSECONDS
+        if lag > MAX_LAG:
+            raise StationError(
+                f"a picture's utime is {lag:.3g} s from that of the robot's nearest status; expected one clock for both"
+            )
+        return joints
+
+    def _say(self, utime: int, pose: Array) -> None:
+        message = lcmt_planar_manipuland_status()
+        message.utime, message.position, message.theta = utime, pose[:2].tolist(), float(pose[2])
+        self._lcm.Publish(OBJECT_STATUS, message.encode())
+
+    def _take_picture(self, data: bytes) -> None:
+        self.report.skipped += self._picture is not None
+        self._picture = data
+
+    def _take_status(self, data: bytes) -> None:
+        try:
+            message = decode_message(self._messages.status_type, self._messages.status, data)
+        except StationError as error:  # the caller is C and takes no exceptions
+            self.report.left_out[str(error)] += 1
+            return
+        joints = self._messages.read_joints(message)
+        if len(joints) == self._silhouette.num_joints:
+            self._statuses.append((message.utime, joints))
+        else:
+            expected = f"expected {self._silhouette.num_joints}, as the scenario's robot has"
+            self.report.left_out[f"{self._messages.status} speaks of {len(joints)} joints; {expected}"] += 1
+
+    def _take_gripper(self, data: bytes) -> None:
+        try:
+            message = decode_message(lcmt_schunk_wsg_status, GRIPPER_STATUS, data)
+        except StationError as error:
+            self.report.left_out[str(error)] += 1
+            return
+        self._opening = message.actual_position_mm / MILLIMETERS
