@@ -17,7 +17,7 @@ from gridpush_drake.cli.demo import EXIT_INTERRUPTED, EXIT_NOT_DONE, TaskName
 from gridpush_drake.cli.twin import DEFAULT_URL, LcmUrl, ObjectFile, RealtimeRate, Scenario, read_robot_scenario
 
 if TYPE_CHECKING:
-    from gridpush_drake.station.hardware_link import HardwareLink
+    from gridpush_drake.station.lcm.hardware_link import HardwareLink
     from gridpush_drake.station.scenario import PushScenario
     from gridpush_drake.station.task import StationTask
     from gridpush_drake.systems.messages import PushCommand
@@ -54,7 +54,7 @@ def robot(
     """
     from gridpush_drake.cli.demo_tasks import TASKS, print_summary, write_files
     from gridpush_drake.files import check_writable, make_folder, write_whole
-    from gridpush_drake.station.hardware_link import HardwareLink, open_lcm
+    from gridpush_drake.station.lcm.hardware_link import HardwareLink, open_lcm
     from gridpush_drake.station.robot import find_robot
     from gridpush_drake.station.scene import check_scenario
 
@@ -94,7 +94,7 @@ def _make_task(name: TaskName, scenario: "PushScenario", link: "HardwareLink") -
     from functools import partial
 
     from gridpush_drake.station import IdentifyTask, PreGraspTask, PushTask
-    from gridpush_drake.station.hardware_station import MakeHardwareStation
+    from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
 
     kinds: dict[TaskName, Callable[..., StationTask[Any]]] = {
         TaskName.identify: IdentifyTask,

@@ -32,9 +32,9 @@ def tracker(
 ) -> None:
     """Find an object in a camera's LCM pictures and tell `gridpush robot` where it is; Ctrl-C ends it."""
     from gridpush_drake.files import check_writable
-    from gridpush_drake.station.hardware_link import open_lcm
-    from gridpush_drake.station.picture_tracker import PictureTracker
-    from gridpush_drake.station.robot_messages import OBJECT_STATUS
+    from gridpush_drake.station.lcm.hardware_link import open_lcm
+    from gridpush_drake.station.lcm.picture_tracker import PictureTracker
+    from gridpush_drake.station.lcm.robot_messages import OBJECT_STATUS
     from gridpush_drake.station.scene import check_scenario
     from gridpush_drake.station.station import LoadPushedObject
 

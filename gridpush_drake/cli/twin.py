@@ -57,9 +57,9 @@ def twin(
     """Simulate a robot that speaks drake-iiwa-driver's LCM messages, for `gridpush robot` to move; Ctrl-C ends it."""
     from pydrake.systems.analysis import Simulator
 
-    from gridpush_drake.station.hardware_link import open_lcm
-    from gridpush_drake.station.twin import MakeTwin
-    from gridpush_drake.station.twin_camera import PictureProcess
+    from gridpush_drake.station.lcm.hardware_link import open_lcm
+    from gridpush_drake.station.lcm.twin import MakeTwin
+    from gridpush_drake.station.lcm.twin_camera import PictureProcess
     from gridpush_drake.systems.arm_guard import GuardMode
 
     scenario = read_robot_scenario(scenario_file, object_file, seed)

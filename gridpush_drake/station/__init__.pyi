@@ -1,8 +1,10 @@
-from .hardware_link import HardwareLink as HardwareLink
-from .hardware_station import HardwareStation as HardwareStation
-from .hardware_station import MakeHardwareStation as MakeHardwareStation
 from .identify_task import IdentifyTask as IdentifyTask
 from .identify_task import IdentifyTaskRecord as IdentifyTaskRecord
+from .lcm.hardware_link import HardwareLink as HardwareLink
+from .lcm.hardware_station import HardwareStation as HardwareStation
+from .lcm.hardware_station import MakeHardwareStation as MakeHardwareStation
+from .lcm.twin import MakeTwin as MakeTwin
+from .lcm.twin import Twin as Twin
 from .limit_monitor import LimitMonitor as LimitMonitor
 from .limit_monitor import LimitReport as LimitReport
 from .pregrasp_task import PreGraspRecord as PreGraspRecord
@@ -20,5 +22,3 @@ from .station import Station as Station
 from .task import StationTask as StationTask
 from .task import TaskRecord as TaskRecord
 from .task import TaskStatus as TaskStatus
-from .twin import MakeTwin as MakeTwin
-from .twin import Twin as Twin

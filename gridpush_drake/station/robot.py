@@ -145,7 +145,7 @@ class ArmMeasures(_Measures):
         posture: where the search for the posture at home begins, about as it will be, rad, or m where a joint slides.
         reach: how far the arm gets, where a formula says it; null for the inverse kinematics to find out.
         control: how it is moved.
-        messages: what its driver speaks over LCM, see `station.robot_messages`; null where nobody knows.
+        messages: what its driver speaks over LCM, see `station.lcm.robot_messages`; null where nobody knows.
         scenes: that have it, to name the robot instead of a scene; null for none.
     """
 

@@ -11,14 +11,14 @@ from pydrake.systems.analysis import Simulator
 
 from gridpush_drake.objects.object_file import dump_object
 from gridpush_drake.perception.tracking import TrackedPose
-from gridpush_drake.station.hardware_link import HardwareLink
-from gridpush_drake.station.hardware_station import MakeHardwareStation
-from gridpush_drake.station.picture_tracker import PictureTracker
+from gridpush_drake.station.lcm.hardware_link import HardwareLink
+from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
+from gridpush_drake.station.lcm.picture_tracker import PictureTracker
+from gridpush_drake.station.lcm.robot_messages import ARM_PERIOD, OBJECT_STATUS, PICTURES, find_arm_messages
+from gridpush_drake.station.lcm.twin import MakeTwin
+from gridpush_drake.station.lcm.twin_camera import TwinCamera
 from gridpush_drake.station.robot import find_robot
-from gridpush_drake.station.robot_messages import ARM_PERIOD, OBJECT_STATUS, PICTURES, find_arm_messages
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.twin import MakeTwin
-from gridpush_drake.station.twin_camera import TwinCamera
 
 Spoiler = Callable[[float, bytes], list[bytes]]
 """Of the twin's time, s, and a message: what comes instead."""

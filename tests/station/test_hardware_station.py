@@ -6,12 +6,12 @@ from pydrake.multibody.parsing import AddDirectives, ModelDirective
 
 from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.station import IdentifyTask, MakePushStation, PushScenario, TaskStatus
-from gridpush_drake.station.hardware_link import HardwareLink, open_lcm
-from gridpush_drake.station.hardware_station import MakeHardwareStation
+from gridpush_drake.station.lcm.hardware_link import HardwareLink, open_lcm
+from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
+from gridpush_drake.station.lcm.robot_messages import ARM_MESSAGES, ARM_PERIOD, OBJECT_STATUS
+from gridpush_drake.station.lcm.twin import MakeTwin
 from gridpush_drake.station.robot import find_robot, make_robot_directives
-from gridpush_drake.station.robot_messages import ARM_MESSAGES, ARM_PERIOD, OBJECT_STATUS
 from gridpush_drake.station.scenario import OtherConfig, PartTruth
-from gridpush_drake.station.twin import MakeTwin
 from gridpush_drake.systems.arm_guard import GuardMode
 from gridpush_drake.systems.messages import PushPhase
 from tests.helpers.twin_bench import TwinBench

@@ -7,8 +7,8 @@ from pydrake.lcm import DrakeLcm
 from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.station import IdentifyTask, PushScenario, TaskStatus
-from gridpush_drake.station.picture_tracker import PictureTracker
-from gridpush_drake.station.robot_messages import ARM_MESSAGES, PICTURES
+from gridpush_drake.station.lcm.picture_tracker import PictureTracker
+from gridpush_drake.station.lcm.robot_messages import ARM_MESSAGES, PICTURES
 from gridpush_drake.station.scenario import OtherConfig
 from tests.helpers.renderer import require_renderer
 from tests.helpers.twin_bench import CameraBench

@@ -24,9 +24,8 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
 from gridpush_drake.errors import StationError
-from gridpush_drake.station.hardware_station import HardwareStation
-from gridpush_drake.station.robot import Robot
-from gridpush_drake.station.robot_messages import (
+from gridpush_drake.station.lcm.hardware_station import HardwareStation
+from gridpush_drake.station.lcm.robot_messages import (
     ARM_PERIOD,
     GRIPPER_COMMAND,
     GRIPPER_STATUS,
@@ -34,6 +33,7 @@ from gridpush_drake.station.robot_messages import (
     decode_message,
     find_arm_messages,
 )
+from gridpush_drake.station.robot import Robot
 from gridpush_drake.systems.arm_guard import BY_SILENCE, BY_USER, DONE, GuardMode, GuardStatus
 from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS
 

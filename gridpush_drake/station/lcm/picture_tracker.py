@@ -25,9 +25,8 @@ from gridpush_drake.perception.detection import DetectedObject, find_off_table
 from gridpush_drake.perception.frames import Frame
 from gridpush_drake.perception.tracking import NOT_SEEN, PoseTracker, TrackedPose, TrackerState
 from gridpush_drake.station.camera import AddRgbdCamera
-from gridpush_drake.station.picture_messages import decode_frame
-from gridpush_drake.station.robot import GetRobotInPlant, find_robot
-from gridpush_drake.station.robot_messages import (
+from gridpush_drake.station.lcm.picture_messages import decode_frame
+from gridpush_drake.station.lcm.robot_messages import (
     FROM_OPENING,
     GRIPPER_STATUS,
     OBJECT_STATUS,
@@ -35,10 +34,11 @@ from gridpush_drake.station.robot_messages import (
     decode_message,
     find_arm_messages,
 )
+from gridpush_drake.station.lcm.twin import check_tracked
+from gridpush_drake.station.robot import GetRobotInPlant, find_robot
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import AddScene
 from gridpush_drake.station.station import LoadPushedObject
-from gridpush_drake.station.twin import check_tracked
 from gridpush_drake.systems.object_detector import ObjectNaming, find_in_frame
 from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS
 

@@ -12,8 +12,8 @@ from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.station.arm import DRIVER_OUTPUTS, AddArmDriver
 from gridpush_drake.station.camera import StationCamera
 from gridpush_drake.station.grasping import AddGripperController, ExportOutputs
+from gridpush_drake.station.lcm.robot_messages import ARM_PERIOD, AddGripperSide, AddObjectSender, find_arm_messages
 from gridpush_drake.station.push_station import AddSensors, AddWorld, World
-from gridpush_drake.station.robot_messages import ARM_PERIOD, AddGripperSide, AddObjectSender, find_arm_messages
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.station import Setting
 from gridpush_drake.systems.arm_guard import CommandRamp

@@ -17,10 +17,10 @@ from gridpush_drake.errors import StationError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.perception.frames import Frame
 from gridpush_drake.station.camera import AddRgbdCamera
-from gridpush_drake.station.hardware_link import open_lcm
-from gridpush_drake.station.picture_messages import encode_frame
+from gridpush_drake.station.lcm.hardware_link import open_lcm
+from gridpush_drake.station.lcm.picture_messages import encode_frame
+from gridpush_drake.station.lcm.robot_messages import PICTURES
 from gridpush_drake.station.push_station import AddWorld
-from gridpush_drake.station.robot_messages import PICTURES
 from gridpush_drake.station.scenario import PushScenario, format_scenario, parse_scenario
 
 ENDS_WITHIN = 5.0

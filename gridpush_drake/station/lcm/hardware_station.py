@@ -22,13 +22,14 @@ from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.station.arm import DRIVER_OUTPUTS, ArmPosture
 from gridpush_drake.station.camera import calc_pose_age
 from gridpush_drake.station.grasping import ExportOutputs
-from gridpush_drake.station.robot_messages import (
+from gridpush_drake.station.lcm.robot_messages import (
     ARM_PERIOD,
     AddGripperMessages,
     AddObjectReceiver,
     IiwaMessages,
     find_arm_messages,
 )
+from gridpush_drake.station.lcm.twin import check_tracked
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import ParseScene, check_scenario
 from gridpush_drake.station.station import (
@@ -40,7 +41,6 @@ from gridpush_drake.station.station import (
     Setting,
     Station,
 )
-from gridpush_drake.station.twin import check_tracked
 from gridpush_drake.systems.arm_guard import ArmGuard, GuardLimits
 from gridpush_drake.systems.pusher_state_sensor import ArmTipSensor
 
