@@ -1,7 +1,9 @@
 """The default identifier: several ideas of how the object bears on the table, weighed by evidence.
 
 For each amplitude of the smoothness prior, weakest variation first, z is fitted by Gauss-Newton (`map_fit`), each fit
-starting where the last one ended: coarse to fine. A last one is of a rigid bottom that rests on the outline's corners.
+starting where the last one ended: coarse to fine. Where the best of them leaves much unexplained it may be a poor
+optimum; then fits begin with loads that are tilted to all sides. A last one is of a rigid bottom that rests on the
+outline's corners.
 By their evidence and a prior weight a^-3/4 the fields' logarithms are averaged, z = sum_a w_a z_a, and then the
 shares of friction, x = (1 - w) x_field + w x_bottom (`docs/theory/identification.md`, section 5).
 """
@@ -22,6 +24,7 @@ from gridpush_drake.identification.map_fit import (
     MapFit,
     calc_smooth_covariance,
     fit_map,
+    solve_factor,
 )
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.posterior import CELLS
@@ -39,6 +42,15 @@ FIRST_EVALUATIONS = 6
 
 HOPELESS = 30.0
 """Of log evidence below the best: more than a fit gains once it has begun to settle, and than leaves it any weight."""
+
+STUCK = 1.0
+"""Scale of the noise at the best field beyond which it may be a poor optimum."""
+
+TILT_DIRECTIONS, TILT_SIZES = 8, (1.0, 2.5)
+"""Of tilted loads that fits then begin with; the sizes are of log k, at the object's radius of gyration."""
+
+TILTED_FITS, TILTED_AMPLITUDE = 3, 1.5
+"""How many of them, those that predict best, are fitted; and the amplitude, the nearest of those there are."""
 
 SHARED_SHIFT = 0.3
 """Of the load's shift from push to push, how much all pushes may share, so that no number of them averages it out."""
@@ -167,12 +179,50 @@ class MapEnsemble:
                     warm_start=starts[i] if starts else None, max_evaluations=FIRST_EVALUATIONS,
                 )
             )  # fmt: skip
+        self._begin_with_tilts(priors, fits, fit_one)
+        self._follow_best(priors, fits, fit_one)
         best_evidence = max(fit.log_evidence for fit in fits)
         for i, (fit, prior) in enumerate(zip(fits, priors, strict=True)):
             if not fit.settled and fit.log_evidence > best_evidence - HOPELESS:
                 start = FitStart(fit.z, fit.scale)
                 fits[i] = fit_one(fit.system.problem, prior.mean, prior.factor, start=start, linear=fit.linear)
         return self._average(problem, priors, fits)
+
+    def _begin_with_tilts(self, priors: list[LoadPrior], fits: list[MapFit], fit_one: Callable[..., MapFit]) -> None:
+        """Fits anew from tilted loads where the best field is poor: it leaves much unexplained, or stands alone."""
+        best = self._find_best(fits)
+        beside = max((fits[i].log_evidence for i in self._fields if abs(i - best) == 1), default=np.inf)
+        if fits[best].scale.pose < STUCK and beside > fits[best].log_evidence - HOPELESS:
+            return
+        middle = int(np.argmin(np.abs(np.log(np.array(self.amplitudes) / TILTED_AMPLITUDE))))
+        prior, problem = priors[middle], fits[middle].system.problem
+        tilted = tilt_loads(problem.obj, prior.mean)
+        errors = [problem.calc_cell_errors(problem.residuals(z)).mean() for z in tilted]
+        for i in np.argsort(errors, kind="stable")[:TILTED_FITS]:
+            fit = fit_one(problem, prior.mean, prior.factor, start=FitStart(tilted[i], NoiseScale()))
+            fits[middle] = max(fits[middle], fit, key=lambda fit: fit.log_evidence)
+
+    def _follow_best(self, priors: list[LoadPrior], fits: list[MapFit], fit_one: Callable[..., MapFit]) -> None:
+        """Fits the other fields anew from where their neighbor ended, where that is better than where they are."""
+        best = self._find_best(fits)
+        for i in [*reversed(self._fields[:best]), *self._fields[best + 1 :]]:
+            near, own, prior = fits[i + 1 if i < best else i - 1], fits[i].system, priors[i]
+            if fits[i].log_evidence > near.log_evidence - HOPELESS:
+                continue
+            there = own.move(solve_factor(prior.factor, near.z - prior.mean), near.linear).rescale(near.scale)
+            if there.objective() < own.objective():
+                fits[i] = fit_one(
+                    own.problem, prior.mean, prior.factor, start=FitStart(near.z, near.scale), linear=near.linear,
+                    max_evaluations=FIRST_EVALUATIONS,
+                )  # fmt: skip
+
+    @property
+    def _fields(self) -> range:
+        return range(len(self.amplitudes))
+
+    def _find_best(self, fits: list[MapFit]) -> int:
+        """Of the fields, the most probable one."""
+        return max(self._fields, key=lambda i: fits[i].log_evidence)
 
     def _average(self, problem: PushProblem, priors: list[LoadPrior], fits: list[MapFit]) -> MapEnsembleFit:
         """Averages the fits; the spread is the mixture's, and what the pushes say of each other is in it."""
@@ -272,6 +322,20 @@ def find_corners(obj: GridObject) -> tuple[NDArray[np.int64], Array]:
     nearest = np.linalg.norm(corners[:, None] - obj.p_BC, axis=2).argmin(axis=1)
     cells = np.unique(nearest)
     return cells, np.array([corners[nearest == cell].mean(axis=0) for cell in cells])
+
+
+def tilt_loads(obj: GridObject, z0: Array) -> list[Array]:
+    """Makes z (n+1,) whose loads grow exponentially across the object in some direction, with the total of z0's."""
+    arm = obj.p_BC - obj.p_BC.mean(axis=0)
+    arm /= np.sqrt((arm**2).sum(axis=1).mean())
+    tilted = []
+    for size in TILT_SIZES:
+        for angle in np.arange(TILT_DIRECTIONS) * (2 * np.pi / TILT_DIRECTIONS):
+            z = z0.copy()
+            z[CELLS] += size * (arm @ [np.cos(angle), np.sin(angle)])
+            z[CELLS] += logsumexp(z0[CELLS]) - logsumexp(z[CELLS])
+            tilted.append(z)
+    return tilted
 
 
 def _move_center(p_BC: Array, z: Array, p_loads: Array) -> Array:

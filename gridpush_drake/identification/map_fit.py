@@ -143,9 +143,9 @@ def fit_map(
     """
     make = partial(System.of, problem, z0, A, noise, center_of_mass)
     start = start or FitStart(z0, NoiseScale())
-    system = make(_solve_factor(A, start.z - z0), linear or problem.linearize(start.z), start.scale)
+    system = make(solve_factor(A, start.z - z0), linear or problem.linearize(start.z), start.scale)
     if warm_start is not None:
-        other = make(_solve_factor(A, warm_start.z - z0), problem.linearize(warm_start.z), warm_start.scale)
+        other = make(solve_factor(A, warm_start.z - z0), problem.linearize(warm_start.z), warm_start.scale)
         system = min(system, other, key=System.objective)
     descent = _Descent(problem, system, max_evaluations, on_step)
     gamma = descent.run()
@@ -410,8 +410,8 @@ class System:
         return cho_factor(c * np.eye(len(self.gram)) + self.gram, lower=True)
 
 
-def _solve_factor(A: Array, difference: Array) -> Array:
-    """The u of a difference of z."""
+def solve_factor(A: Array, difference: Array) -> Array:
+    """The u (n+1,) of a difference of z (n+1,)."""
     return np.asarray(np.linalg.solve(A, difference), dtype=np.float64)
 
 
