@@ -15,6 +15,7 @@ from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, count_progress, print_json, print_line, print_notice
 from gridpush_drake.cli.demo import EXIT_INTERRUPTED, EXIT_NOT_DONE, TaskName
 from gridpush_drake.cli.twin import DEFAULT_URL, LcmUrl, ObjectFile, RealtimeRate, Scenario, read_robot_scenario
+from gridpush_drake.errors import ScenarioError
 
 if TYPE_CHECKING:
     from gridpush_drake.station.lcm.hardware_link import HardwareLink
@@ -61,6 +62,8 @@ def robot(
     chosen, scenario = TASKS[task], read_robot_scenario(scenario_file, object_file, seed)
     scenario.simulation.answer_delay = None  # a real arm waits for nobody
     check_scenario(scenario, scenario_file)
+    if scenario.camera.kind == "rgbd" and object_file is None:
+        raise ScenarioError("--object: missing; with camera.kind rgbd, expected the file that gridpush tracker wrote")
     if go:
         make_folder(out)
         for name in (*chosen.files, LOG):

@@ -1,7 +1,7 @@
 import pytest
 
 from tests.helpers.renderer import require_renderer
-from tests.helpers.two_processes import find_obstacle, run_in_namespace
+from tests.helpers.two_processes import SEEN_SCENARIO, find_obstacle, run_in_namespace
 
 STOPS_WITHIN = 0.1
 """s of the robot's time after a fault."""
@@ -15,6 +15,11 @@ def test_says_in_one_line_what_is_wrong(refuses, command, tmp_path):
     refuses(command, "--lcm", "nonsense", says=["--lcm: 'nonsense'", "expected udpm://ADDRESS:PORT"])
     refuses(command, "--scenario", tmp_path / "missing.yaml", says=["missing.yaml"])
     refuses(command, "--object", "hamer", says=["hamer", "hammer"])
+
+
+def test_by_pictures_the_robot_must_be_told_which_object_the_tracker_follows(refuses, tmp_path):
+    (tmp_path / "seen.yaml").write_text(SEEN_SCENARIO)
+    refuses("robot", "--scenario", tmp_path / "seen.yaml", says=["--object: missing", "gridpush tracker"])
 
 
 def check_stop(story):
