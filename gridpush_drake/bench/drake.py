@@ -24,7 +24,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.station.identify_task import IdentifyTask
-from gridpush_drake.station.scenario import CameraKind, PushScenario
+from gridpush_drake.station.scenario import RGBD_RATE, CameraKind, PushScenario
 from gridpush_drake.systems.grid_lcp_system import GridLcpSystem
 
 OBJECTS = ("claw_hammer", "combination_wrench", "spray_bottle")
@@ -34,11 +34,19 @@ IDEAL: CameraKind = "ideal"
 
 @dataclass(frozen=True)
 class Job:
-    """One experiment in the station: a shipped object, the seed of all that is hidden or random, and what sees it."""
+    """One experiment in the station.
+
+    Attributes:
+        name: of a shipped object.
+        seed: of all that is hidden or random.
+        camera: what sees the object.
+        rate: poses a second, Hz; the scenario's where None.
+    """
 
     name: str
     seed: int
     camera: CameraKind = IDEAL
+    rate: float | None = None
 
 
 @dataclass(frozen=True)
@@ -47,7 +55,7 @@ class StationScore:
 
     Mean cell errors of the held-out pushes are with the uniform model, as learned, and with the true parameters; center
     of mass errors with the first two. `share` is the greatest of joint position, velocity and torque limits; `touched`
-    counts pairs of bodies that should not have touched.
+    counts pairs of bodies that should not have touched; `rate` is of the poses, Hz.
     """
 
     name: str
@@ -62,13 +70,14 @@ class StationScore:
     touched: int
     duration: float
     camera: CameraKind = IDEAL
+    rate: float = 30.0
 
 
 def run(seed: int = 0, execution: Execution = QUIET, *, quick: bool = False, camera: CameraKind = IDEAL) -> list[Table]:
     """Measures all: the LCP system, single updates, the plant beside the model (`bench.plant`), and the station.
 
     No single updates, and of the rest the first object only, with two pushes and one seed, where `quick`. With a
-    camera only the station, which learns from ideal poses, too.
+    camera only the station, which learns from as many ideal poses a second, too.
     """
     count = 1 if quick else None
     if camera != IDEAL:
@@ -80,7 +89,9 @@ def run(seed: int = 0, execution: Execution = QUIET, *, quick: bool = False, cam
 
 def _run_station(cameras: Sequence[CameraKind], seed: int, count: int | None, execution: Execution) -> list[Table]:
     """A table for each camera, of the first objects and seeds only where there is a count."""
-    jobs = [Job(name, seed + each, camera) for name in OBJECTS[:count] for each in SEEDS[:count] for camera in cameras]
+    rate = RGBD_RATE if len(cameras) > 1 else None
+    cases = [(name, seed + each) for name in OBJECTS[:count] for each in SEEDS[:count]]
+    jobs = [Job(*case, camera, rate) for case in cases for camera in cameras]
     scores = run_jobs(run_job, jobs, lambda job: f"{job.name}, seed {job.seed}, {job.camera} camera", execution)
     return [make_table([score for score in scores if score.camera == camera]) for camera in cameras]
 
@@ -89,6 +100,7 @@ def run_job(job: Job) -> StationScore:
     """Runs one experiment with the default scenario."""
     scenario = PushScenario(object=job.name, seed=job.seed)
     scenario.camera.use(job.camera)
+    scenario.camera.rate = job.rate or scenario.camera.rate
     record = IdentifyTask(scenario).run()
     assert record.truth is not None  # of a simulated object it is known
     obj, truth, limits, held_out = record.obj, record.truth, record.limit_report, record.held_out_log
@@ -101,7 +113,7 @@ def run_job(job: Job) -> StationScore:
         job.name, job.seed, record.status, len(record.training_log), len(held_out), (before, after, floor),
         (gaps[0], gaps[1]), limits.tracking_error,
         max(limits.position_share, limits.velocity_share, limits.torque_share), len(limits.touched),
-        record.duration, job.camera,
+        record.duration, job.camera, scenario.camera.rate,
     )  # fmt: skip
 
 
@@ -113,7 +125,8 @@ def make_table(scores: Sequence[StationScore]) -> Table:
     touched = sum(score.touched for score in scores)
     seen = {IDEAL: "pose noise 0.5 mm and 0.2°", "rgbd": "object and poses from a rendered color and depth camera"}
     notes = [
-        f"An iiwa with a finger, free base, {seen[scores[0].camera]}; held-out pushes of 10 cm by the same robot.",
+        f"An iiwa with a finger, free base, {seen[scores[0].camera]}, at {scores[0].rate:g} Hz; "
+        "held-out pushes of 10 cm by the same robot.",
         f"Greatest share of a joint's limits used: {max(score.share for score in scores):.2f}; "
         f"forbidden contacts: {touched}.",
     ]
