@@ -1,10 +1,5 @@
 from .identify_task import IdentifyTask as IdentifyTask
 from .identify_task import IdentifyTaskRecord as IdentifyTaskRecord
-from .lcm.hardware_link import HardwareLink as HardwareLink
-from .lcm.hardware_station import HardwareStation as HardwareStation
-from .lcm.hardware_station import MakeHardwareStation as MakeHardwareStation
-from .lcm.twin import MakeTwin as MakeTwin
-from .lcm.twin import Twin as Twin
 from .limit_monitor import LimitMonitor as LimitMonitor
 from .limit_monitor import LimitReport as LimitReport
 from .pregrasp_task import PreGraspRecord as PreGraspRecord
