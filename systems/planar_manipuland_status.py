@@ -28,6 +28,7 @@ class PlanarManipulandStatusReceiver(LeafSystem):
         - time
         output_ports:
         - object_pose
+        - newest_pose
 
     * message: abstract `lcmt_planar_manipuland_status`, X_WB of the object's body frame; its `utime` differs from
       message to message, and is 0 before the first. A pose that is not finite says that the object is not seen.
@@ -35,6 +36,7 @@ class PlanarManipulandStatusReceiver(LeafSystem):
     * object_pose: vector of 3, x and y in W, m, and yaw, rad; the yaw is continuous, it counts whole turns. It is of
       `delay` ago, between the messages before and after; as last seen where none came since, or where the time is not
       known. NaN where the object was not seen then, or no message came for `max_age`.
+    * newest_pose: vector of 3, as the last message has it, whatever the delay: for who must notice a jump at once.
     """
 
     __slots__ = NO_SLOTS
@@ -53,9 +55,11 @@ class PlanarManipulandStatusReceiver(LeafSystem):
         self._time = self.DeclareVectorInputPort("time", 1)
         self._pose = self.DeclareDiscreteState(np.full(3, np.nan))
         self._kept = self.DeclareDiscreteState(np.tile([-np.inf, np.nan, np.nan, np.nan], KEPT))  # rows: s, and a pose
+        self._newest = self.DeclareDiscreteState(np.full(3, np.nan))
         self._yaw = self.DeclareDiscreteState(1)
         self._last = self.DeclareDiscreteState(2)  # the last message's utime, us, and when it came, s
         self.DeclareStateOutputPort("object_pose", self._pose)
+        self.DeclareStateOutputPort("newest_pose", self._newest)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._look)
 
     def _look(self, context: Context, state: Any) -> None:
@@ -73,7 +77,9 @@ class PlanarManipulandStatusReceiver(LeafSystem):
             came, kept = time, np.vstack([kept[1:], [message.utime / MICROSECONDS, *pose]])
             state.set_value(self._kept, kept.ravel())
         clock = float(self._time.Eval(context)[0]) - self._delay if self._time.HasValue(context) else np.inf
-        state.set_value(self._pose, np.full(3, np.nan) if time - came > self._max_age else find_pose(kept, clock))
+        lost = time - came > self._max_age
+        state.set_value(self._pose, np.full(3, np.nan) if lost else find_pose(kept, clock))
+        state.set_value(self._newest, np.full(3, np.nan) if lost else kept[-1, 1:])
 
 
 def find_pose(kept: Array, time: float) -> Array:

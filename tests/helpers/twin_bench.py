@@ -61,6 +61,7 @@ class TwinBench:
         self.disturb = None
         self.rows.clear()
         self.link.report.events.clear()
+        self.link.report.silences = self.link.report.pauses = 0  # of which only the first ones are written down
         self._reset()
         while self.link._object.data is None or len(self.rows) < 10:
             self.move()

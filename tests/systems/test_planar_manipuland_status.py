@@ -29,7 +29,7 @@ class Bench:
 
     def read(self, time):
         self.simulator.AdvanceTo(time)
-        return np.array(self.receiver.get_output_port().Eval(self.simulator.get_context()))
+        return np.array(self.receiver.GetOutputPort("object_pose").Eval(self.simulator.get_context()))
 
 
 def test_a_pose_is_held_until_the_next_message_or_until_it_is_too_old():
@@ -67,9 +67,12 @@ def test_a_pose_is_told_at_its_age_between_the_messages_about_it():
         receiver.GetInputPort("message").FixValue(context, AbstractValue.Make(message))
         receiver.GetInputPort("time").FixValue(context, [time])
         simulator.AdvanceTo(time)
-        told = receiver.get_output_port().Eval(context)
+        told = receiver.GetOutputPort("object_pose").Eval(context)
         if taken[0] + delay < time < taken[count - 1] + delay:
             np.testing.assert_allclose(told, calc_pose(time - delay), atol=2e-6)
+        if count:
+            newest = receiver.GetOutputPort("newest_pose").Eval(context)
+            np.testing.assert_allclose(newest, calc_pose(taken[count - 1]), atol=2e-6)
     assert count > 50
 
 

@@ -215,7 +215,8 @@ def MakeHardwareStation(
     tip = builder.AddNamedSystem("tip_sensor", ArmTipSensor(setting.control_plant, robot.finger.tip_frame))
     for port in ("position_measured", "velocity_estimated", "torque_external"):
         builder.Connect(status[port], tip.GetInputPort(port))
-    object_pose = AddObjectReceiver(builder, lcm, status["time_measured"], calc_pose_age(scenario.camera))
+    pose_age = calc_pose_age(scenario.camera)
+    object_pose, newest_pose = AddObjectReceiver(builder, lcm, status["time_measured"], pose_age)
     pusher_state = tip.GetOutputPort("pusher_state")
     gripper_state, gripper = (None, None) if robot.gripper is None else AddGripperMessages(builder, lcm)
     control = AddRobotControl(builder, setting, learning, pusher_state, object_pose, gripper_state)
@@ -229,7 +230,7 @@ def MakeHardwareStation(
         builder.Connect(status[port], guard.GetInputPort(port))
     builder.Connect(pusher_state, guard.GetInputPort("pusher_state"))
     builder.Connect(tip.GetOutputPort("force"), guard.GetInputPort("force"))
-    builder.Connect(object_pose, guard.GetInputPort("object_pose"))
+    builder.Connect(newest_pose, guard.GetInputPort("object_pose"))
     builder.Connect(guard.GetOutputPort("position"), messages.AddCommandSender(builder, lcm, n))
     builder.ExportInput(guard.GetInputPort("stop"), "stop")
     ExportOutputs(builder, guard, "guard", ("status", "position"))

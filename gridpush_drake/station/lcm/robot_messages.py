@@ -281,7 +281,7 @@ def AddGripperSide(
 
 def AddObjectReceiver(
     builder: DiagramBuilder, lcm: DrakeLcmInterface, time: OutputPort | None = None, delay: float = 0.0
-) -> OutputPort:
+) -> tuple[OutputPort, OutputPort]:
     """Adds what reads where the object is.
 
     Args:
@@ -291,7 +291,7 @@ def AddObjectReceiver(
         delay: how old a pose is told, s.
 
     Returns:
-        The port with its pose (3,), m and rad.
+        The ports with its pose (3,) so long ago, and with the newest, m and rad.
     """
     receiver = builder.AddNamedSystem("camera", PlanarManipulandStatusReceiver(ARM_PERIOD, OBJECT_MAX_AGE, delay))
     if time is not None:
@@ -299,7 +299,7 @@ def AddObjectReceiver(
     subscriber = LcmSubscriberSystem.Make(OBJECT_STATUS, lcmt_planar_manipuland_status, lcm)
     builder.AddNamedSystem("object_subscriber", subscriber)
     builder.Connect(subscriber.get_output_port(), receiver.GetInputPort("message"))
-    return receiver.GetOutputPort("object_pose")
+    return receiver.GetOutputPort("object_pose"), receiver.GetOutputPort("newest_pose")
 
 
 def AddObjectSender(
