@@ -241,6 +241,7 @@ class HardwareLink:
         self._base = self._arm.utime / MICROSECONDS
         self._out.clear()
         self._stepped = self._listened = monotonic()
+        self._waited = 0.0
 
     def advance(self, simulator: Simulator, time: float) -> None:
         """Goes on to a time of the station's, s, with the robot; see `Drive`."""
