@@ -121,7 +121,12 @@ class PlanarManipulandStatusSender(LeafSystem):
         )
 
     def _calc(self, context: Context, output: AbstractValue) -> None:
-        message, (x, y, theta) = lcmt_planar_manipuland_status(), self._pose.Eval(context).tolist()
-        message.utime = round(MICROSECONDS * context.get_time())
-        message.position, message.theta = [x, y], theta
-        output.set_value(message)
+        output.set_value(make_status(context.get_time(), self._pose.Eval(context)))
+
+
+def make_status(time: float, pose: Array) -> lcmt_planar_manipuland_status:
+    """Makes the message of a pose (3,), m and rad, that was seen at a time, s; NaN where it was not."""
+    message = lcmt_planar_manipuland_status()
+    message.utime = round(MICROSECONDS * time)
+    *message.position, message.theta = pose.tolist()
+    return message

@@ -1,13 +1,17 @@
 """`gridpush tracker`: where the object is, from a camera's pictures on LCM."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from time import monotonic
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, print_line, print_notice
 from gridpush_drake.cli.twin import DEFAULT_URL, LcmUrl, Scenario, read_robot_scenario
+
+if TYPE_CHECKING:
+    from gridpush_drake.station.lcm.picture_tracker import PictureTracker
 
 WAIT = 0.1
 """For messages, s, between two looks at whether to end."""
@@ -54,10 +58,8 @@ def tracker(
         print_notice(f"{follower.report.describe()}.")
 
 
-def _find(follower: Any, out: Path | None, force: bool) -> None:
+def _find(follower: "PictureTracker", out: Path | None, force: bool) -> None:
     """Looks until the object is seen, and says what is in the way; writes what was found."""
-    from time import monotonic
-
     from gridpush_drake.files import write_whole
     from gridpush_drake.objects.object_file import dump_object
 
@@ -70,11 +72,11 @@ def _find(follower: Any, out: Path | None, force: bool) -> None:
         if why and why != said and monotonic() - begin > PATIENCE:
             print_notice(f"Not yet: {why}.")
             said = why
-    x, y, theta = tracked.pose
+    obj, (x, y, theta) = follower.obj, tracked.pose
+    assert obj is not None  # it is seen
     where = f"at ({x:.3f}, {y:.3f}) m, turned by {theta:.2f} rad"
     if out is None:
-        print_line(f"{follower.obj.name} is seen {where}.")
+        print_line(f"{obj.name} is seen {where}.")
         return
-    obj = follower.obj
     write_whole(out, dump_object(obj.name, obj.grid, obj.prior, obj.height), force)
     print_line(f"An object of {obj.n} cells, {MM * (obj.height or 0.0):.0f} mm high, is seen {where}. Wrote {out}.")

@@ -374,10 +374,10 @@ class HardwareLink:
             except StationError as error:  # the caller is C and takes no exceptions
                 self._leave_out(str(error))
                 return
-            if channel is self._arm and self._messages.count_joints(message) != self._n:
-                joints = self._messages.count_joints(message)
-                self._fault = f"{name} speaks of {joints} joints; expected {self._n}, as the scenario's robot has"
-                self._leave_out(self._fault)
+            fault = self._messages.find_fault(message, self._n) if channel is self._arm else ""
+            if fault:
+                self._fault = fault
+                self._leave_out(fault)
             elif message.utime <= channel.utime:
                 self._leave_out(f"{name} was not newer than the one before")
             else:

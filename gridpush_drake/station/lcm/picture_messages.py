@@ -16,7 +16,7 @@ from PIL import Image, UnidentifiedImageError
 
 from gridpush_drake.errors import ImageError
 from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.frames import Color, Depth, Frame
+from gridpush_drake.perception.frames import MILLIMETERS, Color, Depth, Frame
 from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS
 
 JPEG_QUALITY = 95
@@ -25,27 +25,16 @@ JPEG_QUALITY = 95
 PNG_LEVEL = 3
 """Of the depth pictures' compression, of 9."""
 
-MILLIMETERS = 1e3
-"""In a meter: the unit of depth in 16 bit."""
-
 MAX_DEPTH = 2**16 - 1
-"""mm."""
+"""mm, of depth in 16 bit."""
 
 CHANNELS = {
-    lcmt_image.PIXEL_FORMAT_RGB: [0, 1, 2],
-    lcmt_image.PIXEL_FORMAT_RGBA: [0, 1, 2],
-    lcmt_image.PIXEL_FORMAT_BGR: [2, 1, 0],
-    lcmt_image.PIXEL_FORMAT_BGRA: [2, 1, 0],
+    lcmt_image.PIXEL_FORMAT_RGB: (3, [0, 1, 2]),
+    lcmt_image.PIXEL_FORMAT_RGBA: (4, [0, 1, 2]),
+    lcmt_image.PIXEL_FORMAT_BGR: (3, [2, 1, 0]),
+    lcmt_image.PIXEL_FORMAT_BGRA: (4, [2, 1, 0]),
 }
-"""Where red, green and blue are, by the formats of colors."""
-
-SIZES = {
-    lcmt_image.PIXEL_FORMAT_RGB: 3,
-    lcmt_image.PIXEL_FORMAT_RGBA: 4,
-    lcmt_image.PIXEL_FORMAT_BGR: 3,
-    lcmt_image.PIXEL_FORMAT_BGRA: 4,
-}
-"""Values of a pixel, likewise."""
+"""How many values a pixel has, and where red, green and blue are, by the formats of colors."""
 
 DEPTHS = {lcmt_image.CHANNEL_TYPE_UINT16: "u2", lcmt_image.CHANNEL_TYPE_FLOAT32: "f4"}
 """NumPy's names of the types that depth comes in: mm in 16 bit, m in 32."""
@@ -128,8 +117,8 @@ def _decode_color(image: lcmt_image, camera: Camera) -> Color:
     if image.compression_method in FILES:
         read = _read_file(image, "color", camera, cv2.IMREAD_COLOR)
         return np.asarray(cv2.cvtColor(read, cv2.COLOR_BGR2RGB), dtype=np.uint8)
-    pixels = _read_rows(image, "color", camera, np.dtype("u1"), SIZES[image.pixel_format])
-    return np.ascontiguousarray(pixels[..., CHANNELS[image.pixel_format]])
+    count, order = CHANNELS[image.pixel_format]
+    return np.ascontiguousarray(_read_rows(image, "color", camera, np.dtype("u1"), count)[..., order])
 
 
 def _decode_depth(image: lcmt_image, camera: Camera) -> Depth:

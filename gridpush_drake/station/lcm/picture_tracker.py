@@ -8,21 +8,21 @@ depth.
 from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-from drake import lcmt_image_array, lcmt_planar_manipuland_status, lcmt_schunk_wsg_status
+from drake import lcmt_image_array, lcmt_schunk_wsg_status
 from numpy.typing import NDArray
 from pydrake.lcm import DrakeLcmInterface
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from gridpush_drake.errors import GridPushError, PerceptionError, StationError
-from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.contact_material import FindTableOutline
 from gridpush_drake.multibody.parser import MakeParser
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception.detection import DetectedObject, find_off_table
-from gridpush_drake.perception.frames import Frame
+from gridpush_drake.perception.frames import MILLIMETERS, Frame
 from gridpush_drake.perception.tracking import NOT_SEEN, PoseTracker, TrackedPose, TrackerState
 from gridpush_drake.station.camera import AddRgbdCamera
 from gridpush_drake.station.lcm.picture_messages import decode_frame
@@ -40,16 +40,13 @@ from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import AddScene
 from gridpush_drake.station.station import LoadPushedObject
 from gridpush_drake.systems.object_detector import ObjectNaming, find_in_frame
-from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS
+from gridpush_drake.systems.planar_manipuland_status import MICROSECONDS, make_status
 
 STATUSES = 1000
 """Of the arm that are remembered: some seconds."""
 
 MAX_LAG = 0.5
 """Between a picture and the arm's status nearest to it, s; beyond that their clocks are not the same."""
-
-MILLIMETERS = 1e3
-"""In a meter."""
 
 
 class RobotSilhouette:
@@ -175,7 +172,7 @@ class PictureTracker:
         tracked = self._look(frame, self._silhouette.find(self._find_joints(utime), self._opening))
         self.report.pictures += 1
         self.report.seen += tracked.seen
-        self._say(utime, tracked.pose)
+        self._lcm.Publish(OBJECT_STATUS, make_status(frame.t, tracked.pose).encode())
         return tracked
 
     def find_obstacle(self) -> str:
@@ -229,32 +226,29 @@ class PictureTracker:
             )
         return joints
 
-    def _say(self, utime: int, pose: Array) -> None:
-        message = lcmt_planar_manipuland_status()
-        message.utime, message.position, message.theta = utime, pose[:2].tolist(), float(pose[2])
-        self._lcm.Publish(OBJECT_STATUS, message.encode())
-
     def _take_picture(self, data: bytes) -> None:
         self.report.skipped += self._picture is not None
         self._picture = data
 
     def _take_status(self, data: bytes) -> None:
-        try:
-            message = decode_message(self._messages.status_type, self._messages.status, data)
-        except StationError as error:  # the caller is C and takes no exceptions
-            self.report.left_out[str(error)] += 1
+        message = self._decode(self._messages.status_type, self._messages.status, data)
+        if message is None:
             return
-        joints = self._messages.read_joints(message)
-        if len(joints) == self._silhouette.num_joints:
-            self._statuses.append((message.utime, joints))
+        fault = self._messages.find_fault(message, self._silhouette.num_joints)
+        if fault:
+            self.report.left_out[fault] += 1
         else:
-            expected = f"expected {self._silhouette.num_joints}, as the scenario's robot has"
-            self.report.left_out[f"{self._messages.status} speaks of {len(joints)} joints; {expected}"] += 1
+            self._statuses.append((message.utime, self._messages.read_joints(message)))
 
     def _take_gripper(self, data: bytes) -> None:
+        message = self._decode(lcmt_schunk_wsg_status, GRIPPER_STATUS, data)
+        if message is not None:
+            self._opening = message.actual_position_mm / MILLIMETERS
+
+    def _decode(self, kind: Any, channel: str, data: bytes) -> Any:
+        """The message; None where it is none: who subscribed is called by C, which takes no exceptions."""
         try:
-            message = decode_message(lcmt_schunk_wsg_status, GRIPPER_STATUS, data)
+            return decode_message(kind, channel, data)
         except StationError as error:
             self.report.left_out[str(error)] += 1
-            return
-        self._opening = message.actual_position_mm / MILLIMETERS
+            return None

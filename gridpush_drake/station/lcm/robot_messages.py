@@ -91,6 +91,13 @@ class IiwaMessages:
         """How many joints a status speaks of."""
         return int(message.num_joints)
 
+    def find_fault(self, message: Any, n: int) -> str:
+        """Says that a status is of another robot than one of n joints; empty where it is not."""
+        joints = self.count_joints(message)
+        if joints == n:
+            return ""
+        return f"{self.status} speaks of {joints} joints; expected {n}, as the scenario's robot has"
+
     def read_joints(self, message: Any) -> Sequence[float]:
         """The measured positions in a status, rad."""
         return tuple(message.joint_position_measured)
@@ -280,7 +287,7 @@ def AddGripperSide(
 
 
 def AddObjectReceiver(
-    builder: DiagramBuilder, lcm: DrakeLcmInterface, time: OutputPort | None = None, delay: float = 0.0
+    builder: DiagramBuilder, lcm: DrakeLcmInterface, time: OutputPort, delay: float
 ) -> tuple[OutputPort, OutputPort]:
     """Adds what reads where the object is.
 
@@ -294,8 +301,7 @@ def AddObjectReceiver(
         The ports with its pose (3,) so long ago, and with the newest, m and rad.
     """
     receiver = builder.AddNamedSystem("camera", PlanarManipulandStatusReceiver(ARM_PERIOD, OBJECT_MAX_AGE, delay))
-    if time is not None:
-        builder.Connect(time, receiver.GetInputPort("time"))
+    builder.Connect(time, receiver.GetInputPort("time"))
     subscriber = LcmSubscriberSystem.Make(OBJECT_STATUS, lcmt_planar_manipuland_status, lcm)
     builder.AddNamedSystem("object_subscriber", subscriber)
     builder.Connect(subscriber.get_output_port(), receiver.GetInputPort("message"))
