@@ -15,7 +15,7 @@ from shapely import Polygon
 from shapely.geometry.polygon import orient
 
 HALF = 0.5  # share at which a pixel counts as object, and the offset of a pixel's middle from its corner
-SMOOTHING = 1.0  # standard deviation of the Gaussian, pixels
+SMOOTHING = 1.0  # standard deviation of the Gaussian, pixels: a mask's steps do not show
 TOLERANCE = 0.75  # how far the simplified outline may leave the contour, pixels: just more than a pixel's step
 MIN_HOLE = 9.0  # holes of less area are dropped, pixels
 
@@ -37,16 +37,22 @@ MIN_SINE = 0.1  # edges that turn by less than this do not meet at a usable inte
 MAX_MOVE = 1.5  # no vertex is moved further, pixels
 
 
-def calc_contour(coverage: NDArray[np.float64]) -> Polygon:
-    """Traces the outline of a mask, one 8-connected piece: (height, width) share of each pixel that is object.
+def calc_contour(coverage: NDArray[np.float64], smoothing: float = SMOOTHING) -> Polygon:
+    """Traces the outline of a mask, one 8-connected piece.
 
-    A valid polygon with holes in pixels from the upper left corner, x right and y *down*, its outer ring
-    counterclockwise in these axes.
+    Args:
+        coverage: (height, width) share of each pixel that is object.
+        smoothing: standard deviation of the Gaussian that it goes through, pixels; less rounds corners less, but takes
+            a coverage finer than yes and no.
+
+    Returns:
+        A valid polygon with holes in pixels from the upper left corner, x right and y *down*, its outer ring
+        counterclockwise in these axes.
     """
     scale = 1
     while _count_steps(coverage) > MAX_STEPS:
         coverage, scale = _halve(coverage), 2 * scale
-    outline = _trace_smooth(coverage)
+    outline = _trace_smooth(coverage, smoothing)
     if outline is None or abs(outline.area / coverage.sum() - 1) > AREA_TOLERANCE:
         outline = _trace_pixels(coverage)
     return orient(shapely.transform(outline, lambda points: points * scale))
@@ -62,9 +68,9 @@ def _halve(coverage: NDArray[np.float64]) -> NDArray[np.float64]:
     return even.reshape(even.shape[0] // 2, 2, -1, 2).mean(axis=(1, 3))
 
 
-def _trace_smooth(coverage: NDArray[np.float64]) -> Polygon | None:
-    margin = int(np.ceil(4 * SMOOTHING))
-    field = gaussian_filter(np.pad(coverage, margin), SMOOTHING)
+def _trace_smooth(coverage: NDArray[np.float64], smoothing: float) -> Polygon | None:
+    margin = int(np.ceil(4 * smoothing))
+    field = gaussian_filter(np.pad(coverage, margin), smoothing)
     generator = contour_generator(z=field, fill_type=FillType.OuterOffset)
     pieces = []
     for points, offsets in zip(*generator.filled(HALF, np.inf), strict=True):

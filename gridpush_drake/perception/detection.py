@@ -2,8 +2,8 @@
 
 What is seen of a prism of height h is its outline on every level from the table to h. A pixel of the picture's outline
 shows a point of the top where the prism's side there faces away from the camera, and one of the bottom where it faces
-it. So the outline is what the pixels' rays meet on all levels: the intersection of the picture's outline cast to the
-table, to half the height and to the height.
+it. So the outline is what the pixels' rays meet on all levels: the intersection of the picture's outline cast to some
+levels from the table to the height.
 """
 
 from dataclasses import dataclass
@@ -66,8 +66,11 @@ RIM_WIDTH, RIM_PERCENTILE = 31, 60
 TOP_PERCENTILE, TOP_WINDOW = 90, 5
 """Of the heights of an object, smoothed in such a window, which is its height."""
 
-LEVELS = (0.0, 0.5, 1.0)
+LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the height, to which the picture's outline is cast."""
+
+OUTLINE_SMOOTHING = 0.5
+"""Of the coverage, before the outline is traced, standard deviation in pixels."""
 
 SIMPLIFICATION = 2e-4
 """m, by which the outline may differ after the levels were intersected."""
@@ -193,7 +196,7 @@ def detect_object(
         raise NoObjectError("no object is in view; expected one on the table", color)
     heights = None if plane is None or options.height is not None else plane.heights
     height = _find_height(heights, mask) if heights is not None else options.height or 0.0
-    outline = _to_world(calc_contour(coverage.astype(np.float64)), camera, mask, heights, height)
+    outline = _to_world(calc_contour(coverage.astype(np.float64), OUTLINE_SMOOTHING), camera, mask, heights, height)
     X_WB = np.array([*outline.centroid.coords[0], 0.0])
     parts = _find_parts(color, mask, camera, outline, height) if options.parts else {}
     return DetectedObject(

@@ -82,7 +82,9 @@ strip of that width at the boundary that is left out, pixels."""
 TOO_DARK, DARK = 1.5 * SHADOW, 3 * SHADOW
 """Drops of CIE L* from the table nearby from which on it is more and more, and surely, no shadow."""
 
-BOUNDARY_ROUNDS, BOUNDARY_SMOOTHING = 4, 1.0
+BOUNDARY_ROUNDS, BOUNDARY_SMOOTHING = 4, 0.5
+"""Of drawing the boundary; standard deviation in pixels: a wider one rounds corners, and widens narrow holes."""
+
 MIN_CONTRAST = 9.0
 """Squared difference of color at which the boundary is as uncertain as the pixels are noisy."""
 
@@ -214,7 +216,7 @@ def score_pixels(
         score += says
     smooth = _blur(score, SMOOTHING)
     mask = remove_thin(smooth > 0)
-    mask = fill_holes(_morph(mask, cv2.MORPH_CLOSE, CLOSING), smooth)
+    mask = fill_holes(_morph(mask, cv2.MORPH_CLOSE, CLOSING) & (smooth >= HOLE_SCORE), smooth)
     return Foreground(mask, smooth, difference, deviation, heights.astype(np.float32))
 
 
@@ -232,6 +234,7 @@ def refine_boundary(mask: Mask, found: Foreground, covered: Mask | None = None) 
     if not found.difference.any():
         return mask, _blur(mask, BOUNDARY_SMOOTHING)
     colors = found.difference * np.array([LIGHT_WEIGHT, 1, 1], dtype=np.float32)
+    table = ~mask
     level = np.zeros(mask.shape, dtype=np.float32)
     shown = np.ones_like(mask) if covered is None else ~covered
     for _ in range(BOUNDARY_ROUNDS):
@@ -242,7 +245,7 @@ def refine_boundary(mask: Mask, found: Foreground, covered: Mask | None = None) 
         level = _blur(np.clip(along, -HALF_STEP, HALF_STEP) + found.heights, BOUNDARY_SMOOTHING)
         level = np.where(band, level, np.where(mask, 1, -1)).astype(np.float32)
         mask = keep_largest(level > 0) if covered is None else level > 0
-    mask = fill_holes(mask, found.score)
+    mask = fill_holes(mask, found.score, table)
     return mask, np.where(mask == (level > 0), np.clip(level + 0.5, 0, 1), mask).astype(np.float32)
 
 
@@ -252,14 +255,16 @@ def keep_largest(mask: Mask) -> Mask:
     return labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])) if count > 1 else mask
 
 
-def fill_holes(mask: Mask, score: Image) -> Mask:
-    """Fills the holes through which the table is not plainly seen."""
+def fill_holes(mask: Mask, score: Image, table: Mask | None = None) -> Mask:
+    """Fills the holes through which the table is not plainly seen, unless some of it is known to be table."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats((~mask).astype(np.uint8), connectivity=4)
     rim = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     area = stats[:, cv2.CC_STAT_AREA]
     plain = np.bincount(labels[score < HOLE_SCORE], minlength=count)
     filled = (area < MIN_HOLE) | (plain < HOLE_SHARE * area)
     filled[rim] = False
+    if table is not None:
+        filled[labels[table]] = False
     return mask | filled[labels]
 
 
