@@ -38,6 +38,9 @@ from gridpush_drake.systems.messages import (
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 from gridpush_drake.systems.push_executor import NOT_FINITE, SPEED_SCALES, UNREADABLE
 
+CONTROLLER_STIFFNESS = 200.0
+"""Of Drake's SchunkWsgPositionController between the opening that is asked for and the one there is, N/m."""
+
 
 @dataclass(frozen=True)
 class GraspTrajectoryOptions:
@@ -56,8 +59,7 @@ class GraspTrajectoryOptions:
         force: of the gripper, N.
         opening: of the gripper but when it grasps, m.
         closing_speed: change of the opening asked for until the pads would meet, m/s.
-        squeeze: opening asked for afterwards, m; negative, for the controller's spring to ask for the whole force.
-        squeeze_time: over which, s.
+        squeeze_time: over which the whole force is asked for afterwards, s.
         settle_time: with the whole force before the opening is looked at, s.
         opening_time: of letting go, s.
         hold_time: how long the object is held up before it counts as held, s.
@@ -79,7 +81,6 @@ class GraspTrajectoryOptions:
     force: float = 80.0
     opening: float = 0.1
     closing_speed: float = 0.15
-    squeeze: float = -0.4
     squeeze_time: float = 0.5
     settle_time: float = 0.3
     opening_time: float = 0.6
@@ -88,6 +89,11 @@ class GraspTrajectoryOptions:
     max_slip: float = 0.006
     max_lift: float = 0.2
     period: float = 0.005
+
+    @property
+    def squeeze(self) -> float:
+        """Opening at which the gripper's controller, whose spring pulls towards it, asks for the whole force, m."""
+        return -self.force / CONTROLLER_STIFFNESS
 
 
 def calc_yaws(approach: float) -> tuple[float, float]:

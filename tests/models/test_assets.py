@@ -151,7 +151,7 @@ def test_scene_starts_with_the_finger_down_over_the_table(file):
 
 def test_scenes_come_with_and_without_a_gripper():
     able = [file for file in TABLE_SCENES if parse(file)[0].HasModelInstanceNamed("gripper")]
-    assert able == ["scenes/iiwa_grasp.dmd.yaml", "scenes/panda_grasp.dmd.yaml"]
+    assert able == [f"scenes/{name}.dmd.yaml" for name in ("iiwa_grasp", "iiwa_grasp_heavy", "panda_grasp")]
     assert len(TABLE_SCENES) >= 5
 
 
