@@ -234,9 +234,9 @@ def refine_boundary(mask: Mask, found: Foreground, covered: Mask | None = None) 
     if not found.difference.any():
         return mask, _blur(mask, BOUNDARY_SMOOTHING)
     colors = found.difference * np.array([LIGHT_WEIGHT, 1, 1], dtype=np.float32)
-    table = ~mask
     level = np.zeros(mask.shape, dtype=np.float32)
     shown = np.ones_like(mask) if covered is None else ~covered
+    table = shown & ~mask
     for _ in range(BOUNDARY_ROUNDS):
         band = dilate(mask, 2 * BAND + 1) & ~_erode(mask, 2 * BAND + 1)
         inside = _calc_nearby_mean(colors, _erode(mask, MEAN_GAP) & shown, INSIDE_RADIUS)

@@ -20,7 +20,7 @@ from gridpush_drake.systems.grasp_executor import CONTROLLER_STIFFNESS
 CLOSING_DOWN = RigidTransform(RollPitchYaw(-np.pi / 2, np.pi / 2, 0.0), [0.0, 0.0, 0.0])
 """X_WB of the gripper's body: fingers forward, closing vertically, as the bracket holds it."""
 
-GRIPPERS = {"wsg_50": 0.11, "strong": 0.085}
+GRIPPERS = {"wsg_50": 0.11, "strong": 0.11}
 """The stroke of each, m."""
 
 each_gripper = pytest.mark.parametrize("name", GRIPPERS)
