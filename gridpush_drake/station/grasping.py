@@ -20,10 +20,13 @@ from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
 from gridpush_drake.station.arm import ArmReach
 from gridpush_drake.station.robot import GripperMeasures
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.systems.grasp_executor import GraspExecutor, GraspTrajectoryOptions
+from gridpush_drake.systems.grasp_executor import CONTROLLER_STIFFNESS, GraspExecutor, GraspTrajectoryOptions
 from gridpush_drake.systems.messages import GraspCommand
 from gridpush_drake.systems.push_executor import PushExecutor
 from gridpush_drake.systems.pusher_gate import PusherGate
+
+COUPLING, DAMPING = 2000.0, 5.0
+"""By which Drake's controller keeps the fingers' middle where it is by default, N/m and N s/m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +116,16 @@ def AddGraspExecutor(
 
 
 def AddGripperController(
-    builder: DiagramBuilder, plant: MultibodyPlant, gripper: ModelInstanceIndex
+    builder: DiagramBuilder, plant: MultibodyPlant, gripper: ModelInstanceIndex, measures: GripperMeasures
 ) -> SchunkWsgPositionController:
     """Adds what moves a plant's gripper to the opening, m, and with the force, N, on its input ports."""
-    controller = builder.AddNamedSystem("gripper_controller", SchunkWsgPositionController())
+    damping = DAMPING * float(np.sqrt(measures.coupling / COUPLING))
+    controller = builder.AddNamedSystem(
+        "gripper_controller",
+        SchunkWsgPositionController(
+            kp_command=CONTROLLER_STIFFNESS, kp_constraint=measures.coupling, kd_constraint=damping
+        ),
+    )
     builder.Connect(plant.get_state_output_port(gripper), controller.get_state_input_port())
     builder.Connect(controller.get_generalized_force_output_port(), plant.get_actuation_input_port(gripper))
     return controller

@@ -426,7 +426,8 @@ def MakePushStation(
     )
     builder.Connect(control.kinematics.GetOutputPort("joint_positions"), driver.GetInputPort("position"))
     if control.grasping is not None:
-        hand = AddGripperController(builder, plant, gripper)
+        assert setting.robot.gripper is not None
+        hand = AddGripperController(builder, plant, gripper, setting.robot.gripper)
         builder.Connect(control.grasping.GetOutputPort("gripper_position"), hand.get_desired_position_input_port())
         builder.Connect(control.grasping.GetOutputPort("gripper_force_limit"), hand.get_force_limit_input_port())
     if meshcat is not None:

@@ -180,6 +180,7 @@ class GripperMeasures(_Measures):
         fingers: the bodies that may touch what is grasped.
         max_force: with which both fingers press together, N.
         closing_speed: greatest, of the opening, m/s.
+        coupling: how stiffly the simulated fingers keep their middle where it is, N/m.
     """
 
     mount_frame: Name
@@ -187,6 +188,7 @@ class GripperMeasures(_Measures):
     fingers: Annotated[tuple[str, ...], Strict(False), Field(min_length=2, description="names of bodies")]
     max_force: Positive = 80.0
     closing_speed: Positive = 0.15
+    coupling: Positive = 2000.0
     opening: Length
     pad_length: Length
     pad_width: Length

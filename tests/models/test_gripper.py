@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from pydrake.geometry import Box, Sphere
-from pydrake.manipulation import SchunkWsgPositionController
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, ExternallyAppliedSpatialForce
@@ -14,6 +13,7 @@ from pydrake.systems.primitives import ConstantVectorSource
 
 from gridpush_drake.multibody.parser import MakeParser, find_models
 from gridpush_drake.planning.pregrasp.grasp_parts import PadLimit
+from gridpush_drake.station.grasping import AddGripperController
 from gridpush_drake.station.robot import GripperMeasures, read_measures
 from gridpush_drake.systems.grasp_executor import CONTROLLER_STIFFNESS
 
@@ -48,13 +48,9 @@ class Grip:
             self.bar = self.plant.AddRigidBody("bar", self.plant.AddModelInstance("bar"), inertia)
             self.plant.RegisterCollisionGeometry(self.bar, RigidTransform(), shape, "bar", CoulombFriction(0.5, 0.5))
         self.plant.Finalize()
-        controller = builder.AddSystem(SchunkWsgPositionController())
+        controller = AddGripperController(builder, self.plant, self.gripper, read_gripper(name))
         self.opening = builder.AddSystem(ConstantVectorSource([0.1]))
         force = builder.AddSystem(ConstantVectorSource([self.max_force]))
-        builder.Connect(self.plant.get_state_output_port(self.gripper), controller.get_state_input_port())
-        builder.Connect(
-            controller.get_generalized_force_output_port(), self.plant.get_actuation_input_port(self.gripper)
-        )
         builder.Connect(self.opening.get_output_port(), controller.get_desired_position_input_port())
         builder.Connect(force.get_output_port(), controller.get_force_limit_input_port())
         self.simulator = Simulator(builder.Build())
@@ -176,7 +172,6 @@ def calc_tilt(name, mass, d_x, d_y):
         ("wsg_50", 0.0, 0.07),
         ("wsg_50", 0.08, 0.04),
         ("strong", 0.08, 0.0),
-        ("strong", 0.0, 0.07),
         ("strong", 0.08, 0.04),
     ],
 )

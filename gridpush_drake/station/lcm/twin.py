@@ -116,7 +116,7 @@ def MakeTwin(scenario: PushScenario, lcm: DrakeLcmInterface, *, listens: bool = 
     ports[TORQUE] = _AddLowPass(builder, ports[TORQUE], scenario.simulation.time_step)
     messages.AddRobotSide(builder, lcm, len(setting.q_start), ports, ramp)
     if robot.gripper is not None:
-        controller = AddGripperController(builder, plant, instances.gripper)
+        controller = AddGripperController(builder, plant, instances.gripper, robot.gripper)
         state = plant.get_state_output_port(instances.gripper)
         AddGripperSide(builder, lcm, controller, state, robot.gripper.opening)
     camera = AddSensors(builder, world.scene_graph, setting.scenario, robot, world.object_in_plant, None).camera
