@@ -83,7 +83,7 @@ TOO_DARK, DARK = 1.5 * SHADOW, 3 * SHADOW
 """Drops of CIE L* from the table nearby from which on it is more and more, and surely, no shadow."""
 
 BOUNDARY_ROUNDS, BOUNDARY_SMOOTHING = 4, 0.5
-"""Of drawing the boundary; standard deviation in pixels: a wider one rounds corners, and widens narrow holes."""
+"""Of drawing the boundary; and the standard deviation, in pixels, of what a wider one would round: corners, holes."""
 
 MIN_CONTRAST = 9.0
 """Squared difference of color at which the boundary is as uncertain as the pixels are noisy."""
