@@ -87,6 +87,9 @@ PART_SMOOTHING = 9
 GREEN, RED, BLUE, LINE = (0, 255, 0), (255, 0, 0), (0, 80, 255), 1
 """Of what is drawn in pictures; the line's width, pixels."""
 
+CLOSE_UP_ROOM = 0.2
+"""About an object in its close-up, share of its longer side."""
+
 AXIS = 0.03
 """Length of the body frame's axes in pictures, m."""
 
@@ -136,6 +139,15 @@ class DetectedObject:
     parts: dict[int, Polygon | MultiPolygon]
     camera: Camera
     picture: Color
+
+    @property
+    def close_up(self) -> Color:
+        """The part of the picture that shows the object, with some room about it."""
+        rows, columns = (np.flatnonzero(self.mask.any(axis=axis)) for axis in (1, 0))
+        room = round(CLOSE_UP_ROOM * max(np.ptp(rows), np.ptp(columns)))
+        return self.picture[
+            max(rows[0] - room, 0) : rows[-1] + room + 1, max(columns[0] - room, 0) : columns[-1] + room + 1
+        ]
 
     @cached_property
     def outline_B(self) -> Polygon:

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.report.draw import FAINT, INK, LEARNED, MM, PAGE_WIDTH, hide_axes, make_grid, tidy
+from gridpush_drake.report.draw import FAINT, INK, LEARNED, MM, PAGE_WIDTH, make_grid, tidy
 
 DEGREES = 180 / np.pi
 
@@ -27,7 +27,7 @@ class Sight:
     """What the camera saw in a run.
 
     Attributes:
-        picture: (height, width, 3) uint8, the photograph with the outline found.
+        picture: (height, width, 3) uint8, of the photograph what is near the object, with the outline found.
         t: (K,) times, s.
         errors: (K, 3) poses tracked less the true ones, (x, y, theta), m and rad; NaN where the object was not seen.
         std: (K, 3) as the tracker says, m and rad.
@@ -73,8 +73,8 @@ def draw_sight(sight: Sight) -> Figure:
     photograph, position, angle = axes.ravel()
     grid = photograph.get_gridspec()
     grid.set_height_ratios([PHOTOGRAPH_HEIGHT, TRACK_HEIGHT, TRACK_HEIGHT])
-    photograph.imshow(sight.picture, interpolation="antialiased")
-    hide_axes(photograph)
+    photograph.imshow(sight.picture, interpolation="antialiased", aspect="equal")
+    photograph.set_axis_off()
     for column, label, color in ((0, "x", LEARNED), (1, "y", INK)):
         _draw_errors(position, sight, column, MM, color, label)
     _draw_errors(angle, sight, 2, DEGREES, LEARNED, "theta")

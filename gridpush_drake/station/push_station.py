@@ -367,7 +367,7 @@ class PushStation(Station):
         errors = poses[late:] - true[: len(true) - late]
         errors[:, 2] = wrap_angle(errors[:, 2])
         std = np.sqrt(covariance[late:].reshape(-1, 3, 3).diagonal(axis1=1, axis2=2))
-        return Sight(self.found.detected.picture, t[late:], errors, std)
+        return Sight(self.found.detected.close_up, t[late:], errors, std)
 
     def CoverCamera(self, root_context: Context, covered: bool = True) -> None:
         """Covers the camera, which then sees no object, or uncovers it."""

@@ -81,6 +81,15 @@ def test_cells_fill_the_outline_in_the_body_frame():
     np.testing.assert_allclose(obj.outline.centroid.coords[0], [0, 0], atol=1e-9)
 
 
+def test_the_close_up_shows_all_of_the_outline_and_little_else():
+    found = detect([(L_SHAPE, (0.1, 0.08, 2.0), HEIGHT, BROWN)])
+    rows, columns = np.nonzero(found.mask)
+    longer = max(np.ptp(rows), np.ptp(columns))
+    assert max(found.close_up.shape[:2]) == pytest.approx(1.4 * longer, abs=2)
+    drawn = [int((picture == (0, 255, 0)).all(axis=-1).sum()) for picture in (found.close_up, found.picture)]
+    assert drawn[0] == drawn[1] > 100
+
+
 def test_parts_are_told_apart_by_color():
     half = np.array([[-0.06, -0.03], [0.0, -0.03], [0.0, 0.03], [-0.06, 0.03]])
     prisms = [(half, (0, 0, 0), HEIGHT, (150, 40, 40)), (-half, (0, 0, 0), HEIGHT, (40, 60, 160))]
