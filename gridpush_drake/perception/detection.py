@@ -143,11 +143,9 @@ class DetectedObject:
     @property
     def close_up(self) -> Color:
         """The part of the picture that shows the object, with some room about it."""
-        rows, columns = (np.flatnonzero(self.mask.any(axis=axis)) for axis in (1, 0))
-        room = round(CLOSE_UP_ROOM * max(np.ptp(rows), np.ptp(columns)))
-        return self.picture[
-            max(rows[0] - room, 0) : rows[-1] + room + 1, max(columns[0] - room, 0) : columns[-1] + room + 1
-        ]
+        x, y, width, height = cv2.boundingRect(self.mask.astype(np.uint8))
+        room = round(CLOSE_UP_ROOM * max(width, height))
+        return self.picture[max(y - room, 0) : y + height + room, max(x - room, 0) : x + width + room]
 
     @cached_property
     def outline_B(self) -> Polygon:

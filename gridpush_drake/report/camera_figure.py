@@ -73,7 +73,7 @@ def draw_sight(sight: Sight) -> Figure:
     photograph, position, angle = axes.ravel()
     grid = photograph.get_gridspec()
     grid.set_height_ratios([PHOTOGRAPH_HEIGHT, TRACK_HEIGHT, TRACK_HEIGHT])
-    photograph.imshow(sight.picture, interpolation="antialiased", aspect="equal")
+    photograph.imshow(sight.picture, interpolation="antialiased")
     photograph.set_axis_off()
     for column, label, color in ((0, "x", LEARNED), (1, "y", INK)):
         _draw_errors(position, sight, column, MM, color, label)

@@ -18,15 +18,15 @@ from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
 from gridpush_drake.station.arm import ArmReach
-from gridpush_drake.station.robot import GripperMeasures
+from gridpush_drake.station.robot import COUPLING, GripperMeasures
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.systems.grasp_executor import CONTROLLER_STIFFNESS, GraspExecutor, GraspTrajectoryOptions
 from gridpush_drake.systems.messages import GraspCommand
 from gridpush_drake.systems.push_executor import PushExecutor
 from gridpush_drake.systems.pusher_gate import PusherGate
 
-COUPLING, DAMPING = 2000.0, 5.0
-"""By which Drake's controller keeps the fingers' middle where it is by default, N/m and N s/m."""
+DAMPING = 5.0
+"""Of Drake's controller, with a coupling of COUPLING, N s/m."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -171,6 +171,10 @@ class FingerMeasures(_Measures):
     tip_radius: Length
 
 
+COUPLING = 2000.0
+"""How stiffly Drake's gripper controller keeps the fingers' middle where it is by default, N/m."""
+
+
 class GripperMeasures(_Measures):
     """A gripper's `gripper.yaml`; see `SideGripper` for the lengths.
 
@@ -188,7 +192,7 @@ class GripperMeasures(_Measures):
     fingers: Annotated[tuple[str, ...], Strict(False), Field(min_length=2, description="names of bodies")]
     max_force: Positive = 80.0
     closing_speed: Positive = 0.15
-    coupling: Positive = 2000.0
+    coupling: Positive = COUPLING
     opening: Length
     pad_length: Length
     pad_width: Length

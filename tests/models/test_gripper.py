@@ -20,10 +20,7 @@ from gridpush_drake.systems.grasp_executor import CONTROLLER_STIFFNESS
 CLOSING_DOWN = RigidTransform(RollPitchYaw(-np.pi / 2, np.pi / 2, 0.0), [0.0, 0.0, 0.0])
 """X_WB of the gripper's body: fingers forward, closing vertically, as the bracket holds it."""
 
-GRIPPERS = {"wsg_50": 0.11, "strong": 0.11}
-"""The stroke of each, m."""
-
-each_gripper = pytest.mark.parametrize("name", GRIPPERS)
+each_gripper = pytest.mark.parametrize("name", ["wsg_50", "strong"])
 
 BAR = Box(0.2, 0.03, 0.03)
 
@@ -56,7 +53,7 @@ class Grip:
         self.simulator = Simulator(builder.Build())
         self.context = self.simulator.get_mutable_context()
         self.plant_context = self.plant.GetMyMutableContextFromRoot(self.context)
-        self.plant.SetPositions(self.plant_context, self.gripper, [-0.04, 0.04])
+        self.plant.SetPositions(self.plant_context, self.gripper, [-0.05, 0.05])
 
     def move(self, opening, seconds):
         source = self.opening.GetMyMutableContextFromRoot(self.context)
@@ -70,7 +67,7 @@ class Grip:
         """
         for force in np.arange(80.0, self.max_force, 15.0):
             self.move(-force / CONTROLLER_STIFFNESS, 0.05)
-        self.move(-self.max_force / CONTROLLER_STIFFNESS, seconds)
+        self.hold(seconds)
 
     def hold(self, seconds):
         """With the whole force as before."""
@@ -86,8 +83,8 @@ def test_joints_are_those_that_drakes_controller_moves(name):
     plant = Grip(name).plant
     joints = [plant.GetJointByName(f"{side}_finger_sliding_joint") for side in ("left", "right")]
     assert [joint.child_body().name() for joint in joints] == ["left_finger", "right_finger"]
-    assert [joint.position_lower_limit() for joint in joints] == [-GRIPPERS[name] / 2, 0.0]
-    assert [joint.position_upper_limit() for joint in joints] == [0.0, GRIPPERS[name] / 2]
+    assert [joint.position_lower_limit() for joint in joints] == [-0.055, 0.0]
+    assert [joint.position_upper_limit() for joint in joints] == [0.0, 0.055]
     efforts = [plant.get_joint_actuator(index).effort_limit() for index in plant.GetJointActuatorIndices()]
     assert efforts == 2 * [read_gripper(name).max_force]
     assert [joint.position_start() for joint in joints] == [0, 1]  # the order that Drake's controller reads
@@ -96,14 +93,26 @@ def test_joints_are_those_that_drakes_controller_moves(name):
 @each_gripper
 def test_it_opens_and_closes_to_what_is_asked(name):
     grip = Grip(name, X_WB=RigidTransform())  # closing level: gravity does not hold either finger back
-    for opening in (read_gripper(name).opening, 0.03, 0.0, 0.08):
+    for opening in (0.1, 0.03, 0.0, 0.08):
         grip.move(opening, 1.0)
         assert grip.position == pytest.approx([-opening / 2, opening / 2], abs=1e-4)
 
 
 @each_gripper
+def test_pads_meet_when_closed(name):
+    """Inner faces of the spheres, and of the visible pads, lie at the middle at position 0, off it by the position."""
+    grip = Grip(name)
+    for side, sign in (("left", -1), ("right", 1)):
+        body = grip.plant.GetBodyByName(f"{side}_finger")
+        grip.plant.SetPositions(grip.plant_context, grip.gripper, [-0.02, 0.02])
+        X_BF = body.EvalPoseInWorld(grip.plant_context)
+        p_B = (CLOSING_DOWN.inverse() @ X_BF).multiply(np.array([-0.0085 - 0.003, 0.026, 0.0]))
+        assert p_B == pytest.approx([sign * 0.02, 0.103133, 0.0], abs=1e-9)
+
+
+@each_gripper
 def test_pads_are_where_the_measures_say(name):
-    """At opening 0 the spheres at their corners meet in the middle, about the grasp frame."""
+    """The spheres at their corners, which meet in the middle at position 0, are about the grasp frame."""
     grip, measures = Grip(name), read_gripper(name)
     grip.plant.SetPositions(grip.plant_context, grip.gripper, [-0.02, 0.02])
     X_GW = grip.plant.GetFrameByName("grasp").CalcPoseInWorld(grip.plant_context).inverse()
@@ -118,16 +127,17 @@ def test_pads_are_where_the_measures_say(name):
                 x, y, z = (X_GF @ inspector.GetPoseInFrame(geometry)).translation()
                 assert x - sign * shape.radius() == pytest.approx(sign * 0.02, abs=1e-9)
                 corners.append([y, z])
-        half = np.array([measures.pad_length, measures.pad_width]) / 2
-        expected = [half * (a, b) for a in (-1, 1) for b in (-1, 1)]
-        assert np.array(sorted(corners, key=tuple)) == pytest.approx(np.array(sorted(expected, key=tuple)), abs=3e-3)
+        along, across = np.transpose(corners)
+        assert sorted(along) == pytest.approx(measures.pad_length / 2 * np.array([-1, -1, 1, 1]), abs=1e-9)
+        assert sorted(across) == pytest.approx(across.max() * np.array([-1, -1, 1, 1]), abs=1e-9)
+        assert 0 <= across.max() - measures.pad_width / 2 + 1e-9 <= 1.1e-3, "the measure is on the safe side"
 
 
 @each_gripper
 def test_it_holds_a_bar_that_hangs_out_to_one_side(name):
     """0.7 kg, gripped 8 cm from its middle: it stays between the pads for 3 s and hardly turns.
 
-    The controller's spring between the fingers' middle and the body's, 2000 N/m, gives way by 2 mm.
+    The controller's spring between the fingers' middle and the body's, 2000 N/m of the WSG 50, gives way by 2 mm.
     """
     grip = Grip(name, bar_mass=0.7)
     p_WG = grip.plant.GetFrameByName("grasp").CalcPoseInWorld(grip.plant_context).translation()
@@ -156,10 +166,12 @@ def calc_tilt(name, mass, d_x, d_y):
     grip.plant.SetPositions(grip.plant_context, grip.gripper, [-0.015, 0.015])
     support = ExternallyAppliedSpatialForce()
     support.body_index = grip.bar.index()
+    grasp = grip.squeeze
     for borne in np.linspace(1.0, 0.0, 30):
         support.F_Bq_W = SpatialForce(np.zeros(3), borne * mass * 9.81 * up)
         grip.plant.get_applied_spatial_force_input_port().FixValue(grip.plant_context, [support])
-        (grip.squeeze if borne == 1.0 else grip.hold)(0.05)
+        grasp(0.05)
+        grasp = grip.hold
     grip.hold(1.0)
     return np.degrees(np.arccos(grip.bar.EvalPoseInWorld(grip.plant_context).rotation().matrix()[2, 2]))
 
