@@ -54,7 +54,8 @@ def demo(
         Literal["ideal", "rgbd"] | None,
         typer.Option(
             help="ideal: the robot is told object and poses, with noise; rgbd: it has a color and depth camera, "
-            "finds the object in a photograph and tracks it.  [default: the scenario's, ideal]"
+            "finds the object in a photograph and tracks it.  [default: that of --scenario; without one rgbd, or "
+            "ideal where nothing can be rendered]"
         ),
     ] = None,
     seed: Annotated[
@@ -110,6 +111,8 @@ def demo(
     check_scenario(scenario, scenario_file)
     make_folder(out)
     options.check_outputs(force, *(out / name for name in chosen.files))
+    if camera is None and scenario_file is None:
+        scenario.camera.use(_choose_camera())
     meshcat = StartMeshcatServer(port)
     options.compile_kernels()
     print_notice(f"Watch it at {meshcat.web_url()}")
@@ -130,3 +133,16 @@ def demo(
         raise typer.Exit(EXIT_INTERRUPTED)
     if not summary.get("done", True):
         raise typer.Exit(EXIT_NOT_DONE)
+
+
+def _choose_camera() -> Literal["ideal", "rgbd"]:
+    """The camera that sees for itself, where its pictures can be rendered."""
+    from gridpush_drake.errors import StationError
+    from gridpush_drake.station.camera import check_renderer
+
+    try:
+        check_renderer()
+    except StationError as error:
+        print_notice(f"The robot is told object and poses, as with --camera ideal: {error}.")
+        return "ideal"
+    return "rgbd"

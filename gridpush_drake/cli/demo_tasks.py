@@ -362,7 +362,8 @@ class PreGraspDemo(DemoTask):
 
     def describe(self, summary: dict[str, Any]) -> list[str]:
         """Whether the object was lifted, and how well its center of mass was known."""
-        name, did = summary["object"].replace("_", " "), f"{summary['pokes']} pokes and {summary['slides']} slides"
+        name = summary["object"].replace("_", " ")
+        did = f"{_count(summary['pokes'], 'poke')} and {_count(summary['slides'], 'slide')}"
         lines = [f"The {name} after {did}: {summary['message']}"]
         if "after" in summary:
             lines.append(_compare("error of the center of mass", "center_of_mass_error", summary))

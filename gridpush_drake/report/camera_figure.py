@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.report.draw import FAINT, INK, LEARNED, MM, PAGE_WIDTH, make_grid, tidy
+from gridpush_drake.report.draw import FAINT, FONT, INK, LEARNED, MM, PAGE_WIDTH, make_grid, tidy
 
 DEGREES = 180 / np.pi
 
@@ -60,7 +60,7 @@ class Sight:
         """The figure's caption."""
         position, angle = self.calc_rms()
         return (
-            f"The object was seen in {self.seen.mean() * 100:.0f} % of the pictures, where it was to "
+            f"The object was seen in {self.seen.mean() * 100:.0f} % of the pictures, its pose wrong by "
             f"{position * MM:.2f} mm and {angle * DEGREES:.2f} degrees root mean square. Above, the photograph and the "
             "outline found, on the table in blue and on top in green; below, the poses less the true ones, and twice "
             "the standard deviation that the tracker states."
@@ -83,7 +83,7 @@ def draw_sight(sight: Sight) -> Figure:
         limit = CLIP * scale * float(np.percentile(np.abs(errors), SHOWN)) if errors.size else 0.0
         if limit > 0:
             ax.set_ylim(-limit, limit)
-    position.legend(loc="upper right", frameon=False, ncols=2)
+    position.legend(loc="upper right", frameon=False, ncols=2, fontsize=FONT, markerscale=4)
     tidy(position, "", "error, mm")
     tidy(angle, "time, s", "error, degrees")
     return figure

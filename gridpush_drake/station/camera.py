@@ -62,8 +62,8 @@ def check_renderer() -> None:
         ctypes.CDLL("libEGL.so.1")
     except OSError as error:
         raise StationError(
-            "camera.kind is rgbd, but pictures cannot be rendered here, as there is no EGL; get it with "
-            "apt-get install libegl1 libgl1-mesa-dri"
+            "a color and depth camera (rgbd) cannot be simulated here, as there is no EGL to render its pictures; get "
+            "it with apt-get install libegl1 libgl1-mesa-dri"
         ) from error
 
 

@@ -11,14 +11,20 @@ import pytest
 import yaml
 
 from gridpush_drake.cli.demo import TaskName
-from gridpush_drake.cli.demo_tasks import TASKS
+from gridpush_drake.cli.demo_tasks import TASKS, DemoTask
+from gridpush_drake.errors import GridPushError, StationError
 from gridpush_drake.identification.model_file import read_model
 from gridpush_drake.multibody.cell_colors import CellColors
 from gridpush_drake.multibody.meshcat_server import StartMeshcatServer, looks_like_recording
+from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.station import camera as station_camera
+from gridpush_drake.station import scenario as station_scenario
+from gridpush_drake.station.camera import calc_pose_age
 from gridpush_drake.station.scenario import read_scenario
 from tests.helpers.chromium import find_pixels, freeze_recording, take_picture
+from tests.helpers.renderer import require_renderer
 
 MIN_SEEN = 500
 """Pixels that a whole object takes at least."""
@@ -73,9 +79,12 @@ def test_learns_and_reports(gridpush, tmp_path):
 
 def check_recorded_again(gridpush, out, path, pushes, table):
     """`gridpush record` makes the demo's pushes of its stream."""
+    scenario = read_scenario(out / "scenario.yaml")
+    height = GridObject.from_yaml(out / "object.yaml").height or scenario.object_height
     outcome = gridpush(
-        "record", out / "stream.csv", "--object", out / "object.yaml", "--out", path, "--pose-delay", 1 / 30,
-        "--engaged-below", 0.03, "--table", table,
+        "record", out / "stream.csv", "--object", out / "object.yaml", "--out", path,
+        "--pose-delay", calc_pose_age(scenario.camera),
+        "--engaged-below", height, "--table", table,
     )  # fmt: skip
     assert outcome.code == 0, outcome.err
     log, of_demo = PushLog.read_csv(path), PushLog.read_csv(out / "pushes.csv")
@@ -160,6 +169,35 @@ def test_refuses_an_unknown_camera(refuses, tmp_path):
     refuses("demo", "--camera", "lidar", "--out", tmp_path / "demo", says=["--camera", "lidar", "rgbd"])
 
 
+@pytest.mark.parametrize("task", list(TaskName))
+@pytest.mark.parametrize(
+    ("more", "renders", "kind"),
+    [
+        ([], True, "rgbd"),
+        ([], False, "ideal"),
+        (["--camera", "ideal"], True, "ideal"),
+        (["--scenario"], True, "ideal"),
+    ],
+)
+def test_the_camera_that_it_takes(gridpush, tmp_path, monkeypatch, task, more, renders, kind):
+    def refuse():
+        raise StationError("pictures need libegl1")
+
+    def take(self, scenario, meshcat, realtime_rate):
+        taken.append(scenario.camera.kind)
+        raise GridPushError("no further")
+
+    taken = []
+    monkeypatch.setattr(station_camera, "check_renderer", (lambda: None) if renders else refuse)
+    monkeypatch.setattr(DemoTask, "run", take)
+    if more == ["--scenario"]:
+        more = ["--scenario", str(tmp_path / "scenario.yaml")]
+        station_scenario.write_scenario(tmp_path / "scenario.yaml", TASKS[task].make_scenario())
+    outcome = gridpush("demo", "--task", task, "--out", tmp_path / "demo", *more)
+    assert taken == [kind]
+    assert ("libegl1" in outcome.err) == (not renders)
+
+
 def test_refuses_an_object_larger_than_the_table(refuses, tmp_path):
     door = tmp_path / "door.yaml"
     door.write_text("name: door\noutline: [[-1, -0.4], [1, -0.4], [1, 0.4], [-1, 0.4]]\nmax_cells: 60\n")
@@ -231,6 +269,7 @@ def _read_until(stream, text):
 
 @pytest.mark.slow
 def test_pokes_slides_and_lifts_as_readme_says(gridpush, tmp_path, monkeypatch):
+    require_renderer()
     monkeypatch.chdir(tmp_path)
     outcome = gridpush("demo", "--json")
     assert outcome.code == 0, outcome.err
@@ -242,6 +281,7 @@ def test_pokes_slides_and_lifts_as_readme_says(gridpush, tmp_path, monkeypatch):
     assert summary["limit_report"]["touched"] == []
     assert max(summary["limit_report"][f"{what}_share"] for what in ("position", "velocity", "torque")) <= 1
     out = tmp_path / "gridpush_demo"
+    assert read_scenario(out / "scenario.yaml").camera.kind == "rgbd"
     assert sorted(path.name for path in out.iterdir()) == sorted(TASKS["pregrasp"].files)
     assert "What the robot did" in (out / "report.html").read_text()
     check_same_offline(gridpush, out, tmp_path)
