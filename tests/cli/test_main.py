@@ -59,12 +59,13 @@ def test_starts_fast():
 
 def test_completes_in_the_shell(tmp_path):
     def run(*args, **settings):
-        command = [sys.executable, "-m", "gridpush_drake.cli.main", *args]
+        from_bash = ["bash", "-c", '"$@"; exit $?', "bash"]
+        command = [*from_bash, sys.executable, "-m", "gridpush_drake.cli.main", *args]
         environment = os.environ | {"HOME": str(tmp_path)} | settings
         return subprocess.run(command, check=True, capture_output=True, text=True, env=environment).stdout
 
-    assert "complete -o default -F _gridpush_completion gridpush" in run("--show-completion", "bash")
-    run("--install-completion", "bash")
+    assert "complete -o default -F _gridpush_completion gridpush" in run("--show-completion")
+    run("--install-completion")
     assert "_gridpush_completion" in (tmp_path / ".bash_completions/gridpush.sh").read_text()
     asked = {"_GRIDPUSH_COMPLETE": "complete_bash", "COMP_WORDS": "gridpush ident", "COMP_CWORD": "1"}
     assert run(**asked).split() == ["identify"]
