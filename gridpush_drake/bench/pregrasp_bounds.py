@@ -71,7 +71,7 @@ def judge_bounds(
     masses = PlausibleMassSet(obj, friction / obj.prior.friction_max, friction / obj.prior.friction_min)
     centers = masses.center_of_mass_polygon
     outside = float(shapely.Polygon(centers).distance(shapely.Point(truth.center_of_mass(obj))))
-    near = [part for part in parts if np.linalg.norm(part.p_BG - centers.mean(axis=0)) <= max_arm]
+    near = [part for part in parts if np.linalg.norm(part.p_BG - masses.middle) <= max_arm]
     goals = find_pregrasp_goals(masses, near, np.zeros(3), surface) if near else []
     if not goals or goals[0].margin < GoalOptions().margin:
         return BoundsScore(method, False, False, outside)

@@ -131,7 +131,7 @@ def _limit_to_held(obj: "GridObject", surface: "SupportSurface", pads: "PadLimit
     def can_grasp(goal: "PreGraspGoal", masses: "PlausibleMassSet") -> bool:
         if not isinstance(goal.part, FlatPart):
             return True
-        return bool(find_held_grasps(obj, goal.pose, surface, pads, goal.part.p_BG, height, masses))
+        return bool(find_held_grasps(obj, goal.pose, surface, pads, goal.part.p_BG, height, masses, at_worst=True))
 
     return ArmLimits(can_grasp=can_grasp)
 

@@ -65,22 +65,21 @@ class GraspFinder:
     surface: SupportSurface
     pads: PadLimit
 
-    def find_grasp(self, pose: Array, aim: Array, masses: PlausibleMassSet | None) -> SideGrasp | None:
+    def find_grasp(self, pose: Array, aim: Array, masses: PlausibleMassSet, at_worst: bool) -> SideGrasp | None:
         """How the gripper takes the object at `pose` (3,), as near `aim` (2,), body frame, as it can.
 
-        Where `masses` are given, the pads hold the object whichever of them it has.
+        Its pads hold the object, `at_worst` whichever of the masses it has, otherwise as they are estimated.
         """
         height = self.station.scenario.object_height
-        found = find_held_grasps(self.obj, pose, self.surface, self.pads, aim, height, masses)
+        found = find_held_grasps(self.obj, pose, self.surface, self.pads, aim, height, masses, at_worst)
         for grasp in choose_varied(found, GRASPS_TRIED):
             if self._is_reached(grasp.p_WG, grasp.approach):
                 return grasp
         return None
 
     def can_grasp(self, goal: PreGraspGoal, masses: PlausibleMassSet) -> bool:
-        """Whether the object can be taken at a goal; by a flat part also held, whichever of some masses it has."""
-        flat = isinstance(goal.part, FlatPart)
-        return self.find_grasp(goal.pose, goal.part.p_BG, masses if flat else None) is not None
+        """Whether the object can be taken at a goal, and held: by its rim whichever of some masses it has."""
+        return self.find_grasp(goal.pose, goal.part.p_BG, masses, isinstance(goal.part, FlatPart)) is not None
 
     def find_edge(self) -> BaseGeometry:
         """Where on the edge the gripper can take something, coming straight in. Raises StationError for nowhere."""

@@ -1,12 +1,18 @@
 """The whole story in the full station: a robot, an object it knows nothing about, and a table's edge."""
 
+import numpy as np
 import pytest
 
 from gridpush_drake.cli.demo_tasks import PreGraspDemo
 from gridpush_drake.errors import PlanningError, ScenarioError
+from gridpush_drake.multibody.parser import find_models
+from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
+from gridpush_drake.planning.pregrasp.side_grasp import find_side_grasps
+from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.station.pregrasp_task import LIFTED_SHARE, PreGraspTask
 from gridpush_drake.station.robot import make_robot_directives
-from gridpush_drake.station.scenario import PushScenario
+from gridpush_drake.station.scenario import PushScenario, read_scenario
 from gridpush_drake.station.task import TaskStatus
 
 
@@ -20,6 +26,21 @@ def test_an_object_too_thick_for_the_gripper_is_refused():
     scenario.object, scenario.object_height = "open_book", 0.085
     with pytest.raises(PlanningError, match=r"0\.085 m thick; expected at most .* 0\.08 m"):
         PreGraspTask(scenario)
+
+
+@pytest.mark.parametrize(("heavy_bar", "taken"), [(1.0, False), (200.0, True)])
+def test_a_toolbox_is_taken_by_its_handle_only_where_the_pads_hold_it_there(heavy_bar, taken):
+    """The fingers get in only along the handle; with all of the weight to one side they would be pried apart."""
+    scenario = read_scenario(find_models() / "scenarios/grasp_heavy.yaml")
+    scenario.object = "toolbox"
+    task = PreGraspTask(scenario)
+    obj, pose, along = task.obj, np.array([0.451, 0.075, 0.281]), np.array([0.0, 0.095])
+    part = min(task.planner.parts, key=lambda part: np.linalg.norm(part.p_BG - along))
+    goal = PreGraspGoal(pose, part, 0.0, 0.0, 0.0, np.array([1.0, 0.0]))
+    mass = np.where(obj.p_BC[:, 1] > 0.06, heavy_bar, 1.0)
+    masses = UncertainModel.of_parameters(obj, CellParameters(mass * 3.4 / mass.sum(), np.full(obj.n, 0.35))).masses
+    assert any(np.linalg.norm(one.p_BG - part.p_BG) < 0.03 for one in find_side_grasps(obj, pose, task.surface))
+    assert task.planner.limits.can_grasp(goal, masses) == taken
 
 
 @pytest.mark.slow

@@ -68,7 +68,7 @@ SYSTEMS = {
     "identifier": lambda: GridIdentifier(OBJ),
     "policy": lambda: PokePolicy(OBJ, REGION),
     "contact_point": lambda: ContactPointController(OBJ, RULES),
-    "pre_grasp": lambda: PreGraspController(PreGraspPlanner(OBJ, TABLE), lambda pose, aim: None),
+    "pre_grasp": lambda: PreGraspController(PreGraspPlanner(OBJ, TABLE), lambda pose, aim, masses, at_worst: None),
     "push": lambda: PushExecutor((0.5, 0.0, 0.2), OBJ.outline),
     "grasp": GraspExecutor,
     "camera": lambda: PlanarPoseSensor(BodyIndex(1)),

@@ -159,7 +159,7 @@ def find_grasp_at(
     free = np.flatnonzero(overhangs >= options.min_overhang)
     if not len(free):
         return None
-    middle = masses.center_of_mass_polygon.mean(axis=0)
+    middle = masses.middle
     nearest = sorted(free.tolist(), key=lambda i: float(np.linalg.norm(parts[i].p_BG - middle)))
     margin, weakest = _judge(masses, q, surface, options.inset)
     goals = [PreGraspGoal(q.copy(), parts[i], float(overhangs[i]), margin, 0.0, weakest) for i in nearest]

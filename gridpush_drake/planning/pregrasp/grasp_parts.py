@@ -245,18 +245,24 @@ def find_held_parts(parts: Sequence[FlatPart], pads: PadLimit, centers: Array) -
 
 def find_held_grasps(
     obj: GridObject, pose: Array, surface: SupportSurface, pads: PadLimit, aim: Array, height: float,
-    masses: PlausibleMassSet | None,
+    masses: PlausibleMassSet, at_worst: bool,
 ) -> list[SideGrasp]:  # fmt: skip
-    """Finds where the pads can take an object as it overhangs, and hold it, whichever of some masses it has.
+    """Finds where the pads can take an object as it overhangs, and hold it.
 
-    Without `masses` it is not asked what they hold; otherwise as `find_side_grasps`.
+    The order, and the arguments not named here, are those of `find_side_grasps`.
+
+    Args:
+        pads: that hold it.
+        masses: that it may have.
+        at_worst: whether it must be held whichever of them it has, or with its center of mass where it is estimated.
     """
     found = find_side_grasps(obj, pose, surface, pads.gripper, aim, height=height)
-    if masses is None or not found:
+    if not found:
         return found
     points = np.array([grasp.p_BG for grasp in found])
     headings = np.array([grasp.approach for grasp in found]) - pose[2]
-    held = pads.weigh(masses).holds(points, headings, masses.center_of_mass_polygon)
+    centers = masses.center_of_mass_polygon if at_worst else masses.middle[None]
+    held = pads.weigh(masses).holds(points, headings, centers)
     return [found[i] for i in np.flatnonzero(held)]
 
 

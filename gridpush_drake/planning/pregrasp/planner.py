@@ -185,7 +185,7 @@ class PreGraspPlanner:
         if held:
             return self._decide_with(held, q, model, pokes, slides)
         why = pads.describe_best(self.flat_parts, centers)
-        if model.posterior is not None and find_held_parts(self.flat_parts, pads, centers.mean(axis=0)[None]):
+        if model.posterior is not None and find_held_parts(self.flat_parts, pads, model.masses.middle[None]):
             return self._poke(q, model, None, pokes, why)
         return PreGraspDecision("fail", why)
 
@@ -229,8 +229,7 @@ class PreGraspPlanner:
 
     def _find_parts_near(self, model: UncertainModel, arm: float) -> tuple[GraspPart, ...]:
         """The parts no farther than `arm` (m) from where the center of mass is estimated."""
-        middle = model.masses.center_of_mass_polygon.mean(axis=0)
-        return tuple(part for part in self.parts if np.linalg.norm(part.p_BG - middle) <= arm)
+        return tuple(part for part in self.parts if np.linalg.norm(part.p_BG - model.masses.middle) <= arm)
 
     def _find_goals(self, pose: Array, model: UncertainModel, parts: Sequence[GraspPart]) -> list[PreGraspGoal]:
         if not parts:

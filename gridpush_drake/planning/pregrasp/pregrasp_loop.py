@@ -44,9 +44,9 @@ from gridpush_drake.planning.pregrasp.slides import TippingMonitor
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
 from gridpush_drake.pushes.push_log import PushLog
 
-FindGrasp = Callable[[Array, Array, PlausibleMassSet | None], SideGrasp | None]
-"""From the object's pose (3,) in W, the point (2,) in B near which to take it, its estimated center of mass, and the
-masses with which the pads must hold it, None for whatever is taken by a narrow part, to the grasp; None for none."""
+FindGrasp = Callable[[Array, Array, PlausibleMassSet, bool], SideGrasp | None]
+"""From the object's pose (3,) in W, the point (2,) in B near which to take it, the masses that it may have, and whether
+the pads must hold it whichever of them it has or as they are estimated, to the grasp; None for none."""
 
 Infer = Callable[[Identification | None, PushLog], UncertainModel | None]
 """From what was learned, and the pushes so far, to what is held possible; None where more must be seen first."""
@@ -242,13 +242,15 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
 
     def _grasp(self, now: PreGraspState, pose: Array, uncertain: UncertainModel, said: dict[str, Any]) -> PreGraspState:
         goal: PreGraspGoal | None = said["goal"]
-        masses = uncertain.masses if goal is not None and isinstance(goal.part, FlatPart) else None
-        grasp = self._find_grasp(pose, uncertain.masses.center_of_mass_polygon.mean(axis=0), masses)
+        masses, at_worst = uncertain.masses, goal is not None and isinstance(goal.part, FlatPart)
+        grasp = self._find_grasp(pose, masses.middle, masses, at_worst)
         if grasp is None and goal is not None:
-            grasp = self._find_grasp(pose, goal.part.p_BG, masses)  # what the plan found: farther off, but within reach
+            grasp = self._find_grasp(
+                pose, goal.part.p_BG, masses, at_worst
+            )  # what the plan found: farther off, but within reach
         if grasp is None:
-            held = "" if masses is None else " and by which its pads hold the object"
-            return now.turn_to(FAILED, f"The gripper reaches no part that hangs over{held}.", **said)
+            why = "The gripper reaches no part that hangs over and by which its pads hold the object."
+            return now.turn_to(FAILED, why, **said)
         return replace(now, grasp=grasp, grasp_id=now.grasp_id + 1).turn_to(
             PreGraspMode.GRASPING, "A part that hangs over is taken.", grasps=now.status.grasps + 1, **said
         )

@@ -136,6 +136,11 @@ class PlausibleMassSet:
         kept = both if isinstance(both, shapely.Polygon) and not both.is_empty else known
         return np.asarray(shapely.geometry.polygon.orient(kept).exterior.coords)[:-1]
 
+    @property
+    def middle(self) -> Array:
+        """(2,) the mean of that polygon's corners, where the center of mass is taken to be, body frame, m."""
+        return self.center_of_mass_polygon.mean(axis=0)
+
 
 @dataclass(frozen=True, eq=False)
 class UncertainModel:

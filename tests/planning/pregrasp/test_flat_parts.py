@@ -8,12 +8,19 @@ import shapely
 from scipy.optimize import linprog
 
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import make_rotation
 from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.pregrasp.goals import calc_overhangs
-from gridpush_drake.planning.pregrasp.grasp_parts import USED, PadLimit, find_flat_parts, find_held_parts
+from gridpush_drake.planning.pregrasp.grasp_parts import (
+    USED,
+    PadLimit,
+    find_flat_parts,
+    find_held_grasps,
+    find_held_parts,
+)
 from gridpush_drake.planning.pregrasp.planner import (
     STATUS_FAILED,
     STATUS_READY,
@@ -200,12 +207,33 @@ def test_a_heavy_object_is_not_taken_by_a_handle_that_it_would_turn_about():
     assert stronger.decide(pose, model).action == "slide"
 
 
+@pytest.mark.parametrize(
+    ("total_mass", "known", "at_worst", "held"),
+    [(0.3, True, True, True), (1.0, True, False, False), (0.4, False, False, True), (0.4, False, True, False)],
+)
+def test_a_bar_beside_the_center_of_mass_is_taken_where_the_pads_hold_across_themselves(
+    total_mass, known, at_worst, held
+):
+    """A toolbox's handle lets the fingers in only along it, so that all of the weight is to one side of them."""
+    body, hole = shapely.box(-0.15, -0.1, 0.15, 0.11), shapely.box(-0.1, 0.05, 0.1, 0.09)
+    obj = GridObject.from_outline(body - hole, max_cells=80, prior=replace(PRIOR, total_mass=total_mass))
+    uncertain = (
+        UncertainModel.of_parameters(obj, CellParameters.uniform(obj)) if known else UncertainModel.of_prior(obj)
+    )
+    masses = uncertain.masses
+    pose, pads = np.array([0.0, 0.46, 0.35]), PadLimit.of_object(obj, GRIPPER, 80.0)
+    taken = find_side_grasps(obj, pose, TABLE, GRIPPER, (-0.05, 0.1))[0]
+    assert abs(make_rotation(pose[2] - taken.approach) @ (masses.middle - taken.p_BG))[1] > 0.08
+    found = find_held_grasps(obj, pose, TABLE, pads, np.array([-0.05, 0.1]), 0.03, masses, at_worst)
+    assert (len(found) > 0 and found[0].p_BG[1] > 0.09) == held
+
+
 def test_pokes_are_made_while_the_center_of_mass_may_be_where_the_pads_hold_it():
     obj = make_tray(total_mass=1.2)
     planner, prior = make_planner(obj), UncertainModel.of_prior(obj)
     centers = prior.masses.center_of_mass_polygon
     assert not find_held_parts(planner.flat_parts, planner.options.pads, centers)
-    assert find_held_parts(planner.flat_parts, planner.options.pads, centers.mean(axis=0)[None])
+    assert find_held_parts(planner.flat_parts, planner.options.pads, prior.masses.middle[None])
     asks = planner.decide((0.1, 0.2, 0.3), prior, pokes=1)
     assert asks.action == "poke"
     assert "the pads cannot hold it" in asks.reason
