@@ -123,6 +123,8 @@ class TrackerOptions:
         pixel_noise: least standard deviation of an edge's place, pixels.
         max_dilution: the object counts as not seen where what covers it makes its pose less sure by more than this: a
             ratio of standard deviations, in the worst direction.
+        search_period: least time from one search everywhere to the next, s; it takes several times as long as a look
+            where the object was. With 0 every frame in which the object is not there is searched.
     """
 
     max_step: float = 0.03
@@ -131,6 +133,7 @@ class TrackerOptions:
     found_share: float = 0.8
     pixel_noise: float = 0.1
     max_dilution: float = 4.0
+    search_period: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,12 +162,14 @@ class TrackerState:
         lost: whether the object was not found in the last frame.
         t: of the last frame, s.
         appearance: what the table looks like.
+        searched: time of the frame that was last searched everywhere, s; None where none was.
     """
 
     pose: Array
     lost: bool
     t: float
     appearance: Appearance
+    searched: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,7 +287,9 @@ class PoseTracker:
             0.0 if plane is None else plane.deviation,
         )
         before = None if guess is None else np.array(guess, dtype=np.float64)
-        fit = self._find(appearance, color, depth, self._find_covered(unseen), before)
+        covered = self._find_covered(unseen)
+        fit = None if before is None else self._find_near(appearance, color, depth, covered, before)
+        fit = fit or self._find_anywhere(appearance, color, depth, covered, before)
         if fit is None:
             problem = "no object of this outline is in view; expected the one that the object's file describes"
             raise PerceptionError(problem, draw_contours(color, found.mask))
@@ -305,16 +312,19 @@ class PoseTracker:
             ImageError: an image has another size than the camera.
         """
         color, depth = self._undistort(frame)
-        fit = self._find(state.appearance, color, depth, self._find_covered(unseen), state.pose)
+        covered = self._find_covered(unseen)
+        fit, searched = self._find_near(state.appearance, color, depth, covered, state.pose), state.searched
+        if fit is None and (searched is None or not 0 <= frame.t - searched < self.options.search_period):
+            fit, searched = self._find_anywhere(state.appearance, color, depth, covered, state.pose), frame.t
+        state = replace(state, lost=fit is None, t=frame.t, searched=searched)
         if fit is None:
-            return replace(state, lost=True, t=frame.t), NOT_SEEN
+            return state, NOT_SEEN
         pose = fit.pose.copy()
         pose[2] = state.pose[2] + wrap_angle(pose[2] - state.pose[2])
         pose.setflags(write=False)
         if fit.dilution > self.options.max_dilution:
-            return replace(state, pose=pose, t=frame.t), NOT_SEEN
-        tracked = TrackedPose(pose, fit.covariance, True, fit.rms)
-        return replace(state, pose=pose, lost=False, t=frame.t), tracked
+            return replace(state, pose=pose), NOT_SEEN
+        return replace(state, pose=pose), TrackedPose(pose, fit.covariance, True, fit.rms)
 
     def _undistort(self, frame: Frame) -> tuple[Color, NDArray[np.float32] | None]:
         """Color and depth without distortion; their sizes are checked."""
@@ -339,16 +349,19 @@ class PoseTracker:
         self.camera.check_size(unseen, "the mask of what is covered")
         return self.camera.undistort(unseen.astype(np.uint16)) > 0
 
-    def _find(
+    def _find_near(
+        self, appearance: Appearance, color: Color, depth: NDArray[np.float32] | None, covered: Mask, before: Array,
+    ) -> _Fit | None:  # fmt: skip
+        """The object about where it was; None where it is not there."""
+        view = self._look(appearance, color, depth, covered, self._find_window(before))
+        fit = self._register(view, before)
+        return fit if self._accepts(fit, self.options.lost_share) else None
+
+    def _find_anywhere(
         self, appearance: Appearance, color: Color, depth: NDArray[np.float32] | None, covered: Mask,
         before: Array | None,
     ) -> _Fit | None:  # fmt: skip
-        """Near the last pose first, then everywhere; None where it is nowhere."""
-        if before is not None:
-            view = self._look(appearance, color, depth, covered, self._find_window(before))
-            fit = self._register(view, before)
-            if self._accepts(fit, self.options.lost_share):
-                return fit
+        """The object in the whole picture; None where it is nowhere."""
         whole = (slice(0, color.shape[0]), slice(0, color.shape[1]))
         view = self._look(appearance, color, depth, covered, whole)
         fits = [self._register(view, pose) for pose in self._guess(view, before)]
@@ -538,17 +551,22 @@ def make_silhouette(outline: Polygon, pose: ArrayLike, height: float, camera: Ca
     Returns:
         A polygon on the table's plane, W, m, counterclockwise.
     """
-    bottom = shapely.transform(outline, lambda points: transform(pose, points))
+    bottom = orient(shapely.transform(outline, lambda points: transform(pose, points)))
     if height == 0:
-        return orient(bottom)
+        return bottom
     foot, distance = camera.center[:2], camera.center[2]
     scale = distance / (distance - height)
-    pieces = [bottom, shapely.transform(bottom, lambda points: foot + scale * (points - foot))]
+    pieces = [bottom]
     for ring in (bottom.exterior, *bottom.interiors):
         low = np.array(ring.coords)
         high = foot + scale * (low - foot)
-        sides = np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)
-        pieces += list(shapely.polygons(sides))
+        along, arm = np.diff(low, axis=0), low[:-1] - foot
+        hides = along[:, 1] * arm[:, 0] - along[:, 0] * arm[:, 1] > 0  # sides that face the camera hide no more
+        ends = np.flatnonzero(np.diff(hides, prepend=False, append=False))
+        for i, j in ends.reshape(-1, 2):  # sides in a row that hide something
+            strip = Polygon([*low[i : j + 1], *high[i : j + 1][::-1]])
+            sides = np.stack([low[i:j], low[i + 1 : j + 1], high[i + 1 : j + 1], high[i:j]], axis=1)
+            pieces += [strip] if strip.is_valid else list(shapely.polygons(sides))
     whole = shapely.union_all([piece for piece in pieces if piece.is_valid])
     return orient(max(shapely.get_parts(whole), key=lambda piece: piece.area))
 

@@ -40,7 +40,7 @@ from gridpush_drake.multibody.meshcat_shapes import make_outline_mesh
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.detection import DetectedObject
-from gridpush_drake.perception.tracking import PoseTracker
+from gridpush_drake.perception.tracking import PoseTracker, TrackerOptions
 from gridpush_drake.station.scenario import CameraConfig, PushScenario
 from gridpush_drake.systems.object_detector import Detection, ObjectDetector, ObjectNaming
 from gridpush_drake.systems.object_pose_estimator import ObjectPoseEstimator
@@ -54,6 +54,9 @@ LIGHT = (0.15, 0.25, 1.0)
 
 OBJECT_COLOR = (0.42, 0.13, 0.11, 1.0)
 """Of the plant's object in the camera's pictures: red, green, blue and opacity."""
+
+LIVE = TrackerOptions(search_period=0.5)
+"""Of a tracker that keeps up with its camera, also while the gripper holds the object and there is nothing to find."""
 
 
 def check_renderer() -> None:
@@ -181,7 +184,7 @@ def AddPoseEstimator(
     estimator = builder.AddNamedSystem(
         "camera",
         ObjectPoseEstimator(
-            PoseTracker(found.obj.outline, height, camera.camera, table_top=found.table_top),
+            PoseTracker(found.obj.outline, height, camera.camera, LIVE, found.table_top),
             config.rgbd.width,
             config.rgbd.height,
             period=1 / config.rate,

@@ -1,10 +1,13 @@
 import numpy as np
 import pytest
 import shapely
+from shapely import affinity
 
 from gridpush_drake.errors import CameraError, ImageError, PerceptionError
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.perception import Camera, PoseTracker
-from gridpush_drake.perception.tracking import calc_dilution
+from gridpush_drake.perception.tracking import TrackerOptions, calc_dilution, make_silhouette
 from tests.helpers.pictures import cover, make_camera, paint
 
 L_SHAPE = np.array([[0, 0], [0.14, 0], [0.14, 0.04], [0.05, 0.04], [0.05, 0.12], [0, 0.12]]) - [0.05, 0.04]
@@ -57,6 +60,39 @@ def test_start_searches_every_angle_and_refuses_another_outline():
     with pytest.raises(PerceptionError, match="no object of this outline is in view") as raised:
         tracker.start(look(0.4 * SQUARE, START))
     assert raised.value.picture.shape == (480, 640, 3)
+
+
+@pytest.mark.parametrize(("period", "found_after"), [(0.0, 1), (0.25, 3)])
+def test_an_object_that_is_gone_is_searched_for_everywhere_as_often_as_is_asked(period, found_after):
+    tracker = PoseTracker(L_SHAPE, HEIGHT, make_camera(), TrackerOptions(search_period=period))
+    state = tracker.start(look(L_SHAPE, START, t=0.0))
+    state, gone = tracker.track(state, look(DISC, [0.5, 0.5, 0.0], t=0.1))
+    assert not gone.seen
+    assert state.lost
+    elsewhere = START + [-0.08, 0.04, 2.0]
+    for k in range(1, 4):
+        state, tracked = tracker.track(state, look(L_SHAPE, elsewhere, seed=k, t=0.1 + 0.1 * k))
+        assert tracked.seen == (k >= found_after)
+        assert state.lost != tracked.seen
+    np.testing.assert_allclose(tracked.pose, elsewhere, atol=2e-3)
+
+
+@pytest.mark.parametrize("name", ["combination_wrench", "toolbox", "spray_bottle"])
+def test_a_silhouette_is_all_that_the_sides_and_the_top_hide(name):
+    outline, camera = GridObject.from_yaml(find_shipped_object(name)).outline, make_camera()
+    (x, y), distance = camera.center[:2], camera.center[2]
+    rng = np.random.default_rng(0)
+    for _ in range(4):
+        pose, height = [*rng.uniform(-0.3, 0.3, 2), rng.uniform(-np.pi, np.pi)], rng.uniform(0.01, 0.08)
+        placed = affinity.translate(affinity.rotate(outline, pose[2], (0, 0), use_radians=True), pose[0], pose[1])
+        slices = [
+            affinity.scale(placed, *2 * [distance / (distance - z)], origin=(x, y)) for z in np.linspace(0, height, 60)
+        ]
+        hidden = max(shapely.get_parts(shapely.union_all(slices)), key=lambda piece: piece.area)
+        found = make_silhouette(outline, pose, height, camera)
+        assert found.buffer(1e-9).contains(hidden)
+        assert found.area < 1.003 * hidden.area
+        assert found.exterior.is_ccw
 
 
 def test_a_symmetric_outline_is_followed_past_its_symmetry():

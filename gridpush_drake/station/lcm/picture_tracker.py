@@ -24,7 +24,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception.detection import DetectedObject, find_off_table
 from gridpush_drake.perception.frames import MILLIMETERS, Frame
 from gridpush_drake.perception.tracking import NOT_SEEN, PoseTracker, TrackedPose, TrackerState
-from gridpush_drake.station.camera import AddRgbdCamera
+from gridpush_drake.station.camera import LIVE, AddRgbdCamera
 from gridpush_drake.station.lcm.picture_messages import decode_frame
 from gridpush_drake.station.lcm.robot_messages import (
     FROM_OPENING,
@@ -196,7 +196,7 @@ class PictureTracker:
         if self._tracker is None:
             height = self.obj.height or self._scenario.object_height
             camera, table_top = self._silhouette.camera, self._silhouette.table_top
-            self._tracker = PoseTracker(self.obj.outline, height, camera, table_top=table_top)
+            self._tracker = PoseTracker(self.obj.outline, height, camera, LIVE, table_top)
         try:
             state = self._state or self._tracker.start(frame, guess, hidden)
         except PerceptionError as error:
