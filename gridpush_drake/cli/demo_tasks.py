@@ -372,7 +372,7 @@ class PreGraspDemo(DemoTask):
     def make_summary(self, record: PreGraspRecord) -> ReportSummary:
         """The object's trajectory to the edge, and how safely it lies there."""
         last = record.last
-        masses = UncertainModel.of_identification(record.estimates[-1]).masses
+        masses = UncertainModel.of_identification(record.estimates[-1], log=record.log).masses
         poses = [step.pose for step in record.steps if np.isfinite(step.pose).all() and not step.status.over]
         pushes = [
             PushDrawn(step.push.start, step.push.end, step.status.mode == PreGraspMode.EXPLORING)

@@ -5,10 +5,12 @@ little as can be in the prior's norm, until its shares x = k / sum k keep every 
 
     a.(x/x0 - 1) = a.dz,    x0 the shares at the mean
 
-which for small dz is the draw itself (`docs/theory/identification.md`, section 6).
+which for small dz is the draw itself (`docs/theory/identification.md`, section 6). Where the pushes are at hand, they
+have the last word (`evidence`).
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +51,14 @@ FARTHEST = 30.0
 """Of log k from the mean, against overflow."""
 
 
+class DrawJudge(Protocol):
+    """What says more of draws than their covariance."""
+
+    def draw_in(self, dz: Array) -> Array:
+        """Draws dz (count, n+1) from the mean, those that cannot be drawn in towards it."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Posterior:
     """z = (log k_1 .. log k_n, log mu_c) is normal.
@@ -63,12 +73,13 @@ class Posterior:
     covariance: Array
     prior_covariance: Array
 
-    def draw(self, count: int, seed: int = 0) -> tuple[Array, Array]:
+    def draw(self, count: int, seed: int = 0, judge: DrawJudge | None = None) -> tuple[Array, Array]:
         """Draws relative support frictions and contact frictions that agree with what the pushes showed.
 
         Args:
             count: how many draws.
             seed: of the draws.
+            judge: of the draws, such as the pushes themselves.
 
         Returns:
             (count, n) shares k / sum k, each positive and summing to one, but for MIN_SHARE; (count,) mu_c.
@@ -81,25 +92,30 @@ class Posterior:
         A, variances, root = _find_learned(self)
         if len(A):
             _correct(dz, share, A, np.sqrt(variances), root)
+        if judge is not None:
+            dz = judge.draw_in(dz)
         return np.maximum(_calc_shares(share, dz), MIN_SHARE), np.exp(
             self.mean[CONTACT_FRICTION] + dz[:, CONTACT_FRICTION]
         )
 
     @threadpool_limits.wrap(limits=1, user_api="blas")  # small matrices: threads only cost, and reorder sums
-    def draw_parameters(self, params: CellParameters, count: int, seed: int = 0) -> list[CellParameters]:
+    def draw_parameters(
+        self, params: CellParameters, count: int, seed: int = 0, judge: DrawJudge | None = None
+    ) -> list[CellParameters]:
         """Draws parameters that agree with the pushes; every cell's friction is that of `params`, its mass varies.
 
         Args:
             params: the estimate, whose sum of mu_i m_i the draws share.
             count: how many draws.
             seed: of the draws.
+            judge: of the draws, such as the pushes themselves.
 
         Returns:
             The parameters.
         """
         if not count:
             return []
-        shares, contact_friction = self.draw(count, seed)
+        shares, contact_friction = self.draw(count, seed, judge)
         total = float(params.mass @ params.friction)
         friction = np.maximum(params.friction, np.finfo(float).tiny)
         return [

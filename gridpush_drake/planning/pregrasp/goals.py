@@ -52,7 +52,7 @@ ANY_ARM = ArmLimits()  # an arm that can do anything
 
 
 TOUCH = 1e-9  # m, for round-off
-SHALLOWER = 0.5  # of the overhang, where with all of it nothing is safe
+SHALLOWER = (0.5, 0.25)  # of the overhang, where with more of it nothing is safe
 DEEPER = (3.0, 5.0)  # of it, where with less the gripper gets hold of nothing: its pads may need what lies farther in
 GOALS_FOR_AN_ARM = 6  # goals looked for that the arm can grasp at; to ask the arm takes time
 PARTS_FOR_AN_ARM = 12  # parts that hang over which the arm is asked about
@@ -188,23 +188,25 @@ def find_pregrasp_goals(
     options = options or GoalOptions()
     q = np.asarray(pose, dtype=np.float64)
     check_room(masses.obj, parts, surface)
-    for share in (1.0, SHALLOWER, *DEEPER):
+    goals: list[PreGraspGoal] = []
+    for share in (1.0, *SHALLOWER, *DEEPER):
+        if goals and share > 1.0:
+            break
         wanted = replace(options, overhang=share * options.overhang)
-        goals: list[PreGraspGoal] = []
+        found: list[PreGraspGoal] = []
         for candidate, part in _propose(masses, parts, q, surface, wanted, limits):
             reached = float(calc_overhangs([part], candidate, surface)[0])
             if reached >= options.min_overhang:
                 margin, weakest = _judge(masses, candidate, surface, options.inset)
                 travel = float(calc_goal_error(masses.obj, q, candidate))
-                goals.append(PreGraspGoal(candidate, part, reached, margin, travel, weakest))
-        safe = [goal for goal in goals if goal.margin >= options.margin]
+                found.append(PreGraspGoal(candidate, part, reached, margin, travel, weakest))
+        safe = [goal for goal in found if goal.margin >= options.margin]
         if safe:
             rank = sorted(safe, key=lambda at: at.travel + options.charge * max(options.comfort - at.margin, 0.0))
-            goals = _keep(rank, masses, limits)
+            if kept := _keep(rank, masses, limits):
+                return kept
         else:
-            goals = _keep(sorted(goals, key=lambda at: -at.margin), masses, limits)[:1]
-        if goals and (safe or share != 1.0):
-            break
+            goals = _keep(sorted(found, key=lambda at: -at.margin), masses, limits)[:1] or goals
     return goals
 
 

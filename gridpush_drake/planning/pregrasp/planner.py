@@ -65,7 +65,8 @@ MM = 1e3  # millimeters in a meter
 
 
 ACCEPTED_SHARE = 2 / 3
-"""Of the margin asked of a goal, that it must still have where the object ends up: pushes end only nearly there."""
+"""Of the margin asked of a goal, that it must still have once the object is on its way, and where it ends up: pushes
+end only nearly there, and each of them changes a little what is known."""
 
 
 REACHABLE_SIGMAS = 4.0
@@ -202,10 +203,12 @@ class PreGraspPlanner:
         goals = self._find_goals(q, model, parts)
         if not goals:
             return self._poke_or_give_up(q, model, parts, pokes)
-        if goals[0].margin < self.options.goal.margin:
-            safest, asked = goals[0].margin * MM, self.options.goal.margin * MM
+        asked = self.options.goal.margin * (ACCEPTED_SHARE if slides else 1.0)
+        if goals[0].margin < asked:
+            safest = goals[0].margin
             why = (
-                f"the safest goal has a stability margin of {safest:.0f} mm at the worst; {asked:.0f} mm are asked for"
+                f"the safest goal has a stability margin of {safest * MM:.0f} mm at the worst; {asked * MM:.0f} mm "
+                "are asked for"
             )
             return self._poke(q, model, goals[0], pokes, why)
         if slides >= self.options.max_slides:

@@ -26,19 +26,20 @@ from gridpush_drake.dynamics.simulation import GRAVITY
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.polygons import bound_by_half_planes
 from gridpush_drake.geometry.se2 import Array, make_direction, transform_back
+from gridpush_drake.identification.evidence import PushEvidence
 from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.noise import NoiseScale
-from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.identification.posterior import DrawJudge, Posterior
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
 
 PRIOR_AMPLITUDE = 1.0  # standard deviation of log k before the first poke: a half to twice, or so
-MASS_DRAWS = 300  # from the posterior, for the set of plausible masses
+MASS_DRAWS = 200  # from the posterior, for the set of plausible masses
 CONFIDENCE = 0.99  # share of the draws whose every mass distribution the bound holds for, by direction
 DIRECTIONS = 72  # Half-planes that bound the center of mass; every 5°
 PRIOR_SIGMAS = 3.0  # standard deviations about a center of mass known beforehand that the set is cut down to
@@ -86,6 +87,7 @@ class PlausibleMassSet:
         *,
         seed: int = 0,
         force: ForceScale | None = None,
+        judge: DrawJudge | None = None,
     ) -> "PlausibleMassSet":
         """All masses that agree with what was learned.
 
@@ -93,6 +95,7 @@ class PlausibleMassSet:
             posterior: of its relative friction.
             friction_range: least and greatest friction coefficient of any cell; the object's own bounds where None.
             force: what measured forces said, which bound the mass of an object that was not weighed.
+            judge: of the draws, such as the pushes themselves.
 
         Raises:
             PlanningError: the range is not positive and increasing.
@@ -100,7 +103,7 @@ class PlausibleMassSet:
         low, high = friction_range or (obj.prior.friction_min, obj.prior.friction_max)
         if not 0 < low <= high < np.inf:
             raise PlanningError(f"friction_range is {(low, high)!r}; expected 0 < least <= greatest")
-        share, _ = posterior.draw(MASS_DRAWS, seed)
+        share, _ = posterior.draw(MASS_DRAWS, seed, judge)
         heaviest = None
         if force is not None and obj.prior.total_mass is None:
             heaviest = force.bounds[1] / (GRAVITY * low)
@@ -156,6 +159,7 @@ class UncertainModel:
         seed: of all draws.
         poke_starts: (K, 2) where the finger's center was as the pushes learned from began, body frame, m.
         force: what measured forces said; None where there were none.
+        evidence: the pushes learned from, which judge the draws; None where they are not at hand.
     """
 
     obj: GridObject
@@ -167,6 +171,7 @@ class UncertainModel:
     seed: int = 0
     poke_starts: Array = field(default_factory=lambda: np.empty((0, 2)))
     force: ForceScale | None = None
+    evidence: PushEvidence | None = None
 
     @classmethod
     def of_identification(
@@ -178,11 +183,12 @@ class UncertainModel:
         seed: int = 0,
         log: PushLog | None = None,
     ) -> "UncertainModel":
-        """Takes what pushes said, with the noise that they showed; by `log` pokes are not repeated."""
+        """Takes what pushes said, with the noise they showed; those of `log` judge the draws, and are not repeated."""
+        evidence = PushEvidence.of_log(found, log)
         starts = [transform_back(seen.pose, seen.push.start[None])[0] for seen in log or ()]
         return cls(
             found.obj, found.params, found.posterior, found.noise_scale, friction_range, sample_count,
-            seed, np.array(starts).reshape(-1, 2), found.force,
+            seed, np.array(starts).reshape(-1, 2), found.force, evidence,
         )  # fmt: skip
 
     @classmethod
@@ -203,7 +209,7 @@ class UncertainModel:
             return PlausibleMassSet.of_masses(self.obj, self.params)
         with threadpool_limits(limits=1, user_api="blas"):
             return PlausibleMassSet.from_posterior(
-                self.obj, self.posterior, self.friction_range, seed=self.seed, force=self.force
+                self.obj, self.posterior, self.friction_range, seed=self.seed, force=self.force, judge=self.evidence
             )
 
     @cached_property
@@ -211,7 +217,7 @@ class UncertainModel:
         """Further models that agree with the pushes, which slides are tried on."""
         if self.posterior is None:
             return ()
-        return tuple(self.posterior.draw_parameters(self.params, self.sample_count, self.seed))
+        return tuple(self.posterior.draw_parameters(self.params, self.sample_count, self.seed, self.evidence))
 
     def require_posterior(self) -> Posterior:
         """The posterior, which a poke can narrow. Raises PlanningError: the parameters are taken for granted."""
