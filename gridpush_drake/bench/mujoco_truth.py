@@ -16,6 +16,7 @@ How MuJoCo's contacts are set is said in `multibody.mjcf`.
 """
 
 from dataclasses import dataclass, replace
+from math import ceil
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -70,7 +71,8 @@ EDGE_GAP = 5e-4
 """m of a compliant body's flat bottom above the feet's ends: they alone bear it until it all but tips."""
 
 EDGE_SINKAGE, EDGE_TIME_STEP = 5e-5, 2.5e-4
-"""m and s, of compliant bodies at an edge: the few feet that bear most there sink several times as deep."""
+"""m, of compliant bodies at an edge: the few feet that bear most there sink several times as deep; and s at most of any
+body near one: at twice that, the far end of a light one may swing itself up."""
 
 EDGE_BEARING = 10
 """Places of the bottom by which a weight on the edge is shared out, to say how stiff they are."""
@@ -150,11 +152,13 @@ class TruthWorld:
             raise GridPushError("mujoco: is not installed; expected pip install 'gridpush-drake[bench]'") from error
 
         self.body, self.radius, self._mujoco = body, radius, mujoco
-        self._table, self._steps, edges = table, 0, _find_edges(table)
+        self._table, self._steps, self._scene, edges = table, 0, 0, _find_edges(table)
         self._rim = np.array(body.obj.outline.convex_hull.exterior.coords)[:-1]
         scenes = ([], edges) if edges else ([],)  # away from the edges, to look for contacts with them takes most time
         self._models = [mujoco.MjModel.from_xml_string(_describe(body, radius, table, each)) for each in scenes]
-        for model in self._models:
+        self._splits = [1, ceil(body.time_step / EDGE_TIME_STEP)]
+        for model, split in zip(self._models, self._splits, strict=False):
+            model.opt.timestep = body.time_step / split
             _set_contacts(model, body)
         self._datas = [mujoco.MjData(model) for model in self._models]
         self._model, self._data = self._models[0], self._datas[0]
@@ -186,16 +190,17 @@ class TruthWorld:
             self._step()
 
     def _step(self) -> None:
-        """Takes a step in the scene with edges, or, where none is near, in the one without."""
+        """Takes a step in the scene without edges, or, where one is near, several smaller ones in that with them."""
         if self._steps % LOOK_EVERY == 0:
             rim = transform(self.read_pose(), self._rim)
             left, low, right, high = self._table
             near = min(*(rim - (left, low)).min(axis=0), *((right, high) - rim).min(axis=0)) < NEAR_EDGE
             self._turn_to(len(self._models) - 1 if near else 0)
-        self._mujoco.mj_step(self._model, self._data)
+        self._mujoco.mj_step(self._model, self._data, self._splits[self._scene])
         self._steps += 1
 
     def _turn_to(self, scene: int) -> None:
+        self._scene = scene
         before, self._model, self._data = self._data, self._models[scene], self._datas[scene]
         if self._data is not before:
             for name in ("qpos", "qvel", "qacc_warmstart"):
