@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.stats import sem
 
 from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
-from gridpush_drake.bench.pregrasp_world import is_over
+from gridpush_drake.bench.pregrasp.world import is_over
 from gridpush_drake.bench.protocol import hide_parts, know_friction
 from gridpush_drake.bench.speed import one_core
 from gridpush_drake.bench.table import MM, PERCENT, Column, Table, Value, count_of, mean_of

@@ -17,8 +17,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gridpush_drake.bench import paper, planning, pregrasp, real
+from gridpush_drake.bench import paper, planning, real
 from gridpush_drake.bench.jobs import QUIET, Execution, Job, Result, check_known, run_jobs
+from gridpush_drake.bench.pregrasp import experiments as pregrasp
 from gridpush_drake.bench.protocol import make_case, make_planning_protocol, make_protocol, read_object
 from gridpush_drake.bench.table import MM, PERCENT, Table
 from gridpush_drake.errors import GridPushError

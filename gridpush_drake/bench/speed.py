@@ -19,7 +19,7 @@ from shapely import LineString
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.bench.jobs import Report, count_steps
-from gridpush_drake.bench.pregrasp import find_mask
+from gridpush_drake.bench.pregrasp.experiments import find_mask
 from gridpush_drake.bench.protocol import METERS_PER_PIXEL
 from gridpush_drake.bench.table import MS, Table, Value
 from gridpush_drake.dynamics.push import Push, make_path_times

@@ -236,7 +236,7 @@ def pregrasp(
     **common: Any,
 ) -> "list[Table]":
     """Slide objects of hidden masses to the table's edge, and compare pokes by design with random ones."""
-    from gridpush_drake.bench.pregrasp import MASS_SETS, SEEDS, run
+    from gridpush_drake.bench.pregrasp.experiments import MASS_SETS, SEEDS, run
 
     return run(
         objects, mass_sets or MASS_SETS, seeds or SEEDS, depth=depth, experiment=experiment, data=data,
@@ -288,8 +288,8 @@ def truth(
     **common: Any,
 ) -> "list[Table]":
     """Learn bodies that do not obey the model: MuJoCo pushes them, on feet, foundations and uneven bottoms."""
-    from gridpush_drake.bench.truth import COUNTS, run
-    from gridpush_drake.bench.truth_sets import KINDS
+    from gridpush_drake.bench.truth.learning import COUNTS, run
+    from gridpush_drake.bench.truth.sets import KINDS
 
     folder = None if out is None else out.resolve()
     return run(kinds or KINDS, objects, sets, pushes or COUNTS, out=folder, force=force, **common)

@@ -10,12 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from gridpush_drake.bench import campaign, drake, paper, planning, plant, pregrasp, real
+from gridpush_drake.bench import campaign, drake, paper, planning, plant, real
 from gridpush_drake.bench.jobs import Execution, open_results, run_jobs
 from gridpush_drake.bench.paper import Score
 from gridpush_drake.bench.planning import Decision, Run
-from gridpush_drake.bench.pregrasp import ExplorationScore, SlideScore, Trace
-from gridpush_drake.bench.pregrasp_world import Outcome
+from gridpush_drake.bench.pregrasp import experiments as pregrasp
+from gridpush_drake.bench.pregrasp.experiments import ExplorationScore, SlideScore, Trace
+from gridpush_drake.bench.pregrasp.world import Outcome
 from gridpush_drake.errors import GridPushError, OutputError
 
 STARTED_WITHIN, ENDED_WITHIN = 240.0, 6.0

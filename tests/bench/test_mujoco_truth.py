@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from shapely import LineString
 
-from gridpush_drake.bench.truth_sets import KINDS, draw_masses, make_body, make_set, read_set, write_set
+from gridpush_drake.bench.truth.sets import KINDS, draw_masses, make_body, make_set, read_set, write_set
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import GRAVITY, simulate
 from gridpush_drake.errors import GridPushError
@@ -12,8 +12,8 @@ from gridpush_drake.geometry.se2 import rotate
 
 pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
 
-from gridpush_drake.bench import mujoco_truth
-from gridpush_drake.bench.mujoco_truth import BODY_HEIGHT, TruthWorld
+from gridpush_drake.bench.truth import mujoco_world
+from gridpush_drake.bench.truth.mujoco_world import BODY_HEIGHT, TruthWorld
 
 RADIUS = 0.01
 
@@ -124,8 +124,8 @@ def test_edges_left_out_while_they_are_far_change_nothing(monkeypatch):
     left, low, right, high = obj.outline.bounds
     table = (left - 1.0, low - 1.0, right + 0.02, high + 1.0)
     push, ends = Push((left - RADIUS - 0.001, (low + high) / 2), (0.05, 0.0), 1.0, RADIUS), []
-    for near in (10.0, mujoco_truth.NEAR_EDGE):
-        monkeypatch.setattr(mujoco_truth, "NEAR_EDGE", near)
+    for near in (10.0, mujoco_world.NEAR_EDGE):
+        monkeypatch.setattr(mujoco_world, "NEAR_EDGE", near)
         world = TruthWorld(body, RADIUS, table)
         world.put((0.0, 0.0, 0.0))
         motion = world.push(push)

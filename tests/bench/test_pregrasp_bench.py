@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridpush_drake.bench import pregrasp
 from gridpush_drake.bench.jobs import Execution
-from gridpush_drake.bench.pregrasp import (
+from gridpush_drake.bench.pregrasp import experiments as pregrasp
+from gridpush_drake.bench.pregrasp.experiments import (
     ALONG,
     MAX_POKES,
     OBJECTS,
@@ -17,7 +17,7 @@ from gridpush_drake.bench.pregrasp import (
     tabulate_exploration_by_object,
     tabulate_slides,
 )
-from gridpush_drake.bench.pregrasp_world import EdgeWorld, MujocoWorld, Outcome
+from gridpush_drake.bench.pregrasp.world import EdgeWorld, MujocoWorld, Outcome
 from gridpush_drake.bench.protocol import add_pose_noise
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError

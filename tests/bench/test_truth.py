@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gridpush_drake.bench import truth
 from gridpush_drake.bench.jobs import Execution
-from gridpush_drake.bench.truth import (
+from gridpush_drake.bench.truth import learning as truth
+from gridpush_drake.bench.truth.learning import (
     LEARNED,
     LOADS,
     MASSES,
@@ -18,7 +18,7 @@ from gridpush_drake.bench.truth import (
     calc_center_region,
     tabulate,
 )
-from gridpush_drake.bench.truth_sets import make_set, write_set
+from gridpush_drake.bench.truth.sets import make_set, write_set
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.result import calc_center_of_mass

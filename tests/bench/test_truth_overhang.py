@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.bench.truth_overhang import (
+from gridpush_drake.bench.truth.overhang import (
     HALF_PLANE,
     SHARE,
     OverhangJob,
@@ -14,11 +14,11 @@ from gridpush_drake.bench.truth_overhang import (
     tabulate_limit,
     tabulate_pushes,
 )
-from gridpush_drake.bench.truth_sets import draw_masses, make_body
+from gridpush_drake.bench.truth.sets import draw_masses, make_body
 
 pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
 
-from gridpush_drake.bench.mujoco_truth import TruthWorld
+from gridpush_drake.bench.truth.mujoco_world import TruthWorld
 
 
 @pytest.mark.parametrize("kind", ["half_height", "three_feet"])

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import shapely
 
-from gridpush_drake.bench.pregrasp_world import EdgeWorld, run_pregrasp
+from gridpush_drake.bench.pregrasp.world import EdgeWorld, run_pregrasp
 from gridpush_drake.dynamics.simulation import calc_loads
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.identification.posterior import Posterior

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gridpush_drake.bench.mujoco_truth import BODY_HEIGHT, TruthBody, TruthWorld
 from gridpush_drake.bench.protocol import ANGLE_STD, POSITION_STD
-from gridpush_drake.bench.truth_sets import make_body
+from gridpush_drake.bench.truth.mujoco_world import BODY_HEIGHT, TruthBody, TruthWorld
+from gridpush_drake.bench.truth.sets import make_body
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import calc_loads
 from gridpush_drake.errors import ObjectError
@@ -107,7 +107,7 @@ class MujocoWorld(EdgeWorld):
             size: of the table about the world's origin, m.
             pose: (3,) m and rad.
             rng: draws the feet's places and the noise.
-            support: how it stands, of `truth_sets.KINDS`.
+            support: how it stands, of `truth.sets.KINDS`.
 
         The height at which it is pushed is known: `obj` has it.
 

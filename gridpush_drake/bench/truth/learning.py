@@ -1,4 +1,4 @@
-"""`gridpush bench truth`: how well bodies are learned that do not obey the model (`bench.truth_sets`).
+"""`gridpush bench truth`: how well bodies are learned that do not obey the model (`bench.truth.sets`).
 
 Each hidden body is learned from the first few of its pushes by the default method, and judged by its held-out pushes,
 its true center of mass, and whether both are where the identification says.
@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gridpush_drake.bench import truth_overhang
 from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
 from gridpush_drake.bench.paper import calc_interval
 from gridpush_drake.bench.table import Table, Value
-from gridpush_drake.bench.truth_overhang import OVERHANG, TIPPED_BODIES
-from gridpush_drake.bench.truth_sets import KINDS, OUTLINES, TRAINING, TruthSet, make_set, read_set, write_set
+from gridpush_drake.bench.truth import overhang
+from gridpush_drake.bench.truth.overhang import OVERHANG, TIPPED_BODIES
+from gridpush_drake.bench.truth.sets import KINDS, OUTLINES, TRAINING, TruthSet, make_set, read_set, write_set
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array
@@ -110,7 +110,7 @@ def run(
     """Measures the default method on hidden bodies.
 
     Args:
-        kinds: of truth; OVERHANG is measured by itself, see `bench.truth_overhang`.
+        kinds: of truth; OVERHANG is measured by itself, see `bench.truth.overhang`.
         objects: shipped objects whose outlines the bodies have; five by default.
         sets: bodies of each kind and outline.
         pushes: numbers of pushes to learn from.
@@ -136,7 +136,7 @@ def run(
     results = run_jobs(run_job, jobs, lambda job: f"{job.kind}, {job.name} {job.seed}", execution)
     tables = [tabulate([score for scores in results for score in scores])] if flat else []
     if OVERHANG in kinds:
-        tables += truth_overhang.run(names, sets, seed, execution, QUICK_SETS if quick else TIPPED_BODIES)
+        tables += overhang.run(names, sets, seed, execution, QUICK_SETS if quick else TIPPED_BODIES)
     return tables
 
 

@@ -13,11 +13,11 @@ import numpy as np
 from shapely import LineString, Point
 
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
-from gridpush_drake.bench.mujoco_truth import BODY_HEIGHT, TABLE_HALF, TruthWorld
 from gridpush_drake.bench.paper import calc_interval
 from gridpush_drake.bench.plant import PUSH_HEIGHT, PlantPusher
 from gridpush_drake.bench.table import MM, Table, Value
-from gridpush_drake.bench.truth_sets import CLEARANCE, HALF_HEIGHT, MIN_MOTION, OUTLINES, SLANT, draw_masses, make_body
+from gridpush_drake.bench.truth.mujoco_world import BODY_HEIGHT, TABLE_HALF, TruthWorld
+from gridpush_drake.bench.truth.sets import CLEARANCE, HALF_HEIGHT, MIN_MOTION, OUTLINES, SLANT, draw_masses, make_body
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate

@@ -1,13 +1,13 @@
 """`gridpush bench pregrasp`: slides to the table's edge with hidden masses, and what pokes are worth.
 
-Experiments in the quasi-static LCP world with a table's edge (`bench.pregrasp_world`):
+Experiments in the quasi-static LCP world with a table's edge (`bench.pregrasp.world`):
 
     sliding     every object with hidden masses and frictions is explored, slid to the edge and grasped there, by the
                 method, by the paper's two ablations, and with the true parameters
     exploring   pokes chosen by design, or at random, until the center of mass's standard deviation is small
     materials   the method with objects that are partly of rubber and partly of steel, told bounds of the friction that
                 hold, or do not
-    bounds      what such bounds allow at best (`bench.pregrasp_bounds`)
+    bounds      what such bounds allow at best (`bench.pregrasp.bounds`)
 
 and sliding, by the method, under truths that do not obey the model: bodies in MuJoCo, and the LCP world beside them.
 
@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
-from gridpush_drake.bench.pregrasp_bounds import (
+from gridpush_drake.bench.pregrasp.bounds import (
     DRAWN,
     KNOWN,
     RUBBER,
@@ -36,7 +36,7 @@ from gridpush_drake.bench.pregrasp_bounds import (
     judge_bounds,
     tabulate_bounds,
 )
-from gridpush_drake.bench.pregrasp_world import (
+from gridpush_drake.bench.pregrasp.world import (
     PUSH_HEIGHTS,
     EdgeWorld,
     MujocoWorld,
@@ -53,7 +53,7 @@ from gridpush_drake.bench.protocol import (
     know_friction,
 )
 from gridpush_drake.bench.table import MM, PERCENT, Column, Table, calc_mean, count_of, mean_of
-from gridpush_drake.bench.truth_sets import KINDS
+from gridpush_drake.bench.truth.sets import KINDS
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array, make_direction

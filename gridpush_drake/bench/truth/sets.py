@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from shapely import Point
 
-from gridpush_drake.bench.mujoco_truth import (
+from gridpush_drake.bench.truth.mujoco_world import (
     BODY_HEIGHT,
     RIGID_SINKAGE,
     RIGID_TIME_STEP,

@@ -1,0 +1,1 @@
+"""Slides to the table's edge with hidden masses, in simulated worlds with an edge."""
