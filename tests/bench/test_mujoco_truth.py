@@ -1,5 +1,7 @@
 """Bodies in MuJoCo bear, rub and shift their loads as each kind is said to."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from shapely import LineString
@@ -121,6 +123,7 @@ def test_refuses_an_unknown_kind():
 def test_edges_left_out_while_they_are_far_change_nothing(monkeypatch):
     obj, params = draw_masses("toolbox", np.random.default_rng(0))
     body = make_body("three_feet", obj, params, np.random.default_rng(0))
+    body = replace(body, time_step=mujoco_world.EDGE_TIME_STEP)  # as near an edge everywhere
     left, low, right, high = obj.outline.bounds
     table = (left - 1.0, low - 1.0, right + 0.02, high + 1.0)
     push, ends = Push((left - RADIUS - 0.001, (low + high) / 2), (0.05, 0.0), 1.0, RADIUS), []
