@@ -85,12 +85,14 @@ def make_push_trajectory(
     return tuple(segments)
 
 
-def make_lookout_trajectory(rest: Point, lookout: Point, style: PushTrajectoryOptions) -> tuple[TrajectorySegment, ...]:
-    """Makes the way from rest to the lookout: up as far as both are high, over, and to its height."""
+def make_lookout_trajectory(
+    rest: Point, lookout: Point, style: PushTrajectoryOptions, speed_scale: float = 1.0
+) -> tuple[TrajectorySegment, ...]:
+    """Makes the way from rest to a lookout: up as far as both are high, over, and to its height."""
     (x, y, z), (x1, y1, z1) = rest, lookout
     high = max(z, z1, style.travel_height)
     places = [(x, y, z), (x, y, high), (x1, y1, high), (x1, y1, z1)]
-    travel = (SPEED_SCALES[-1] * style.travel_speed, style.travel_acceleration)
+    travel = (speed_scale * style.travel_speed, style.travel_acceleration)
     return tuple(
         TrajectorySegment(PushPhase.CLEARING, start, end, *travel) for start, end in pairwise(places) if start != end
     )
@@ -136,7 +138,8 @@ class ExecutorState(Unchanging):
         segments: the current one and those still to come.
         segment_start: when the current one began, s.
         status: as on the port, but for the reason while a command cannot be read.
-        unseen_since: when the object went out of sight, with nothing to do, s; None where it is seen.
+        unseen_since: since when the object has been out of sight with the tip at rest, s; None where it is seen.
+        lookouts: how many of them were gone to since the object was last seen.
         unreadable: whether the command on the port has a number that is not finite.
     """
 
@@ -145,6 +148,7 @@ class ExecutorState(Unchanging):
     segment_start: float = 0.0
     status: PushStatus = field(default_factory=PushStatus)
     unseen_since: float | None = None
+    lookouts: int = 0
     unreadable: bool = False
 
     @property
@@ -159,6 +163,9 @@ class ExecutorState(Unchanging):
 
 HIDDEN_AFTER = 0.3
 """Out of sight for so long, s, the object is looked out for."""
+
+LOOK_FOR = 1.0
+"""From a lookout, before the next one is tried, s."""
 
 NOT_FINITE = "the command has numbers that are not finite"
 
@@ -175,7 +182,7 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
     stops as soon as it can, and goes up. The desired position, velocity and acceleration are continuous.
 
     Where the object has been out of sight for a while and nothing is to be done, the arm may be what hides it: the
-    finger goes to its lookout, if it has one.
+    finger goes to its lookouts, one after the other, until the object is seen, at most as often as there are some.
 
     .. pydrake_system::
 
@@ -207,7 +214,7 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         outline: shapely.Polygon | None = None,
         reach: Reach | None = None,
         style: PushTrajectoryOptions | None = None,
-        lookout: ArrayLike | None = None,
+        lookouts: ArrayLike = (),
     ):
         """Makes an executor.
 
@@ -216,13 +223,14 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
             outline: of the object in B, m; None asks no questions about the object.
             reach: whether the arm can follow a path; None trusts it.
             style: heights, speeds and times.
-            lookout: (3,) p_WP where the tip goes when the object is out of sight, m; None where it stays.
+            lookouts: (n, 3) p_WP where the tip goes when the object is out of sight, in this order, m; one that the arm
+                cannot go to is left out.
         """
         self.style = style or PushTrajectoryOptions()
         x, y, z = np.asarray(home, float).tolist()
         super().__init__(ExecutorState((x, y, z)), self.style.period)
         self._outline, self._reach = outline, reach
-        self._lookout: Point | None = None if lookout is None else tuple(np.asarray(lookout, float).tolist())
+        self._lookouts: list[Point] = [(x, y, z) for x, y, z in np.asarray(lookouts, float).reshape(-1, 3).tolist()]
         self._command_port = self.DeclareVectorInputPort("push_command", PUSH_COMMAND_SIZE)
         self._pose_port = self.DeclareVectorInputPort("object_pose", 3)
         self._grasp_port = self.DeclareAbstractInputPort("grasp_status", AbstractValue.Make(GraspStatus()))
@@ -265,7 +273,7 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         phase = PushPhase(left[0].phase) if left else PushPhase.IDLE
         executed = now.status.executed + (not left and done.phase != PushPhase.CLEARING)
         status = replace(now.status, phase=phase, executed=executed)
-        return ExecutorState((x, y, z), tuple(left), time, status)
+        return replace(now, rest=(x, y, z), segments=tuple(left), segment_start=time, status=status)
 
     def _take_up(self, context: Context, now: ExecutorState, time: float) -> ExecutorState:
         vector = self._command_port.Eval(context)
@@ -287,15 +295,24 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         return self._grasp_port.HasValue(context) and not self._grasp_port.Eval(context).ready
 
     def _look_out(self, now: ExecutorState, time: float, content: bool) -> ExecutorState:
-        """Waits; goes to the lookout where it has not been content with what it sees for too long."""
-        if self._lookout is None or content:
-            return now if now.unseen_since is None else replace(now, unseen_since=None)
+        """Waits; goes to the next lookout where it has not been content with what it sees for too long."""
+        if content:
+            return now if now.unseen_since is None and not now.lookouts else replace(now, unseen_since=None, lookouts=0)
         since = time if now.unseen_since is None else now.unseen_since
-        if time - since < HIDDEN_AFTER or now.rest == self._lookout:
+        waited = time - since >= (LOOK_FOR if now.lookouts else HIDDEN_AFTER)
+        if not waited or now.lookouts == len(self._lookouts):
             return now if now.unseen_since == since else replace(now, unseen_since=since)
-        segments = make_lookout_trajectory(now.rest, self._lookout, self.style)
-        status = replace(now.status, phase=PushPhase.CLEARING)
-        return replace(now, segments=segments, segment_start=time, unseen_since=None, status=status)
+        ways = (plan_lookout(now.rest, place, self.style, self._reach) for place in self._order_lookouts(now.rest))
+        segments: tuple[TrajectorySegment, ...] = next((way for way in ways if way), ())
+        now = replace(now, lookouts=now.lookouts + 1 if segments else len(self._lookouts), unseen_since=None)
+        if not segments:
+            return now
+        return replace(now, segments=segments, segment_start=time, status=replace(now.status, phase=PushPhase.CLEARING))
+
+    def _order_lookouts(self, rest: Point) -> list[Point]:
+        """All of them, from the one after `rest`: what is seen on the way to one may be hidden again from there."""
+        i = self._lookouts.index(rest) + 1 if rest in self._lookouts else 0
+        return self._lookouts[i:] + self._lookouts[:i]
 
     def _plan(self, context: Context, command: PushCommand, rest: Point) -> tuple[tuple[TrajectorySegment, ...], str]:
         """The segments of a command, and why it is refused or ""."""
@@ -349,8 +366,28 @@ def plan_push(
         segments = make_push_trajectory(command, rest, style, speed_scale)
         if reach is None:
             return segments, None
-        path = np.array([segments[0].start] + [segment.end for segment in segments])
-        reason = reach(path, np.array([segment.top_speed for segment in segments]))
+        reason = _ask(reach, segments)
         if reason is None:
             return segments, None
     return (), reason
+
+
+def plan_lookout(
+    rest: Point, lookout: Point, style: PushTrajectoryOptions, reach: Reach | None
+) -> tuple[TrajectorySegment, ...]:
+    """Plans the way to a lookout, as fast as the arm can follow; see `plan_push`.
+
+    Returns:
+        The segments; none where the tip is there already, or the arm cannot follow.
+    """
+    for speed_scale in SPEED_SCALES:
+        segments = make_lookout_trajectory(rest, lookout, style, speed_scale)
+        if reach is None or not segments or _ask(reach, segments) is None:
+            return segments
+    return ()
+
+
+def _ask(reach: Reach, segments: tuple[TrajectorySegment, ...]) -> str | None:
+    """Why the arm cannot follow; None where it can."""
+    path = np.array([segments[0].start] + [segment.end for segment in segments])
+    return reach(path, np.array([segment.top_speed for segment in segments]))

@@ -181,6 +181,19 @@ def MakeSetting(
     return Setting(scenario, obj, found, others, plant, control_plant, robot, table_top, home, q_start)
 
 
+def find_lookouts(setting: Setting) -> Array:
+    """Where the tip goes (3, 3), p_WP, m, while the arm may hide the object from a camera.
+
+    They are its home and, as high, the two corners of the workspace that are nearest to the robot's base: of what lies
+    behind one of them, seen from the camera, another shows something.
+    """
+    workspace, (_, _, z) = setting.scenario.workspace, setting.home
+    p_WR = CalcBasePose(setting.plant, setting.robot).translation()
+    corners = np.array([(x, y, z) for x in workspace.x for y in workspace.y])
+    nearest = np.argsort(np.linalg.norm(corners[:, :2] - p_WR[:2], axis=1), kind="stable")[:2]
+    return np.vstack([setting.home, corners[nearest]])
+
+
 @dataclass(frozen=True, eq=False)
 class RobotControl:
     """What `AddRobotControl` put into a builder.
@@ -226,9 +239,9 @@ def AddRobotControl(
     scenario, robot, control_plant = setting.scenario, setting.robot, setting.control_plant
     kinematics = AddArmKinematics(builder, robot, control_plant, setting.q_start)
     reach, style = ArmReach(control_plant, robot, setting.q_start), make_style(scenario, robot)
-    lookout = None if scenario.camera.kind == "ideal" else setting.home  # from a real one the arm may hide the object
+    lookouts = () if scenario.camera.kind == "ideal" else find_lookouts(setting)
     executor = builder.AddNamedSystem(
-        "executor", PushExecutor(setting.home, setting.obj.outline, reach, style, lookout)
+        "executor", PushExecutor(setting.home, setting.obj.outline, reach, style, lookouts)
     )
     identifier = builder.AddNamedSystem(
         "identifier", make_identifier(scenario, setting.obj, setting.table_top, learning)

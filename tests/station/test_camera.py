@@ -5,10 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
+from pydrake.systems.analysis import Simulator
 from scipy import ndimage
 
 from gridpush_drake.errors import ScenarioError, StationError
-from gridpush_drake.multibody.ground_truth import resample_parameters, sample_ground_truth
+from gridpush_drake.geometry.se2 import wrap_angle
+from gridpush_drake.multibody.ground_truth import SetGridObjectPose, resample_parameters, sample_ground_truth
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception import Camera
@@ -17,7 +19,7 @@ from gridpush_drake.pushes.stream import record_pushes
 from gridpush_drake.station import camera as station_camera
 from gridpush_drake.station.camera import calc_pose_age, make_camera
 from gridpush_drake.station.identify_task import FINISHED, IdentifyTask
-from gridpush_drake.station.push_station import TakePhotograph
+from gridpush_drake.station.push_station import MakePushStation, TakePhotograph
 from gridpush_drake.station.scenario import CameraConfig, PushScenario, format_scenario, parse_scenario, read_scenario
 from gridpush_drake.station.station import LoadPushedObject
 from tests.helpers.renderer import require_renderer
@@ -86,6 +88,27 @@ def test_the_robot_finds_the_object_that_lies_there(photograph):
     shift = true_obj.p_BC - found.true_obj.p_BC
     np.testing.assert_allclose(shift, np.tile(found.pose[:2] - scenario.object_pose[:2], (true_obj.n, 1)), atol=1e-12)
     assert found.detected.picture.shape == (480, 640, 3)
+
+
+@pytest.mark.slow
+def test_the_arm_goes_out_of_the_way_also_where_it_hides_the_object_from_its_home(renderer):
+    """The hammer's handle, over the table's edge, lies behind the arm at its home."""
+    pose = (0.53, 0.16, -0.6)
+    station = MakePushStation(make_scenario())
+    simulator = Simulator(station)
+    context = simulator.get_mutable_context()
+    for name in ("push_command", "grasp_command"):
+        station.GetInputPort(name).FixValue(context, np.zeros(6))
+    station.SetStart(context)
+    plant_context = station.plant.GetMyMutableContextFromRoot(context)
+    SetGridObjectPose(station.plant, plant_context, station.object_in_plant, pose)
+    seen = []
+    for time in np.arange(0.5, 9.0, 0.5):
+        simulator.AdvanceTo(time)
+        seen.append(station.GetOutputPort("object.pose").Eval(context))
+    assert np.isnan(seen[1]).all()
+    off = np.array(seen[-3:]) - pose
+    np.testing.assert_allclose(np.column_stack([off[:, :2], wrap_angle(off[:, 2])]), 0.0, atol=0.003)
 
 
 def test_depth_has_holes_along_the_object_s_edge(photograph):

@@ -18,9 +18,9 @@ STYLE = PushTrajectoryOptions()
 class Run:
     """An executor, commands at will, and the desired position as time goes on."""
 
-    def __init__(self, outline=None, reach=None, pose=(0.6, 0.0, 0.0), home=HOME, step=0.005, lookout=None):
+    def __init__(self, outline=None, reach=None, pose=(0.6, 0.0, 0.0), home=HOME, step=0.005, lookouts=()):
         self.step = step
-        self.executor = PushExecutor(home, outline, reach, STYLE, lookout)
+        self.executor = PushExecutor(home, outline, reach, STYLE, lookouts)
         self.simulator = Simulator(self.executor)
         self.context = self.simulator.get_mutable_context()
         self.see(pose)
@@ -118,7 +118,7 @@ UNSEEN = (np.nan, np.nan, np.nan)
 
 
 def test_where_the_object_is_hidden_the_arm_goes_to_its_lookout():
-    run = Run(OUTLINE, lookout=HOME).carry_out(PUSH)
+    run = Run(OUTLINE, lookouts=[HOME]).carry_out(PUSH)
     run.see(UNSEEN)
     run.advance(0.25)
     assert run.status.ready
@@ -134,8 +134,22 @@ def test_where_the_object_is_hidden_the_arm_goes_to_its_lookout():
     assert run.carry_out(PushCommand(2, 0.7, 0.1, -2.0, 0.06, 0.1)).status.executed == 2
 
 
+def test_where_it_stays_hidden_the_other_lookouts_are_tried_and_the_arm_rests_at_last():
+    aside, away = (0.4, -0.4, 0.2), (0.4, 0.4, 0.2)
+    run = Run(OUTLINE, lambda path, speeds: "no" if path[-1, 1] == aside[1] else None, lookouts=[HOME, aside, away])
+    run.carry_out(PUSH).see(UNSEEN)
+    run.advance(15.0)
+    where = [next((i for i, at in enumerate((HOME, aside, away)) if np.allclose(at, p)), None) for p in run.p]
+    assert find_order([i for i in where if i is not None]) == [0, 2, 0]
+    assert np.linalg.norm(np.subtract(run.p, aside), axis=1).min() > 0.3  # where it cannot go
+    assert run.status.ready
+    run.see((0.6, 0.0, 0.0))
+    run.advance(0.1).see(UNSEEN)
+    np.testing.assert_allclose(run.advance(2.5).pose.translation(), away, atol=1e-12)
+
+
 def test_no_lookout_while_a_grasp_is_under_way_or_without_one():
-    run = Run(OUTLINE, lookout=HOME).carry_out(PUSH)
+    run = Run(OUTLINE, lookouts=[HOME]).carry_out(PUSH)
     run.executor.GetInputPort("grasp_status").FixValue(run.context, AbstractValue.Make(GraspStatus("closing", 1)))
     run.see(UNSEEN)
     run.advance(1.0)
