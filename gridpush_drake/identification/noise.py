@@ -74,7 +74,7 @@ class NoiseModel:
     log_contact_friction: float = 0.3
     load_shift: float = 0.0012
     prior_weight: float = 20.0
-    shift_weight: float = 3.0
+    shift_weight: float = 10.0
     discrepancy_weight: float = 3.0
     outlier: float = 0.7
 
