@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from math import floor, isfinite, isnan, log10, pi
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import rich.table
 from matplotlib.figure import Figure
@@ -109,8 +109,8 @@ class Table:
             width: of what it is shown on, characters.
 
         Returns:
-            The columns' numbers of each part, the keys in all of them. A value or a word of a column's name is never
-            broken: where keys and one column are wider than the width, that part is too.
+            The columns' numbers of each part, the keys in all of them. Where keys and one column are wider than the
+            width, they are a part, and that column's values are broken between words when they are shown.
         """
         widths = [self._measure(i) + PADDING for i in range(len(self.columns))]
         keys = list(range(self.keys))
@@ -148,15 +148,17 @@ class Table:
 
     def _to_rich(self, part: Sequence[int], width: int, title: str) -> "rich.table.Table":
         """Some of the columns, keys left and the others right; nothing is read as markup."""
-        table = rich.table.Table(title=Text(title) if title else None, title_justify="left")
         spare = width - FRAME - sum(self._measure(i) + PADDING for i in part)
+        fits = spare >= 0
+        table = rich.table.Table(title=Text(title) if title else None, title_justify="left", show_lines=not fits)
         for i in part:
-            least = self._measure(i)
-            more = max(0, min(spare, len(self.columns[i]) - least))
+            key, least = i < self.keys, self._measure(i)
+            more = max(0, min(spare, len(self.columns[i]) - least)) if fits or key else spare
             spare -= more
-            table.add_column(Text(self.columns[i]), justify="left" if i < self.keys else "right", width=least + more)
+            justify: Literal["left", "right"] = "left" if key or not fits else "right"
+            table.add_column(Text(self.columns[i]), justify=justify, width=max(least + more, 1))
         for row in self.rows:
-            table.add_row(*(Text(self.format(row[i]), no_wrap=True) for i in part))
+            table.add_row(*(Text(self.format(row[i]), no_wrap=fits or i < self.keys) for i in part))
         return table
 
 

@@ -171,6 +171,19 @@ def test_a_wide_table_is_shown_in_parts_with_its_keys():
     assert table.split(200) == [list(range(11))]
 
 
+def test_a_sentence_wider_than_the_terminal_is_broken_between_words():
+    sentence = "learned 100 % (0 % dropped); uniform 92 % (8 % dropped); unbounded 92 % (8 % dropped); true 100 %"
+    table = Table("Wide", ("figure", "here"), [["mass_maps", sentence], ["pregrasp", "28 simulations"]])
+    console = Console(width=60)
+    with console.capture() as capture:
+        console.print(table)
+    lines = capture.get().splitlines()
+    assert max(map(len, lines)) <= 60
+    cells = [[cell.strip() for cell in line.strip("│").split("│")] for line in lines if line.startswith("│")]
+    assert [key for key, _ in cells if key] == ["mass_maps", "pregrasp"]
+    assert " ".join(text for _, text in cells) == f"{sentence} 28 simulations"
+
+
 def test_brackets_are_no_markup():
     table = Table("[bold]", ("[red]what", "b"), [["[i]", "[b]"]], ["pip install '.[bench]'"])
     console = Console(width=80)
