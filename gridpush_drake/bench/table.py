@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from math import floor, isfinite, isnan, log10, pi
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import rich.table
 from matplotlib.figure import Figure
@@ -147,18 +147,25 @@ class Table:
         return max(map(cell_len, texts))
 
     def _to_rich(self, part: Sequence[int], width: int, title: str) -> "rich.table.Table":
-        """Some of the columns, keys left and the others right; nothing is read as markup."""
+        """Some of the columns, keys left and the others right, or where those do not fit left and broken between words.
+
+        Nothing is read as markup.
+        """
         spare = width - FRAME - sum(self._measure(i) + PADDING for i in part)
         fits = spare >= 0
+        whole = part if fits else part[: self.keys]
         table = rich.table.Table(title=Text(title) if title else None, title_justify="left", show_lines=not fits)
         for i in part:
-            key, least = i < self.keys, self._measure(i)
-            more = max(0, min(spare, len(self.columns[i]) - least)) if fits or key else spare
+            least = self._measure(i)
+            more = max(0, min(spare, len(self.columns[i]) - least))
             spare -= more
-            justify: Literal["left", "right"] = "left" if key or not fits else "right"
-            table.add_column(Text(self.columns[i]), justify=justify, width=max(least + more, 1))
+            table.add_column(
+                Text(self.columns[i]),
+                justify="right" if fits and i >= self.keys else "left",
+                width=least + more if i in whole else None,
+            )
         for row in self.rows:
-            table.add_row(*(Text(self.format(row[i]), no_wrap=fits or i < self.keys) for i in part))
+            table.add_row(*(Text(self.format(row[i]), no_wrap=i in whole) for i in part))
         return table
 
 

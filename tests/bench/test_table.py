@@ -23,12 +23,24 @@ def test_as_json():
     assert document["rows"] == [["plain", 0.41234, 50], ["beside", 1344.8, None]]
 
 
-def test_as_text():
-    console = Console(width=80)
+def show(table, width):
+    """What a terminal as wide as that shows."""
+    console = Console(width=width)
     with console.capture() as capture:
-        console.print(TABLE)
+        console.print(table)
+    return capture.get()
+
+
+def read_cells(shown):
+    """The cells of each line between a table's heads and rules, without the blanks around them."""
+    lines = [line for line in shown.splitlines() if line.startswith("│")]
+    return [[cell.strip() for cell in line.strip("│").split("│")] for line in lines]
+
+
+def test_as_text():
+    shown = show(TABLE, 80)
     for text in ("One push", "0.412", "1340", "50", "-", "On one core."):
-        assert text in capture.get()
+        assert text in shown
 
 
 def test_as_markdown():
@@ -151,16 +163,12 @@ def test_a_terminal_of_80_columns_shows_all_of_every_table(make):
 
 def check_shown_whole(table):
     """Every value stands whole on a line of its row, at most 80 characters wide, and nothing is left out."""
-    console = Console(width=80, file=None)
-    with console.capture() as capture:
-        console.print(table)
-    lines = capture.get().splitlines()
-    assert max(map(len, lines)) <= 80
-    assert "…" not in capture.get()
-    bodies = [[cell.strip() for cell in line.strip("│").split("│")] for line in lines if line.startswith("│")]
+    shown = show(table, 80)
+    assert max(map(len, shown.splitlines())) <= 80
+    assert "…" not in shown
     parts = table.split(80)
     assert [i for part in parts for i in part if i >= table.keys] == list(range(table.keys, len(table.columns)))
-    assert bodies == [[table.format(row[i]) for i in part] for part in parts for row in table.rows]
+    assert read_cells(shown) == [[table.format(row[i]) for i in part] for part in parts for row in table.rows]
 
 
 def test_a_wide_table_is_shown_in_parts_with_its_keys():
@@ -174,20 +182,15 @@ def test_a_wide_table_is_shown_in_parts_with_its_keys():
 def test_a_sentence_wider_than_the_terminal_is_broken_between_words():
     sentence = "learned 100 % (0 % dropped); uniform 92 % (8 % dropped); unbounded 92 % (8 % dropped); true 100 %"
     table = Table("Wide", ("figure", "here"), [["mass_maps", sentence], ["pregrasp", "28 simulations"]])
-    console = Console(width=60)
-    with console.capture() as capture:
-        console.print(table)
-    lines = capture.get().splitlines()
-    assert max(map(len, lines)) <= 60
-    cells = [[cell.strip() for cell in line.strip("│").split("│")] for line in lines if line.startswith("│")]
+    shown = show(table, 60)
+    assert max(map(len, shown.splitlines())) <= 60
+    cells = read_cells(shown)
     assert [key for key, _ in cells if key] == ["mass_maps", "pregrasp"]
     assert " ".join(text for _, text in cells) == f"{sentence} 28 simulations"
 
 
 def test_brackets_are_no_markup():
     table = Table("[bold]", ("[red]what", "b"), [["[i]", "[b]"]], ["pip install '.[bench]'"])
-    console = Console(width=80)
-    with console.capture() as capture:
-        console.print(table)
+    shown = show(table, 80)
     for text in ("[bold]", "[red]what", "[i]", "[b]", "pip install '.[bench]'"):
-        assert text in capture.get()
+        assert text in shown
