@@ -33,7 +33,9 @@ def identify(
     method: Annotated[Method, typer.Option(help="How to search; all but the first are for comparison.")] = "default",
     seed: options.Seed = 0,
     regime: options.Regime = "auto",
-    budget: Annotated[int | None, typer.Option(min=1, help="Greatest number of pushes to simulate.")] = None,
+    budget: Annotated[
+        int | None, typer.Option(min=1, help="Greatest number of pushes to simulate; not for the default method.")
+    ] = None,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,
@@ -45,6 +47,8 @@ def identify(
     from gridpush_drake.identification.model_file import write_model
     from gridpush_drake.pushes.plausibility import explain_no_contact
 
+    if budget is not None and method == "default":
+        raise options.OptionError("--budget: is for the other methods; the default one ends by itself")
     options.check_outputs(force, out, report)
     obj = options.load_object(object_file, largest_piece)
     full = options.load_log(pushes, obj)
@@ -69,7 +73,7 @@ def identify(
 
 def describe_result(result: "Identification", log: "PushLog") -> dict[str, Any]:
     """What an identification found, for machines; lengths in m."""
-    from gridpush_drake.identification.prediction import calc_training_errors
+    from gridpush_drake.identification.prediction import calc_training_errors, doubt_fit
 
     before, after = calc_training_errors(result, log)
     return {
@@ -79,6 +83,7 @@ def describe_result(result: "Identification", log: "PushLog") -> dict[str, Any]:
         "regime": result.regime,
         "status": result.status,
         "message": result.message,
+        "doubt": doubt_fit(result, log),
         "seed": result.seed,
         "simulations": result.simulations,
         "training_pushes": result.push_names,
@@ -109,6 +114,7 @@ def explain_result(result: "Identification", found: dict[str, Any]) -> list[str]
     lines = [
         f"{result.obj.name}: {result.obj.n} cells, {len(result.push_names)} pushes, {result.simulations} simulations",
         result.message,
+        *([found["doubt"]] if found["doubt"] else []),
         f"cell error of these pushes: {found['mean_cell_error'] * MM:.2f} mm; "
         f"{found['mean_cell_error_before'] * MM:.2f} mm with uniform friction",
         f"center of friction: x {x} mm, y {y} mm, in the body frame",

@@ -40,7 +40,8 @@ class Identifiability:
         learned_share: (n,) share of each cell's prior variance that the pushes took away, 0 to 1.
         mass_min: (n,) kg, the least mass each cell may have, given the friction bounds and the total mass.
         mass_max: (n,) kg, the greatest.
-        center_of_mass_box: (2, 2) rows min and max of the centers of mass that agree with k and the bounds, m.
+        center_of_mass_box: (2, 2) rows min and max of the centers of mass that agree with k, taken for exact, and the
+            bounds, m.
         statements: the same in sentences, for a report.
     """
 
@@ -228,6 +229,7 @@ def _describe(obj: GridObject, learned: int, learned_share: Array, center_std: A
         f"{known_cells} of {obj.n} cells by themselves; the rest is the smoothness prior's.",
         f"The center of friction is known to {MM * center_std[0]:.1f} mm in x and {MM * center_std[1]:.1f} mm in y "
         "(one standard deviation).",
-        f"With friction coefficients anywhere from {low:g} to {high:g}, the center of mass may lie anywhere in a box "
-        f"of {width:.0f} mm by {height:.0f} mm; with equal coefficients it is at the center of friction.",
+        f"Even were the friction of all cells known as exactly as it is estimated, coefficients anywhere from {low:g} "
+        f"to {high:g} would leave the center of mass anywhere in a box of {width:.0f} mm by {height:.0f} mm; with "
+        "equal coefficients it is at the center of friction.",
     )

@@ -27,6 +27,8 @@ MM, DEGREES = 1e3, 180 / np.pi
 P90 = 0.9
 """Share of the errors that are below the last figure of a summary."""
 
+DOUBTFUL = 0.2
+"""Of how far the object moves, an error of the pushes learned from that is too large for their model."""
 
 INTERVAL = 0.9
 """Probability of a predicted interval."""
@@ -219,8 +221,7 @@ def summarize_errors(obj: GridObject, predictions: Sequence[Prediction], log: Pu
 
 def calc_training_errors(result: Identification, log: PushLog) -> tuple[float, float]:
     """Mean cell error, m, of the final poses of the pushes learned from: with uniform parameters, and as learned."""
-    used = remove_outliers(log, result.outliers)
-    used = used.subset([i for i, seen in enumerate(used) if seen.name in result.push_names])
+    used = _select_used(result, log)
     before, after = (
         calc_mean_cell_error(result.obj, params, used, result.regime)
         for params in (CellParameters.uniform(result.obj), result.params)
@@ -228,7 +229,42 @@ def calc_training_errors(result: Identification, log: PushLog) -> tuple[float, f
     return before, after
 
 
+def doubt_fit(result: Identification, log: PushLog) -> str | None:
+    """Says in a sentence that a model explains too little of the pushes it was learned from; None where it does not.
+
+    Args:
+        result: the model.
+        log: the pushes, with or without those that were refused.
+    """
+    used = _select_used(result, log)
+    if not len(used):
+        return None
+    obj = result.obj
+    moved = float(
+        np.mean(
+            [
+                np.linalg.norm(np.diff(obj.cells_at([seen.pose, seen.final_pose]), axis=0), axis=2).mean()
+                for seen in used
+            ]
+        )
+    )
+    error = calc_mean_cell_error(obj, result.params, used, result.regime)
+    if error <= DOUBTFUL * moved:
+        return None
+    return (
+        f"This model explains these pushes poorly: it is off by {error * MM:.1f} mm on average, while the object moves "
+        f"by {moved * MM:.1f} mm. Is object_theta in rad and counterclockwise, are all poses in one frame, and are all "
+        f"pushes of {obj.name} and its outline right?"
+    )
+
+
 def calc_mean_cell_error(obj: GridObject, params: CellParameters, log: PushLog, regime: Regime) -> float:
     """Mean cell error of a log's final poses, m; NaN where it has no push."""
     errors = calc_final_errors(obj, predict(obj, params, log, regime), log)
     return float(np.mean([error.cell for error in errors if error is not None])) if len(log) else nan
+
+
+def _select_used(result: Identification, log: PushLog) -> PushLog:
+    """The pushes learned from, without what was refused of them."""
+    used = remove_outliers(log, result.outliers)
+    return used.subset([i for i, seen in enumerate(used) if seen.name in result.push_names])

@@ -84,11 +84,12 @@ def draw_pushes(result: Identification, log: PushLog, held_out: PushLog | None =
     figure, axes = make_panels(obj, 1, 1, width=HALF_WIDTH, max_height=HALF_WIDTH)
     ax = axes[0, 0]
     draw_cells(ax, obj)
-    for pushes, color, label in ((log, LEARNED, "learned from"), (held_out or (), BEFORE, "held out")):
+    names = {*result.unused_pushes, *(outlier.push for outlier in result.outliers if outlier.whole)}
+    used, left_out = ([seen for seen in log if (seen.name in names) == out] for out in (False, True))
+    kinds = ((used, LEARNED, "learned from"), (left_out, FAINT, "left out"), (held_out or (), BEFORE, "held out"))
+    for pushes, color, label in kinds:
         for i, seen in enumerate(pushes):
-            unused = seen.name in result.unused_pushes
-            path = transform_back(seen.pose, seen.push.xy)
-            _draw_arrow(ax, path, FAINT if unused else color, None if i else label)
+            _draw_arrow(ax, transform_back(seen.pose, seen.push.xy), color, None if i else label)
     ax.autoscale_view()
     hide_axes(ax)
     add_scale_bar(ax, obj)

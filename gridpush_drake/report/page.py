@@ -18,6 +18,7 @@ from gridpush_drake.identification.prediction import (
     ErrorSummary,
     calc_final_errors,
     calc_mean_cell_error,
+    doubt_fit,
     predict,
     summarize_errors,
 )
@@ -213,6 +214,7 @@ def make_report(
         name=obj.name.replace("_", " "),
         headline=_make_headline(identification, judged) if summary is None else summary.headline,
         message=identification.message,
+        doubt=doubt_fit(identification, log),
         facts=_list_facts(identification, judged, log, held_out) if summary is None else summary.facts,
         summary=summary,
         sight=None if sight is None else sight.describe(),

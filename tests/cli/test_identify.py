@@ -56,8 +56,42 @@ def test_refuses_to_replace_a_file_before_it_begins(refuses, block, pushes, tmp_
         (tmp_path / name).unlink()
 
 
+def test_refuses_one_file_for_two_outputs(refuses, block, pushes, tmp_path):
+    same = tmp_path / "out"
+    refuses("identify", block, pushes, "--out", same, "--report", same, says=[same, "written twice"])
+
+
+def test_refuses_a_budget_that_it_would_not_keep(refuses, block, pushes, tmp_path):
+    refuses("identify", block, pushes, "--out", tmp_path / "learned.yaml", "--budget", "5", says=["--budget"])
+
+
+def test_refuses_a_model_in_place_of_an_object(refuses, model, pushes, tmp_path):
+    refuses("identify", model, pushes, "--out", tmp_path / "learned.yaml", says=[model, "is a learned model"])
+
+
+def test_doubts_a_model_that_explains_too_little(gridpush, block, pushes, tmp_path):
+    """The same angle measured clockwise."""
+    right = gridpush("identify", block, pushes, "--out", tmp_path / "right.yaml", "--json")
+    assert json.loads(right.out)["doubt"] is None
+    log = PushLog.read_csv(pushes)
+    mirrored = [
+        replace(seen, poses_observed=seen.pose + (seen.poses_observed - seen.pose) * [1, 1, -1]) for seen in log
+    ]
+    pushes.unlink()
+    replace(log, pushes=tuple(mirrored)).write_csv(pushes)
+    outcome = gridpush("identify", block, pushes, "--out", tmp_path / "wrong.yaml", "--report", tmp_path / "r.html")
+    assert outcome.code == 0, outcome.err
+    for text in (outcome.out, (tmp_path / "r.html").read_text()):
+        assert "explains these pushes poorly" in text
+
+
 @pytest.mark.parametrize(
-    ("old", "new", "says"), [("object_theta", "theta", "object_theta"), ("push_1,0.0,", "push_1,soon,", "soon")]
+    ("old", "new", "says"),
+    [
+        ("object_theta", "theta", "object_theta"),
+        ("push_1,0.0,", "push_1,soon,", "soon"),
+        ("push,t", "PUSH,t", "rename 'PUSH' to 'push'"),
+    ],
 )
 def test_refuses_a_log(refuses, block, pushes, tmp_path, old, new, says):
     pushes.write_text(pushes.read_text().replace(old, new, 1))

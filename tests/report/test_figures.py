@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from io import BytesIO
 from time import perf_counter
 
@@ -14,6 +15,8 @@ from shapely import Polygon
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import ObjectError
+from gridpush_drake.identification.outliers import Outlier
+from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
@@ -21,10 +24,11 @@ from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.report.draw import calc_round_length, draw_cells, draw_outline, draw_parts, make_grid, to_png
-from gridpush_drake.report.figures import draw_model, draw_motion, draw_object
+from gridpush_drake.report.figures import draw_model, draw_motion, draw_object, draw_pushes
 from gridpush_drake.report.plan_figures import CLOSE_UP, GraspDrawn, PushDrawn, draw_pre_grasp, draw_push_run
 from tests.helpers.made_identifications import make_block, make_identification
 from tests.helpers.shapes import make_shape
+from tests.helpers.simulated_pushes import make_pushes
 
 RIGHT_HALF = [[0.1, 0], [0.2, 0], [0.2, 0.1], [0.1, 0.1]]
 MANY_POSES = 60
@@ -179,3 +183,12 @@ def test_shows_every_push_and_the_errors(count):
         low, high = way.get_xlim()
         assert low < push.xy[:, 0].min() and push.xy[:, 0].max() < high
     assert to_png(figure).startswith(b"\x89PNG")
+
+
+def test_pushes_that_were_left_out_are_told_apart():
+    obj = make_block()
+    log = make_pushes(obj, sample_ground_truth(obj, 1), 3, 1)
+    refused = Outlier(log[1].name, (), len(log[1].t_observed) + 1, True)
+    result = replace(make_identification(obj), outliers=(refused,), unused_pushes=())
+    legend = draw_pushes(result, log).axes[0].get_legend()
+    assert [text.get_text() for text in legend.get_texts()] == ["learned from", "left out"]
