@@ -46,6 +46,7 @@ def record(
     """Cut a stream of the tip's and the object's poses into pushes, as the robot does while it pokes."""
     from gridpush_drake.errors import PushLogError
     from gridpush_drake.planning.support_surface import stayed_supported
+    from gridpush_drake.pushes.plausibility import check_plausible
     from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
     from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
     from gridpush_drake.pushes.stream import estimate_delay, read_stream_csv, record_pushes
@@ -62,11 +63,13 @@ def record(
     recorded = record_pushes(samples, obj, radius, *how, str(stream))
     log = recorded.log
     if not len(log):
-        why = "; ".join(recorded.unusable) or "the tip never moved the object while it was down"
+        ended = "it ends within a push" if recorded.unfinished else "the tip never moved the object while it was down"
+        why = "; ".join(recorded.unusable) or ended
         raise PushLogError(f"{stream}: holds no push: {why}; expected a tip below {engaged_below:g} m that pushes")
     if surface is not None:
         pushes = tuple(replace(seen, overhang=not stayed_supported(obj, seen, surface)) for seen in log)
         log = replace(log, pushes=pushes, table=surface.corners)
+    check_plausible(obj, replace(log, source=str(stream)), learning=True)
     log.write_csv(out, force)
     delay = estimate_delay(samples, obj, radius, *how)
     found = {

@@ -28,6 +28,7 @@ from gridpush_drake.pushes.segmentation import (
     SegmenterOptions,
     SegmenterState,
     advance,
+    calc_rest_pose,
     find_begin,
     make_observed_push,
     name_push,
@@ -86,6 +87,8 @@ def record_pushes(
         if observed is not None:
             pushes.append(observed)
             begins.append(find_begin(episode, record))
+        elif calc_rest_pose(episode.before, record) is None:
+            unusable.append(f"before the motion at {episode.path[0].t:g} s the object was not seen at rest")
     return Recording(PushLog(tuple(pushes), source), tuple(begins), tuple(unusable), bool(state.path))
 
 

@@ -58,6 +58,30 @@ def test_says_what_the_delay_is_and_what_hangs_over(gridpush, script, stream, th
     assert float(outcome.out.split("poses are ")[1].split(" +-")[0]) == pytest.approx(0, abs=30)
 
 
+def test_refuses_a_stream_in_degrees(refuses, script, stream, thing, tmp_path):
+    turned = [sample._replace(pose=(*sample.pose[:2], np.degrees(sample.pose[2]))) for sample in script.samples]
+    write_stream_csv(turned, stream, force=True)
+    refuses("record", stream, "--object", thing, "--out", tmp_path / "pushes.csv", says=[stream, "in degrees"])
+
+
+def test_says_why_there_is_no_push(refuses, script, stream, thing, tmp_path):
+    moving = [i for i, sample in enumerate(script.samples) if sample.tip[2] < 0.05 and abs(sample.velocity[0]) > 0.01]
+    command = ("record", stream, "--object", thing, "--out", tmp_path / "pushes.csv")
+    write_stream_csv(script.samples[: moving[0] + 5], stream, force=True)
+    refuses(*command, says=[stream, "it ends within a push"])
+
+
+def test_names_a_push_of_what_was_not_seen_at_rest(gridpush, script, stream, thing, tmp_path):
+    first = next(
+        i for i, sample in enumerate(script.samples) if sample.tip[2] < 0.05 and np.hypot(*sample.velocity[:2]) > 0.01
+    )
+    write_stream_csv(script.samples[first + 2 :], stream, force=True)
+    outcome = gridpush("record", stream, "--object", thing, "--out", tmp_path / "pushes.csv", "--json")
+    found = json.loads(outcome.out)
+    assert found["pushes"] == 3
+    assert "was not seen at rest" in found["unusable"][0]
+
+
 def test_refuses(refuses, stream, thing, tmp_path):
     out = tmp_path / "pushes.csv"
     refuses("record", stream, "--object", "claw_hamer", "--out", out, says=["claw_hamer", "claw_hammer"])
