@@ -12,6 +12,8 @@ from gridpush_drake.errors import GridPushError, OutputError
 MEGABYTE = 2**20
 """Bytes."""
 
+GZIP = b"\x1f\x8b"  # how a compressed file begins
+
 MAX_TEXT_SIZE = 64 * MEGABYTE
 """Of a text file, bytes: about a million rows of a push log."""
 
@@ -71,8 +73,11 @@ def read_bytes(path: Path | str, what: str, error: type[GridPushError], max_size
 
 def read_text(path: Path | str, what: str, error: type[GridPushError], max_size: int = MAX_TEXT_SIZE) -> str:
     """Reads a regular file of UTF-8 text, with or without a byte order mark; otherwise as `read_bytes`."""
+    content = read_bytes(path, what, error, max_size)
+    if content.startswith(GZIP):
+        raise error(f"{path}: is compressed by gzip; expected {what}, unpacked")
     try:
-        return read_bytes(path, what, error, max_size).decode("utf-8-sig")
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as cause:
         raise error(f"{path}: is not UTF-8 text; expected {what}") from cause
 

@@ -37,7 +37,7 @@ def calibrate(
     json: options.Json = False,
 ) -> None:
     """Find the camera's pose from a photograph of a board of tags: its middle is the world's origin, z up."""
-    from gridpush_drake.files import check_writable, write_whole
+    from gridpush_drake.files import write_whole
 
     tags = parse_board(board)
     if (photo is None) == (sheet is None):
@@ -54,9 +54,7 @@ def calibrate(
         raise options.OptionError("calibrate: --camera and --out are needed: the camera's file, and the one to write")
     from gridpush_drake.perception import Camera, calibrate_pose, draw_tags, find_tag_corners, read_color, write_picture
 
-    for path in (out, picture):
-        if path is not None:
-            check_writable(path, force)
+    options.check_outputs(force, out, picture)
     seen_by = Camera.read(camera)
     color = read_color(photo, seen_by)
     if picture is not None:

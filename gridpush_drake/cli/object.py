@@ -58,7 +58,7 @@ def make_object(
     json: options.Json = False,
 ) -> None:
     """Find the object in a photograph and write its outline, cells and height as an object file."""
-    from gridpush_drake.files import check_writable, write_whole
+    from gridpush_drake.files import write_whole
     from gridpush_drake.objects.object_file import SeenSchema, dump_object
     from gridpush_drake.perception import (
         Camera,
@@ -69,9 +69,7 @@ def make_object(
         write_picture,
     )
 
-    for path in (out, picture):
-        if path is not None:
-            check_writable(path, force)
+    options.check_outputs(force, out, picture)
     seen_by = Camera.read(camera)
     color = read_color(photo, seen_by)
     measured = None if depth is None else read_depth(depth, seen_by)

@@ -95,7 +95,7 @@ def parse_numbers(option: str, text: str, names: str) -> tuple[float, ...]:
     return numbers
 
 
-FORMS = "rectangle:WxH@x,y, round:R@x,y or polygon:x,y;x,y;x,y (m)"
+FORMS = "rectangle:WxH@x,y, round:R@x,y, both also without @x,y, or polygon:x,y;x,y;x,y (m)"
 
 Table = Annotated[str, typer.Option("--table", metavar="SHAPE", help=f"The table's top: {FORMS}.", show_default=False)]
 
@@ -189,10 +189,17 @@ def executing(
 
 
 def check_outputs(force: bool, *paths: Path | None) -> None:
-    """Checks, before long work begins, that files may be written. Raises OutputError where one may not."""
-    for path in paths:
-        if path is not None:
-            check_writable(path, force)
+    """Checks, before long work begins, that files may be written, each to its own place.
+
+    Raises:
+        OutputError: one may not be written.
+        OptionError: two are the same.
+    """
+    given = [path for path in paths if path is not None]
+    for i, path in enumerate(given):
+        if path.resolve() in [other.resolve() for other in given[:i]]:
+            raise OptionError(f"{path}: is to be written twice; expected a file of its own for each output")
+        check_writable(path, force)
 
 
 def describe_written(*paths: Path | None) -> list[str]:

@@ -70,16 +70,13 @@ def track(
     import shapely
 
     from gridpush_drake.errors import PushLogError
-    from gridpush_drake.files import check_writable
     from gridpush_drake.geometry.se2 import transform
     from gridpush_drake.objects.object_file import read_object_file
     from gridpush_drake.perception import Camera, draw_outline, write_picture
     from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
     from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_pushes, write_stream_csv
 
-    for path in (out, picture, stream):
-        if path is not None:
-            check_writable(path, force)
+    options.check_outputs(force, out, picture, stream)
     offset = options.parse_numbers("--tip-offset", tip_offset, "x,y,z")
     seen_by, obj = Camera.read(camera), options.load_object(object_file)
     seen = read_object_file(options.object_path(object_file)).seen

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from shapely import Polygon
+from shapely import Point, Polygon
 
 from gridpush_drake.errors import ObjectError, require_positive
 from gridpush_drake.files import write_whole
@@ -76,6 +76,7 @@ class GridObject:
             raise ObjectError(f"{self.name}: the outline must be a simple polygon that does not cross itself")
         self._check_size(p_BC)
         self._check_push_height()
+        self._check_center_of_mass()
         if self.height is not None and not (np.isfinite(self.height) and self.height > 0):
             raise ObjectError(f"{self.name}: height is {self.height!r}; expected a positive number (m), or none")
         for name, value in (("p_BC", p_BC), ("labels", labels)):
@@ -106,6 +107,15 @@ class GridObject:
             raise ObjectError(
                 f"{self.name}: pusher.height is {height:g} m; expected less than {most:.3g} m, from where on an object "
                 f"{width:.3g} m wide tips even with friction {least:g}"
+            )
+
+    def _check_center_of_mass(self) -> None:
+        """Refuses a center of mass that no masses of the cells can have."""
+        at = self.prior.center_of_mass
+        if at is not None and self.outline.convex_hull.distance(Point(at)) > self.cell_size:
+            raise ObjectError(
+                f"{self.name}: center_of_mass.at is [{at[0]:g}, {at[1]:g}] m; expected a point within the "
+                "outline's convex hull"
             )
 
     @classmethod

@@ -72,6 +72,12 @@ class PhysicalPrior:
             raise ParameterError(f"center_of_mass.at is {self.center_of_mass!r}; expected two finite numbers")
 
 
+MAX_RADIUS = 1.0
+"""Of a pusher, m; a greater one is given in millimeters."""
+
+MODEL = "gridpush_model"
+"""The first key of a learned model's file."""
+
 POINTS = "at least three points [x, y], in meters"
 LABEL = f"a whole number, 1 or more, at most {MAX_LABEL}"
 
@@ -139,7 +145,7 @@ class ContactFrictionSchema(StrictSchema):
 class PusherSchema(StrictSchema):
     """The disc that pushes, and the height above the table at which it does, m."""
 
-    radius: Length
+    radius: float = Field(gt=0, le=MAX_RADIUS, description=f"a positive number, in meters, at most {MAX_RADIUS:g}")
     height: float | None = Field(None, gt=0, description="a positive number, in meters")
 
 
@@ -229,7 +235,10 @@ def read_object_file(path: Path) -> ObjectSchema:
         ObjectError: the file cannot be read, has an unknown key or a value out of range; the message names the
             file, the field and the expected form.
     """
-    return check_mapping(path, read_mapping(path, WHAT), ObjectSchema, ObjectError, RENAMED)
+    data = read_mapping(path, WHAT)
+    if MODEL in data:
+        raise ObjectError(f"{path}: is a learned model; expected {WHAT}")
+    return check_mapping(path, data, ObjectSchema, ObjectError, RENAMED)
 
 
 def make_cells(schema: ObjectSchema, name: str, folder: Path, largest_piece: bool = False) -> CellGrid:

@@ -34,6 +34,9 @@ DISTORTION_MODELS = ("plumb_bob", "rational_polynomial", "")
 MAX_SIDE = 20_000
 """Of an image, pixels."""
 
+MIN_FOCAL = 0.1
+"""Of the picture's side: a pinhole camera that sees 157° has no shorter focal length."""
+
 ROTATION_TOLERANCE = 1e-6
 """Of a rotation matrix: how far R'R may be from the identity, as files round."""
 
@@ -87,6 +90,9 @@ class Camera:
         K = self._freeze("K", self.K, (3, 3))
         if not (K[0, 0] > 0 and K[1, 1] > 0 and K[1, 0] == 0 and (K[2] == (0, 0, 1)).all()):
             raise CameraError(f"K is {K.tolist()}; expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]], fx and fy positive")
+        for name, focal, side in (("fx", K[0, 0], self.width), ("fy", K[1, 1], self.height)):
+            if focal < MIN_FOCAL * side:
+                raise CameraError(f"{name} is {focal:g} pixels of {side}; expected at least {MIN_FOCAL * side:g}")
         count = np.size(self.distortion)
         if count not in DISTORTION_COUNTS:
             raise CameraError(f"distortion has {count} coefficients; expected {DISTORTION_COUNTS[1:]} or none")

@@ -29,7 +29,7 @@ TRAVEL_FACTOR = 2.0
 SPEED_FACTOR = 2.0  # times the pusher's mean speed at which it may let go of the object
 NOISE_SHARE = 0.25  # of the object's diameter, by which a pose may be off besides
 MAX_SPEED = 30.0  # of a pusher, mean, m/s
-MAX_DIAMETER = 10.0  # of an object that is not doubted, m
+MAX_DIAMETER = 10.0  # of an object, m
 MAX_FIRST_ANGLE = 4 * np.pi  # of an object at a push's beginning, where it is not doubted, rad
 
 GAP, GAP_SHARE = 0.005, 0.05
@@ -225,7 +225,10 @@ def _find_turns(obj: GridObject, log: PushLog) -> Iterator[str]:
 
 def _find_large_objects(obj: GridObject, log: PushLog) -> Iterator[str]:
     if _calc_diameter(obj) > MAX_DIAMETER:
-        yield (f"{obj.name}: its outline spans {_calc_diameter(obj):.3g} m; in millimeters? expected m")
+        yield (
+            f"{obj.name}: its outline spans {_calc_diameter(obj):.3g} m; in millimeters? expected m, at most "
+            f"{MAX_DIAMETER:g}"
+        )
 
 
 def _find_large_angles(obj: GridObject, log: PushLog) -> Iterator[str]:
@@ -241,7 +244,7 @@ KINDS = (
     (_find_jumps, True, False),
     (_find_turns, True, False),
     (_find_gone_off_table, True, False),
-    (_find_large_objects, False, True),
+    (_find_large_objects, True, False),
     (_find_large_angles, False, True),
 )
 """What finds what is wrong, whether it is certain, and whether it is about what a prediction begins with."""

@@ -355,7 +355,8 @@ def _check_header(path: Path, line: int, header: list[str]) -> None:
         fail(path, line, twice, f"is there twice; {form}")
     unknown = [name for name in header if name not in COLUMNS]
     for name in (name for name in REQUIRED if name not in header):
-        close = difflib.get_close_matches(name, unknown, 1, SUGGESTION_CUTOFF)
+        close = [other for other in unknown if other.lower() == name]
+        close = close or difflib.get_close_matches(name, unknown, 1, SUGGESTION_CUTOFF)
         hint = f"; rename {close[0]!r} to {name!r}?" if close else ""
         fail(path, line, name, f"is missing{hint}; {form}")
     if unknown:

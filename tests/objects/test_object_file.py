@@ -244,3 +244,17 @@ def test_height_and_where_it_was_seen_are_kept(tmp_path):
         GridObject.from_yaml(path)
     with pytest.raises(ObjectError, match=r"height is 0\.0; expected a positive number"):
         GridObject("flat", *plain.grid, plain.prior, 0.0)
+
+
+def test_a_center_of_mass_outside_the_object_is_refused(tmp_path):
+    path = tmp_path / "square.yaml"
+    path.write_text("outline: [[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]]\ncenter_of_mass: {at: [0.3, 0.0]}\n")
+    with pytest.raises(ObjectError, match=r"square.yaml.*center_of_mass.at is \[0.3, 0\] m; expected a point within"):
+        GridObject.from_yaml(path)
+
+
+def test_a_pusher_in_millimeters_is_refused(tmp_path):
+    path = tmp_path / "square.yaml"
+    path.write_text("outline: [[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]]\npusher: {radius: 5}\n")
+    with pytest.raises(ObjectError, match=r"pusher.radius is 5; expected a positive number, in meters, at most 1"):
+        GridObject.from_yaml(path)

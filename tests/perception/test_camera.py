@@ -150,6 +150,7 @@ def test_drakes_camera_config(tmp_path):
         (ROS.replace("data: [0.1, 0, 0, 0, 0]", "data: [0.1, 0]"), "distortion has 2 coefficients"),
         (ROS.replace("0, 601", "601"), "camera_matrix has 8 numbers"),
         (ROS.replace("[600", "[-600"), "fx and fy positive"),
+        (ROS.replace("[600", "[0.6"), "fx is 0.6 pixels"),
         (ROS.replace("image_width: 640", ""), "image_width is missing"),
         (ROS + "X_WC: [[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]", "X_WC is no rigid transform"),
         (DRAKE.replace("{y: 60}", "{y: 200}"), "focal.y is 200.0; expected degrees"),

@@ -178,6 +178,8 @@ def test_what_may_be_true_is_warned_of():
     far = PushLog((ObservedPush("a", Push((-60.0, 0.0), (1.0, 0.0), 1.0, 0.005), np.zeros(3), [], np.empty((0, 3))),))
     with pytest.warns(PushLogWarning, match=r"large: its outline spans 134 m; in millimeters\? expected m"):
         check_plausible(large, far, learning=False)
+    with pytest.raises(PushLogError, match=r"large: its outline spans 134 m; in millimeters\?"):
+        check_plausible(large, far, learning=True)
 
 
 def test_a_log_that_misses_is_explained():
