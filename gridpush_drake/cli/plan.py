@@ -101,8 +101,9 @@ def _describe(name: str, found: "PushPlan") -> list[str]:
         x, y, theta = planned.pose
         lines.append(
             f"push {number}  from {x0:.1f}, {y0:.1f} to {x1:.1f}, {y1:.1f} mm in {planned.push.duration:.1f} s: object "
-            f"at x {x * MM:.1f} mm, y {y * MM:.1f} mm, theta {degrees(theta):.1f}°, {error * MM:.1f} mm from the goal"
+            f"at x {x * MM:.1f} mm, y {y * MM:.1f} mm, theta {degrees(theta):.1f}°, its cells {error * MM:.1f} mm from "
+            "the goal"
         )
     if not found.pushes:
-        lines.append(f"No push; {found.error * MM:.1f} mm from the goal.")
+        lines.append(f"No push; its cells are {found.error * MM:.1f} mm from the goal.")
     return [*lines, f"{found.simulations} simulated pushes, {found.seconds:.1f} s."]

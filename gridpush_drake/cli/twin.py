@@ -54,7 +54,7 @@ def twin(
     ] = None,
     realtime_rate: RealtimeRate = 1.0,
 ) -> None:
-    """Simulate a robot that speaks drake-iiwa-driver's LCM messages, for `gridpush robot` to move; Ctrl-C ends it."""
+    """Simulate a robot that speaks its driver's LCM messages, for `gridpush robot` to move; Ctrl-C ends it."""
     from pydrake.systems.analysis import Simulator
 
     from gridpush_drake.station.lcm.hardware_link import open_lcm
