@@ -7,7 +7,7 @@ much. Therefore the pushes are simulated with a draw z = mean + dz itself. Its e
     E(dz) = 2 sum_p rho(W_p r_p(z)) - 2 sum_p rho(W_p r_p(mean)),    rho Huber's loss, W_p the push's whitening
 
 is at most a chi square of three numbers a push. A draw whose excess is more than that can be is drawn in, dz <- c dz,
-until it is not (`docs/theory/identification.md`, section 6).
+until it is not, six times at most (`docs/theory/identification.md`, section 6).
 """
 
 from math import sqrt
@@ -15,7 +15,7 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from gridpush_drake.identification.noise import POSE, NoiseModel
+from gridpush_drake.identification.noise import POSE
 from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import Identification
@@ -39,7 +39,7 @@ class PushEvidence:
 
     def __init__(self, found: Identification, used: PushLog) -> None:
         """Takes what was learned, and the pushes that it was learned from, as `select_learned` gives them."""
-        self._mean, self._noise = found.posterior.mean, NoiseModel()
+        self._mean, self._noise = found.posterior.mean, found.noise
         self._problem = PushProblem(found.obj, used, found.params.friction, found.regime)
         linear = self._problem.linearize(self._mean)
         self._whitenings = self._noise.make_whitenings(linear.by_inputs, found.noise_scale)

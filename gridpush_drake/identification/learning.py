@@ -15,7 +15,7 @@ from gridpush_drake.identification.force_scale import calc_force_scale
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.map_ensemble import MapEnsemble, MapEnsembleFit, Tracker
 from gridpush_drake.identification.map_fit import CenterOfMass, System, calc_laplace
-from gridpush_drake.identification.noise import NoiseScale
+from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.outliers import SUSPECT_ODDS, LeftOut, Screening, calc_foreign_odds, calc_way
 from gridpush_drake.identification.posterior import CONTACT_FRICTION, Posterior
 from gridpush_drake.identification.problem import PushProblem
@@ -83,13 +83,16 @@ def identify(
         The model, its spread, and what the log cannot tell.
 
     Raises:
-        IdentificationError: the method or regime is unknown, the log is empty or lacks observations.
+        IdentificationError: the method or regime is unknown, the seed is negative, the log is empty or lacks
+            observations.
         PushLogError: the object hung over the table's edge during every push, or the log cannot be true of the object,
             see `pushes.plausibility`.
     """
     for name, value, known in (("method", method, METHODS), ("regime", regime, REGIMES)):
         if value not in known:
             raise IdentificationError(f"{name} is {value!r}; expected one of {', '.join(known)}")
+    if seed < 0:
+        raise IdentificationError(f"seed is {seed}; expected a whole number, 0 or more")
     obj = obj if prior is None else replace(obj, prior=prior)
     screened = _check_log(obj, log if method == "default" else log.on_table)
     log = screened.log
@@ -115,7 +118,7 @@ def identify(
         fit, friction = _fit_by_search(
             problem, screened.log, search, uniform, log_contact_friction_std, ensemble, budget, seed, tracker
         )
-    return _make_result(obj, screened, fit, friction, method, tracker, used_regime, seed, unused)
+    return _make_result(obj, screened, fit, friction, method, tracker, used_regime, seed, unused, ensemble.noise)
 
 
 def describe_prior(obj: GridObject, ensemble: MapEnsemble | None = None, seed: int = 0) -> Identification:
@@ -133,9 +136,12 @@ def describe_prior(obj: GridObject, ensemble: MapEnsemble | None = None, seed: i
     regime: Regime = "quasi_static"
     problem = PushProblem(obj, PushLog(()), uniform.friction, regime)
     log_contact_friction_std = obj.prior.contact_friction_std / uniform.contact_friction
-    fit = (ensemble or MapEnsemble()).fit_prior(obj, problem.unknowns(uniform), log_contact_friction_std)
+    ensemble = ensemble or MapEnsemble()
+    fit = ensemble.fit_prior(obj, problem.unknowns(uniform), log_contact_friction_std)
     tracker = Tracker(problem, None)
-    return _make_result(obj, Screening(PushLog(())), fit, uniform.friction, "default", tracker, regime, seed, ())
+    return _make_result(
+        obj, Screening(PushLog(())), fit, uniform.friction, "default", tracker, regime, seed, (), ensemble.noise
+    )
 
 
 def choose_regime(obj: GridObject, log: PushLog) -> Regime:
@@ -184,9 +190,10 @@ def _fit_by_search(
     ensemble: MapEnsemble, budget: int | None, seed: int, tracker: Tracker,
 ) -> tuple[MapEnsembleFit, Array]:  # fmt: skip
     """Runs a search; gives a fit with Laplace's spread under the widest prior, and the frictions (n,)."""
+    budget = DEFAULT_BUDGET_PER_PUSH * len(log) if budget is None else budget
     found = run_search(
         method, problem.obj, log, start, Bounds.around(problem.obj, start),
-        budget=budget or DEFAULT_BUDGET_PER_PUSH * len(log), seed=seed, regime=problem.regime, progress=tracker.add,
+        budget=budget, seed=seed, regime=problem.regime, progress=tracker.add,
     )  # fmt: skip
     final = PushProblem(problem.obj, log, found.params.friction, problem.regime)
     z = final.unknowns(found.params)
@@ -237,7 +244,7 @@ def _check_log(obj: GridObject, log: PushLog) -> Screening:
 
 def _make_result(
     obj: GridObject, screened: Screening, fit: MapEnsembleFit, friction: Array, method: str, tracker: Tracker,
-    regime: Regime, seed: int, unused: tuple[str, ...],
+    regime: Regime, seed: int, unused: tuple[str, ...], noise: NoiseModel,
 ) -> Identification:  # fmt: skip
     """Turns z and its covariance into masses, frictions and their standard deviations."""
     posterior = Posterior(fit.z, fit.covariance, fit.prior_covariance)
@@ -265,5 +272,5 @@ def _make_result(
         obj, params, std, posterior, calc_identifiability(obj, params, posterior, force), method, regime, fit.status,
         fit.message, tuple(tracker.history), tracker.simulations, fit.noise_std, fit.load_shift_std,
         seed, tuple(push.name for push in screened.log), unused, screened.outliers, fit.starts, force,
-        fit.interval_scale,
+        fit.interval_scale, noise,
     )  # fmt: skip

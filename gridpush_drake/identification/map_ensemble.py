@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.special import logsumexp
 
+from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification.map_fit import (
     RANGE_CELLS,
     CenterOfMass,
@@ -136,6 +137,12 @@ class MapEnsemble:
     amplitudes: tuple[float, ...] = (0.05, 0.3, 0.7, 1.5, 3.0, 6.0)
     range_cells: float = RANGE_CELLS
     noise: NoiseModel = field(default_factory=NoiseModel)
+
+    def __post_init__(self) -> None:
+        """Raises IdentificationError: the amplitudes are not positive and increasing, or there are none."""
+        steps = np.diff((0.0, *self.amplitudes))
+        if not (len(self.amplitudes) and (steps > 0).all() and np.isfinite(self.amplitudes[-1])):
+            raise IdentificationError(f"amplitudes: {self.amplitudes}; expected positive finite numbers that increase")
 
     @property
     def count(self) -> int:

@@ -1,12 +1,12 @@
-"""The most probable parameters under one smoothness prior, by trust-region Gauss-Newton, and that prior's evidence.
+"""The most probable parameters under one smoothness prior, by damped Gauss-Newton, and that prior's evidence.
 
 With z = z_0 + A u, A A^T the prior covariance of z, the unknown is u, a priori N(0, I). Minimized is
 
     1/2 |u|² + sum over pushes of Huber(W_p r_p(z)) + 1/2 |(c(k) - c_0)/sigma_c|²
 
 r_p the residuals of push p, W_p their whitening by the noise's covariance, c the center of friction and c_0 the center
-of mass where one is given. Whitening, Huber's weights and the noise scale are renewed between runs of the trust-region
-solver (`docs/theory/identification.md`, sections 3 and 4).
+of mass where one is given. Whitening, Huber's weights and the noise scale are renewed between runs of the
+descent (`docs/theory/identification.md`, sections 3 and 4).
 """
 
 from collections.abc import Callable

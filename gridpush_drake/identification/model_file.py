@@ -19,6 +19,7 @@ from gridpush_drake.errors import GridPushError, IdentificationError
 from gridpush_drake.files import read_head, write_whole
 from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.identification.identifiability import calc_identifiability
+from gridpush_drake.identification.noise import NoiseModel
 from gridpush_drake.identification.outliers import Outlier
 from gridpush_drake.identification.posterior import GLOBALS, Posterior
 from gridpush_drake.identification.result import HistoryEntry, Identification, IdentificationStatus
@@ -79,6 +80,19 @@ class ForceSchema(StrictSchema):
     against: Annotated[int, Field(ge=0)] = 0
 
 
+class NoiseSchema(StrictSchema):
+    """What was taken for granted of the noise, where that is not the default; see `NoiseModel`."""
+
+    pose: Positive
+    tip: Positive
+    log_contact_friction: Positive
+    load_shift: Positive
+    prior_weight: Positive
+    shift_weight: Positive
+    discrepancy_weight: Positive
+    outlier: Positive
+
+
 class PosteriorSchema(StrictSchema):
     """See `Posterior`. A covariance is base64 of its lower triangle, row by row, float64."""
 
@@ -111,6 +125,7 @@ class ModelSchema(StrictSchema):
     noise_std: PerhapsInfinite
     load_shift_std: NotNegative = 0.0
     interval_scale: Annotated[float, Field(gt=0, le=1)] = 1.0
+    noise: NoiseSchema | None = None
     training_pushes: list[str]
     unused_pushes: list[str]
     outliers: list[OutlierSchema] = Field(default_factory=list)
@@ -277,6 +292,7 @@ def _describe(result: Identification) -> ModelSchema:
         noise_std=float(result.noise_std),
         load_shift_std=float(result.load_shift_std),
         interval_scale=float(result.interval_scale),
+        noise=None if result.noise == NoiseModel() else NoiseSchema(**asdict(result.noise)),
         training_pushes=list(result.push_names),
         unused_pushes=list(result.unused_pushes),
         outliers=[
@@ -346,6 +362,7 @@ def _restore(schema: ModelSchema) -> Identification:
         outliers=tuple(Outlier(out.push, tuple(out.poses), out.observed, out.whole) for out in schema.outliers),
         force=force,
         interval_scale=schema.interval_scale,
+        noise=NoiseModel() if schema.noise is None else NoiseModel(**schema.noise.model_dump()),
     )  # fmt: skip
 
 

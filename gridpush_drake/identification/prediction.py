@@ -10,7 +10,7 @@ from scipy.stats import f
 
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.geometry.se2 import wrap_angle
-from gridpush_drake.identification.noise import NORMAL, NoiseModel
+from gridpush_drake.identification.noise import NORMAL
 from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.problem import PushProblem, TimedPush
 from gridpush_drake.identification.result import Identification
@@ -119,11 +119,11 @@ def predict_spread(model: Identification, log: PushLog, regime: Regime | None = 
     Returns:
         One spread a push.
     """
-    obj, noise = model.obj, NoiseModel()
+    obj, noise = model.obj, model.noise
     ends = [
         ObservedPush(seen.name, seen.push, seen.pose, np.array([seen.push.duration]), np.zeros((1, 3))) for seen in log
     ]  # in the axes of the pose given as the final one, here the world's
-    problem = PushProblem(obj, PushLog(tuple(ends)), model.params.friction, regime or model.regime)
+    problem = PushProblem(obj, PushLog(tuple(ends), table=log.table), model.params.friction, regime or model.regime)
     linear = problem.linearize(model.posterior.mean)
     scale2, freedom, found = model.interval_scale**2, noise.calc_freedom(len(model.push_names)), []
     for seen, J, inputs in zip(log, linear.by_z, linear.by_inputs, strict=True):

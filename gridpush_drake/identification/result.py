@@ -1,13 +1,14 @@
 """What an identification gives back: the model, its spread, and how the search for it went."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.simulation import Regime
+from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.identification.identifiability import Identifiability
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
@@ -89,6 +90,7 @@ class Identification:
         force: what measured forces say of the friction's scale; None where there are none.
         interval_scale: of predicted intervals, at most 1: how much narrower they are than posterior and noise make
             them, as pushes like these turn out nearer; no reason to be surer of what they do not show.
+        noise: what the method took for granted of the noise, at scale one.
     """
 
     obj: GridObject
@@ -111,12 +113,12 @@ class Identification:
     starts: tuple[FitStart, ...] = ()
     force: ForceScale | None = None
     interval_scale: float = 1.0
+    noise: NoiseModel = field(default_factory=NoiseModel)
 
     @property
     def noise_scale(self) -> NoiseScale:
-        """Of `NoiseModel()`, as large as the pushes said."""
-        noise = NoiseModel()
-        return NoiseScale(self.noise_std / noise.pose, self.load_shift_std / noise.load_shift)
+        """Of `noise`, as large as the pushes said."""
+        return NoiseScale(self.noise_std / self.noise.pose, self.load_shift_std / self.noise.load_shift)
 
     def samples(self, k: int, seed: int = 0) -> list[CellParameters]:
         """Draws k parameter sets that agree with the pushes; every cell's friction is the estimate's.
@@ -127,7 +129,12 @@ class Identification:
 
         Returns:
             The parameter sets.
+
+        Raises:
+            IdentificationError: k or the seed is negative.
         """
+        if k < 0 or seed < 0:
+            raise IdentificationError(f"samples: k is {k}, seed {seed}; expected whole numbers, 0 or more")
         return self.posterior.draw_parameters(self.params, k, seed)
 
     @property

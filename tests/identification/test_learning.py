@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import IdentificationError
-from gridpush_drake.identification.learning import METHODS, choose_regime, identify
+from gridpush_drake.identification.learning import METHODS, choose_regime, describe_prior, identify
+from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.prediction import calc_pose_error, predict
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
@@ -124,6 +125,15 @@ def test_uses_the_objects_pusher_radius_where_the_log_has_none() -> None:
     assert np.array_equal(identify(obj, bare).params.mass, identify(obj, log).params.mass)
 
 
+def test_the_paper_s_method_learns_of_an_object_pushed_above_the_table() -> None:
+    obj = make_block(8)
+    log = make_pokes(obj, make_uneven(obj), 2, 2, length=0.03, observations=2, regime="inertial")
+    high = replace(obj, prior=replace(obj.prior, pusher_radius=0.005, push_height=0.01))
+    found = identify(high, log, method="paper", budget=20)
+    assert found.params.push_height == 0.01
+    np.testing.assert_array_equal(found.params.mass, identify(obj, log, method="paper", budget=20).params.mass)
+
+
 @pytest.mark.parametrize("method", METHODS[1:])
 def test_every_search_is_behind_the_same_interface(method: str) -> None:
     obj = make_block(8)
@@ -159,6 +169,15 @@ def test_bad_arguments_are_refused() -> None:
         identify(obj, log, method="magic")
     with pytest.raises(IdentificationError, match="regime"):
         identify(obj, log, regime="fast")
+    with pytest.raises(IdentificationError, match="seed is -1"):
+        identify(obj, log, method="random_search", seed=-1)
+    with pytest.raises(IdentificationError, match="budget"):
+        identify(obj, log, method="random_search", budget=0)
+    with pytest.raises(IdentificationError, match="k is -1"):
+        describe_prior(obj).samples(-1)
+    for amplitudes in ((), (1.0, 0.5), (0.0, 1.0), (1.0, np.inf)):
+        with pytest.raises(IdentificationError, match="expected positive finite numbers that increase"):
+            MapEnsemble(amplitudes=amplitudes)
     with pytest.raises(IdentificationError, match="no pushes"):
         identify(obj, PushLog(()))
     unseen = replace(log[0], t_observed=np.empty(0), poses_observed=np.empty((0, 3)))

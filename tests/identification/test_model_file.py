@@ -7,6 +7,7 @@ import shapely
 
 from gridpush_drake.errors import IdentificationError, ObjectError, OutputError
 from gridpush_drake.identification.model_file import looks_like_model, read_model, write_model
+from gridpush_drake.identification.noise import NoiseModel
 from gridpush_drake.objects.grid_object import GridObject
 from tests.helpers.made_identifications import OUTLINE, make_identification
 
@@ -46,6 +47,13 @@ def test_gives_every_number_back(tmp_path):
     restored = read_model(path)
     assert_same(identification, restored)
     assert_same(tuple(identification.samples(2)), tuple(restored.samples(2)))
+
+
+def test_keeps_the_noise_that_was_supposed(tmp_path):
+    supposed = NoiseModel(pose=0.002, outlier=1.5)
+    path = tmp_path / "model.yaml"
+    write_model(path, dataclasses.replace(make_identification(), noise=supposed))
+    assert read_model(path).noise == supposed
 
 
 def test_keeps_an_existing_file(model):

@@ -1,9 +1,12 @@
 """How far off predictions are expected to be."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.noise import NoiseModel
 from gridpush_drake.identification.prediction import (
     INTERVAL,
@@ -12,7 +15,9 @@ from gridpush_drake.identification.prediction import (
     predict,
     predict_spread,
 )
+from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.objects.parameters import CellParameters
+from tests.helpers.push_cases import make_table_edge
 from tests.helpers.shapes import make_shape
 from tests.identification.simulated_pokes import make_pokes
 
@@ -66,3 +71,37 @@ def test_more_pushes_leave_less_spread() -> None:
         for count in (1, 6)
     )
     assert many < 0.6 * few
+
+
+def test_the_spread_is_that_of_pushes_on_the_same_table() -> None:
+    """J S J^T by differences of simulations along the posterior's axes."""
+    obj = make_shape("claw_hammer", 30)
+    truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.02, 0.3, 0.06), np.full(obj.n, 0.4), 0.35)
+    found = identify(obj, make_pokes(obj, truth, 6, 3, noise=NOISE))
+    log = make_pokes(obj, truth, 5, 60, noise=NOISE, observations=1)[:2]
+    values, vectors = np.linalg.eigh(found.posterior.covariance)
+    axes, mean = (vectors * np.sqrt(np.maximum(values, 0.0))).T, found.posterior.mean
+    stds = []
+    for table in (None, make_table_edge(obj, np.zeros(3), 0.0, 0.2)):
+        chosen = replace(log, table=table)
+        assert "tips" not in [prediction.status for prediction in predict(obj, found.params, chosen)]
+        problem = PushProblem(obj, chosen, found.params.friction, found.regime)
+        ahead, behind = (np.array([problem.residuals(mean + side * axis) for axis in axes]) for side in (1e-6, -1e-6))
+        covered = (((ahead - behind) / 2e-6) ** 2).sum(axis=0)
+        noise = [np.diag(found.noise.calc_covariance(J, found.noise_scale)) for J in problem.linearize(mean).by_inputs]
+        expected = np.sqrt((covered + noise).sum(axis=1)) * found.interval_scale
+        stds.append([spread.std * (1, 1, obj.radius_of_gyration) for spread in predict_spread(found, chosen)])
+        np.testing.assert_allclose(np.linalg.norm(stds[-1], axis=1), expected, rtol=0.01)
+    assert np.abs(np.divide(*stds) - 1).max() > 0.3
+
+
+def test_the_noise_that_a_fit_supposed_is_that_of_its_predictions() -> None:
+    obj = make_shape("square", 30)
+    truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.02, 0.3, 0.06), np.full(obj.n, 0.4), 0.35)
+    rough = NoiseModel(pose=0.008)
+    found = identify(obj, make_pokes(obj, truth, 4, 1, noise=NOISE), ensemble=MapEnsemble(noise=rough))
+    assert found.noise == rough
+    assert found.noise_scale.pose == pytest.approx(found.noise_std / 0.008)
+    log = make_pokes(obj, truth, 2, 9, observations=1)
+    surer = replace(found, noise=replace(rough, tip=1e-5, log_contact_friction=1e-4))
+    assert predict_spread(surer, log)[0].cell_error < predict_spread(found, log)[0].cell_error

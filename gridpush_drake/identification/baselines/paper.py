@@ -16,7 +16,7 @@ taken back, which costs its simulations, and the next is shorter; one that does 
 take turns, each with its own step.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,7 @@ MIN_MISS = 1e-12
 
 @dataclass(frozen=True)
 class PaperDescent:
-    """Algorithm 1. Nothing in it is random, and its model is always inertial.
+    """Algorithm 1. Nothing in it is random, and its model is always inertial, pushed at the table's height.
 
     Attributes:
         first_step: largest change of a cell's log mass or log friction in the first step.
@@ -58,7 +58,7 @@ class PaperDescent:
 
     def run(self, search: Search) -> SearchStatus:
         """Descends in M and mu by turns, with backtracking, until it stalls or the loss ends it."""
-        loss, bounds, params = search.loss, search.bounds, search.first
+        loss, bounds, params = search.loss, search.bounds, replace(search.first, push_height=0.0)
         lowest, simulations = loss.evaluate(params, "start", **MODEL)
         gradient = calc_paper_gradient_of_loss(loss, simulations)
         steps = {block: self.first_step for block in BLOCKS if np.ptp(getattr(bounds, block)) > 0}

@@ -26,7 +26,6 @@ from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, transform_back
 from gridpush_drake.identification.identifiability import calc_farthest_center
-from gridpush_drake.identification.noise import NoiseModel
 from gridpush_drake.identification.posterior import calc_center_jacobian
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.planning.contact.reachable_outline import find_reachable_outline
@@ -145,7 +144,7 @@ def calc_observation(model: UncertainModel, push: Push, pose: ArrayLike) -> tupl
     J = linear.by_z[0]
     if not J.any():
         return None
-    return J, NoiseModel().calc_covariance(linear.by_inputs[0], model.noise_scale)
+    return J, model.noise.calc_covariance(linear.by_inputs[0], model.noise_scale)
 
 
 def calc_remaining(S: Array, F: Array, J: Array, R: Array) -> Array:

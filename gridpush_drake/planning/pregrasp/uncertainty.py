@@ -31,7 +31,7 @@ from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.map_ensemble import MapEnsemble
-from gridpush_drake.identification.noise import NoiseScale
+from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.posterior import DrawJudge, Posterior
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
@@ -153,13 +153,14 @@ class UncertainModel:
         obj: the object.
         params: the estimate, which motions are predicted with.
         posterior: of z; None where the parameters are taken for granted.
-        noise_scale: of `NoiseModel()`, as large as the pushes said.
+        noise_scale: of `noise`, as large as the pushes said.
         friction_range: least and greatest friction coefficient of any cell; the object's own bounds where None.
         sample_count: further models that slides are tried on.
         seed: of all draws.
         poke_starts: (K, 2) where the finger's center was as the pushes learned from began, body frame, m.
         force: what measured forces said; None where there were none.
         evidence: the pushes learned from, which judge the draws; None where they are not at hand.
+        noise: of what pushes show, at scale one.
     """
 
     obj: GridObject
@@ -172,6 +173,7 @@ class UncertainModel:
     poke_starts: Array = field(default_factory=lambda: np.empty((0, 2)))
     force: ForceScale | None = None
     evidence: PushEvidence | None = None
+    noise: NoiseModel = field(default_factory=NoiseModel)
 
     @classmethod
     def of_identification(
@@ -188,7 +190,7 @@ class UncertainModel:
         starts = [transform_back(seen.pose, seen.push.start[None])[0] for seen in log or ()]
         return cls(
             found.obj, found.params, found.posterior, found.noise_scale, friction_range, sample_count,
-            seed, np.array(starts).reshape(-1, 2), found.force, evidence,
+            seed, np.array(starts).reshape(-1, 2), found.force, evidence, found.noise,
         )  # fmt: skip
 
     @classmethod
