@@ -160,8 +160,10 @@ def simulate_batch(
         options: passed on to `simulate`.
 
     Raises:
-        SimulationError: the lists' lengths disagree, or as `simulate`.
+        SimulationError: the lists' lengths disagree, there is no worker, or as `simulate`.
     """
+    if workers is not None and workers < 1:
+        raise SimulationError(f"workers is {workers}; expected 1 or more")
     starts = np.array(poses, dtype=np.float64)
     if starts.ndim not in (1, 2) or starts.shape[-1] != 3:
         raise SimulationError(f"poses of shape {starts.shape}; expected (3,) or (count, 3)")

@@ -18,11 +18,13 @@ from pydantic import BaseModel
 
 from gridpush_drake.cli.main import app
 from gridpush_drake.errors import PushLogError
+from gridpush_drake.identification.baselines.search import Bounds, SearchStatus, run_search
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import list_shipped_objects
 from gridpush_drake.pushes.push_log import COLUMNS, PushLog
 from gridpush_drake.station import PushScenario
 from tests.helpers.finite_difference import check_jacobian
+from tests.helpers.made_logs import make_pushed_block
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -141,6 +143,17 @@ def test_the_importer_is_one(tmp_path, block, monkeypatch):
         importer(obj).read(tracks)
 
 
+def test_the_method_is_one(monkeypatch):
+    method = run_fragment(5, monkeypatch)["Powell"]()
+    made = make_pushed_block()
+    found = run_search(
+        method, made.obj, made.log, made.start, Bounds.around(made.obj, made.start), budget=60, seed=0,
+        regime="quasi_static",
+    )  # fmt: skip
+    assert found.status == SearchStatus.BUDGET_SPENT
+    assert found.history[-1].loss < found.history[0].loss
+
+
 def test_two_objects_are_a_scenario():
     scene = yaml.safe_load(find_blocks("docs/extending.md", "yaml")[2])
     scenario = PushScenario(**scene)
@@ -159,7 +172,7 @@ def test_every_block_is_tried_somewhere():
         (
             "docs/extending.md",
             "{code-block} python",
-        ): 5,  # a law, its entry, an importer, its entry, a second identifier
+        ): 6,  # a law, its entry, an importer, its entry, a second identifier, a method
         ("docs/extending.md", "yaml"): 3,  # a robot and its scene (tests/station/test_robot.py), two objects
         ("docs/howto/own_object.md", "yaml"): 1,
         ("docs/howto/own_pushes.md", "csv"): 1,

@@ -181,6 +181,12 @@ def make_batch(count):
     )
 
 
+def test_a_batch_needs_a_worker():
+    obj = make_shape("square", 9)
+    with pytest.raises(SimulationError, match="workers is 0"):
+        simulate_batch(obj, CellParameters.uniform(obj), [], workers=0)
+
+
 def test_batch_is_the_loop_whatever_the_workers():
     obj, params, pushes, poses = make_batch(12)
     loop = [
