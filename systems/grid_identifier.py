@@ -11,12 +11,13 @@ from math import nan
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import IdentificationError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import METHODS, REGIMES, describe_prior, identify
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.outliers import remove_outliers
@@ -37,8 +38,6 @@ from gridpush_drake.pushes.segmentation import (
     name_push,
 )
 from gridpush_drake.systems.worker import Answer, Request, make_worker
-
-Array = NDArray[np.float64]
 
 DEFAULT_PERIOD = 1 / 30
 """s."""

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.kernels import forward_sensitivity as columns
 from gridpush_drake.errors import SimulationError
-
-Array = NDArray[np.float64]
+from gridpush_drake.geometry.se2 import Array
 
 
 class MotionStatus(StrEnum):

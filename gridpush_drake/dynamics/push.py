@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.errors import PushError, SimulationError, require_positive
-from gridpush_drake.geometry.se2 import check_vector, make_rotation, rotate
+from gridpush_drake.geometry.se2 import Array, check_vector, make_rotation, rotate
 from gridpush_drake.objects.grid_object import GridObject
 
 
@@ -197,8 +197,6 @@ class ForcePush:
         index = np.searchsorted(self.t, times[:-1], side="right") - 1
         return self.force[np.maximum(index, 0)]
 
-
-Array = NDArray[np.float64]
 
 DEFAULT_DT = 0.01  # s, the longest step where none is given
 DEFAULT_TIP_STEP = 0.001  # m, the furthest the pusher moves in a step where none is given

@@ -23,10 +23,10 @@ from gridpush_drake.dynamics.simulation import (
     Regime,
     find_edges_near,
 )
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 

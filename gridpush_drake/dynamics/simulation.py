@@ -18,11 +18,9 @@ from gridpush_drake.dynamics.motion import Jacobian, Motion, MotionStatus, RawJa
 from gridpush_drake.dynamics.push import ForcePush, Push, check_times, make_times
 from gridpush_drake.dynamics.reference.paper_rollout import calc_paper_jacobian
 from gridpush_drake.errors import SimulationError
-from gridpush_drake.geometry.se2 import check_vector, rotate
+from gridpush_drake.geometry.se2 import Array, check_vector, rotate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-
-Array = NDArray[np.float64]
 
 Regime = Literal["inertial", "quasi_static"]
 

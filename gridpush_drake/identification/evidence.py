@@ -13,15 +13,13 @@ until it is not, six times at most (`docs/theory/identification.md`, section 6).
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.noise import POSE
 from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.pushes.push_log import PushLog
-
-Array = NDArray[np.float64]
 
 MAX_SIGMAS = 3.0
 """How many standard deviations above its mean a chi square still counts as possible."""

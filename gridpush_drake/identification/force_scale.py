@@ -12,16 +12,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.simulation import GRAVITY
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.identification.problem import TimedPush
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-
-Array = NDArray[np.float64]
 
 PUSH_STD = 0.15
 """Of log K from push to push before any was seen: friction of a table differs by so much from place to place."""

@@ -8,15 +8,13 @@ or bounds: with mu_min <= mu_i <= mu_max every mass distribution k_i/mu_max <= m
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.identification.posterior import CELLS, LEARNED_SHARE, Posterior, compare_covariances
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-
-Array = NDArray[np.float64]
 
 MM = 1e3
 """Millimeters in a meter."""

@@ -4,11 +4,11 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.simulation import GRAVITY, Regime
 from gridpush_drake.errors import IdentificationError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.baselines.methods import DEFAULT_BUDGET_PER_PUSH, SEARCH_METHODS
 from gridpush_drake.identification.baselines.search import Bounds, SearchMethod, SearchStatus, run_search
 from gridpush_drake.identification.force_scale import calc_force_scale
@@ -24,8 +24,6 @@ from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
 from gridpush_drake.pushes.plausibility import check_plausible
 from gridpush_drake.pushes.push_log import PushLog
-
-Array = NDArray[np.float64]
 
 METHODS = ("default", *SEARCH_METHODS)
 """Names that `identify` takes."""

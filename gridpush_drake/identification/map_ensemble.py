@@ -19,6 +19,7 @@ from scipy.linalg import block_diag
 from scipy.special import logsumexp
 
 from gridpush_drake.errors import IdentificationError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.map_fit import (
     RANGE_CELLS,
     CenterOfMass,
@@ -32,8 +33,6 @@ from gridpush_drake.identification.posterior import CELLS
 from gridpush_drake.identification.problem import Linearization, PushProblem
 from gridpush_drake.identification.result import FitStart, HistoryEntry, IdentificationStatus
 from gridpush_drake.objects.grid_object import GridObject
-
-Array = NDArray[np.float64]
 
 WEAKNESS = 0.75
 """Power of 1/a that an amplitude a weighs beforehand: few noisy pushes are not to talk the model out of uniformity."""

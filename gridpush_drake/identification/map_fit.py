@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.linalg.lapack import dtrtri
 
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale, calc_effective_count
 from gridpush_drake.identification.outliers import LeftOut
 from gridpush_drake.identification.posterior import CELLS, calc_center_jacobian
 from gridpush_drake.identification.problem import SHIFT, Linearization, PushProblem
 from gridpush_drake.identification.result import FitStart
 from gridpush_drake.objects.grid_object import GridObject
-
-Array = NDArray[np.float64]
 
 EVALUATIONS = 25
 """Most times that the pushes are simulated for one fit."""

@@ -12,11 +12,11 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 from pydantic import Field, Strict, model_validator
 
 from gridpush_drake.errors import GridPushError, IdentificationError
 from gridpush_drake.files import read_head, write_whole
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.noise import NoiseModel
@@ -165,8 +165,6 @@ RENAMED = {
     "identifiability.centre_of_mass_box": "this key is called center_of_mass_box now",
 }
 """What became of keys of old, by their place."""
-
-Array = NDArray[np.float64]
 
 
 def pack_symmetric(matrix: Array) -> str:

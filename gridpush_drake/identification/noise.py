@@ -14,10 +14,8 @@ from math import log, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-
+from gridpush_drake.geometry.se2 import Array
 
 POSE = 3
 """Numbers in a pose."""

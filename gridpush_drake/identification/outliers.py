@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 
 from gridpush_drake.dynamics import GRAVITY
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.geometry.se2 import wrap_angle
+from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.plausibility import SPEED_FACTOR, TRAVEL_FACTOR
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 

@@ -13,12 +13,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.parameters import CellParameters
-
-Array = NDArray[np.float64]
 
 GLOBALS = ("log_contact_friction",)
 """What z holds after the cells' log k, one entry each."""

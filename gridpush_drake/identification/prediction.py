@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from math import nan
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.stats import f
 
 from gridpush_drake.dynamics.simulation import Regime
-from gridpush_drake.geometry.se2 import wrap_angle
+from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.identification.noise import NORMAL
 from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.problem import PushProblem, TimedPush
@@ -18,8 +18,6 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.plausibility import check_plausible
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-
-Array = NDArray[np.float64]
 
 MM, DEGREES = 1e3, 180 / np.pi
 """Millimeters in a meter, degrees in a radian."""

@@ -24,13 +24,11 @@ from gridpush_drake.dynamics.motion import Motion
 from gridpush_drake.dynamics.push import make_path_times
 from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
 from gridpush_drake.dynamics.simulation import Regime, simulate
-from gridpush_drake.geometry.se2 import rotate, transform, wrap_angle
+from gridpush_drake.geometry.se2 import Array, rotate, transform, wrap_angle
 from gridpush_drake.identification.posterior import CELLS, CONTACT_FRICTION, GLOBALS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-
-Array = NDArray[np.float64]
 
 SHIFT = slice(3, 5)
 """The columns of `Linearization.by_inputs` by the shift of the load's center."""

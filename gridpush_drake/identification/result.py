@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import IdentificationError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.force_scale import ForceScale
 from gridpush_drake.identification.identifiability import Identifiability
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
@@ -16,8 +16,6 @@ from gridpush_drake.identification.outliers import Outlier
 from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-
-Array = NDArray[np.float64]
 
 
 class IdentificationStatus(StrEnum):

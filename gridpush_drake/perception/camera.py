@@ -21,9 +21,8 @@ from scipy.spatial.transform import Rotation
 
 from gridpush_drake.errors import CameraError, ImageError
 from gridpush_drake.files import read_text, write_whole
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.yaml_file import TAG, parse_yaml, shorten
-
-Array = NDArray[np.float64]
 
 DISTORTION_COUNTS = (0, 4, 5, 8, 12, 14)
 """Coefficients that OpenCV knows: k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tau_x tau_y]]]]."""

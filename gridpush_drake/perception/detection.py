@@ -26,7 +26,7 @@ from gridpush_drake.errors import (
     SeveralObjectsError,
 )
 from gridpush_drake.geometry.contour import calc_contour
-from gridpush_drake.geometry.se2 import transform_back
+from gridpush_drake.geometry.se2 import Array, transform_back
 from gridpush_drake.objects.cells import DEFAULT_MAX_CELLS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception.camera import Camera
@@ -41,7 +41,6 @@ from gridpush_drake.perception.foreground import (
 from gridpush_drake.perception.frames import Color, Depth
 from gridpush_drake.perception.table_plane import TablePlane, fit_table
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 PIXEL_MIDDLE = 0.5

@@ -17,10 +17,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.perception.frames import Color
 from gridpush_drake.perception.table_plane import TO_DEVIATION, TablePlane, make_basis
 
-Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Cues = Literal["both", "color", "depth"]

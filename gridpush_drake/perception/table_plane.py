@@ -7,13 +7,11 @@ three pixels give a plane, and many a least-squares one. A sensor's slow bias ov
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridpush_drake.errors import ImageError, NoTableError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.frames import MAX_DEPTH, MIN_DEPTH, Color, Depth
-
-Array = NDArray[np.float64]
 
 SAMPLES, TRIALS = 3000, 300
 """Pixels that planes are tried on, and planes tried."""

@@ -13,12 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.errors import CameraError, TagError
-from gridpush_drake.geometry.se2 import compose, invert
+from gridpush_drake.geometry.se2 import Array, compose, invert
 from gridpush_drake.perception.camera import NOT_KNOWN, Camera
 from gridpush_drake.perception.frames import Color
 from gridpush_drake.perception.tracking import measure_edges, sample_image
-
-Array = NDArray[np.float64]
 
 INCH = 25.4e-3
 """In m."""

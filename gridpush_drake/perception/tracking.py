@@ -33,7 +33,7 @@ from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 
 from gridpush_drake.errors import PerceptionError
-from gridpush_drake.geometry.se2 import transform, wrap_angle
+from gridpush_drake.geometry.se2 import Array, transform, wrap_angle
 from gridpush_drake.objects.cells import make_polygon
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.detection import cover_pixels, draw_contours, find_off_table, look_at_table
@@ -50,7 +50,6 @@ from gridpush_drake.perception.foreground import (
 from gridpush_drake.perception.frames import Color, Frame
 from gridpush_drake.perception.table_plane import TO_DEVIATION, TablePlane, make_rays
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MAX_POINTS, SPACING = 360, 1.5

@@ -21,8 +21,6 @@ from gridpush_drake.geometry.se2 import transform, transform_back
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
-Array = NDArray[np.float64]
-
 TRAVEL_FACTOR = 2.0
 """Times the pusher's path that the centroid, or a point at the radius of gyration as the body turns, may move."""
 

@@ -19,16 +19,14 @@ from math import hypot, isfinite
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from shapely import LineString
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.geometry.se2 import transform_back, wrap_angle
+from gridpush_drake.geometry.se2 import Array, transform_back, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush, nearest_turn
 
-Array = NDArray[np.float64]
 Numbers = tuple[float, float, float]
 
 

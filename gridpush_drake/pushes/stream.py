@@ -19,6 +19,7 @@ from scipy.optimize import minimize_scalar
 
 from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import write_whole
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import POSE, ObservedPush, PushLog, fail, read_number, read_table
 from gridpush_drake.pushes.segmentation import (
@@ -33,8 +34,6 @@ from gridpush_drake.pushes.segmentation import (
     make_observed_push,
     name_push,
 )
-
-Array = NDArray[np.float64]
 
 TIP = ("tip_x", "tip_y", "tip_z")
 VELOCITY = ("tip_vx", "tip_vy", "tip_vz")

@@ -26,11 +26,9 @@ from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
 from gridpush_drake.dynamics.kernels.inputs import Steps
 from gridpush_drake.dynamics.kernels.lagged_friction import SPEED_AT_REST, YAW_RATE_AT_REST
 from gridpush_drake.dynamics.motion import Jacobian
-from gridpush_drake.geometry.se2 import make_rotation
+from gridpush_drake.geometry.se2 import Array, make_rotation
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-
-Array = NDArray[np.float64]
 
 REST = 1e-5
 """m/s; a step that leaves less has stopped the body: far above the stiction tolerance, far below any push."""

@@ -9,14 +9,12 @@ from itertools import count
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from gridpush_drake.dynamics.simulation import Regime
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.baselines.paper import PaperDescent
 from gridpush_drake.identification.baselines.search import Search, SearchMethod, SearchStatus
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -19,15 +19,13 @@ take turns, each with its own step.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.motion import Motion
 from gridpush_drake.dynamics.simulation import Regime
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.baselines.search import CellLoss, Search, SearchStatus
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-
-Array = NDArray[np.float64]
 
 BLOCKS = ("mass", "friction")
 

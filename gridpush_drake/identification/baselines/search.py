@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from gridpush_drake.dynamics.motion import Motion
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import IdentificationError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.problem import TimedPush
 from gridpush_drake.identification.result import HistoryEntry, Progress
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-
-Array = NDArray[np.float64]
 
 MASS_SPREAD = 50.0
 """Ratio of the greatest to the least cell mass where nothing else is known: the paper's 5.0 kg to 0.1 kg."""

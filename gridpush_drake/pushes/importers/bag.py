@@ -11,17 +11,15 @@ from typing import Any, ClassVar, NamedTuple
 from warnings import warn
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from gridpush_drake.errors import PushLogError, PushLogWarning
 from gridpush_drake.files import exists
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
 from gridpush_drake.pushes.segmentation import Sample, SegmenterOptions
 from gridpush_drake.pushes.stream import Delay, calc_velocities, estimate_delay, make_samples, record_pushes
-
-Array = NDArray[np.float64]
 
 EXTRA = "pip install 'gridpush-drake[bags]'"
 
