@@ -3,10 +3,7 @@
 It needs neither display nor GPU. Two lamps: one beside the camera, one aside, which casts shadows.
 """
 
-from io import BytesIO
-
 import numpy as np
-import trimesh
 from numpy.typing import ArrayLike, NDArray
 from pydrake.common import MemoryFile
 from pydrake.geometry import (
@@ -36,7 +33,6 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.sensors import CameraInfo
 from shapely import Polygon
-from trimesh.exchange.obj import export_obj
 
 from gridpush_drake.multibody.meshcat_shapes import make_outline_mesh
 from gridpush_drake.perception import Camera, Frame
@@ -99,9 +95,9 @@ class RenderedTable:
         parameters = RenderEngineVtkParams(lights=lights, cast_shadows=True, shadow_map_size=SHADOW_MAP)
         self._scene.AddRenderer(RENDERER, MakeRenderEngineVtk(parameters))
         self._add(None, Box(TABLE, TABLE, THICKNESS), TABLE_COLOR, TABLE_LABEL, [0, 0, -THICKNESS / 2])
-        mesh = Mesh(InMemoryMesh(mesh_file=MemoryFile(_make_mesh(outline, height), ".obj", "outline.obj")))
+        prism = MemoryFile(make_outline_mesh(outline, height, normals=True), ".obj", "outline.obj")
         self._object = self._add_frame("object")
-        self._add(self._object, mesh, color, OBJECT_LABEL, [0, 0, 0])
+        self._add(self._object, Mesh(InMemoryMesh(mesh_file=prism)), color, OBJECT_LABEL, [0, 0, 0])
         if tag is not None:
             self._add_tag(*tag, [*np.reshape(outline.bounds, (2, 2)).mean(axis=0), height])
         self._arm = None if rod_radius is None else self._add_frame("arm")
@@ -176,14 +172,6 @@ class RenderedTable:
             self._scene.RegisterAnchoredGeometry(self._source, instance)
         else:
             self._scene.RegisterGeometry(self._source, frame, instance)
-
-
-def _make_mesh(outline: Polygon, height: float) -> str:
-    """An OBJ file's text of a prism with flat sides: the engine wants normals, each side its own."""
-    text = make_outline_mesh(outline, height)
-    mesh = trimesh.load_mesh(BytesIO(text.encode()), file_type="obj", process=False)
-    mesh.unmerge_vertices()
-    return str(export_obj(mesh, include_normals=True))
 
 
 def add_depth_noise(z: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float32]:
