@@ -13,7 +13,6 @@ from enum import StrEnum
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context
 
 from gridpush_drake.geometry.se2 import Array, wrap_angle
@@ -183,18 +182,8 @@ class ArmGuard(AbstractStateSystem[GuardState]):
         self._pusher = self.DeclareVectorInputPort("pusher_state", PUSHER_STATE_SIZE)
         self._pose = self.DeclareVectorInputPort("object_pose", 3)
         self._stop = self.DeclareVectorInputPort("stop", 1)
-        remembered = {self._remembered}
-        self.DeclareVectorOutputPort("position", n, weakly(self._calc_position), remembered)
-        self.DeclareAbstractOutputPort(
-            "status", lambda: AbstractValue.Make(GuardStatus()), weakly(self._calc_status), remembered
-        )
-
-    def _calc_position(self, context: Context, output: BasicVector) -> None:
-        position = self._get_state(context).position
-        output.SetFromVector(np.full(len(self.limits.speed), np.nan) if position is None else position)
-
-    def _calc_status(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._get_state(context).status)
+        self._declare_vector("position", n, lambda now: np.full(n, np.nan) if now.position is None else now.position)
+        self._declare_value("status", lambda now: now.status)
 
     def _go_on(self, context: Context, now: GuardState) -> GuardState:
         """Looks whether all is well, and makes the next command."""
@@ -348,16 +337,11 @@ class CommandRamp(AbstractStateSystem[RampState]):
         self._sent = self.DeclareVectorInputPort("time_sent", 1)
         inputs = {self._remembered, self._desired.ticket()}
         self.DeclareVectorOutputPort("position", n, weakly(self._calc_position), inputs)
-        self.DeclareAbstractOutputPort(
-            "status", lambda: AbstractValue.Make(GuardStatus()), weakly(self._calc_status), {self._remembered}
-        )
+        self._declare_value("status", lambda now: now.status)
 
     def _calc_position(self, context: Context, output: BasicVector) -> None:
         position = self._get_state(context).position
         output.SetFromVector(self._desired.Eval(context) if position is None else position)
-
-    def _calc_status(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._get_state(context).status)
 
     def _go_on(self, context: Context, now: RampState) -> RampState:
         """Takes a new command, or does without."""

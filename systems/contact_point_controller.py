@@ -67,7 +67,7 @@ class ContactPointController(ObjectController[PushToGoalState]):
         """
         super().__init__(obj, PushToGoalLoop(obj, rules, params, options), answer_delay)
         self._goal_pose = self.DeclareVectorInputPort("goal_pose", 3)
-        self._declare_command(
+        self._declare_vector(
             "push_command", PUSH_COMMAND_SIZE, lambda now: PushCommand.from_push(now.push_id, now.push).to_vector()
         )
 

@@ -323,9 +323,7 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
             "gripper_position", 1, weakly(self._calc_position), {self.time_ticket(), remembered}
         )
         self.DeclareVectorOutputPort("gripper_force_limit", 1, weakly(self._calc_force_limit), {self.nothing_ticket()})
-        self.DeclareAbstractOutputPort(
-            "status", lambda: AbstractValue.Make(GraspStatus()), weakly(self._calc_status), {remembered}
-        )
+        self._declare_value("status", lambda now: now.shown_status)
 
     def _calc_tip_pose(self, context: Context, output: AbstractValue) -> None:
         state = self._get_state(context)
@@ -342,9 +340,6 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
 
     def _calc_force_limit(self, context: Context, output: BasicVector) -> None:
         output.SetAtIndex(0, self.style.force)
-
-    def _calc_status(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._get_state(context).shown_status)
 
     def _go_on(self, context: Context, now: GraspState) -> GraspState:
         """Goes on with a grasp, or takes up or refuses a command."""

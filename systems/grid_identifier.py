@@ -12,8 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import Context, LeafSystem, State
+from pydrake.systems.framework import Context
 
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import IdentificationError
@@ -25,6 +24,7 @@ from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import HistoryEntry, Identification, calc_center_of_mass
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.planning.closed_loop import Unchanging
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
 from gridpush_drake.pushes.segmentation import (
     UNUSABLE,
@@ -37,6 +37,7 @@ from gridpush_drake.pushes.segmentation import (
     make_observed_push,
     name_push,
 )
+from gridpush_drake.systems.object_controller import AbstractStateSystem
 from gridpush_drake.systems.worker import Answer, Request, make_worker
 
 DEFAULT_PERIOD = 1 / 30
@@ -64,7 +65,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
-class IdentifierState:
+class IdentifierState(Unchanging):
     """All that the identifier remembers; never changed, only replaced.
 
     Attributes:
@@ -87,12 +88,8 @@ class IdentifierState:
     left_out: tuple[str, ...] = ()
     message: str = ""
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> "IdentifierState":
-        """Itself: Drake copies the state at every update, and nothing in it is ever changed."""
-        return self
 
-
-class GridIdentifier(LeafSystem):
+class GridIdentifier(AbstractStateSystem[IdentifierState]):
     """Learns the masses and frictions of an object of n cells from the pushes that it sees.
 
     .. pydrake_system::
@@ -184,7 +181,6 @@ class GridIdentifier(LeafSystem):
         Raises:
             IdentificationError, PlanningError: an argument is out of range.
         """
-        super().__init__()
         for name, value, known in (("method", method, METHODS), ("regime", regime, REGIMES)):
             if value not in known:
                 raise IdentificationError(f"{name} is {value!r}; expected one of {', '.join(known)}")
@@ -194,21 +190,19 @@ class GridIdentifier(LeafSystem):
             raise IdentificationError(f"max_learning_pushes is {max_learning_pushes}; expected 0 or more")
         if pusher_radius is not None:
             obj = replace(obj, prior=replace(obj.prior, pusher_radius=pusher_radius))
+        no_pushes = PushLog((), SOURCE, table=None if table is None else np.asarray(table))
+        super().__init__(IdentifierState(log=no_pushes), period)
         self.obj, self.max_learning_pushes, self.warm_start = obj, max_learning_pushes, warm_start
         self._worker = make_worker(answer_delay)
         self._radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
         self._segmenter = replace(segmenter or SegmenterOptions(), engaged_below=engaged_below)
         self._record = record or RecordOptions()
-        self._no_pushes = PushLog((), SOURCE, table=None if table is None else np.asarray(table))
         self._learning: dict[str, Any] = {
             "method": method, "seed": seed, "regime": regime, "ensemble": ensemble, "progress": progress,
         }  # fmt: skip
-        self._prior = _make_estimate(describe_prior(obj, ensemble, seed), None)
-        self._state = self.DeclareAbstractState(AbstractValue.Make(IdentifierState(log=self._no_pushes)))
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
         self._pusher_state = self.DeclareVectorInputPort("pusher_state", 6)
-        self._declare_outputs()
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update)
+        self._declare_outputs(_make_estimate(describe_prior(obj, ensemble, seed), None))
 
     def Learn(self, log: PushLog, start: Identification | None = None) -> Identification:
         """Identifies the object from a log, as the system does when a push ends: from what `select` takes of it."""
@@ -218,11 +212,11 @@ class GridIdentifier(LeafSystem):
         """The pushes of a log that are learned from."""
         return log[: self.max_learning_pushes]
 
-    def _declare_outputs(self) -> None:
-        def declare(name: str, size: int, calc: Callable[[Estimate], Any]) -> None:
-            self.DeclareVectorOutputPort(name, size, weakly(self._calc_estimated, calc), state)
+    def _declare_outputs(self, prior: Estimate) -> None:
+        def declare(name: str, size: int, show: Callable[[Estimate], Any]) -> None:
+            self._declare_vector(name, size, lambda now: show(now.estimate or prior))
 
-        state, n = {self.abstract_state_ticket(self._state)}, self.obj.n
+        n = self.obj.n
         declare("mass", n, lambda estimate: estimate.found.params.mass)
         declare("friction", n, lambda estimate: estimate.found.params.friction)
         declare("mass_std", n, lambda estimate: estimate.found.std.mass)
@@ -231,47 +225,21 @@ class GridIdentifier(LeafSystem):
         declare("center_of_mass", 2, lambda estimate: estimate.center_of_mass)
         declare("center_of_mass_covariance", 4, lambda estimate: estimate.center_of_mass_covariance.ravel())
         declare("loss", 1, lambda estimate: [estimate.loss])
-        self.DeclareVectorOutputPort("num_pushes", 1, weakly(self._calc_num_pushes), state)
-        found, log = self._prior.found, self._no_pushes
-        self.DeclareAbstractOutputPort(
-            "identification", lambda: AbstractValue.Make(found), weakly(self._calc_identification), state
-        )
-        self.DeclareAbstractOutputPort("push_log", lambda: AbstractValue.Make(log), weakly(self._calc_push_log), state)
-        self.DeclareAbstractOutputPort("message", lambda: AbstractValue.Make(""), weakly(self._calc_message), state)
-        self.DeclareVectorOutputPort("age", 1, weakly(self._calc_age), state | {self.time_ticket()})
-
-    def _get_state(self, context: Context) -> IdentifierState:
-        return context.get_abstract_state(int(self._state)).get_value()
-
-    def _get_estimate(self, context: Context) -> Estimate:
-        return self._get_state(context).estimate or self._prior
-
-    def _calc_estimated(self, context: Context, output: Any, calc: Callable[[Estimate], Any]) -> None:
-        output.SetFromVector(calc(self._get_estimate(context)))
-
-    def _calc_num_pushes(self, context: Context, output: Any) -> None:
-        output.SetFromVector([len(self._get_state(context).log)])
-
-    def _calc_identification(self, context: Context, output: Any) -> None:
-        output.set_value(self._get_estimate(context).found)
-
-    def _calc_push_log(self, context: Context, output: Any) -> None:
-        output.set_value(self._get_state(context).log)
-
-    def _calc_message(self, context: Context, output: Any) -> None:
-        output.set_value(self._get_state(context).message)
+        self._declare_vector("num_pushes", 1, lambda now: [len(now.log)])
+        self._declare_value("identification", lambda now: (now.estimate or prior).found)
+        self._declare_value("push_log", lambda now: now.log)
+        self._declare_value("message", lambda now: now.message)
+        self.DeclareVectorOutputPort("age", 1, weakly(self._calc_age), {self._remembered, self.time_ticket()})
 
     def _calc_age(self, context: Context, output: Any) -> None:
         output.SetFromVector([context.get_time() - self._get_state(context).learned_at])
 
-    def _update(self, context: Context, state: State) -> None:
-        before = self._get_state(context)
+    def _go_on(self, context: Context, now: IdentifierState) -> IdentifierState:
         pusher = tuple(self._pusher_state.Eval(context).tolist())
         pose = tuple(self._object_pose.Eval(context).tolist())
         sample = Sample(context.get_time(), pose, pusher[:3], pusher[3:])
-        segmenter, episode = advance(before.segmenter, sample, self._segmenter)
-        after = self._take_in(replace(before, segmenter=segmenter), episode)
-        state.get_mutable_abstract_state(int(self._state)).set_value(self._learn(after, context.get_time()))
+        segmenter, episode = advance(now.segmenter, sample, self._segmenter)
+        return self._learn(self._take_in(replace(now, segmenter=segmenter), episode), context.get_time())
 
     def _take_in(self, state: IdentifierState, episode: Episode | None) -> IdentifierState:
         """Logs a push that has ended."""

@@ -6,12 +6,12 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
+from numpy.typing import ArrayLike
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
-from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
@@ -36,6 +36,7 @@ class AbstractStateSystem(LeafSystem, Generic[S]):
             period: between two updates, s.
         """
         super().__init__()
+        self._begin = begin
         self._state = self.DeclareAbstractState(AbstractValue.Make(begin))
         self._remembered = self.abstract_state_ticket(self._state)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update)
@@ -55,6 +56,23 @@ class AbstractStateSystem(LeafSystem, Generic[S]):
             return EventStatus.DidNothing()
         state.get_mutable_abstract_state(int(self._state)).set_value(new)
         return EventStatus.Succeeded()
+
+    def _declare_vector(self, name: str, size: int, show: Callable[[S], ArrayLike]) -> None:
+        """Declares an output port for a vector that a state shows."""
+        self.DeclareVectorOutputPort(name, size, weakly(self._calc_vector, show), {self._remembered})
+
+    def _declare_value(self, name: str, show: Callable[[S], Any]) -> None:
+        """Likewise, for an abstract value of the kind that the state at the beginning shows."""
+        first = show(self._begin)
+        self.DeclareAbstractOutputPort(
+            name, lambda: AbstractValue.Make(first), weakly(self._calc_value, show), {self._remembered}
+        )
+
+    def _calc_vector(self, context: Context, output: BasicVector, show: Callable[[S], ArrayLike]) -> None:
+        output.SetFromVector(show(self._get_state(context)))
+
+    def _calc_value(self, context: Context, output: AbstractValue, show: Callable[[S], Any]) -> None:
+        output.set_value(show(self._get_state(context)))
 
 
 class ObjectController(AbstractStateSystem[L]):
@@ -94,21 +112,14 @@ class ObjectController(AbstractStateSystem[L]):
         Raises:
             PlanningError: the delay is negative.
         """
-        begin = loop.begin()
-        super().__init__(begin, loop.options.period)
+        super().__init__(loop.begin(), loop.options.period)
         self._worker = make_worker(answer_delay)
         self.obj, self.loop = obj, loop
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
         self._identification = self.DeclareAbstractInputPort("identification", AbstractValue.Make(describe_prior(obj)))
         self._push_log = self.DeclareAbstractInputPort("push_log", AbstractValue.Make(PushLog(())))
         self._push_status = self.DeclareAbstractInputPort("push_status", AbstractValue.Make(PushStatus()))
-        status = begin.status
-        self.DeclareAbstractOutputPort(
-            "status",
-            lambda: AbstractValue.Make(type(status)()),
-            weakly(self._calc_status),
-            {self._remembered},
-        )
+        self._declare_value("status", lambda now: now.status)
 
     def _go_on(self, context: Context, now: L) -> L:
         seen = self._observe(context)
@@ -144,18 +155,3 @@ class ObjectController(AbstractStateSystem[L]):
             self._push_log.Eval(context) if self._push_log.HasValue(context) else PushLog(()),
             found if found.push_names else None,
         )
-
-    def _declare_command(self, name: str, size: int, show: Callable[[L], Array]) -> None:
-        """Declares an output port for a vector that a state shows."""
-        self.DeclareVectorOutputPort(
-            name,
-            size,
-            weakly(self._calc_command, show),
-            {self._remembered},
-        )
-
-    def _calc_status(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._get_state(context).status)
-
-    def _calc_command(self, context: Context, output: BasicVector, show: Callable[[L], Array]) -> None:
-        output.SetFromVector(show(self._get_state(context)))

@@ -3,16 +3,14 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, State
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import PhysicalPrior
 from gridpush_drake.perception.camera import Camera
@@ -24,6 +22,7 @@ from gridpush_drake.perception.detection import (
     find_off_table,
 )
 from gridpush_drake.perception.frames import Frame
+from gridpush_drake.planning.closed_loop import Unchanging
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 from gridpush_drake.systems.object_pose_estimator import DEFAULT_PERIOD, RgbdInputs
 from gridpush_drake.systems.worker import Answer, Request, answer_now, make_worker
@@ -60,7 +59,7 @@ class Detection:
 
 
 @dataclass(frozen=True, eq=False)
-class DetectorState:
+class DetectorState(Unchanging):
     """All that the detector remembers; never changed, only replaced.
 
     Attributes:
@@ -72,10 +71,6 @@ class DetectorState:
     trigger: float = 0.0
     seen: Detection = Detection()
     request: Request | None = None
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "DetectorState":
-        """Itself: Drake copies the state at every update, and nothing in it is ever changed."""
-        return self
 
 
 class ObjectDetector(AbstractStateSystem[DetectorState]):
@@ -150,29 +145,13 @@ class ObjectDetector(AbstractStateSystem[DetectorState]):
         self._seed = self.DeclareNumericParameter(BasicVector([float(seed)]))
         self._inputs = RgbdInputs(self, camera.width, camera.height, hidden_by)
         self._trigger = self.DeclareVectorInputPort("trigger", 1)
-        remembered = {self._remembered}
-        self.DeclareAbstractOutputPort(
-            "detection", lambda: AbstractValue.Make(Detection()), weakly(self._calc_detection), remembered
+        self._declare_value("detection", lambda now: now.seen)
+        self._declare_value("message", lambda now: now.seen.message)
+        self._declare_vector(
+            "object_pose", 3, lambda now: np.full(3, np.nan) if now.seen.detected is None else now.seen.detected.X_WB
         )
-        self.DeclareAbstractOutputPort(
-            "message", lambda: AbstractValue.Make(""), weakly(self._calc_message), remembered
-        )
-        for name, size in (("object_pose", 3), ("found", 1)):
-            self.DeclareVectorOutputPort(name, size, weakly(self._calc_vector, name), remembered)
+        self._declare_vector("found", 1, lambda now: [float(now.seen.detected is not None)])
         self.DeclareInitializationUnrestrictedUpdateEvent(self._look_first)
-
-    def _calc_detection(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._get_state(context).seen)
-
-    def _calc_message(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._get_state(context).seen.message)
-
-    def _calc_vector(self, context: Context, output: BasicVector, name: str) -> None:
-        detected = self._get_state(context).seen.detected
-        if name == "found":
-            output.SetFromVector([float(detected is not None)])
-        else:
-            output.SetFromVector(np.full(3, np.nan) if detected is None else detected.X_WB)
 
     def _look_first(self, context: Context, state: State) -> None:
         """Sees what the first picture will show, so that something is known from the beginning."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydrake.common.value import AbstractValue, Value
+from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
 from pydrake.systems.sensors import ImageDepth32F, ImageLabel16I, ImageRgba8U
 
@@ -14,6 +14,8 @@ from gridpush_drake.errors import PerceptionError
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.perception.frames import Frame
 from gridpush_drake.perception.tracking import PoseTracker, TrackedPose, TrackerState
+from gridpush_drake.planning.closed_loop import Unchanging
+from gridpush_drake.systems.object_controller import AbstractStateSystem
 
 DEFAULT_PERIOD = 1 / 30
 """Between two pictures, s."""
@@ -26,7 +28,7 @@ UNSEEN = TrackedPose(np.full(3, np.nan), np.full((3, 3), np.nan), False, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
-class EstimatorState:
+class EstimatorState(Unchanging):
     """All that the estimator remembers; never changed, only replaced.
 
     Attributes:
@@ -38,10 +40,6 @@ class EstimatorState:
     tracker: TrackerState | None = None
     told: tuple[tuple[float, TrackedPose], ...] = ((-np.inf, UNSEEN),)
     message: str = ""
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "EstimatorState":
-        """Itself: Drake copies the state at every update, and nothing in it is ever changed."""
-        return self
 
 
 class RgbdInputs:
@@ -77,7 +75,7 @@ class RgbdInputs:
         return self._hidden[self._labels.Eval(context).data[..., 0]]
 
 
-class ObjectPoseEstimator(LeafSystem):
+class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
     """Tracks an object through the pictures of a color and depth camera.
 
     .. pydrake_system::
@@ -129,15 +127,13 @@ class ObjectPoseEstimator(LeafSystem):
             guess: (3,) the pose in the first picture, about, m and rad; None to search for it.
             hidden_by: labels in `label_image` of what may hide the object.
         """
-        super().__init__()
+        super().__init__(EstimatorState(), period)
         self._tracker, self._latency = tracker, latency
         self._guess = None if guess is None else np.array(guess, dtype=np.float64)
         self._covered = self.DeclareNumericParameter(BasicVector([0.0]))
         self._inputs = RgbdInputs(self, width, height, hidden_by)
-        self._state = self.DeclareAbstractState(AbstractValue.Make(EstimatorState()))
         self._declare_outputs()
         self.DeclareInitializationUnrestrictedUpdateEvent(self._look_first)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._take_picture)
 
     def SetCovered(self, root_context: Context, covered: bool) -> None:
         """Covers the lens in a Diagram's Context, or uncovers it; it counts from the next picture."""
@@ -148,36 +144,29 @@ class ObjectPoseEstimator(LeafSystem):
         def declare(name: str, size: int, calc: Callable[[TrackedPose], Any]) -> None:
             self.DeclareVectorOutputPort(name, size, weakly(self._calc_told, calc), depends)
 
-        depends = {self.abstract_state_ticket(self._state), self.time_ticket()}
+        depends = {self._remembered, self.time_ticket()}
         declare("object_pose", 3, lambda told: told.pose)
         declare("covariance", 9, lambda told: np.ravel(told.covariance))
         declare("seen", 1, lambda told: [float(told.seen)])
-        self.DeclareAbstractOutputPort("message", lambda: AbstractValue.Make(""), weakly(self._calc_message), depends)
-
-    def _get_state(self, context: Context) -> EstimatorState:
-        return context.get_abstract_state(int(self._state)).get_value()
+        self._declare_value("message", lambda now: now.message)
 
     def _calc_told(self, context: Context, output: BasicVector, calc: Callable[[TrackedPose], Any]) -> None:
         output.SetFromVector(calc(find_told(self._get_state(context), context.get_time())))
 
-    def _calc_message(self, context: Context, output: Any) -> None:
-        output.set_value(self._get_state(context).message)
-
     def _look_first(self, context: Context, state: State) -> None:
         """Sees what the first picture will show, so that something is known from the beginning."""
         if self._get_state(context).tracker is None:
-            self._take_picture(context, state)
+            self._update(context, state)
 
-    def _take_picture(self, context: Context, state: State) -> None:
-        before, time = self._get_state(context), context.get_time()
-        after, pose = before, UNSEEN
+    def _go_on(self, context: Context, now: EstimatorState) -> EstimatorState:
+        """Takes a picture."""
+        time, after, pose = context.get_time(), now, UNSEEN
         if not context.get_numeric_parameter(self._covered).value()[0]:
-            after, pose = self._track(before, self._inputs.take_frame(context), self._inputs.find_hidden(context))
+            after, pose = self._track(now, self._inputs.take_frame(context), self._inputs.find_hidden(context))
         ready = time + self._latency
         due = max((at for at, _ in after.told if at <= time), default=-np.inf)
         told = tuple(item for item in after.told if item[0] >= due and item[0] < ready)
-        after = replace(after, told=(*told, (ready, pose)))
-        state.get_mutable_abstract_state(int(self._state)).set_value(after)
+        return replace(after, told=(*told, (ready, pose)))
 
     def _track(
         self, state: EstimatorState, frame: Frame, hidden: NDArray[np.bool_] | None

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import atan2, isfinite, pi, radians
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +20,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import PushError
 from gridpush_drake.geometry.se2 import Array, transform_shape
-from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
+from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.closed_loop import LoopOptions, Pose
@@ -283,24 +282,13 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
         self._reach = reach
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
         self._status = self.DeclareAbstractInputPort("status", AbstractValue.Make(PushStatus()))
-        self.DeclareVectorOutputPort(
-            "push_command", PUSH_COMMAND_SIZE, weakly(self._calc_push_command), {self._remembered}
-        )
-
-        self.DeclareAbstractOutputPort(
-            "message", lambda: AbstractValue.Make(""), weakly(self._calc_message), {self._remembered}
-        )
+        self._declare_vector("push_command", PUSH_COMMAND_SIZE, lambda now: now.command.to_vector())
+        self._declare_value("message", lambda now: now.reason)
 
     def SetSeed(self, root_context: Context, seed: int) -> None:
         """Sets the seed of the draws in a Diagram's Context."""
         context = self.GetMyMutableContextFromRoot(root_context)
         context.get_mutable_numeric_parameter(int(self._seed)).SetFromVector([float(seed)])
-
-    def _calc_push_command(self, context: Context, output: Any) -> None:
-        output.SetFromVector(self._get_state(context).command.to_vector())
-
-    def _calc_message(self, context: Context, output: Any) -> None:
-        output.set_value(self._get_state(context).reason)
 
     def _go_on(self, context: Context, now: PokePolicyState) -> PokePolicyState:
         status: PushStatus = self._status.Eval(context)

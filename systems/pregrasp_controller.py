@@ -84,12 +84,12 @@ class PreGraspController(ObjectController[PreGraspState]):
         super().__init__(planner.obj, PreGraspLoop(planner, find_grasp, seed=seed, options=options), answer_delay)
         self._height, self._lift = grasp_height, lift
         self._grasp_status = self.DeclareAbstractInputPort("grasp_status", AbstractValue.Make(GraspStatus()))
-        self._declare_command(
+        self._declare_vector(
             "push_command",
             PUSH_COMMAND_SIZE,
             lambda now: PushCommand.from_push(now.push_id, now.shown_push).to_vector(),
         )
-        self._declare_command("grasp_command", GRASP_COMMAND_SIZE, weakly(self._show_grasp))
+        self._declare_vector("grasp_command", GRASP_COMMAND_SIZE, weakly(self._show_grasp))
 
     def _observe(self, context: Context) -> Observation:
         return replace(super()._observe(context), gripper=self._grasp_status.Eval(context))

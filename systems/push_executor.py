@@ -240,9 +240,7 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
             weakly(self._calc_tip_pose),
             {self.time_ticket(), self._remembered},
         )
-        self.DeclareAbstractOutputPort(
-            "status", lambda: AbstractValue.Make(PushStatus()), weakly(self._calc_status), {self._remembered}
-        )
+        self._declare_value("status", lambda now: now.shown_status)
 
     def SetRest(self, root_context: Context, p_WP: ArrayLike) -> None:
         """Lets it begin with the tip at p_WP (3,), m, instead of at home, in a fresh Context of a Diagram."""
@@ -253,9 +251,6 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
     def _calc_tip_pose(self, context: Context, output: AbstractValue) -> None:
         state = self._get_state(context)
         output.set_value(RigidTransform(R_WP_DOWN, state.position(context.get_time())))
-
-    def _calc_status(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._get_state(context).shown_status)
 
     def _go_on(self, context: Context, now: ExecutorState) -> ExecutorState:
         """Goes on to the next segment when one is done; breaks off, takes up or refuses a command."""

@@ -18,6 +18,7 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.planning.closed_loop import Unchanging
 
 ROUNDING = 1e-9
 """s by which a time may be early: those of periodic updates are sums."""
@@ -27,7 +28,7 @@ SWITCH_INTERVAL = 5e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Request:
+class Request(Unchanging):
     """What was asked.
 
     Attributes:
@@ -37,10 +38,6 @@ class Request:
 
     work: Callable[[], Any]
     time: float
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "Request":
-        """Itself: Drake copies the state at every update, and nothing in it is ever changed."""
-        return self
 
 
 @dataclass(frozen=True, eq=False)
