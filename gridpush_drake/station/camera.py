@@ -47,6 +47,9 @@ from gridpush_drake.systems.object_pose_estimator import ObjectPoseEstimator
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
 from gridpush_drake.systems.rgbd_noise import RgbdNoise
 
+LOST_BELOW = -0.01
+"""z of an object's bottom in W below which cameras have lost it, m: it has left the table."""
+
 RENDERER = "station_camera"
 
 LIGHT = (0.15, 0.25, 1.0)
@@ -86,6 +89,17 @@ def calc_pose_age(config: CameraConfig) -> float:
     """How old a pose is when the identifier reads it, s: it sees the picture before the one being taken, or older."""
     pictures = 1.0 if config.kind == "ideal" else max(1.0, np.ceil(config.rgbd.output_delay * config.rate))
     return float(pictures / config.rate)
+
+
+def AddIdealCamera(
+    builder: DiagramBuilder, part: GridObjectInPlant, config: CameraConfig, name: str, seed: int
+) -> PlanarPoseSensor:
+    """Adds what sees an object in a plant by its pose, with noise by a seed, and connects it to the plant."""
+    noise = {"position_noise": config.position_noise, "angle_noise": config.angle_noise}
+    sensor = PlanarPoseSensor(part.body_index, period=1 / config.rate, **noise, lowest=LOST_BELOW, seed=seed)
+    builder.AddNamedSystem(name, sensor)
+    builder.Connect(part.plant.get_body_poses_output_port(), sensor.GetInputPort("body_poses"))
+    return sensor
 
 
 def AddSeenVisual(plant: MultibodyPlant, scene_graph: SceneGraph, part: GridObjectInPlant) -> None:

@@ -21,7 +21,7 @@ from gridpush_drake.geometry.se2 import transform_shape
 from gridpush_drake.multibody.grid_object import AddGridObject, ApplyGridObjectFilters, GridObjectInPlant
 from gridpush_drake.multibody.ground_truth import SetGridObjectParameters, SetGridObjectPose
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.station.camera import AddSeenVisual
+from gridpush_drake.station.camera import AddIdealCamera, AddSeenVisual
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.scene import MakeTruth, load_others
 from gridpush_drake.systems.planar_pose_sensor import PlanarPoseSensor
@@ -73,31 +73,13 @@ def AddOthers(
 
 
 def AddOtherCameras(
-    builder: DiagramBuilder, plant: MultibodyPlant, scenario: PushScenario, others: Sequence[OtherObject], lowest: float
+    builder: DiagramBuilder, scenario: PushScenario, others: Sequence[OtherObject]
 ) -> tuple[PlanarPoseSensor, ...]:
-    """Adds a camera for each, as noisy as the station's, and exports what it sees as NAME.pose.
-
-    Args:
-        builder: the plant is in it.
-        plant: has the objects.
-        scenario: has the cameras' rate and noise.
-        others: the objects.
-        lowest: z in W below which an object is out of sight, m.
-    """
+    """Adds a camera for each, as noisy as the station's, and exports what it sees as NAME.pose."""
     cameras = []
     for number, other in enumerate(others):
-        camera = builder.AddNamedSystem(
-            f"{other.name}_camera",
-            PlanarPoseSensor(
-                other.part.body_index,
-                period=1 / scenario.camera.rate,
-                position_noise=scenario.camera.position_noise,
-                angle_noise=scenario.camera.angle_noise,
-                lowest=lowest,
-                seed=_make_camera_seed(scenario.seed, number),
-            ),
-        )
-        builder.Connect(plant.get_body_poses_output_port(), camera.GetInputPort("body_poses"))
+        seed = _make_camera_seed(scenario.seed, number)
+        camera = AddIdealCamera(builder, other.part, scenario.camera, f"{other.name}_camera", seed)
         builder.ExportOutput(camera.GetOutputPort("object_pose"), f"{other.name}.pose")
         cameras.append(camera)
     return tuple(cameras)

@@ -31,6 +31,8 @@ from gridpush_drake.station.arm import (
     SetJointServos,
 )
 from gridpush_drake.station.camera import (
+    LOST_BELOW,
+    AddIdealCamera,
     AddPoseEstimator,
     AddRgbdCamera,
     AddSeenVisual,
@@ -62,9 +64,6 @@ from gridpush_drake.systems.true_parameters import TrueParameters
 TRUE_LOG, COVARIANCE_LOG = "true_pose_log", "covariance_log"
 """Names of the systems that log how well a color and depth camera sees."""
 
-LOST_BELOW = -0.01
-"""z of the object's bottom in W below which the camera has lost it, m: it has left the table."""
-
 
 @dataclass(frozen=True)
 class Sensors:
@@ -93,7 +92,7 @@ def AddSensors(
     plant, body, period = part.plant, part.body.index(), 1 / scenario.camera.rate
     ground_truth = PlanarPoseSensor(body, period=period, lowest=LOST_BELOW)
     sensors = Sensors(
-        _add_ideal_camera(builder, plant, scenario, part)
+        StationCamera(AddIdealCamera(builder, part, scenario.camera, "camera", scenario.seed))
         if found is None
         else _add_rgbd_camera(builder, scene_graph, scenario, part, found),
         builder.AddNamedSystem("ground_truth_sensor", ground_truth),
@@ -104,23 +103,6 @@ def AddSensors(
         builder.Connect(plant.get_body_poses_output_port(), sensor.GetInputPort("body_poses"))
     builder.Connect(plant.get_body_spatial_velocities_output_port(), tip.GetInputPort("body_spatial_velocities"))
     return sensors
-
-
-def _add_ideal_camera(
-    builder: DiagramBuilder, plant: MultibodyPlant, scenario: PushScenario, part: GridObjectInPlant
-) -> StationCamera:
-    camera = scenario.camera
-    sensor = PlanarPoseSensor(
-        part.body.index(),
-        period=1 / camera.rate,
-        position_noise=camera.position_noise,
-        angle_noise=camera.angle_noise,
-        lowest=LOST_BELOW,
-        seed=scenario.seed,
-    )
-    builder.AddNamedSystem("camera", sensor)
-    builder.Connect(plant.get_body_poses_output_port(), sensor.GetInputPort("body_poses"))
-    return StationCamera(sensor)
 
 
 def _add_rgbd_camera(
@@ -413,7 +395,7 @@ def MakePushStation(
     driver = AddArmDriver(builder, plant, setting.robot, arm, setting.control_plant)
     sensors = AddSensors(builder, world.scene_graph, scenario, setting.robot, world.object_in_plant, found)
     camera, true_pose = sensors.camera.source, sensors.ground_truth.GetOutputPort("object_pose")
-    other_cameras = AddOtherCameras(builder, plant, scenario, setting.others, LOST_BELOW)
+    other_cameras = AddOtherCameras(builder, scenario, setting.others)
     true_parameters = builder.AddNamedSystem("truth", TrueParameters(world.truth))
     control = AddRobotControl(
         builder,
