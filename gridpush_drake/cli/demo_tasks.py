@@ -88,7 +88,7 @@ class DemoTask:
         marks: of the recording's legend, besides the estimate's.
     """
 
-    station: Callable[[PushScenario, Meshcat], Any]
+    station: Callable[..., Any]
     scenario: str | None = None
     done: TaskStatus | None = None
     files: tuple[str, ...] = FILES

@@ -4,8 +4,9 @@ What is slow to import is imported when the command runs, so that `gridpush` sta
 """
 
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,7 +20,6 @@ from gridpush_drake.errors import ScenarioError
 
 if TYPE_CHECKING:
     from gridpush_drake.station.lcm.hardware_link import HardwareLink
-    from gridpush_drake.station.scenario import PushScenario
     from gridpush_drake.station.task import StationTask
     from gridpush_drake.systems.messages import PushCommand
 
@@ -54,8 +54,9 @@ def robot(
     was not done, 130 after Ctrl-C.
     """
     from gridpush_drake.cli.demo_tasks import TASKS, print_summary, write_files
-    from gridpush_drake.files import check_writable, make_folder, write_whole
+    from gridpush_drake.files import make_folder, write_whole
     from gridpush_drake.station.lcm.hardware_link import HardwareLink, open_lcm
+    from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
     from gridpush_drake.station.robot import find_robot
     from gridpush_drake.station.scene import check_scenario
 
@@ -66,12 +67,11 @@ def robot(
         raise ScenarioError("--object: missing; with camera.kind rgbd, expected the file that gridpush tracker wrote")
     if go:
         make_folder(out)
-        for name in (*chosen.files, LOG):
-            check_writable(out / name, force)
+        options.check_outputs(force, *(out / name for name in (*chosen.files, LOG)))
     link = HardwareLink(open_lcm(lcm), find_robot(scenario.directives), realtime_rate=realtime_rate)
     link.wait()
     options.compile_kernels()
-    station_task = _make_task(task, scenario, link)
+    station_task = chosen.station(scenario, make_station=partial(MakeHardwareStation, lcm=link.bus))
     if not go:
         _look(station_task, link, json)
         return
@@ -91,20 +91,6 @@ def robot(
         raise typer.Exit(EXIT_INTERRUPTED)
     if not summary.get("done", summary["status"] == "finished"):
         raise typer.Exit(EXIT_NOT_DONE)
-
-
-def _make_task(name: TaskName, scenario: "PushScenario", link: "HardwareLink") -> "StationTask[Any]":
-    from functools import partial
-
-    from gridpush_drake.station import IdentifyTask, PreGraspTask, PushTask
-    from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
-
-    kinds: dict[TaskName, Callable[..., StationTask[Any]]] = {
-        TaskName.identify: IdentifyTask,
-        TaskName.push: PushTask,
-        TaskName.pregrasp: PreGraspTask,
-    }
-    return kinds[name](scenario, make_station=partial(MakeHardwareStation, lcm=link.bus))
 
 
 def _run(task: "StationTask[Any]", link: "HardwareLink") -> Any:
