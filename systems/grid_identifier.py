@@ -38,10 +38,8 @@ from gridpush_drake.pushes.segmentation import (
     name_push,
 )
 from gridpush_drake.systems.object_controller import AbstractStateSystem
+from gridpush_drake.systems.planar_pose_sensor import DEFAULT_PERIOD
 from gridpush_drake.systems.worker import Answer, Request, make_worker
-
-DEFAULT_PERIOD = 1 / 30
-"""s."""
 
 SOURCE = "observed pushes"
 """What the log says of where it comes from."""

@@ -24,7 +24,8 @@ from gridpush_drake.perception.detection import (
 from gridpush_drake.perception.frames import Frame
 from gridpush_drake.planning.closed_loop import Unchanging
 from gridpush_drake.systems.object_controller import AbstractStateSystem
-from gridpush_drake.systems.object_pose_estimator import DEFAULT_PERIOD, RgbdInputs
+from gridpush_drake.systems.object_pose_estimator import RgbdInputs
+from gridpush_drake.systems.planar_pose_sensor import DEFAULT_PERIOD
 from gridpush_drake.systems.worker import Answer, Request, answer_now, make_worker
 
 

@@ -16,9 +16,7 @@ from gridpush_drake.perception.frames import Frame
 from gridpush_drake.perception.tracking import PoseTracker, TrackedPose, TrackerState
 from gridpush_drake.planning.closed_loop import Unchanging
 from gridpush_drake.systems.object_controller import AbstractStateSystem
-
-DEFAULT_PERIOD = 1 / 30
-"""Between two pictures, s."""
+from gridpush_drake.systems.planar_pose_sensor import DEFAULT_PERIOD
 
 MAX_LABEL = 2**15
 """Labels that an `ImageLabel16I` may hold are less."""

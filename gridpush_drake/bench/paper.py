@@ -27,7 +27,7 @@ from gridpush_drake.bench.protocol import (
     make_case,
     make_protocol,
 )
-from gridpush_drake.bench.table import MM, Column, Table, check_figure, write_panels
+from gridpush_drake.bench.table import CONFIDENCE, MM, Column, Table, check_figure, write_panels
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import METHODS, identify
@@ -37,7 +37,6 @@ from gridpush_drake.objects.parameters import CellParameters
 UNIFORM = "uniform prior"
 DEFAULT = "default"
 
-CONFIDENCE = 0.95
 RESAMPLES = 9999
 
 PAPER_MM = 15.3

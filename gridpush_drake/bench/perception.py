@@ -18,7 +18,7 @@ from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.plant import draw_push
 from gridpush_drake.bench.protocol import find_masks
 from gridpush_drake.bench.rendered_table import RenderedTable
-from gridpush_drake.bench.table import Table, Value
+from gridpush_drake.bench.table import MM, PERCENT, Table, Value
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError, PerceptionError
 from gridpush_drake.geometry.se2 import compose, transform, wrap_angle
@@ -77,7 +77,6 @@ COMPARED = 400
 
 CUES: tuple[Cues, ...] = ("both", "color", "depth")
 COLOR_ENDING, DEPTH_ENDING = "_color.png", "_depth.png"
-MM, PERCENT = 1e3, 100.0
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from scipy.io import whosmat
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.plant import DISTANCE, SPEED, draw_push
 from gridpush_drake.bench.protocol import ANGLE_STD, MASS_RANGE, POSITION_STD, add_pose_noise, check_folder, hide_parts
-from gridpush_drake.bench.table import MM, Table, Value, check_figure, write_panels
+from gridpush_drake.bench.table import CONFIDENCE, MM, Table, Value, check_figure, write_panels
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import identify
@@ -124,7 +124,6 @@ SHOWN_COUNTS = (5, 25)
 
 MIT_SHARE = 0.2
 SPLITS, QUICK_SPLITS = 10, 2
-CONFIDENCE = 0.95
 POSE_COLUMNS = ("training", "position, mm", "angle, °")
 UNIFORM, POSES, CENTER = "uniform pressure", "poses only", "poses + center of mass"
 

@@ -170,7 +170,7 @@ class Table:
 
 
 CONFIDENCE = 0.95
-"""Of the intervals about shares."""
+"""Of intervals, about shares and means."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ and their mean says where the object lies. A pose that differs from the last one
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
@@ -213,11 +213,8 @@ class Observation:
 class Unchanging:
     """What is never changed, only replaced. Its copy is itself: Drake copies all states at every update of one."""
 
-    def __deepcopy__(self: "U", memo: dict[int, Any]) -> "U":
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         return self
-
-
-U = TypeVar("U", bound=Unchanging)
 
 
 @dataclass(frozen=True, eq=False)

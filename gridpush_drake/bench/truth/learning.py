@@ -12,7 +12,7 @@ import numpy as np
 
 from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
 from gridpush_drake.bench.paper import calc_interval
-from gridpush_drake.bench.table import Table, Value
+from gridpush_drake.bench.table import MM, PERCENT, Table, Value
 from gridpush_drake.bench.truth import overhang
 from gridpush_drake.bench.truth.overhang import OVERHANG, TIPPED_BODIES
 from gridpush_drake.bench.truth.sets import KINDS, OUTLINES, TRAINING, TruthSet, make_set, read_set, write_set
@@ -41,8 +41,6 @@ CHI_SQUARE = 5.991
 
 MIN_LOAD = 1e-6
 """N of a cell that bears nothing: a mass must be positive."""
-
-MM, PERCENT = 1e3, 100.0
 
 
 @dataclass(frozen=True)
