@@ -27,7 +27,7 @@ from gridpush_drake.bench.protocol import (
     make_case,
     make_protocol,
 )
-from gridpush_drake.bench.table import CONFIDENCE, MM, Column, Table, check_figure, write_panels
+from gridpush_drake.bench.table import CONFIDENCE, MM, Column, Mean, Table, check_figure, write_panels
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import METHODS, identify
@@ -111,10 +111,10 @@ def tabulate_training(scores: Sequence[Score], names: Sequence[str], method: str
     counts = sorted({score.training for score in scores})
     groups = [((count,), select(scores, method=method, training=count, budget=budget)) for count in counts]
 
-    def format_before(chosen: Sequence[Score]) -> str | None:
-        return _format(scores, method=UNIFORM, training=chosen[0].training, budget=budget)
+    def average_before(chosen: Sequence[Score]) -> Mean | None:
+        return _average(scores, method=UNIFORM, training=chosen[0].training, budget=budget)
 
-    columns = {**_error_columns(names), f"all, {UNIFORM}": format_before, "simulations": mean_simulations}
+    columns = {**_error_columns(names), f"all, {UNIFORM}": average_before, "simulations": mean_simulations}
     title = f"Mean test cell error, mm, of the {method} method by training pushes"
     return Table.of(title, ("training pushes",), groups, columns, _notes(scores))
 
@@ -123,13 +123,13 @@ def tabulate_budgets(scores: Sequence[Score], methods: Sequence[str], training: 
     """Errors over all objects by method and number of simulations."""
     groups = [((method,), select(scores, method=method, training=training)) for method in methods]
     budgets = sorted({score.budget for score in select(scores, training=training)})
-    columns = {f"at most {budget}": partial(_format, budget=budget) for budget in budgets}
+    columns = {f"at most {budget}": partial(_average, budget=budget) for budget in budgets}
     title = f"Mean test cell error, mm, by simulated pushes: {training} training pushes, all objects"
     return Table.of(title, ("method",), groups, columns, _notes(scores))
 
 
 def _error_columns(names: Sequence[str]) -> dict[str, Column]:
-    return {**{name: partial(_format, name=name) for name in names}, "all": _format}
+    return {**{name: partial(_average, name=name) for name in names}, "all": _average}
 
 
 def mean_simulations(scores: Sequence[Score]) -> int:
@@ -137,12 +137,12 @@ def mean_simulations(scores: Sequence[Score]) -> int:
     return round(float(np.mean([score.simulations for score in scores])))
 
 
-def _format(scores: Sequence[Score], **wanted: object) -> str | None:
+def _average(scores: Sequence[Score], **wanted: object) -> Mean | None:
     chosen = select(scores, **wanted)
     if not chosen:
         return None
     mean, low, high = (MM * value for value in summarize(chosen))
-    return f"{mean:.2f}" if np.isnan(low) else f"{mean:.2f} ({low:.2f} to {high:.2f})"
+    return Mean(mean) if np.isnan(low) else Mean(mean, low, high)
 
 
 def _notes(scores: Sequence[Score]) -> list[str]:

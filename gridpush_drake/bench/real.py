@@ -24,7 +24,7 @@ from scipy.io import whosmat
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.plant import DISTANCE, SPEED, draw_push
 from gridpush_drake.bench.protocol import ANGLE_STD, MASS_RANGE, POSITION_STD, add_pose_noise, check_folder, hide_parts
-from gridpush_drake.bench.table import CONFIDENCE, MM, Table, Value, check_figure, write_panels
+from gridpush_drake.bench.table import CONFIDENCE, MM, Mean, Table, Value, check_figure, write_panels
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import identify
@@ -268,13 +268,13 @@ def calc_split_means(scores: Sequence[Score], names: Sequence[str], model: str, 
     return np.array([np.mean([s.combined().mean() for s in chosen if s.split == split]) for split in splits])
 
 
-def format_interval(values: np.ndarray) -> str:
+def calc_splits_mean(values: np.ndarray) -> Mean:
     """Mean and Student's confidence interval of the splits' means."""
-    mean = values.mean()
+    mean = float(values.mean())
     if len(values) < 2:
-        return f"{mean:.2f}"
-    half = stats.t.ppf(0.5 + CONFIDENCE / 2, len(values) - 1) * stats.sem(values)
-    return f"{mean:.2f} ± {half:.2f}"
+        return Mean(mean)
+    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, len(values) - 1) * stats.sem(values))
+    return Mean(mean, mean - half, mean + half, even=True)
 
 
 def _tabulate_cmu(scores: Sequence[Score], names: Sequence[str], counts: Sequence[int]) -> Table:
@@ -286,7 +286,7 @@ def _tabulate_cmu(scores: Sequence[Score], names: Sequence[str], counts: Sequenc
         errors = np.concatenate([s.combined() for s in _choose(scores, feet, model, training)])
         means = [calc_split_means(scores, of, model, training) for of in (*([name] for name in names), feet)]
         spread = float(np.median(errors)), float(np.quantile(errors, 0.9))
-        rows.append([model, training, *map(format_interval, means), *spread])
+        rows.append([model, training, *map(calc_splits_mean, means), *spread])
     notes = (
         "|dxy| + rho |dtheta| of held-out pushes, rho = 70.7 mm; mean over splits ± 95 % confidence (Student's t).",
         f"Mean, median and 90th percentile over the feet sets: {', '.join(feet)}.",
@@ -307,7 +307,7 @@ def _tabulate_curve(scores: Sequence[Score], names: Sequence[str], counts: Seque
             }
             worst = max(worse, key=lambda name: worse[name])
             feet = calc_split_means(scores, choose_feet(names), model, count)
-            row += [format_interval(feet), worse[worst], worst]
+            row += [calc_splits_mean(feet), worse[worst], worst]
         rows.append(row)
     notes = ("Worst: on the set where learning helps least, its mean error less that of uniform pressure, mm.",)
     columns = ("training", CENTER, "worst", "on", POSES, "worst", "on")
@@ -318,7 +318,7 @@ def _tabulate_mit(scores: Sequence[Score], paths: dict[str, Path]) -> Table:
     rows: list[list[Value]] = []
     for name, path in paths.items():
         position, angle = read_model_errors(path)
-        rows.append([name, "the file's own", None, f"{MM * position:.2f}", f"{np.degrees(angle):.2f}"])
+        rows.append([name, "the file's own", None, Mean(MM * position), Mean(float(np.degrees(angle)))])
         rows += [_make_pose_row(scores, name, model) for model in (UNIFORM, POSES)]
     notes = (
         f"{100 * MIT_SHARE:.0f} % of the pushes train, the others are held out; mean over splits ± 95 % confidence.",
@@ -348,7 +348,7 @@ def _make_pose_row(scores: Sequence[Score], name: str, model: str, training: int
     chosen = [s for s in scores if s.name == name and s.model == model and training in (None, s.training)]
     mm = np.array([MM * np.mean(score.position) for score in chosen])
     degrees = np.array([np.degrees(np.mean(score.angle)) for score in chosen])
-    return [name, model, chosen[0].training, format_interval(mm), format_interval(degrees)]
+    return [name, model, chosen[0].training, calc_splits_mean(mm), calc_splits_mean(degrees)]
 
 
 COLUMNS = 2

@@ -20,7 +20,33 @@ if TYPE_CHECKING:
     import rich.console
     from matplotlib.axes import Axes
 
-Value = str | float | int | None
+
+@dataclass(frozen=True)
+class Mean:
+    """A mean and its confidence interval.
+
+    Attributes:
+        mean: the mean.
+        low: the interval's lower end; None where there is no interval.
+        high: its upper end.
+        even: whether the ends are as far from the mean by construction, to be shown as one number.
+    """
+
+    mean: float
+    low: float | None = None
+    high: float | None = None
+    even: bool = False
+
+    def describe(self) -> str:
+        """The mean, with its interval."""
+        if self.low is None or self.high is None:
+            return f"{self.mean:.2f}"
+        if self.even:
+            return f"{self.mean:.2f} ± {(self.high - self.low) / 2:.2f}"
+        return f"{self.mean:.2f} ({self.low:.2f} to {self.high:.2f})"
+
+
+Value = str | float | int | Mean | None
 
 Column = Callable[[Any], Value]
 """What a column of a table says of the results that a row is of."""
@@ -88,7 +114,7 @@ class Table:
         return {
             "title": self.title,
             "columns": list(self.columns),
-            "rows": [list(row) for row in self.rows],
+            "rows": [[_to_json(value) for value in row] for row in self.rows],
             "notes": list(self.notes),
         }
 
@@ -132,6 +158,8 @@ class Table:
         """A value as text: numbers to `digits` significant digits, without powers of ten below a million."""
         if value is None:
             return "-"
+        if isinstance(value, Mean):
+            return value.describe()
         if isinstance(value, str | int):
             return str(value)
         if isnan(value):
@@ -167,6 +195,11 @@ class Table:
         for row in self.rows:
             table.add_row(*(Text(self.format(row[i]), no_wrap=i in whole) for i in part))
         return table
+
+
+def _to_json(value: Value) -> Any:
+    """A value as JSON has it, a mean's figures by name."""
+    return {"mean": value.mean, "low": value.low, "high": value.high} if isinstance(value, Mean) else value
 
 
 CONFIDENCE = 0.95

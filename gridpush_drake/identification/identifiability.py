@@ -227,7 +227,7 @@ def _describe(obj: GridObject, learned: int, learned_share: Array, center_std: A
         f"{known_cells} of {obj.n} cells by themselves; the rest is the smoothness prior's.",
         f"The center of friction is known to {MM * center_std[0]:.1f} mm in x and {MM * center_std[1]:.1f} mm in y "
         "(one standard deviation).",
-        f"Even were the friction of all cells known as exactly as it is estimated, coefficients anywhere from {low:g} "
-        f"to {high:g} would leave the center of mass anywhere in a box of {width:.0f} mm by {height:.0f} mm; with "
-        "equal coefficients it is at the center of friction.",
+        f"Were the friction of each cell exactly as estimated, friction coefficients anywhere from {low:g} to {high:g} "
+        f"would still leave the center of mass anywhere in a box of {width:.0f} mm by {height:.0f} mm; with equal "
+        "coefficients it is at the center of friction.",
     )

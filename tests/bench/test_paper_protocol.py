@@ -209,10 +209,13 @@ def make_scores():
 def test_tables_of_scores():
     scores = make_scores()
     table = paper.tabulate_methods(scores, ["a", "b"], ["uniform prior", "default"], 5, 100)
-    assert table.rows[1] == ["default", "2.00 (1.00 to 3.00)", "6.00 (5.00 to 7.00)", "4.00 (3.00 to 5.00)", 80]
+    shown = [table.format(value) for value in table.rows[1]]
+    assert shown == ["default", "2.00 (1.00 to 3.00)", "6.00 (5.00 to 7.00)", "4.00 (3.00 to 5.00)", "80"]
+    mean = table.to_dict()["rows"][1][3]
+    assert mean == pytest.approx({"mean": 4.0, "low": 3.0, "high": 5.0})
     table = paper.tabulate_training(scores, ["a", "b"], "default", 100)
     assert [row[0] for row in table.rows] == [1, 5]
-    assert table.rows[0][-2] == "40.00 (30.00 to 50.00)"
+    assert table.format(table.rows[0][-2]) == "40.00 (30.00 to 50.00)"
 
 
 def test_interval():

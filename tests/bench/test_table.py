@@ -10,7 +10,7 @@ from gridpush_drake.bench.pregrasp import experiments as pregrasp
 from gridpush_drake.bench.pregrasp.experiments import AIMS, DISTANCES, ExplorationScore, Trace
 from gridpush_drake.bench.pregrasp.world import Outcome
 from gridpush_drake.bench.speed import measure, one_core
-from gridpush_drake.bench.table import Table
+from gridpush_drake.bench.table import Mean, Table
 from gridpush_drake.identification.learning import METHODS
 from gridpush_drake.objects.object_file import list_shipped_objects
 
@@ -194,3 +194,17 @@ def test_brackets_are_no_markup():
     shown = show(table, 80)
     for text in ("[bold]", "[red]what", "[i]", "[b]", "pip install '.[bench]'"):
         assert text in shown
+
+
+@pytest.mark.parametrize(
+    ("mean", "text", "figures"),
+    [
+        (Mean(2.0), "2.00", [2.0, None, None]),
+        (Mean(2.0, 1.5, 2.5, even=True), "2.00 ± 0.50", [2.0, 1.5, 2.5]),
+        (Mean(2.0, 1.0, 2.25), "2.00 (1.00 to 2.25)", [2.0, 1.0, 2.25]),
+    ],
+)
+def test_a_mean_is_text_to_people_and_numbers_to_machines(mean, text, figures):
+    table = Table("means", ["what", "how large"], [["a", mean]])
+    assert f"| a | {text} |" in table.to_markdown()
+    assert table.to_dict()["rows"][0][1] == dict(zip(("mean", "low", "high"), figures, strict=True))
