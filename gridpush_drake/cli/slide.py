@@ -1,6 +1,7 @@
 """`gridpush slide`: where to slide an object so that it can be grasped at the table's edge, and by which pushes."""
 
 from dataclasses import replace
+from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -190,20 +191,24 @@ def _explain(found: dict[str, Any]) -> list[str]:
         lines.append(f"{found['object']} is an object, not a model: nothing is known of its masses yet.")
     goal = found["goal"]
     if goal is not None:
-        (x, y, theta), grasp = goal["pose"], goal["grasp"]
+        grasp = goal["grasp"]
         if grasp["by"] == "rim":
-            how = f"by the rim, the fingers pointing along {grasp['approach']:.3f} rad"
+            how = f"by the rim, the fingers pointing along {degrees(grasp['approach']):.1f}°"
         else:
             how = f"{grasp['width'] * MM:.1f} mm wide"
         lines += [
-            f"goal  x {x * MM:.1f} mm, y {y * MM:.1f} mm, theta {theta:.3f} rad; stability margin "
-            f"{goal['stability_margin'] * MM:.1f} mm at the worst",
-            f"grasp at {grasp['at'][0] * MM:.1f} mm, {grasp['at'][1] * MM:.1f} mm, {how}",
+            f"goal  {_tell_pose(goal['pose'])}; stability margin {goal['stability_margin'] * MM:.1f} mm at the worst",
+            f"grasp at x {grasp['at'][0] * MM:.1f} mm, y {grasp['at'][1] * MM:.1f} mm, {how}",
         ]
     for i, push in enumerate(found["pushes"], start=1):
         (x0, y0), (x1, y1) = push["from"], push["to"]
         lines.append(
             f"push {i}  from {x0 * MM:.1f} mm, {y0 * MM:.1f} mm to {x1 * MM:.1f} mm, {y1 * MM:.1f} mm "
-            f"in {push['duration']:.1f} s"
+            f"in {push['duration']:.1f} s: object at {_tell_pose(push['object_after'])}"
         )
     return lines
+
+
+def _tell_pose(pose: Any) -> str:
+    x, y, theta = pose
+    return f"x {x * MM:.1f} mm, y {y * MM:.1f} mm, theta {degrees(theta):.1f}°"
