@@ -201,6 +201,7 @@ class ForcePush:
 DEFAULT_DT = 0.01  # s, the longest step where none is given
 DEFAULT_TIP_STEP = 0.001  # m, the furthest the pusher moves in a step where none is given
 MAX_STEPS = 1_000_000  # of a simulation, each of which is kept: 1 km of the pusher's path by default
+SAME_TIME = 1e-9  # of a push's duration, by which two of its times differ that are one
 SLACK = 1e-9  # share of a step by which a duration may exceed a whole number of them
 
 
@@ -268,9 +269,35 @@ def _cut(parts: float) -> Array:
     return starts
 
 
-def check_times(times: ArrayLike) -> Array:
-    """Copies the steps' times that a caller gives, (T+1,), s: finite and strictly increasing, or a SimulationError."""
+def join_times(path: Array, wanted: Array) -> Array:
+    """Cuts a push's steps at further times.
+
+    Args:
+        path: (T+1,) the steps' times, s.
+        wanted: (K,) increasing times after the first of them, s; those of the path that one of them all but repeats are
+            left out, as in a step that short a rounding error of a place is a speed.
+
+    Returns:
+        All times, increasing, s.
+    """
+    before, after = np.append(-np.inf, wanted), np.append(wanted, np.inf)
+    at = np.searchsorted(wanted, path)
+    repeated = np.minimum(path - before[at], after[at] - path) < SAME_TIME * path[-1]
+    repeated[0] = False
+    return np.union1d(path[~repeated], wanted)
+
+
+def check_times(times: ArrayLike, inertial: bool) -> Array:
+    """Copies the steps' times that a caller gives, (T+1,), s.
+
+    Raises:
+        SimulationError: they are not finite or not strictly increasing, or two are all but the same (`join_times`)
+            where the object has inertia.
+    """
     times = np.array(times, dtype=np.float64)
     if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all() or (np.diff(times) <= 0).any():
         raise SimulationError("times: expected at least two finite, strictly increasing numbers (s)")
+    shortest = SAME_TIME * float(times[-1] - times[0])
+    if inertial and (np.diff(times) < shortest).any():
+        raise SimulationError(f"times: two are all but the same; expected steps of at least {shortest:.3g} s")
     return times

@@ -93,7 +93,7 @@ def simulate(
         raise SimulationError("velocity: the quasi-static regime has none; expected (0, 0, 0)")
     if not inertial and params.friction @ params.mass * gravity <= 0:
         raise SimulationError("friction: the quasi-static regime needs some friction with the support")
-    times = make_times(push, dt, regime) if times is None else check_times(times)
+    times = make_times(push, dt, regime) if times is None else check_times(times, inertial)
     steps, dts = len(times) - 1, np.diff(times)
     rows = np.arange(steps + 1) if record is None else check_record(record, steps)
     row_of_step = np.full(steps + 1, -1)

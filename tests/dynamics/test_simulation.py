@@ -181,6 +181,15 @@ def make_batch(count):
     )
 
 
+def test_two_times_that_are_one_are_refused_where_there_is_inertia():
+    obj = make_shape("square", 9)
+    push = Push((-0.1, 0.0), (0.1, 0.0), 1.0, 0.01)
+    times = [0.0, 0.5, np.nextafter(0.5, 1.0), 1.0]
+    with pytest.raises(SimulationError, match="two are all but the same; expected steps of at least 1e-09 s"):
+        simulate(obj, CellParameters.uniform(obj), push, times=times)
+    assert len(simulate(obj, CellParameters.uniform(obj), push, times=times, regime="quasi_static").poses) == 4
+
+
 def test_a_batch_needs_a_worker():
     obj = make_shape("square", 9)
     with pytest.raises(SimulationError, match="workers is 0"):

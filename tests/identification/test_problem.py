@@ -1,12 +1,16 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from gridpush_drake.dynamics.push import Push, make_path_times
 from gridpush_drake.identification.prediction import calc_pose_error, predict
-from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.identification.problem import PushProblem, TimedPush
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.pushes.push_log import PushLog
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from tests.helpers.finite_difference import check_jacobian
+from tests.helpers.shapes import make_shape
 from tests.identification.simulated_pokes import make_pokes
 
 
@@ -73,3 +77,22 @@ def test_loads_elsewhere_in_their_cells_change_motions_and_keep_exact_derivative
     for i in range(len(moved)):
         check_jacobian(lambda v, i=i: moved.residuals(v, [i])[0], z, linear.by_z[i], rtol=2e-5, atol=1e-9)
     assert moved.simulations == problem.simulations
+
+
+@pytest.mark.parametrize("regime", ["inertial", "quasi_static"])
+def test_observations_a_rounding_error_beside_a_step_do_not_matter(regime):
+    """In a step of 1e-16 s a rounding error of the gap would be a speed, which an object with inertia keeps."""
+    obj = make_shape("claw_hammer", 30)
+    params = CellParameters.uniform(obj)
+    for place in (0.1, 0.4, 0.7):
+        push = Push.on_outline(obj, place * obj.edges.perimeter, 0.2, 0.05, radius=0.01, speed=0.04)
+        times = make_path_times(push, regime)
+        seen = ObservedPush("push", push, np.zeros(3), times[1:], np.zeros((len(times) - 1, 3)))
+        beside = np.nextafter(times[1:], np.inf)
+        beside[-1] = np.nextafter(times[-1], 0.0)
+        off = replace(seen, t_observed=beside)
+        expected, poses = (
+            TimedPush.of(each, regime).simulate(obj, params, regime=regime).poses for each in (seen, off)
+        )
+        assert len(expected) == len(poses)
+        np.testing.assert_allclose(poses, expected, rtol=0, atol=1e-9)
