@@ -198,15 +198,13 @@ class GridLcpSystem(LeafSystem):
         self.DeclareVectorOutputPort("pose", 3, weakly(self._calc_pose), state)
         self.DeclareVectorOutputPort("velocity", 3, weakly(self._calc_velocity), state)
         self.DeclareVectorOutputPort("cell_positions", 2 * self.obj.n, weakly(self._calc_cell_positions), state)
-        force = {self.discrete_state_ticket(_CONTACT_FORCE)}
-        self.DeclareVectorOutputPort("contact_force", 2, weakly(self._calc_contact_force), force)
+        self.DeclareStateOutputPort("contact_force", _CONTACT_FORCE)
         inputs = {self.all_input_ports_ticket(), self.all_parameters_ticket(), self.xd_ticket()}
         none = _make_zero_jacobian(self.obj.n)
         self.DeclareAbstractOutputPort(
             "step_jacobian", lambda: AbstractValue.Make(none), weakly(self._calc_step_jacobian), inputs
         )
-        unsolved = {self.discrete_state_ticket(_UNSOLVED)}
-        self.DeclareVectorOutputPort("unsolved_steps", 1, weakly(self._calc_unsolved_steps), unsolved)
+        self.DeclareStateOutputPort("unsolved_steps", _UNSOLVED)
 
     def _calc_params(self, context: Context, value: AbstractValue) -> None:
         value.set_value(self.GetParameters(context))
@@ -219,12 +217,6 @@ class GridLcpSystem(LeafSystem):
 
     def _calc_cell_positions(self, context: Context, output: Any) -> None:
         output.SetFromVector(self.obj.cells_at(context.get_discrete_state(_STATE).value()[:3]).ravel())
-
-    def _calc_contact_force(self, context: Context, output: Any) -> None:
-        output.SetFromVector(context.get_discrete_state(_CONTACT_FORCE).value())
-
-    def _calc_unsolved_steps(self, context: Context, output: Any) -> None:
-        output.SetFromVector(context.get_discrete_state(_UNSOLVED).value())
 
     def _calc_step_jacobian(self, context: Context, output: Any) -> None:
         J = np.empty((1, 3, self.obj.n + OTHER))
