@@ -106,20 +106,9 @@ class Study:
     force: bool
 
     def run(self, function: Callable[[Job], Result], jobs: Sequence[Job]) -> list[Result]:
-        """Measures, and draws the figures into a folder, which is made where it is not there.
-
-        The arguments are the options of `gridpush bench paper`; `counts` says how much is run, QUICK where `quick`.
-
-        Returns:
-        What each figure shows, beside what the paper says.
-
-        Raises:
-        GridPushError: the data are not there, or an object is not known.
-        OutputError: a figure cannot be written.
-        """
-        return run_jobs(
-            function, jobs, lambda job: f"{function.__name__}: {getattr(job, 'name', '')}", self.execution
-        )  # fmt: skip
+        """What the function makes of each job; the jobs are called by its name and, where they have them, theirs."""
+        name = function.__name__
+        return run_jobs(function, jobs, lambda job: f"{name}: {getattr(job, 'name', '')}", self.execution)
 
     def write(self, name: str, figure: Figure) -> None:
         """Writes a figure as PNG and as SVG."""
