@@ -216,7 +216,7 @@ def _choose_starts(obj: GridObject, start: Identification | None, ensemble: MapE
         return ()
     if start.obj.n != obj.n:
         raise IdentificationError(f"start: an object of {start.obj.n} cells; expected {obj.n}, as {obj.name} has")
-    if len(start.starts) == ensemble.count:
+    if len(start.starts) >= ensemble.count:
         return start.starts
     return (FitStart(start.posterior.mean, NoiseScale()),) * ensemble.count
 

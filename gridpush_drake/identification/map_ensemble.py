@@ -2,8 +2,8 @@
 
 For each amplitude of the smoothness prior, weakest variation first, z is fitted by Gauss-Newton (`map_fit`), each fit
 starting where the last one ended: coarse to fine. Where the best of them leaves much unexplained it may be a poor
-optimum; then fits begin with loads that are tilted to all sides. A last one is of a rigid bottom that rests on the
-outline's corners.
+optimum; then fits begin with loads that are tilted to all sides. One more is of a rigid bottom that rests on the
+outline's corners, and the last are of objects of two parts, by the cuts that explain the pushes best (`load_priors`).
 By their evidence and a prior weight a^-3/4 the fields' logarithms are averaged, z = sum_a w_a z_a, and then the
 shares of friction, x = (1 - w) x_field + w x_bottom (`docs/theory/identification.md`, section 5).
 """
@@ -13,29 +13,25 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-import shapely
-from numpy.typing import NDArray
-from scipy.linalg import block_diag
 from scipy.special import logsumexp
 
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.map_fit import (
+from gridpush_drake.identification.load_priors import (
     RANGE_CELLS,
-    CenterOfMass,
-    MapFit,
+    LoadPrior,
+    calc_prior_factor,
     calc_smooth_covariance,
-    fit_map,
-    solve_factor,
+    choose_parts,
+    make_bottom,
+    make_field,
 )
+from gridpush_drake.identification.map_fit import CenterOfMass, MapFit, fit_map, solve_factor
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.posterior import CELLS
 from gridpush_drake.identification.problem import Linearization, PushProblem
 from gridpush_drake.identification.result import FitStart, HistoryEntry, IdentificationStatus
 from gridpush_drake.objects.grid_object import GridObject
-
-WEAKNESS = 0.75
-"""Power of 1/a that an amplitude a weighs beforehand: few noisy pushes are not to talk the model out of uniformity."""
 
 FIRST_EVALUATIONS = 6
 """Of the pushes by each fit, before all have begun; only those that may count for something are then gone on with."""
@@ -57,15 +53,6 @@ SHARED_SHIFT = 0.3
 
 NEGLIGIBLE = 1e-3
 """Of the evidence, below which a fit does not come to count for the spread."""
-
-CORNER_STD = 2.5
-"""Of log k at a corner: some of a rigid bottom's corners bear next to nothing."""
-
-CORNER_REST, CORNER_REST_STD = 0.02, 0.05
-"""Of a rigid bottom's load, what is not on corners, and the standard deviation of log k there."""
-
-CORNER_WEIGHT = 0.05
-"""Of a rigid bottom beforehand, where all fields together have 14.7: one push alone must not speak for it."""
 
 TILT_RIDGE = 0.01
 """Keeps the tilt finite where a corner's place is beyond all cells' centers; it takes off that much of the shift."""
@@ -106,23 +93,6 @@ class MapEnsembleFit:
     interval_scale: float = 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class LoadPrior:
-    """An idea of how the object bears on the table: z ~ N(mean, factor factor^T).
-
-    Attributes:
-        mean: (n+1,).
-        factor: (n+1, n+1).
-        weight: beforehand, up to a constant.
-        p_BC: (n, 2) where the cells' loads are, m, body frame.
-    """
-
-    mean: Array
-    factor: Array
-    weight: float
-    p_BC: Array
-
-
 @dataclass(frozen=True)
 class MapEnsemble:
     """The default identifier, and what it takes for granted.
@@ -145,7 +115,7 @@ class MapEnsemble:
 
     @property
     def count(self) -> int:
-        """How many fits there are."""
+        """How many fits there are before those of two parts."""
         return len(self.amplitudes) + 1
 
     def fit(
@@ -157,7 +127,7 @@ class MapEnsemble:
         on_step: Callable[[Array, Linearization], None],
         starts: tuple[FitStart, ...] = (),
     ) -> MapEnsembleFit:
-        """Fits every amplitude and the rigid bottom, and averages.
+        """Fits every amplitude, the rigid bottom and objects of two parts, and averages.
 
         Args:
             problem: the training pushes; at least one.
@@ -165,13 +135,14 @@ class MapEnsemble:
             log_contact_friction_std: prior standard deviation of log mu_c.
             center_of_mass: prior knowledge, or None.
             on_step: called with z and the pushes' residuals and derivatives there after every step.
-            starts: of fits to fewer pushes, `count` of them; each fit begins there or where the last amplitude's
+            starts: of fits to fewer pushes; each of the first `count` fits begins there or where the last amplitude's
                 ended, whichever is more probable.
 
         Returns:
             The fit.
         """
-        priors = self._make_priors(problem.obj, z0, log_contact_friction_std)
+        C = calc_smooth_covariance(problem.obj, self.range_cells)
+        priors = self._make_priors(problem.obj, z0, C, log_contact_friction_std)
         fit_one = partial(fit_map, noise=self.noise, center_of_mass=center_of_mass, on_step=on_step)
         fits: list[MapFit] = []
         for i, prior in enumerate(priors):
@@ -187,6 +158,17 @@ class MapEnsemble:
             )  # fmt: skip
         self._begin_with_tilts(priors, fits, fit_one)
         self._follow_best(priors, fits, fit_one)
+        best = fits[self._find_best(fits)]
+        residuals, J = best.system.linearize_at_prior()
+        known = 0 if center_of_mass is None else len(center_of_mass.at)
+        for prior, z in choose_parts(problem.obj, z0, C, log_contact_friction_std, residuals, J, known):
+            priors.append(prior)
+            fits.append(
+                fit_one(
+                    problem, prior.mean, prior.factor, start=FitStart(best.z, best.scale), linear=best.linear,
+                    warm_start=FitStart(z, best.scale), max_evaluations=FIRST_EVALUATIONS,
+                )
+            )  # fmt: skip
         best_evidence = max(fit.log_evidence for fit in fits)
         for i, (fit, prior) in enumerate(zip(fits, priors, strict=True)):
             if not fit.settled and fit.log_evidence > best_evidence - HOPELESS:
@@ -235,21 +217,22 @@ class MapEnsemble:
         plausible = _calc_weights(fits)
         weights = plausible * [prior.weight for prior in priors]
         weights /= weights.sum()
-        field, bottom = weights[:-1] / weights[:-1].sum(), weights[-1]
-        z_field = field @ np.array([fit.z for fit in fits[:-1]])
-        z_bottom = _move_center(problem.obj.p_BC, fits[-1].z, priors[-1].p_BC)
-        z = _average_shares(np.array([1 - bottom, bottom]), [z_field, z_bottom])
+        bottom = self.count - 1
+        fields = np.delete(np.arange(len(fits)), bottom)
+        z_field = (weights[fields] / weights[fields].sum()) @ np.array([fits[i].z for i in fields])
+        z_bottom = _move_center(problem.obj.p_BC, fits[bottom].z, priors[bottom].p_BC)
+        z = _average_shares(np.array([1 - weights[bottom], weights[bottom]]), [z_field, z_bottom])
         # Leaning on weak variation predicts better; it is no knowledge, and must not make the estimate look surer.
         covariance, prior_covariance = np.zeros((2, len(z), len(z)))
-        for means, chosen in ((z_field, slice(-1)), (z_bottom, slice(-1, None))):
+        for means, chosen in ((z_field, fields), (z_bottom, [bottom])):
             if not plausible[chosen].sum() > NEGLIGIBLE:
                 continue
             off, T = _compare_shares(means, z)
-            for weight, prior, fit in zip(plausible[chosen], priors[chosen], fits[chosen], strict=True):
-                d = fit.z - means if means is z_field else np.zeros(len(z))
-                covariance += weight * (T @ (fit.covariance + np.outer(d, d)) @ T.T + np.outer(off, off))
-                root = T @ prior.factor
-                prior_covariance += weight * (root @ root.T)
+            for i in chosen:
+                d = fits[i].z - means if means is z_field else np.zeros(len(z))
+                covariance += plausible[i] * (T @ (fits[i].covariance + np.outer(d, d)) @ T.T + np.outer(off, off))
+                root = T @ priors[i].factor
+                prior_covariance += plausible[i] * (root @ root.T)
         residuals, counted = problem.residuals(z), np.flatnonzero(plausible > NEGLIGIBLE)
         errors = [float(fits[i].system.calc_end_errors(residuals).sum()) for i in counted]
         discrepancy = self.noise.calc_discrepancy(float(np.average(errors, weights=plausible[counted])), len(problem))
@@ -268,21 +251,10 @@ class MapEnsemble:
             discrepancy / wider,
         )
 
-    def _make_priors(self, obj: GridObject, z0: Array, log_contact_friction_std: float) -> list[LoadPrior]:
+    def _make_priors(self, obj: GridObject, z0: Array, C: Array, log_contact_friction_std: float) -> list[LoadPrior]:
         """A smooth field of each amplitude, weakest first, and a rigid bottom on the outline's corners."""
-        C = calc_smooth_covariance(obj, self.range_cells)
-        priors = [
-            LoadPrior(z0, calc_prior_factor(C, a, log_contact_friction_std), a**-WEAKNESS, obj.p_BC)
-            for a in self.amplitudes
-        ]
-        corners, p_corners = find_corners(obj)
-        rest = np.setdiff1d(np.arange(obj.n), corners)
-        mean, variance, p_BC = z0.copy(), np.full(obj.n, CORNER_STD**2), obj.p_BC.copy()
-        mean[rest] += np.log(CORNER_REST * len(corners) / max(len(rest), 1))
-        variance[rest] = CORNER_REST_STD**2
-        p_BC[corners] = p_corners
-        factor = calc_prior_factor(np.diag(variance), 1.0, log_contact_friction_std)
-        return [*priors, LoadPrior(mean, factor, CORNER_WEIGHT, p_BC)]
+        fields = [make_field(obj, z0, C, a, log_contact_friction_std) for a in self.amplitudes]
+        return [*fields, make_bottom(obj, z0, log_contact_friction_std)]
 
     def fit_prior(self, obj: GridObject, z0: Array, log_contact_friction_std: float) -> MapEnsembleFit:
         """Gives the widest prior, where no push touched the object."""
@@ -307,27 +279,6 @@ def _describe(uniform_is_best: bool) -> tuple[IdentificationStatus, str]:
         IdentificationStatus.PRIOR_KEPT,
         "The pushes are explained best by an almost even object; only the contact friction was fitted freely.",
     )
-
-
-def calc_prior_factor(C: Array, amplitude: float, log_contact_friction_std: float) -> Array:
-    """Cholesky factor (n+1, n+1) of blockdiag(a² C, sigma²), the prior covariance of z."""
-    return np.asarray(block_diag(amplitude * np.linalg.cholesky(C), np.diag([log_contact_friction_std])))
-
-
-def find_corners(obj: GridObject) -> tuple[NDArray[np.int64], Array]:
-    """Finds where a rigid flat bottom comes to rest: the corners of the outline's convex hull.
-
-    Args:
-        obj: the object.
-
-    Returns:
-        The cells nearest to corners, increasing, and the place (corners, 2), m, of each one's corner, or of the mean of
-        its corners.
-    """
-    corners = shapely.get_coordinates(obj.outline.convex_hull)[:-1]
-    nearest = np.linalg.norm(corners[:, None] - obj.p_BC, axis=2).argmin(axis=1)
-    cells = np.unique(nearest)
-    return cells, np.array([corners[nearest == cell].mean(axis=0) for cell in cells])
 
 
 def tilt_loads(obj: GridObject, z0: Array) -> list[Array]:

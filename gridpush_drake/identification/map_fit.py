@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.linalg.lapack import dtrtri
 
@@ -54,12 +53,6 @@ MAX_INFORMED_SHARE = 0.8
 
 LAST_POSE = slice(-3, None)
 """Of a push's residuals."""
-
-RANGE_CELLS = 4.0
-"""Distance, in cells, at which two cells' log-frictions are nearly independent."""
-
-KAPPA_RANGE = 8.0**0.5
-"""kappa times the range, of the Matérn field of smoothness one (Lindgren, Rue and Lindström 2011, section 2)."""
 
 
 @dataclass(frozen=True)
@@ -277,6 +270,10 @@ class System:
             self.problem, self.z0, self.A, self.noise, self.center_of_mass, self.u, self.linear, self.slopes, scale
         )
 
+    def linearize_at_prior(self) -> tuple[Array, Array]:
+        """The whitened residuals (R,) at z0, to first order, and their derivatives (R, n+1) by z."""
+        return self.r - self.J @ self.u, solve_triangular(self.A, self.J.T, trans="T", lower=True).T
+
     def calc_step(self, damping: float) -> tuple[Array, float]:
         """Step of u, damped by so much as if the prior were that much stronger about u, and the expected decrease."""
         g = self.u + self.J.T @ self.r
@@ -419,23 +416,3 @@ def _calc_center_evidence(obj: GridObject, z0: Array, A: Array, center_of_mass: 
     r, J = center_of_mass.linearize(obj, z0)
     spread = np.eye(2) + (J @ A) @ (J @ A).T
     return float(-0.5 * r @ np.linalg.solve(spread, r) - 0.5 * np.linalg.slogdet(spread)[1])
-
-
-def calc_smooth_covariance(obj: GridObject, range_cells: float = RANGE_CELLS) -> NDArray[np.float64]:
-    """Makes C (n, n), unit mean variance: C^-1 ~ (L + kappa² I)², L the graph Laplacian of neighboring cells.
-
-    Args:
-        obj: the object.
-        range_cells: correlation range, cells.
-
-    Returns:
-        The covariance.
-    """
-    i, j = obj.adjacency.T
-    L = np.zeros((obj.n, obj.n))
-    np.add.at(L, (i, i), 1.0)
-    np.add.at(L, (j, j), 1.0)
-    L[i, j] = L[j, i] = -1.0
-    root = np.linalg.inv(L + KAPPA_RANGE**2 / range_cells**2 * np.eye(obj.n))
-    C = root @ root
-    return C / np.diag(C).mean()

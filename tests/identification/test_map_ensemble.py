@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.load_priors import find_corners
 from gridpush_drake.identification.map_ensemble import (
     SHARED_SHIFT,
     MapEnsemble,
     _average_shares,
     _compare_shares,
     _move_center,
-    find_corners,
 )
 from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
 from gridpush_drake.identification.problem import PushProblem

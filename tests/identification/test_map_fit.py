@@ -2,11 +2,10 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from gridpush_drake.identification.map_ensemble import calc_prior_factor
+from gridpush_drake.identification.load_priors import calc_prior_factor, calc_smooth_covariance
 from gridpush_drake.identification.map_fit import (
     CenterOfMass,
     MapFit,
-    calc_smooth_covariance,
     fit_map,
 )
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale, calc_effective_count

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from gridpush_drake.identification.load_priors import calc_smooth_covariance
 from gridpush_drake.identification.map_ensemble import MapEnsemble
-from gridpush_drake.identification.map_fit import calc_smooth_covariance
 from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.finite_difference import check_jacobian

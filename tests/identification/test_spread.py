@@ -82,7 +82,7 @@ def test_the_spread_is_that_of_pushes_on_the_same_table() -> None:
     values, vectors = np.linalg.eigh(found.posterior.covariance)
     axes, mean = (vectors * np.sqrt(np.maximum(values, 0.0))).T, found.posterior.mean
     stds = []
-    for table in (None, make_table_edge(obj, np.zeros(3), 0.0, 0.2)):
+    for table in (None, make_table_edge(obj, np.zeros(3), 0.0, 0.17)):
         chosen = replace(log, table=table)
         assert "tips" not in [prediction.status for prediction in predict(obj, found.params, chosen)]
         problem = PushProblem(obj, chosen, found.params.friction, found.regime)

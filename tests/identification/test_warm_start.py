@@ -7,8 +7,9 @@ import pytest
 
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.identification.learning import describe_prior, identify
-from gridpush_drake.identification.map_ensemble import MapEnsemble, calc_prior_factor
-from gridpush_drake.identification.map_fit import calc_smooth_covariance, fit_map
+from gridpush_drake.identification.load_priors import calc_prior_factor, calc_smooth_covariance
+from gridpush_drake.identification.map_ensemble import MapEnsemble
+from gridpush_drake.identification.map_fit import fit_map
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import FitStart

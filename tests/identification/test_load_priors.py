@@ -1,0 +1,115 @@
+"""Ideas of how an object bears on the table, and the cuts by which it may be of two parts."""
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+from scipy.stats import multivariate_normal
+
+from gridpush_drake.geometry.se2 import make_direction
+from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.load_priors import (
+    ALIKE,
+    CUT_ANGLES,
+    MIN_PART,
+    PART_AMPLITUDE,
+    PART_FITS,
+    PART_STD,
+    PART_WEIGHT,
+    calc_cut_evidence,
+    calc_smooth_covariance,
+    choose_parts,
+    find_corners,
+    find_cuts,
+)
+from gridpush_drake.objects.parameters import CellParameters
+from tests.helpers.shapes import make_shape
+from tests.identification.simulated_pokes import make_pokes
+
+MU_STD = 0.3
+
+
+def make_evidence(obj, rows, seed):
+    """Whitened residuals at the prior mean and their derivatives, of no pushes in particular."""
+    rng = np.random.default_rng(seed)
+    return rng.normal(0, 1.5, rows), rng.normal(0, 0.3, (rows, obj.n + 1))
+
+
+def calc_dense_evidence(covariance, residuals, J):
+    """Log p(residuals), of linear residuals with unit noise and a normal prior of z, by the definition."""
+    spread = np.eye(len(residuals)) + J @ covariance @ J.T
+    return multivariate_normal(np.zeros(len(residuals)), spread).logpdf(residuals)
+
+
+def make_covariance(obj, cut):
+    C = calc_smooth_covariance(obj)
+    return block_diag(PART_AMPLITUDE**2 * C + PART_STD**2 * np.outer(cut, cut), MU_STD**2)
+
+
+def test_cuts_are_straight_and_leave_both_parts_their_share() -> None:
+    obj = make_shape("claw_hammer", 40)
+    cuts = find_cuts(obj)
+    assert len(cuts) > 40 and np.abs(cuts).max() == 0.5
+    assert np.minimum((cuts > 0).mean(axis=1), (cuts < 0).mean(axis=1)).min() >= MIN_PART
+    along = obj.p_BC @ make_direction(np.pi / CUT_ANGLES * np.arange(CUT_ANGLES)).T
+    for h in cuts:
+        gap = along[h == 0.5].min(axis=0) - along[h == -0.5].max(axis=0)
+        assert gap.max() > 0  # in some direction one part lies wholly beyond the other
+    assert not len(find_cuts(make_shape("square", 1)))
+
+
+@pytest.mark.parametrize("known", [0, 2])
+def test_the_evidence_of_a_cut_is_that_of_its_dense_covariance(known: int) -> None:
+    obj = make_shape("l_bracket", 20)
+    residuals, J = make_evidence(obj, 9, 0)
+    cuts = find_cuts(obj)
+    none = make_covariance(obj, np.zeros(obj.n))
+    expected = []
+    for cut in cuts:
+        S = make_covariance(obj, cut)
+        gain = calc_dense_evidence(S, residuals, J) - calc_dense_evidence(none, residuals, J)
+        if known:
+            gain -= calc_dense_evidence(S, residuals[-known:], J[-known:])
+            gain += calc_dense_evidence(none, residuals[-known:], J[-known:])
+        expected.append(gain)
+    found = calc_cut_evidence(cuts, none, residuals, J)
+    if known:
+        found -= calc_cut_evidence(cuts, none, residuals[-known:], J[-known:])
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    prior, _ = choose_parts(obj, np.zeros(obj.n + 1), calc_smooth_covariance(obj), MU_STD, residuals, J, known)[0]
+    np.testing.assert_allclose(prior.factor @ prior.factor.T, make_covariance(obj, cuts[np.argmax(expected)]))
+
+
+@pytest.mark.parametrize("rows", [9, 90])
+def test_each_cut_begins_at_its_linear_optimum_and_no_two_are_alike(rows: int) -> None:
+    obj = make_shape("l_bracket", 20)
+    z0 = np.random.default_rng(1).normal(0, 1, obj.n + 1)
+    residuals, J = make_evidence(obj, rows, 2)
+    found = choose_parts(obj, z0, calc_smooth_covariance(obj), MU_STD, residuals, J)
+    assert len(found) == PART_FITS
+    for prior, z in found:
+        precision = np.linalg.inv(prior.factor @ prior.factor.T)
+        gradient = precision @ (z - z0) + J.T @ (residuals + J @ (z - z0))
+        np.testing.assert_allclose(gradient, 0, atol=1e-6 * np.abs(J.T @ residuals).max())
+    within = PART_AMPLITUDE**2 * calc_smooth_covariance(obj)
+    cuts = [np.linalg.eigh((prior.factor @ prior.factor.T)[:-1, :-1] - within)[1][:, -1] for prior, _ in found]
+    correlation = np.abs(np.corrcoef(cuts))
+    assert correlation[np.triu_indices(PART_FITS, 1)].max() <= ALIKE + 1e-6
+    assert sum(prior.weight for prior, _ in found) > 0 and found[0][0].weight <= PART_WEIGHT
+
+
+def test_four_pushes_show_two_parts_and_how_they_differ() -> None:
+    obj = make_shape("claw_hammer", 30)
+    side = obj.p_BC @ make_direction(0.0) > 0.02
+    truth = CellParameters(np.where(side, 0.3, 0.06), np.full(obj.n, 0.4), 0.35)
+    found = identify(obj, make_pokes(obj, truth, 4, 3, noise=(5e-4, 3.5e-3)))
+    log_k = np.log(found.params.mass)
+    step = log_k[side].mean() - log_k[~side].mean()
+    assert step == pytest.approx(np.log(5), abs=0.35)
+    assert max(log_k[side].std(), log_k[~side].std()) < 0.35
+
+
+def test_corners_are_those_of_the_convex_hull() -> None:
+    obj = make_shape("square", 16)
+    cells, places = find_corners(obj)
+    assert len(cells) == 4
+    np.testing.assert_allclose(np.abs(places), np.abs(places).max())
