@@ -68,12 +68,14 @@ class LoadPrior:
         factor: (n+1, n+1).
         weight: beforehand, up to a constant.
         p_BC: (n, 2) where the cells' loads are, m, body frame.
+        share: by how much less than its own fit's the evidence of the idea is, where it is the best of many.
     """
 
     mean: Array
     factor: Array
     weight: float
     p_BC: Array
+    share: float = 1.0
 
 
 def calc_smooth_covariance(obj: GridObject, range_cells: float = RANGE_CELLS) -> NDArray[np.float64]:
@@ -183,12 +185,12 @@ def choose_parts(
     while left.any() and len(found) < PART_FITS:
         best = int(np.argmax(np.where(left, log_evidence, -np.inf)))
         alike = left & (_correlate(cuts, cuts[best]) > ALIKE)
-        weight = PART_WEIGHT * np.exp(log_evidence[alike] - log_evidence[best]).sum() / len(cuts)
+        share = float(np.exp(log_evidence[alike] - log_evidence[best]).sum() / len(cuts))
         covariance = within[CELLS, CELLS] + PART_STD**2 * np.outer(cuts[best], cuts[best])
         A = calc_prior_factor(covariance, 1.0, log_contact_friction_std)
         B = J @ A
         u = -B.T @ np.linalg.solve(np.eye(len(B)) + B @ B.T, residuals)
-        found.append((LoadPrior(z0, A, float(weight), obj.p_BC), z0 + A @ u))
+        found.append((LoadPrior(z0, A, PART_WEIGHT, obj.p_BC, share), z0 + A @ u))
         left &= ~alike
     return found
 

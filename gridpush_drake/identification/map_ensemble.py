@@ -214,7 +214,7 @@ class MapEnsemble:
 
     def _average(self, problem: PushProblem, priors: list[LoadPrior], fits: list[MapFit]) -> MapEnsembleFit:
         """Averages the fits; the spread is the mixture's, and what the pushes say of each other is in it."""
-        plausible = _calc_weights(fits)
+        plausible = _calc_weights(priors, fits)
         weights = plausible * [prior.weight for prior in priors]
         weights /= weights.sum()
         bottom = self.count - 1
@@ -333,9 +333,9 @@ def _compare_shares(z: Array, z0: Array) -> tuple[Array, Array]:
     return off, T
 
 
-def _calc_weights(fits: list[MapFit]) -> Array:
-    """Of each fit by its evidence."""
-    evidences = np.array([fit.log_evidence for fit in fits])
+def _calc_weights(priors: list[LoadPrior], fits: list[MapFit]) -> Array:
+    """Of each fit by its idea's evidence."""
+    evidences = np.array([fit.log_evidence + np.log(prior.share) for prior, fit in zip(priors, fits, strict=True)])
     weights = np.exp(evidences - evidences.max())
     return weights / weights.sum()
 

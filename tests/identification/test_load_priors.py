@@ -14,7 +14,6 @@ from gridpush_drake.identification.load_priors import (
     PART_AMPLITUDE,
     PART_FITS,
     PART_STD,
-    PART_WEIGHT,
     calc_cut_evidence,
     calc_smooth_covariance,
     choose_parts,
@@ -94,7 +93,7 @@ def test_each_cut_begins_at_its_linear_optimum_and_no_two_are_alike(rows: int) -
     cuts = [np.linalg.eigh((prior.factor @ prior.factor.T)[:-1, :-1] - within)[1][:, -1] for prior, _ in found]
     correlation = np.abs(np.corrcoef(cuts))
     assert correlation[np.triu_indices(PART_FITS, 1)].max() <= ALIKE + 1e-6
-    assert sum(prior.weight for prior, _ in found) > 0 and found[0][0].weight <= PART_WEIGHT
+    assert all(prior.share > 0 for prior, _ in found) and sum(prior.share for prior, _ in found) <= 1
 
 
 def test_four_pushes_show_two_parts_and_how_they_differ() -> None:
