@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import Array, transform_back
+from gridpush_drake.geometry.se2 import Array, check_vector, transform_back
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.planning.contact.reachable_outline import ReachableOutline, find_reachable_outline
@@ -74,9 +74,12 @@ class KnownShape:
 
         The action is (3,) place, direction and distance, each from -1 to 1, which stand for shares of the outline from
         0 to 1 (which is 0 again), and for the least and the greatest of `FINGER.angle_range` and
-        `FINGER.distance_range`.
+        `FINGER.distance_range`. Numbers beyond are taken for the nearest of them.
+
+        Raises:
+            PlanningError: the action is not three finite numbers.
         """
-        share, angle, distance = (np.clip(np.asarray(action, dtype=np.float64), -1.0, 1.0) + 1.0) / 2.0
+        share, angle, distance = (np.clip(check_vector(PlanningError, "action", action, 3), -1.0, 1.0) + 1.0) / 2.0
         s, _ = self.reachable.locate(share % 1.0)
         low, high = FINGER.angle_range
         least, greatest = FINGER.distance_range

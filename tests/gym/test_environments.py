@@ -196,6 +196,14 @@ def test_bad_options_are_refused(options, error, message):
         PushEnvironment("PushToGoal", **options)
 
 
+@pytest.mark.parametrize("action", [[np.nan, 0.0, 0.0], [0.0, 0.0], np.zeros((1, 3)), None])
+def test_an_action_that_is_none_is_refused(action):
+    environment = PushEnvironment("PushToGoal")
+    environment.reset(seed=0)
+    with pytest.raises(PlanningError, match="expected three finite numbers"):
+        environment.step(action)
+
+
 def test_what_cannot_be_grasped_is_refused():
     with pytest.raises(PlanningError, match="open_book has no part"):
         PushEnvironment("SlideToEdge", objects=["open_book"])
