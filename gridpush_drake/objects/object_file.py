@@ -13,6 +13,7 @@ from pydantic import Field, Strict, model_validator
 from shapely import LinearRing, Polygon
 
 from gridpush_drake.errors import ObjectError, ParameterError
+from gridpush_drake.geometry.se2 import check_vector
 from gridpush_drake.objects.cells import DEFAULT_MAX_CELLS, MAX_CELLS, MAX_LABEL, CellGrid, fill_outline, make_polygon
 from gridpush_drake.objects.mask import coarsen_mask
 from gridpush_drake.yaml_file import StrictSchema, check_mapping, read_mapping
@@ -68,8 +69,9 @@ class PhysicalPrior:
                 f"friction.prior is {self.friction!r}; expected min <= prior <= max, "
                 f"here {self.friction_min} to {self.friction_max}"
             )
-        if self.center_of_mass is not None and not np.isfinite(self.center_of_mass).all():
-            raise ParameterError(f"center_of_mass.at is {self.center_of_mass!r}; expected two finite numbers")
+        if self.center_of_mass is not None:
+            x, y = check_vector(ParameterError, "center_of_mass.at", self.center_of_mass, 2).tolist()
+            object.__setattr__(self, "center_of_mass", (x, y))
 
 
 MAX_RADIUS = 1.0

@@ -126,6 +126,8 @@ def test_relative_friction_without_friction_is_even():
         {"total_mass": 0},
         {"total_mass": np.nan},
         {"center_of_mass": (0.0, np.nan)},
+        {"center_of_mass": (0.0, 0.0, 0.0)},
+        {"center_of_mass": 0.1},
         {"center_of_mass_std": 0},
         {"friction": 1.5},
         {"friction_min": 0},
