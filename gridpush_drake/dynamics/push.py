@@ -30,7 +30,7 @@ class Push:
             grows, where the push was made by an outline location; None otherwise.
 
     Raises:
-        PushError: a value is not finite, or radius or duration is not positive.
+        PushError: a value is not finite, radius or duration is not positive, or samples disagree with the rest.
     """
 
     start: NDArray[np.float64]
@@ -58,13 +58,19 @@ class Push:
         require_positive(PushError, "push: ", radius=radius, duration=duration)
         with np.errstate(over="ignore"):
             end = check_vector(PushError, "push: end, start + velocity * duration,", begin + v * duration, 2)
+        times = np.array([0.0, duration] if t is None else t, dtype=np.float64)
+        path = np.array([begin, end] if xy is None else xy, dtype=np.float64)
+        if t is not None or xy is not None:
+            _check_samples(times, path)
+            if times[0] != 0 or times[-1] != duration or not np.allclose(path[[0, -1]], [begin, end]):
+                raise PushError("push: t and xy disagree with start, velocity or duration; `Push.along` takes samples")
         values = {
             "start": begin,
             "velocity": v,
             "duration": float(duration),
             "radius": float(radius),
-            "t": np.array([0.0, duration]) if t is None else np.array(t, dtype=np.float64),
-            "xy": np.array([begin, end]) if xy is None else np.array(xy, dtype=np.float64),
+            "t": times,
+            "xy": path,
             "start_tangent": None
             if start_tangent is None
             else check_vector(PushError, "push: start_tangent", start_tangent, 2),
@@ -82,15 +88,7 @@ class Push:
             PushError: shapes disagree, a value is not finite, or time does not increase.
         """
         times, path = np.array(t, dtype=np.float64), np.array(xy, dtype=np.float64)
-        if times.ndim != 1 or len(times) < 2 or path.shape != (len(times), 2):
-            raise PushError(
-                f"push: t of shape {times.shape} and xy of shape {path.shape}; expected (K,) and (K, 2), K >= 2"
-            )
-        if not (np.isfinite(times).all() and np.isfinite(path).all()):
-            raise PushError("push: t and xy must be finite numbers")
-        if np.any(np.diff(times) <= 0):
-            first = int(np.argmax(np.diff(times) <= 0)) + 1
-            raise PushError(f"push: t must be strictly increasing; t[{first}] is not")
+        _check_samples(times, path)
         times -= times[0]
         return cls(path[0].copy(), (path[-1] - path[0]) / times[-1], float(times[-1]), radius, t=times, xy=path)
 
@@ -153,6 +151,19 @@ class Push:
         """Interpolates p_WP of the disc's center, (K, 2) m, at times (K,), s from the beginning; held past the ends."""
         times = np.asarray(times, dtype=np.float64)
         return np.column_stack([np.interp(times, self.t, self.xy[:, axis]) for axis in (0, 1)])
+
+
+def _check_samples(times: Array, path: Array) -> None:
+    """Refuses samples of a path that are not (K,) increasing times and (K, 2) places, with a PushError."""
+    if times.ndim != 1 or len(times) < 2 or path.shape != (len(times), 2):
+        raise PushError(
+            f"push: t of shape {times.shape} and xy of shape {path.shape}; expected (K,) and (K, 2), K >= 2"
+        )
+    if not (np.isfinite(times).all() and np.isfinite(path).all()):
+        raise PushError("push: t and xy must be finite numbers")
+    if np.any(np.diff(times) <= 0):
+        first = int(np.argmax(np.diff(times) <= 0)) + 1
+        raise PushError(f"push: t must be strictly increasing; t[{first}] is not")
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,7 @@
 """Pushes: straight, sampled, from an outline, by a force; and their default steps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from shapely import Point
@@ -29,6 +31,25 @@ def test_sampled_push():
     np.testing.assert_allclose(push.tip_at(2.0), [[0.1, 0.1]])
     assert push.length == pytest.approx(0.3)
     assert push.duration == 3.0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"velocity": (0.2, 0.0)},
+        {"start": (1.0, 0.0)},
+        {"duration": 2.0},
+        {"t": [0.0, 0.5, 1.0]},
+        {"t": [0.0, np.nan]},
+        {"t": [-1.0, 1.0]},
+        {"xy": [[0.0, 0.0], [0.1, np.nan]]},
+    ],
+)
+def test_samples_that_disagree_with_the_rest_of_a_push_are_refused(change):
+    push = Push((0.0, 0.0), (0.1, 0.0), 1.0, 0.01)
+    assert replace(push, radius=0.02).radius == 0.02
+    with pytest.raises(PushError, match=r"t and xy|t of shape"):
+        replace(push, **change)
 
 
 def test_callers_arrays_are_copied():
