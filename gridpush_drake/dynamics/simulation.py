@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from os import cpu_count
 from typing import Any, Literal
 
 import numpy as np
@@ -160,7 +161,7 @@ def simulate_batch(
     Raises:
         SimulationError: the lists' lengths disagree, there is no worker, or as `simulate`.
     """
-    if workers is not None and workers < 1:
+    if workers is not None and not workers >= 1:
         raise SimulationError(f"workers is {workers}; expected 1 or more")
     starts = np.array(poses, dtype=np.float64)
     if starts.ndim not in (1, 2) or starts.shape[-1] != 3:
@@ -183,7 +184,7 @@ def simulate_batch(
     ]
     if workers == 1:
         return [simulate(*job, **options) for job in jobs]
-    with ThreadPoolExecutor(workers) as pool:
+    with ThreadPoolExecutor(workers or cpu_count()) as pool:
         return list(pool.map(lambda job: simulate(*job, **options), jobs))
 
 

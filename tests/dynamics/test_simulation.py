@@ -190,10 +190,11 @@ def test_two_times_that_are_one_are_refused_where_there_is_inertia():
     assert len(simulate(obj, CellParameters.uniform(obj), push, times=times, regime="quasi_static").poses) == 4
 
 
-def test_a_batch_needs_a_worker():
+@pytest.mark.parametrize("workers", [0, float("nan")])
+def test_a_batch_needs_a_worker(workers):
     obj = make_shape("square", 9)
-    with pytest.raises(SimulationError, match="workers is 0"):
-        simulate_batch(obj, CellParameters.uniform(obj), [], workers=0)
+    with pytest.raises(SimulationError, match=f"workers is {workers}"):
+        simulate_batch(obj, CellParameters.uniform(obj), [], workers=workers)
 
 
 def test_batch_is_the_loop_whatever_the_workers():
