@@ -268,8 +268,10 @@ def run_jobs(
 
 
 def check_known(what: str, given: Sequence[str], known: Sequence[str]) -> None:
-    """Raises GridPushError where none is given, or one that is not known."""
+    """Raises GridPushError where none is given, one that is not known, or one twice, whose runs would count twice."""
     unknown = [name for name in given if name not in known]
+    if not unknown and len(set(given)) < len(given):
+        raise GridPushError(f"{what}: {', '.join(given)}; expected each once")
     if unknown or not given:
         raise GridPushError(f"{what}: {', '.join(unknown) or 'none'}; expected some of {', '.join(known)}")
 

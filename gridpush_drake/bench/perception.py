@@ -14,7 +14,7 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 from shapely import Polygon
 
-from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
+from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
 from gridpush_drake.bench.plant import draw_push
 from gridpush_drake.bench.protocol import find_masks
 from gridpush_drake.bench.rendered_table import RenderedTable
@@ -178,11 +178,12 @@ def run(
 
     Raises:
         ObjectError: an object is not shipped.
-        GridPushError: there are no photographs in the folder.
+        GridPushError: there are no photographs in the folder, or an object is given twice.
     """
     names = list(objects or list_shipped_objects())
     for name in names:
         find_shipped_object(name)
+    check_known("objects", names, list_shipped_objects())
     if quick:
         names, poses, pushes = names[:2], min(poses, 2), 1
     tables = []

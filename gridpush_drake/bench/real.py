@@ -21,7 +21,7 @@ from matplotlib.axes import Axes
 from scipy import stats
 from scipy.io import whosmat
 
-from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
+from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
 from gridpush_drake.bench.plant import DISTANCE, SPEED, draw_push
 from gridpush_drake.bench.protocol import ANGLE_STD, MASS_RANGE, POSITION_STD, add_pose_noise, check_folder, hide_parts
 from gridpush_drake.bench.table import CONFIDENCE, MM, Mean, Table, Value, check_figure, write_panels
@@ -190,6 +190,7 @@ def run(
             raise GridPushError("figure: is of real pushes; expected --data with it")
         names, counts = list_shipped_objects() if objects is None else objects, SHOWN_COUNTS
         files = [(name, "simulated", find_shipped_object(name)) for name in names]
+        check_known("objects", names, list_shipped_objects())
     else:
         if objects is not None:
             raise GridPushError("objects: are for simulated pushes; expected none with --data")

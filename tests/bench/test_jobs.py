@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from gridpush_drake.bench import campaign, drake, paper, planning, plant, real
-from gridpush_drake.bench.jobs import Execution, open_results, run_jobs
+from gridpush_drake.bench import campaign, drake, paper, perception, planning, plant, real
+from gridpush_drake.bench.jobs import Execution, check_known, open_results, run_jobs
 from gridpush_drake.bench.paper import Score
 from gridpush_drake.bench.planning import Decision, Run
 from gridpush_drake.bench.pregrasp import experiments as pregrasp
@@ -285,3 +285,13 @@ def test_settings_are_in_the_first_line(tmp_path):
     first, line = map(json.loads, path.read_text().splitlines())
     assert first["settings"] == {"seed": 0, "data": str(tmp_path), "objects": ["a"]}
     assert line == {"job": ["Job", {"number": 3, "folder": str(tmp_path)}], "result": [{"double": 6, "share": 0.1}]}
+
+
+def test_a_name_given_twice_is_refused_as_its_runs_would_count_twice():
+    check_known("objects", ["pliers", "toolbox"], ["pliers", "toolbox"])
+    with pytest.raises(GridPushError, match="objects: pliers, pliers; expected each once"):
+        check_known("objects", ["pliers", "pliers"], ["pliers"])
+    with pytest.raises(GridPushError, match="objects: pliers, pliers; expected each once"):
+        real.run(objects=["pliers", "pliers"])
+    with pytest.raises(GridPushError, match="objects: pliers, pliers; expected each once"):
+        perception.run(objects=["pliers", "pliers"])
