@@ -20,7 +20,8 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.errors import PlanningError
+from gridpush_drake.geometry.se2 import Array, check_vector
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.pregrasp.exploration import (
     PokeChoice,
@@ -355,8 +356,11 @@ class PreGraspPlan:
 
 
 def plan_pregrasp(planner: PreGraspPlanner, model: UncertainModel, pose: ArrayLike) -> PreGraspPlan:
-    """Plans a slide from `pose` (3,), X_WB, m and rad, to the end; motions are predicted with the model's `params`."""
-    poses, pushes = [np.array(pose, dtype=np.float64)], list[Push]()
+    """Plans a slide from `pose` (3,), X_WB, m and rad, to the end; motions are predicted with the model's `params`.
+
+    Raises PlanningError: the pose is not three finite numbers.
+    """
+    poses, pushes = [check_vector(PlanningError, "pose", pose, 3)], list[Push]()
     while True:
         decision = planner.decide(poses[-1], model, planner.options.min_pokes, len(pushes))
         if decision.action != "slide" or decision.push is None:

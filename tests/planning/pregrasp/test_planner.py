@@ -262,6 +262,13 @@ def test_a_plan_ends_with_something_to_grasp(pan, parts, heavy_plate, surface):
     assert calc_loads(pan, heavy_plate, plan.poses[-1], surface.corners) is not None
 
 
+@pytest.mark.parametrize("pose", [(np.nan, 0.0, 0.0), (0.0, 0.0)])
+def test_a_pose_that_is_none_is_refused(pan, parts, pose):
+    planner = PreGraspPlanner(pan, TABLE, parts=parts)
+    with pytest.raises(PlanningError, match="expected three finite numbers"):
+        plan_pregrasp(planner, UncertainModel.of_prior(pan), pose)
+
+
 def test_a_plan_without_a_safe_goal_says_so(pan, parts):
     options = PreGraspOptions(goal=GoalOptions(margin=0.065))
     planner = PreGraspPlanner(pan, TABLE, options, parts)
