@@ -14,6 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from gridpush_drake.errors import PlanningError
 from gridpush_drake.gym.episode import Episode, GameOptions, PushGame
 from gridpush_drake.gym.games import GAMES
 from gridpush_drake.gym.rendering import draw_scene
@@ -42,7 +43,9 @@ def register_environments() -> None:
 
 
 def make_game(game: str, options: dict[str, Any]) -> PushGame:
-    """Makes a game by its name, of GAMES, with fields of `GameOptions`."""
+    """Makes a game by its name, of GAMES, with fields of `GameOptions`. Raises PlanningError for another name."""
+    if game not in GAMES:
+        raise PlanningError(f"game: {game!r}; expected one of {', '.join(GAMES)}")
     kind = GAMES[game]
     return kind(GameOptions(**kind.defaults | options))
 
@@ -172,11 +175,19 @@ class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self._over = np.zeros(num_envs, dtype=bool)
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins all episodes; the i-th is seeded with `seed` + i."""
+        """Begins all episodes; the i-th is seeded with `seed` + i, or with the i-th of the seeds.
+
+        Raises:
+            PlanningError: there is not one seed an episode.
+        """
         if seed is not None or not self._generators:
-            seeds = [None if seed is None else seed + i for i in range(self.num_envs)]
+            seeds: list[int | None] = [None] * self.num_envs
+            if seed is not None:
+                seeds = list(seed) if isinstance(seed, Sequence) else [seed + i for i in range(self.num_envs)]
+            if len(seeds) != self.num_envs:
+                raise PlanningError(f"seed: {len(seeds)} seeds; expected {self.num_envs}, one an episode")
             self._generators = [np_random(one)[0] for one in seeds]
         self.episodes = [self.game.begin(rng) for rng in self._generators]
         self._over[:] = False

@@ -6,6 +6,7 @@ simulated together; an environment is one episode, a vector environment many.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from math import inf
 from typing import Any, ClassVar
 
 import numpy as np
@@ -63,14 +64,17 @@ class GameOptions:
     workers: int = 1
 
     def __post_init__(self) -> None:
+        expected = "expected the names of shipped objects, or objects"
+        if isinstance(self.objects, str):
+            raise PlanningError(f"objects: {self.objects!r} is not a list; {expected}")
         object.__setattr__(self, "objects", tuple(self.objects))
         if not self.objects:
-            raise PlanningError("objects: none is given; expected the names of shipped objects, or objects")
+            raise PlanningError(f"objects: none is given; {expected}")
         for name in ("max_pushes", "workers"):
-            if getattr(self, name) < 1:
+            if not getattr(self, name) >= 1:
                 raise PlanningError(f"{name} is {getattr(self, name)!r}; expected 1 or more")
-        if not (self.position_std >= 0 and self.angle_std >= 0):
-            raise PlanningError("position_std and angle_std must be >= 0")
+        if not (0 <= self.position_std < inf and 0 <= self.angle_std < inf):
+            raise PlanningError("position_std and angle_std must be finite and >= 0")
 
 
 @dataclass(frozen=True, eq=False)

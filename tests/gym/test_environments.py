@@ -72,6 +72,14 @@ def test_a_vector_environment_is_single_ones_bit_for_bit(name):
     assert many.observation_space.contains(seen)
 
 
+def test_each_episode_of_a_vector_environment_may_have_its_own_seed():
+    many, seeds = PushVectorEnvironment(2, "PushToGoal"), [7, 3]
+    singles = [PushEnvironment("PushToGoal").reset(seed=seed)[0] for seed in seeds]
+    _assert_same(many.reset(seed=seeds)[0], singles)
+    with pytest.raises(PlanningError, match="seed: 1 seeds; expected 2"):
+        many.reset(seed=[7])
+
+
 def _assert_same(seen, singles):
     for name, values in seen.items():
         np.testing.assert_array_equal(values, np.stack([single[name] for single in singles]))
@@ -187,13 +195,17 @@ def test_occupancy_has_the_object_s_area_and_pictures_show_it():
     [
         ({"objects": []}, PlanningError, "objects: none"),
         ({"objects": ["anvil"]}, ObjectError, "anvil"),
+        ({"objects": "pliers"}, PlanningError, "'pliers' is not a list"),
+        ({"game": "chess"}, PlanningError, "game: 'chess'; expected one of PushToGoal"),
         ({"max_pushes": 0}, PlanningError, "max_pushes is 0"),
+        ({"max_pushes": np.nan}, PlanningError, "max_pushes is nan"),
         ({"angle_std": -1.0}, PlanningError, "angle_std"),
+        ({"position_std": np.inf}, PlanningError, "position_std"),
     ],
 )
 def test_bad_options_are_refused(options, error, message):
     with pytest.raises(error, match=message):
-        PushEnvironment("PushToGoal", **options)
+        PushEnvironment(**options)
 
 
 @pytest.mark.parametrize("action", [[np.nan, 0.0, 0.0], [0.0, 0.0], np.zeros((1, 3)), None])
