@@ -22,7 +22,7 @@ from gridpush_drake.bench.jobs import Report, count_steps
 from gridpush_drake.bench.pregrasp.experiments import find_mask
 from gridpush_drake.bench.protocol import METERS_PER_PIXEL
 from gridpush_drake.bench.table import MS, Table, Value
-from gridpush_drake.dynamics.push import Push, join_times, make_path_times
+from gridpush_drake.dynamics.push import Push, make_times_with
 from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.problem import PushProblem, TimedPush
@@ -251,7 +251,7 @@ def make_bench_log(cells: int, pushes: int) -> tuple[GridObject, PushLog]:
             radius=POKE_RADIUS, speed=POKE_SPEED,
         )  # fmt: skip
         times = np.linspace(0.0, push.duration, OBSERVED + 1)[1:]
-        steps = join_times(make_path_times(push, "quasi_static"), times)
+        steps = make_times_with(push, times, "quasi_static")
         motion = simulate(obj, truth, push, regime="quasi_static", times=steps)
         poses = motion.poses[np.searchsorted(steps, times)] + rng.normal(0.0, POSE_NOISE, (OBSERVED, 3))
         seen.append(ObservedPush(f"poke_{i}", push, np.zeros(3), times, poses))

@@ -152,6 +152,11 @@ class Push:
         times = np.asarray(times, dtype=np.float64)
         return np.column_stack([np.interp(times, self.t, self.xy[:, axis]) for axis in (0, 1)])
 
+    def distance_at(self, times: ArrayLike) -> NDArray[np.float64]:
+        """How far the disc's center has gone along its path at times (K,), s from the beginning: (K,) m."""
+        gone = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(self.xy, axis=0), axis=1)))
+        return np.interp(np.asarray(times, dtype=np.float64), self.t, gone)
+
 
 def _check_samples(times: Array, path: Array) -> None:
     """Refuses samples of a path that are not (K,) increasing times and (K, 2) places, with a PushError."""
@@ -213,6 +218,7 @@ DEFAULT_DT = 0.01  # s, the longest step where none is given
 DEFAULT_TIP_STEP = 0.001  # m, the furthest the pusher moves in a step where none is given
 MAX_STEPS = 1_000_000  # of a simulation, each of which is kept: 1 km of the pusher's path by default
 SAME_TIME = 1e-9  # of a push's duration, by which two of its times differ that are one
+SHORT_STEP = 0.01  # of the mean step: what is shorter is too short for a motion to be expected to go on as in it
 SLACK = 1e-9  # share of a step by which a duration may exceed a whole number of them
 
 
@@ -280,30 +286,45 @@ def _cut(parts: float) -> Array:
     return starts
 
 
-def join_times(path: Array, wanted: Array) -> Array:
-    """Cuts a push's steps at further times.
+def make_times_with(push: Push, wanted: Array, regime: str) -> Array:
+    """Cuts a push into the default steps, and at further times.
 
     Args:
-        path: (T+1,) the steps' times, s.
-        wanted: (K,) increasing times after the first of them, s; those of the path that one of them all but repeats are
-            left out, as in a step that short a rounding error of a place is a speed.
+        push: the push.
+        wanted: (K,) increasing times after its beginning, s. The default ones so near them that the step between would
+            be a short one are left out: there a rounding error of a place is a speed.
+        regime: "inertial" or "quasi_static".
 
     Returns:
         All times, increasing, s.
     """
-    before, after = np.append(-np.inf, wanted), np.append(wanted, np.inf)
-    at = np.searchsorted(wanted, path)
-    repeated = np.minimum(path - before[at], after[at] - path) < SAME_TIME * path[-1]
+    path = make_path_times(push, regime)
+    place, near = (path, wanted) if regime == "inertial" else (push.distance_at(path), push.distance_at(wanted))
+    before, after = np.append(-np.inf, near), np.append(near, np.inf)
+    at = np.searchsorted(near, place)
+    repeated = np.minimum(place - before[at], after[at] - place) < SHORT_STEP * place[-1] / (len(path) - 1)
     repeated[0] = False
     return np.union1d(path[~repeated], wanted)
+
+
+def measure_steps(push: Push | ForcePush, times: Array, regime: str) -> Array:
+    """How long the steps between `times` (T+1,) are, (T,): s; where nothing has inertia, by the pusher's path, m.
+
+    There time does not matter, and what a step expects of the one before must not depend on it. Steps in which the
+    pusher all but stands still count as short ones.
+    """
+    if regime == "inertial" or isinstance(push, ForcePush) or push.length == 0:
+        return np.diff(times)
+    steps = np.diff(push.distance_at(times))
+    return np.maximum(steps, SHORT_STEP * steps.mean())
 
 
 def check_times(times: ArrayLike, inertial: bool) -> Array:
     """Copies the steps' times that a caller gives, (T+1,), s.
 
     Raises:
-        SimulationError: they are not finite or not strictly increasing, or two are all but the same (`join_times`)
-            where the object has inertia.
+        SimulationError: they are not finite or not strictly increasing, or two are all but the same where the
+            object has inertia.
     """
     times = np.array(times, dtype=np.float64)
     if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all() or (np.diff(times) <= 0).any():

@@ -15,7 +15,7 @@ from gridpush_drake.dynamics.kernels.call import make_method, run_pushes, shifts
 from gridpush_drake.dynamics.kernels.forward_sensitivity import CONTACT_FRICTION, OTHER, START_X, START_Y
 from gridpush_drake.dynamics.kernels.inputs import Pushes
 from gridpush_drake.dynamics.motion import RawJacobian
-from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.push import Push, measure_steps
 from gridpush_drake.dynamics.simulation import (
     GRAVITY,
     RELATIVE_STICTION,
@@ -125,7 +125,7 @@ class PushBatch:
             table,
             Pushes(
                 first,
-                np.concatenate([np.diff(one.times) for one in some]),
+                np.concatenate([measure_steps(one.push, one.times, self.regime) for one in some]),
                 np.concatenate([one.push.tip_at(one.times) for one in some]),
                 np.array([one.push.length for one in some]),
                 np.array([one.push.radius for one in some]),

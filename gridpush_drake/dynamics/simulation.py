@@ -16,7 +16,7 @@ from gridpush_drake.dynamics.kernels.inputs import Load, Steps
 from gridpush_drake.dynamics.kernels.step import CONVERGED
 from gridpush_drake.dynamics.kernels.support_loads import measure_depth
 from gridpush_drake.dynamics.motion import Jacobian, Motion, MotionStatus, RawJacobian
-from gridpush_drake.dynamics.push import ForcePush, Push, check_times, make_times
+from gridpush_drake.dynamics.push import ForcePush, Push, check_times, make_times, measure_steps
 from gridpush_drake.dynamics.reference.paper_rollout import calc_paper_jacobian
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, check_vector, rotate
@@ -95,7 +95,7 @@ def simulate(
     if not inertial and params.friction @ params.mass * gravity <= 0:
         raise SimulationError("friction: the quasi-static regime needs some friction with the support")
     times = make_times(push, dt, regime) if times is None else check_times(times, inertial)
-    steps, dts = len(times) - 1, np.diff(times)
+    steps, dts = len(times) - 1, measure_steps(push, times, regime)
     rows = np.arange(steps + 1) if record is None else check_record(record, steps)
     row_of_step = np.full(steps + 1, -1)
     row_of_step[rows] = np.arange(len(rows))
@@ -108,6 +108,8 @@ def simulate(
     method = make_method(inertial, friction, spin, stiction_tolerance, RELATIVE_STICTION)
     load = _make_load(push, times)
     result = run_kernel(obj, params, gravity, method, q, nu, dts, load, row_of_step, J, table=edges)
+    velocities = result.velocities
+    velocities[1:] *= (dts / np.diff(times))[:, None]
 
     jacobian: Jacobian | RawJacobian | None = None
     if gradients in (True, "mass"):
@@ -119,7 +121,7 @@ def simulate(
         jacobian = calc_paper_jacobian(obj, params, result, dts, rows, gravity, method)
     has_pusher = load.radius > 0
     return Motion(
-        times, result.poses, result.velocities, load.tip if has_pusher else np.full_like(load.tip, np.nan),
+        times, result.poses, velocities, load.tip if has_pusher else np.full_like(load.tip, np.nan),
         result.contact_forces, result.contact_points, result.modes, result.gaps, _find_status(has_pusher, result),
         result.load_centers, result.tips, result.statuses[:, 1], jacobian,
     )  # fmt: skip

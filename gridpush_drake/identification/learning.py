@@ -16,7 +16,7 @@ from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.map_ensemble import MapEnsemble, MapEnsembleFit, Tracker
 from gridpush_drake.identification.map_fit import CenterOfMass, System, calc_laplace
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
-from gridpush_drake.identification.outliers import SUSPECT_ODDS, LeftOut, Screening, calc_foreign_odds, calc_way
+from gridpush_drake.identification.outliers import SUSPECT_ODDS, LeftOut, Screening, calc_foreign_odds
 from gridpush_drake.identification.posterior import CONTACT_FRICTION, Posterior
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import FitStart, Identification, IdentificationStatus, Progress
@@ -174,7 +174,7 @@ def _fit_default(
 
 def _refuse_push(screened: Screening, system: System, left_out: list[LeftOut]) -> Screening:
     """Refuses the push that agrees least with the fit if the others, fitted without it, say it is another object's."""
-    ways = [calc_way(seen.push, seen.t_observed) for seen in screened.log]
+    ways = [seen.push.distance_at(seen.t_observed) for seen in screened.log]
     odds = [calc_foreign_odds(seen, way) for seen, way in zip(left_out, ways, strict=True)]
     suspects = [int(i) for i in np.argsort(odds)[::-1] if odds[i] > SUSPECT_ODDS]
     for i in suspects[: min(screened.may_refuse, MAX_TRIALS)]:

@@ -176,7 +176,7 @@ def _find_chain(obj: GridObject, seen: ObservedPush) -> Mask:
     """The longest chain of poses, each within reach of the one before."""
     poses = np.vstack([seen.pose, seen.poses_observed])
     centroids = obj.cells_at(poses).mean(axis=1)
-    way = calc_way(seen.push, np.append(0.0, seen.t_observed))
+    way = seen.push.distance_at(np.append(0.0, seen.t_observed))
     speed = SPEED_FACTOR * seen.push.length / seen.push.duration
     slack = JUMP_SLACK + speed**2 / (2 * obj.prior.friction * GRAVITY)
     length, before = np.ones(len(poses)), np.full(len(poses), -1)
@@ -193,12 +193,6 @@ def _find_chain(obj: GridObject, seen: ObservedPush) -> Mask:
         mask[k] = True
         k = int(before[k])
     return mask
-
-
-def calc_way(push: Push, times: Array) -> Array:
-    """(K,) m, how far the pusher has gone at times (K,), s."""
-    gone = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(push.xy, axis=0), axis=1)))
-    return np.asarray(np.interp(times, push.t, gone))
 
 
 def remove_outliers(log: PushLog, outliers: Sequence[Outlier]) -> PushLog:

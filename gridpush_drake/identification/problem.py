@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.motion import Motion
-from gridpush_drake.dynamics.push import join_times, make_path_times
+from gridpush_drake.dynamics.push import make_times_with
 from gridpush_drake.dynamics.push_batch import BatchPush, PushBatch
 from gridpush_drake.dynamics.simulation import Regime, simulate
 from gridpush_drake.geometry.se2 import Array, rotate, transform, wrap_angle
@@ -59,7 +59,7 @@ class TimedPush:
     @classmethod
     def of(cls, observed: ObservedPush, regime: Regime, table: Array | None = None) -> "TimedPush":
         """Cuts the time at every observation."""
-        times = join_times(make_path_times(observed.push, regime), observed.t_observed)
+        times = make_times_with(observed.push, observed.t_observed, regime)
         return cls(observed, times, np.searchsorted(times, observed.t_observed), table)
 
     def simulate(self, obj: GridObject, params: CellParameters, **options: Any) -> Motion:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.dynamics.push import Push, make_path_times
+from gridpush_drake.dynamics.push import Push, make_path_times, make_times_with
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_pushes import make_random_contents, make_random_push, refine
@@ -93,3 +93,59 @@ def test_quasi_static_error_falls_with_the_square_of_the_step():
     assert errors[2] < 5e-6
     assert errors[0] / errors[1] > 3.5
     assert errors[1] / errors[2] > 3.5
+
+
+def make_crooked_path(rng, obj):
+    """A push of 0.1 m along five pieces: times, s, places, m, and radius, m."""
+    straight = make_random_push(rng, obj, length=0.1)
+    t = np.linspace(0.0, straight.duration, 6)
+    return t, straight.tip_at(t) + np.vstack([np.zeros(2), rng.normal(0.0, 0.002, (5, 2))]), straight.radius
+
+
+@pytest.mark.parametrize("changed", ["speed", "pause"])
+def test_time_does_not_matter_to_a_quasi_static_push(changed):
+    """However fast the pusher goes along its path and wherever it rests, it takes the object to the same pose."""
+    obj, rng = make_shape("claw_hammer", 60), np.random.default_rng(0)
+    for _ in range(10):
+        params, (t, xy, radius) = make_random_contents(rng, obj), make_crooked_path(rng, obj)
+        if changed == "speed":
+            push = Push.along(np.append(0.0, np.cumsum(np.diff(t) * 10 ** rng.uniform(-1, 1, 5))), xy, radius)
+        else:
+            push = Push.along([*t[:4], *(t[3:] + 5.0)], xy[[0, 1, 2, 3, 3, 4, 5]], radius)
+        even = simulate(obj, params, Push.along(t, xy, radius), regime="quasi_static")
+        motion = simulate(obj, params, push, regime="quasi_static")
+        np.testing.assert_allclose(motion.final_pose, even.final_pose, rtol=0, atol=1e-9)
+        turned = np.diff(motion.poses[:, 2]) / np.diff(motion.times)
+        np.testing.assert_allclose(motion.velocities[1:, 2], turned, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-6])
+def test_a_pusher_that_rests_while_it_is_observed_moves_nothing(noise):
+    """Steps in which the tip does not move, or by no more than its measurement's noise, m, tell the next nothing."""
+    obj, rng = make_shape("claw_hammer", 60), np.random.default_rng(0)
+    for _ in range(10):
+        params, (t, xy, radius) = make_random_contents(rng, obj), make_crooked_path(rng, obj)
+        rest = t[3] + 0.02 * np.arange(1, 101)
+        path = np.vstack([xy[:4], np.repeat(xy[3:4], 100, axis=0), xy[4:]])
+        path[4:-2] += rng.normal(0.0, noise, (100, 2))
+        push = Push.along(np.concatenate([t[:4], rest, t[4:] + 2.0]), path, radius)
+        times = make_times_with(push, rest, "quasi_static")
+        one = simulate(obj, params, Push.along(t, xy, radius), regime="quasi_static")
+        two = simulate(obj, params, push, times=times, regime="quasi_static")
+        assert calc_cell_error(obj, one.final_pose, two.final_pose) < 2e-4
+
+
+@pytest.mark.parametrize("share", [1e-9, 1e-6, 1e-4, 1e-2])
+@pytest.mark.parametrize("regime", REGIMES)
+def test_wanted_times_just_after_a_step_change_nothing(regime, share):
+    """In a step much shorter than the others what is left of an overlap, or a rounding error, would be a speed."""
+    obj, rng = make_shape("claw_hammer", 60), np.random.default_rng(0)
+    for _ in range(10):
+        params, push = make_random_contents(rng, obj), make_random_push(rng, obj, length=0.1)
+        times = make_path_times(push, regime)
+        cut = 1 + rng.choice(len(times) - 2, 20, replace=False)
+        wanted = np.sort(times[cut] + share * np.diff(times)[cut])
+        both = make_times_with(push, wanted, regime)
+        assert np.isin(wanted, both).all()
+        one, two = (simulate(obj, params, push, times=each, regime=regime) for each in (times, both))
+        assert calc_cell_error(obj, one.final_pose, two.final_pose) < 1e-4

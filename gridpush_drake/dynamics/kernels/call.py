@@ -70,7 +70,7 @@ def run_kernel(
         method: how the steps are taken.
         q: (3,) pose at the beginning.
         nu: (3,) velocity of B's origin, m/s, and yaw rate, rad/s, at the beginning.
-        dts: (T,) steps, s.
+        dts: (T,) steps, s, or as `push.measure_steps` has them; the velocities are by the same.
         load: what drives the body.
         row_of_step: (T+1,) row of J that records this step, -1 for none.
         J: (rows, 3, width) filled, see `forward_sensitivity`; without columns where no derivative is wanted.

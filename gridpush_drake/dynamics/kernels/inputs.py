@@ -56,7 +56,7 @@ class Pushes(NamedTuple):
 
     Attributes:
         first: (P+1,) the first step of each push, and S.
-        dts: (S,) steps, s.
+        dts: (S,) steps, s, or as `push.measure_steps` has them.
         tips: (S+P, 2) the disc's center before each step and at each push's end, m.
         path_lengths: (P,) of the disc's whole path, m.
         radii: (P,) of the disc, m.
