@@ -4,8 +4,8 @@ For each amplitude of the smoothness prior, weakest variation first, z is fitted
 starting where the last one ended: coarse to fine. Where the best of them leaves much unexplained it may be a poor
 optimum; then fits begin with loads that are tilted to all sides. One more is of a rigid bottom that rests on the
 outline's corners, and the last are of objects of two parts, by the cuts that explain the pushes best (`load_priors`).
-By their evidence and a prior weight a^-3/4 the fields' logarithms are averaged, z = sum_a w_a z_a, and then the
-shares of friction, x = (1 - w) x_field + w x_bottom (`docs/theory/identification.md`, section 5).
+By their evidence and a prior weight a^-3/5 the shares of friction that they give are averaged, x = sum_a w_a x_a
+(`docs/theory/identification.md`, section 5).
 """
 
 from collections.abc import Callable
@@ -18,6 +18,7 @@ from scipy.special import logsumexp
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.load_priors import (
+    CENTER_STD,
     RANGE_CELLS,
     LoadPrior,
     calc_prior_factor,
@@ -133,7 +134,7 @@ class MapEnsemble:
             problem: the training pushes; at least one.
             z0: (n+1,) prior mean of z.
             log_contact_friction_std: prior standard deviation of log mu_c.
-            center_of_mass: prior knowledge, or None.
+            center_of_mass: prior knowledge; None stands for CENTER_STD about the cells' centroid.
             on_step: called with z and the pushes' residuals and derivatives there after every step.
             starts: of fits to fewer pushes; each of the first `count` fits begins there or where the last amplitude's
                 ended, whichever is more probable.
@@ -141,6 +142,9 @@ class MapEnsemble:
         Returns:
             The fit.
         """
+        if center_of_mass is None:
+            x, y = problem.obj.p_BC.mean(axis=0)
+            center_of_mass = CenterOfMass((x, y), CENTER_STD * problem.obj.radius_of_gyration)
         C = calc_smooth_covariance(problem.obj, self.range_cells)
         priors = self._make_priors(problem.obj, z0, C, log_contact_friction_std)
         fit_one = partial(fit_map, noise=self.noise, center_of_mass=center_of_mass, on_step=on_step)
@@ -160,7 +164,7 @@ class MapEnsemble:
         self._follow_best(priors, fits, fit_one)
         best = fits[self._find_best(fits)]
         residuals, J = best.system.linearize_at_prior()
-        known = 0 if center_of_mass is None else len(center_of_mass.at)
+        known = len(center_of_mass.at)
         for prior, z in choose_parts(problem.obj, z0, C, log_contact_friction_std, residuals, J, known):
             priors.append(prior)
             fits.append(
@@ -219,7 +223,7 @@ class MapEnsemble:
         weights /= weights.sum()
         bottom = self.count - 1
         fields = np.delete(np.arange(len(fits)), bottom)
-        z_field = (weights[fields] / weights[fields].sum()) @ np.array([fits[i].z for i in fields])
+        z_field = _average_shares(weights[fields] / weights[fields].sum(), [fits[i].z for i in fields])
         z_bottom = _move_center(problem.obj.p_BC, fits[bottom].z, priors[bottom].p_BC)
         z = _average_shares(np.array([1 - weights[bottom], weights[bottom]]), [z_field, z_bottom])
         # Leaning on weak variation predicts better; it is no knowledge, and must not make the estimate look surer.

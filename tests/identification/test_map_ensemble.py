@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from gridpush_drake.identification.learning import identify
-from gridpush_drake.identification.load_priors import find_corners
+from gridpush_drake.identification.load_priors import CENTER_STD, find_corners
 from gridpush_drake.identification.map_ensemble import (
     SHARED_SHIFT,
     MapEnsemble,
@@ -13,6 +13,7 @@ from gridpush_drake.identification.map_ensemble import (
     _compare_shares,
     _move_center,
 )
+from gridpush_drake.identification.map_fit import CenterOfMass
 from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.objects.parameters import CellParameters
@@ -43,6 +44,23 @@ def test_average_lies_among_its_fits_and_its_spread_covers_theirs() -> None:
     assert (found.posterior.mean >= fits.min(axis=0)).all() and (found.posterior.mean <= fits.max(axis=0)).all()
     alone = [learn(4.0, (amplitude,)).posterior.covariance for amplitude in MapEnsemble().amplitudes]
     assert np.trace(found.posterior.covariance) >= min(np.trace(covariance) for covariance in alone)
+
+
+def test_where_nothing_is_known_the_center_is_held_about_the_centroid_until_pushes_say_otherwise() -> None:
+    obj = make_shape("l_bracket", 20)
+    truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.03, 50.0, 1.0), np.full(obj.n, 0.4), 0.35)
+    centroid, true_center = obj.p_BC.mean(axis=0), truth.mass @ obj.p_BC / truth.total_mass
+
+    def find_center(pushes: int, std: float | None):
+        known = None if std is None else CenterOfMass((centroid[0], centroid[1]), std * obj.radius_of_gyration)
+        problem = PushProblem(obj, make_pokes(obj, truth, pushes, 5, noise=NOISE), truth.friction)
+        z0 = problem.unknowns(CellParameters.uniform(obj))
+        return calc_share(MapEnsemble().fit(problem, z0, 0.3, known, lambda z, linear: None).z) @ obj.p_BC
+
+    held, alike, free = (find_center(1, std) for std in (None, CENTER_STD, 100.0))
+    np.testing.assert_array_equal(held, alike)
+    assert np.linalg.norm(held - centroid) < np.linalg.norm(free - centroid)
+    assert np.linalg.norm(find_center(6, None) - true_center) < 2e-3
 
 
 def test_no_number_of_pushes_makes_the_center_surer_than_what_their_loads_share() -> None:
