@@ -325,7 +325,7 @@ def _average_shares(weights: Array, z: list[Array]) -> Array:
     values = np.array(z)
     level = logsumexp(values[:, CELLS], axis=1)
     average = np.asarray(weights @ values)
-    average[CELLS] = logsumexp(values[:, CELLS] - level[:, None], axis=0, b=weights[:, None]) + weights @ level
+    average[CELLS] = np.log(weights @ np.exp(values[:, CELLS] - level[:, None])) + weights @ level
     return average
 
 
