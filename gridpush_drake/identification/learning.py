@@ -1,6 +1,7 @@
 """`identify`: from a push log to a model (`docs/theory/identification.md`)."""
 
 from dataclasses import replace
+from numbers import Integral
 from typing import Literal
 
 import numpy as np
@@ -81,15 +82,15 @@ def identify(
         The model, its spread, and what the log cannot tell.
 
     Raises:
-        IdentificationError: the method or regime is unknown, the seed is negative, the log is empty or lacks
-            observations.
+        IdentificationError: the method or regime is unknown, the seed is no whole number or negative, the log is empty
+            or lacks observations.
         PushLogError: the object hung over the table's edge during every push, or the log cannot be true of the object,
             see `pushes.plausibility`.
     """
     for name, value, known in (("method", method, METHODS), ("regime", regime, REGIMES)):
         if value not in known:
             raise IdentificationError(f"{name} is {value!r}; expected one of {', '.join(known)}")
-    if seed < 0:
+    if not (isinstance(seed, Integral) and seed >= 0):
         raise IdentificationError(f"seed is {seed}; expected a whole number, 0 or more")
     obj = obj if prior is None else replace(obj, prior=prior)
     screened = _check_log(obj, log if method == "default" else log.on_table)

@@ -171,6 +171,8 @@ def test_bad_arguments_are_refused() -> None:
         identify(obj, log, regime="fast")
     with pytest.raises(IdentificationError, match="seed is -1"):
         identify(obj, log, method="random_search", seed=-1)
+    with pytest.raises(IdentificationError, match=r"seed is 1\.5"):
+        identify(obj, log, seed=1.5)  # type: ignore[arg-type]
     with pytest.raises(IdentificationError, match="budget"):
         identify(obj, log, method="random_search", budget=0)
     with pytest.raises(IdentificationError, match="k is -1"):
