@@ -28,7 +28,7 @@ RANGE_CELLS = 4.0
 KAPPA_RANGE = 8.0**0.5
 """kappa times the range, of the Matérn field of smoothness one (Lindgren, Rue and Lindström 2011, section 2)."""
 
-WEAKNESS = 0.6
+WEAKNESS = 0.65
 """Power of 1/a that an amplitude a weighs beforehand: few noisy pushes are not to talk the model out of uniformity."""
 
 CENTER_STD = 0.6
@@ -38,7 +38,7 @@ PART_STD, PART_AMPLITUDE = 1.5, 0.3
 """sigma_p and a_p: of log k between two parts, and within each."""
 
 PART_WEIGHT = 1.0
-"""Of two parts beforehand, all cuts together, where all fields together have 11.0."""
+"""Of two parts beforehand, all cuts together, where all fields together have 12.0."""
 
 PART_FITS = 3
 """How many cuts are fitted, no two alike."""

@@ -4,7 +4,7 @@ For each amplitude of the smoothness prior, weakest variation first, z is fitted
 starting where the last one ended: coarse to fine. Where the best of them leaves much unexplained it may be a poor
 optimum; then fits begin with loads that are tilted to all sides. One more is of a rigid bottom that rests on the
 outline's corners, and the last are of objects of two parts, by the cuts that explain the pushes best (`load_priors`).
-By their evidence and a prior weight a^-3/5 the shares of friction that they give are averaged, x = sum_a w_a x_a
+By their evidence and a prior weight a^-0.65 the shares of friction that they give are averaged, x = sum_a w_a x_a
 (`docs/theory/identification.md`, section 5).
 """
 
