@@ -313,10 +313,10 @@ def measure_steps(push: Push | ForcePush, times: Array, regime: str) -> Array:
     There time does not matter, and what a step expects of the one before must not depend on it. Steps in which the
     pusher all but stands still count as short ones.
     """
-    if regime == "inertial" or isinstance(push, ForcePush) or push.length == 0:
+    if regime == "inertial" or isinstance(push, ForcePush):
         return np.diff(times)
     steps = np.diff(push.distance_at(times))
-    return np.maximum(steps, SHORT_STEP * steps.mean())
+    return np.maximum(steps, SHORT_STEP * steps.mean()) if steps.any() else np.diff(times)
 
 
 def check_times(times: ArrayLike, inertial: bool) -> Array:

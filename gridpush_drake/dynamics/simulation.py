@@ -108,8 +108,8 @@ def simulate(
     method = make_method(inertial, friction, spin, stiction_tolerance, RELATIVE_STICTION)
     load = _make_load(push, times)
     result = run_kernel(obj, params, gravity, method, q, nu, dts, load, row_of_step, J, table=edges)
-    velocities = result.velocities
-    velocities[1:] *= (dts / np.diff(times))[:, None]
+    if not inertial:
+        result.velocities[1:] *= (dts / np.diff(times))[:, None]
 
     jacobian: Jacobian | RawJacobian | None = None
     if gradients in (True, "mass"):
@@ -121,7 +121,7 @@ def simulate(
         jacobian = calc_paper_jacobian(obj, params, result, dts, rows, gravity, method)
     has_pusher = load.radius > 0
     return Motion(
-        times, result.poses, velocities, load.tip if has_pusher else np.full_like(load.tip, np.nan),
+        times, result.poses, result.velocities, load.tip if has_pusher else np.full_like(load.tip, np.nan),
         result.contact_forces, result.contact_points, result.modes, result.gaps, _find_status(has_pusher, result),
         result.load_centers, result.tips, result.statuses[:, 1], jacobian,
     )  # fmt: skip

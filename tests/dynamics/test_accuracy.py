@@ -135,6 +135,15 @@ def test_a_pusher_that_rests_while_it_is_observed_moves_nothing(noise):
         assert calc_cell_error(obj, one.final_pose, two.final_pose) < 2e-4
 
 
+def test_an_overlap_is_undone_by_a_pusher_that_only_rests():
+    """All steps within a rest, where no length of the path tells how long they are."""
+    obj, overlap = make_shape("square", 9), 1e-4
+    rest = [obj.outline.bounds[0] - 0.01 + overlap, 0.0]
+    push = Push.along([0.0, 1.0, 2.0], [rest, rest, [0.05, 0.0]], 0.01)
+    motion = simulate(obj, CellParameters.uniform(obj), push, times=[0.0, 0.2, 0.5], regime="quasi_static")
+    np.testing.assert_allclose(motion.final_pose, [overlap, 0.0, 0.0], rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize("share", [1e-9, 1e-6, 1e-4, 1e-2])
 @pytest.mark.parametrize("regime", REGIMES)
 def test_wanted_times_just_after_a_step_change_nothing(regime, share):
