@@ -178,9 +178,8 @@ def estimate_delay(
 
 def _fit_delay(seen: ObservedPush, rho: float) -> tuple[float, float] | None:
     """A push's delay and its standard deviation, s; None where there is too little to see."""
-    traveled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(seen.push.xy, axis=0), axis=1)))
-    t, end = seen.push.t - seen.push.t[0], traveled[-1]
-    late = np.interp(seen.t_observed, t, traveled) > (1 - LAST_SHARE) * end
+    end = float(seen.push.distance_at(seen.push.duration))
+    late = seen.push.distance_at(seen.t_observed) > (1 - LAST_SHARE) * end
     late[-1:] = False
     count = int(late.sum())
     if count < MIN_OBSERVATIONS:
@@ -188,9 +187,9 @@ def _fit_delay(seen: ObservedPush, rho: float) -> tuple[float, float] | None:
     moved = (seen.poses_observed[late] - seen.final_pose) * (1.0, 1.0, rho)
 
     def fit(delay: float) -> tuple[float, Array]:
-        d = np.interp(seen.t_observed[late] - delay, t, traveled) - end
+        d = seen.push.distance_at(seen.t_observed[late] - delay) - end
         basis = np.column_stack([d, d**2]) / end
-        factors = np.linalg.lstsq(basis, moved, rcond=None)[0]
+        factors = np.asarray(np.linalg.lstsq(basis, moved, rcond=None)[0], dtype=np.float64)
         return float(np.linalg.norm(moved - basis @ factors)), factors
 
     best = minimize_scalar(lambda delay: fit(delay)[0], bounds=(-DELAY_RANGE, DELAY_RANGE), method="bounded").x
