@@ -52,6 +52,9 @@ TILTED_FITS, TILTED_AMPLITUDE = 3, 1.5
 SHARED_SHIFT = 0.3
 """Of the load's shift from push to push, how much all pushes may share, so that no number of them averages it out."""
 
+CAUTION = 2.0
+"""How much larger than the pushes show it the noise is taken for, where it says how sure the parameters are."""
+
 NEGLIGIBLE = 1e-3
 """Of the evidence, below which a fit does not come to count for the spread."""
 
@@ -226,6 +229,10 @@ class MapEnsemble:
         z_field = _average_shares(weights[fields] / weights[fields].sum(), [fits[i].z for i in fields])
         z_bottom = _move_center(problem.obj.p_BC, fits[bottom].z, priors[bottom].p_BC)
         z = _average_shares(np.array([1 - weights[bottom], weights[bottom]]), [z_field, z_bottom])
+        residuals, counted = problem.residuals(z), np.flatnonzero(plausible > NEGLIGIBLE)
+        ratios = [fits[i].system.calc_end_errors(residuals) for i in counted]
+        kappa = self.noise.calc_discrepancy(np.average(ratios, axis=0, weights=plausible[counted]))
+        wider, surer = max(kappa, 1.0), min(CAUTION * kappa, 1.0)
         # Leaning on weak variation predicts better; it is no knowledge, and must not make the estimate look surer.
         covariance, prior_covariance = np.zeros((2, len(z), len(z)))
         for means, chosen in ((z_field, fields), (z_bottom, [bottom])):
@@ -234,25 +241,22 @@ class MapEnsemble:
             off, T = _compare_shares(means, z)
             for i in chosen:
                 d = fits[i].z - means if means is z_field else np.zeros(len(z))
-                covariance += plausible[i] * (T @ (fits[i].covariance + np.outer(d, d)) @ T.T + np.outer(off, off))
+                S = fits[i].covariance if surer == 1.0 else fits[i].system.scale_noise(surer).calc_covariance()
+                covariance += plausible[i] * (T @ (S + np.outer(d, d)) @ T.T + np.outer(off, off))
                 root = T @ priors[i].factor
                 prior_covariance += plausible[i] * (root @ root.T)
-        residuals, counted = problem.residuals(z), np.flatnonzero(plausible > NEGLIGIBLE)
-        errors = [float(fits[i].system.calc_end_errors(residuals).sum()) for i in counted]
-        discrepancy = self.noise.calc_discrepancy(float(np.average(errors, weights=plausible[counted])), len(problem))
-        wider = max(discrepancy, 1.0)
         scale = NoiseScale(*(wider * weights @ np.array([fit.scale for fit in fits])).tolist())
         noise, best = self.noise.scaled(scale), int(np.argmax(weights))
         return MapEnsembleFit(
             z,
-            wider**2 * covariance + problem.calc_tilt_covariance(SHARED_SHIFT * noise.load_shift),
+            wider**2 * covariance + problem.calc_tilt_covariance(SHARED_SHIFT * surer * noise.load_shift),
             wider**2 * prior_covariance,
             noise.pose,
             noise.load_shift,
             *_describe(uniform_is_best=best == 0),
             tuple(FitStart(fit.z, fit.scale) for fit in fits),
             fits[best],
-            discrepancy / wider,
+            kappa / wider,
         )
 
     def _make_priors(self, obj: GridObject, z0: Array, C: Array, log_contact_friction_std: float) -> list[LoadPrior]:

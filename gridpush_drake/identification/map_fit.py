@@ -270,6 +270,10 @@ class System:
             self.problem, self.z0, self.A, self.noise, self.center_of_mass, self.u, self.linear, self.slopes, scale
         )
 
+    def scale_noise(self, factor: float) -> "System":
+        """The same about the same point, with all noise so many times as large."""
+        return self.rescale(NoiseScale(factor * self.scale.pose, factor * self.scale.shift))
+
     def linearize_at_prior(self) -> tuple[Array, Array]:
         """The whitened residuals (R,) at z0, to first order, and their derivatives (R, n+1) by z."""
         return self.r - self.J @ self.u, solve_triangular(self.A, self.J.T, trans="T", lower=True).T
@@ -392,14 +396,14 @@ class System:
             residuals: (3K,) of each push, m, by the parameters that are to predict, which stand in for this fit's.
 
         Returns:
-            (P,) chi squares of three numbers.
+            (P,) squared lengths of the errors, as cells move, over the expected ones.
         """
         found = []
         for left_out, r, own in zip(self.leave_out(), residuals, self.linear.residuals, strict=True):
             covariance = np.linalg.inv(left_out.precision)
             shared = (self.scale.pose * self.noise.pose) ** 2 * (np.sqrt(len(covariance) / 3) - 1)
             e = covariance[LAST_POSE] @ left_out.pull + (r - own)[LAST_POSE]
-            found.append(float(e @ np.linalg.solve(covariance[LAST_POSE, LAST_POSE] - shared * np.eye(3), e)))
+            found.append(float(e @ e) / float(np.trace(covariance[LAST_POSE, LAST_POSE]) - 3 * shared))
         return np.array(found)
 
     def _factorize(self, c: float) -> tuple[Array, bool]:

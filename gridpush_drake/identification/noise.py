@@ -73,7 +73,7 @@ class NoiseModel:
     load_shift: float = 0.0012
     prior_weight: float = 20.0
     shift_weight: float = 10.0
-    discrepancy_weight: float = 3.0
+    discrepancy_weight: float = 1.0
     outlier: float = 0.7
 
     def calc_covariance(self, input_jacobian: Array, scale: NoiseScale) -> Array:
@@ -118,15 +118,14 @@ class NoiseModel:
             for weight, value in ((self.prior_weight, scale.pose), (self.shift_weight, scale.shift))
         )
 
-    def calc_discrepancy(self, chi_square: float, pushes: int) -> float:
+    def calc_discrepancy(self, ratios: Array) -> float:
         """kappa, by how much more than said the pushes' last poses differ from what the others predict.
 
         Args:
-            chi_square: sum over the pushes, each of POSE numbers.
-            pushes: how many.
+            ratios: (P,) squared lengths of the differences over the expected ones, each of POSE numbers.
         """
         weight = self.discrepancy_weight
-        return sqrt((chi_square + weight) / (POSE * pushes + weight))
+        return sqrt((POSE * float(ratios.sum()) + weight) / (POSE * len(ratios) + weight))
 
     def calc_freedom(self, pushes: int) -> float:
         """Of Student's t of a predicted number, kappa known from so many pushes; a normal's where there are none."""

@@ -87,7 +87,7 @@ class Identification:
         starts: where each of the default method's fits ended, for `identify(start=...)`; empty for other methods.
         force: what measured forces say of the friction's scale; None where there are none.
         interval_scale: of predicted intervals, at most 1: how much narrower they are than posterior and noise make
-            them, as pushes like these turn out nearer; no reason to be surer of what they do not show.
+            them, as pushes like these turn out nearer.
         noise: what the method took for granted of the noise, at scale one.
     """
 

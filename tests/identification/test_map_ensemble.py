@@ -3,12 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
+from gridpush_drake.identification import map_ensemble
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.load_priors import CENTER_STD, find_corners
 from gridpush_drake.identification.map_ensemble import (
     SHARED_SHIFT,
     MapEnsemble,
+    MapEnsembleFit,
     _average_shares,
     _compare_shares,
     _move_center,
@@ -16,6 +19,7 @@ from gridpush_drake.identification.map_ensemble import (
 from gridpush_drake.identification.map_fit import CenterOfMass
 from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
 from gridpush_drake.identification.problem import PushProblem
+from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.finite_difference import check_jacobian
@@ -142,19 +146,35 @@ def test_a_rigid_bottom_on_its_corners_is_recognized() -> None:
     assert np.linalg.norm(calc_share(fit.z) @ obj.p_BC - true_center) < 3e-3
 
 
-def test_pushes_that_contradict_each_other_widen_what_is_said_and_good_ones_narrow_only_intervals() -> None:
+def fit_pokes(contradicting: bool) -> tuple[GridObject, MapEnsembleFit]:
+    """Six pushes of one object, or three of one and three of another."""
     obj = make_shape("l_bracket", 20)
-    truth, other = (CellParameters(np.where(side, 8.0, 1.0), np.full(obj.n, 0.4), 0.35)
-                    for side in (obj.p_BC[:, 0] > 0.03, obj.p_BC[:, 0] < 0.03))  # fmt: skip
-    one, two = make_pokes(obj, truth, 3, 5), make_pokes(obj, other, 3, 6)
-    found = []
-    for pushes in ((*one, *make_pokes(obj, truth, 3, 6)), (*one, *two)):
-        named = tuple(replace(seen, name=f"push_{i}") for i, seen in enumerate(pushes))
-        problem = PushProblem(obj, PushLog(named), truth.friction)
-        z0 = problem.unknowns(CellParameters.uniform(obj))
-        found.append(MapEnsemble().fit(problem, z0, 0.3, None, lambda z, linear: None))
-    agreeing, contradicting = found
+    one, other = (CellParameters(np.where(side, 8.0, 1.0), np.full(obj.n, 0.4), 0.35)
+                  for side in (obj.p_BC[:, 0] > 0.03, obj.p_BC[:, 0] < 0.03))  # fmt: skip
+    pushes = *make_pokes(obj, one, 3, 5), *make_pokes(obj, other if contradicting else one, 3, 6)
+    log = PushLog(tuple(replace(seen, name=f"push_{i}") for i, seen in enumerate(pushes)))
+    problem = PushProblem(obj, log, one.friction)
+    z0 = problem.unknowns(CellParameters.uniform(obj))
+    return obj, MapEnsemble().fit(problem, z0, 0.3, None, lambda z, linear: None)
+
+
+def calc_region(obj: GridObject, fit: MapEnsembleFit) -> float:
+    F = calc_center_jacobian(calc_share(fit.z), obj.p_BC)
+    return float(np.sqrt(np.linalg.det(F @ fit.covariance @ F.T)))
+
+
+def test_pushes_that_contradict_each_other_widen_what_is_said_and_good_ones_narrow_intervals() -> None:
+    (obj, agreeing), (_, contradicting) = fit_pokes(False), fit_pokes(True)
     assert agreeing.interval_scale < 0.7 and contradicting.interval_scale == 1.0
-    F = calc_center_jacobian(calc_share(contradicting.z), obj.p_BC)
-    G = calc_center_jacobian(calc_share(agreeing.z), obj.p_BC)
-    assert np.linalg.det(F @ contradicting.covariance @ F.T) > 4 * np.linalg.det(G @ agreeing.covariance @ G.T)
+    assert calc_region(obj, contradicting) > 2 * calc_region(obj, agreeing)
+
+
+def test_pushes_that_agree_make_surer_of_what_none_shows_but_by_half_as_much(monkeypatch: pytest.MonkeyPatch) -> None:
+    obj, surer = fit_pokes(False)
+    monkeypatch.setattr(map_ensemble, "CAUTION", np.inf)
+    _, cautious = fit_pokes(False)
+    np.testing.assert_array_equal(surer.z, cautious.z)
+    assert surer.interval_scale == cautious.interval_scale < 1 / 2
+    assert (2 * surer.interval_scale) ** 2 < calc_region(obj, surer) / calc_region(obj, cautious) < 0.9
+    monkeypatch.setattr(map_ensemble, "CAUTION", 1.0)
+    assert calc_region(*fit_pokes(False)) < 0.9 * calc_region(obj, surer)

@@ -43,8 +43,8 @@ def test_fewer_pushes_make_the_tails_longer_as_students_t_has_them() -> None:
 
 def test_discrepancy_is_one_where_errors_are_as_said_and_follows_them_the_more_pushes_there_are() -> None:
     noise = NoiseModel()
-    assert noise.calc_discrepancy(3.0 * 4, 4) == pytest.approx(1.0)
-    few, many = (noise.calc_discrepancy(4.0 * 3 * count, count) for count in (2, 200))
+    assert noise.calc_discrepancy(np.ones(4)) == pytest.approx(1.0)
+    few, many = (noise.calc_discrepancy(np.full(count, 4.0)) for count in (2, 200))
     assert 1 < few < many == pytest.approx(2.0, rel=0.01)
 
 
