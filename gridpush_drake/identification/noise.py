@@ -88,17 +88,13 @@ class NoiseModel:
         inputs = input_jacobian * self._calc_stds(scale)
         return (scale.pose * self.pose) ** 2 * np.sqrt(rows / 3) * np.eye(rows) + inputs @ inputs.T
 
-    def make_whitening(self, input_jacobian: Array, scale: NoiseScale) -> Whitening:
-        """Makes W with W² = Sigma^-1, at the cost of the few inputs rather than of the many rows.
+    def make_whitenings(self, input_jacobians: Sequence[Array], scale: NoiseScale) -> list[Whitening]:
+        """Makes W with W² = Sigma^-1 for many pushes, at the cost of the few inputs rather than of the many rows.
 
         Args:
-            input_jacobian: as of `calc_covariance`.
+            input_jacobians: of each push, as of `calc_covariance`.
             scale: s and t.
         """
-        return self.make_whitenings([input_jacobian], scale)[0]
-
-    def make_whitenings(self, input_jacobians: Sequence[Array], scale: NoiseScale) -> list[Whitening]:
-        """Makes those of many pushes; arguments as of `make_whitening`."""
         stds, floor = self._calc_stds(scale), scale.pose * self.pose
         std = [floor * (len(J) / 3) ** 0.25 for J in input_jacobians]
         inputs = [J * (stds / one) for J, one in zip(input_jacobians, std, strict=True)]

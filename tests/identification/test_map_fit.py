@@ -120,7 +120,7 @@ def test_whitening_is_the_inverse_root_of_the_noise() -> None:
     linear, noise = problem.linearize(z0), NoiseModel()
     scale = NoiseScale(1.3, 0.7)
     sigma = noise.calc_covariance(linear.by_inputs[0], scale)
-    W = noise.make_whitening(linear.by_inputs[0], scale)
+    W = noise.make_whitenings(linear.by_inputs, scale)[0]
     twice = W.apply(W.apply(np.eye(len(sigma))))
     np.testing.assert_allclose(twice @ sigma, np.eye(len(sigma)), atol=1e-8)
     assert W.log_determinant == pytest.approx(0.5 * np.linalg.slogdet(sigma)[1])
