@@ -1,6 +1,5 @@
 """What can go wrong, as exceptions under one root."""
 
-from math import isfinite
 from typing import Any
 
 
@@ -100,8 +99,13 @@ class OutputError(GridPushError):
     """A file cannot be written where it was asked for."""
 
 
+MAX_NUMBER = 1e12
+"""Magnitude beyond which a number is none that was measured, in SI units; what is larger overflows in calculations."""
+
+
 def require_positive(kind: type[GridPushError], where: str = "", unit: str = "", **values: float) -> None:
-    """Raises `kind` for the first of some values, by name, that is not a positive number."""
+    """Raises `kind` for the first of some values, by name, that is not a positive number, at most MAX_NUMBER."""
     for name, value in values.items():
-        if not (isfinite(value) and value > 0):
-            raise kind(f"{where}{name} is {value!r}; expected a positive number{unit and f' ({unit})'}")
+        if not 0 < value <= MAX_NUMBER:
+            form = f"a positive number, at most {MAX_NUMBER:g}{unit and f' ({unit})'}"
+            raise kind(f"{where}{name} is {value!r}; expected {form}")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from gridpush_drake.cli.console import print_notice, work_progress
-from gridpush_drake.errors import GridPushError, PlanningError
+from gridpush_drake.errors import MAX_NUMBER, GridPushError, PlanningError
 from gridpush_drake.files import check_writable, exists
 
 if TYPE_CHECKING:
@@ -77,18 +77,16 @@ class OptionError(GridPushError):
 
 
 def parse_numbers(option: str, text: str, names: str) -> tuple[float, ...]:
-    """Reads as many finite numbers, separated by commas, as `names` has, such as "x,y".
+    """Reads as many numbers, at most MAX_NUMBER, separated by commas, as `names` has, such as "x,y".
 
     Raises:
         OptionError: the text is something else.
     """
-    from math import isfinite
-
     try:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
         numbers = ()
-    if len(numbers) != len(names.split(",")) or not all(map(isfinite, numbers)):
+    if len(numbers) != len(names.split(",")) or not all(abs(number) <= MAX_NUMBER for number in numbers):
         raise OptionError(
             f"{option}: is {text!r}; expected {names}, such as {','.join(['0.1'] * len(names.split(',')))}"
         )

@@ -7,7 +7,7 @@ from math import ceil
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridpush_drake.errors import PushError, SimulationError, require_positive
+from gridpush_drake.errors import MAX_NUMBER, PushError, SimulationError, require_positive
 from gridpush_drake.geometry.se2 import Array, check_vector, make_rotation, rotate
 from gridpush_drake.objects.grid_object import GridObject
 
@@ -56,8 +56,7 @@ class Push:
         begin = check_vector(PushError, "push: start", start, 2)
         v = check_vector(PushError, "push: velocity", velocity, 2)
         require_positive(PushError, "push: ", radius=radius, duration=duration)
-        with np.errstate(over="ignore"):
-            end = check_vector(PushError, "push: end, start + velocity * duration,", begin + v * duration, 2)
+        end = check_vector(PushError, "push: end, start + velocity * duration,", begin + v * duration, 2)
         times = np.array([0.0, duration] if t is None else t, dtype=np.float64)
         path = np.array([begin, end] if xy is None else xy, dtype=np.float64)
         if t is not None or xy is not None:
@@ -164,8 +163,8 @@ def _check_samples(times: Array, path: Array) -> None:
         raise PushError(
             f"push: t of shape {times.shape} and xy of shape {path.shape}; expected (K,) and (K, 2), K >= 2"
         )
-    if not (np.isfinite(times).all() and np.isfinite(path).all()):
-        raise PushError("push: t and xy must be finite numbers")
+    if not all((np.abs(values) <= MAX_NUMBER).all() for values in (times, path)):
+        raise PushError(f"push: t and xy must be finite numbers, at most {MAX_NUMBER:g}")
     if np.any(np.diff(times) <= 0):
         first = int(np.argmax(np.diff(times) <= 0)) + 1
         raise PushError(f"push: t must be strictly increasing; t[{first}] is not")

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from shapely.affinity import affine_transform
 from shapely.geometry.base import BaseGeometry
 
-from gridpush_drake.errors import GridPushError
+from gridpush_drake.errors import MAX_NUMBER, GridPushError
 
 Array = NDArray[np.float64]
 """Of numbers; docstrings say of what shape."""
@@ -83,12 +83,13 @@ def wrap_angle(theta: ArrayLike) -> Array:
 
 
 def check_vector(kind: type[GridPushError], name: str, value: ArrayLike, size: int, unit: str = "") -> Array:
-    """Copies two or three finite numbers (size,). Raises `kind` where they are not."""
+    """Copies two or three finite numbers (size,), at most MAX_NUMBER. Raises `kind` where they are not."""
     try:
         vector = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
         vector = np.empty(0)
-    if vector.shape != (size,) or not np.isfinite(vector).all():
+    if vector.shape != (size,) or not (np.abs(vector) <= MAX_NUMBER).all():
         count = {2: "two", 3: "three"}[size]
-        raise kind(f"{name} is {value!r}; expected {count} finite numbers{unit and f' ({unit})'}")
+        form = f"{count} finite numbers, at most {MAX_NUMBER:g}{unit and f' ({unit})'}"
+        raise kind(f"{name} is {value!r}; expected {form}")
     return vector

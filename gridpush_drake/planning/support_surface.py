@@ -22,7 +22,7 @@ from scipy.optimize import linprog
 from shapely import Polygon
 from shapely.geometry.polygon import orient
 
-from gridpush_drake.errors import PlanningError, require_positive
+from gridpush_drake.errors import MAX_NUMBER, PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, check_vector, make_direction, rotate
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush
@@ -44,7 +44,7 @@ class SupportSurface:
         polygon: its edge, world frame, m; counterclockwise, without holes.
 
     Raises:
-        PlanningError: the polygon crosses itself, is empty or has holes.
+        PlanningError: the polygon crosses itself, is empty or has holes, or a corner is too far away for numbers.
     """
 
     polygon: Polygon
@@ -55,6 +55,9 @@ class SupportSurface:
             raise PlanningError("table: expected a simple polygon with an area, that does not cross itself")
         if polygon.interiors:
             raise PlanningError("table: has holes; expected a polygon without")
+        farthest = max(map(abs, polygon.bounds))
+        if farthest > MAX_NUMBER:
+            raise PlanningError(f"table: a corner is at {farthest:g} m; expected at most {MAX_NUMBER:g} m")
         object.__setattr__(self, "polygon", orient(polygon))
 
     @classmethod

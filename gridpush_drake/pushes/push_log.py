@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.polygon import orient
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import PushLogError
+from gridpush_drake.errors import MAX_NUMBER, PushLogError
 from gridpush_drake.files import check_writable, read_text, write_whole
 
 DEFAULT_PUSHER_RADIUS = 0.005
@@ -49,7 +49,6 @@ UNITS = {"t": "s", "object_theta": "rad", "force_x": "N", "force_y": "N"}
 
 SUGGESTION_CUTOFF = 0.5  # similarity (0 to 1) from which a known column is suggested for an unknown one
 MAX_SHOWN = 60  # characters of a refused value that a message repeats
-MAX_NUMBER = 1e12  # magnitude of a number in a log, beyond which it is none that was measured
 MIN_TIME_STEP = 1e-9  # s between two rows of a push
 
 
@@ -412,7 +411,8 @@ def read_number(path: Path, line: int, column: str, cell: str, form: str) -> flo
     except ValueError:
         value = math.nan
     if not math.isfinite(value) or abs(value) > MAX_NUMBER or "_" in cell:
-        fail(path, line, column, f"is {cell.strip()[:MAX_SHOWN]!r}; expected {form}")
+        limit = f", at most {MAX_NUMBER:g}" if math.isfinite(value) and abs(value) > MAX_NUMBER else ""
+        fail(path, line, column, f"is {cell.strip()[:MAX_SHOWN]!r}; expected {form}{limit}")
     return value
 
 

@@ -75,6 +75,12 @@ def test_says_that_there_is_no_path(gridpush, block, tmp_path):
         ((*GOAL, "--radius", "-1"), ["radius", "positive"]),
         ((*GOAL, "--tolerance", "0"), ["tolerance", "positive"]),
         ((*GOAL, "--speed", "0"), ["speed", "positive"]),
+        (("--goal", "1e300,0,0"), ["--goal", "1e300,0,0", "x,y,theta"]),
+        ((*GOAL, "--radius", "1e300"), ["radius is 1e+300", "at most 1e+12 (m)"]),
+        ((*GOAL, "--speed", "1e300"), ["speed is 1e+300", "at most 1e+12 (m/s)"]),
+        ((*GOAL, "--table", "round:1e300"), ["--table: radius is 1e+300", "at most 1e+12 (m)"]),
+        ((*GOAL, "--table", "polygon:0,0;1e300,0;0,1"), ["--table: a corner is at 1e+300 m", "at most 1e+12 m"]),
+        ((*GOAL, "--obstacle", "round:1e200@0.3,0"), ["--obstacle: radius is 1e+200"]),
     ],
 )
 def test_refuses(refuses, block, args, says):

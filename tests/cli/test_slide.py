@@ -84,6 +84,7 @@ def test_one_json_document_tells_what_a_poke_is_worth(gridpush):
         (("claw_hammer", "--table", "round:0.4@0"), ["--table", "round:R@x,y"]),
         (("claw_hammer", "--table", "round:-1"), ["table", "radius"]),
         (("claw_hammer", "--table", "polygon:0,0;1,1;1,0;0,1"), ["table", "cross itself"]),
+        (("claw_hammer", "--table", "rectangle:1e300x1"), ["--table: size is", "at most 1e+12 (m)"]),
         (("claw_hammer", *TABLE, "--opening", "0"), ["gripper", "opening"]),
         (("claw_hammer", *TABLE, "--depth", "-0.1"), ["gripper", "depth"]),
         (("claw_hammer", *TABLE, "--margin", "-0.1"), ["margin"]),

@@ -161,7 +161,15 @@ def test_pushes_of_too_many_steps(push, options):
 
 def test_push_that_leaves_all_numbers():
     with pytest.raises(PushError, match="end, start"):
+        Push((0, 0), (1e12, 0), 1e12, 0.01)
+    with pytest.raises(PushError, match=r"velocity is .*; expected two finite numbers, at most 1e\+12"):
         Push((0, 0), (1e300, 0), 1e300, 0.01)
+    for radius, duration, name in ((1e300, 1.0, "radius"), (0.01, 1e300, "duration")):
+        with pytest.raises(PushError, match=rf"{name} is 1e\+300; expected a positive number, at most 1e\+12"):
+            Push((0, 0), (0.1, 0), duration, radius)
+    for times, places in (((0, 1), (0, 1e300)), ((0, 1e300), (0, 1)), ((0, 1), (0, np.nan)), ((0, np.nan), (0, 1))):
+        with pytest.raises(PushError, match=r"t and xy must be finite numbers, at most 1e\+12"):
+            Push.along(times, np.column_stack([places, places]), 0.01)
 
 
 @pytest.mark.parametrize(

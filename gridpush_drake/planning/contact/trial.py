@@ -104,6 +104,7 @@ class ContactOptions:
         low, high = self.angle_range
         if not -np.pi / 2 < low <= high < np.pi / 2:
             raise PlanningError(f"angle_range is {(low, high)!r}; expected -pi/2 < least <= greatest < pi/2 (rad)")
+        require_positive(PlanningError, unit="m", radius=self.radius)
         require_positive(PlanningError, unit="m/s", speed=self.speed)
         for name in ("starts", "budget", "places", "angles"):
             if getattr(self, name) < 1:

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import PushLogError
+from gridpush_drake.errors import MAX_NUMBER, PushLogError
 from gridpush_drake.files import read_text
 from gridpush_drake.geometry.se2 import compose, invert, rotate, transform_back
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import PhysicalPrior
-from gridpush_drake.pushes.push_log import MAX_NUMBER, MAX_SHOWN, ObservedPush, PushLog, nearest_turn
+from gridpush_drake.pushes.push_log import MAX_SHOWN, ObservedPush, PushLog, nearest_turn
 
 POSE_FORM = "x y z (mm) qw qx qy qz"
 FORCE_FORM = "t (s) fx fy (N)"
