@@ -4,6 +4,7 @@ The notebooks among them run when the site is built; the controller of `docs/ext
 `tests/station/test_own_controller.py`.
 """
 
+import os
 import re
 import sys
 from importlib import import_module
@@ -141,6 +142,9 @@ def test_the_importer_is_one(tmp_path, block, monkeypatch):
     tracks.write_text("0 -90 0 0 0 0\n")
     with pytest.raises(PushLogError, match=r"tracks\.txt: block 1; expected blocks"):
         importer(obj).read(tracks)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(PushLogError, match="pipe: cannot be read: is a pipe"):
+        importer(obj).read(tmp_path / "pipe")
 
 
 def test_the_method_is_one(monkeypatch):

@@ -9,10 +9,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from gridpush_drake.dynamics.push import MAX_STEPS, ForcePush, Push
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.errors import GridPushError, ObjectError, OutputError, ParameterError, PushError, SimulationError
+from gridpush_drake.errors import (
+    GridPushError,
+    ObjectError,
+    OutputError,
+    ParameterError,
+    PushError,
+    PushLogError,
+    SimulationError,
+)
 from gridpush_drake.files import check_writable, make_folder, read_bytes, write_whole
 from gridpush_drake.identification.model_file import looks_like_model, read_model
 from gridpush_drake.multibody.sdformat import make_sdf
@@ -21,6 +30,7 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.mask import read_labels
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.limit_surface import MAX_TABLE_NODES, make_distance_table
+from gridpush_drake.pushes.importers.bag import BagImporter
 from gridpush_drake.pushes.importers.cmu import CmuImporter
 from gridpush_drake.pushes.importers.mit import MitImporter
 from gridpush_drake.pushes.push_log import PushLog
@@ -204,6 +214,21 @@ def test_plans_for_objects_without_end():
     table = make_distance_table(GridObject.from_outline([[-900, -300], [900, -300], [900, 300], [-900, 300]]), 0.01)
     assert max(table.values.shape) <= MAX_TABLE_NODES + 2
     np.testing.assert_allclose(table.lookup(np.array([[0.0, 290.0]]))[0], -10.0, atol=table.step)
+
+
+def test_a_small_file_that_is_large_unpacked(tmp_path):
+    path = tmp_path / "rect1.mat"
+    savemat(path, {"record_all": np.zeros(3 * 2**20)}, do_compression=True)
+    assert path.stat().st_size < 2**16
+    with pytest.raises(PushLogError, match=r"rect1\.mat: has more than 16 MB, unpacked; expected a MATLAB v5 file"):
+        MitImporter().read(path)
+
+
+def test_bags_that_are_no_files(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", Path("/dev/zero")):
+        with pytest.raises(PushLogError, match="is a pipe or a device, not a file; expected a ROS bag"):
+            BagImporter(make_block(), "/object", "/tip").read(path)
 
 
 def test_counts_without_end_in_cmu_logs(tmp_path):

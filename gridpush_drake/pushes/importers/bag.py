@@ -218,6 +218,8 @@ class _Bag:
         self._path = path
         if not exists(path):
             raise PushLogError(f"{path}: cannot be read: there is no such file or folder; expected a ROS bag")
+        if not (path.is_file() or path.is_dir()):
+            raise PushLogError(f"{path}: cannot be read: is a pipe or a device, not a file; expected a ROS bag")
 
     def __enter__(self) -> "_Bag":
         try:

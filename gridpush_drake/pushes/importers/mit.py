@@ -12,10 +12,13 @@ agree with where the pusher touches in the data; the areas of all agree with the
 within 2.5 %.
 """
 
+import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +26,7 @@ from scipy.io import loadmat
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushLogError
-from gridpush_drake.files import MEGABYTE, open_file
+from gridpush_drake.files import MEGABYTE, read_bytes
 from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import PhysicalPrior
@@ -87,7 +90,10 @@ MIT_CELLS = 60  # most cells of an object's grid
 
 WHAT = "a MATLAB v5 file"
 
-MAX_SIZE = 16 * MEGABYTE  # of a file, bytes; the data set's have a tenth of one megabyte
+MAX_SIZE = 16 * MEGABYTE  # of a file, packed or unpacked, bytes; the data set's have a tenth of one megabyte
+
+HEAD, TAG = 128, 8  # bytes before a file's first element; before an element's content: its kind and size
+PACKED = 15  # kind of an element that is compressed
 
 RECORD_SIZES = {"init_pose_gt": 3, "final_pose_gt": 3, "init_tip_pt": 2, "final_tip_pt": 2}
 """What is read of a record, and how many numbers each has (m, rad)."""
@@ -171,13 +177,29 @@ def _mit_object(path: Path, shape: str | None, data: dict[str, Any]) -> GridObje
 
 
 def _read_mat(path: Path) -> dict[str, Any]:
-
-    with open_file(path, WHAT, PushLogError, MAX_SIZE) as file:
-        try:
-            data: dict[str, Any] = loadmat(file, squeeze_me=True, struct_as_record=False)
-        except Exception as error:  # a damaged file makes SciPy raise almost anything
-            raise PushLogError(f"{path}: cannot be read as {WHAT}: {error}") from error
+    content = read_bytes(path, WHAT, PushLogError, MAX_SIZE)
+    if _calc_unpacked_size(content) > MAX_SIZE:
+        raise PushLogError(f"{path}: has more than {MAX_SIZE // MEGABYTE} MB, unpacked; expected {WHAT}")
+    try:
+        data: dict[str, Any] = loadmat(BytesIO(content), squeeze_me=True, struct_as_record=False)
+    except Exception as error:  # a damaged file makes SciPy raise almost anything
+        raise PushLogError(f"{path}: cannot be read as {WHAT}: {error}") from error
     return data
+
+
+def _calc_unpacked_size(content: bytes) -> int:
+    """How many bytes a file's compressed elements have, unpacked; not counted on beyond MAX_SIZE."""
+    order: Literal["little", "big"] = "little" if content[HEAD - 2 : HEAD] == b"IM" else "big"
+    at = HEAD
+    size = 0
+    while at + TAG <= len(content) and size <= MAX_SIZE:
+        kind, length = (int.from_bytes(content[i : i + 4], order) for i in (at, at + 4))
+        at += TAG
+        if kind == PACKED:
+            with suppress(zlib.error):  # SciPy says what is wrong
+                size += len(zlib.decompressobj().decompress(content[at : at + length], MAX_SIZE + 1))
+        at += length
+    return size
 
 
 def _field(path: Path, data: dict[str, Any], name: str) -> Any:
