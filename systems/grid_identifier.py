@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.systems.framework import Context
+from pydrake.systems.framework import BasicVector, Context
 
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import IdentificationError
@@ -229,7 +229,7 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         self._declare_value("message", lambda now: now.message)
         self.DeclareVectorOutputPort("age", 1, weakly(self._calc_age), {self._remembered, self.time_ticket()})
 
-    def _calc_age(self, context: Context, output: Any) -> None:
+    def _calc_age(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector([context.get_time() - self._get_state(context).learned_at])
 
     def _go_on(self, context: Context, now: IdentifierState) -> IdentifierState:

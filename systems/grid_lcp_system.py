@@ -8,8 +8,6 @@ The pusher is where its port says when the step begins, and moves on through the
 then. Where the true motion bends within a step, the next step begins at the true place again: no error adds up.
 """
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.common.value import AbstractValue
@@ -209,16 +207,16 @@ class GridLcpSystem(LeafSystem):
     def _calc_params(self, context: Context, value: AbstractValue) -> None:
         value.set_value(self.GetParameters(context))
 
-    def _calc_pose(self, context: Context, output: Any) -> None:
+    def _calc_pose(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(context.get_discrete_state(_STATE).value()[:3])
 
-    def _calc_velocity(self, context: Context, output: Any) -> None:
+    def _calc_velocity(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(context.get_discrete_state(_STATE).value()[3:])
 
-    def _calc_cell_positions(self, context: Context, output: Any) -> None:
+    def _calc_cell_positions(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self.obj.cells_at(context.get_discrete_state(_STATE).value()[:3]).ravel())
 
-    def _calc_step_jacobian(self, context: Context, output: Any) -> None:
+    def _calc_step_jacobian(self, context: Context, output: BasicVector) -> None:
         J = np.empty((1, 3, self.obj.n + OTHER))
         self._run(context, context.get_discrete_state(_MEMORY).CopyToVector(), J)
         params: CellParameters = self.get_cache_entry(self._params).Eval(context)

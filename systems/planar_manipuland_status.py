@@ -1,11 +1,9 @@
 """The pose of an object in the plane as Drake's LCM message `lcmt_planar_manipuland_status`, of whoever tracks it."""
 
-from typing import Any
-
 import numpy as np
 from drake import lcmt_planar_manipuland_status
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
@@ -62,7 +60,7 @@ class PlanarManipulandStatusReceiver(LeafSystem):
         self.DeclareStateOutputPort("newest_pose", self._newest)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._look)
 
-    def _look(self, context: Context, state: Any) -> None:
+    def _look(self, context: Context, state: DiscreteValues) -> None:
         message, time = self._message.Eval(context), context.get_time()
         utime, came = context.get_discrete_state(self._last).value()
         kept = context.get_discrete_state(self._kept).value().reshape(KEPT, 4)

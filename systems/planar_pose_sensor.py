@@ -1,13 +1,11 @@
 """A camera that sees where an object lies on the table, now and then and not quite exactly."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.tree import BodyIndex
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 
@@ -81,17 +79,17 @@ class PlanarPoseSensor(LeafSystem):
         context = self.GetMyMutableContextFromRoot(root_context)
         context.get_mutable_numeric_parameter(self._covered).SetFromVector([float(covered)])
 
-    def _look_first(self, context: Context, state: Any) -> None:
+    def _look_first(self, context: Context, state: DiscreteValues) -> None:
         """Sees what the first picture will show, so that something is known from the beginning."""
         if context.get_discrete_state(self._count).value()[0] == 0:
             self._see(context, state, 0)
 
-    def _take_picture(self, context: Context, state: Any) -> None:
+    def _take_picture(self, context: Context, state: DiscreteValues) -> None:
         count = int(context.get_discrete_state(self._count).value()[0])
         state.set_value(self._count, [count + 1])
         self._see(context, state, count)
 
-    def _see(self, context: Context, state: Any, count: int) -> None:
+    def _see(self, context: Context, state: DiscreteValues, count: int) -> None:
         X_WB: RigidTransform = self._body_poses.Eval(context)[self._body]
         covered = bool(context.get_numeric_parameter(self._covered).value()[0])
         hidden = not np.isfinite(X_WB.GetAsMatrix34()).all() or X_WB.translation()[2] < self._lowest
