@@ -45,10 +45,7 @@ def plan(
     from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS, ContactOptions
     from gridpush_drake.planning.goal.next_push import GoalRules
     from gridpush_drake.planning.goal.push_plan import (
-        GOAL_BLOCKED,
-        GOAL_OFF_TABLE,
-        START_BLOCKED,
-        START_OFF_TABLE,
+        PushPlanStatus,
         describe_plan,
         plan_pushes,
         write_plan,
@@ -74,7 +71,10 @@ def plan(
     )
     options.compile_kernels()
     found = plan_pushes(target.obj, target.params, pose, aim, rules)
-    for option, ends in (("--goal", (GOAL_OFF_TABLE, GOAL_BLOCKED)), ("--start", (START_OFF_TABLE, START_BLOCKED))):
+    for option, ends in (
+        ("--goal", (PushPlanStatus.GOAL_OFF_TABLE, PushPlanStatus.GOAL_BLOCKED)),
+        ("--start", (PushPlanStatus.START_OFF_TABLE, PushPlanStatus.START_BLOCKED)),
+    ):
         if found.status in ends:
             form = "expected x,y,theta (m, rad) on the table, clear of what is in the way"
             raise options.OptionError(f"{option}: {found.status}: {found.reason.rstrip('.')}; {form}")

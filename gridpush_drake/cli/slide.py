@@ -67,9 +67,9 @@ def slide(
     from gridpush_drake.planning.pregrasp.grasp_parts import Gripper, PadLimit
     from gridpush_drake.planning.pregrasp.planner import (
         ACCEPTED_SHARE,
-        STATUS_READY,
         PreGraspOptions,
         PreGraspPlanner,
+        PreGraspPlanStatus,
         plan_pregrasp,
     )
     from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
@@ -116,7 +116,7 @@ def slide(
 
         write_whole(picture, to_png(draw_slide(planner, uncertain.masses, plan)), force)
     print_found(found, [*_explain(found), *options.describe_written(out, picture)], json)
-    if plan.status != STATUS_READY:
+    if plan.status != PreGraspPlanStatus.READY:
         raise typer.Exit(options.EXIT_NO_PLAN)
 
 
@@ -144,7 +144,7 @@ def _describe(planner: "PreGraspPlanner", plan: "PreGraspPlan", model: str) -> d
         "model": model,
         "graspable_parts": len(planner.parts),
         "rim_parts": len(planner.flat_parts),
-        "status": plan.status,
+        "status": plan.status.value,
         "message": plan.message,
         "goal": None,
         "pushes": [],

@@ -18,6 +18,7 @@ in the same manner from the best of its nodes: the yardstick.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import StrEnum
 from time import perf_counter
 from typing import Literal
 
@@ -36,12 +37,16 @@ from gridpush_drake.planning.push_constraints import PushConstraints
 
 ContactMethod = Literal["gradient", "finite_difference", "exhaustive"]
 
-STATUS_OK = "ok"
-STATUS_NO_CONTACT = "no_reachable_contact"
-STATUS_NO_IMPROVEMENT = "no_improvement"
-
 REACH_FACTOR = 1.25
 """The longest push tried is this times the farthest that a cell has to go, unless the range ends before."""
+
+
+class ContactPlanStatus(StrEnum):
+    """How a contact search ends."""
+
+    OK = "ok"
+    NO_IMPROVEMENT = "no_improvement"
+    NO_REACHABLE_CONTACT = "no_reachable_contact"
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +70,7 @@ class ContactPlan:
     method: str
     simulations: int
     seconds: float
-    status: str
+    status: ContactPlanStatus
 
     @property
     def cost(self) -> float:
@@ -107,7 +112,9 @@ def optimize_contact(
     trials = METHODS[method](runner)[:MAX_CANDIDATES]
     found = tuple(runner.finish(trial, runner.simulations) for trial in trials)
     start_cost = float(calc_goal_error(obj, q, aim))
-    status = STATUS_NO_CONTACT if not found else STATUS_OK if found[0].cost < start_cost else STATUS_NO_IMPROVEMENT
+    status = ContactPlanStatus.NO_REACHABLE_CONTACT
+    if found:
+        status = ContactPlanStatus.OK if found[0].cost < start_cost else ContactPlanStatus.NO_IMPROVEMENT
     return ContactPlan(
         found[0] if found else None, found, start_cost, method, runner.simulations, perf_counter() - begin, status
     )

@@ -4,6 +4,7 @@ A push plan as a YAML file, and as the document that it holds.
 """
 
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -24,22 +25,31 @@ from gridpush_drake.planning.goal.next_push import GoalRules, choose_push
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import find_supported
 
-REACHED = "reached"
-GOAL_OFF_TABLE, START_OFF_TABLE = "goal_off_table", "start_off_table"
-GOAL_BLOCKED, START_BLOCKED = "goal_blocked", "start_blocked"
-GOAL_OUT_OF_REACH = "goal_out_of_reach"
-NO_PATH, STUCK, TOO_MANY_PUSHES = "no_path", "stuck", "too_many_pushes"
+
+class PushPlanStatus(StrEnum):
+    """How a sequence of pushes ends; see REASONS."""
+
+    REACHED = "reached"
+    GOAL_OFF_TABLE = "goal_off_table"
+    START_OFF_TABLE = "start_off_table"
+    GOAL_BLOCKED = "goal_blocked"
+    START_BLOCKED = "start_blocked"
+    GOAL_OUT_OF_REACH = "goal_out_of_reach"
+    NO_PATH = "no_path"
+    STUCK = "stuck"
+    TOO_MANY_PUSHES = "too_many_pushes"
+
 
 REASONS = {
-    REACHED: "The object is at the goal, within the tolerance.",
-    GOAL_OFF_TABLE: "At the goal pose the object hangs over the table's edge further than it may.",
-    START_OFF_TABLE: "Where the object lies, its center is not over the table.",
-    GOAL_BLOCKED: "At the goal pose the object touches an obstacle, or is nearer to one than it may be.",
-    GOAL_OUT_OF_REACH: "At the goal pose the finger does not come to the object.",
-    START_BLOCKED: "Where the object lies, it overlaps an obstacle.",
-    NO_PATH: "There is no path to the goal for the object between the obstacles and the table's edges.",
-    STUCK: "No push that the finger can make brings the object nearer to the goal.",
-    TOO_MANY_PUSHES: "The goal was not reached within the pushes that were allowed.",
+    PushPlanStatus.REACHED: "The object is at the goal, within the tolerance.",
+    PushPlanStatus.GOAL_OFF_TABLE: "At the goal pose the object hangs over the table's edge further than it may.",
+    PushPlanStatus.START_OFF_TABLE: "Where the object lies, its center is not over the table.",
+    PushPlanStatus.GOAL_BLOCKED: "At the goal pose the object touches an obstacle, or is nearer to one than it may be.",
+    PushPlanStatus.GOAL_OUT_OF_REACH: "At the goal pose the finger does not come to the object.",
+    PushPlanStatus.START_BLOCKED: "Where the object lies, it overlaps an obstacle.",
+    PushPlanStatus.NO_PATH: "There is no path to the goal for the object between the obstacles and the table's edges.",
+    PushPlanStatus.STUCK: "No push that the finger can make brings the object nearer to the goal.",
+    PushPlanStatus.TOO_MANY_PUSHES: "The goal was not reached within the pushes that were allowed.",
 }
 """What each status means, in a sentence."""
 
@@ -65,7 +75,7 @@ class PushPlan:
     start: Array
     goal: Array
     pushes: tuple[PlannedPush, ...]
-    status: str
+    status: PushPlanStatus
     reason: str
     error: float
     errors: Array
@@ -75,7 +85,7 @@ class PushPlan:
     @property
     def reached(self) -> bool:
         """Whether the plan ends at the goal."""
-        return self.status == REACHED
+        return self.status == PushPlanStatus.REACHED
 
     @property
     def poses(self) -> Array:
@@ -111,7 +121,7 @@ def plan_pushes(
         decision = choose_push(obj, params, q, cost_to_go, rules)
         simulations += decision.simulations
         if decision.push is None:
-            status = STUCK
+            status = PushPlanStatus.STUCK
             break
         pushes.append(decision.push)
         q = decision.push.pose
@@ -123,32 +133,36 @@ def plan_pushes(
     )  # fmt: skip
 
 
-def find_stop_reason(obj: GridObject, pose: Array, cost_to_go: CostToGo, made: int, rules: GoalRules) -> str | None:
+def find_stop_reason(
+    obj: GridObject, pose: Array, cost_to_go: CostToGo, made: int, rules: GoalRules
+) -> PushPlanStatus | None:
     """Why a sequence should end at `pose` after `made` pushes; None where it should go on."""
     if float(calc_goal_error(obj, pose, cost_to_go.goal)) <= rules.tolerance:
-        return REACHED
+        return PushPlanStatus.REACHED
     if made >= rules.max_pushes:
-        return TOO_MANY_PUSHES
-    return None if np.isfinite(cost_to_go.calc_cost(pose)) else NO_PATH
+        return PushPlanStatus.TOO_MANY_PUSHES
+    return None if np.isfinite(cost_to_go.calc_cost(pose)) else PushPlanStatus.NO_PATH
 
 
-def check_ends(obj: GridObject, start: Array, goal: Array, constraints: PushConstraints, radius: float) -> str | None:
+def check_ends(
+    obj: GridObject, start: Array, goal: Array, constraints: PushConstraints, radius: float
+) -> PushPlanStatus | None:
     """Why the object cannot lie at the goal, or does not lie properly at the start, by the rules; None where it can."""
     checker = constraints.start_at(obj, start, radius)
     if constraints.surface is not None:
         center = Point(obj.cells_at(start).mean(axis=0))
         if not constraints.surface.polygon.covers(center):
-            return START_OFF_TABLE
+            return PushPlanStatus.START_OFF_TABLE
     if checker.overlaps_obstacle(start):
-        return START_BLOCKED
+        return PushPlanStatus.START_BLOCKED
     table, blocked = constraints.allow_pose(obj, goal)
     if not table or (constraints.surface and not find_supported(obj, goal, constraints.surface).any()):
-        return GOAL_OFF_TABLE
+        return PushPlanStatus.GOAL_OFF_TABLE
     if blocked:
-        return GOAL_BLOCKED
+        return PushPlanStatus.GOAL_BLOCKED
     region = constraints.finger_region
     if region is not None and region.distance(checker.place(goal[None])[0]) > radius:
-        return GOAL_OUT_OF_REACH
+        return PushPlanStatus.GOAL_OUT_OF_REACH
     return None
 
 
@@ -168,7 +182,7 @@ def describe_plan(plan: PushPlan, name: str, radius: float) -> dict[str, Any]:
     return {
         "gridpush_plan": FORMAT_VERSION,
         "object": name,
-        "status": plan.status,
+        "status": plan.status.value,
         "reason": plan.reason,
         "start": plan.start.tolist(),
         "goal": plan.goal.tolist(),

@@ -37,10 +37,8 @@ from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.goal.next_push import GoalRules, NextPush, Robustness, choose_push, draw_model_samples
 from gridpush_drake.planning.goal.push_plan import (
-    REACHED,
     REASONS,
-    STUCK,
-    TOO_MANY_PUSHES,
+    PushPlanStatus,
     check_ends,
     find_stop_reason,
 )
@@ -58,7 +56,7 @@ MOVED = 0.01
 class PushDecision:
     """What to do."""
 
-    status: str | None  # why to end, see `push_plan.REASONS`; None where a push should be made
+    status: PushPlanStatus | None  # why to end, see `push_plan.REASONS`; None where a push should be made
     error: float  # mean cell error to the goal now, m
     chosen: NextPush | None = None  # the next push; None where there should be none, or none was searched for
     cost_to_go: CostToGo | None = None  # to be given to the next decision; None where it was not needed
@@ -99,7 +97,7 @@ def decide_push(
         samples = draw_model_samples(obj, params, identification, rules.robustness)
         robustness = Robustness(obj, [params, *samples], rules.constraints, rules.contact, rules.robustness)
     chosen = choose_push(obj, params, pose, cost_to_go, rules, robustness)
-    return PushDecision(STUCK if chosen.push is None else None, error, chosen, cost_to_go)
+    return PushDecision(PushPlanStatus.STUCK if chosen.push is None else None, error, chosen, cost_to_go)
 
 
 def forbid(rules: GoalRules, refused: tuple[Push, ...]) -> GoalRules:
@@ -241,9 +239,9 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
     def decide(self, now: PushToGoalState, seen: Observation) -> PushToGoalState:
         """The next push, or the end."""
         pose, goal, found = now.filter.calc_mean(), np.array(now.goal), seen.identification
-        if now.status.mode in (REACHED, FAILED):
+        if now.status.mode in (ContactPointMode.REACHED, FAILED):
             since = np.inf if now.decided_at is None else calc_goal_error(self.obj, pose, now.decided_at)
-            if since < MOVED or now.status.cause == TOO_MANY_PUSHES:
+            if since < MOVED or now.status.cause == PushPlanStatus.TOO_MANY_PUSHES:
                 return now
             now = replace(now, refused=()).turn_to(WAITING, "Somebody moved the object.", refused=0)
         now = replace(now, decided_at=pose)
@@ -259,8 +257,10 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
         )
         if chosen is not None and chosen.push is not None:
             return self._push(now, decision.error, chosen.push, len(seen.log))
-        mode, cause = REACHED if decision.status == REACHED else FAILED, str(decision.status)
-        return now.turn_to(mode, REASONS[cause], cause=cause, error=decision.error)
+        cause = decision.status
+        assert cause is not None
+        mode = ContactPointMode.REACHED if cause == PushPlanStatus.REACHED else FAILED
+        return now.turn_to(mode, REASONS[cause], cause=cause.value, error=decision.error)
 
     def _push(self, now: PushToGoalState, error: float, planned: PlannedPush, logged: int) -> PushToGoalState:
         x, y, theta = planned.pose.tolist()
@@ -360,7 +360,7 @@ def push_to_goal(
             progress(steps[-1])
 
     def is_over(state: PushToGoalState) -> bool:
-        return state.status.mode in (REACHED, FAILED, LOST)
+        return state.status.mode in (ContactPointMode.REACHED, FAILED, LOST)
 
     run = run_loop(loop, obj, world, is_over, learn=learn, goal=aim, progress=note)
     status, found = run.state.status, run.identification

@@ -13,6 +13,7 @@ decision says why.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from typing import Literal
 
 import numpy as np
@@ -328,9 +329,12 @@ def _calc_center_std(model: UncertainModel) -> float:
     return calc_worst_std(F @ model.posterior.covariance @ F.T)
 
 
-STATUS_READY = "ready"
-STATUS_POKE_FIRST = "poke_first"
-STATUS_FAILED = "failed"
+class PreGraspPlanStatus(StrEnum):
+    """How a plan of slides ends."""
+
+    READY = "ready"
+    POKE_FIRST = "poke_first"
+    FAILED = "failed"
 
 
 @dataclass(frozen=True, eq=False)
@@ -347,7 +351,7 @@ class PreGraspPlan:
         poke: that would help most, where one would.
     """
 
-    status: str
+    status: PreGraspPlanStatus
     message: str
     pushes: tuple[Push, ...]
     poses: Array
@@ -369,6 +373,7 @@ def plan_pregrasp(planner: PreGraspPlanner, model: UncertainModel, pose: ArrayLi
         poses.append(
             simulate_near_edge(planner.obj, model.params, decision.push, poses[-1], planner.surface).final_pose
         )
-    status = {"grasp": STATUS_READY, "poke": STATUS_POKE_FIRST}.get(decision.action, STATUS_FAILED)
+    ends = {"grasp": PreGraspPlanStatus.READY, "poke": PreGraspPlanStatus.POKE_FIRST}
+    status = ends.get(decision.action, PreGraspPlanStatus.FAILED)
     poke = decision.push if decision.action == "poke" else None
     return PreGraspPlan(status, decision.reason, tuple(pushes), np.array(poses), decision.goal, poke)

@@ -22,10 +22,9 @@ from gridpush_drake.planning.pregrasp.grasp_parts import (
     find_held_parts,
 )
 from gridpush_drake.planning.pregrasp.planner import (
-    STATUS_FAILED,
-    STATUS_READY,
     PreGraspOptions,
     PreGraspPlanner,
+    PreGraspPlanStatus,
     plan_pregrasp,
 )
 from gridpush_drake.planning.pregrasp.side_grasp import SideGripper, find_side_grasps
@@ -128,7 +127,7 @@ def test_a_tray_is_brought_to_the_edge_and_a_part_hangs_over_that_the_pads_hold(
     planner = make_planner(obj)
     params = CellParameters.uniform(obj)
     plan = plan_pregrasp(planner, UncertainModel.of_parameters(obj, params), (0.1, 0.2, 0.3))
-    assert plan.status == STATUS_READY, plan.message
+    assert plan.status == PreGraspPlanStatus.READY, plan.message
     assert len(plan.pushes) >= 1
     (share,) = planner.options.pads.calc_shares(
         plan.goal.part.p_BG[None], np.array([plan.goal.part.heading]), params.center_of_mass(obj)[None]
@@ -142,7 +141,7 @@ def test_what_the_pads_cannot_hold_is_refused_with_figures():
     planner = make_planner(obj)
     params = CellParameters.uniform(obj)
     plan = plan_pregrasp(planner, UncertainModel.of_parameters(obj, params), (0.1, 0.2, 0.3))
-    assert plan.status == STATUS_FAILED
+    assert plan.status == PreGraspPlanStatus.FAILED
     center = params.center_of_mass(obj)
     nearest = min(np.abs(part.p_BG - center).max() for part in planner.flat_parts)
     torque = 3.0 * 9.81 * nearest
@@ -150,7 +149,10 @@ def test_what_the_pads_cannot_hold_is_refused_with_figures():
     for figure in ("29.4 N", "0.96 N m along", "0.48 N m across", "80 N", f"{100 * torque / 0.96:.0f} %", "80 %"):
         assert figure in plan.message
     strong = make_planner(obj, force=2 * 80.0)
-    assert plan_pregrasp(strong, UncertainModel.of_parameters(obj, params), (0.1, 0.2, 0.3)).status == STATUS_READY
+    assert (
+        plan_pregrasp(strong, UncertainModel.of_parameters(obj, params), (0.1, 0.2, 0.3)).status
+        == PreGraspPlanStatus.READY
+    )
 
 
 @pytest.mark.parametrize("friction", [0.6, 6.0])

@@ -18,11 +18,9 @@ from gridpush_drake.planning.pregrasp.goals import (
 )
 from gridpush_drake.planning.pregrasp.grasp_parts import Gripper, find_grasp_parts
 from gridpush_drake.planning.pregrasp.planner import (
-    STATUS_FAILED,
-    STATUS_POKE_FIRST,
-    STATUS_READY,
     PreGraspOptions,
     PreGraspPlanner,
+    PreGraspPlanStatus,
     plan_pregrasp,
 )
 from gridpush_drake.planning.pregrasp.slides import make_stability_rule, plan_slide, simulate_near_edge
@@ -256,7 +254,7 @@ def test_a_plan_ends_with_something_to_grasp(pan, parts, heavy_plate, surface):
     planner = PreGraspPlanner(pan, surface, parts=parts)
     middle = surface.polygon.centroid
     plan = plan_pregrasp(planner, UncertainModel.of_parameters(pan, heavy_plate), (middle.x, middle.y, 2.0))
-    assert plan.status == STATUS_READY, plan.message
+    assert plan.status == PreGraspPlanStatus.READY, plan.message
     assert 1 <= len(plan.pushes) == len(plan.poses) - 1
     assert calc_overhangs(parts, plan.poses[-1], surface).max() > 0
     assert calc_loads(pan, heavy_plate, plan.poses[-1], surface.corners) is not None
@@ -273,10 +271,10 @@ def test_a_plan_without_a_safe_goal_says_so(pan, parts):
     options = PreGraspOptions(goal=GoalOptions(margin=0.065))
     planner = PreGraspPlanner(pan, TABLE, options, parts)
     plan = plan_pregrasp(planner, UncertainModel.of_prior(pan), (0.0, 0.0, 0.0))
-    assert plan.status == STATUS_POKE_FIRST
+    assert plan.status == PreGraspPlanStatus.POKE_FIRST
     assert plan.poke is not None
     certain = UncertainModel.of_parameters(pan, CellParameters.uniform(pan))
-    assert plan_pregrasp(planner, certain, (0.0, 0.0, 0.0)).status == STATUS_FAILED
+    assert plan_pregrasp(planner, certain, (0.0, 0.0, 0.0)).status == PreGraspPlanStatus.FAILED
 
 
 def test_the_whole_task_with_hidden_masses(pan, parts):
