@@ -62,7 +62,7 @@ def simulate_near_edge(
     if calc_loads(obj, params, q, surface.corners) is None:
         return EdgeMotion(q[None].copy(), np.zeros(1), True)
     times = make_path_times(push, "quasi_static")
-    traveled = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(push.tip_at(times), axis=0), axis=1)))
+    traveled = push.distance_at(times)
     motion = simulate(obj, params, push, q, times=times, regime="quasi_static", table=surface.corners)
     fell = bool(motion.tips.any())
     if not fell and calc_loads(obj, params, motion.final_pose, surface.corners) is None:

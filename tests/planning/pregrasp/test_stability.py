@@ -226,6 +226,13 @@ def test_a_push_that_stays_on_the_table_is_the_plain_one(hammer):
     np.testing.assert_allclose(motion.poses, plain.poses, atol=1e-9)
 
 
+def test_the_way_around_a_corner_is_all_of_the_path(rod):
+    table = SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0))
+    push = Push.along([0.0, 1.0, 2.0], [[-0.2, -0.2], [-0.1507, -0.2], [-0.1507, -0.1504]], 0.008)
+    motion = simulate_near_edge(rod, CellParameters.uniform(rod), push, (0.0, 0.0, 0.0), table)
+    assert motion.traveled[-1] == pytest.approx(push.length, abs=1e-12)
+
+
 def test_an_overhanging_rod_pushed_at_its_center_of_mass_hardly_turns(rod):
     """The loads' moment is the weight's wherever they are, but they lie nearer to it: the rod resists turning less."""
     table = SupportSurface.rectangle((-0.5, 0.0), (1.0, 1.0))
