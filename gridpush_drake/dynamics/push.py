@@ -217,7 +217,7 @@ DEFAULT_DT = 0.01  # s, the longest step where none is given
 DEFAULT_TIP_STEP = 0.001  # m, the furthest the pusher moves in a step where none is given
 MAX_STEPS = 1_000_000  # of a simulation, each of which is kept: 1 km of the pusher's path by default
 SAME_TIME = 1e-9  # of a push's duration, by which two of its times differ that are one
-SHORT_STEP = 0.01  # of the mean step: what is shorter is too short for a motion to be expected to go on as in it
+SHORT_STEP = 0.01  # of the mean step: in what is shorter a rounding error of a place is a speed
 SLACK = 1e-9  # share of a step by which a duration may exceed a whole number of them
 
 
@@ -246,7 +246,8 @@ def make_path_times(
 
     "inertial": every piece of the path, whose samples are among the times, is cut into the longest steps allowed,
     `longest` (s) and `tip_step` (m of the pusher), so that they do not jump with the piece's length and speed; the last
-    two, half a step to a whole one each, share what is left. "quasi_static": the path's length is cut evenly, whatever
+    two, half a step to a whole one each, share what is left. Samples less than a short step apart are taken for one.
+    "quasi_static": the path's length is cut evenly, whatever
     its pieces and however long they last, for time does not matter.
 
     Raises:
@@ -261,7 +262,19 @@ def make_path_times(
     wanted = np.maximum(distance / tip_step, np.diff(push.t) / longest)
     _count_steps(float(np.maximum(wanted, 1.0).sum()))
     pieces = [push.t[i] + (push.t[i + 1] - push.t[i]) * _cut(parts) for i, parts in enumerate(wanted)]
-    return np.append(np.concatenate(pieces), push.t[-1])
+    times = np.append(np.concatenate(pieces), push.t[-1])
+    return _merge(times, SHORT_STEP * push.duration / (len(times) - 1))
+
+
+def _merge(times: Array, shortest: float) -> Array:
+    """Leaves out times (T+1,), s, less than `shortest` after one that is kept or before the last; the ends stay."""
+    if (np.diff(times) >= shortest).all():
+        return times
+    kept = [float(times[0])]
+    for t in times[1:-1].tolist():
+        if min(t - kept[-1], times[-1] - t) >= shortest:
+            kept.append(t)
+    return np.array([*kept, times[-1]])
 
 
 def _count_steps(steps: float) -> int:
@@ -291,19 +304,20 @@ def make_times_with(push: Push, wanted: Array, regime: str) -> Array:
     Args:
         push: the push.
         wanted: (K,) increasing times after its beginning, s. The default ones so near them that the step between would
-            be a short one are left out: there a rounding error of a place is a speed.
+            be a short one are left out.
         regime: "inertial" or "quasi_static".
 
     Returns:
-        All times, increasing, s.
+        All times, increasing, s. In the inertial regime, wanted ones less than a short step apart are taken for one.
     """
     path = make_path_times(push, regime)
     place, near = (path, wanted) if regime == "inertial" else (push.distance_at(path), push.distance_at(wanted))
     before, after = np.append(-np.inf, near), np.append(near, np.inf)
-    at = np.searchsorted(near, place)
-    repeated = np.minimum(place - before[at], after[at] - place) < SHORT_STEP * place[-1] / (len(path) - 1)
+    at, shortest = np.searchsorted(near, place), SHORT_STEP * float(place[-1]) / (len(path) - 1)
+    repeated = np.minimum(place - before[at], after[at] - place) < shortest
     repeated[0] = False
-    return np.union1d(path[~repeated], wanted)
+    times = np.union1d(path[~repeated], wanted)
+    return _merge(times, shortest) if regime == "inertial" else times
 
 
 def measure_steps(push: Push | ForcePush, times: Array, regime: str) -> Array:

@@ -36,7 +36,7 @@ class BatchPush(NamedTuple):
     push: Push  # the pusher's motion
     pose: Array  # (3,) q of the object at the beginning, m and rad
     times: Array  # (T+1,) the steps' times, s from the push's beginning
-    rows: IntArray  # (R,) the poses among the T+1 that are wanted
+    rows: IntArray  # (R,) the poses among the T+1 that are wanted; the same one more than once, too
     table: Array | None  # (K, 2) corners in W of the table's top, m; None where it is endless
 
 
@@ -48,6 +48,7 @@ class _Group:
     table: Array | None  # (K, 4) the table's edges, m; None where it is far
     pushes: Pushes  # their arrays
     row_of_step: IntArray  # (S+P,) see `rollout_pushes`
+    recorded: IntArray  # (R,) the row that records each one's pose: its own, or another of the same pose
     rows: IntArray  # (R,) the batch's rows that those of this group are
     steps: IntArray  # (R,) the step of each row
 
@@ -109,17 +110,20 @@ class PushBatch:
         return poses, derivatives
 
     def _run(self, group: _Group, params: CellParameters, J: Array) -> tuple[Array, NDArray[np.bool_]]:
-        return run_pushes(
+        poses, touched = run_pushes(
             self.obj, params, GRAVITY, self._method, group.pushes, group.row_of_step, J, len(group.rows), group.table
         )
+        if len(J):
+            again = group.recorded != np.arange(len(J))
+            J[again] = J[group.recorded[again]]
+        return poses[group.recorded], touched
 
     def _make_group(self, pushes: Sequence[BatchPush], chosen: IntArray, table: Array | None) -> _Group:
         some = [pushes[i] for i in chosen]
         first = np.append(0, np.cumsum([len(one.times) - 1 for one in some], dtype=np.int64))
-        row_of_step, rows = np.full(int(first[-1]) + len(some), -1), 0
-        for p, one in enumerate(some):
-            row_of_step[first[p] + p + one.rows] = np.arange(rows, rows + len(one.rows))
-            rows += len(one.rows)
+        row_of_step = np.full(int(first[-1]) + len(some), -1)
+        wanted = np.concatenate([first[p] + p + one.rows for p, one in enumerate(some)])
+        row_of_step[wanted] = np.arange(len(wanted))
         return _Group(
             chosen,
             table,
@@ -132,6 +136,7 @@ class PushBatch:
                 np.array([one.pose for one in some], dtype=np.float64),
             ),
             row_of_step,
+            row_of_step[wanted],
             np.concatenate([np.arange(self.offsets[i], self.offsets[i + 1]) for i in chosen]),
             np.concatenate([one.rows for one in some]),
         )

@@ -47,7 +47,7 @@ class TimedPush:
     Attributes:
         observed: the push.
         times: (T+1,) s from its beginning.
-        rows: (K,) the observations' among them.
+        rows: (K,) the observations' among them, or those nearest to them.
         table: (K, 2) corners in W of the table's top, m; None where its edge is far.
     """
 
@@ -60,7 +60,8 @@ class TimedPush:
     def of(cls, observed: ObservedPush, regime: Regime, table: Array | None = None) -> "TimedPush":
         """Cuts the time at every observation."""
         times = make_times_with(observed.push, observed.t_observed, regime)
-        return cls(observed, times, np.searchsorted(times, observed.t_observed), table)
+        rows = np.searchsorted((times[:-1] + times[1:]) / 2, observed.t_observed)
+        return cls(observed, times, rows, table)
 
     def simulate(self, obj: GridObject, params: CellParameters, **options: Any) -> Motion:
         """Simulates the push from its first observed pose, with `options` of `simulate`."""

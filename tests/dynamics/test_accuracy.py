@@ -158,3 +158,20 @@ def test_wanted_times_just_after_a_step_change_nothing(regime, share):
         assert np.isin(wanted, both).all()
         one, two = (simulate(obj, params, push, times=each, regime=regime) for each in (times, both))
         assert calc_cell_error(obj, one.final_pose, two.final_pose) < 1e-4
+
+
+@pytest.mark.parametrize("gap", [1e-12, 1e-9, 1e-6])
+@pytest.mark.parametrize("regime", REGIMES)
+def test_samples_that_all_but_coincide_change_nothing(regime, gap):
+    """A tip seen twice at once, with its measurement's noise of 1e-5 m, is not a tip that goes 10 m/s."""
+    obj, rng = make_shape("claw_hammer", 60), np.random.default_rng(0)
+    for _ in range(10):
+        params, (t, xy, radius) = make_random_contents(rng, obj), make_crooked_path(rng, obj)
+        t = t / 2
+        twice = np.sort(np.concatenate([t, t[[0, 3]] + gap, t[-1:] - gap]))
+        path = np.vstack([xy[[0]], xy[:4], xy[[3]], xy[4:], xy[[-1]]]) + rng.normal(0.0, 1e-5, (9, 2))
+        push = Push.along(twice, path, radius)
+        one = simulate(obj, params, Push.along(t, xy, radius), regime=regime)
+        for times in (None, make_times_with(push, twice[1:], regime)):
+            two = simulate(obj, params, push, times=times, regime=regime)
+            assert calc_cell_error(obj, one.final_pose, two.final_pose) < 2e-4

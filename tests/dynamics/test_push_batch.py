@@ -61,6 +61,17 @@ def test_a_batch_is_its_pushes_one_by_one_bit_for_bit(regime: Regime, height: fl
     assert touched.tolist() == [True] * 5 + [False]
 
 
+@pytest.mark.parametrize("regime", ["quasi_static", "inertial"])
+def test_a_pose_may_be_wanted_twice(regime: Regime) -> None:
+    params, pushes = CellParameters.random(OBJ, seed=2), make_pushes(regime, TABLE)
+    poses, J = PushBatch(OBJ, pushes, regime).differentiate(params)
+    twice = PushBatch(OBJ, [one._replace(rows=np.repeat(one.rows, 2)) for one in pushes], regime)
+    again, J_again = twice.differentiate(params)
+    assert np.array_equal(again, np.repeat(poses, 2, axis=0))
+    assert np.array_equal(J_again, np.repeat(J, 2, axis=0))
+    assert np.array_equal(twice.simulate(params)[0], again)
+
+
 def test_no_pushes_are_no_poses() -> None:
     poses, J = PushBatch(OBJ, [], "quasi_static").differentiate(CellParameters.uniform(OBJ))
     assert poses.shape == (0, 3)

@@ -51,6 +51,20 @@ def test_cell_errors_agree_with_the_cells_themselves() -> None:
         assert error == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.parametrize("regime", ["quasi_static", "inertial"])
+def test_a_pose_seen_twice_at_once_counts_twice(regime: str) -> None:
+    problem = make_problem(regime)
+    z = problem.unknowns(CellParameters.uniform(problem.obj, contact_friction=0.4))
+    one = problem.choose([0])
+    seen = one._pushes[0].observed
+    t = np.sort(np.append(seen.t_observed, seen.t_observed - 1e-6))
+    both = problem.replace_log(PushLog((replace(seen, t_observed=t, poses_observed=seen.poses_observed.repeat(2, 0)),)))
+    expected = one.residuals(z)[0].reshape(-1, 3).repeat(2, axis=0).ravel()
+    np.testing.assert_allclose(both.residuals(z)[0], expected, rtol=0, atol=1e-5)
+    made = one.linearize(z).by_z[0].reshape(-1, 3, len(z)).repeat(2, axis=0).reshape(-1, len(z))
+    np.testing.assert_allclose(both.linearize(z).by_z[0], made, rtol=0, atol=1e-5)
+
+
 def test_counts_simulations() -> None:
     problem = make_problem("quasi_static")
     z = problem.unknowns(CellParameters.uniform(problem.obj))

@@ -86,7 +86,7 @@ def calc_paper_gradient_of_loss(loss: CellLoss, simulations: list[Motion]) -> di
     gradient = {block: np.zeros(loss.obj.n) for block in BLOCKS}
     for simulation, miss, rows in zip(simulations, loss.misses(simulations), loss.rows, strict=True):
         by_pose = np.zeros((len(simulation.poses), 3))
-        by_pose[rows] = _differentiate_by_pose(loss.obj, simulation.poses[rows], miss) / len(simulations)
+        np.add.at(by_pose, rows, _differentiate_by_pose(loss.obj, simulation.poses[rows], miss) / len(simulations))
         after = by_pose[::-1].cumsum(axis=0)[::-1]  # a step moves all poses after it
         for block in BLOCKS:
             gradient[block] += np.einsum("tj,tjn->n", after, getattr(simulation.jacobian, block))
