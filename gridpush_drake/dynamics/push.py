@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.errors import MAX_NUMBER, PushError, SimulationError, require_positive
+from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.se2 import Array, check_vector, make_rotation, rotate
 from gridpush_drake.objects.grid_object import GridObject
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class Push:
+class Push(Frozen):
     """The motion of a disc of radius `radius` in the plane of the support, piecewise linear in time.
 
     `Push(start, velocity, duration, radius)` is straight at constant velocity; `Push.along` follows sampled points;
@@ -171,7 +172,7 @@ def _check_samples(times: Array, path: Array) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class ForcePush:
+class ForcePush(Frozen):
     """A force in W applied at a point of the object, piecewise constant in time.
 
     Attributes:

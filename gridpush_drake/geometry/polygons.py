@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from shapely import Polygon
 from shapely.geometry.polygon import orient
 
+from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.se2 import Array
 
 SLACK = 1e-12  # m, so that half-planes that leave one point leave a polygon, for round-off's sake
@@ -64,7 +65,7 @@ def _calc_gaps(inner: Array, hull: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class OutlineEdges:
+class OutlineEdges(Frozen):
     """The outline's E directed edges, body frame, with the object on their left.
 
     Attributes:

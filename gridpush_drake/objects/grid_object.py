@@ -14,6 +14,7 @@ from shapely import Point, Polygon
 
 from gridpush_drake.errors import ObjectError, require_positive
 from gridpush_drake.files import write_whole
+from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.polygons import OutlineEdges
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.objects.cells import (
@@ -31,7 +32,7 @@ from gridpush_drake.objects.object_file import PhysicalPrior, dump_object, make_
 
 
 @dataclass(frozen=True, eq=False)
-class GridObject:
+class GridObject(Frozen):
     """A flat rigid object, as n square cells within an outline.
 
     Attributes:

@@ -7,13 +7,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.errors import ParameterError
+from gridpush_drake.frozen import Frozen
 from gridpush_drake.objects.grid_object import GridObject
 
 DEFAULT_TOTAL_MASS = 1.0  # kg, for objects that were never weighed
 
 
 @dataclass(frozen=True, eq=False)
-class CellParameters:
+class CellParameters(Frozen):
     """The physical parameters of a grid object's n cells.
 
     Attributes:

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from gridpush_drake.errors import CameraError, ImageError
 from gridpush_drake.files import read_text, write_whole
+from gridpush_drake.frozen import Frozen
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.yaml_file import TAG, parse_yaml, shorten
 
@@ -60,7 +61,7 @@ NOT_KNOWN = "X_WC is not known; `gridpush calibrate` finds it from a board of ta
 
 
 @dataclass(frozen=True, eq=False)
-class Camera:
+class Camera(Frozen):
     """A pinhole camera with OpenCV's lens distortion.
 
     Attributes:

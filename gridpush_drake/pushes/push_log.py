@@ -28,6 +28,7 @@ from shapely.geometry.polygon import orient
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import MAX_NUMBER, PushLogError
 from gridpush_drake.files import check_writable, read_text, write_whole
+from gridpush_drake.frozen import Frozen
 
 DEFAULT_PUSHER_RADIUS = 0.005
 """The disc's radius where neither the reader's caller nor the object's file gives one, m."""
@@ -53,7 +54,7 @@ MIN_TIME_STEP = 1e-9  # s between two rows of a push
 
 
 @dataclass(frozen=True, eq=False)
-class ObservedPush:
+class ObservedPush(Frozen):
     """One push and what was seen of the object while it lasted.
 
     Attributes:
@@ -127,7 +128,7 @@ class ObservedPush:
 
 
 @dataclass(frozen=True, eq=False)
-class PushLog:
+class PushLog(Frozen):
     """Several pushes of one object. `log[3]` is a push; `log[1:4]` and `log[[0, 2]]` are logs.
 
     Attributes:
