@@ -19,13 +19,14 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import Any, ClassVar, Literal
+from warnings import warn
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.io import loadmat
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.errors import PushLogError
+from gridpush_drake.errors import PushLogError, PushLogWarning
 from gridpush_drake.files import MEGABYTE, read_bytes
 from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.objects.grid_object import GridObject
@@ -106,7 +107,7 @@ class MitImporter:
     """Pushes of the MIT push data set (Yu, Bauza, Fazeli, Rodriguez, IROS 2016).
 
     Without `shape` and `obj` the object is the last part of the file's name after an underscore if that is one,
-    otherwise the file's own `shape_id`.
+    otherwise the file's own `shape_id`. A PushLogWarning says where the name or `shape_id` is another shape.
     """
 
     file: ClassVar[str] = "FILE.mat"
@@ -168,10 +169,14 @@ def _observe(path: Path, record: Any, name: str, speed: float) -> ObservedPush:
 
 def _mit_object(path: Path, shape: str | None, data: dict[str, Any]) -> GridObject:
     named = path.stem.rpartition("_")[2]
+    said = {"name": named, "shape_id": str(data.get("shape_id", ""))}
     if shape is None:
-        shape = named if named in MIT_SHAPES else str(data.get("shape_id", named))
+        shape = named if named in MIT_SHAPES else said["shape_id"] or named
     if shape not in MIT_SHAPES:
         raise PushLogError(f"{path}: shape {shape!r} is not known; expected {', '.join(MIT_SHAPES)}, or an object file")
+    others = [f"its {what} says {other}" for what, other in said.items() if other in MIT_SHAPES and other != shape]
+    if others:
+        warn(f"{path}: taken for pushes of {shape}, but {' and '.join(others)}", PushLogWarning, stacklevel=3)
     prior = PhysicalPrior(pusher_radius=TIP_RADIUS)
     return GridObject.from_outline(MIT_SHAPES[shape](), max_cells=MIT_CELLS, name=shape, prior=prior)
 

@@ -3,7 +3,7 @@ import pytest
 from scipy.io import savemat
 from shapely import Polygon
 
-from gridpush_drake.errors import PushLogError
+from gridpush_drake.errors import PushLogError, PushLogWarning
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.importers.mit import MIT_SHAPES, MitImporter, read_model_errors
 from tests.helpers.shared_data import shared_data
@@ -72,9 +72,12 @@ def test_speed_of_the_file(tmp_path):
 
 
 def test_shape_from_argument_name_or_file(tmp_path):
-    assert import_mit(save(tmp_path / "steel_hex.mat"), shape="rect2")[1].name == "rect2"
-    assert import_mit(save(tmp_path / "steel_hex.mat", shape_id="rect1"))[1].name == "hex"
+    with pytest.warns(PushLogWarning, match=r"steel_hex.mat: taken for pushes of rect2, but its name says hex"):
+        assert import_mit(save(tmp_path / "steel_hex.mat"), shape="rect2")[1].name == "rect2"
+    with pytest.warns(PushLogWarning, match=r"taken for pushes of hex, but its shape_id says rect1"):
+        assert import_mit(save(tmp_path / "steel_hex.mat", shape_id="rect1"))[1].name == "hex"
     assert import_mit(save(tmp_path / "steel_v10.mat", shape_id="rect1"))[1].name == "rect1"
+    assert import_mit(save(tmp_path / "steel_v10.mat"), shape="rect1")[1].name == "rect1"
     own = GridObject.from_outline([[0, 0], [0.1, 0], [0, 0.1]], name="mine")
     assert import_mit(save(tmp_path / "nothing.mat"), obj=own)[1] is own
 
