@@ -16,7 +16,7 @@ class ObjectError(GridPushError):
 
 
 class ObjectWarning(UserWarning):
-    """A mask may be right, but hardly is: it seems to be inverted."""
+    """A mask or an outline may be right, but hardly is: inverted, or of a photograph that its depth contradicts."""
 
 
 class ParameterError(GridPushError):

@@ -2,12 +2,13 @@
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
+from warnings import warn
 
 import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import print_json, print_line
-from gridpush_drake.errors import PerceptionError
+from gridpush_drake.errors import ObjectWarning, PerceptionError
 
 if TYPE_CHECKING:
     from gridpush_drake.objects.object_file import TagSchema
@@ -68,6 +69,7 @@ def make_object(
         read_depth,
         write_picture,
     )
+    from gridpush_drake.perception.foreground import CONTRADICTION
 
     options.check_outputs(force, out, picture)
     seen_by = Camera.read(camera)
@@ -79,6 +81,13 @@ def make_object(
         if picture is not None and error.picture is not None:
             write_picture(picture, error.picture, force)
         raise type(error)(f"{photo}: {error}", error.picture) from error
+    if found.contradiction > CONTRADICTION:
+        warn(
+            f"{photo}: color and depth contradict each other about {found.contradiction:.0%} of the object; is {depth} "
+            "of the same scene, and registered? --picture shows what was found",
+            ObjectWarning,
+            stacklevel=2,
+        )
     obj = found.make_grid_object(cell_size, name or photo.stem)
     tag_on_it = None if tag is None else _find_tag(photo, color, found, tag, tag_size)
     x, y, theta = map(float, found.X_WB)

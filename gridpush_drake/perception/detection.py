@@ -33,6 +33,7 @@ from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.foreground import (
     Cues,
     Foreground,
+    calc_contradiction,
     find_foreground,
     keep_largest,
     refine_boundary,
@@ -128,6 +129,7 @@ class DetectedObject:
         camera: with X_WC: the one given, or, where it was not known, the one that depth gives: W's origin is where the
             optical axis meets the table, x to the right in the image, z up.
         picture: (height, width, 3) uint8, the undistorted photograph with the outline drawn.
+        contradiction: share of the object about which color and depth contradict each other, see `calc_contradiction`.
     """
 
     outline: Polygon
@@ -138,6 +140,7 @@ class DetectedObject:
     parts: dict[int, Polygon | MultiPolygon]
     camera: Camera
     picture: Color
+    contradiction: float = 0.0
 
     @property
     def close_up(self) -> Color:
@@ -217,6 +220,7 @@ def detect_object(
         parts,
         camera,
         draw_outline(draw_contours(color, mask, GREEN), camera, outline, 0.0, X_WB),
+        calc_contradiction(mask, found, plane) if options.cues == "both" else 0.0,
     )
 
 

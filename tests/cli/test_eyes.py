@@ -58,6 +58,24 @@ def test_object_from_a_photograph(capsys, folder):
     assert "exists already" in again.err
 
 
+def test_depth_of_another_photograph_is_doubted(capsys, folder):
+    other = paint(make_camera(), [(L_SHAPE, POSE + (0.04, 0.02, 0.5), HEIGHT, BROWN)]).depth
+    cv2.imwrite(str(folder / "other.png"), (1000 * other).round().astype(np.uint16))
+    for name, doubted in (("depth.png", False), ("other.png", True)):
+        arguments = (
+            "--depth",
+            folder / name,
+            "--camera",
+            folder / "camera.yaml",
+            "--out",
+            folder / "o.yaml",
+            "--force",
+        )
+        done = run_gridpush(capsys, "object", folder / "photo.png", *arguments)
+        assert done.code == 0, done.err
+        assert ("color and depth contradict each other" in done.err) == doubted, done.err
+
+
 def test_a_tag_on_the_object_is_aligned_once_and_then_tells_its_pose(capsys, folder):
     t, tips, poses = make_push()
     X_BT = np.array([-0.02, 0.02, 0.4])
