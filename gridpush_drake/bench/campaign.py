@@ -53,7 +53,7 @@ TASKS = {
 REFUSED, BROKEN = "refused", "error"
 """Statuses, beside a task's, of episodes that could not be run: for a reason that the package gives, and otherwise."""
 
-DROPPED, GAVE_UP = "dropped", "gave up"
+DROPPED, NOT_LIFTED, GAVE_UP = "dropped", "not lifted", "gave up"
 """What an episode came to that did not end as it should."""
 
 
@@ -89,7 +89,7 @@ class Episode:
         seed: likewise.
         status: of the run, or REFUSED or BROKEN.
         message: the status in a sentence.
-        outcome: the task's `done`, DROPPED (off the table, or out of the gripper), or GAVE_UP for anything else.
+        outcome: the task's `done`, DROPPED (off the table), NOT_LIFTED, or GAVE_UP for anything else.
         pushes: made.
         pokes: of them to learn only; None where the task does not tell them apart.
         slides: of them toward the edge; likewise.
@@ -129,9 +129,9 @@ def run_episode(job: EpisodeJob) -> Episode:
         return Episode(job.object, job.seed, BROKEN, message, GAVE_UP, wall=perf_counter() - begin)
     if record.status == TaskStatus.INTERRUPTED:
         raise KeyboardInterrupt
-    fell = bool(np.isnan(task.read("object.pose_true")).any()) or record.status == TaskStatus.DROPPED
-    done = record.status == TASKS[job.task].done
-    outcome = DROPPED if fell else str(record.status) if done else GAVE_UP
+    fell = bool(np.isnan(task.read("object.pose_true")).any())
+    ends = {TASKS[job.task].done: str(TASKS[job.task].done), TaskStatus.NOT_LIFTED: NOT_LIFTED}
+    outcome = DROPPED if fell else ends.get(record.status, GAVE_UP)
     return _make_episode(job, record, outcome, perf_counter() - begin)
 
 
@@ -175,6 +175,12 @@ class Campaign:
         return str(TASKS[self.task].done)
 
     @property
+    def ends(self) -> list[str]:
+        """What episodes came to, for the table's columns: "not lifted" only where one did."""
+        lifted = all(episode.outcome != NOT_LIFTED for episode in self.episodes)
+        return [self.done, DROPPED, GAVE_UP] if lifted else [self.done, DROPPED, NOT_LIFTED, GAVE_UP]
+
+    @property
     def failures(self) -> list[Episode]:
         """Those that did not."""
         return [episode for episode in self.episodes if episode.outcome != self.done]
@@ -191,7 +197,7 @@ class Campaign:
         groups = [(name, [episode for episode in self.episodes if episode.object == name]) for name in names]
         for name, group in [*groups, ("all", list(self.episodes))][: len(groups) + (len(groups) > 1)]:
             ends = [episode.outcome for episode in group]
-            yield name, group, {end: Share.of(ends.count(end), len(ends)) for end in (self.done, DROPPED, GAVE_UP)}
+            yield name, group, {end: Share.of(ends.count(end), len(ends)) for end in self.ends}
 
     def tabulate(self) -> Table:
         """A row an object and one of all; a note for each failure, with its reason and its replay."""
@@ -201,13 +207,13 @@ class Campaign:
             means = [AVERAGED[each][1] * calc_mean(_list_known(group, AVERAGED[each][0])) for each in averaged]
             rows.append((Path(name).stem, len(group), *(share.describe() for share in shares.values()), *means))
         notes = [
-            f"In brackets: {PERCENT * CONFIDENCE:g} % Wilson intervals. {DROPPED}: off the table or out of the gripper."
+            f"In brackets: {PERCENT * CONFIDENCE:g} % Wilson intervals. {DROPPED}: off the table."
             f" {GAVE_UP}: anything else. The rest: means of all episodes in which it was found."
         ]
         for failure in self.failures:
             reason = f"{Path(failure.object).stem}, seed {failure.seed}: {failure.status}. {failure.message}"
             notes += [reason, self.make_replay(failure)]
-        columns = ("object", "episodes", self.done, DROPPED, GAVE_UP, *averaged)
+        columns = ("object", "episodes", *self.ends, *averaged)
         return Table(f"Episodes of {self.task} in the station", columns, rows, notes)
 
     def to_dict(self) -> dict[str, Any]:

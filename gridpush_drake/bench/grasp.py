@@ -5,7 +5,7 @@ Its runs are episodes of a campaign with the shipped scenario.
 
 from collections.abc import Sequence
 
-from gridpush_drake.bench.campaign import DROPPED, GAVE_UP, Episode, EpisodeJob, run_episode
+from gridpush_drake.bench.campaign import DROPPED, GAVE_UP, NOT_LIFTED, Episode, EpisodeJob, run_episode
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.table import MM, Table, by_object, calc_mean, count_of, mean_of
 from gridpush_drake.errors import GridPushError
@@ -52,6 +52,7 @@ def tabulate(episodes: Sequence[Episode], objects: Sequence[str]) -> Table:
         "runs": len,
         "held": count_of("outcome", held),
         "dropped": count_of("outcome", DROPPED),
+        "not lifted": count_of("outcome", NOT_LIFTED),
         "given up": count_of("outcome", GAVE_UP),
         "pokes": mean_of("pokes"),
         "slides": mean_of("slides"),
@@ -62,8 +63,8 @@ def tabulate(episodes: Sequence[Episode], objects: Sequence[str]) -> Table:
     }
     notes = [
         "An iiwa with a gripper, free base, pose noise; what an object weighs and how it rubs is hidden.",
-        "held: lifted and held. dropped: off the table or out of the gripper. given up: anything else, such as no safe "
-        "way found.",
+        "held: lifted and held. dropped: off the table. not lifted: the gripper went up without it. given up: "
+        "anything else, such as no safe way found.",
         "pokes, slides, raised, CoM error, simulated, wall: means of all runs; raised of those held.",
     ]
     notes += [f"{run.object}, seed {run.seed}: {run.status}. {run.message}" for run in episodes if run.outcome != held]

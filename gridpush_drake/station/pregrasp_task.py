@@ -102,7 +102,7 @@ class GraspFinder:
 
 @dataclass
 class PreGraspRecord(ControlledRecord[PreGraspStatus]):
-    """What came of a run: "held", "dropped", "failed", "lost", "stuck" or "interrupted"; filled while it runs.
+    """What came of a run: "held", "not_lifted", "dropped", "failed", "lost", "stuck" or "interrupted".
 
     Attributes:
         raised: how far the object's lowest point was above the table at the end, m; NaN where nobody knows.
@@ -112,7 +112,7 @@ class PreGraspRecord(ControlledRecord[PreGraspStatus]):
 
 
 HELD, DROPPED, FAILED = TaskStatus.HELD, TaskStatus.DROPPED, TaskStatus.FAILED
-LOST, STUCK = TaskStatus.LOST, TaskStatus.STUCK
+LOST, STUCK, NOT_LIFTED = TaskStatus.LOST, TaskStatus.STUCK, TaskStatus.NOT_LIFTED
 
 CLEARANCE = 0.006
 """Between finger and object where a push begins, m: it comes down beside an object seen to about a millimeter."""
@@ -189,7 +189,7 @@ class PreGraspTask(StationTask[PreGraspRecord]):
                 return HELD, "The gripper lifted the object and holds it."
             if record.raised >= LIFTED_SHARE * self.station.scenario.pregrasp.lift:
                 return HELD, f"The object was lifted and held, {1e3 * record.raised:.0f} mm above the table."
-            return DROPPED, f"The gripper holds something, but the object is not up: {1e3 * record.raised:.0f} mm."
+            return NOT_LIFTED, f"The gripper closed and went up, but the object did not: {1e3 * record.raised:.0f} mm."
         if status.mode == PreGraspMode.FAILED:
             return FAILED, status.reason
         at_rest = self.read("executor.status").ready and self.read("grasp.status").ready

@@ -44,6 +44,7 @@ class TaskStatus(StrEnum):
     REACHED = "reached"
     HELD = "held"
     DROPPED = "dropped"
+    NOT_LIFTED = "not_lifted"
     STOPPED = "stopped"
 
 

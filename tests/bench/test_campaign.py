@@ -16,6 +16,7 @@ from gridpush_drake.bench.campaign import (
     BROKEN,
     DROPPED,
     GAVE_UP,
+    NOT_LIFTED,
     REFUSED,
     TASKS,
     Campaign,
@@ -63,6 +64,15 @@ def test_the_table_counts_and_gives_wilson_intervals():
     assert rows[0]["gave up"] == "1 (6.1 to 79.2 %)"
     assert rows[0]["CoM error, mm"] == pytest.approx(8 / 3)
     assert rows[1]["pokes"] == pytest.approx(3.0)  # of the one that has any
+
+
+def test_what_the_gripper_did_not_raise_is_not_dropped():
+    campaign = make_campaign()
+    assert "not lifted" not in campaign.tabulate().columns
+    left = replace(HELD, seed=3, status="not_lifted", message="It stayed.", outcome=NOT_LIFTED)
+    table = replace(campaign, episodes=[*campaign.episodes, left]).tabulate()
+    row = dict(zip(table.columns, table.rows[-1], strict=True))
+    assert [row[end].split()[0] for end in ("held", "dropped", "not lifted", "gave up")] == ["2", "1", "1", "2"]
 
 
 def test_intervals_hold_what_they_say():

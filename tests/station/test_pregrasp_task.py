@@ -1,5 +1,7 @@
 """The whole story in the full station: a robot, an object it knows nothing about, and a table's edge."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from gridpush_drake.station.pregrasp_task import LIFTED_SHARE, PreGraspTask
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.station.scenario import PushScenario, read_scenario
 from gridpush_drake.station.task import TaskStatus
+from gridpush_drake.systems.messages import PreGraspMode, PreGraspStatus
 
 
 def test_a_scene_without_a_gripper_is_refused():
@@ -41,6 +44,14 @@ def test_a_toolbox_is_taken_by_its_handle_only_where_the_pads_hold_it_there(heav
     masses = UncertainModel.of_parameters(obj, CellParameters(mass * 3.4 / mass.sum(), np.full(obj.n, 0.35))).masses
     assert any(np.linalg.norm(one.p_BG - part.p_BG) < 0.03 for one in find_side_grasps(obj, pose, task.surface))
     assert task.planner.limits.can_grasp(goal, masses) == taken
+
+
+def test_what_stays_on_the_table_is_not_lifted():
+    task = PreGraspTask(PreGraspDemo().make_scenario())
+    record = task.make_record()
+    record.last, record.raised = PreGraspStatus(mode=PreGraspMode.HOLDING), 0.001
+    task.read = lambda name: np.zeros(3)
+    assert task.judge(record, SimpleNamespace())[0] == "not_lifted"
 
 
 @pytest.mark.slow
