@@ -16,7 +16,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.plausibility import SPEED_FACTOR, TRAVEL_FACTOR
-from gridpush_drake.pushes.push_log import ObservedPush, PushLog
+from gridpush_drake.pushes.push_log import ObservedPush, PushLog, nearest_turn
 
 Mask = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
@@ -225,6 +225,9 @@ def _trim(seen: ObservedPush, mask: Mask) -> ObservedPush | None:
         return seen
     later = kept[1:] - 1
     times, poses = seen.t_observed[later], seen.poses_observed[later]
+    theta = seen.pose[2] if mask[0] else seen.poses_observed[kept[0] - 1, 2]
+    for pose in poses:  # a flip may have turned all poses behind it by a whole turn
+        theta = pose[2] = nearest_turn(pose[2], theta)
     if mask[0]:
         return replace(seen, t_observed=times, poses_observed=poses)
     begin = seen.t_observed[kept[0] - 1]

@@ -84,6 +84,18 @@ def test_a_fifth_of_wrong_poses_costs_little_and_is_named_exactly(kind: str, cle
     assert np.mean(errors) <= WORST * clean
 
 
+def test_flips_are_named_exactly_in_a_log_that_was_read_from_a_file(tmp_path) -> None:
+    obj, _, log = make_case()
+    bad, spoiled = spoil(obj, log, "flip")
+    bad.write_csv(tmp_path / "pushes.csv")
+    read = PushLog.read_csv(tmp_path / "pushes.csv", log[0].push.radius)
+    turns = [abs(seen.poses_observed[-1, 2] - seen.pose[2]) > np.pi for seen in read]
+    assert any(turns)  # a flip and the way back, each the nearer way round, can make a whole turn
+    found, expected = identify(obj, read), identify(obj, bad)
+    assert {outlier.push: outlier.poses for outlier in found.outliers} == spoiled
+    np.testing.assert_allclose(found.params.mass, expected.params.mass, rtol=1e-9)
+
+
 def test_a_push_of_another_object_costs_little_and_is_named(clean: float) -> None:
     errors = []
     for which, (name, seed) in zip(FOREIGN, CASES, strict=True):
