@@ -8,7 +8,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gridpush_drake.dynamics.simulation import GRAVITY, Regime
-from gridpush_drake.errors import IdentificationError
+from gridpush_drake.errors import IdentificationError, ParameterError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.baselines.methods import DEFAULT_BUDGET_PER_PUSH, SEARCH_METHODS
 from gridpush_drake.identification.baselines.search import Bounds, SearchMethod, SearchStatus, run_search
@@ -42,6 +42,9 @@ MAX_FITS = 4
 
 UNIFORM_WIDTH = 12.0**0.5
 """Width of a uniform distribution, in its standard deviations."""
+
+MIN_CENTER_STD = 1e-5
+"""m, below which the center of mass is not taken to be known: sharper, the fit's equations are singular."""
 
 MIN_CONTACT_FRICTION = 0.05
 """Below which a prior contact friction is taken for this one, whose logarithm is the unknown."""
@@ -83,7 +86,7 @@ def identify(
 
     Raises:
         IdentificationError: the method or regime is unknown, the seed is no whole number or negative, the log is empty
-            or lacks observations.
+            or lacks observations, or no loads of the cells explain it with what is told of the object.
         PushLogError: the object hung over the table's edge during every push, or the log cannot be true of the object,
             see `pushes.plausibility`.
     """
@@ -157,9 +160,12 @@ def _fit_default(
     """Fits, refuses what does not agree with the rest, and fits again until nothing is refused any more."""
     obj = problem.obj
     at = obj.prior.center_of_mass
-    center = None if at is None else CenterOfMass(at, obj.prior.center_of_mass_std)
+    center = None if at is None else CenterOfMass(at, max(obj.prior.center_of_mass_std, MIN_CENTER_STD))
     for _ in range(MAX_FITS):
-        fit = ensemble.fit(problem, z0, log_contact_friction_std, center, tracker.report, starts)
+        try:
+            fit = ensemble.fit(problem, z0, log_contact_friction_std, center, tracker.report, starts)
+        except (np.linalg.LinAlgError, ParameterError) as error:
+            raise IdentificationError(_describe_no_fit(obj)) from error
         assert fit.best is not None
         left_out = fit.best.system.leave_out()
         after = screened.refuse_poses(left_out, obj.radius_of_gyration)
@@ -171,6 +177,18 @@ def _fit_default(
         problem = problem.replace_log(screened.log)
         tracker.follow(problem)
     return fit, screened
+
+
+def _describe_no_fit(obj: GridObject) -> str:
+    """Says which of what was told of an object may be why its fit's equations cannot be solved."""
+    prior, told = obj.prior, []
+    if prior.center_of_mass is not None:
+        x, y = prior.center_of_mass
+        told.append(f"center_of_mass.at, [{x:g}, {y:g}] m,")
+    if prior.push_height is not None:
+        told.append(f"pusher.height, {prior.push_height:g} m,")
+    question = f"; is {' and '.join(told)} right?" if told else ""
+    return f"{obj.name}: the fit's equations cannot be solved, no loads of its cells explain the pushes{question}"
 
 
 def _refuse_push(screened: Screening, system: System, left_out: list[LeftOut]) -> Screening:

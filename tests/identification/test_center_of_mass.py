@@ -42,3 +42,12 @@ def test_frictions_that_differ_move_the_center_of_mass_off_that_of_friction() ->
         one = replace(uneven, posterior=replace(uneven.posterior, covariance=alone))
         np.testing.assert_allclose(calc_center_of_mass(one)[1], np.outer(slope, slope), rtol=1e-4, atol=1e-12)
     assert np.linalg.eigvalsh(covariance).min() > 0
+
+
+def test_a_center_of_mass_that_is_told_exactly_is_where_it_is_told() -> None:
+    obj = make_shape("l_bracket", 80)
+    truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.03, 0.2, 0.05), np.full(obj.n, 0.4), 0.35)
+    at = truth.center_of_mass(obj)
+    told = replace(obj.prior, center_of_mass=tuple(at.tolist()), center_of_mass_std=1e-12)
+    found = identify(obj, make_pokes(obj, truth, 6, 3, noise=(5e-4, 3e-3)), told)
+    np.testing.assert_allclose(calc_center_of_mass(found)[0], at, atol=1e-4)

@@ -185,3 +185,14 @@ def test_bad_arguments_are_refused() -> None:
     unseen = replace(log[0], t_observed=np.empty(0), poses_observed=np.empty((0, 3)))
     with pytest.raises(IdentificationError, match="object_x"):
         identify(obj, PushLog((unseen,)))
+
+
+def test_a_fit_that_has_no_solution_is_an_error_that_asks_about_what_was_told() -> None:
+    class Singular(MapEnsemble):
+        def fit(self, *_, **__):
+            raise np.linalg.LinAlgError
+
+    obj = make_block()
+    log, told = make_pokes(obj, make_uneven(obj), 1, 0), replace(obj.prior, push_height=0.02)
+    with pytest.raises(IdentificationError, match=r"is pusher.height, 0.02 m, right\?"):
+        identify(obj, log, told, ensemble=Singular())
