@@ -15,7 +15,7 @@ from gridpush_drake.identification.baselines.search import Bounds, SearchMethod,
 from gridpush_drake.identification.force_scale import calc_force_scale
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.map_ensemble import MapEnsemble, MapEnsembleFit, Tracker
-from gridpush_drake.identification.map_fit import CenterOfMass, System, calc_laplace
+from gridpush_drake.identification.map_fit import UNIFORM_WIDTH, CenterOfMass, System, calc_laplace
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.outliers import SUSPECT_ODDS, LeftOut, Screening, calc_foreign_odds
 from gridpush_drake.identification.posterior import CONTACT_FRICTION, Posterior
@@ -39,12 +39,6 @@ MAX_TRIALS = 2
 
 MAX_FITS = 4
 """To a log, each without what the one before refused."""
-
-UNIFORM_WIDTH = 12.0**0.5
-"""Width of a uniform distribution, in its standard deviations."""
-
-MIN_CENTER_STD = 1e-5
-"""m, below which the center of mass is not taken to be known: sharper, the fit's equations are singular."""
 
 MIN_CONTACT_FRICTION = 0.05
 """Below which a prior contact friction is taken for this one, whose logarithm is the unknown."""
@@ -159,8 +153,7 @@ def _fit_default(
 ) -> tuple[MapEnsembleFit, Screening]:  # fmt: skip
     """Fits, refuses what does not agree with the rest, and fits again until nothing is refused any more."""
     obj = problem.obj
-    at = obj.prior.center_of_mass
-    center = None if at is None else CenterOfMass(at, max(obj.prior.center_of_mass_std, MIN_CENTER_STD))
+    center = CenterOfMass.of_prior(obj.prior)
     for _ in range(MAX_FITS):
         try:
             fit = ensemble.fit(problem, z0, log_contact_friction_std, center, tracker.report, starts)

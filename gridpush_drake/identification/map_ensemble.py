@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import logsumexp, softmax
 
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import Array
@@ -29,7 +29,7 @@ from gridpush_drake.identification.load_priors import (
 )
 from gridpush_drake.identification.map_fit import CenterOfMass, MapFit, fit_map, solve_factor
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
-from gridpush_drake.identification.posterior import CELLS
+from gridpush_drake.identification.posterior import CELLS, calc_share
 from gridpush_drake.identification.problem import Linearization, PushProblem
 from gridpush_drake.identification.result import FitStart, HistoryEntry, IdentificationStatus
 from gridpush_drake.objects.grid_object import GridObject
@@ -221,12 +221,12 @@ class MapEnsemble:
 
     def _average(self, problem: PushProblem, priors: list[LoadPrior], fits: list[MapFit]) -> MapEnsembleFit:
         """Averages the fits; the spread is the mixture's, and what the pushes say of each other is in it."""
-        plausible = _calc_weights(priors, fits)
-        weights = plausible * [prior.weight for prior in priors]
-        weights /= weights.sum()
+        evidences = np.array([fit.log_evidence + np.log(prior.share) for prior, fit in zip(priors, fits, strict=True)])
+        leaning = evidences + np.log([prior.weight for prior in priors])
+        plausible, weights = softmax(evidences), softmax(leaning)
         bottom = self.count - 1
         fields = np.delete(np.arange(len(fits)), bottom)
-        z_field = _average_shares(weights[fields] / weights[fields].sum(), [fits[i].z for i in fields])
+        z_field = _average_shares(softmax(leaning[fields]), [fits[i].z for i in fields])
         z_bottom = _move_center(problem.obj.p_BC, fits[bottom].z, priors[bottom].p_BC)
         z = _average_shares(np.array([1 - weights[bottom], weights[bottom]]), [z_field, z_bottom])
         residuals, counted = problem.residuals(z), np.flatnonzero(plausible > NEGLIGIBLE)
@@ -305,8 +305,10 @@ def tilt_loads(obj: GridObject, z0: Array) -> list[Array]:
 
 def _move_center(p_BC: Array, z: Array, p_loads: Array) -> Array:
     """The z of loads at p_loads (n, 2) on cells at p_BC (n, 2), tilted along so that their center stays where it is."""
-    x = _calc_share(z)
+    x = calc_share(z)
     arm = p_BC - x @ p_loads
+    if len(x) == 1:
+        return z
     ridge, b = TILT_RIDGE * float((p_BC.var(axis=0)).sum()) * np.eye(2), np.zeros(2)
     for _ in range(TILT_STEPS):
         w = x * np.exp(arm @ b - (arm @ b).max())
@@ -317,11 +319,6 @@ def _move_center(p_BC: Array, z: Array, p_loads: Array) -> Array:
     moved = z.copy()
     moved[CELLS] += arm @ b
     return moved
-
-
-def _calc_share(z: Array) -> Array:
-    k = np.exp(z[CELLS] - z[CELLS].max())
-    return np.asarray(k / k.sum())
 
 
 def _average_shares(weights: Array, z: list[Array]) -> Array:
@@ -335,17 +332,10 @@ def _average_shares(weights: Array, z: list[Array]) -> Array:
 
 def _compare_shares(z: Array, z0: Array) -> tuple[Array, Array]:
     """How far z is from z0, x/x0 - 1 of the shares, and T (n+1, n+1), by which dz varies that, the scale apart."""
-    ratio, off, T = _calc_share(z) / _calc_share(z0), z - z0, np.eye(len(z))
+    ratio, off, T = calc_share(z) / calc_share(z0), z - z0, np.eye(len(z))
     off[CELLS] = ratio - 1
-    T[CELLS, CELLS] = np.diag(ratio) + np.outer(1 - ratio, _calc_share(z))
+    T[CELLS, CELLS] = np.diag(ratio) + np.outer(1 - ratio, calc_share(z))
     return off, T
-
-
-def _calc_weights(priors: list[LoadPrior], fits: list[MapFit]) -> Array:
-    """Of each fit by its idea's evidence."""
-    evidences = np.array([fit.log_evidence + np.log(prior.share) for prior, fit in zip(priors, fits, strict=True)])
-    weights = np.exp(evidences - evidences.max())
-    return weights / weights.sum()
 
 
 class Tracker:

@@ -2,7 +2,7 @@
 
 With z = z_0 + A u, A A^T the prior covariance of z, the unknown is u, a priori N(0, I). Minimized is
 
-    1/2 |u|² + sum over pushes of Huber(W_p r_p(z)) + 1/2 |(c(k) - c_0)/sigma_c|²
+    1/2 |u|² + sum over pushes of Huber(W_p r_p(z)) + 1/2 |W_c (c(k) - c_0)|²
 
 r_p the residuals of push p, W_p their whitening by the noise's covariance, c the center of friction and c_0 the center
 of mass where one is given. Whitening, Huber's weights and the noise scale are renewed between runs of the
@@ -20,10 +20,10 @@ from scipy.linalg.lapack import dtrtri
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale, calc_effective_count
 from gridpush_drake.identification.outliers import LeftOut
-from gridpush_drake.identification.posterior import CELLS, calc_center_jacobian
+from gridpush_drake.identification.posterior import calc_center_jacobian, calc_share
 from gridpush_drake.identification.problem import SHIFT, Linearization, PushProblem
 from gridpush_drake.identification.result import FitStart
-from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 
 EVALUATIONS = 25
 """Most times that the pushes are simulated for one fit."""
@@ -51,28 +51,56 @@ halves it."""
 MAX_INFORMED_SHARE = 0.8
 """Of the residuals, that parameters may use up; the rest speaks of the noise."""
 
+FRICTION_STD = 0.2
+"""Of log mu from cell to cell, at most: what the bounds of the friction allow where that is less."""
+
+UNIFORM_WIDTH = 12.0**0.5
+"""Width of a uniform distribution, in its standard deviations."""
+
+MIN_CENTER_STD = 1e-4
+"""m, below which the center of mass is not taken to be known: sharper, the fit's equations are singular."""
+
 LAST_POSE = slice(-3, None)
 """Of a push's residuals."""
 
 
 @dataclass(frozen=True)
 class CenterOfMass:
-    """Where the center of mass is held to be.
+    """Where the center of mass is held to be, and how far from it the center of friction may be.
+
+    Friction differs from place to place. Where loads x_i rest on frictions mu_i that scatter by themselves, the center
+    of friction scatters about the center of mass with the covariance sigma_mu² sum_i x_i² (p_i - c) (p_i - c)^T: a body
+    on three feet far apart by a lot, one that rests evenly by little.
 
     Attributes:
         at: (2,) body frame, m.
         std: standard deviation per axis, m.
+        friction_std: of log mu from cell to cell, each by itself.
     """
 
     at: tuple[float, float]
     std: float
+    friction_std: float = 0.0
 
-    def linearize(self, obj: GridObject, z: Array) -> tuple[Array, Array]:
+    @classmethod
+    def of_prior(cls, prior: PhysicalPrior) -> "CenterOfMass | None":
+        """What is told of an object; None where that is nothing. Frictions scatter no more than their bounds allow."""
+        if prior.center_of_mass is None:
+            return None
+        bounds_std = float(np.log(prior.friction_max / prior.friction_min)) / UNIFORM_WIDTH
+        return cls(prior.center_of_mass, max(prior.center_of_mass_std, MIN_CENTER_STD), min(FRICTION_STD, bounds_std))
+
+    def make_whitening(self, obj: GridObject, z: Array) -> tuple[Array, float]:
+        """W_c (2, 2), 1/m, which whitens the center of friction's distance from `at` at z (n+1,), and -log det W_c."""
+        share = calc_share(z)
+        arm = share[:, None] * (obj.p_BC - share @ obj.p_BC)
+        L = np.linalg.cholesky(self.std**2 * np.eye(2) + self.friction_std**2 * (arm.T @ arm))
+        return np.linalg.inv(L), float(np.log(np.diag(L)).sum())
+
+    def linearize(self, obj: GridObject, z: Array, whitening: Array) -> tuple[Array, Array]:
         """Whitened residual (2,) of the center of friction at z (n+1,), and its Jacobian (2, n+1)."""
-        k = np.exp(z[CELLS] - z[CELLS].max())
-        share = k / k.sum()
-        center = share @ obj.p_BC
-        return (center - np.asarray(self.at)) / self.std, calc_center_jacobian(share, obj.p_BC) / self.std
+        share = calc_share(z)
+        return whitening @ (share @ obj.p_BC - self.at), whitening @ calc_center_jacobian(share, obj.p_BC)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,7 +270,8 @@ class System:
         jacobians = [root * W.apply(J) for root, W, J in zip(roots, self.whitenings, slopes, strict=True)]
         rows = list(self.rows)
         if center_of_mass is not None:
-            r, J = center_of_mass.linearize(problem.obj, z0 + A @ u)
+            self.center_whitening, self.center_spread = center_of_mass.make_whitening(problem.obj, z0 + A @ u)
+            r, J = center_of_mass.linearize(problem.obj, z0 + A @ u, self.center_whitening)
             rows.append(r)
             jacobians.append(J @ A)
         self.r, self.J = np.concatenate(rows), np.concatenate(jacobians)
@@ -298,16 +327,17 @@ class System:
         total = 0.5 * float(u @ u)
         total += sum(self.noise.calc_loss(W.apply(r)) for W, r in zip(self.whitenings, residuals, strict=True))
         if self.center_of_mass is not None:
-            r, _ = self.center_of_mass.linearize(self.problem.obj, self.z0 + self.A @ u)
+            r, _ = self.center_of_mass.linearize(self.problem.obj, self.z0 + self.A @ u, self.center_whitening)
             total += 0.5 * float(r @ r)
         return total
 
     def objective(self) -> float:
-        """Negative log posterior here, the normalization of the noise included."""
+        """Negative log posterior here, the normalizations of the noise and of the center's distance included."""
         normalizer = sum(
             calc_effective_count(len(r)) / len(r) * W.log_determinant
             for W, r in zip(self.whitenings, self.linear.residuals, strict=True)
         )
+        normalizer += 0.0 if self.center_of_mass is None else self.center_spread
         return self.calc_loss(self.u, self.linear.residuals) + normalizer + self.noise.calc_scale_loss(self.scale)
 
     def renew_scale(self) -> tuple[NoiseScale, float]:
@@ -416,7 +446,16 @@ def solve_factor(A: Array, difference: Array) -> Array:
 
 
 def _calc_center_evidence(obj: GridObject, z0: Array, A: Array, center_of_mass: CenterOfMass) -> float:
-    """Log p(c_0) under the smoothness prior alone, to first order about z0: knowledge, not data."""
-    r, J = center_of_mass.linearize(obj, z0)
-    spread = np.eye(2) + (J @ A) @ (J @ A).T
-    return float(-0.5 * r @ np.linalg.solve(spread, r) - 0.5 * np.linalg.slogdet(spread)[1])
+    """Log p(c_0) under the smoothness prior alone: knowledge, not data. Laplace's, as that of the fit is."""
+    u = np.zeros(A.shape[1])
+    for _ in range(EVALUATIONS):
+        z = z0 + A @ u
+        whitening, spread = center_of_mass.make_whitening(obj, z)
+        r, J = center_of_mass.linearize(obj, z, whitening)
+        J = J @ A
+        inner = np.eye(len(r)) + J @ J.T
+        step = J.T @ np.linalg.solve(inner, J @ u - r) - u
+        if float(step @ step) < SETTLED:
+            break
+        u += step * min(1.0, MAX_STEP / max(float(np.abs(A @ step).max()), np.finfo(float).tiny))
+    return float(-0.5 * (u @ u + r @ r) - spread - 0.5 * np.linalg.slogdet(inner)[1])

@@ -123,14 +123,19 @@ class Posterior:
 
     def calc_share(self) -> Array:
         """(n,) relative friction at the mean, summing to one."""
-        k = np.exp(self.mean[CELLS] - self.mean[CELLS].max())
-        return k / k.sum()
+        return calc_share(self.mean)
 
     def calc_share_covariance(self) -> Array:
         """(n, n) covariance of the relative friction k / sum k, to first order."""
         share = self.calc_share()
         slope = np.diag(share) - np.outer(share, share)
         return slope @ self.covariance[CELLS, CELLS] @ slope
+
+
+def calc_share(z: Array) -> Array:
+    """(n,) relative friction at z (n+1,), summing to one."""
+    k = np.exp(z[CELLS] - z[CELLS].max())
+    return np.asarray(k / k.sum())
 
 
 def calc_center_jacobian(share: Array, p_BC: Array) -> Array:

@@ -10,6 +10,7 @@ from scipy.stats import f
 
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.geometry.se2 import Array, wrap_angle
+from gridpush_drake.identification.map_fit import CenterOfMass
 from gridpush_drake.identification.noise import NORMAL
 from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.problem import PushProblem, TimedPush
@@ -27,6 +28,9 @@ P90 = 0.9
 
 DOUBTFUL = 0.2
 """Of how far the object moves, an error of the pushes learned from that is too large for their model."""
+
+CONTRADICTED = 4.0
+"""Standard deviations of the center of friction from a center of mass, beyond which the pushes contradict that."""
 
 INTERVAL = 0.9
 """Probability of a predicted interval."""
@@ -228,31 +232,47 @@ def calc_training_errors(result: Identification, log: PushLog) -> tuple[float, f
 
 
 def doubt_fit(result: Identification, log: PushLog) -> str | None:
-    """Says in a sentence that a model explains too little of the pushes it was learned from; None where it does not.
+    """Says in sentences what about a model and the pushes it was learned from does not agree; None where all does.
+
+    That is a model that explains too little of them, and a center of friction too far from the center of mass told.
 
     Args:
         result: the model.
         log: the pushes, with or without those that were refused.
     """
     used = _select_used(result, log)
-    if not len(used):
-        return None
+    doubts = [doubt for doubt in (_doubt_errors(result, used), _doubt_center(result)) if doubt]
+    return " ".join(doubts) if len(used) and doubts else None
+
+
+def _doubt_errors(result: Identification, used: PushLog) -> str | None:
     obj = result.obj
-    moved = float(
-        np.mean(
-            [
-                np.linalg.norm(np.diff(obj.cells_at([seen.pose, seen.final_pose]), axis=0), axis=2).mean()
-                for seen in used
-            ]
-        )
-    )
+    moved = [
+        np.linalg.norm(np.diff(obj.cells_at([seen.pose, seen.final_pose]), axis=0), axis=2).mean() for seen in used
+    ]
+    mean = float(np.mean(moved)) if moved else 0.0
     error = calc_mean_cell_error(obj, result.params, used, result.regime)
-    if error <= DOUBTFUL * moved:
+    if not error > DOUBTFUL * mean:
         return None
     return (
         f"This model explains these pushes poorly: it is off by {error * MM:.1f} mm on average, while the object moves "
-        f"by {moved * MM:.1f} mm. Is object_theta in rad and counterclockwise, are all poses in one frame, and are all "
+        f"by {mean * MM:.1f} mm. Is object_theta in rad and counterclockwise, are all poses in one frame, and are all "
         f"pushes of {obj.name} and its outline right?"
+    )
+
+
+def _doubt_center(result: Identification) -> str | None:
+    told, z = CenterOfMass.of_prior(result.obj.prior), result.posterior.mean
+    if told is None:
+        return None
+    off, _ = told.linearize(result.obj, z, told.make_whitening(result.obj, z)[0])
+    if np.linalg.norm(off) < CONTRADICTED:
+        return None
+    x, y = told.at
+    distance = float(np.linalg.norm(result.identifiability.center_of_friction - told.at))
+    return (
+        f"The pushes put the center of friction {distance * MM:.1f} mm from the center of mass that was told, "
+        f"[{x:g}, {y:g}] m. Is center_of_mass.at right?"
     )
 
 

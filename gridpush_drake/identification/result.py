@@ -146,7 +146,8 @@ def calc_center_of_mass(found: Identification) -> tuple[Array, Array]:
 
     The cells' frictions are held; what they may be is left out: see `Identifiability.center_of_mass_box`. Where next to
     nothing is known, first order says more than can be: along no direction is the center less sure than one that may be
-    anywhere in the object.
+    anywhere in the object. A center of mass that was told is where it was told: what pushes show is the center of
+    friction, from which it differs as frictions do.
 
     Args:
         found: the identification.
@@ -154,6 +155,9 @@ def calc_center_of_mass(found: Identification) -> tuple[Array, Array]:
     Returns:
         p_BBcm (2,), m, body frame, and its covariance (2, 2), m².
     """
+    prior = found.obj.prior
+    if prior.center_of_mass is not None:
+        return np.array(prior.center_of_mass), prior.center_of_mass_std**2 * np.eye(2)
     center = found.params.center_of_mass(found.obj)
     share = found.params.mass / found.params.total_mass
     J = calc_center_jacobian(share, found.obj.p_BC)

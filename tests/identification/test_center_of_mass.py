@@ -4,6 +4,7 @@ import numpy as np
 
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.posterior import Posterior
+from gridpush_drake.identification.prediction import doubt_fit
 from gridpush_drake.identification.result import calc_center_of_mass
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import make_shape
@@ -44,10 +45,17 @@ def test_frictions_that_differ_move_the_center_of_mass_off_that_of_friction() ->
     assert np.linalg.eigvalsh(covariance).min() > 0
 
 
-def test_a_center_of_mass_that_is_told_exactly_is_where_it_is_told() -> None:
+def test_a_center_of_mass_that_is_told_is_where_it_is_told_and_the_center_of_friction_not_far() -> None:
     obj = make_shape("l_bracket", 80)
     truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.03, 0.2, 0.05), np.full(obj.n, 0.4), 0.35)
     at = truth.center_of_mass(obj)
-    told = replace(obj.prior, center_of_mass=tuple(at.tolist()), center_of_mass_std=1e-12)
-    found = identify(obj, make_pokes(obj, truth, 6, 3, noise=(5e-4, 3e-3)), told)
-    np.testing.assert_allclose(calc_center_of_mass(found)[0], at, atol=1e-4)
+    log = make_pokes(obj, truth, 6, 3, noise=(5e-4, 3e-3))
+    for std in (1e-12, 0.0005, 0.002):
+        told = replace(obj.prior, center_of_mass=(at[0], at[1]), center_of_mass_std=std)
+        found = identify(obj, log, told)
+        np.testing.assert_array_equal(calc_center_of_mass(found)[0], at)
+        np.testing.assert_allclose(found.identifiability.center_of_friction, at, atol=2e-3)
+        assert doubt_fit(found, log) is None
+    wrong = replace(told, center_of_mass=(at[0] - 0.03, at[1]))
+    doubt = doubt_fit(identify(obj, log, wrong), log)
+    assert doubt is not None and "center_of_mass.at" in doubt

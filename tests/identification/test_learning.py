@@ -196,3 +196,18 @@ def test_a_fit_that_has_no_solution_is_an_error_that_asks_about_what_was_told() 
     log, told = make_pokes(obj, make_uneven(obj), 1, 0), replace(obj.prior, push_height=0.02)
     with pytest.raises(IdentificationError, match=r"is pusher.height, 0.02 m, right\?"):
         identify(obj, log, told, ensemble=Singular())
+
+
+def test_an_object_of_one_cell_has_its_whole_load_there() -> None:
+    obj = GridObject.from_outline([[0, 0], [0.05, 0], [0.05, 0.05], [0, 0.05]], max_cells=1)
+    found = identify(obj, make_pokes(obj, CellParameters.uniform(obj), 3, 0))
+    np.testing.assert_allclose(found.relative_friction, 1.0)
+    np.testing.assert_allclose(found.identifiability.center_of_friction, obj.p_BC[0])
+
+
+def test_a_center_of_mass_at_a_corner_leaves_a_model_of_numbers() -> None:
+    obj = make_block()
+    corner = tuple(float(value) for value in obj.outline.exterior.coords[0][:2])
+    told = replace(obj.prior, center_of_mass=corner, center_of_mass_std=1e-4)
+    found = identify(obj, make_pokes(obj, make_uneven(obj), 3, 0), told)
+    assert np.isfinite(found.params.mass).all() and (found.params.mass > 0).all()

@@ -1,16 +1,19 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
 from gridpush_drake.identification.load_priors import calc_prior_factor, calc_smooth_covariance
 from gridpush_drake.identification.map_fit import (
+    FRICTION_STD,
     CenterOfMass,
     MapFit,
     fit_map,
 )
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale, calc_effective_count
 from gridpush_drake.identification.problem import PushProblem
-from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.finite_difference import check_jacobian
 from tests.identification.simulated_pokes import make_pokes
@@ -29,9 +32,48 @@ def make_problem(count: int = 6) -> tuple[PushProblem, CellParameters, np.ndarra
 
 def test_center_of_mass_residual_has_the_jacobian_it_says() -> None:
     problem, _, z0, _ = make_problem(1)
-    known = CenterOfMass((0.01, -0.002), 0.002)
+    known = CenterOfMass((0.01, -0.002), 0.002, 0.2)
     z = z0 + np.random.default_rng(0).normal(size=len(z0)) * 0.3
-    check_jacobian(lambda v: known.linearize(problem.obj, v)[0], z, known.linearize(problem.obj, z)[1], rtol=1e-6)
+    W, _ = known.make_whitening(problem.obj, z)
+    check_jacobian(lambda v: known.linearize(problem.obj, v, W)[0], z, known.linearize(problem.obj, z, W)[1], rtol=1e-6)
+
+
+def test_center_of_friction_scatters_about_the_center_of_mass_as_drawn_frictions_make_it() -> None:
+    problem, truth, z0, _ = make_problem(1)
+    obj, rng, sigma = problem.obj, np.random.default_rng(1), 0.1
+    z, at = problem.unknowns(truth), truth.center_of_mass(obj)
+    k = truth.mass * np.exp(sigma * rng.standard_normal((20000, obj.n)))
+    centers = (k / k.sum(axis=1, keepdims=True)) @ obj.p_BC
+    centers += 0.001 * rng.standard_normal(centers.shape)
+    W, spread = CenterOfMass((at[0], at[1]), 0.001, sigma).make_whitening(obj, z)
+    np.testing.assert_allclose(np.cov(((centers - at) @ W.T).T), np.eye(2), atol=0.05)
+    assert spread == pytest.approx(-np.linalg.slogdet(W)[1])
+    feet = z0.copy()
+    feet[[0, obj.n // 2, obj.n - 1]] += 5.0
+    nearer, farther = (CenterOfMass((0.0, 0.0), 0.001, sigma).make_whitening(obj, at)[1] for at in (z0, feet))
+    assert nearer < farther
+
+
+def test_frictions_scatter_no_more_than_their_bounds_allow() -> None:
+    told = PhysicalPrior(friction=0.35, friction_min=0.3, friction_max=0.4, center_of_mass=(0.0, 0.01))
+    wide, narrow = CenterOfMass.of_prior(replace(told, friction_max=1.0)), CenterOfMass.of_prior(told)
+    assert wide is not None and narrow is not None
+    assert wide.friction_std == FRICTION_STD > narrow.friction_std
+    assert narrow.friction_std == pytest.approx(np.log(0.4 / 0.3) / 12**0.5)
+    assert CenterOfMass.of_prior(replace(told, center_of_mass=None)) is None
+
+
+@pytest.mark.parametrize("std", [0.0001, 0.002, 0.02])
+def test_a_center_of_mass_is_no_evidence_for_an_amplitude_where_no_push_was_made(std: float) -> None:
+    problem, _, z0, _ = make_problem(1)
+    # One push, whose noise is so large that it says nothing.
+    noise = NoiseModel(pose=1e3, tip=1e3, load_shift=1e3, prior_weight=1e9, shift_weight=1e9)
+    C = calc_smooth_covariance(problem.obj)
+    found = [
+        fit_map(problem, z0, calc_prior_factor(C, a, 0.3), noise, CenterOfMass((0.02, 0.005), std)).log_evidence
+        for a in (0.2, 0.7, 1.5, 3.0)
+    ]
+    np.testing.assert_allclose(found, found[0], atol=0.1)
 
 
 def test_noise_free_pokes_give_the_center_of_friction_back() -> None:
