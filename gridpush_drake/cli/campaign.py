@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from gridpush_drake.station.scenario import PushScenario
 
 MAX_EPISODES = 1_000_000
+MAX_DIGITS = 30  # of a seed's number
 """Of a campaign."""
 
 FORM = "START:STOP (without STOP), or numbers, 0 or more, with commas between, such as 0:1000 or 3,17,20:30"
@@ -94,16 +95,19 @@ def parse_seeds(option: str, text: str, most: int) -> list[int]:
         OptionError: the text is something else, or there are none or too many.
     """
     from gridpush_drake.station.scenario import MAX_SEED
+    from gridpush_drake.yaml_file import shorten
 
     ranges = []
     for part in text.split(","):
         start, colon, stop = part.partition(":")
-        if not (start.isdecimal() and start.isascii() and (not colon or (stop.isdecimal() and stop.isascii()))):
-            raise options.OptionError(f"{option}: is {text!r}; expected {FORM}")
+        numbers = [start, stop] if colon else [start]
+        if not all(number.isdecimal() and number.isascii() and len(number) <= MAX_DIGITS for number in numbers):
+            raise options.OptionError(f"{option}: is {shorten(text)}; expected {FORM}")
         ranges.append(range(int(start), int(stop) if colon else int(start) + 1))
-    if any(not each or each[-1] > MAX_SEED for each in ranges) or sum(map(len, ranges)) > most:
+    if any(not each or each[-1] > MAX_SEED for each in ranges) or sum(each.stop - each.start for each in ranges) > most:
         raise options.OptionError(
-            f"{option}: is {text!r}; expected at least one seed in each range, none over {MAX_SEED}, and at most {most}"
+            f"{option}: is {shorten(text)}; expected at least one seed in each range, none over {MAX_SEED}, and at "
+            f"most {most}"
         )
     return sorted({seed for each in ranges for seed in each})
 

@@ -22,7 +22,24 @@ def test_reads_seeds():
 
 
 @pytest.mark.parametrize(
-    "text", ["", "a", "1.5", "-1", "0:", ":3", "3:3", "5:2", "0:3:1", "0:99", "0:9,20:30", "²", "9" * 30]
+    "text",
+    [
+        "",
+        "a",
+        "1.5",
+        "-1",
+        "0:",
+        ":3",
+        "3:3",
+        "5:2",
+        "0:3:1",
+        "0:99",
+        "0:9,20:30",
+        "²",
+        "9" * 30,
+        "9" * 5000,
+        f"0:{2**63}",
+    ],
 )
 def test_refuses_other_seeds(text):
     with pytest.raises(OptionError, match="--seeds"):
