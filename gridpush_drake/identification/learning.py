@@ -1,6 +1,8 @@
 """`identify`: from a push log to a model (`docs/theory/identification.md`)."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from numbers import Integral
 from typing import Literal
 
@@ -15,7 +17,7 @@ from gridpush_drake.identification.baselines.search import Bounds, SearchMethod,
 from gridpush_drake.identification.force_scale import calc_force_scale
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.map_ensemble import MapEnsemble, MapEnsembleFit, Tracker
-from gridpush_drake.identification.map_fit import UNIFORM_WIDTH, CenterOfMass, System, calc_laplace
+from gridpush_drake.identification.map_fit import UNIFORM_WIDTH, CenterOfMass, MapFit, System, calc_laplace
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
 from gridpush_drake.identification.outliers import SUSPECT_ODDS, LeftOut, Screening, calc_foreign_odds
 from gridpush_drake.identification.posterior import CONTACT_FRICTION, Posterior
@@ -39,6 +41,12 @@ MAX_TRIALS = 2
 
 MAX_FITS = 4
 """To a log, each without what the one before refused."""
+
+POOR = NoiseScale(2.0, 4.0)
+"""Of the noise, beyond which several pushes may be another object's: a fit explains them all by noise or by shifts."""
+
+MAJORITY_TRIALS, MAJORITY_PUSHES = 16, 3
+"""How many sets of so few pushes are then fitted by themselves."""
 
 MIN_CONTACT_FRICTION = 0.05
 """Below which a prior contact friction is taken for this one, whose logarithm is the unknown."""
@@ -108,7 +116,12 @@ def identify(
         fit = ensemble.fit_prior(obj, z0, log_contact_friction_std)
     elif method == "default":
         starts = _choose_starts(obj, start, ensemble)
-        fit, screened = _fit_default(problem, screened, z0, log_contact_friction_std, ensemble, tracker, starts)
+        try:
+            fit, screened = _fit_default(
+                problem, screened, z0, log_contact_friction_std, ensemble, tracker, starts, int(seed)
+            )
+        except (np.linalg.LinAlgError, ParameterError) as error:
+            raise IdentificationError(_describe_no_fit(obj)) from error
     else:
         search = SEARCH_METHODS[method]
         fit, friction = _fit_by_search(
@@ -149,27 +162,73 @@ def choose_regime(obj: GridObject, log: PushLog) -> Regime:
 
 def _fit_default(
     problem: PushProblem, screened: Screening, z0: Array, log_contact_friction_std: float, ensemble: MapEnsemble,
-    tracker: Tracker, starts: tuple[FitStart, ...],
+    tracker: Tracker, starts: tuple[FitStart, ...], seed: int,
 ) -> tuple[MapEnsembleFit, Screening]:  # fmt: skip
     """Fits, refuses what does not agree with the rest, and fits again until nothing is refused any more."""
     obj = problem.obj
     center = CenterOfMass.of_prior(obj.prior)
-    for _ in range(MAX_FITS):
-        try:
-            fit = ensemble.fit(problem, z0, log_contact_friction_std, center, tracker.report, starts)
-        except (np.linalg.LinAlgError, ParameterError) as error:
-            raise IdentificationError(_describe_no_fit(obj)) from error
+
+    def fit_all(problem: PushProblem, starts: tuple[FitStart, ...]) -> tuple[MapEnsembleFit, MapFit]:
+        tracker.follow(problem)
+        fit = ensemble.fit(problem, z0, log_contact_friction_std, center, tracker.report, starts)
         assert fit.best is not None
-        left_out = fit.best.system.leave_out()
+        return fit, fit.best
+
+    fit, best = fit_all(problem, starts)
+    if _is_poor(best) and screened.may_refuse and len(problem) > MAJORITY_PUSHES:
+        fit_few = partial(
+            ensemble.fit_field, z0=z0, log_contact_friction_std=log_contact_friction_std, center_of_mass=center
+        )
+        majority = _find_majority(problem, screened, fit_few, seed)
+        if majority is not screened:
+            rest = problem.replace_log(majority.log)
+            again, best_again = fit_all(rest, ())
+            if not _is_poor(best_again):
+                problem, screened, fit, best = rest, majority, again, best_again
+    for _ in range(MAX_FITS - 1):
+        left_out = best.system.leave_out()
         after = screened.refuse_poses(left_out, obj.radius_of_gyration)
         if after is screened:
-            after = _refuse_push(screened, fit.best.system, left_out)
+            after = _refuse_push(screened, best.system, left_out)
         if after is screened:
             break
-        screened, starts = after, fit.starts
-        problem = problem.replace_log(screened.log)
-        tracker.follow(problem)
+        screened, problem = after, problem.replace_log(after.log)
+        fit, best = fit_all(problem, fit.starts)
     return fit, screened
+
+
+def _is_poor(fit: MapFit) -> bool:
+    return fit.scale.pose > POOR.pose or fit.scale.shift > POOR.shift
+
+
+def _find_majority(
+    problem: PushProblem, screened: Screening, fit_few: Callable[[PushProblem], MapFit], seed: int
+) -> Screening:
+    """Refuses the pushes that are another object's by a fit to a few: those by which all others are the most probable.
+
+    Several foreign pushes at once may spoil a fit so much that no push stands out of it.
+    """
+    rng = np.random.default_rng(seed)
+    ways = [seen.push.distance_at(seen.t_observed) for seen in screened.log]
+    best, foreign = -np.inf, list[int]()
+    for _ in range(MAJORITY_TRIALS):
+        few = np.sort(rng.choice(len(problem), MAJORITY_PUSHES, replace=False))
+        fit = fit_few(problem.choose(few.tolist()))
+        if _is_poor(fit):
+            continue
+        others = np.setdiff1d(np.arange(len(problem)), few).tolist()
+        judged = fit.judge(problem, others)
+        odds = [calc_foreign_odds(one, ways[i]) for one, i in zip(judged, others, strict=True)]
+        score = float(
+            np.mean([one.log_density + np.logaddexp(0.0, value) for one, value in zip(judged, odds, strict=True)])
+        )
+        if score > best:
+            best, foreign = score, [i for i, value in zip(others, odds, strict=True) if value > 0]
+    if len(foreign) > screened.may_refuse:
+        return screened
+    for i in reversed(foreign):
+        screened = screened.refuse_push(i)
+    return screened
 
 
 def _describe_no_fit(obj: GridObject) -> str:

@@ -145,9 +145,7 @@ class MapEnsemble:
         Returns:
             The fit.
         """
-        if center_of_mass is None:
-            x, y = problem.obj.p_BC.mean(axis=0)
-            center_of_mass = CenterOfMass((x, y), CENTER_STD * problem.obj.radius_of_gyration)
+        center_of_mass = center_of_mass or _hold_center(problem.obj)
         C = calc_smooth_covariance(problem.obj, self.range_cells)
         priors = self._make_priors(problem.obj, z0, C, log_contact_friction_std)
         fit_one = partial(fit_map, noise=self.noise, center_of_mass=center_of_mass, on_step=on_step)
@@ -183,13 +181,21 @@ class MapEnsemble:
                 fits[i] = fit_one(fit.system.problem, prior.mean, prior.factor, start=start, linear=fit.linear)
         return self._average(problem, priors, fits)
 
+    def fit_field(
+        self, problem: PushProblem, z0: Array, log_contact_friction_std: float, center_of_mass: CenterOfMass | None
+    ) -> MapFit:
+        """Fits the smooth field of the middle amplitude alone, with the arguments of `fit`."""
+        amplitude, C = self.amplitudes[self._middle], calc_smooth_covariance(problem.obj, self.range_cells)
+        A = calc_prior_factor(C, amplitude, log_contact_friction_std)
+        return fit_map(problem, z0, A, self.noise, center_of_mass or _hold_center(problem.obj))
+
     def _begin_with_tilts(self, priors: list[LoadPrior], fits: list[MapFit], fit_one: Callable[..., MapFit]) -> None:
         """Fits anew from tilted loads where the best field is poor: it leaves much unexplained, or stands alone."""
         best = self._find_best(fits)
         beside = max((fits[i].log_evidence for i in self._fields if abs(i - best) == 1), default=np.inf)
         if fits[best].scale.pose < STUCK and beside > fits[best].log_evidence - HOPELESS:
             return
-        middle = int(np.argmin(np.abs(np.log(np.array(self.amplitudes) / TILTED_AMPLITUDE))))
+        middle = self._middle
         prior, problem = priors[middle], fits[middle].system.problem
         tilted = tilt_loads(problem.obj, prior.mean)
         errors = [problem.calc_cell_errors(problem.residuals(z)).mean() for z in tilted]
@@ -210,6 +216,11 @@ class MapEnsemble:
                     own.problem, prior.mean, prior.factor, start=FitStart(near.z, near.scale), linear=near.linear,
                     max_evaluations=FIRST_EVALUATIONS,
                 )  # fmt: skip
+
+    @property
+    def _middle(self) -> int:
+        """The field whose amplitude is the nearest to TILTED_AMPLITUDE."""
+        return int(np.argmin(np.abs(np.log(np.array(self.amplitudes) / TILTED_AMPLITUDE))))
 
     @property
     def _fields(self) -> range:
@@ -277,6 +288,12 @@ class MapEnsemble:
         return calc_prior_factor(
             calc_smooth_covariance(obj, self.range_cells), self.amplitudes[-1], log_contact_friction_std
         )
+
+
+def _hold_center(obj: GridObject) -> CenterOfMass:
+    """Where nothing is known of the center of mass: about the cells' centroid."""
+    x, y = obj.p_BC.mean(axis=0)
+    return CenterOfMass((x, y), CENTER_STD * obj.radius_of_gyration)
 
 
 def _describe(uniform_is_best: bool) -> tuple[IdentificationStatus, str]:

@@ -9,7 +9,7 @@ of mass where one is given. Whitening, Huber's weights and the noise scale are r
 descent (`docs/theory/identification.md`, sections 3 and 4).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -129,6 +129,15 @@ class MapFit:
     def linear(self) -> Linearization:
         """The pushes' residuals and derivatives at z."""
         return self.system.linear
+
+    def judge(self, problem: PushProblem, others: Sequence[int]) -> list[LeftOut]:
+        """What this fit says of pushes of a problem that it was not fitted to."""
+        linear, found = problem.linearize(self.z, others), []
+        for r, J, inputs in zip(linear.residuals, linear.by_z, linear.by_inputs, strict=True):
+            noise = self.system.noise.calc_covariance(inputs, self.scale)
+            Q = np.asarray(np.linalg.inv(noise + J @ self.covariance @ J.T), dtype=np.float64)
+            found.append(LeftOut(Q, Q @ r))
+        return found
 
 
 def fit_map(
@@ -398,10 +407,7 @@ class System:
             self.problem.choose(chosen), self.z0, self.A, self.noise, self.center_of_mass,
             start=FitStart(self.z0 + self.A @ self.u, self.scale), linear=self.linear.choose(chosen),
         )  # fmt: skip
-        one = self.problem.linearize(fit.z, [index])
-        J, noise = one.by_z[0], self.noise.calc_covariance(one.by_inputs[0], fit.scale)
-        Q = np.asarray(np.linalg.inv(noise + J @ fit.covariance @ J.T), dtype=np.float64)
-        return LeftOut(Q, Q @ one.residuals[0])
+        return fit.judge(self.problem, [index])[0]
 
     def leave_out(self) -> list[LeftOut]:
         """What the other pushes say of each, to first order.

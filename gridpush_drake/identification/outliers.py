@@ -88,6 +88,12 @@ class LeftOut:
     precision: Array
     pull: Array
 
+    @property
+    def log_density(self) -> float:
+        """Of its residuals by the others, but for a constant."""
+        e = np.linalg.solve(self.precision, self.pull)
+        return -0.5 * float(self.pull @ e) + 0.5 * float(np.linalg.slogdet(self.precision)[1])
+
 
 @dataclass(frozen=True, eq=False)
 class Screening:

@@ -110,6 +110,22 @@ def test_a_push_of_another_object_costs_little_and_is_named(clean: float) -> Non
     assert np.mean(errors) <= WORST * clean
 
 
+@pytest.mark.parametrize(("name", "seed"), [("square", 0), ("square", 4), ("l_bracket", 4)])
+def test_two_of_ten_pushes_of_another_object_are_named_though_loads_that_shift_could_explain_them(
+    name: str, seed: int
+) -> None:
+    obj, truth, _ = make_case(name)
+    log, foreign = (
+        make_pokes(obj, one, 10, first, noise=NOISE, observations=OBSERVATIONS)
+        for one, first in ((truth, seed), (make_case(name, reverse=True)[1], seed + 50))
+    )
+    bad = sorted(np.random.default_rng(seed).choice(10, 2, replace=False).tolist())
+    mixed = [replace(foreign[i], name=f"foreign_{i}") if i in bad else seen for i, seen in enumerate(log)]
+    found, error = learn_and_judge(obj, truth, log, replace(log, pushes=tuple(mixed)))
+    assert [(outlier.push, outlier.whole) for outlier in found.outliers] == [(f"foreign_{i}", True) for i in bad]
+    assert error <= WORST * learn_and_judge(obj, truth, log, log)[1]
+
+
 def test_nothing_is_refused_of_a_clean_log() -> None:
     for name, seed in (("square", 1), ("l_bracket", 2), ("claw_hammer", 0)):
         obj, _, log = make_case(name, seed)
