@@ -39,7 +39,7 @@ FAST_PUSH = 0.01
 MAX_TRIALS = 2
 """Of fits without a push that is suspected, before it is refused or the log taken as it is."""
 
-MAX_FITS = 4
+MAX_FITS = 8
 """To a log, each without what the one before refused."""
 
 POOR = NoiseScale(2.0, 4.0)
