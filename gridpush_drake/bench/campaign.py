@@ -130,7 +130,8 @@ def run_episode(job: EpisodeJob) -> Episode:
     if record.status == TaskStatus.INTERRUPTED:
         raise KeyboardInterrupt
     fell = bool(np.isnan(task.read("object.pose_true")).any())
-    ends = {TASKS[job.task].done: str(TASKS[job.task].done), TaskStatus.NOT_LIFTED: NOT_LIFTED}
+    done = TASKS[job.task].done
+    ends = {done: str(done), TaskStatus.DROPPED: DROPPED, TaskStatus.NOT_LIFTED: NOT_LIFTED}
     outcome = DROPPED if fell else ends.get(record.status, GAVE_UP)
     return _make_episode(job, record, outcome, perf_counter() - begin)
 
