@@ -16,8 +16,10 @@ if TYPE_CHECKING:
     from gridpush_drake.station.scenario import PushScenario
 
 MAX_EPISODES = 1_000_000
-MAX_DIGITS = 30  # of a seed's number
 """Of a campaign."""
+
+MAX_DIGITS = 30
+"""Of a seed's number."""
 
 FORM = "START:STOP (without STOP), or numbers, 0 or more, with commas between, such as 0:1000 or 3,17,20:30"
 

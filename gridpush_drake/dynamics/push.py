@@ -248,8 +248,8 @@ def make_path_times(
     "inertial": every piece of the path, whose samples are among the times, is cut into the longest steps allowed,
     `longest` (s) and `tip_step` (m of the pusher), so that they do not jump with the piece's length and speed; the last
     two, half a step to a whole one each, share what is left. Samples less than a short step apart are taken for one.
-    "quasi_static": the path's length is cut evenly, whatever
-    its pieces and however long they last, for time does not matter.
+    "quasi_static": the path's length is cut evenly, whatever its pieces and however long they last, for time does not
+    matter.
 
     Raises:
         SimulationError: they are more than MAX_STEPS.

@@ -279,8 +279,9 @@ class System:
         jacobians = [root * W.apply(J) for root, W, J in zip(roots, self.whitenings, slopes, strict=True)]
         rows = list(self.rows)
         if center_of_mass is not None:
-            self.center_whitening, self.center_spread = center_of_mass.make_whitening(problem.obj, z0 + A @ u)
-            r, J = center_of_mass.linearize(problem.obj, z0 + A @ u, self.center_whitening)
+            z = z0 + A @ u
+            self.center_whitening, self.center_spread = center_of_mass.make_whitening(problem.obj, z)
+            r, J = center_of_mass.linearize(problem.obj, z, self.center_whitening)
             rows.append(r)
             jacobians.append(J @ A)
         self.r, self.J = np.concatenate(rows), np.concatenate(jacobians)

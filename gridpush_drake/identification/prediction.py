@@ -241,8 +241,9 @@ def doubt_fit(result: Identification, log: PushLog) -> str | None:
         log: the pushes, with or without those that were refused.
     """
     used = _select_used(result, log)
-    doubts = [doubt for doubt in (_doubt_errors(result, used), _doubt_center(result)) if doubt]
-    return " ".join(doubts) if len(used) and doubts else None
+    if not len(used):
+        return None
+    return " ".join(filter(None, (_doubt_errors(result, used), _doubt_center(result)))) or None
 
 
 def _doubt_errors(result: Identification, used: PushLog) -> str | None:
@@ -250,9 +251,9 @@ def _doubt_errors(result: Identification, used: PushLog) -> str | None:
     moved = [
         np.linalg.norm(np.diff(obj.cells_at([seen.pose, seen.final_pose]), axis=0), axis=2).mean() for seen in used
     ]
-    mean = float(np.mean(moved)) if moved else 0.0
+    mean = float(np.mean(moved))
     error = calc_mean_cell_error(obj, result.params, used, result.regime)
-    if not error > DOUBTFUL * mean:
+    if error <= DOUBTFUL * mean:
         return None
     return (
         f"This model explains these pushes poorly: it is off by {error * MM:.1f} mm on average, while the object moves "
