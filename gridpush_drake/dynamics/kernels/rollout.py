@@ -13,7 +13,7 @@ from math import sqrt
 import numpy as np
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
-from gridpush_drake.dynamics.kernels.contact import COLUMNS, CX, CY, GAP, NX, NY, find_contacts, look_ahead
+from gridpush_drake.dynamics.kernels.contact import COLUMNS, CX, CY, GAP, GX, GY, NX, NY, find_contacts, look_ahead
 from gridpush_drake.dynamics.kernels.contact_modes import SEPARATE, Scales, Touch, Unknowns, calc_compliance
 from gridpush_drake.dynamics.kernels.forward_sensitivity import (
     F_ROW,
@@ -43,6 +43,7 @@ from gridpush_drake.dynamics.kernels.support_loads import (
 
 _TINY_SPEED = 1e-12  # m/s
 _REACH = 2.0  # contacts closer than this many steps' motion are watched
+RECOVERY_SPEED = 0.02  # m/s at which an overlap is undone at most: the body keeps its speed when it is out
 _AT_REST = 2.0  # a body slower than so many stiction tolerances rests
 
 
@@ -100,6 +101,8 @@ def rollout(law, body, support, edges, scheme, load, pose, velocity, dts, row_of
         body_speed = _calc_body_speed(state, body.gyration_radius) if inertial else 0.0
         reach = _REACH * (pusher_speed + body_speed) * dt
         count, record.gaps[t] = _find_step_contacts(edges, load.radius, scheme.ahead, start, reach, found, contacts)
+        if inertial:
+            _bound_recovery(contacts, count, RECOVERY_SPEED * dt)
         for j in range(count, 2):
             modes[j] = SEPARATE
         touch = Touch(contacts, count, start.vpx, start.vpy, body.contact_friction, dt)
@@ -259,6 +262,15 @@ def _find_step_contacts(edges, radius, ahead, start, reach, found, contacts):
             for column in range(COLUMNS):
                 contacts[j, column] = found[j, column]
     return count, found[0, GAP]
+
+
+@kernel(allocates=False)
+def _bound_recovery(contacts, count, depth):
+    """Takes contacts that overlap by more than `depth`, m, to do so by that alone."""
+    for j in range(count):
+        if contacts[j, GAP] < -depth:
+            contacts[j, GAP] = -depth
+            contacts[j, GX] = contacts[j, GY] = 0.0
 
 
 @kernel(allocates=False)

@@ -7,10 +7,11 @@ velocity v_p, a step finds xi and the contact forces lam = (lam_n, lam_t) of eac
     0 <= lam_n ⟂ J_n xi - N·v_p + gap/dt >= 0
     |lam_t| <= mu_c lam_n, opposing the slip J_t xi - T·v_p; no slip inside the cone
 
-H0 = M_B/dt and drive = M_B xi_hat/dt + W in the inertial regime, both zero in the quasi-static one. Newton's method on
-grad Psi leaves a complementarity problem with the 3x3 Hessian H; its modes {separate, stick, slide +, slide -} are
-enumerated, the last step's first. Where Newton stalls, the majorizing Hessian takes over, then continuation in the
-stiction tolerance.
+H0 = M_B/dt and drive = M_B xi_hat/dt + W in the inertial regime, both zero in the quasi-static one. In the inertial
+regime gap/dt is at least -RECOVERY_SPEED (`rollout`): a body keeps the speed at which an overlap is undone. Newton's
+method on grad Psi leaves a complementarity problem with the 3x3 Hessian H; its modes {separate, stick, slide +,
+slide -} are enumerated, the last step's first. Where Newton stalls, the majorizing Hessian takes over, then
+continuation in the stiction tolerance.
 """
 
 from math import sqrt
