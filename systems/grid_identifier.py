@@ -303,7 +303,7 @@ def _make_estimate(found: Identification, log: PushLog | None) -> Estimate:
     if log is not None and found.push_names:
         used = remove_outliers(log, found.outliers)
         used = used.subset([i for i, seen in enumerate(used) if seen.name in found.push_names])
-        problem = PushProblem(found.obj, used, found.params.friction, found.regime)
+        problem = PushProblem(found.obj, used, found.params, found.regime)
         residuals = problem.residuals(problem.unknowns(found.params))
         loss = float(problem.calc_cell_errors(residuals).mean())
     return Estimate(found, *calc_center_of_mass(found), loss)

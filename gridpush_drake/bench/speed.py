@@ -267,7 +267,7 @@ def _measure_identification(logs: Sequence[tuple[int, int]], announce: Announce)
         repetitions = IDENTIFY_REPETITIONS if pushes < FEW else 1
         whole = measure(lambda obj=obj, log=log: identify(obj, log), repetitions, 0, process_time)  # type: ignore[misc]
         found = identify(obj, log)
-        problem = PushProblem(obj, log, found.params.friction)
+        problem = PushProblem(obj, log, found.params)
         timed = [TimedPush.of(seen, problem.regime) for seen in log]
         batch, single = (
             measure(work, repetitions, 1, process_time).median

@@ -185,7 +185,7 @@ def learn(model: UncertainModel, seen: ObservedPush) -> UncertainModel:
     """
     before = model.require_posterior()
     end = replace(seen, t_observed=seen.t_observed[-1:], poses_observed=seen.poses_observed[-1:])
-    problem = PushProblem(model.obj, PushLog((end,)), model.params.friction)
+    problem = PushProblem(model.obj, PushLog((end,)), model.params)
     mean, S = before.mean, before.covariance
     for _ in range(ITERATIONS):
         linear = problem.linearize(mean)
@@ -201,7 +201,7 @@ def learn(model: UncertainModel, seen: ObservedPush) -> UncertainModel:
 
 
 def _calc_held_out_error(model: UncertainModel, held_out: PushLog) -> float:
-    problem = PushProblem(model.obj, held_out, model.params.friction)
+    problem = PushProblem(model.obj, held_out, model.params)
     return float(problem.calc_cell_errors(problem.residuals(model.require_posterior().mean)).mean())
 
 

@@ -9,7 +9,7 @@ and their spread says how well.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -90,12 +90,12 @@ class ForceScale:
         """
         ratio = self.friction / (GRAVITY * float(params.mass @ params.friction))
         if obj.prior.total_mass is None:
-            return CellParameters(ratio * params.mass, params.friction, params.contact_friction, params.push_height)
+            return replace(params, mass=ratio * params.mass)
         bounds = self.calc_mean_friction_bounds(obj)
         if bounds is None:
             return params
         friction = np.clip(ratio * params.friction, obj.prior.friction_min, obj.prior.friction_max)
-        return CellParameters(params.mass, friction, params.contact_friction, params.push_height)
+        return replace(params, friction=friction)
 
 
 def calc_force_scale(

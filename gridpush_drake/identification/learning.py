@@ -101,16 +101,15 @@ def identify(
     screened = _check_log(obj, log if method == "default" else log.on_table)
     log = screened.log
     used_regime = choose_regime(obj, log) if regime == "auto" else regime
-    friction = np.full(obj.n, obj.prior.friction)
-    uniform = _make_uniform(obj)
-    problem = PushProblem(obj, log, friction, used_regime)
+    ensemble = ensemble or MapEnsemble()
+    uniform = _make_uniform(obj, ensemble.choose_patch_ratio(obj) if method == "default" else 1.0)
+    problem = PushProblem(obj, log, uniform, used_regime)
     z0 = problem.unknowns(uniform)
     touched = problem.touched(z0)
     unused = tuple(push.name for push, hit in zip(log, touched, strict=True) if not hit)
     screened = screened.keep(log.subset(np.flatnonzero(touched)))
-    problem = PushProblem(obj, screened.log, friction, used_regime)
+    problem, held = PushProblem(obj, screened.log, uniform, used_regime), uniform
     tracker = Tracker(problem, progress)
-    ensemble = ensemble or MapEnsemble()
     log_contact_friction_std = obj.prior.contact_friction_std / uniform.contact_friction
     if not len(screened.log):
         fit = ensemble.fit_prior(obj, z0, log_contact_friction_std)
@@ -124,10 +123,10 @@ def identify(
             raise IdentificationError(_describe_no_fit(obj)) from error
     else:
         search = SEARCH_METHODS[method]
-        fit, friction = _fit_by_search(
+        fit, held = _fit_by_search(
             problem, screened.log, search, uniform, log_contact_friction_std, ensemble, budget, seed, tracker
         )
-    return _make_result(obj, screened, fit, friction, method, tracker, used_regime, seed, unused, ensemble.noise)
+    return _make_result(obj, screened, fit, held, method, tracker, used_regime, seed, unused, ensemble.noise)
 
 
 def describe_prior(obj: GridObject, ensemble: MapEnsemble | None = None, seed: int = 0) -> Identification:
@@ -141,16 +140,14 @@ def describe_prior(obj: GridObject, ensemble: MapEnsemble | None = None, seed: i
     Returns:
         The uniform model, with status "no_usable_pushes".
     """
-    uniform = _make_uniform(obj)
-    regime: Regime = "quasi_static"
-    problem = PushProblem(obj, PushLog(()), uniform.friction, regime)
-    log_contact_friction_std = obj.prior.contact_friction_std / uniform.contact_friction
     ensemble = ensemble or MapEnsemble()
+    uniform = _make_uniform(obj, ensemble.choose_patch_ratio(obj))
+    regime: Regime = "quasi_static"
+    problem = PushProblem(obj, PushLog(()), uniform, regime)
+    log_contact_friction_std = obj.prior.contact_friction_std / uniform.contact_friction
     fit = ensemble.fit_prior(obj, problem.unknowns(uniform), log_contact_friction_std)
     tracker = Tracker(problem, None)
-    return _make_result(
-        obj, Screening(PushLog(())), fit, uniform.friction, "default", tracker, regime, seed, (), ensemble.noise
-    )
+    return _make_result(obj, Screening(PushLog(())), fit, uniform, "default", tracker, regime, seed, (), ensemble.noise)
 
 
 def choose_regime(obj: GridObject, log: PushLog) -> Regime:
@@ -257,15 +254,16 @@ def _refuse_push(screened: Screening, system: System, left_out: list[LeftOut]) -
 def _fit_by_search(
     problem: PushProblem, log: PushLog, method: SearchMethod, start: CellParameters, log_contact_friction_std: float,
     ensemble: MapEnsemble, budget: int | None, seed: int, tracker: Tracker,
-) -> tuple[MapEnsembleFit, Array]:  # fmt: skip
-    """Runs a search; gives a fit with Laplace's spread under the widest prior, and the frictions (n,)."""
+) -> tuple[MapEnsembleFit, CellParameters]:  # fmt: skip
+    """Runs a search; gives a fit with Laplace's spread under the widest prior, and what was found."""
     budget = DEFAULT_BUDGET_PER_PUSH * len(log) if budget is None else budget
     found = run_search(
         method, problem.obj, log, start, Bounds.around(problem.obj, start),
         budget=budget, seed=seed, regime=problem.regime, progress=tracker.add,
     )  # fmt: skip
-    final = PushProblem(problem.obj, log, found.params.friction, problem.regime)
-    z = final.unknowns(found.params)
+    params = replace(found.params, push_height=start.push_height)  # the paper's method knows none
+    final = PushProblem(problem.obj, log, params, problem.regime)
+    z = final.unknowns(params)
     A = ensemble.make_widest_factor(problem.obj, log_contact_friction_std)
     covariance, scale = calc_laplace(final, z, A, ensemble.noise)
     spent = found.status == SearchStatus.BUDGET_SPENT
@@ -273,12 +271,13 @@ def _fit_by_search(
     message = f"The search ended after {found.simulations} simulations: {found.status.replace('_', ' ')}."
     noise = ensemble.noise.scaled(scale)
     fit = MapEnsembleFit(z, covariance, A @ A.T, noise.pose, noise.load_shift, status, message)
-    return fit, found.params.friction
+    return fit, params
 
 
-def _make_uniform(obj: GridObject) -> CellParameters:
+def _make_uniform(obj: GridObject, patch_ratio: float) -> CellParameters:
     """The prior's parameters; the logarithm of the contact friction is an unknown, so that it must not be nil."""
-    return CellParameters.uniform(obj, contact_friction=max(obj.prior.contact_friction, MIN_CONTACT_FRICTION))
+    contact_friction = max(obj.prior.contact_friction, MIN_CONTACT_FRICTION)
+    return replace(CellParameters.uniform(obj, contact_friction=contact_friction), patch_ratio=patch_ratio)
 
 
 def _choose_starts(obj: GridObject, start: Identification | None, ensemble: MapEnsemble) -> tuple[FitStart, ...]:
@@ -312,17 +311,17 @@ def _check_log(obj: GridObject, log: PushLog) -> Screening:
 
 
 def _make_result(
-    obj: GridObject, screened: Screening, fit: MapEnsembleFit, friction: Array, method: str, tracker: Tracker,
+    obj: GridObject, screened: Screening, fit: MapEnsembleFit, held: CellParameters, method: str, tracker: Tracker,
     regime: Regime, seed: int, unused: tuple[str, ...], noise: NoiseModel,
 ) -> Identification:  # fmt: skip
-    """Turns z and its covariance into masses, frictions and their standard deviations."""
+    """Turns z and its covariance into masses, frictions and their standard deviations; the rest is as it was held."""
+    friction = held.friction
     posterior = Posterior(fit.z, fit.covariance, fit.prior_covariance)
     share = posterior.calc_share()
     total_mass = obj.prior.total_mass or DEFAULT_TOTAL_MASS
     mass = share / friction
     mass *= total_mass / mass.sum()
-    contact_friction, push_height = float(np.exp(fit.z[CONTACT_FRICTION])), obj.prior.push_height or 0.0
-    params = CellParameters(mass, friction, contact_friction, push_height)
+    params = replace(held, mass=mass, contact_friction=float(np.exp(fit.z[CONTACT_FRICTION])))
     force = None
     if regime == "quasi_static" and screened.log:
         force = calc_force_scale(obj, params, posterior, screened.log, seed)

@@ -105,17 +105,24 @@ class MapEnsemble:
         amplitudes: standard deviations of log k under each smoothness prior, increasing; the first stands for uniform.
         range_cells: correlation range of the prior, cells.
         noise: the noise model.
+        patch_ratio: on what part of its side a cell bears its load, see `CellParameters`; None for n^(-1/2): a rigid
+            body stands on points, but the only cell of an object is all of it.
     """
 
     amplitudes: tuple[float, ...] = (0.05, 0.3, 0.7, 1.5, 3.0, 6.0)
     range_cells: float = RANGE_CELLS
     noise: NoiseModel = field(default_factory=NoiseModel)
+    patch_ratio: float | None = None
 
     def __post_init__(self) -> None:
         """Raises IdentificationError: the amplitudes are not positive and increasing, or there are none."""
         steps = np.diff((0.0, *self.amplitudes))
         if not (len(self.amplitudes) and (steps > 0).all() and np.isfinite(self.amplitudes[-1])):
             raise IdentificationError(f"amplitudes: {self.amplitudes}; expected positive finite numbers that increase")
+
+    def choose_patch_ratio(self, obj: GridObject) -> float:
+        """On what part of its side a cell of the object bears its load."""
+        return float(obj.n**-0.5) if self.patch_ratio is None else self.patch_ratio
 
     @property
     def count(self) -> int:

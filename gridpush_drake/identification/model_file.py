@@ -132,6 +132,7 @@ class ModelSchema(StrictSchema):
     object: LearnedObjectSchema
     contact_friction: NotNegative
     contact_friction_std: NotNegative
+    patch_ratio: Annotated[float, Field(ge=0, le=1)] = 1.0
     cells: CellValuesSchema
     identifiability: IdentifiabilitySchema
     force: ForceSchema | None = None
@@ -300,6 +301,7 @@ def _describe(result: Identification) -> ModelSchema:
         object=LearnedObjectSchema.model_validate(describe_object(obj.name, obj.grid, obj.prior, obj.height)),
         contact_friction=result.params.contact_friction,
         contact_friction_std=result.std.contact_friction,
+        patch_ratio=result.params.patch_ratio,
         cells=CellValuesSchema(
             mass=result.params.mass.tolist(),
             mass_std=result.std.mass.tolist(),
@@ -333,7 +335,7 @@ def _restore(schema: ModelSchema) -> Identification:
     obj = GridObject(name, *make_cells(schema.object, name, Path()), schema.object.to_prior(), schema.object.height)
     cells, n = schema.cells, obj.n
     mass, friction, push_height = np.array(cells.mass), np.array(cells.friction), obj.prior.push_height or 0.0
-    params = CellParameters(mass, friction, schema.contact_friction, push_height)
+    params = CellParameters(mass, friction, schema.contact_friction, push_height, schema.patch_ratio)
     posterior = Posterior(
         np.array(schema.posterior.mean),
         unpack_symmetric("posterior.covariance", schema.posterior.covariance, n + len(GLOBALS)),

@@ -9,7 +9,7 @@ which for small dz is the draw itself (`docs/theory/identification.md`, section 
 have the last word (`evidence`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -117,7 +117,7 @@ class Posterior:
         total = float(params.mass @ params.friction)
         friction = np.maximum(params.friction, np.finfo(float).tiny)
         return [
-            CellParameters(total * share / friction, params.friction, float(mu_c), params.push_height)
+            replace(params, mass=total * share / friction, contact_friction=float(mu_c))
             for share, mu_c in zip(shares, contact_friction, strict=True)
         ]
 

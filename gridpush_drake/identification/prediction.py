@@ -125,7 +125,7 @@ def predict_spread(model: Identification, log: PushLog, regime: Regime | None = 
     ends = [
         ObservedPush(seen.name, seen.push, seen.pose, np.array([seen.push.duration]), np.zeros((1, 3))) for seen in log
     ]  # in the axes of the pose given as the final one, here the world's
-    problem = PushProblem(obj, PushLog(tuple(ends), table=log.table), model.params.friction, regime or model.regime)
+    problem = PushProblem(obj, PushLog(tuple(ends), table=log.table), model.params, regime or model.regime)
     linear = problem.linearize(model.posterior.mean)
     scale2, freedom, found = model.interval_scale**2, noise.calc_freedom(len(model.push_names)), []
     for seen, J, inputs in zip(log, linear.by_z, linear.by_inputs, strict=True):

@@ -93,18 +93,18 @@ class Linearization:
 class PushProblem:
     """Residuals of a log as a function of z, for one object and regime; counts the simulations it makes."""
 
-    def __init__(self, obj: GridObject, log: PushLog, friction: Array, regime: Regime = "quasi_static") -> None:
+    def __init__(self, obj: GridObject, log: PushLog, held: CellParameters, regime: Regime = "quasi_static") -> None:
         """Prepares the log.
 
         Args:
             obj: the object.
             log: the training pushes, each with at least one later observation.
-            friction: (n,) the cells' friction coefficients against the support, held fixed.
+            held: of whom all but masses and contact friction is held fixed.
             regime: "quasi_static" or "inertial".
         """
         self.obj = obj
-        self.friction = np.asarray(friction, dtype=np.float64)
         self.regime = regime
+        self._held = held
         self._spent = [0]
         self._pushes = [TimedPush.of(push, regime, log.table) for push in log]
         self._centroid = obj.p_BC.mean(axis=0)
@@ -143,8 +143,8 @@ class PushProblem:
 
     def params(self, z: Array) -> CellParameters:
         """The cells' parameters at z (n+1,)."""
-        mass, contact_friction = np.exp(z[CELLS]) / self.friction, float(np.exp(z[CONTACT_FRICTION]))
-        return CellParameters(mass, self.friction, contact_friction, self.obj.prior.push_height or 0.0)
+        mass = np.exp(z[CELLS]) / self._held.friction
+        return replace(self._held, mass=mass, contact_friction=float(np.exp(z[CONTACT_FRICTION])))
 
     def calc_tilt_covariance(self, std: float) -> Array:
         """(n+1, n+1) of z where the load's center is off by `std` per axis, m, all loads tilted along it."""
@@ -154,7 +154,8 @@ class PushProblem:
 
     def unknowns(self, params: CellParameters) -> Array:
         """The unknowns z (n+1,) of some parameters."""
-        return np.append(np.log(params.mass * self.friction), np.log(max(params.contact_friction, FRICTION_FLOOR)))
+        k, contact_friction = params.mass * self._held.friction, max(params.contact_friction, FRICTION_FLOOR)
+        return np.append(np.log(k), np.log(contact_friction))
 
     def residuals(self, z: Array, pushes: Sequence[int] | None = None) -> list[Array]:
         """The residuals (3 K,) of each push (of those chosen), m."""

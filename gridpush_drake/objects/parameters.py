@@ -23,6 +23,8 @@ class CellParameters(Frozen):
         contact_friction: friction coefficient of the pusher against the object's outline, >= 0.
         push_height: height above the table at which pushers act, m: the higher, the more load they shift forward (see
             `dynamics.kernels.support_loads`). 0 leaves every cell its own weight, as in the paper.
+        patch_ratio: side of the square in a cell's middle that bears its load, over the cell's side, from 0 to 1. 1 is
+            the whole cell, as in the paper; towards 0 the cells stand on points, as a rigid body does on its feet.
 
     Raises:
         ParameterError: shapes disagree or a value is out of range.
@@ -32,6 +34,7 @@ class CellParameters(Frozen):
     friction: NDArray[np.float64]
     contact_friction: float = 0.5
     push_height: float = 0.0
+    patch_ratio: float = 1.0
 
     def __post_init__(self) -> None:
         mass, friction = (np.array(value, dtype=np.float64) for value in (self.mass, self.friction))
@@ -47,11 +50,13 @@ class CellParameters(Frozen):
             raise ParameterError(f"contact_friction is {self.contact_friction!r}; expected a number >= 0")
         if not (np.isfinite(self.push_height) and self.push_height >= 0):
             raise ParameterError(f"push_height is {self.push_height!r}; expected a number >= 0 (m)")
+        if not 0 <= self.patch_ratio <= 1:
+            raise ParameterError(f"patch_ratio is {self.patch_ratio!r}; expected a number from 0 to 1")
         for name, value in (("mass", mass), ("friction", friction)):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
-        object.__setattr__(self, "contact_friction", float(self.contact_friction))
-        object.__setattr__(self, "push_height", float(self.push_height))
+        for name in ("contact_friction", "push_height", "patch_ratio"):
+            object.__setattr__(self, name, float(getattr(self, name)))
 
     @classmethod
     def uniform(

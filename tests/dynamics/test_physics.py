@@ -207,6 +207,18 @@ def test_moving_the_body_frame_s_origin_changes_nothing(regime):
     assert worst < 1e-10
 
 
+@pytest.mark.parametrize("patch", [1.0, 0.1, 0.0])
+def test_one_cell_spins_against_the_friction_of_its_patch(patch):
+    """I dw/dt = -mu m g c s, with s the patch's side and I = m a²/6 the cell's; on a point it spins for ever."""
+    side, w, duration, dt = 0.02, 30.0, 0.01, 1e-5
+    obj = GridObject("cell", np.zeros((1, 2)), side, np.ones(1, int), Polygon(rectangle(side, side)))
+    params = CellParameters(np.array([0.1]), np.array([0.4]), patch_ratio=patch)
+    for spin in ("coupled", "separate"):
+        after = slide(obj, params, (0.0, 0.0, w), duration, dt, spin=spin).velocities[-1, 2]
+        slowed = 0.4 * 9.81 * 0.3826 * patch * side * duration / (side**2 / 6)
+        assert after == pytest.approx(w - slowed, abs=1e-4 * w)
+
+
 def test_one_cell_slides_spins_and_is_pushed():
     square = Polygon(rectangle(0.02, 0.02))
     obj = GridObject("cell", np.zeros((1, 2)), 0.02, np.ones(1, int), square)

@@ -26,7 +26,7 @@ def make_three_footed() -> CellParameters:
     feet = [int(np.argmin(p[:, 0])), int(np.argmax(p[:, 0])), int(np.argmax(p[:, 1]))]
     mass = np.full(OBJ.n, 1e-6)
     mass[feet] = (0.2, 0.25, 0.15)
-    return CellParameters(mass, np.full(OBJ.n, OBJ.prior.friction), 0.4)
+    return CellParameters(mass, np.full(OBJ.n, OBJ.prior.friction), 0.4, patch_ratio=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def learned():
 def calc_slowly(found, log, dz):
     """Independent of `PushEvidence`: pushes simulated one by one, and whole covariance matrices inverted."""
     noise, total, z = NoiseModel(), 0.0, found.posterior.mean + dz
-    params = CellParameters(np.exp(z[:-1]) / found.params.friction, found.params.friction, float(np.exp(z[-1])))
+    params = replace(found.params, mass=np.exp(z[:-1]) / found.params.friction, contact_friction=float(np.exp(z[-1])))
     centroid, rho = OBJ.p_BC.mean(axis=0), OBJ.radius_of_gyration
     evidence = PushEvidence(found, log)
     inputs = evidence._problem.linearize(found.posterior.mean).by_inputs

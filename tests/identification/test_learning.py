@@ -57,6 +57,16 @@ def test_learns_an_uneven_block_from_noisy_pokes() -> None:
     assert all(b.simulations >= a.simulations for a, b in zip(found.history, found.history[1:], strict=False))
 
 
+def test_default_stands_on_points_and_searches_on_whole_cells() -> None:
+    obj = make_block()
+    log = make_pokes(obj, make_uneven(obj), 2, 0)
+    found = identify(obj, log)
+    assert found.params.patch_ratio == pytest.approx(1 / np.sqrt(obj.n))
+    assert {draw.patch_ratio for draw in found.samples(3)} == {found.params.patch_ratio}
+    assert identify(obj, log, ensemble=MapEnsemble(patch_ratio=0.5)).params.patch_ratio == 0.5
+    assert identify(obj, log, method="random_search", budget=4).params.patch_ratio == 1.0
+
+
 def test_leaves_a_uniform_block_nearly_alone() -> None:
     obj = make_block()
     truth = CellParameters.uniform(obj, contact_friction=0.3)

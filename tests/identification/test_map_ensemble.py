@@ -57,7 +57,7 @@ def test_where_nothing_is_known_the_center_is_held_about_the_centroid_until_push
 
     def find_center(pushes: int, std: float | None):
         known = None if std is None else CenterOfMass((centroid[0], centroid[1]), std * obj.radius_of_gyration)
-        problem = PushProblem(obj, make_pokes(obj, truth, pushes, 5, noise=NOISE), truth.friction)
+        problem = PushProblem(obj, make_pokes(obj, truth, pushes, 5, noise=NOISE), truth)
         z0 = problem.unknowns(CellParameters.uniform(obj))
         return calc_share(MapEnsemble().fit(problem, z0, 0.3, known, lambda z, linear: None).z) @ obj.p_BC
 
@@ -73,7 +73,7 @@ def test_no_number_of_pushes_makes_the_center_surer_than_what_their_loads_share(
     for count in (3, 12):
         found = identify(obj, make_pokes(obj, truth, count, 5, noise=NOISE))
         x = found.posterior.calc_share()
-        problem = PushProblem(obj, make_pokes(obj, truth, 1, 5), truth.friction)
+        problem = PushProblem(obj, make_pokes(obj, truth, 1, 5), truth)
         floor = problem.calc_tilt_covariance(SHARED_SHIFT * found.load_shift_std)
         F = calc_center_jacobian(x, obj.p_BC)
         excess = found.identifiability.center_of_friction_covariance - F @ floor @ F.T
@@ -83,7 +83,7 @@ def test_no_number_of_pushes_makes_the_center_surer_than_what_their_loads_share(
 def test_a_tilt_shifts_the_center_of_even_loads_by_as_much_as_it_says() -> None:
     obj = make_shape("l_bracket", 20)
     truth = CellParameters.uniform(obj)
-    covariance = PushProblem(obj, make_pokes(obj, truth, 1, 5), truth.friction).calc_tilt_covariance(0.002)
+    covariance = PushProblem(obj, make_pokes(obj, truth, 1, 5), truth).calc_tilt_covariance(0.002)
     F = calc_center_jacobian(np.full(obj.n, 1 / obj.n), obj.p_BC)
     np.testing.assert_allclose(F @ covariance @ F.T, 0.002**2 * np.eye(2), atol=1e-4 * 0.002**2)
 
@@ -137,7 +137,7 @@ def test_a_rigid_bottom_on_its_corners_is_recognized() -> None:
     truth = CellParameters(mass, np.full(obj.n, 0.4), 0.35)
     on_corners = np.array(obj.p_BC)
     on_corners[cells] = places
-    problem = PushProblem(obj, make_pokes(replace(obj, p_BC=on_corners), truth, 5, 5, noise=NOISE), truth.friction)
+    problem = PushProblem(obj, make_pokes(replace(obj, p_BC=on_corners), truth, 5, 5, noise=NOISE), truth)
     z0 = problem.unknowns(CellParameters.uniform(obj))
     fit = MapEnsemble().fit(problem, z0, 0.3, None, lambda z, linear: None)
     assert fit.best is not None
@@ -153,7 +153,7 @@ def fit_pokes(contradicting: bool) -> tuple[GridObject, MapEnsembleFit]:
                   for side in (obj.p_BC[:, 0] > 0.03, obj.p_BC[:, 0] < 0.03))  # fmt: skip
     pushes = *make_pokes(obj, one, 3, 5), *make_pokes(obj, other if contradicting else one, 3, 6)
     log = PushLog(tuple(replace(seen, name=f"push_{i}") for i, seen in enumerate(pushes)))
-    problem = PushProblem(obj, log, one.friction)
+    problem = PushProblem(obj, log, one)
     z0 = problem.unknowns(CellParameters.uniform(obj))
     return obj, MapEnsemble().fit(problem, z0, 0.3, None, lambda z, linear: None)
 

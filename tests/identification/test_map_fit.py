@@ -25,7 +25,7 @@ def make_problem(count: int = 6) -> tuple[PushProblem, CellParameters, np.ndarra
     obj = GridObject.from_outline(RECTANGLE, max_cells=18)
     mass = np.where(obj.p_BC[:, 0] > 0, 0.3, 0.05)
     truth = CellParameters(mass, np.full(obj.n, 0.4), 0.35)
-    problem = PushProblem(obj, make_pokes(obj, truth, count, 3), np.full(obj.n, 0.4))
+    problem = PushProblem(obj, make_pokes(obj, truth, count, 3), truth)
     z0 = problem.unknowns(CellParameters.uniform(obj))
     return problem, truth, z0, calc_prior_factor(calc_smooth_covariance(obj), 1.5, 0.3)
 

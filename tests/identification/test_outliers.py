@@ -29,12 +29,12 @@ def make_case(name: str = "square", seed: int = 1, reverse: bool = False) -> tup
     obj = make_shape(name, 40)
     order = np.argsort(obj.p_BC[:, 0])
     heavy = np.isin(np.arange(obj.n), (order if reverse else order[::-1])[: int(0.4 * obj.n)])
-    truth = CellParameters(np.where(heavy, 0.3, 0.06), np.full(obj.n, 0.4), 0.35)
+    truth = CellParameters(np.where(heavy, 0.3, 0.06), np.full(obj.n, 0.4), 0.35, patch_ratio=obj.n**-0.5)
     return obj, truth, make_pokes(obj, truth, PUSHES, seed, noise=NOISE, observations=OBSERVATIONS)
 
 
 def calc_held_out_error(obj, truth, params) -> float:
-    problem = PushProblem(obj, make_pokes(obj, truth, 12, 900, observations=1), params.friction)
+    problem = PushProblem(obj, make_pokes(obj, truth, 12, 900, observations=1), params)
     return float(problem.calc_cell_errors(problem.residuals(problem.unknowns(params))).mean())
 
 

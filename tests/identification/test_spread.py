@@ -85,7 +85,7 @@ def test_the_spread_is_that_of_pushes_on_the_same_table() -> None:
     for table in (None, make_table_edge(obj, np.zeros(3), 0.0, 0.17)):
         chosen = replace(log, table=table)
         assert "tips" not in [prediction.status for prediction in predict(obj, found.params, chosen)]
-        problem = PushProblem(obj, chosen, found.params.friction, found.regime)
+        problem = PushProblem(obj, chosen, found.params, found.regime)
         ahead, behind = (np.array([problem.residuals(mean + side * axis) for axis in axes]) for side in (1e-6, -1e-6))
         covered = (((ahead - behind) / 2e-6) ** 2).sum(axis=0)
         noise = [np.diag(found.noise.calc_covariance(J, found.noise_scale)) for J in problem.linearize(mean).by_inputs]

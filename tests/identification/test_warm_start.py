@@ -76,7 +76,7 @@ def test_start_of_another_object_is_refused() -> None:
 def test_fit_that_begins_at_its_own_end_costs_less() -> None:
     obj, log = make_case("claw_hammer", 0)
     z0_params = CellParameters.uniform(obj)
-    problem = PushProblem(obj, log, z0_params.friction)
+    problem = PushProblem(obj, log, z0_params)
     z0 = problem.unknowns(z0_params)
     A = calc_prior_factor(calc_smooth_covariance(obj), 1.5, 0.3)
     cold = fit_map(problem, z0, A, NoiseModel())

@@ -100,6 +100,12 @@ def test_values_out_of_range_are_refused(mass, friction, contact):
         CellParameters(mass, friction, contact)
 
 
+@pytest.mark.parametrize("patch", [-0.1, 1.1, np.nan, np.inf])
+def test_patch_is_a_part_of_the_cell(patch):
+    with pytest.raises(ParameterError, match="patch_ratio is"):
+        CellParameters([1.0], [0.1], patch_ratio=patch)
+
+
 def test_parameters_are_frozen_copies():
     mass = np.ones(3)
     params = CellParameters(mass, np.full(3, 0.1))

@@ -104,7 +104,7 @@ def test_log_holds_what_was_to_be_seen(cold):
     assert np.abs(noisy.pose[:2]).max() < 4 * 5e-4 / np.sqrt(30)
     assert seen.push.length == pytest.approx(exact.parts.policy.style.clearance + 0.065, abs=0.016)
     assert len(seen.t_observed) == 10
-    problem = PushProblem(obj, PushLog((seen,)), truth.friction, "inertial")
+    problem = PushProblem(obj, PushLog((seen,)), truth, "inertial")
     errors = problem.residuals(problem.unknowns(truth))[0].reshape(-1, 3)
     assert np.abs(errors).max() < 4e-4, "poses belong to the tip's place at their time, with the camera's delay"
 

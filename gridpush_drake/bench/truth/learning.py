@@ -20,6 +20,7 @@ from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import identify
+from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.prediction import INTERVAL, predict, predict_spread
 from gridpush_drake.identification.result import Identification, calc_center_of_mass
 from gridpush_drake.objects.grid_object import GridObject
@@ -150,7 +151,8 @@ def run_job(job: Job) -> list[TruthScore]:
     if len(made.training) < job.counts[-1]:
         raise GridPushError(f"{folder}: holds {len(made.training)} pushes; expected {job.counts[-1]} to learn from")
     friction, contact = made.params.friction, made.params.contact_friction
-    loads = CellParameters(np.maximum(made.loads, MIN_LOAD), friction, contact)
+    patch_ratio = MapEnsemble().choose_patch_ratio(made.obj)
+    loads = CellParameters(np.maximum(made.loads, MIN_LOAD), friction, contact, patch_ratio=patch_ratio)
     known = {UNIFORM: CellParameters.uniform(made.obj), MASSES: made.params, LOADS: loads}
     known[SHIFTING] = replace(loads, push_height=made.push_height)
     scores = [_score(made, model, 0, params) for model, params in known.items()]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.kernels.contact import Edges
 from gridpush_drake.dynamics.kernels.friction import LAWS
-from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
+from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
 from gridpush_drake.dynamics.kernels.inputs import Array, Body, Load, Pushes, Scheme, Steps
 from gridpush_drake.dynamics.kernels.rollout import rollout, rollout_pushes
 from gridpush_drake.dynamics.kernels.step_memory import make_memory
@@ -119,7 +119,8 @@ def _prepare(
     cells, edges = _outline_arrays(obj)
     body = _make_body(obj, params, gravity, method.inertial, cells)
     support = make_support(obj, params, gravity, table)
-    law = LAWS[method.friction].make(body.k.copy() if support.active else body.k, SPIN_ARM * obj.cell_size, method.spin)
+    k = body.k.copy() if support.active else body.k
+    law = LAWS[method.friction].make(k, calc_spin_arm(obj, params), method.spin)
     return law, body, support, edges, Scheme(method.inertial, method.ahead, method.stiction, method.relative_stiction)
 
 

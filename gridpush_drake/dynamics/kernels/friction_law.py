@@ -14,11 +14,19 @@ from dataclasses import dataclass
 from math import asinh, sqrt
 from typing import Any
 
+from gridpush_drake.objects.grid_object import GridObject
+from gridpush_drake.objects.parameters import CellParameters
+
 SPIN_ARM = (sqrt(2) + asinh(1)) / 6
 """c: mean distance of a unit square's points from its center."""
 
 SPIN_MODELS = ("coupled", "separate", "none")
 """How the cells may resist spinning, see `isotropic_friction`."""
+
+
+def calc_spin_arm(obj: GridObject, params: CellParameters) -> float:
+    """Mean distance c s from a cell's center of the points that bear its load, on a patch of the side s, m."""
+    return SPIN_ARM * params.patch_ratio * obj.cell_size
 
 
 @dataclass(frozen=True)
@@ -31,7 +39,7 @@ class FrictionLaw:
     Attributes:
         name: the word by which `simulate` knows it.
         data: the class of `law`, a named tuple of arrays and numbers, no other law's.
-        make: (k, arm, spin) -> law, of k (n,) in N, arm = `SPIN_ARM` times the cell size in m, and a spin model.
+        make: (k, arm, spin) -> law, of k (n,) in N, arm = `calc_spin_arm` in m, and a spin model.
         renew: (law): takes notice that its k changed.
         begin_step: (law, cells, com_x, com_y, cell_size, hat, push, known): looks at the motion before the step, (3,)
             `hat`, and at that which the applied force alone would give from rest, (3,) `push`, both of the center of

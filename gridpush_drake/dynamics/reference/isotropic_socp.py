@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import null_space
 from scipy.sparse import csc_array, diags_array
 
-from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM, SPIN_MODELS
+from gridpush_drake.dynamics.kernels.friction_law import SPIN_MODELS, calc_spin_arm
 from gridpush_drake.dynamics.reference.maximal_lcp import STANDARD_GRAVITY, twist_to_cells
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.objects.grid_object import GridObject
@@ -96,10 +96,11 @@ def solve_isotropic_socp(
         return np.zeros(3)
     b = params.friction * m * g * dt / speed
     rows = (np.linalg.solve(L, T.T).T).reshape(n, 3, 3)
-    scale = np.array([SPIN_ARM * s if spin == "coupled" else 0.0, 1.0, 1.0])
+    arm = calc_spin_arm(obj, params)
+    scale = np.array([arm if spin == "coupled" else 0.0, 1.0, 1.0])
     cones = list(b[:, None, None] * scale[:, None] * rows)
     if spin == "separate":
-        cones.append(SPIN_ARM * s * b.sum() * rows[0, :1])
+        cones.append(arm * b.sum() * rows[0, :1])
     u = _minimize_norms(u_free / speed, [cone for cone in cones if np.abs(cone).max() > 0])
     return np.linalg.solve(L.T, speed * u)
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import minimum_spanning_tree
 
-from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
+from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
 from gridpush_drake.dynamics.kernels.lagged_friction import IMPENDING_AT_REST, SPEED_AT_REST, YAW_RATE_AT_REST
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.objects.grid_object import GridObject
@@ -36,7 +36,8 @@ class MaximalLcp:
         M: (3n,) diagonal of the mass matrix, [I_i, m_i, m_i] with I_i = m_i s²/6, kg m² and kg.
         J_e: (3k, 3n) rigidity of k adjacent pairs: equal yaw rate, equal velocity of the point shared.
         J_f: (2n, 3n) friction directions, n rows for sliding, then n for spinning.
-        bound: (2n,) greatest friction impulses, b_i = mu_i m_i g dt (N s), then beta_i = c s b_i (N m s).
+        bound: (2n,) greatest friction impulses, b_i = mu_i m_i g dt (N s), then beta_i = arm b_i (N m s).
+        spin_arm: arm = c s, see `calc_spin_arm`, m.
         xdot: (3n,) velocities before the step, rad/s and m/s.
         F: (3n,) applied torque and force on every cell, N m and N.
         dt: time step, s.
@@ -46,6 +47,7 @@ class MaximalLcp:
     J_e: csr_array
     J_f: csr_array
     bound: NDArray[np.float64]
+    spin_arm: float
     xdot: NDArray[np.float64]
     F: NDArray[np.float64]
     dt: float
@@ -98,13 +100,14 @@ def make_maximal_lcp(
         raise SimulationError(f"dt is {dt!r}; expected a positive number (s), and finite q, xdot and F")
     s, m = obj.cell_size, params.mass
     M = np.stack([m * s**2 / 6, m, m], axis=1).ravel()
-    b = params.friction * m * g * dt
+    b, spin_arm = params.friction * m * g * dt, calc_spin_arm(obj, params)
     pairs = _spanning_tree(obj.adjacency, obj.n) if spanning_tree else obj.adjacency
     return MaximalLcp(
         M=M,
         J_e=_rigidity(obj.cells_at(q), pairs),
         J_f=_friction_directions(twist_to_cells(obj, q), M, xdot, F, dt),
-        bound=np.concatenate([b, SPIN_ARM * s * b]),
+        bound=np.concatenate([b, spin_arm * b]),
+        spin_arm=spin_arm,
         xdot=xdot,
         F=F,
         dt=float(dt),

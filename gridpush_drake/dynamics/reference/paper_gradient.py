@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
+from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
 from gridpush_drake.dynamics.kernels.lagged_friction import SPEED_AT_REST, YAW_RATE_AT_REST
 from gridpush_drake.dynamics.reference.maximal_lcp import STANDARD_GRAVITY, MaximalLcp, twist_to_cells
 from gridpush_drake.dynamics.reference.maximal_solvers import LcpSolution
@@ -148,7 +148,7 @@ def calc_paper_step_jacobian(
     slides = (speed > SPEED_AT_REST) & ((v * after[:, 1:]).sum(axis=1, keepdims=True) > 0)
     spins = (np.abs(w) > YAW_RATE_AT_REST) & (w * after[:, :1] > 0)
     d = np.where(slides, v / np.where(slides, speed, 1.0), 0.0)
-    sense = np.where(spins, SPIN_ARM * s * np.sign(w), 0.0)
+    sense = np.where(spins, calc_spin_arm(obj, params) * np.sign(w), 0.0)
     cells = T.reshape(n, 3, 3)
     f = np.einsum("nij,ni->jn", cells, np.hstack([sense, d]))
     momentum = np.einsum("nij,ni->jn", cells, inertia * (after - before))
@@ -184,7 +184,7 @@ def _impulse_derivatives(
     J_f = lcp.J_f.toarray() * slides[:, None]
     load = lcp.mass * g * lcp.dt
     dbound_dm = (lcp.bound / np.tile(lcp.mass, 2)).reshape(2, n)
-    dbound_dmu = np.stack([load, SPIN_ARM * s * load])
+    dbound_dmu = np.stack([load, lcp.spin_arm * load])
     by_mass, by_friction = np.zeros((3 * n, n)), np.zeros((3 * n, n))
     for row in range(2):
         J_row = J_f[row * n : (row + 1) * n].T

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.kernels.call import Method
 from gridpush_drake.dynamics.kernels.compiled import kernel
-from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
+from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
 from gridpush_drake.dynamics.kernels.inputs import Steps
 from gridpush_drake.dynamics.kernels.lagged_friction import SPEED_AT_REST, YAW_RATE_AT_REST
 from gridpush_drake.dynamics.motion import Jacobian
@@ -48,7 +48,7 @@ def calc_paper_jacobian(
     The others are zero, and so is the row of pose 0, which no step led to. The steps `dts` (T,), s, are inertial.
     """
     t = np.maximum(rows - 1, 0)
-    dt, arm = dts[t], SPIN_ARM * obj.cell_size
+    dt, arm = dts[t], calc_spin_arm(obj, params)
     before, turn = _twists_before(obj, params, steps, t, method.ahead * dt)
     after = steps.twists[t]
     turns = obj.radius_of_gyration * np.abs(after[:, 2]) > REST

@@ -22,7 +22,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
+from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
 from gridpush_drake.geometry.se2 import Array, compose, rotate, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -85,7 +85,7 @@ def predict_roughly(
     table = make_distance_table(obj, radius)
     share = params.relative_friction()
     c = share @ obj.p_BC
-    arm = np.hypot(np.linalg.norm(obj.p_BC - c, axis=1), SPIN_ARM * obj.cell_size)
+    arm = np.hypot(np.linalg.norm(obj.p_BC - c, axis=1), calc_spin_arm(obj, params))
     inverse = 1.0 / float(share @ arm) ** 2
     mu, h = params.contact_friction, distance / STEPS
     center, theta = np.tile(c, (len(start), 1)), np.zeros(len(start))

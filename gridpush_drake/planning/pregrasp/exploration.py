@@ -139,7 +139,7 @@ def calc_observation(model: UncertainModel, push: Push, pose: ArrayLike) -> tupl
     """
     obj, q = model.obj, np.asarray(pose, dtype=np.float64)
     seen = ObservedPush("poke", push, q, np.array([push.duration]), q[None])
-    problem = PushProblem(obj, PushLog((seen,)), model.params.friction, "quasi_static")
+    problem = PushProblem(obj, PushLog((seen,)), model.params, "quasi_static")
     linear = problem.linearize(model.require_posterior().mean)
     J = linear.by_z[0]
     if not J.any():

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -72,8 +74,8 @@ def test_what_a_push_would_show_is_the_derivative_of_where_it_ends(model, pokes)
     J, R = calc_observation(model, push, HERE)
 
     def end(z):
-        mu = obj.prior.friction
-        params = CellParameters(np.exp(z[:-1]) / mu, np.full(obj.n, mu), float(np.exp(z[-1])))
+        mass = np.exp(z[:-1]) / obj.prior.friction
+        params = replace(model.params, mass=mass, contact_friction=float(np.exp(z[-1])))
         return simulate(obj, params, push, HERE, regime="quasi_static").final_pose
 
     pose, centroid = end(mean), obj.p_BC.mean(axis=0)
