@@ -2,7 +2,9 @@
 
 With q = (x, y, theta) the pose X_WB and nu = (vx, vy, w) the velocity of B's origin,
 
-    (q, nu)[n+1] = step(q[n], nu[n]; m, mu, mu_c; p_WP(t_n), v_WP(t_n), W(t_n)),     t_n = n dt
+    (q, nu)[n+1] = step(q[n], nu[n]; m, mu, mu_c, h, patch; p_WP(t_n), v_WP(t_n), W(t_n)),     t_n = n dt
+
+with h the height at which the pusher acts.
 
 The pusher is where its port says when the step begins, and moves on through the step at the velocity that its port says
 then. Where the true motion bends within a step, the next step begins at the true place again: no error adds up.
@@ -20,7 +22,7 @@ from pydrake.systems.framework import (
     ValueProducer,
 )
 
-from gridpush_drake.dynamics.kernels.call import make_method, run_kernel
+from gridpush_drake.dynamics.kernels.call import make_method, run_kernel, shifts_loads
 from gridpush_drake.dynamics.kernels.forward_sensitivity import OTHER
 from gridpush_drake.dynamics.kernels.friction_law import SPIN_MODELS
 from gridpush_drake.dynamics.kernels.inputs import Load, Steps
@@ -34,6 +36,7 @@ from gridpush_drake.dynamics.simulation import (
     STICTION_TOLERANCE,
     Regime,
     check_number,
+    get_edges,
 )
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.geometry.se2 import Array, check_vector
@@ -48,8 +51,8 @@ LAW = "isotropic"
 NO_PUSHER = -1.0
 """Radius, m, by which the kernel knows that there is none."""
 
-_STATE, _MEMORY, _CONTACT_FORCE, _UNSOLVED = map(DiscreteStateIndex, range(4))
-_MASS, _FRICTION, _CONTACT_FRICTION = range(3)
+_STATE, _MEMORY, _CONTACT_FORCE, _UNSOLVED, _TIPPING = map(DiscreteStateIndex, range(5))
+_MASS, _FRICTION, _CONTACT_FRICTION, _PUSH_HEIGHT, _PATCH_RATIO = range(5)
 
 
 class GridLcpSystem(LeafSystem):
@@ -68,6 +71,7 @@ class GridLcpSystem(LeafSystem):
         - contact_force
         - step_jacobian
         - unsolved_steps
+        - tipping_steps
 
     * pusher_state: vector of 4, (x, y) of the disc's center p_WP in m and its velocity v_WP in m/s, in W. Not
       connected, or NaN in it: there is no pusher.
@@ -79,13 +83,16 @@ class GridLcpSystem(LeafSystem):
     * contact_force: vector of 2, force of the pusher on the object in W during the last step, N.
     * step_jacobian: abstract `dynamics.motion.Jacobian` with one row: the derivatives of the pose at the end of the
       step that begins now by mass, friction, contact friction, pose, and the pusher's place (`start`), direction and
-      path (`length`) during it; the velocity at the beginning is held. Depends on the inputs directly.
+      path (`length`) during it, and by the push height where loads shift; the velocity at the beginning is held.
+      Depends on the inputs directly.
     * unsolved_steps: vector of 1, how many steps the solver did not solve to tolerance (as in `simulate`, the motion
       goes on from what it had).
+    * tipping_steps: vector of 1, how many steps no loads could hold the object: it tips, or falls off the table.
 
     * Discrete state: (q, nu); the solver's memory (`dynamics.kernels.step_memory`); the last contact force; the
-      unsolved steps.
-    * Numeric parameters: mass (n), kg; friction (n); contact friction (1).
+      unsolved steps; the tipping steps.
+    * Numeric parameters: mass (n), kg; friction (n); contact friction (1); push height (1), m; patch ratio (1); see
+      `CellParameters`.
     """
 
     __slots__ = NO_SLOTS
@@ -103,12 +110,13 @@ class GridLcpSystem(LeafSystem):
         pose: ArrayLike = (0.0, 0.0, 0.0),
         velocity: ArrayLike = (0.0, 0.0, 0.0),
         stiction_tolerance: float = STICTION_TOLERANCE,
+        table: ArrayLike | None = None,
     ) -> None:
         """Declares the system.
 
         Args:
             obj: the object.
-            params: default masses and frictions; the prior's by default.
+            params: default parameters; the prior's by default.
             dt: step, s. At 0.01 s a pusher of 0.1 m/s moves 1 mm a step.
             regime: "inertial" or "quasi_static", see `simulate`.
             pusher_radius: of the disc, m; by default the prior's, or DEFAULT_PUSHER_RADIUS.
@@ -117,6 +125,7 @@ class GridLcpSystem(LeafSystem):
             pose: (3,) at the beginning, m and rad.
             velocity: (3,) at the beginning, m/s and rad/s.
             stiction_tolerance: speed below which friction is smoothed, m/s; inertial regime only.
+            table: (K, 2) corners in W of the table's top, m, see `simulate`; endless by default.
 
         Raises:
             SimulationError: an argument is out of range.
@@ -137,6 +146,7 @@ class GridLcpSystem(LeafSystem):
         params.center_of_mass(obj)
         self.obj, self.dt, self.regime, self.pusher_radius, self.gravity = obj, float(dt), regime, radius, gravity
         inertial = regime == "inertial"
+        self._table = None if table is None else get_edges(table)
         self._method = make_method(inertial, LAW, spin, stiction_tolerance, RELATIVE_STICTION)
         self._declare_state(params, _check_state(pose, velocity))
         self._pusher_state = self.DeclareVectorInputPort("pusher_state", 4)
@@ -155,30 +165,36 @@ class GridLcpSystem(LeafSystem):
         context.SetDiscreteState(_MEMORY, make_memory())
         context.SetDiscreteState(_CONTACT_FORCE, np.zeros(2))
         context.SetDiscreteState(_UNSOLVED, np.zeros(1))
+        context.SetDiscreteState(_TIPPING, np.zeros(1))
 
     def SetParameters(self, context: Context, params: CellParameters) -> None:
-        """Gives this Context masses and frictions of its own.
+        """Gives this Context parameters of its own.
 
         Raises:
             ParameterError: they belong to another object.
         """
         params.center_of_mass(self.obj)
-        for index, value in ((_MASS, params.mass), (_FRICTION, params.friction)):
+        for index, value in enumerate(_list_values(params)):
             context.get_mutable_numeric_parameter(index).SetFromVector(value)
-        context.get_mutable_numeric_parameter(_CONTACT_FRICTION).SetFromVector([params.contact_friction])
 
     def GetParameters(self, context: Context) -> CellParameters:
-        """The Context's masses and frictions."""
-        mass, friction, contact = (context.get_numeric_parameter(i).CopyToVector() for i in range(3))
-        return CellParameters(mass, friction, float(contact[0]))
+        """The Context's parameters."""
+        values = [
+            context.get_numeric_parameter(i).CopyToVector() for i in range(context.num_numeric_parameter_groups())
+        ]
+        mass, friction = values[_MASS], values[_FRICTION]
+        contact_friction, push_height, patch_ratio = (
+            float(values[i][0]) for i in (_CONTACT_FRICTION, _PUSH_HEIGHT, _PATCH_RATIO)
+        )
+        return CellParameters(mass, friction, contact_friction, push_height, patch_ratio)
 
     def _declare_state(self, params: CellParameters, state: Array) -> None:
-        self.DeclareNumericParameter(BasicVector(params.mass))
-        self.DeclareNumericParameter(BasicVector(params.friction))
-        self.DeclareNumericParameter(BasicVector([params.contact_friction]))
+        for value in _list_values(params):
+            self.DeclareNumericParameter(BasicVector(value))
         self.DeclareDiscreteState(state)
         self.DeclareDiscreteState(MEMORY_SIZE)
         self.DeclareDiscreteState(2)
+        self.DeclareDiscreteState(1)
         self.DeclareDiscreteState(1)
         # Checking and copying n masses at every step would cost as much as the step.
         # by its index: a cache entry holds its system where the garbage collector does not see it
@@ -203,6 +219,7 @@ class GridLcpSystem(LeafSystem):
             "step_jacobian", lambda: AbstractValue.Make(none), weakly(self._calc_step_jacobian), inputs
         )
         self.DeclareStateOutputPort("unsolved_steps", _UNSOLVED)
+        self.DeclareStateOutputPort("tipping_steps", _TIPPING)
 
     def _calc_params(self, context: Context, value: AbstractValue) -> None:
         value.set_value(self.GetParameters(context))
@@ -217,12 +234,13 @@ class GridLcpSystem(LeafSystem):
         output.SetFromVector(self.obj.cells_at(context.get_discrete_state(_STATE).value()[:3]).ravel())
 
     def _calc_step_jacobian(self, context: Context, output: BasicVector) -> None:
-        J = np.empty((1, 3, self.obj.n + OTHER))
-        self._run(context, context.get_discrete_state(_MEMORY).CopyToVector(), J)
         params: CellParameters = self.get_cache_entry(self._params).Eval(context)
+        shifted = shifts_loads(params, self._table)
+        J = np.empty((1, 3, self.obj.n + OTHER + (1 + self.obj.n if shifted else 0)))
+        self._run(context, context.get_discrete_state(_MEMORY).CopyToVector(), J)
         raw = RawJacobian(
             np.array([1]), J, self.obj.p_BC, self.obj.cell_size, params.mass, params.friction, self.gravity,
-            self._method.inertial, None,
+            self._method.inertial, None, shifted,
         )  # fmt: skip
         output.set_value(raw.expand())
 
@@ -234,6 +252,7 @@ class GridLcpSystem(LeafSystem):
         next_state.set_value(_CONTACT_FORCE, record.contact_forces[0].sum(axis=0))
         unsolved = context.get_discrete_state(_UNSOLVED).value() + (record.statuses[0, 0] != CONVERGED)
         next_state.set_value(_UNSOLVED, unsolved)
+        next_state.set_value(_TIPPING, context.get_discrete_state(_TIPPING).value() + record.tips[0])
 
     def _run(self, context: Context, memory: Array, J: Array) -> Steps:
         """Takes one step from the Context; `memory` is updated and J (1 or 0 rows) filled."""
@@ -242,6 +261,7 @@ class GridLcpSystem(LeafSystem):
         return run_kernel(
             self.obj, self.get_cache_entry(self._params).Eval(context), self.gravity, self._method,
             state[:3], state[3:], np.array([self.dt]), self._calc_load(context), row_of_step, J, memory,
+            self._table,
         )  # fmt: skip
 
     def _calc_load(self, context: Context) -> Load:
@@ -255,6 +275,12 @@ class GridLcpSystem(LeafSystem):
         path = pusher[2:] * self.dt
         tip = np.array([pusher[:2], pusher[:2] + path])
         return Load(tip, float(np.hypot(*path)), self.pusher_radius, wrench, np.zeros(2))
+
+
+def _list_values(params: CellParameters) -> list[Array]:
+    """What the numeric parameters hold, in their order."""
+    numbers = (params.contact_friction, params.push_height, params.patch_ratio)
+    return [params.mass, params.friction, *(np.array([number]) for number in numbers)]
 
 
 def _make_zero_jacobian(n: int) -> Jacobian:

@@ -139,7 +139,7 @@ def calc_loads(
     The table's top is endless, or has corners (K, 2) in W, m. The loads' center is the center of mass.
     Raises SimulationError: an argument is out of range.
     """
-    edges = None if table is None else _get_edges(table)
+    edges = None if table is None else get_edges(table)
     return find_rest_loads(obj, params, gravity, check_vector(SimulationError, "pose", pose, 3), edges)
 
 
@@ -199,7 +199,7 @@ def find_edges_near(
     """
     if table is None:
         return None
-    edges = _get_edges(table)
+    edges = get_edges(table)
     inside = measure_depth(edges, q[0], q[1])[0] - calc_reach(obj)
     if inside < 0 and not any(measure_depth(edges, x, y)[0] > 0 for x, y in obj.cells_at(q)):
         where = ", ".join(f"{value:g}" for value in q)
@@ -209,8 +209,11 @@ def find_edges_near(
     return edges
 
 
-def _get_edges(table: ArrayLike) -> Array:
-    """(K, 4) edges (ax, ay, bx, by) of a table by its corners, m."""
+def get_edges(table: ArrayLike) -> Array:
+    """The edges (K, 4), (ax, ay, bx, by), of a table by its corners (K, 2), m.
+
+    Raises SimulationError: the corners are none.
+    """
     corners = np.asarray(table, dtype=np.float64)
     if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(corners).all():
         raise SimulationError(f"table: corners of shape {corners.shape}; expected (K, 2) finite numbers, K >= 3 (m)")

@@ -1,5 +1,7 @@
 """`GridLcpSystem` is `simulate`, one step at a time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
@@ -86,6 +88,28 @@ def test_steps_exactly_as_the_core_does(name, seeds, regime):
             np.testing.assert_allclose(world.log("contact_force")[1:], force, rtol=1e-6, atol=1e-8)
 
 
+TABLE = [[-0.06, -0.06], [0.06, -0.06], [0.06, 0.06], [-0.06, 0.06]]
+
+
+@pytest.mark.parametrize("regime", ["inertial", "quasi_static"])
+@pytest.mark.parametrize("falls", [False, True])
+def test_loads_shift_as_in_the_core(regime, falls):
+    obj = make_shape("square", 64)
+    params = replace(make_params(obj, 2), push_height=0.01, patch_ratio=0.1)
+    push = make_push(obj, 0.07)
+    table = TABLE if falls else None
+    core = simulate(obj, params, push, dt=DT, regime=regime, table=table)
+    system = GridLcpSystem(obj, params, DT, regime, RADIUS, table=table)
+    world = World(system, make_trajectory(push))
+    assert system.GetParameters(world.context).push_height == 0.01
+    world.simulator.AdvanceTo(push.duration)
+    np.testing.assert_allclose(world.log("pose"), core.poses, rtol=0, atol=EXACT)
+    assert world.eval("tipping_steps")[0] == core.tips.sum()
+    assert bool(core.tips.any()) == falls
+    level = simulate(obj, replace(params, push_height=0.0), push, dt=DT, regime=regime)
+    assert np.abs(core.final_pose - level.final_pose).max() > 1e-4, "the height must matter"
+
+
 def test_wrench_moves_it_as_a_force_moves_the_core():
     obj = make_shape("l_bracket", 40)
     params = make_params(obj, 0)
@@ -154,18 +178,19 @@ def test_clone_goes_on_as_the_original_does():
         np.testing.assert_array_equal(world.system.GetOutputPort(name).Eval(context), world.eval(name))
 
 
+@pytest.mark.parametrize("height", [0.0, 0.01])
 @pytest.mark.parametrize("regime", ["inertial", "quasi_static"])
-def test_step_jacobian_is_that_of_the_step(regime):
+def test_step_jacobian_is_that_of_the_step(regime, height):
     obj = make_shape("l_bracket", 20)
-    params = make_params(obj, 3)
+    params = replace(make_params(obj, 3), push_height=height)
     system = GridLcpSystem(obj, params, DT, regime, RADIUS)
     context = system.CreateDefaultContext()
     pusher = np.array([-0.0385, 0.02, 0.1, 0.02])
     q = np.array([0.0, 0.0, 0.05])
 
-    def step(mass=params.mass, friction=params.friction, contact=params.contact_friction, pose=q, start=pusher[:2]):
+    def step(pose=q, start=pusher[:2], **changed):
         system.SetPose(context, pose)
-        system.SetParameters(context, CellParameters(mass, friction, float(contact)))
+        system.SetParameters(context, replace(params, **changed))
         system.GetInputPort("pusher_state").FixValue(context, np.append(start, pusher[2:]))
         return system.EvalUniquePeriodicDiscreteUpdate(context).value(0)[:3].copy()
 
@@ -175,7 +200,10 @@ def test_step_jacobian_is_that_of_the_step(regime):
     check = {"rtol": 1e-5, "atol": 1e-9}
     check_jacobian(lambda v: step(mass=v), params.mass, J.mass[0], **check)
     check_jacobian(lambda v: step(friction=v), params.friction, J.friction[0], **check)
-    check_jacobian(lambda v: step(contact=v[0]), [params.contact_friction], J.contact_friction[0][:, None], **check)
+    contact = [params.contact_friction]
+    check_jacobian(lambda v: step(contact_friction=v[0]), contact, J.contact_friction[0][:, None], **check)
+    if height:
+        check_jacobian(lambda v: step(push_height=v[0]), [height], J.push_height[0][:, None], **check)
     check_jacobian(lambda v: step(pose=v), q, J.pose[0], **check)
     check_jacobian(lambda v: step(start=v), pusher[:2], J.start[0], **check)
 
@@ -218,6 +246,7 @@ def test_bad_arguments_are_refused():
         ({"gravity": -1.0}, "gravity"),
         ({"pusher_radius": 0.0}, "pusher_radius"),
         ({"pose": (0.0, np.nan, 0.0)}, "pose"),
+        ({"table": [[0.0, 0.0], [1.0, 0.0]]}, "table"),
     ):
         with pytest.raises(SimulationError, match=message):
             GridLcpSystem(obj, **options)
