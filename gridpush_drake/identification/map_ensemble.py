@@ -314,7 +314,12 @@ def _describe(uniform_is_best: bool) -> tuple[IdentificationStatus, str]:
 
 
 def tilt_loads(obj: GridObject, z0: Array) -> list[Array]:
-    """Makes z (n+1,) whose loads grow exponentially across the object in some direction, with the total of z0's."""
+    """Makes z (n+1,) whose loads grow exponentially across the object in some direction, with the total of z0's.
+
+    The load of an only cell has nowhere to go; of that object there is none.
+    """
+    if obj.n == 1:
+        return []
     arm = obj.p_BC - obj.p_BC.mean(axis=0)
     arm /= np.sqrt((arm**2).sum(axis=1).mean())
     tilted = []

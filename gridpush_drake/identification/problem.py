@@ -99,7 +99,7 @@ class PushProblem:
         Args:
             obj: the object.
             log: the training pushes, each with at least one later observation.
-            held: of whom all but masses and contact friction is held fixed.
+            held: parameters, all of which but the masses and the contact friction stay as they are.
             regime: "quasi_static" or "inertial".
         """
         self.obj = obj

@@ -208,9 +208,10 @@ def test_a_fit_that_has_no_solution_is_an_error_that_asks_about_what_was_told() 
         identify(obj, log, told, ensemble=Singular())
 
 
-def test_an_object_of_one_cell_has_its_whole_load_there() -> None:
+@pytest.mark.parametrize("patch_ratio", [1.0, 0.1])
+def test_an_object_of_one_cell_has_its_whole_load_there(patch_ratio: float) -> None:
     obj = GridObject.from_outline([[0, 0], [0.05, 0], [0.05, 0.05], [0, 0.05]], max_cells=1)
-    found = identify(obj, make_pokes(obj, CellParameters.uniform(obj), 3, 0))
+    found = identify(obj, make_pokes(obj, replace(CellParameters.uniform(obj), patch_ratio=patch_ratio), 3, 0))
     np.testing.assert_allclose(found.relative_friction, 1.0)
     np.testing.assert_allclose(found.identifiability.center_of_friction, obj.p_BC[0])
 
