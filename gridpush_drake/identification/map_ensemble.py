@@ -28,7 +28,7 @@ from gridpush_drake.identification.load_priors import (
     make_field,
 )
 from gridpush_drake.identification.map_fit import CenterOfMass, MapFit, fit_map, solve_factor
-from gridpush_drake.identification.noise import NoiseModel, NoiseScale
+from gridpush_drake.identification.noise import POSE, NoiseModel, NoiseScale
 from gridpush_drake.identification.posterior import CELLS, calc_share
 from gridpush_drake.identification.problem import Linearization, PushProblem
 from gridpush_drake.identification.result import FitStart, HistoryEntry, IdentificationStatus
@@ -42,6 +42,10 @@ HOPELESS = 30.0
 
 STUCK = 1.0
 """Scale of the noise at the best field beyond which it may be a poor optimum."""
+
+FAR = 10.0
+"""Standard deviations of a pose, as the noise is found to be, beyond which a push that ends so far off tells of a poor
+optimum: it is explained away by being sensitive to where it began."""
 
 TILT_DIRECTIONS, TILT_SIZES = 8, (1.0, 2.5)
 """Of tilted loads that fits then begin with; the sizes are of log k, at the object's radius of gyration."""
@@ -197,10 +201,15 @@ class MapEnsemble:
         return fit_map(problem, z0, A, self.noise, center_of_mass or _hold_center(problem.obj))
 
     def _begin_with_tilts(self, priors: list[LoadPrior], fits: list[MapFit], fit_one: Callable[..., MapFit]) -> None:
-        """Fits anew from tilted loads where the best field is poor: it leaves much unexplained, or stands alone."""
+        """Fits anew from tilted loads where the best field is poor.
+
+        It leaves much unexplained, or a push ends far off, or its neighbors are much worse.
+        """
         best = self._find_best(fits)
         beside = max((fits[i].log_evidence for i in self._fields if abs(i - best) == 1), default=np.inf)
-        if fits[best].scale.pose < STUCK and beside > fits[best].log_evidence - HOPELESS:
+        scale, farthest = fits[best].scale.pose, max(np.linalg.norm(r[-POSE:]) for r in fits[best].linear.residuals)
+        explains = scale < STUCK and farthest < FAR * scale * self.noise.pose
+        if explains and beside > fits[best].log_evidence - HOPELESS:
             return
         middle = self._middle
         prior, problem = priors[middle], fits[middle].system.problem

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gridpush_drake.bench.protocol import make_case, make_protocol
 from gridpush_drake.identification import map_ensemble
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.load_priors import CENTER_STD, find_corners
@@ -18,6 +19,7 @@ from gridpush_drake.identification.map_ensemble import (
 )
 from gridpush_drake.identification.map_fit import CenterOfMass
 from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
+from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -178,3 +180,9 @@ def test_pushes_that_agree_make_surer_of_what_none_shows_but_by_half_as_much(mon
     assert (2 * surer.interval_scale) ** 2 < calc_region(obj, surer) / calc_region(obj, cautious) < 0.9
     monkeypatch.setattr(map_ensemble, "CAUTION", 1.0)
     assert calc_region(*fit_pokes(False)) < 0.9 * calc_region(obj, surer)
+
+
+def test_a_push_that_ends_far_off_is_not_explained_away_by_being_sensitive() -> None:
+    case = make_case(make_protocol(), "pliers", 4)
+    found, test = identify(case.obj, case.log.subset([1, 2, 3, 8, 6])), case.log.subset([0, 4, 5, 7, 9])
+    assert calc_mean_cell_error(case.obj, found.params, test, found.regime) < 0.005, "26 mm from a poor optimum"
