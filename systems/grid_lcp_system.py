@@ -52,7 +52,6 @@ NO_PUSHER = -1.0
 """Radius, m, by which the kernel knows that there is none."""
 
 _STATE, _MEMORY, _CONTACT_FORCE, _UNSOLVED, _TIPPING = map(DiscreteStateIndex, range(5))
-_MASS, _FRICTION, _CONTACT_FRICTION, _PUSH_HEIGHT, _PATCH_RATIO = range(5)
 
 
 class GridLcpSystem(LeafSystem):
@@ -179,14 +178,9 @@ class GridLcpSystem(LeafSystem):
 
     def GetParameters(self, context: Context) -> CellParameters:
         """The Context's parameters."""
-        values = [
-            context.get_numeric_parameter(i).CopyToVector() for i in range(context.num_numeric_parameter_groups())
-        ]
-        mass, friction = values[_MASS], values[_FRICTION]
-        contact_friction, push_height, patch_ratio = (
-            float(values[i][0]) for i in (_CONTACT_FRICTION, _PUSH_HEIGHT, _PATCH_RATIO)
-        )
-        return CellParameters(mass, friction, contact_friction, push_height, patch_ratio)
+        count = context.num_numeric_parameter_groups()
+        mass, friction, *numbers = (context.get_numeric_parameter(i).CopyToVector() for i in range(count))
+        return CellParameters(mass, friction, *(float(number[0]) for number in numbers))
 
     def _declare_state(self, params: CellParameters, state: Array) -> None:
         for value in _list_values(params):
@@ -278,7 +272,7 @@ class GridLcpSystem(LeafSystem):
 
 
 def _list_values(params: CellParameters) -> list[Array]:
-    """What the numeric parameters hold, in their order."""
+    """What the numeric parameters hold, in their order, which is that of `CellParameters`."""
     numbers = (params.contact_friction, params.push_height, params.patch_ratio)
     return [params.mass, params.friction, *(np.array([number]) for number in numbers)]
 
