@@ -22,12 +22,13 @@ from gridpush_drake.errors import (
     NoObjectError,
     NoTableError,
     ObjectAtBorderError,
+    ObjectError,
     PerceptionError,
     SeveralObjectsError,
 )
 from gridpush_drake.geometry.contour import calc_contour
 from gridpush_drake.geometry.se2 import Array, transform_back
-from gridpush_drake.objects.cells import DEFAULT_MAX_CELLS
+from gridpush_drake.objects.cells import DEFAULT_MAX_CELLS, MAX_CELLS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.foreground import (
@@ -168,6 +169,11 @@ class DetectedObject:
             ObjectError: the cells would be too many.
         """
         max_cells = DEFAULT_MAX_CELLS if cell_size is None else max(1, round(self.outline.area / cell_size**2))
+        if max_cells > MAX_CELLS:
+            raise ObjectError(
+                f"{name}: cells of {cell_size:g} m are {max_cells}; expected at most {MAX_CELLS}, so of at least "
+                f"{(self.outline.area / MAX_CELLS) ** 0.5:.2g} m"
+            )
         parts = {label: self._to_body(part) for label, part in self.parts.items()}
         obj = GridObject.from_outline(self.outline_B, parts=parts, max_cells=max_cells, name=name)
         return GridObject(name, *obj.grid, obj.prior, self.height or None)
@@ -196,10 +202,16 @@ def detect_object(
         NoTableError: no table is in view, or not where X_WC says.
         NoObjectError: there is none on it.
         SeveralObjectsError: there are two or more.
-        ObjectAtBorderError: the picture's border cuts it. Each of these has a picture of what was seen.
+        ObjectAtBorderError: the picture's border cuts it.
+        PerceptionError: the height is negative, or the object reaches up to the camera. Each of the last five has a
+            picture of what was seen.
     """
     options = options or DetectorOptions()
     color, depth, plane, camera = look_at_table(color, depth, camera)
+    if options.height is not None and not 0 <= options.height < camera.center[2]:
+        raise PerceptionError(
+            f"height is {options.height!r}; expected 0 to {camera.center[2]:.3g} m, where the camera is", color
+        )
     found = find_foreground(color, plane, options.cues)
     if plane is None and found.deviation.max() > MAX_TABLE_DEVIATION:
         raise NoTableError("no even color takes the picture's rim; expected a table in view", color)
@@ -240,6 +252,12 @@ def look_at_table(
     if depth is None:
         if camera.X_WC is None:
             raise CameraError("X_WC is not known and there is no depth image; expected one of the two")
+        if not np.isfinite(camera.cast(camera.K[:2, 2])).all():
+            raise NoTableError(
+                "the camera looks past the table; expected X_WC in its file with the table at z = 0 and the camera "
+                "above, its z axis toward the table",
+                color,
+            )
         return color, None, None, camera
     camera.check_size(depth, "the depth image")
     depth = camera.undistort(depth)
@@ -319,7 +337,8 @@ def _choose_object(found: Foreground, color: Color, camera: Camera, options: Det
     count, labels, stats, middles = cv2.connectedComponentsWithStats(found.mask.astype(np.uint8), connectivity=8)
     corners = np.array([[-PIXEL_MIDDLE, -PIXEL_MIDDLE], [PIXEL_MIDDLE, -PIXEL_MIDDLE], [-PIXEL_MIDDLE, PIXEL_MIDDLE]])
     places = camera.undistorted.cast(middles[:, None] + corners)
-    area = stats[:, cv2.CC_STAT_AREA] * np.abs(np.linalg.det(places[:, 1:] - places[:, :1]))
+    across, down = np.moveaxis(places[:, 1:] - places[:, :1], 1, 0)
+    area = stats[:, cv2.CC_STAT_AREA] * np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0])
     large = [i for i in range(1, count) if area[i] >= options.min_area]
     if not large:
         raise NoObjectError("no object is in view; expected one on the table", color)

@@ -9,6 +9,7 @@ from gridpush_drake.errors import (
     NoObjectError,
     NoTableError,
     ObjectAtBorderError,
+    ObjectError,
     PerceptionError,
     SeveralObjectsError,
 )
@@ -99,6 +100,12 @@ def test_parts_are_told_apart_by_color():
     assert len(set(obj.labels[left])) == len(set(obj.labels[~left])) == 1
 
 
+def test_cells_too_small_to_be_counted_are_refused():
+    found = detect([(L_SHAPE, POSE, HEIGHT, BROWN)])
+    with pytest.raises(ObjectError, match=r"^plate: cells of 0\.0001 m are .*; expected at most 10000, so of at least"):
+        found.make_grid_object(1e-4, "plate")
+
+
 def test_what_is_wrong_is_said_with_a_picture():
     camera = make_camera()
     piece = (L_SHAPE, POSE, HEIGHT, BROWN)
@@ -124,6 +131,12 @@ def test_what_is_wrong_is_said_with_a_picture():
         detect_object(frame.color, rng.uniform(0.3, 3.0, frame.depth.shape).astype(np.float32), camera)
     with pytest.raises(NoTableError, match="shifted by"):
         detect_object(frame.color, frame.depth, camera.with_pose(make_camera(distance=0.9).X_WC))
+    for height in (-0.01, 0.8, 30.0, np.inf):
+        with pytest.raises(PerceptionError, match=r"height is .*; expected 0 to 0\.7 m, where the camera is"):
+            detect_object(frame.color, None, camera, DetectorOptions(height=height))
+    for above, rpy in ((0.7, (0, 0, 0)), (-0.7, (180, 0, 0))):
+        with pytest.raises(NoTableError, match="looks past the table; expected X_WC"):
+            detect_object(frame.color, None, camera.with_pose(make_camera(distance=above, rpy=rpy).X_WC))
     with pytest.raises(NoTableError, match="no even color"):
         detect_object(rng.integers(0, 255, frame.color.shape, dtype=np.uint8), None, camera)
 
