@@ -1,6 +1,7 @@
 """`gridpush track`: a push log from a video, or a folder of images, of an object that is pushed."""
 
 import math
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -126,9 +127,10 @@ class _TipFinder:
         self.tag = None
         self.seen: set[int] = set()
         if text.startswith(TAG):
-            if not text.removeprefix(TAG).isdigit():
+            number = text.removeprefix(TAG)
+            if not re.fullmatch("[0-9]{1,9}", number):
                 raise options.OptionError(f"--tip: is {text!r}; expected TIP.csv, or tag:ID, such as tag:7")
-            self.tag = int(text.removeprefix(TAG))
+            self.tag = int(number)
         else:
             self.times, self.places = _read_tips(Path(text))
 

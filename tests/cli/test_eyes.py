@@ -217,6 +217,7 @@ def test_track_says_what_is_wrong(capsys, folder):
         ("video", "odd.csv", "line 2: is '1,0'"),
         ("video", "tag:5", "tag 5 is in no frame; there are: none"),
         ("video", "tag:x", "expected TIP.csv, or tag:ID"),
+        ("video", "tag:²", "expected TIP.csv, or tag:ID"),
         ("nothing", "tip.csv", "holds no images"),
         ("text.mp4", "tip.csv", "no frame can be read"),
         ("absent.mp4", "tip.csv", "no such file"),
