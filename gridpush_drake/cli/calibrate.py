@@ -41,13 +41,18 @@ def calibrate(
 
     tags = parse_board(board)
     if (photo is None) == (sheet is None):
-        raise options.OptionError("calibrate: expected a photograph, or --print BOARD.pdf")
+        raise options.OptionError("calibrate: expected either a photograph, or --print BOARD.pdf")
     if sheet is not None:
+        if sheet.suffix.lower() != ".pdf":
+            raise options.OptionError(f"--print: is {str(sheet)!r}; expected a PDF file's name, such as board.pdf")
         write_whole(sheet, tags.make_pdf(), force)
         width, height = tags.extent
-        print_line(
-            f"Wrote {sheet}: {width * MM:.0f} x {height * MM:.0f} mm of tags. Print it at 100 %, and measure it."
-        )
+        if json:
+            print_json({"extent": [width, height], "written": str(sheet)})
+        else:
+            print_line(
+                f"Wrote {sheet}: {width * MM:.0f} x {height * MM:.0f} mm of tags. Print it at 100 %, and measure it."
+            )
         return
     assert photo is not None
     if camera is None or out is None:
@@ -69,7 +74,7 @@ def calibrate(
         print_json({"p_WC": [x, y, z], "error": error, "written": str(out)})
     else:
         print_line(
-            f"The camera is at ({x:.3f}, {y:.3f}, {z:.3f}) m from the board's middle; the tags' corners are "
+            f"The camera is at ({x:z.3f}, {y:z.3f}, {z:z.3f}) m from the board's middle; the tags' corners are "
             f"{error:.2f} pixels off. Wrote {out}."
         )
 

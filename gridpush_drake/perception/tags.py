@@ -36,6 +36,9 @@ EDGE_REACH, EDGE_STEP = 0.6, 0.125
 MIN_TAGS = 2
 """Of a board, that must be seen."""
 
+MAX_BOARD_SIDE = 2.0
+"""Of what is printed of a board, m; a larger one was given in another unit."""
+
 MAX_BOARD_ERROR = 3.0
 """Root mean square distance of the tags' corners from where the board would have them, pixels."""
 
@@ -125,7 +128,8 @@ class TagBoard:
         first: number of the tag in the upper left.
 
     Raises:
-        TagError: a count or a length is not positive, or the family has fewer tags.
+        TagError: a count or a length is not positive, the board is larger than MAX_BOARD_SIDE, or the family has fewer
+            tags.
     """
 
     columns: int = 4
@@ -140,6 +144,9 @@ class TagBoard:
             raise TagError(f"a board of {self.columns} x {self.rows} tags; expected at least {MIN_TAGS}")
         if not (self.size > 0 and self.gap > 0):
             raise TagError(f"a board's tags are {self.size!r} m, {self.gap!r} m apart; expected positive numbers")
+        width, height = self.extent
+        if not max(width, height) <= MAX_BOARD_SIDE:
+            raise TagError(f"a board of {width:g} x {height:g} m; expected at most {MAX_BOARD_SIDE:g} m a side")
         most = len(_family().bytesList)
         if not 0 <= self.first <= most - count:
             raise TagError(f"a board's tags are {self.first} to {self.first + count - 1}; expected 0 to {most - 1}")

@@ -138,8 +138,9 @@ def test_object_says_what_is_wrong_and_shows_it(capsys, folder):
 
 def test_calibrate_prints_a_board_and_finds_the_camera(capsys, tmp_path):
     board, true = TagBoard(3, 4, 0.04, 0.012), make_camera(distance=0.55, rpy=(176, 3, 20))
-    done = run_gridpush(capsys, "calibrate", "--print", tmp_path / "board.pdf", "--board", "3x4:0.04")
+    done = run_gridpush(capsys, "calibrate", "--print", tmp_path / "board.pdf", "--board", "3x4:0.04", "--json")
     assert done.code == 0, done.err
+    assert json.loads(done.out) == {"extent": list(board.extent), "written": str(tmp_path / "board.pdf")}
     assert (tmp_path / "board.pdf").read_bytes().startswith(b"%PDF")
     color = paint(true, [], depth=False).color
     for number, corners in board.corners.items():
@@ -153,7 +154,8 @@ def test_calibrate_prints_a_board_and_finds_the_camera(capsys, tmp_path):
     for extra, message in [
         ((tmp_path / "photo.png", "--board", "3by4"), "--board: is '3by4'; expected COLUMNSxROWS:SIZE"),
         ((tmp_path / "photo.png", "--board", "2x2:0.04:0.01:300"), "0 of the board's tags (300 to 303) are in view"),
-        ((), "expected a photograph, or --print"),
+        ((), "expected either a photograph, or --print"),
+        (("--print", tmp_path / "board.png"), "board.png'; expected a PDF file's name"),
     ]:
         done = run_gridpush(capsys, "calibrate", *extra, *arguments, "--force")
         assert done.code == 2

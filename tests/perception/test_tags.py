@@ -100,6 +100,8 @@ def test_what_is_wrong_with_a_board_is_said():
         calibrate_pose(photograph_board(board, camera), camera, TagBoard(first=300))
     with pytest.raises(TagError, match="pixels from where the board would have them"):
         calibrate_pose(photograph_board(board, camera), camera, TagBoard(columns=5, rows=4))
-    for wrong in ({"columns": 0}, {"size": -1.0}, {"first": 600}, {"columns": 40, "rows": 40}):
+    with pytest.raises(TagError, match=r"a board of 171\.5 x 217 m; expected at most 2 m a side"):
+        TagBoard(size=35.0, gap=10.5)
+    for wrong in ({"size": float("inf")}, {"columns": 0}, {"size": -1.0}, {"first": 600}, {"columns": 40, "rows": 40}):
         with pytest.raises(TagError):
             TagBoard(**wrong)
