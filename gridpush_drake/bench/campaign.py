@@ -56,6 +56,13 @@ REFUSED, BROKEN = "refused", "error"
 DROPPED, NOT_LIFTED, GAVE_UP = "dropped", "not lifted", "gave up"
 """What an episode came to that did not end as it should."""
 
+MEANINGS = {
+    DROPPED: "off the table",
+    NOT_LIFTED: "the gripper closed and went up, and the object stayed",
+    GAVE_UP: "anything else",
+}
+"""Of them, for a table's reader."""
+
 
 @dataclass(frozen=True)
 class EpisodeJob:
@@ -207,9 +214,10 @@ class Campaign:
         for name, group, shares in self.count():
             means = [AVERAGED[each][1] * calc_mean(_list_known(group, AVERAGED[each][0])) for each in averaged]
             rows.append((Path(name).stem, len(group), *(share.describe() for share in shares.values()), *means))
+        meanings = [f"{end}: {MEANINGS[end]}." for end in self.ends if end in MEANINGS]
         notes = [
-            f"In brackets: {PERCENT * CONFIDENCE:g} % Wilson intervals. {DROPPED}: off the table."
-            f" {GAVE_UP}: anything else. The rest: means of all episodes in which it was found."
+            f"In brackets: {PERCENT * CONFIDENCE:g} % Wilson intervals. {' '.join(meanings)}"
+            " The rest: means of all episodes in which it was found."
         ]
         for failure in self.failures:
             reason = f"{Path(failure.object).stem}, seed {failure.seed}: {failure.status}. {failure.message}"

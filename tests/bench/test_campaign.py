@@ -68,11 +68,14 @@ def test_the_table_counts_and_gives_wilson_intervals():
 
 def test_what_the_gripper_did_not_raise_is_not_dropped():
     campaign = make_campaign()
-    assert "not lifted" not in campaign.tabulate().columns
+    before = campaign.tabulate()
+    assert "not lifted" not in before.columns
+    assert "not lifted" not in before.notes[0]
     left = replace(HELD, seed=3, status="not_lifted", message="It stayed.", outcome=NOT_LIFTED)
     table = replace(campaign, episodes=[*campaign.episodes, left]).tabulate()
     row = dict(zip(table.columns, table.rows[-1], strict=True))
     assert [row[end].split()[0] for end in ("held", "dropped", "not lifted", "gave up")] == ["2", "1", "1", "2"]
+    assert " not lifted: the gripper closed and went up, and the object stayed. gave up: anything" in table.notes[0]
 
 
 def test_intervals_hold_what_they_say():
