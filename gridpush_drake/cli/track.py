@@ -10,7 +10,8 @@ import typer
 
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import print_json, print_line
-from gridpush_drake.cli.object import CameraFile, TagSize
+from gridpush_drake.cli.object import TagSize
+from gridpush_drake.errors import CameraError, ImageError, PerceptionError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -38,7 +39,11 @@ def track(
         Path, typer.Argument(metavar="VIDEO|FOLDER", help="A video, or a folder of images with times.csv.",
                              show_default=False)
     ],
-    camera: CameraFile,
+    camera: Annotated[
+        Path,
+        typer.Option("--camera", metavar="CAMERA.yaml", help="ROS camera_info, OpenCV YAML or Drake's CameraConfig, "
+                     "with X_WC, as `gridpush calibrate` writes it.", show_default=False),
+    ],
     object_file: Annotated[
         str, typer.Option("--object", metavar="OBJECT", help="An object file, as `gridpush object` writes it.")
     ],
@@ -74,12 +79,20 @@ def track(
     from gridpush_drake.geometry.se2 import transform
     from gridpush_drake.objects.object_file import read_object_file
     from gridpush_drake.perception import Camera, draw_outline, write_picture
+    from gridpush_drake.perception.camera import NOT_KNOWN
     from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
+    from gridpush_drake.pushes.segmentation import SegmenterOptions
     from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_pushes, write_stream_csv
 
     options.check_outputs(force, out, picture, stream)
     offset = options.parse_numbers("--tip-offset", tip_offset, "x,y,z")
     seen_by, obj = Camera.read(camera), options.load_object(object_file)
+    if seen_by.X_WC is None:
+        raise CameraError(f"{camera}: {NOT_KNOWN}")
+    if tag_height is not None and not 0 <= tag_height < seen_by.center[2]:
+        raise options.OptionError(
+            f"--tag-height: is {tag_height:g}; expected 0 to {seen_by.center[2]:.3g} m, where the camera is"
+        )
     seen = read_object_file(options.object_path(object_file)).seen
     tag = seen.tag if seen is not None else None
     if by not in ("auto", "outline", "tag") or (by == "tag" and tag is None):
@@ -109,9 +122,13 @@ def track(
     recording = record_pushes(samples, obj, radius, source=str(video))
     log = recording.log
     if not len(log):
-        why = ["it ends within a push: expected the tip to rest for a second after it"] * recording.unfinished
-        seen_in = f"the object was seen in {len(t) - lost} of {len(t)} frames"
-        raise PushLogError(f"{video}: holds no whole push; {'; '.join([*why, *recording.unusable, seen_in])}")
+        ended = f"the tip never moved the object while it was below {SegmenterOptions().engaged_below:g} m"
+        if recording.unfinished:
+            ended = "it ends within a push: expected the tip to rest for a second after it"
+        why = "; ".join(recording.unusable) or ended
+        raise PushLogError(
+            f"{video}: holds no whole push: {why}; the object was seen in {len(t) - lost} of {len(t)} frames"
+        )
     log.write_csv(out, force)
     if json:
         print_json({"object": obj.name, "frames": len(t), "lost": lost, "pushes": len(log), "written": str(out)})
@@ -216,9 +233,14 @@ def _follow_outline(
         cv2.fillConvexPoly(painted, hull, 1)
         return painted > 0
 
-    tracker = PoseTracker(obj.outline, height, camera)
-    for frame, tracked in track_object(tracker, read_frames(video, camera), cover):
-        yield frame, tracked.pose
+    try:
+        tracker = PoseTracker(obj.outline, height, camera)
+        for frame, tracked in track_object(tracker, read_frames(video, camera), cover):
+            yield frame, tracked.pose
+    except ImageError:
+        raise
+    except PerceptionError as error:
+        raise type(error)(f"{video}: {error}", error.picture) from error
 
 
 def _follow_tag(

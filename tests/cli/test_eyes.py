@@ -232,3 +232,26 @@ def test_track_says_what_is_wrong(capsys, folder):
         assert done.code == 2, video
         assert message in done.err
         assert not (folder / "pushes.csv").exists()
+
+
+def test_track_names_the_file_or_option_that_is_wrong(capsys, folder):
+    write_video(folder, with_tags=True)
+    Camera(640, 480, make_camera().K, []).write(folder / "unplaced.yaml")
+    (folder / "still.csv").write_text("t,tip_x,tip_y\n0,-0.3,0\n9,-0.3,0\n")
+    for options, message in [
+        (("--camera", folder / "unplaced.yaml"), "unplaced.yaml: X_WC is not known; `gridpush calibrate` finds it"),
+        (("--object", "claw_hammer"), "video: no object of this outline is in view"),
+        (("--height", "30"), "video: height is 30.0; expected 0 to 0.7 m, where the camera is"),
+        (("--tip", "tag:9", "--tag-height", "40"), "--tag-height: is 40; expected 0 to 0.7 m, where the camera is"),
+        (("--tip", "tag:9", "--tag-height", "nan"), "--tag-height: is nan; expected 0 to 0.7 m"),
+        (
+            ("--tip", folder / "still.csv"),
+            "video: holds no whole push: the tip never moved the object while it was below 0.05 m; the object was seen",
+        ),
+    ]:
+        given = {"--camera": folder / "camera.yaml", "--object": folder / "object.yaml", "--tip": folder / "tip.csv"}
+        given |= dict(zip(options[::2], options[1::2], strict=True))
+        words = [word for pair in given.items() for word in pair]
+        done = run_gridpush(capsys, "track", folder / "video", *words, "--out", folder / "pushes.csv")
+        assert done.code == 2, options
+        assert message in done.err
