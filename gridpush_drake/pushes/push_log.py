@@ -390,10 +390,12 @@ def _table(path: Path, line: int, cell: str) -> NDArray[np.float64] | None:
     if not cell:
         return None
     try:
-        polygon = shapely.from_wkt(cell)
+        with np.errstate(invalid="ignore"):
+            polygon = shapely.from_wkt(cell)
+            usable = polygon.is_valid and 0 < polygon.area < np.inf
     except shapely.GEOSException:
-        polygon = None
-    if not isinstance(polygon, shapely.Polygon) or polygon.interiors or not polygon.is_valid or polygon.area <= 0:
+        polygon, usable = None, False
+    if not isinstance(polygon, shapely.Polygon) or polygon.interiors or not usable:
         form = "expected POLYGON ((x y, x y, ..., x y)) in m that ends where it begins and does not cross itself"
         fail(path, line, TABLE, f"is {cell[:MAX_SHOWN]!r}; {form}")
     return np.asarray(orient(polygon).exterior.coords)[:-1, :2]

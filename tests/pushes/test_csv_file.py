@@ -297,6 +297,8 @@ def test_carries_the_table(write, tmp_path):
     [
         ("POLYGON ((0 0, 1 0, 0 1, 1 1, 0 0))", "does not cross itself"),
         ("POINT (1 2)", "expected POLYGON"),
+        ("POLYGON ((0 0, nan 1, 1 1, 0 0))", "expected POLYGON"),
+        ("POLYGON ((0 0, inf 1, 1 1, 0 0))", "expected POLYGON"),
         ("a table", "expected POLYGON"),
     ],
 )
