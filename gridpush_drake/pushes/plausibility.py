@@ -28,6 +28,7 @@ SPEED_FACTOR = 2.0  # times the pusher's mean speed at which it may let go of th
 NOISE_SHARE = 0.25  # of the object's diameter, by which a pose may be off besides
 MAX_SPEED = 30.0  # of a pusher, mean, m/s
 MAX_DIAMETER = 10.0  # of an object, m
+MAX_TABLE = 100.0  # of a table's side, where it is not doubted, m
 MAX_FIRST_ANGLE = 4 * np.pi  # of an object at a push's beginning, where it is not doubted, rad
 
 GAP, GAP_SHARE = 0.005, 0.05
@@ -35,6 +36,9 @@ GAP, GAP_SHARE = 0.005, 0.05
 
 MANY, FEW = 0.5, 0.2
 """Shares of a log's pushes: so many out of place make it doubtful, so few leave a reading of its units standing."""
+
+MIN_PUSH = 1e-3
+"""Of a push's length, m, at the median of a log: shorter ones are no sign that its lengths are in millimeters."""
 
 MM = 1e-3  # meters in a millimeter
 
@@ -139,7 +143,8 @@ def _choose_reading(obj: GridObject, log: PushLog, wrong: float) -> _Units | Non
     if wrong < MANY:
         return None
     away = np.abs(poses[:, :2]).max() > GAP  # where every push begins at 0, the object's places fit any unit
-    readings = (TIP_MM, PLACE_MM, ALL_MM) if away else (ALL_MM,)
+    length = np.median([seen.push.length for seen in log])
+    readings = [units for units in ((TIP_MM, PLACE_MM, ALL_MM) if away else (ALL_MM,)) if units.tip * length > MIN_PUSH]
     return next((units for units in readings if _are_misplaced(obj, log, units).mean() <= FEW), None)
 
 
@@ -235,15 +240,21 @@ def _find_large_angles(obj: GridObject, log: PushLog) -> Iterator[str]:
             yield (f"push {seen.name!r}, column {IN_DEGREES}; the object lies at {seen.pose[2]:.4g}")
 
 
+def _find_large_tables(obj: GridObject, log: PushLog) -> Iterator[str]:
+    if log.table is not None and (size := float(np.ptp(log.table, axis=0).max())) > MAX_TABLE:
+        yield f"column table: in millimeters? expected m, at most {MAX_TABLE:g} a side; the table spans {size:.3g}"
+
+
 KINDS = (
     (_find_units, True, True),
     (_find_fast_pushers, True, True),
     (_find_begun_off_table, True, True),
-    (_find_jumps, True, False),
     (_find_turns, True, False),
+    (_find_jumps, True, False),
     (_find_gone_off_table, True, False),
     (_find_large_objects, True, False),
     (_find_large_angles, False, True),
+    (_find_large_tables, False, True),
 )
 """What finds what is wrong, whether it is certain, and whether it is about what a prediction begins with."""
 

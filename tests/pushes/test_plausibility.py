@@ -174,6 +174,9 @@ def test_what_may_be_true_is_warned_of():
     turned = PushLog(tuple(replace(s, poses_observed=s.poses_observed + [0, 0, 8 * np.pi]) for s in turned))
     with pytest.warns(PushLogWarning, match=r"object_theta: in degrees\? expected rad; the object lies at 2\d\."):
         check_plausible(obj, turned, learning=True)
+    wide = replace(log, table=1e3 * np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]))
+    with pytest.warns(PushLogWarning, match=r"column table: in millimeters\? expected m, .*; the table spans 1e\+03$"):
+        check_plausible(obj, wide, learning=True)
     large = GridObject.from_outline(np.array(obj.outline.exterior.coords) * 1e3, name="large")
     far = PushLog((ObservedPush("a", Push((-60.0, 0.0), (1.0, 0.0), 1.0, 0.005), np.zeros(3), [], np.empty((0, 3))),))
     with pytest.warns(PushLogWarning, match=r"large: its outline spans 134 m; in millimeters\? expected m"):
@@ -190,3 +193,20 @@ def test_a_log_that_misses_is_explained():
         warnings.simplefilter("error")
         check_plausible(obj, away, learning=True)
     assert "no push touches block; the nearest, 'push_" in explain_no_contact(obj, away)
+
+
+def test_a_log_that_misses_is_not_taken_for_millimeters_where_the_body_frame_is_at_a_corner():
+    obj = make_block()
+    corner = GridObject.from_outline(np.array(obj.outline.exterior.coords) - obj.outline.bounds[:2], max_cells=20)
+    push = Push((0.5, 0.5), (0.0, 0.05), 1.0, 0.005)
+    away = PushLog((ObservedPush("a", push, np.zeros(3), [1.0], np.zeros((1, 3))),))
+    assert find_implausible(corner, away) == []
+
+
+def test_degrees_are_named_where_the_body_frame_is_far_from_the_centroid():
+    obj = make_block()
+    aside = GridObject.from_outline(np.array(obj.outline.exterior.coords) + 0.3, max_cells=20, name="aside")
+    start = aside.outline.bounds[0] - 0.006, aside.outline.centroid.y
+    seen = ObservedPush("a", Push(start, (0.05, 0.0), 1.0, 0.005), np.zeros(3), [1.0], [[0.03, 0.0, 0.3 * PER_RADIAN]])
+    with pytest.raises(PushLogError, match=r"push 'a', column object_theta: the object turns 17\.2 rad .* in degrees"):
+        check_plausible(aside, PushLog((seen,)), learning=True)
