@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import print_found
+from gridpush_drake.cli.console import MM, print_found, print_notice
 
 Format = Literal["sdf", "urdf", "mjcf"]
 
@@ -31,7 +31,7 @@ def export(
             help="Six degrees of freedom, or, in SDFormat, held to the table's plane, each cell bearing its own weight."
         ),
     ] = "free",
-    height: Annotated[float, typer.Option(help="Height of the object, m.")] = 0.03,
+    height: options.Height = None,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,
@@ -49,13 +49,15 @@ def export(
         raise options.OptionError(f"base: is 'planar'; expected 'free', or the format sdf: {chosen} cannot say it here")
     options.check_outputs(force, out)
     loaded = options.load_target(target, largest_piece)
-
+    obj, mass = loaded.obj, loaded.params.total_mass
+    height = options.choose_height(height, obj)
     if chosen == "sdf":
-        WriteSdf(loaded.obj, loaded.params, out, force, base=base, height=height)
+        WriteSdf(obj, loaded.params, out, force, base=base, height=height)
     else:
         write = WriteUrdf if chosen == "urdf" else WriteMjcf
-        write(loaded.obj, loaded.params, out, force, height=height)
-    obj, mass = loaded.obj, loaded.params.total_mass
+        write(obj, loaded.params, out, force, height=height)
+    if obj.prior.total_mass is None:
+        print_notice(f"{obj.name}: no total_mass in its file; {mass:.3g} kg is taken")
     source = "learned model" if loaded.model else "object, mass and friction spread evenly"
     found = {
         "object": obj.name,
@@ -66,5 +68,5 @@ def export(
         "height": height,
         "written": [str(out)],
     }
-    line = f"{obj.name} ({source}): {obj.n} cells, {mass:.3g} kg, {base} base"
+    line = f"{obj.name} ({source}): {obj.n} cells, {mass:.3g} kg, {height * MM:.3g} mm high, {base} base"
     print_found(found, [line, *options.describe_written(out)], json)

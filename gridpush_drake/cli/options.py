@@ -52,6 +52,10 @@ Regime = Annotated[
     typer.Option(help="quasi_static for slow pushes, inertial for fast ones; auto: by their speed."),
 ]
 
+Height = Annotated[
+    float | None, typer.Option(help="Height of the object, m.", show_default="as its file says, or 0.03")
+]
+
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 
 Workers = Annotated[int, typer.Option(min=1, help="Processes.")]
@@ -67,6 +71,9 @@ Dask = Annotated[
 WORKERS = 2
 """Processes by default."""
 
+
+DEFAULT_HEIGHT = 0.03
+"""Of an object whose file does not say it, m."""
 
 EXIT_NO_PLAN = 1
 """Exit code where the arguments are in order but there is no way to do it."""
@@ -231,6 +238,11 @@ def load_target(name: str, largest_piece: bool = False) -> Target:
         return Target(model.obj, model.params, model)
     obj = load_object(name, largest_piece)
     return Target(obj, CellParameters.uniform(obj))
+
+
+def choose_height(given: float | None, obj: "GridObject") -> float:
+    """Height of an object, m: as given, or as its file says, or DEFAULT_HEIGHT."""
+    return given if given is not None else obj.height or DEFAULT_HEIGHT
 
 
 def load_log(path: Path, obj: "GridObject", *, require_final: bool = True) -> "PushLog":

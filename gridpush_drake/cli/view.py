@@ -17,9 +17,6 @@ if TYPE_CHECKING:
 
 Shows = Literal["mass", "friction", "relative_friction"]
 
-DEFAULT_HEIGHT = 0.03
-"""Of an object, m; flat object files do not say."""
-
 MODEL_BESIDE, OBJECT_BESIDE = "model.yaml", "object.yaml"
 """Looked for beside a push log, as `gridpush demo` writes them."""
 
@@ -52,7 +49,7 @@ def view(
         list[str] | None, typer.Option("--push", metavar="NAME", help="Replay this push only; may be repeated.")
     ] = None,
     shows: Annotated[Shows, typer.Option(help="What the cells' colors stand for.")] = "mass",
-    height: Annotated[float, typer.Option(help="Height of the object, m.")] = DEFAULT_HEIGHT,
+    height: options.Height = None,
     port: Annotated[
         int | None, typer.Option(help="Port of Meshcat's page; by default a free one from 7000 on.")
     ] = None,
@@ -74,7 +71,7 @@ def view(
     """Show a learned model, replay pushes beside their predictions, or play a recording, in Meshcat."""
     kind = Path(source).suffix.lower()
     _check_options(kind, {"--object": object_file, "--model": model_file, "--push": push}, out)
-    if not 0 < height < float("inf"):
+    if height is not None and not 0 < height < float("inf"):
         raise ViewError(f"--height: is {height}; expected a positive number (m)")
     options.check_outputs(force, out)
 
@@ -121,14 +118,14 @@ def _check_recording(path: Path) -> None:
 
 
 def _view_model(
-    source: str, largest_piece: bool, shows: Shows, height: float, port: int | None, serve: Serve
+    source: str, largest_piece: bool, shows: Shows, height: float | None, port: int | None, serve: Serve
 ) -> None:  # fmt: skip
     from gridpush_drake.cli.view_scene import AddModel, describe_colors, make_overlay
     from gridpush_drake.multibody.meshcat_server import StartMeshcatServer
 
     target = options.load_target(source, largest_piece)
     meshcat = StartMeshcatServer(port)
-    AddModel(meshcat, target, shows, height)
+    AddModel(meshcat, target, shows, options.choose_height(height, target.obj))
     lines = [f"{target.obj.name}: {target.obj.n} cells", describe_colors(shows)]
     kind = "model" if target.model else "object"
     serve(meshcat, make_overlay(target, shows), {"kind": kind, "object": target.obj.name}, lines)
@@ -153,7 +150,7 @@ def _find_target(log: Path, object_file: str | None, model_file: Path | None, la
 
 
 def _view_pushes(
-    path: Path, target: "options.Target", names: list[str] | None, shows: Shows, height: float, port: int | None,
+    path: Path, target: "options.Target", names: list[str] | None, shows: Shows, height: float | None, port: int | None,
     serve: Serve,
 ) -> None:  # fmt: skip
     from gridpush_drake.cli.view_scene import AddPushes, describe_colors, make_overlay
@@ -177,7 +174,7 @@ def _view_pushes(
     errors = summarize_errors(target.obj, judged, picked.supported) if judged else []
 
     meshcat = StartMeshcatServer(port)
-    AddPushes(meshcat, target, picked, predictions, shows, height)
+    AddPushes(meshcat, target, picked, predictions, shows, options.choose_height(height, target.obj))
     lines = [f"{target.obj.name}: {len(picked)} push{'' if len(picked) == 1 else 'es'}"]
     if predictions:
         lines += ["Solid: as observed. Orange: as the model predicts it.", describe_colors(shows)]

@@ -27,6 +27,20 @@ def test_writes_an_object_held_to_the_plane(gridpush, tmp_path):
     assert plant.num_positions() == 3
 
 
+def test_height_and_mass_are_those_of_the_file(gridpush, tmp_path):
+    file, out = tmp_path / "tall.yaml", tmp_path / "tall.sdf"
+    file.write_text("name: tall\noutline: [[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]]\nheight: 0.08\n")
+    for given, height in (((), 0.08), (("--height", 0.05), 0.05)):
+        told = gridpush("export", file, out, *given, "--force", "--json")
+        assert json.loads(told.out)["height"] == height
+        assert told.err == "tall: no total_mass in its file; 1 kg is taken\n"
+        plant, _ = parse_sdf(out)
+        middle = plant.GetBodyByName("tall").default_com()
+        assert middle[2] == pytest.approx(height / 2)
+    told = gridpush("export", "open_book", tmp_path / "book.sdf")
+    assert "30 mm high" in told.out and not told.err
+
+
 @pytest.mark.parametrize(
     ("name", "given", "begins"),
     [
