@@ -62,6 +62,9 @@ GRAM = 1e3
 MAX_OVERLAYS, OVERLAY_COLUMNS = 8, 4
 """Pushes drawn one by one, in all and side by side."""
 
+MAX_OVERLAY_HEIGHT = 3.2
+"""Of each of them, inches."""
+
 MAX_DUMBBELLS, LINE_HEIGHT = 32, 0.22
 """Pushes compared line by line (above this, as a scatter of points), and the height of each, inches."""
 
@@ -247,7 +250,7 @@ def draw_overlays(obj: GridObject, outcomes: Sequence[Outcome]) -> Figure:
     chosen = outcomes[:MAX_OVERLAYS]
     columns = min(OVERLAY_COLUMNS, max(len(chosen), 1))
     rows = max(1, -(-len(chosen) // columns))
-    figure, axes = make_grid(rows, columns, PAGE_WIDTH, PAGE_WIDTH / columns + 0.2)
+    figure, axes = make_grid(rows, columns, PAGE_WIDTH, min(PAGE_WIDTH / columns, MAX_OVERLAY_HEIGHT) + 0.2)
     for ax in axes.flat[len(chosen) :]:
         ax.set_axis_off()
     for ax, outcome in zip(axes.flat, chosen, strict=False):

@@ -58,6 +58,13 @@ def test_is_one_page_that_needs_nothing_else(experiment):
         assert text.replace("'", "&#39;") in page
 
 
+def test_the_drawing_of_a_single_push_is_no_page_high(experiment):
+    result, log, *_ = experiment
+    page = make_report(result, log[:1])
+    heights = [float(figure.get("height").removesuffix("pt")) for figure in figures_of(page)]
+    assert max(heights) < 5 * 72
+
+
 def test_draws_how_the_error_fell_push_by_push(experiment):
     result, log, held_out, truth = experiment
     page = make_report(result, log, held_out, truth, learning=[0.03, 0.012, 0.004])
