@@ -50,8 +50,9 @@ def robot(
 ) -> None:
     """Carry out a task of `gridpush demo` with a real arm over LCM; nothing moves before --go.
 
-    Ctrl-C stops the arm smoothly and holds it there. So does anything that seems wrong. Exit code 1 where the task
-    was not done, 130 after Ctrl-C.
+    Ctrl-C stops the arm smoothly and holds it there. So does anything that seems wrong.
+
+    Exit code 1 where the task was not done, 130 after Ctrl-C.
     """
     from gridpush_drake.cli.demo_tasks import TASKS, print_summary, write_files
     from gridpush_drake.files import make_folder, write_whole

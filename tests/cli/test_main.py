@@ -1,3 +1,4 @@
+import inspect
 import os
 import re
 import signal
@@ -8,6 +9,7 @@ import time
 import pytest
 
 import gridpush_drake
+from gridpush_drake.cli.main import app
 from gridpush_drake.cli.options import OptionError, parse_numbers
 
 COMMANDS = [
@@ -15,7 +17,7 @@ COMMANDS = [
     ("import", "mit"), ("bench",), ("bench", "speed"), ("bench", "paper"), ("bench", "real"),
     ("bench", "drake"), ("bench", "planning"), ("bench", "pregrasp"), ("bench", "grasp"), ("bench", "truth"),
     ("export",), ("view",), ("plan",), ("slide",), ("object",), ("calibrate",), ("track",), ("record",), ("twin",),
-    ("robot",), ("campaign",), ("bench", "perception"), ("bench", "gym"), ("import", "bag"),
+    ("tracker",), ("robot",), ("campaign",), ("bench", "perception"), ("bench", "gym"), ("import", "bag"),
 ]  # fmt: skip
 
 
@@ -25,6 +27,14 @@ def test_every_command_has_help(gridpush, command):
     assert outcome.code == 0
     assert f"Usage: {' '.join(['gridpush', *command])}" in outcome.out
     assert outcome.err == ""
+
+
+def test_a_paragraph_of_help_is_one_line_of_the_docstring():
+    """The help breaks its lines where the docstring does, so none breaks within a sentence."""
+    groups = [app, *(group.typer_instance for group in app.registered_groups)]
+    commands = [command for group in groups for command in group.registered_commands]
+    paragraphs = [text for each in commands for text in (each.help or inspect.getdoc(each.callback)).split("\n\n")]
+    assert [text for text in paragraphs if "\n" in text] == []
 
 
 @pytest.mark.parametrize("command", [(), ("import",), ("bench",)], ids=" ".join)
