@@ -16,6 +16,9 @@ MS = 1e3
 ENGAGED_BELOW = 0.05
 """`SegmenterOptions.engaged_below`, which takes long to import, m."""
 
+MAX_SPAN = 10.0
+"""Of a tip's places, m; where they span more and nothing is pushed, they may be in another unit."""
+
 
 def record(
     stream: Annotated[
@@ -44,6 +47,8 @@ def record(
     json: options.Json = False,
 ) -> None:
     """Cut a stream of the tip's and the object's poses into pushes, as the robot does while it pokes."""
+    import numpy as np
+
     from gridpush_drake.errors import PushLogError
     from gridpush_drake.planning.support_surface import stayed_supported
     from gridpush_drake.pushes.plausibility import check_plausible
@@ -64,6 +69,10 @@ def record(
     log = recorded.log
     if not len(log):
         ended = "it ends within a push" if recorded.unfinished else "the tip never moved the object while it was down"
+        tips = np.array([sample.tip[:2] for sample in samples if isfinite(sample.tip[0])])
+        span = float(np.ptp(tips, axis=0).max()) if len(tips) else 0.0
+        if span > MAX_SPAN:
+            ended += f"; tip_x, tip_y: in millimeters? expected m, they span {span:.3g}"
         why = "; ".join(recorded.unusable) or ended
         raise PushLogError(f"{stream}: holds no push: {why}; expected a tip below {engaged_below:g} m that pushes")
     if surface is not None:

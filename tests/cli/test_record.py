@@ -64,6 +64,20 @@ def test_refuses_a_stream_in_degrees(refuses, script, stream, thing, tmp_path):
     refuses("record", stream, "--object", thing, "--out", tmp_path / "pushes.csv", says=[stream, "in degrees"])
 
 
+def test_doubts_a_stream_in_millimeters(refuses, script, stream, thing, tmp_path):
+    scaled = [
+        sample._replace(
+            tip=(1e3 * sample.tip[0], 1e3 * sample.tip[1], sample.tip[2]),
+            velocity=tuple(1e3 * v for v in sample.velocity),
+            pose=(1e3 * sample.pose[0], 1e3 * sample.pose[1], sample.pose[2]),
+        )
+        for sample in script.samples
+    ]
+    write_stream_csv(scaled, stream, force=True)
+    says = [stream, "tip_x, tip_y: in millimeters? expected m, they span"]
+    refuses("record", stream, "--object", thing, "--out", tmp_path / "pushes.csv", says=says)
+
+
 def test_says_why_there_is_no_push(refuses, script, stream, thing, tmp_path):
     moving = [i for i, sample in enumerate(script.samples) if sample.tip[2] < 0.05 and abs(sample.velocity[0]) > 0.01]
     command = ("record", stream, "--object", thing, "--out", tmp_path / "pushes.csv")
