@@ -101,6 +101,11 @@ def exists(path: Path | str) -> bool:
     return _holds(Path(path).exists)
 
 
+def is_same(path: Path | str, other: Path | str) -> bool:
+    """Whether both name one file or folder that is there."""
+    return _holds(lambda: Path(path).samefile(other))
+
+
 def check_writable(path: Path | str, force: bool = False) -> Path:
     """Checks, before long work begins, that `path` may be written at its end.
 

@@ -59,7 +59,7 @@ def calibrate(
         raise options.OptionError("calibrate: --camera and --out are needed: the camera's file, and the one to write")
     from gridpush_drake.perception import Camera, calibrate_pose, draw_tags, find_tag_corners, read_color, write_picture
 
-    options.check_outputs(force, out, picture)
+    options.check_outputs(force, out, picture, inputs=(photo,))
     seen_by = Camera.read(camera)
     color = read_color(photo, seen_by)
     if picture is not None:

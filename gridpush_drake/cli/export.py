@@ -47,7 +47,7 @@ def export(
         )
     if base == "planar" and chosen != "sdf":
         raise options.OptionError(f"base: is 'planar'; expected 'free', or the format sdf: {chosen} cannot say it here")
-    options.check_outputs(force, out)
+    options.check_outputs(force, out, inputs=(target,))
     loaded = options.load_target(target, largest_piece)
     obj, mass = loaded.obj, loaded.params.total_mass
     height = options.choose_height(height, obj)

@@ -49,7 +49,7 @@ def identify(
 
     if budget is not None and method == "default":
         raise options.OptionError("--budget: is for the other methods; the default one ends by itself")
-    options.check_outputs(force, out, report)
+    options.check_outputs(force, out, report, inputs=(object_file, pushes))
     obj = options.load_object(object_file, largest_piece)
     full = options.load_log(pushes, obj)
     log = full.supported

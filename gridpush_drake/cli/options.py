@@ -10,7 +10,7 @@ import typer
 
 from gridpush_drake.cli.console import print_notice, work_progress
 from gridpush_drake.errors import MAX_NUMBER, GridPushError, PlanningError
-from gridpush_drake.files import check_writable, exists
+from gridpush_drake.files import check_writable, exists, is_same
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -193,18 +193,25 @@ def executing(
         yield Execution(workers, stack.enter_context(work_progress(what)), results, prepare, executor)
 
 
-def check_outputs(force: bool, *paths: Path | None) -> None:
+def check_outputs(force: bool, *paths: Path | None, inputs: "Sequence[Path | str]" = ()) -> None:
     """Checks, before long work begins, that files may be written, each to its own place.
+
+    Args:
+        force: whether existing files may be replaced.
+        paths: to be written; None for what is not asked for.
+        inputs: files that are read, none of which may be replaced even so.
 
     Raises:
         OutputError: one may not be written.
-        OptionError: two are the same.
+        OptionError: two are the same, or one is an input.
     """
     given = [path for path in paths if path is not None]
     for i, path in enumerate(given):
         if path.resolve() in [other.resolve() for other in given[:i]]:
             raise OptionError(f"{path}: is to be written twice; expected a file of its own for each output")
         check_writable(path, force)
+        if any(is_same(path, other) for other in inputs):
+            raise OptionError(f"{path}: is read, too; expected another file to be written")
 
 
 def describe_written(*paths: Path | None) -> list[str]:

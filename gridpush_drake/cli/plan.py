@@ -52,7 +52,7 @@ def plan(
     )
     from gridpush_drake.planning.push_constraints import PushConstraints
 
-    options.check_outputs(force, out, picture)
+    options.check_outputs(force, out, picture, inputs=(model,))
     aim, pose = (
         options.parse_numbers(name, text, "x,y,theta") for name, text in (("--goal", goal), ("--start", start))
     )

@@ -39,7 +39,7 @@ def predict(
     from gridpush_drake.identification.prediction import predict as predict_log
     from gridpush_drake.pushes.plausibility import explain_no_contact
 
-    options.check_outputs(force, out)
+    options.check_outputs(force, out, inputs=(model, pushes))
     target = options.load_target(model, largest_piece)
     full = options.load_log(pushes, target.obj, require_final=False)
     log = full.supported

@@ -56,7 +56,7 @@ def record(
     from gridpush_drake.pushes.segmentation import RecordOptions, SegmenterOptions
     from gridpush_drake.pushes.stream import estimate_delay, read_stream_csv, record_pushes
 
-    options.check_outputs(force, out)
+    options.check_outputs(force, out, inputs=(stream, object_file))
     for option, value in (("--engaged-below", engaged_below), ("--pose-delay", pose_delay)):
         if not isfinite(value):
             raise options.OptionError(f"{option}: is {value}; expected a finite number")

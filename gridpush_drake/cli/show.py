@@ -20,7 +20,7 @@ def show(
     from gridpush_drake.files import write_whole
     from gridpush_drake.report.figures import draw_model, draw_object
 
-    options.check_outputs(force, out)
+    options.check_outputs(force, out, inputs=(target,))
     loaded = options.load_target(target, largest_piece)
     obj = loaded.obj
     write_whole(out, draw_object(obj) if loaded.model is None else draw_model(loaded.model), force)

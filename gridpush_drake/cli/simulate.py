@@ -44,7 +44,7 @@ def simulate(
     from gridpush_drake.objects.parameters import CellParameters
     from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
 
-    options.check_outputs(force, out, picture)
+    options.check_outputs(force, out, picture, inputs=(target,))
     loaded = options.load_target(target, largest_piece)
     finger = loaded.obj.prior.pusher_radius if radius is None else radius
     push = Push(

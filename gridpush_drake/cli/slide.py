@@ -76,7 +76,7 @@ def slide(
     from gridpush_drake.planning.pregrasp.slides import SlideOptions
     from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 
-    options.check_outputs(force, out, picture)
+    options.check_outputs(force, out, picture, inputs=(model,))
     surface = options.parse_shape("--table", table)
     target = options.load_target(model, largest_piece)
     middle = surface.polygon.representative_point()

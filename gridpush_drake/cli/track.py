@@ -84,7 +84,7 @@ def track(
     from gridpush_drake.pushes.segmentation import SegmenterOptions
     from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_pushes, write_stream_csv
 
-    options.check_outputs(force, out, picture, stream)
+    options.check_outputs(force, out, picture, stream, inputs=(video, camera, object_file, tip))
     offset = options.parse_numbers("--tip-offset", tip_offset, "x,y,z")
     seen_by, obj = Camera.read(camera), options.load_object(object_file)
     if seen_by.X_WC is None:

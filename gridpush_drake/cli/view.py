@@ -73,7 +73,7 @@ def view(
     _check_options(kind, {"--object": object_file, "--model": model_file, "--push": push}, out)
     if height is not None and not 0 < height < float("inf"):
         raise ViewError(f"--height: is {height}; expected a positive number (m)")
-    options.check_outputs(force, out)
+    options.check_outputs(force, out, inputs=(source,))
 
     def serve(meshcat: "Meshcat", overlay: "Overlay", found: dict[str, Any], lines: list[str]) -> None:
         _write_or_serve(meshcat, overlay, found, lines, out, open_page, force, json)

@@ -124,6 +124,11 @@ def test_object_says_what_is_wrong_and_shows_it(capsys, folder):
         (("absent.png", "camera.yaml"), "cannot be read"),
         (("photo.png", "photo.png"), "is not UTF-8 text"),
     ]
+    for read in ("photo.png", "camera.yaml", "depth.png"):
+        files = ("--camera", folder / "camera.yaml", "--depth", folder / "depth.png")
+        done = run_gridpush(capsys, "object", folder / "photo.png", *files, "--out", folder / read, "--force")
+        assert done.code == 2
+        assert f"{read}: is read, too" in done.err
     for (photo, camera), message in cases:
         done = run_gridpush(
             capsys, "object", folder / photo, "--camera", folder / camera, "--out", folder / "o.yaml", "--picture",

@@ -28,6 +28,16 @@ def test_predicts_final_poses_and_prints_errors(gridpush, model, pushes, tmp_pat
     )
 
 
+@pytest.mark.parametrize("command", ["predict", "identify"])
+def test_replaces_no_file_that_it_reads(refuses, model, block, pushes, tmp_path, command):
+    source = model if command == "predict" else block
+    (tmp_path / "link.csv").symlink_to(pushes)
+    before = pushes.read_bytes(), source.read_bytes()
+    for out in (pushes, source, tmp_path / "link.csv"):
+        refuses(command, source, pushes, "--out", out, "--force", says=[out, "is read, too; expected another file"])
+    assert (pushes.read_bytes(), source.read_bytes()) == before
+
+
 def test_predicts_with_an_objects_prior_and_says_so(gridpush, block, pushes, tmp_path):
     outcome = gridpush("predict", block, pushes, "--out", tmp_path / "predicted.csv")
     assert outcome.code == 0

@@ -105,3 +105,5 @@ def test_refuses(refuses, stream, thing, tmp_path):
         "record", stream, "--object", thing, "--out", out, "--engaged-below", "0.001", says=[stream, "holds no push"]
     )
     refuses("record", stream, "--object", thing, "--out", stream, says=[stream, "--force"])
+    for read in (stream, thing):
+        refuses("record", stream, "--object", thing, "--out", read, "--force", says=[read, "is read, too"])

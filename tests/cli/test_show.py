@@ -85,3 +85,9 @@ def test_says_that_a_mask_may_be_inverted(gridpush, tmp_path):
 
 def test_refuses_a_file_that_is_not_there(refuses, tmp_path):
     refuses("show", tmp_path / "none.yaml", "--out", tmp_path / "picture.png", says=["none.yaml"])
+
+
+def test_replaces_no_file_that_it_reads(refuses, block):
+    before = block.read_bytes()
+    refuses("show", block, "--out", block, "--force", says=[block, "is read, too; expected another file"])
+    assert block.read_bytes() == before
