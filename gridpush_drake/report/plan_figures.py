@@ -216,7 +216,8 @@ def _draw_goal(ax: Axes, planner: PreGraspPlanner, masses: PlausibleMassSet, pla
     ax.legend(handles=handles, fontsize=FONT - 1, frameon=False, loc="upper left")
     flat = isinstance(goal.part, FlatPart)
     how = "taken by the rim" if flat else f"{goal.part.width * MM:.0f} mm between the jaws"
-    ax.set_title(f"{goal.margin * MM:.0f} mm to spare at the worst; {how}", fontsize=FONT, color=INK)
+    room = f"{abs(goal.margin) * MM:.0f} mm {'to spare' if goal.margin >= 0 else 'too little'}"
+    ax.set_title(f"at the worst {room},\n{how}", fontsize=FONT, color=INK)
 
 
 class PushDrawn(NamedTuple):

@@ -5,6 +5,7 @@ import sys
 from dataclasses import replace
 from io import BytesIO
 from time import perf_counter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,7 +26,14 @@ from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.report.draw import calc_round_length, draw_cells, draw_outline, draw_parts, make_grid, to_png
 from gridpush_drake.report.figures import draw_model, draw_motion, draw_object, draw_pushes
-from gridpush_drake.report.plan_figures import CLOSE_UP, GraspDrawn, PushDrawn, draw_pre_grasp, draw_push_run
+from gridpush_drake.report.plan_figures import (
+    CLOSE_UP,
+    GraspDrawn,
+    PushDrawn,
+    draw_pre_grasp,
+    draw_push_run,
+    draw_slide,
+)
 from tests.helpers.made_identifications import make_block, make_identification
 from tests.helpers.shapes import make_shape
 from tests.helpers.simulated_pushes import make_pushes
@@ -159,6 +167,25 @@ def test_frames_everything_drawn_with_the_same_room_all_round():
     cells = shapely.MultiPoint(obj.cells_at(poses[-1])).buffer(CLOSE_UP).bounds
     assert low[0] <= cells[0]
     assert high[1] >= cells[3]
+
+
+@pytest.mark.parametrize(("margin", "says"), [(-0.018, "18 mm too little"), (0.012, "12 mm to spare")])
+def test_the_title_of_a_slides_goal_stays_in_the_picture(margin, says):
+    surface = SupportSurface.rectangle((0, 0), (0.8, 0.6))
+    planner = SimpleNamespace(
+        obj=make_block(), surface=surface, options=SimpleNamespace(goal=SimpleNamespace(inset=0.005))
+    )
+    square = np.array([[-0.02, -0.02], [0.02, -0.02], [0.02, 0.02], [-0.02, 0.02]])
+    part = SimpleNamespace(footprint=square, width=0.0644)
+    goal = SimpleNamespace(pose=np.array([0.0, 0.3, 1.0]), margin=margin, part=part)
+    plan = SimpleNamespace(poses=[np.zeros(3)], pushes=[], poke=None, status="failed", goal=goal)
+    masses = SimpleNamespace(center_of_mass_polygon=square / 2)
+    figure = draw_slide(planner, masses, plan)
+    figure.canvas.draw()
+    title = figure.axes[1].title
+    assert title.get_text() == f"at the worst {says},\n64 mm between the jaws"
+    extent = title.get_window_extent()
+    assert extent.x0 >= 0 and extent.x1 <= figure.bbox.width
 
 
 def test_draws_many_poses_quickly():
