@@ -36,7 +36,8 @@ PushesFile = Annotated[
     Path,
     typer.Argument(
         metavar="PUSHES.csv",
-        help="A push log: push,t,tip_x,tip_y,object_x,object_y,object_theta[,force_x,force_y][,overhang].",
+        help="A push log, a CSV file with the columns push, t, tip_x, tip_y, object_x, object_y, object_theta and, if"
+        " known, force_x, force_y, overhang and table.",
         show_default=False,
     ),
 ]

@@ -25,7 +25,8 @@ def record(
         Path,
         typer.Argument(
             metavar="STREAM.csv",
-            help="t,tip_x,tip_y[,tip_z][,tip_vx,tip_vy,tip_vz],object_x,object_y,object_theta; empty where not seen.",
+            help="A CSV file with the columns t, tip_x, tip_y, object_x, object_y, object_theta and, if known, tip_z"
+            " and tip_vx, tip_vy, tip_vz; cells are empty where something was not seen.",
             show_default=False,
         ),
     ],

@@ -37,6 +37,13 @@ def test_a_paragraph_of_help_is_one_line_of_the_docstring():
     assert [text for text in paragraphs if "\n" in text] == []
 
 
+@pytest.mark.parametrize("command", ["identify", "predict", "record"])
+def test_a_terminal_of_80_columns_shows_all_columns_of_a_log(gridpush, command, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    shown = gridpush(command, "--help").out
+    assert "object_theta" in shown and "…" not in shown
+
+
 @pytest.mark.parametrize("command", [(), ("import",), ("bench",)], ids=" ".join)
 def test_shows_its_help_where_nothing_is_asked(gridpush, command):
     assert "Commands" in gridpush(*command).out
