@@ -24,6 +24,7 @@ from gridpush_drake.station.identify_task import IdentifyTask
 from gridpush_drake.station.pregrasp_task import PreGraspRecord, PreGraspTask
 from gridpush_drake.station.push_task import PushTask
 from gridpush_drake.station.scenario import PushScenario, format_scenario, parse_scenario
+from gridpush_drake.station.scene import use_object
 from gridpush_drake.station.task import StationTask, TaskRecord, TaskStatus
 
 SCENARIO, EPISODES, TABLE, REPLAYS = "scenario.yaml", "episodes.jsonl", "table.md", "replays"
@@ -125,7 +126,8 @@ def run_episode(job: EpisodeJob) -> Episode:
     begin = perf_counter()
     try:
         scenario = parse_scenario(Path("scenario.yaml"), job.scenario)
-        scenario.object, scenario.seed = job.object, job.seed
+        use_object(scenario, job.object)
+        scenario.seed = job.seed
         task = TASKS[job.task].make(scenario)
         record = task.run()
     except GridPushError as error:

@@ -92,14 +92,14 @@ def demo(
     from gridpush_drake.multibody.meshcat_server import StartMeshcatServer
     from gridpush_drake.station.robot import make_robot_directives
     from gridpush_drake.station.scenario import read_scenario
-    from gridpush_drake.station.scene import check_scenario
+    from gridpush_drake.station.scene import check_scenario, use_object
 
     if pushes is not None and task is not TaskName.identify:
         raise options.OptionError(f"--pushes: is for --task identify; {task} decides itself how many to make")
     chosen = TASKS[task]
     scenario = read_scenario(scenario_file) if scenario_file else chosen.make_scenario()
     if object_file is not None:
-        scenario.object = object_file
+        use_object(scenario, object_file)
     if pushes is not None:
         scenario.pokes.count = pushes
     if camera is not None:

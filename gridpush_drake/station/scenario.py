@@ -477,7 +477,7 @@ class PushScenario(_Config):
         version: of the schema.
         object: name of a shipped object, or an object file, relative to the scenario's own file.
         object_pose: [x, y, theta] of B in W at the beginning, m and rad.
-        object_height: thickness of the object, m.
+        object_height: thickness of the object, m; of another object (`use_object`) that which its file says.
         object_friction: [least, greatest] friction of any of its cells against the table, as it is known beforehand,
             beside what the object's file says: what both allow holds. The narrower, the better the pushes show where
             the mass is. null where the file says it all.

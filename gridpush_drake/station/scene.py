@@ -45,6 +45,16 @@ def load_object(scenario: PushScenario) -> GridObject:
     return obj if scenario.object_friction is None else _bound_friction(obj, *scenario.object_friction)
 
 
+def use_object(scenario: PushScenario, name: str) -> None:
+    """Gives a scenario another object, with the height that its file says.
+
+    Raises:
+        ScenarioError: as `load_object`.
+    """
+    scenario.object = name
+    scenario.object_height = load_object(scenario).height or scenario.object_height
+
+
 def load_others(scenario: PushScenario) -> list[GridObject]:
     """Reads the scenario's other objects. Raises ScenarioError as `load_object` does."""
     return [_read_object(other.object, f"others[{at}].object") for at, other in enumerate(scenario.others)]

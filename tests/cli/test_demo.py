@@ -216,6 +216,13 @@ def test_refuses_an_object_larger_than_the_table(refuses, tmp_path):
     )
 
 
+def test_takes_the_height_that_the_object_s_file_says(refuses, tmp_path):
+    post = tmp_path / "post.yaml"
+    post.write_text("name: post\noutline: [[0, 0], [0.05, 0], [0.05, 0.05], [0, 0.05]]\nmax_cells: 9\nheight: 0.3\n")
+    says = ["finger.travel_height", "more than the object's height", "0.308 m"]
+    refuses("demo", "--task", "identify", "--object", post, "--out", tmp_path / "demo", says=says)
+
+
 def test_refuses_a_port_in_use(gridpush, tmp_path):
     server = StartMeshcatServer(0)
     with socket.socket() as probe:
