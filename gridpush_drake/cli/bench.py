@@ -145,7 +145,10 @@ def paper(
     ] = None,
     budget: Annotated[int, typer.Option(min=1, help="Most simulated pushes of an identification.")] = 1500,
     figure: Annotated[
-        Path | None, typer.Option(metavar="FIGURE.png", help="Also draw the error against the number of simulations.")
+        Path | None,
+        typer.Option(
+            metavar="FIGURE.png", callback=options.PNG, help="Also draw the error against the number of simulations."
+        ),
     ] = None,
     figures: Annotated[
         Path | None,
@@ -175,7 +178,10 @@ def real(
     objects: Objects = None,
     splits: Annotated[int, typer.Option(min=1, help="Divisions of a log into pushes to learn from and others.")] = 10,
     figure: Annotated[
-        Path | None, typer.Option(metavar="FIGURE.png", help="Also draw the error against the number of pushes.")
+        Path | None,
+        typer.Option(
+            metavar="FIGURE.png", callback=options.PNG, help="Also draw the error against the number of pushes."
+        ),
     ] = None,
     force: options.Force = False,
     **common: Any,

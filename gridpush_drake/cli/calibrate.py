@@ -29,7 +29,9 @@ def calibrate(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="CAMERA.yaml", help="The camera's file with X_WC, to write.")
     ] = None,
-    picture: Annotated[Path | None, typer.Option(metavar="SEEN.png", help="The tags that were seen.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="SEEN.png", callback=options.PNG, help="The tags that were seen.")
+    ] = None,
     sheet: Annotated[
         Path | None, typer.Option("--print", metavar="BOARD.pdf", help="Write the board instead, to print at 100 %.")
     ] = None,

@@ -28,7 +28,10 @@ def identify(
     pushes: options.PushesFile,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="MODEL.yaml", help="The model to write.")],
     report: Annotated[
-        Path | None, typer.Option(metavar="REPORT.html", help="Also write a report, one self-contained page.")
+        Path | None,
+        typer.Option(
+            metavar="REPORT.html", callback=options.HTML, help="Also write a report, one self-contained page."
+        ),
     ] = None,
     method: Annotated[Method, typer.Option(help="How to search; all but the first are for comparison.")] = "default",
     seed: options.Seed = 0,

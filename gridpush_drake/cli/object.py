@@ -41,7 +41,8 @@ def make_object(
         "object.yaml"
     ),
     picture: Annotated[
-        Path | None, typer.Option(metavar="SEEN.png", help="What was seen; also where no object was found.")
+        Path | None,
+        typer.Option(metavar="SEEN.png", callback=options.PNG, help="What was seen; also where no object was found."),
     ] = None,
     name: Annotated[str | None, typer.Option(help="Name of the object.", show_default="the photograph's")] = None,
     height: Annotated[

@@ -10,7 +10,7 @@ import typer
 
 from gridpush_drake.cli.console import print_notice, work_progress
 from gridpush_drake.errors import MAX_NUMBER, GridPushError, PlanningError
-from gridpush_drake.files import check_writable, exists, is_same
+from gridpush_drake.files import check_writable, exists, is_file, is_same
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -41,6 +41,20 @@ PushesFile = Annotated[
         show_default=False,
     ),
 ]
+
+
+def expect_ending(*endings: str) -> "Callable[[Path | None], Path | None]":
+    """Makes the callback of an option that refuses a file to be written whose name has none of the endings."""
+
+    def check(path: Path | None) -> Path | None:
+        if path is not None and path.suffix.lower() not in endings and (is_file(path) or not exists(path)):
+            raise typer.BadParameter(f"is {str(path)!r}; expected a name that ends with {endings[0]}")
+        return path
+
+    return check
+
+
+PNG, HTML = expect_ending(".png"), expect_ending(".html", ".htm")
 
 Force = Annotated[bool, typer.Option("--force", help="Replace output files that exist.")]
 

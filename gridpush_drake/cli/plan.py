@@ -35,7 +35,9 @@ def plan(
     max_pushes: Annotated[int, typer.Option(min=0, help="Greatest number of pushes.")] = 25,
     horizon: Annotated[int, typer.Option(min=1, max=2, help="Pushes to look ahead.")] = 2,
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="PLAN.yaml", help="Write the plan.")] = None,
-    picture: Annotated[Path | None, typer.Option(metavar="PICTURE.png", help="Draw the plan.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="PICTURE.png", callback=options.PNG, help="Draw the plan.")
+    ] = None,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,

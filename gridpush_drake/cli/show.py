@@ -11,7 +11,9 @@ from gridpush_drake.cli.console import MM, print_found
 
 def show(
     target: options.ObjectOrModel,
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="PICTURE.png", help="The picture to write.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="PICTURE.png", callback=options.PNG, help="The picture to write.")
+    ],
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,
@@ -20,7 +22,7 @@ def show(
     from gridpush_drake.files import write_whole
     from gridpush_drake.report.figures import draw_model, draw_object
 
-    options.check_outputs(force, out, inputs=(target,))
+    options.check_outputs(force, out)
     loaded = options.load_target(target, largest_piece)
     obj = loaded.obj
     write_whole(out, draw_object(obj) if loaded.model is None else draw_model(loaded.model), force)

@@ -30,7 +30,9 @@ def simulate(
     ] = None,
     samples: Annotated[int, typer.Option(min=1, help="Poses to write to the log, after the first.")] = 10,
     out: Annotated[Path | None, typer.Option("--out", "-o", metavar="LOG.csv", help="Write a push log.")] = None,
-    picture: Annotated[Path | None, typer.Option(metavar="PICTURE.png", help="Draw the motion.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="PICTURE.png", callback=options.PNG, help="Draw the motion.")
+    ] = None,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
     json: options.Json = False,

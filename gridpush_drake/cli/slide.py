@@ -53,7 +53,10 @@ def slide(
         Path | None, typer.Option("--out", "-o", metavar="PLAN", help="Write the plan: .yaml, or .json for JSON.")
     ] = None,
     picture: Annotated[
-        Path | None, typer.Option(metavar="PICTURE.png", help="Draw the plan, what hangs over and what holds it.")
+        Path | None,
+        typer.Option(
+            metavar="PICTURE.png", callback=options.PNG, help="Draw the plan, what hangs over and what holds it."
+        ),
     ] = None,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,

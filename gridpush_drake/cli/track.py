@@ -64,7 +64,9 @@ def track(
     by: Annotated[
         str, typer.Option(metavar="auto|outline|tag", help="What tells the object's pose; auto: its file's tag.")
     ] = "auto",
-    picture: Annotated[Path | None, typer.Option(metavar="SEEN.png", help="What was seen first and last.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="SEEN.png", callback=options.PNG, help="What was seen first and last.")
+    ] = None,
     stream: Annotated[
         Path | None, typer.Option(metavar="STREAM.csv", help="Also write all poses, as `gridpush record` reads them.")
     ] = None,

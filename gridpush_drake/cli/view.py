@@ -55,7 +55,10 @@ def view(
     ] = None,
     open_page: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")] = True,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="FILE.html", help="Write the page instead of serving it.")
+        Path | None,
+        typer.Option(
+            "--out", "-o", metavar="FILE.html", callback=options.HTML, help="Write the page instead of serving it."
+        ),
     ] = None,
     film: Annotated[
         Path | None,

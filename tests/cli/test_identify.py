@@ -57,7 +57,7 @@ def test_refuses_to_replace_a_file_before_it_begins(refuses, block, pushes, tmp_
 
 
 def test_refuses_one_file_for_two_outputs(refuses, block, pushes, tmp_path):
-    same = tmp_path / "out"
+    same = tmp_path / "out.html"
     refuses("identify", block, pushes, "--out", same, "--report", same, says=[same, "written twice"])
 
 

@@ -87,7 +87,7 @@ def test_refuses_a_file_that_is_not_there(refuses, tmp_path):
     refuses("show", tmp_path / "none.yaml", "--out", tmp_path / "picture.png", says=["none.yaml"])
 
 
-def test_replaces_no_file_that_it_reads(refuses, block):
-    before = block.read_bytes()
-    refuses("show", block, "--out", block, "--force", says=[block, "is read, too; expected another file"])
-    assert block.read_bytes() == before
+def test_a_picture_s_name_ends_as_its_form_does(refuses, tmp_path):
+    refuses("show", "claw_hammer", "--out", tmp_path / "hammer.pdf", says=["--out", "hammer.pdf", "ends with .png"])
+    refuses("view", "claw_hammer", "--out", tmp_path / "hammer.txt", says=["--out", "hammer.txt", "ends with .html"])
+    assert not list(tmp_path.iterdir())

@@ -62,7 +62,9 @@ def test_refuses(refuses, pushes, block, model, tmp_path):
     refuses("view", model, "--push", "push_01", *out, says=["--push", ".csv"])
     refuses("view", model, "--height", "0", *out, says=["--height", "positive"])
     refuses("view", model, "--out", tmp_path, says=[tmp_path, "is a folder"])
-    refuses("view", model, "--out", model, says=[model, "--force"])
+    page = tmp_path / "old.html"
+    page.write_text("a page")
+    refuses("view", model, "--out", page, says=[page, "--force"])
     model.unlink()
     refuses("view", pushes, *out, says=[pushes, "--object", "model.yaml"])
 
