@@ -121,7 +121,7 @@ def test_a_slide_in_which_the_object_is_shoved_over_the_edge_is_broken_off():
             return
         context = task.controller.GetMyContextFromRoot(stranger.context)
         monitor = task.controller._get_state(context).monitor
-        far = next(far for far in np.arange(0.0, 0.2, 0.002) if monitor.find_fault(stranger.pose + far * outwards))
+        far = next(far for far in np.arange(0.0, 0.4, 0.002) if monitor.find_fault(stranger.pose + far * outwards))
         shoved.append(far)
         stranger.put(stranger.pose + (far + 0.002) * outwards)
 
