@@ -25,6 +25,11 @@ PLAIN_PERIOD = 5.0
 """s, at least, between two plain lines about the same thing."""
 
 
+def count_noun(count: int, noun: str) -> str:
+    """Says how many there are: "1 push", "2 pushes", "3 cells"."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}{'es' if noun.endswith('sh') else 's'}"
+
+
 def print_line(text: str = "") -> None:
     """Prints a line of plain words on standard output, wrapped to the terminal."""
     from rich.console import Console

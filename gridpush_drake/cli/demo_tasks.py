@@ -9,7 +9,7 @@ import yaml
 from pydrake.geometry import Meshcat
 
 from gridpush_drake.bench.campaign import calc_center_error
-from gridpush_drake.cli.console import MM, count_progress, print_line
+from gridpush_drake.cli.console import MM, count_noun, count_progress, print_line
 from gridpush_drake.files import write_whole
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.model_file import write_model
@@ -344,7 +344,7 @@ class PreGraspDemo(DemoTask):
     def describe_step(self, task: Any, status: PushStatus) -> tuple[str, int]:
         """What the controller is at."""
         now = task.read("status", task.controller)
-        return f"{now.mode}, {_count(now.pokes, 'poke')} and {_count(now.slides, 'slide')}", int(now.over)
+        return f"{now.mode}, {count_noun(now.pokes, 'poke')} and {count_noun(now.slides, 'slide')}", int(now.over)
 
     def name_phase(self, status: Any) -> str:
         """A phase a step of the controller."""
@@ -363,7 +363,7 @@ class PreGraspDemo(DemoTask):
     def describe(self, summary: dict[str, Any]) -> list[str]:
         """Whether the object was lifted, and how well its center of mass was known."""
         name = summary["object"].replace("_", " ")
-        did = f"{_count(summary['pokes'], 'poke')} and {_count(summary['slides'], 'slide')}"
+        did = f"{count_noun(summary['pokes'], 'poke')} and {count_noun(summary['slides'], 'slide')}"
         lines = [f"The {name} after {did}: {summary['message']}"]
         if "after" in summary:
             lines.append(_compare("error of the center of mass", "center_of_mass_error", summary))
@@ -381,8 +381,9 @@ class PreGraspDemo(DemoTask):
         ]
         grasp = next((step.grasp for step in reversed(record.steps) if step.grasp is not None), None)
         drawn = None if grasp is None else GraspDrawn(np.array([grasp.x, grasp.y]), grasp.approach)
+        spent = f"{count_noun(last.pokes, 'poke')} and {count_noun(last.slides, 'slide')}"
         return ReportSummary(
-            headline=f"{record.message} It took {_count(last.pokes, 'poke')} and {_count(last.slides, 'slide')}.",
+            headline=f"{record.message} It took {spent}.",
             facts=(
                 ("pokes", str(last.pokes)),
                 ("slides", str(last.slides)),
@@ -416,7 +417,3 @@ def _calc_center_errors(record: Any) -> dict[str, float]:
 def _compare(what: str, key: str, summary: dict[str, Any]) -> str:
     before, after = (summary[when][key] * MM for when in ("before", "after"))
     return f"  {what}: {before:.1f} mm assuming an even object, {after:.1f} mm as learned"
-
-
-def _count(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import MM, print_found, search_progress
+from gridpush_drake.cli.console import MM, count_noun, print_found, search_progress
 
 if TYPE_CHECKING:
     from gridpush_drake.identification.result import Identification
@@ -115,7 +115,8 @@ def explain_result(result: "Identification", found: dict[str, Any]) -> list[str]
         for value, variance in zip(center, spread.diagonal(), strict=True)
     )
     lines = [
-        f"{result.obj.name}: {result.obj.n} cells, {len(result.push_names)} pushes, {result.simulations} simulations",
+        f"{result.obj.name}: {count_noun(result.obj.n, 'cell')}, {count_noun(len(result.push_names), 'push')}, "
+        f"{result.simulations} simulations",
         result.message,
         *([found["doubt"]] if found["doubt"] else []),
         f"cell error of these pushes: {found['mean_cell_error'] * MM:.2f} mm; "

@@ -12,7 +12,7 @@ import typer
 from typer.core import TyperGroup
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import print_found
+from gridpush_drake.cli.console import count_noun, print_found
 from gridpush_drake.errors import OutputError
 from gridpush_drake.files import exists, make_folder
 
@@ -74,7 +74,7 @@ def _make_command(name: str, importer: "type[Importer]") -> Any:
         pushes.write_csv(paths[0], force)
         obj.write_yaml(paths[1], force=force)
         found = {"object": obj.name, "cells": obj.n, "pushes": len(pushes), "written": list(map(str, paths))}
-        print_found(found, [f"{len(pushes)} pushes of {obj.name}. Wrote {paths[0]} and {paths[1]}."], json)
+        print_found(found, [f"{count_noun(len(pushes), 'push')} of {obj.name}. Wrote {paths[0]} and {paths[1]}."], json)
 
     file = Annotated[Path, typer.Argument(metavar=importer.file, help=f"A file of {importer.source}.")]
     parameters = [Parameter("file", Parameter.POSITIONAL_OR_KEYWORD, annotation=file)]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from gridpush_drake.cli.console import print_notice, work_progress
+from gridpush_drake.cli.console import count_noun, print_notice, work_progress
 from gridpush_drake.errors import MAX_NUMBER, GridPushError, PlanningError
 from gridpush_drake.files import check_writable, exists, is_file, is_same
 
@@ -282,8 +282,7 @@ def load_log(path: Path, obj: "GridObject", *, require_final: bool = True) -> "P
 
 def describe_overhanging(names: "Sequence[str]") -> str:
     """Says which pushes were left out, and why."""
-    count = f"{len(names)} push{'' if len(names) == 1 else 'es'}"
-    return f"left out {count}, as the object hung over the table's edge: {', '.join(names)}"
+    return f"left out {count_noun(len(names), 'push')}, as the object hung over the table's edge: {', '.join(names)}"
 
 
 NOTICE = "compiling kernels (once a machine) ..."

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import MM, print_json, print_line, print_table
+from gridpush_drake.cli.console import MM, count_noun, print_json, print_line, print_table
 
 if TYPE_CHECKING:
     from gridpush_drake.identification.prediction import ErrorSummary, Prediction
@@ -92,7 +92,7 @@ def predict(
     if found["overhanging"]:
         print_line(options.describe_overhanging(found["overhanging"]))
     if summaries:
-        print_errors(f"Errors of {summaries[0].pushes} final poses", summaries)
+        print_errors(f"Errors of {count_noun(summaries[0].pushes, 'final pose')}", summaries)
     within, of = found["within_interval"]
     if of:
         print_line(f"{within} of {of} cell errors are within what the model expects of 90 %.")

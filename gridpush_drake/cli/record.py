@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import MM, print_found
+from gridpush_drake.cli.console import MM, count_noun, print_found
 
 MS = 1e3
 """Milliseconds in a second."""
@@ -92,7 +92,7 @@ def record(
         "written": [str(out)],
     }
     length = sum(seen.push.length for seen in log) / len(log)
-    lines = [f"{len(log)} pushes, {length * MM:.0f} mm long on average."]
+    lines = [f"{count_noun(len(log), 'push')}, {length * MM:.0f} mm long on average."]
     if delay is not None:
         lines.append(
             f"The object's poses are {delay.value * MS:.0f} +- {delay.std * MS:.0f} ms later than --pose-delay says, "

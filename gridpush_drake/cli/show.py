@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import MM, print_found
+from gridpush_drake.cli.console import MM, count_noun, print_found
 
 
 def show(
@@ -37,5 +37,6 @@ def show(
     }
     left, low, right, high = (bound * MM for bound in obj.outline.bounds)
     size = f"{right - left:.0f} mm by {high - low:.0f} mm"
-    line = f"{obj.name}: {size}, {obj.n} cells of {obj.cell_size * MM:.1f} mm, {len(parts)} part(s)"
+    cells, pieces = count_noun(obj.n, "cell"), count_noun(len(parts), "part")
+    line = f"{obj.name}: {size}, {cells} of {obj.cell_size * MM:.1f} mm, {pieces}"
     print_found(found, [line, *options.describe_written(out)], json)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import print_json, print_line
+from gridpush_drake.cli.console import count_noun, print_json, print_line
 from gridpush_drake.cli.object import TagSize
 from gridpush_drake.errors import CameraError, ImageError, PerceptionError
 
@@ -135,7 +135,8 @@ def track(
     if json:
         print_json({"object": obj.name, "frames": len(t), "lost": lost, "pushes": len(log), "written": str(out)})
     else:
-        print_line(f"{len(log)} pushes in {len(t)} frames, in {lost} of which the object was not found. Wrote {out}.")
+        count = count_noun(len(log), "push")
+        print_line(f"{count} in {len(t)} frames, in {lost} of which the object was not found. Wrote {out}.")
 
 
 class _TipFinder:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from gridpush_drake.cli import options
-from gridpush_drake.cli.console import print_found
+from gridpush_drake.cli.console import count_noun, print_found
 from gridpush_drake.errors import GridPushError
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ def _view_pushes(
 
     meshcat = StartMeshcatServer(port)
     AddPushes(meshcat, target, picked, predictions, shows, options.choose_height(height, target.obj))
-    lines = [f"{target.obj.name}: {len(picked)} push{'' if len(picked) == 1 else 'es'}"]
+    lines = [f"{target.obj.name}: {count_noun(len(picked), 'push')}"]
     if predictions:
         lines += ["Solid: as observed. Orange: as the model predicts it.", describe_colors(shows)]
     cell = [error for error in errors if error.name == "cell"]

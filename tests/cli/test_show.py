@@ -91,3 +91,10 @@ def test_a_picture_s_name_ends_as_its_form_does(refuses, tmp_path):
     refuses("show", "claw_hammer", "--out", tmp_path / "hammer.pdf", says=["--out", "hammer.pdf", "ends with .png"])
     refuses("view", "claw_hammer", "--out", tmp_path / "hammer.txt", says=["--out", "hammer.txt", "ends with .html"])
     assert not list(tmp_path.iterdir())
+
+
+def test_one_of_a_kind_is_said_so(gridpush, tmp_path):
+    cell = tmp_path / "cell.yaml"
+    cell.write_text("name: cell\noutline: [[0, 0], [0.05, 0], [0.05, 0.05], [0, 0.05]]\nmax_cells: 1\n")
+    out = gridpush("show", cell, "--out", tmp_path / "cell.png").out
+    assert "1 cell of 50.0 mm, 1 part\n" in out

@@ -296,6 +296,7 @@ def test_carries_the_table(write, tmp_path):
     "text, says",
     [
         ("POLYGON ((0 0, 1 0, 0 1, 1 1, 0 0))", "does not cross itself"),
+        ("POLYGON ((0 0, 4 0, 4 4, 0 4, 0 0), (1 1, 2 1, 2 2, 1 2, 1 1))", "no hole"),
         ("POINT (1 2)", "expected POLYGON"),
         ("POLYGON ((0 0, nan 1, 1 1, 0 0))", "expected POLYGON"),
         ("POLYGON ((0 0, inf 1, 1 1, 0 0))", "expected POLYGON"),
