@@ -18,7 +18,7 @@ def make_problem(regime: str) -> PushProblem:
     obj = GridObject.from_outline([[-0.02, -0.06], [0.03, -0.06], [0.03, 0.04], [-0.02, 0.05]], max_cells=20)
     truth = CellParameters.random(obj, 1, by="cell", mass_range=(0.02, 0.2))
     log = make_pokes(obj, truth, 3, 2, length=0.03, observations=2, noise=(5e-4, 4e-3))
-    return PushProblem(obj, log, CellParameters.uniform(obj, friction=0.4), regime)
+    return PushProblem(obj, log, replace(CellParameters.uniform(obj, friction=0.4), patch_ratio=0.2), regime)
 
 
 @pytest.mark.parametrize("regime", ["quasi_static", "inertial"])
