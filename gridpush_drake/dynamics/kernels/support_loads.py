@@ -35,9 +35,10 @@ import numpy as np
 from gridpush_drake.dynamics.kernels.compiled import kernel
 
 _NEWTON_LIMIT = 60
-_TOLERANCE = 1e-10  # of the cells' reach: the center of the loads against p*
+_TOLERANCE = 1e-13  # of the cells' reach: the center of the loads against p*
 _LONGEST_STEP = 2.0  # of b times the cells' reach: exp(b·p) then stays in proportion
 _STEEPEST = 200.0  # of b times the cells' reach, beyond which no loads are looked for
+_SAME_GAP = 1e-15  # m by which gaps between lines of cells may differ and count as the same
 _SHARE = 0.01  # eps: keeps A regular where the cells are in a line
 
 
@@ -139,8 +140,10 @@ def find_loads(support, cells, cell_size, state, loads, k):
     near = _cover(support.table, cells, cell_size, reach, state, share, slope)
     weight = support.weight
     loads.shift[0], loads.shift[1] = loads.friction[0] / weight, loads.friction[1] / weight
-    center[0] = support.com_x + support.height * loads.shift[0]
-    center[1] = support.com_y + support.height * loads.shift[1]
+    center_x = support.com_x + support.height * loads.shift[0]
+    center_y = support.com_y + support.height * loads.shift[1]
+    _predict_tilt(loads, center_x - center[0], center_y - center[1], reach)
+    center[0], center[1] = center_x, center_y
     found, S = _find_tilt(support, cells, cell_size, loads)
     if support.table.shape[0] > 0:
         x = state.x + state.c * center[0] - state.s * center[1]
@@ -209,6 +212,16 @@ def measure_depth(table, x, y):
 
 
 @kernel(allocates=False)
+def _predict_tilt(loads, dx, dy, reach):
+    """Moves the last step's b by A^-1 dp*, where that is little; A^-1 is zero before the first step."""
+    inverse, tilt = loads.inverse, loads.tilt
+    step_x = inverse[0, 0] * dx + inverse[0, 1] * dy
+    step_y = inverse[1, 0] * dx + inverse[1, 1] * dy
+    if (abs(step_x) + abs(step_y)) * reach < _LONGEST_STEP:
+        tilt[0], tilt[1] = tilt[0] + step_x, tilt[1] + step_y
+
+
+@kernel(allocates=False)
 def _find_tilt(support, cells, cell_size, loads):
     """Finds b from the last step's by Newton's method; returns whether it exists, and S at the last b tried."""
     reach, exp_x, exp_y = support.reach, loads.exp_x, loads.exp_y
@@ -219,10 +232,8 @@ def _find_tilt(support, cells, cell_size, loads):
     from_x, from_y = min(max(center[0], -reach), reach), min(max(center[1], -reach), reach)
     for _ in range(_NEWTON_LIMIT):
         b0, b1 = tilt[0], tilt[1]
-        for i in range(exp_x.shape[0]):
-            exp_x[i] = exp(b0 * (support.xs[i] - from_x))
-        for i in range(exp_y.shape[0]):
-            exp_y[i] = exp(b1 * (support.ys[i] - from_y))
+        _fill_exponentials(support.xs, b0, from_x, exp_x)
+        _fill_exponentials(support.ys, b1, from_y, exp_y)
         S, sx, sy, sxx, sxy, syy = _sum_moments(support, cells, loads)
         if not S > 0.0:
             break
@@ -249,6 +260,18 @@ def _find_tilt(support, cells, cell_size, loads):
             break
         tilt[0], tilt[1] = b0, b1
     return False, S
+
+
+@kernel(allocates=False)
+def _fill_exponentials(lines, b, origin, values):
+    """Fills in exp(b (x - origin)) of lines at x, which increase; those that are as far apart share a factor."""
+    values[0] = exp(b * (lines[0] - origin))
+    gap, factor = 0.0, 1.0
+    for i in range(1, lines.shape[0]):
+        step = lines[i] - lines[i - 1]
+        if abs(step - gap) > _SAME_GAP:
+            gap, factor = step, exp(b * step)
+        values[i] = values[i - 1] * factor
 
 
 @kernel(allocates=False, fast_sums=True)
@@ -280,7 +303,7 @@ def _reach_out(x):
     return value, slope
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, fast_sums=True)
 def fill_load_columns(support, cells, loads, k, Q, n_other):
     """Turns f_i = dg/dk_i in rows 6-8 of Q into df by each m_i and, where there is room, by h and each mu_i.
 
@@ -294,23 +317,24 @@ def fill_load_columns(support, cells, loads, k, Q, n_other):
     """
     n, mass, mu = cells.shape[1], support.mass, support.friction
     G0, G1, inverse, mean, center = loads.total, loads.by_tilt, loads.inverse, loads.mean, loads.center
-    G0[:] = 0.0
-    G1[:, :] = 0.0
     by_pose, by_force = loads.by_pose, loads.by_force
     by_pose[:, :] = 0.0
     weight = support.weight
-    for i in range(n):
-        for j in range(3):
-            force = Q[6 + j, i] * k[i]
-            G0[j] += force
-            G1[j, 0] += force * (cells[0, i] - mean[0])
-            G1[j, 1] += force * (cells[1, i] - mean[1])
+    px, py = cells[0], cells[1]
+    for j in range(3):
+        f, total, by_x, by_y = Q[6 + j], 0.0, 0.0, 0.0
+        for i in range(n):
+            force = f[i] * k[i]
+            total += force
+            by_x += force * (px[i] - mean[0])
+            by_y += force * (py[i] - mean[1])
+        G0[j], G1[j, 0], G1[j, 1] = total, by_x, by_y
     # G1 A^-1: the force by the center of the loads
     for j in range(3):
         a, b = G1[j, 0], G1[j, 1]
         G1[j, 0], G1[j, 1] = a * inverse[0, 0] + b * inverse[1, 0], a * inverse[0, 1] + b * inverse[1, 1]
         by_force[j, 0], by_force[j, 1] = G1[j, 0] * support.height / weight, G1[j, 1] * support.height / weight
-    for i in range(n):
+    for i in range(n if support.table.shape[0] > 0 else 0):
         arm_x, arm_y = cells[0, i] - mean[0], cells[1, i] - mean[1]
         for j in range(3):
             # df by w_i sigma_i' at a given twist
@@ -325,15 +349,18 @@ def fill_load_columns(support, cells, loads, k, Q, n_other):
         h = n + n_other
         for j in range(3):
             Q[6 + j, h] = G1[j, 0] * loads.shift[0] + G1[j, 1] * loads.shift[1]
-    for i in range(n):
-        w = loads.share[i]
-        dx = (cells[0, i] - support.com_x - shift_x) / whole - w * (cells[0, i] - mean[0])
-        dy = (cells[1, i] - support.com_y - shift_y) / whole - w * (cells[1, i] - mean[1])
-        for j in range(3):
-            f = Q[6 + j, i]
-            if width > frictions:
-                Q[6 + j, frictions + i] = f * weight * mass[i] * w
-            Q[6 + j, i] = f * mu[i] * weight * w + G0[j] * (1.0 / whole - w) + G1[j, 0] * dx + G1[j, 1] * dy
+    one, share = 1.0 / whole, loads.share
+    for j in range(3):
+        f, total, by_x, by_y = Q[6 + j], G0[j], G1[j, 0], G1[j, 1]
+        if width > frictions:
+            by_friction = f[frictions:]
+            for i in range(n):
+                by_friction[i] = f[i] * weight * mass[i] * share[i]
+        for i in range(n):
+            w = share[i]
+            dx = (px[i] - support.com_x - shift_x) * one - w * (px[i] - mean[0])
+            dy = (py[i] - support.com_y - shift_y) * one - w * (py[i] - mean[1])
+            f[i] = f[i] * mu[i] * weight * w + total * (one - w) + by_x * dx + by_y * dy
 
 
 @kernel(allocates=False, fast_sums=True)
