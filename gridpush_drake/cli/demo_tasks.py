@@ -344,7 +344,7 @@ class PreGraspDemo(DemoTask):
     def describe_step(self, task: Any, status: PushStatus) -> tuple[str, int]:
         """What the controller is at."""
         now = task.read("status", task.controller)
-        return f"{now.mode}, {count_noun(now.pokes, 'poke')} and {count_noun(now.slides, 'slide')}", int(now.over)
+        return f"{now.mode}, {_count_pushes(now.pokes, now.slides)}", int(now.over)
 
     def name_phase(self, status: Any) -> str:
         """A phase a step of the controller."""
@@ -363,8 +363,7 @@ class PreGraspDemo(DemoTask):
     def describe(self, summary: dict[str, Any]) -> list[str]:
         """Whether the object was lifted, and how well its center of mass was known."""
         name = summary["object"].replace("_", " ")
-        did = f"{count_noun(summary['pokes'], 'poke')} and {count_noun(summary['slides'], 'slide')}"
-        lines = [f"The {name} after {did}: {summary['message']}"]
+        lines = [f"The {name} after {_count_pushes(summary['pokes'], summary['slides'])}: {summary['message']}"]
         if "after" in summary:
             lines.append(_compare("error of the center of mass", "center_of_mass_error", summary))
         return lines
@@ -381,9 +380,8 @@ class PreGraspDemo(DemoTask):
         ]
         grasp = next((step.grasp for step in reversed(record.steps) if step.grasp is not None), None)
         drawn = None if grasp is None else GraspDrawn(np.array([grasp.x, grasp.y]), grasp.approach)
-        spent = f"{count_noun(last.pokes, 'poke')} and {count_noun(last.slides, 'slide')}"
         return ReportSummary(
-            headline=f"{record.message} It took {spent}.",
+            headline=f"{record.message} It took {_count_pushes(last.pokes, last.slides)}.",
             facts=(
                 ("pokes", str(last.pokes)),
                 ("slides", str(last.slides)),
@@ -417,3 +415,7 @@ def _calc_center_errors(record: Any) -> dict[str, float]:
 def _compare(what: str, key: str, summary: dict[str, Any]) -> str:
     before, after = (summary[when][key] * MM for when in ("before", "after"))
     return f"  {what}: {before:.1f} mm assuming an even object, {after:.1f} mm as learned"
+
+
+def _count_pushes(pokes: int, slides: int) -> str:
+    return f"{count_noun(pokes, 'poke')} and {count_noun(slides, 'slide')}"

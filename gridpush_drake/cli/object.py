@@ -72,7 +72,7 @@ def make_object(
     )
     from gridpush_drake.perception.foreground import CONTRADICTION
 
-    options.check_outputs(force, out, picture, inputs=(photo, camera, *([depth] if depth else [])))
+    options.check_outputs(force, out, picture, inputs=(photo, camera, depth))
     seen_by = Camera.read(camera)
     color = read_color(photo, seen_by)
     measured = None if depth is None else read_depth(depth, seen_by)

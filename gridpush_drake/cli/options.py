@@ -208,13 +208,13 @@ def executing(
         yield Execution(workers, stack.enter_context(work_progress(what)), results, prepare, executor)
 
 
-def check_outputs(force: bool, *paths: Path | None, inputs: "Sequence[Path | str]" = ()) -> None:
+def check_outputs(force: bool, *paths: Path | None, inputs: "Sequence[Path | str | None]" = ()) -> None:
     """Checks, before long work begins, that files may be written, each to its own place.
 
     Args:
         force: whether existing files may be replaced.
         paths: to be written; None for what is not asked for.
-        inputs: files that are read, none of which may be replaced even so.
+        inputs: files that are read, none of which may be replaced even so; None for what is not read.
 
     Raises:
         OutputError: one may not be written.
@@ -225,7 +225,7 @@ def check_outputs(force: bool, *paths: Path | None, inputs: "Sequence[Path | str
         if path.resolve() in [other.resolve() for other in given[:i]]:
             raise OptionError(f"{path}: is to be written twice; expected a file of its own for each output")
         check_writable(path, force)
-        if any(is_same(path, other) for other in inputs):
+        if any(other is not None and is_same(path, other) for other in inputs):
             raise OptionError(f"{path}: is read, too; expected another file to be written")
 
 
