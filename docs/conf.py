@@ -18,7 +18,10 @@ exclude_patterns = ["_build", "_ext", "**.ipynb_checkpoints"]
 
 html_theme = "furo"
 html_title = "gridpush_drake"
-html_static_path = ["_static", str(Path(ziamath.__file__).parent / "fonts")]  # a font with mathematics
+html_static_path = [
+    "_static",
+    str(Path(ziamath.__file__).parent / "fonts"),
+]  # a font with mathematics
 html_css_files = ["site.css"]
 html_copy_source = False
 html_show_copyright = False

@@ -6,8 +6,8 @@ from typing import Any
 class GridPushError(Exception):
     """Root of every error this package raises on bad input.
 
-    The message names the file (where there is one), the field and the expected form, so that it can be
-    shown to a user as it is.
+    The message names the file (where there is one), the field and the expected form, so that it can
+    be shown to a user as it is.
     """
 
 
@@ -59,7 +59,8 @@ class PerceptionError(GridPushError):
     """What a camera saw, or a file of what it saw, is not usable.
 
     Attributes:
-        picture: (height, width, 3) uint8 RGB, what was seen, marked; None where there is no picture to show.
+        picture: (height, width, 3) uint8 RGB, what was seen, marked; None where there is no picture
+            to show.
     """
 
     def __init__(self, message: str, picture: Any = None) -> None:
@@ -100,10 +101,13 @@ class OutputError(GridPushError):
 
 
 MAX_NUMBER = 1e12
-"""Magnitude beyond which a number is none that was measured, in SI units; what is larger overflows in calculations."""
+"""Magnitude beyond which a number is none that was measured, in SI units; what is larger overflows
+in calculations."""
 
 
-def require_positive(kind: type[GridPushError], where: str = "", unit: str = "", **values: float) -> None:
+def require_positive(
+    kind: type[GridPushError], where: str = "", unit: str = "", **values: float
+) -> None:
     """Raises `kind` for the first of some values, by name, that is not a positive number, at most MAX_NUMBER."""
     for name, value in values.items():
         if not 0 < value <= MAX_NUMBER:

@@ -40,13 +40,15 @@ def open_file(path: Path | str, what: str, error: type[GridPushError], max_size:
         The open file, which the caller closes.
 
     Raises:
-        GridPushError: `error`: there is no such file, its name is none, it is a folder, a pipe or a device, it is
-            larger than `max_size`, or the system refuses.
+        GridPushError: `error`: there is no such file, its name is none, it is a folder, a pipe or a
+            device, it is larger than `max_size`, or the system refuses.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | NON_BLOCKING)
     except (OSError, ValueError) as cause:
-        raise error(f"{shorten_path(path)}: cannot be read: {_describe(cause)}; expected {what}") from cause
+        raise error(
+            f"{shorten_path(path)}: cannot be read: {_describe(cause)}; expected {what}"
+        ) from cause
     found = os.fstat(descriptor)
     if stat.S_ISREG(found.st_mode) and found.st_size <= max_size:
         return os.fdopen(descriptor, "rb")
@@ -59,7 +61,9 @@ def open_file(path: Path | str, what: str, error: type[GridPushError], max_size:
     raise error(f"{path}: {problem}; expected {what}")
 
 
-def read_bytes(path: Path | str, what: str, error: type[GridPushError], max_size: int = MAX_TEXT_SIZE) -> bytes:
+def read_bytes(
+    path: Path | str, what: str, error: type[GridPushError], max_size: int = MAX_TEXT_SIZE
+) -> bytes:
     """Reads a regular file; the arguments and errors are those of `open_file`."""
     with open_file(path, what, error, max_size) as file:
         try:
@@ -71,7 +75,9 @@ def read_bytes(path: Path | str, what: str, error: type[GridPushError], max_size
     return data
 
 
-def read_text(path: Path | str, what: str, error: type[GridPushError], max_size: int = MAX_TEXT_SIZE) -> str:
+def read_text(
+    path: Path | str, what: str, error: type[GridPushError], max_size: int = MAX_TEXT_SIZE
+) -> str:
     """Reads a regular file of UTF-8 text, with or without a byte order mark; otherwise as `read_bytes`."""
     content = read_bytes(path, what, error, max_size)
     if content.startswith(GZIP):
@@ -117,7 +123,8 @@ def check_writable(path: Path | str, force: bool = False) -> Path:
         `path` as a Path.
 
     Raises:
-        OutputError: the file exists and `force` is not set, its name is none, or its folder is missing or read-only.
+        OutputError: the file exists and `force` is not set, its name is none, or its folder is
+            missing or read-only.
     """
     path = Path(path)
     try:
@@ -159,7 +166,9 @@ def write_whole(path: Path | str, content: str | bytes, force: bool = False) -> 
     data = content.encode() if isinstance(content, str) else content
     temporary = None
     try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=TEMPORARY_PREFIX, delete=False) as file:
+        with tempfile.NamedTemporaryFile(
+            dir=path.parent, prefix=TEMPORARY_PREFIX, delete=False
+        ) as file:
             temporary = Path(file.name)
             file.write(data)
         umask = os.umask(0)
@@ -178,7 +187,9 @@ def make_folder(path: Path | str) -> None:
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
-        raise OutputError(f"{shorten_path(path)}: cannot be made a folder: {_describe(error)}") from error
+        raise OutputError(
+            f"{shorten_path(path)}: cannot be made a folder: {_describe(error)}"
+        ) from error
 
 
 def shorten_path(path: Path | str) -> str:

@@ -2,8 +2,9 @@
 
 No key stands twice, and 1e-3 is a number.
 
-An alias or a merge key of a few bytes can stand for billions of values. So a document is composed first, which costs
-no more than its text, and measured with its aliases written out, before anything is made of it.
+An alias or a merge key of a few bytes can stand for billions of values. So a document is composed
+first, which costs no more than its text, and measured with its aliases written out, before anything
+is made of it.
 """
 
 import re
@@ -23,7 +24,8 @@ MAX_YAML_SIZE = 64 * MEGABYTE
 """Of a YAML file, bytes."""
 
 MAX_NODES = 500_000
-"""Keys and values in a document, its aliases written out: thrice what a mask's longest outline needs."""
+"""Keys and values in a document, its aliases written out: thrice what a mask's longest outline
+needs."""
 
 MAX_NUMBER_LENGTH = 400
 """Characters of a number."""
@@ -38,7 +40,8 @@ KEYS_AND_VALUES = "`key: value` lines"
 """Form of a mapping of which a schema says nothing else."""
 
 UNKNOWN_KEY = ("extra_forbidden", "invalid_key")
-"""Pydantic's names for a key that the schema does not have; said first, as a misspelt key explains a missing one."""
+"""Pydantic's names for a key that the schema does not have; said first, as a misspelt key explains
+a missing one."""
 
 NUMBER_TAGS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
 
@@ -74,7 +77,9 @@ class _StrictLoader(yaml.SafeLoader):
 
 
 _StrictLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
+    list("-+.0123456789"),
 )
 
 
@@ -90,13 +95,16 @@ def read_mapping(path: Path, what: str, error: type[GridPushError] = ObjectError
         The mapping.
 
     Raises:
-        GridPushError: `error`: the file cannot be read, is not YAML, is too large, is empty, or is no mapping.
+        GridPushError: `error`: the file cannot be read, is not YAML, is too large, is empty, or is
+            no mapping.
     """
     data = parse_yaml(path, read_text(path, what, error, MAX_YAML_SIZE), what, error)
     if data is None:
         raise error(f"{path}: is empty; expected {what}")
     if not isinstance(data, dict):
-        raise error(f"{path}: is a {type(data).__name__} at its top level; expected {what}: `key: value` lines")
+        raise error(
+            f"{path}: is a {type(data).__name__} at its top level; expected {what}: `key: value` lines"
+        )
     return data
 
 
@@ -110,7 +118,9 @@ class _TaggedLoader(_StrictLoader):
 
 def _construct_tagged(loader: _TaggedLoader, tag: str, node: yaml.Node) -> Any:
     if not isinstance(node, yaml.MappingNode):
-        raise yaml.constructor.ConstructorError(None, None, f"tag {tag} on what is no mapping", node.start_mark)
+        raise yaml.constructor.ConstructorError(
+            None, None, f"tag {tag} on what is no mapping", node.start_mark
+        )
     return loader.construct_mapping(node, deep=True) | {TAG: tag}
 
 
@@ -118,7 +128,9 @@ for _prefix in ("!", "tag:yaml.org,2002:opencv-"):
     _TaggedLoader.add_multi_constructor(_prefix, _construct_tagged)
 
 
-def parse_yaml(path: Path, text: str, what: str, error: type[GridPushError], *, tagged: bool = False) -> Any:
+def parse_yaml(
+    path: Path, text: str, what: str, error: type[GridPushError], *, tagged: bool = False
+) -> Any:
     """Makes plain values of a YAML document; no code is ever run, whatever its tags say.
 
     Args:
@@ -126,13 +138,15 @@ def parse_yaml(path: Path, text: str, what: str, error: type[GridPushError], *, 
         text: of the document.
         what: what it should hold, for messages.
         error: raised where it does not.
-        tagged: whether mappings may have tags, Drake's or OpenCV's; a tag's name is then kept under the key TAG.
+        tagged: whether mappings may have tags, Drake's or OpenCV's; a tag's name is then kept under
+            the key TAG.
 
     Returns:
         Dictionaries, lists, texts, numbers; None where the document is empty.
 
     Raises:
-        GridPushError: `error`: the text is not YAML, is nested too deeply, has a key twice, or holds too much.
+        GridPushError: `error`: the text is not YAML, is nested too deeply, has a key twice, or
+            holds too much.
     """
     with _explained(path, what, error):
         loader = _TaggedLoader(text) if tagged else _StrictLoader(text)
@@ -169,8 +183,8 @@ def check_mapping(
         The content, checked.
 
     Raises:
-        GridPushError: `error`: a key is missing, unknown or renamed, or a value is of the wrong form; the message names
-            the file, the field and the expected form.
+        GridPushError: `error`: a key is missing, unknown or renamed, or a value is of the wrong
+            form; the message names the file, the field and the expected form.
     """
     try:
         return schema.model_validate(data)
@@ -194,7 +208,9 @@ def list_expected(schema: type[BaseModel], place: str = "") -> dict[str, str]:
     return expected
 
 
-def explain(error: ValidationError, expected: Mapping[str, str], renamed: Mapping[str, str] | None = None) -> str:
+def explain(
+    error: ValidationError, expected: Mapping[str, str], renamed: Mapping[str, str] | None = None
+) -> str:
     """Says the first thing that is wrong, with the field's place and what is expected there.
 
     Args:
@@ -207,13 +223,19 @@ def explain(error: ValidationError, expected: Mapping[str, str], renamed: Mappin
     """
     first = min(error.errors(), key=lambda e: e["type"] not in UNKNOWN_KEY)
     place = first["loc"]
-    field = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place).lstrip(".")
+    field = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in place).lstrip(
+        "."
+    )
     names = [step for step in place if isinstance(step, str)]
     message = str(first["msg"]).removeprefix("Value error, ")
     if first["type"] in UNKNOWN_KEY:
         above, key = names[: -1 if isinstance(place[-1], str) else None], str(place[-1])
         known_once = (renamed or {}).get(".".join(names))
-        return f"{field}: {known_once}" if known_once else f"{field}: unknown key{_suggest(above, key, expected)}"
+        return (
+            f"{field}: {known_once}"
+            if known_once
+            else f"{field}: unknown key{_suggest(above, key, expected)}"
+        )
     form = expected.get(".".join(names))
     if first["type"] == "value_error" and (not form or isinstance(first["input"], dict)):
         return f"{field}: {message}" if field else message
@@ -247,7 +269,9 @@ def _explained(path: Path, what: str, error: type[GridPushError]) -> Iterator[No
     except yaml.MarkedYAMLError as cause:
         mark = cause.problem_mark or cause.context_mark
         where = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        raise error(f"{path}{where}: is not valid YAML: {_shorten(cause.problem or cause.context)}") from cause
+        raise error(
+            f"{path}{where}: is not valid YAML: {_shorten(cause.problem or cause.context)}"
+        ) from cause
     except (yaml.YAMLError, *NOT_YAML) as cause:
         raise error(f"{path}: is not valid YAML: {_shorten(cause)}") from cause
     except RecursionError as cause:
@@ -275,7 +299,9 @@ def _check_keys(root: yaml.Node) -> None:
         seen = set()
         for key, _ in node.value:
             if isinstance(key, yaml.ScalarNode) and key.value in seen:
-                raise yaml.constructor.ConstructorError(None, None, f"key '{key.value}' occurs twice", key.start_mark)
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"key '{key.value}' occurs twice", key.start_mark
+                )
             seen.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
 
 
@@ -288,11 +314,15 @@ def _check_extent(root: yaml.Node) -> None:
         if id(node) in extent:
             return extent[id(node)]
         if id(node) in open_nodes:
-            raise yaml.composer.ComposerError(None, None, "an alias stands within what it names", node.start_mark)
+            raise yaml.composer.ComposerError(
+                None, None, "an alias stands within what it names", node.start_mark
+            )
         open_nodes.add(id(node))
         extent[id(node)] = 1 + sum(map(measure, _children(node)))
         if extent[id(node)] > MAX_NODES:
-            raise yaml.composer.ComposerError(None, None, f"{_TOO_MANY}, its aliases written out", node.start_mark)
+            raise yaml.composer.ComposerError(
+                None, None, f"{_TOO_MANY}, its aliases written out", node.start_mark
+            )
         return extent[id(node)]
 
     measure(root)
@@ -313,7 +343,11 @@ def _walk(root: yaml.Node) -> Iterator[yaml.Node]:
 def _children(node: yaml.Node) -> list[yaml.Node]:
     if isinstance(node, yaml.SequenceNode):
         return list(node.value)
-    return [child for pair in node.value for child in pair] if isinstance(node, yaml.MappingNode) else []
+    return (
+        [child for pair in node.value for child in pair]
+        if isinstance(node, yaml.MappingNode)
+        else []
+    )
 
 
 def _shorten(problem: Any) -> str:

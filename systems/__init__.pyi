@@ -21,7 +21,9 @@ from .object_detector import DetectorState as DetectorState
 from .object_detector import ObjectDetector as ObjectDetector
 from .object_detector import ObjectNaming as ObjectNaming
 from .object_pose_estimator import ObjectPoseEstimator as ObjectPoseEstimator
-from .planar_manipuland_status import PlanarManipulandStatusReceiver as PlanarManipulandStatusReceiver
+from .planar_manipuland_status import (
+    PlanarManipulandStatusReceiver as PlanarManipulandStatusReceiver,
+)
 from .planar_manipuland_status import PlanarManipulandStatusSender as PlanarManipulandStatusSender
 from .planar_pose_sensor import PlanarPoseSensor as PlanarPoseSensor
 from .poke_policy import PokePolicy as PokePolicy

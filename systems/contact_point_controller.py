@@ -17,9 +17,9 @@ from gridpush_drake.systems.object_controller import ObjectController
 class ContactPointController(ObjectController[PushToGoalState]):
     """Pushes an object to a goal pose, as `PushToGoalLoop` decides.
 
-    One push at a time is commanded, when the executor is ready and the object lies still. A command that was not taken
-    up when the object went out of sight is withdrawn, and its id not used again. With another goal on the port
-    everything begins anew, after the push under way.
+    One push at a time is commanded, when the executor is ready and the object lies still. A command
+    that was not taken up when the object went out of sight is withdrawn, and its id not used again.
+    With another goal on the port everything begins anew, after the push under way.
 
     .. pydrake_system::
 
@@ -34,13 +34,17 @@ class ContactPointController(ObjectController[PushToGoalState]):
         - status
         - push_command
 
-    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object was not seen.
-    * identification: abstract `Identification`; without `push_names` what was learned before counts, see `params`.
+    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object
+      was not seen.
+    * identification: abstract `Identification`; without `push_names` what was learned before
+      counts, see `params`.
     * push_log: abstract `PushLog`, all pushes so far; need not be connected.
     * push_status: abstract `PushStatus` of the executor.
-    * goal_pose: vector of 3, where the object should lie, (x, y, theta) of B in W, m and rad; NaN for nowhere.
+    * goal_pose: vector of 3, where the object should lie, (x, y, theta) of B in W, m and rad; NaN
+      for nowhere.
     * status: abstract `ContactPointStatus`.
-    * push_command: vector of 6, see `PushCommand`; id 0 before the first, and where it was withdrawn.
+    * push_command: vector of 6, see `PushCommand`; id 0 before the first, and where it was
+      withdrawn.
 
     Abstract state: one `PushToGoalState`.
     """
@@ -63,12 +67,15 @@ class ContactPointController(ObjectController[PushToGoalState]):
             rules: table, obstacles, finger, arm, how near to the goal, and how pushes are chosen.
             params: the model before anything was learned; the prior's by default.
             options: how to go about it.
-            answer_delay: s after which a decision is taken; None for real time, see `worker.make_worker`.
+            answer_delay: s after which a decision is taken; None for real time, see
+                `worker.make_worker`.
         """
         super().__init__(obj, PushToGoalLoop(obj, rules, params, options), answer_delay)
         self._goal_pose = self.DeclareVectorInputPort("goal_pose", 3)
         self._declare_vector(
-            "push_command", PUSH_COMMAND_SIZE, lambda now: PushCommand.from_push(now.push_id, now.push).to_vector()
+            "push_command",
+            PUSH_COMMAND_SIZE,
+            lambda now: PushCommand.from_push(now.push_id, now.push).to_vector(),
         )
 
     def _observe(self, context: Context) -> Observation:

@@ -1,7 +1,7 @@
 """`EstimateVisualizer`: what is believed of an object, drawn over it in Meshcat while it is learned.
 
-What has been drawn is part of the Context. Each new estimate and each new push is drawn at a path with a number of its
-own (see `meshcat_shapes`), once: what is there already is not sent again.
+What has been drawn is part of the Context. Each new estimate and each new push is drawn at a path
+with a number of its own (see `meshcat_shapes`), once: what is there already is not sent again.
 """
 
 from dataclasses import dataclass, replace
@@ -48,8 +48,8 @@ class Drawing:
         covariance: (4,) of the center, row by row, m².
         push: counts the pushes drawn, from 1; 0 stands for none.
         command: the present one.
-        predicted: (3,) the pose (x, y, theta) in which it is expected to leave the object, m and rad; empty where the
-            push cannot be simulated.
+        predicted: (3,) the pose (x, y, theta) in which it is expected to leave the object, m and
+            rad; empty where the push cannot be simulated.
     """
 
     estimate: int
@@ -63,7 +63,12 @@ class Drawing:
 
     def has_estimate(self, mass: Array, friction: Array, center: Array, covariance: Array) -> bool:
         """Whether an estimate is the one that is drawn."""
-        pairs = ((self.mass, mass), (self.friction, friction), (self.center, center), (self.covariance, covariance))
+        pairs = (
+            (self.mass, mass),
+            (self.friction, friction),
+            (self.center, center),
+            (self.covariance, covariance),
+        )
         return all(np.array_equal(drawn, present, equal_nan=True) for drawn, present in pairs)
 
 
@@ -94,23 +99,30 @@ class Canvas:
     colors: CellColors
     period: float
 
-    def Send(self, drawing: Drawing, pose: Array, time: float, X_WB: RigidTransform | None = None) -> None:
+    def Send(
+        self, drawing: Drawing, pose: Array, time: float, X_WB: RigidTransform | None = None
+    ) -> None:
         """Brings the scene up to date.
 
         Args:
             drawing: what is to be seen.
-            pose: (3,) of the object, x, y, theta, m and rad; with NaN where it is not seen, and stays where it was.
+            pose: (3,) of the object, x, y, theta, m and rad; with NaN where it is not seen, and
+                stays where it was.
             time: of the Context, s; what is recorded, is recorded for this time.
             X_WB: of the object where it is known to be, lifted or tipped, instead of `pose`.
         """
-        moment = max(time, self.meshcat.get_mutable_recording().start_time())  # an earlier one would end the process
+        moment = max(
+            time, self.meshcat.get_mutable_recording().start_time()
+        )  # an earlier one would end the process
         self._SendEstimate(drawing, moment)
         self._SendPush(drawing, moment)
         if X_WB is not None:
             raised: Any = np.array([0.0, 0.0, self.lift])
             self.meshcat.SetTransform(f"{self.path}/object", RigidTransform(raised) @ X_WB, moment)
         elif np.isfinite(pose).all():
-            self.meshcat.SetTransform(f"{self.path}/object", MakePlanarTransform(pose, self.lift), moment)
+            self.meshcat.SetTransform(
+                f"{self.path}/object", MakePlanarTransform(pose, self.lift), moment
+            )
 
     def Wipe(self) -> None:
         """Deletes all that was drawn."""
@@ -155,10 +167,11 @@ PUBLISH_PERIOD = 1 / 30
 class EstimateVisualizer(AbstractStateSystem[Drawing]):
     """Colors an object's cells by their estimate, live and in a recording, and shows what the next push will do.
 
-    Drawn are the cells in the colors of their mass or friction; the estimated center of mass, with the ellipse of
-    `meshcat_shapes.SIGMAS` standard deviations about it; the commanded push as an arrow; and, as a translucent ghost,
-    the pose that the estimate at the time of the command predicts for its end. Everything is below `path`: the cells
-    and the center at `path`/object/<count of estimates>, arrow and ghost at `path`/push/<count of pushes>.
+    Drawn are the cells in the colors of their mass or friction; the estimated center of mass, with
+    the ellipse of `meshcat_shapes.SIGMAS` standard deviations about it; the commanded push as an
+    arrow; and, as a translucent ghost, the pose that the estimate at the time of the command
+    predicts for its end. Everything is below `path`: the cells and the center at
+    `path`/object/<count of estimates>, arrow and ghost at `path`/push/<count of pushes>.
 
     .. pydrake_system::
 
@@ -176,13 +189,15 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
     * object_pose: vector of 3, (x, y, theta) of B in W, m and rad.
     * mass: vector of n, estimated mass of each cell, kg.
     * friction: vector of n, estimated friction coefficient of each cell against the support.
-    * contact_friction: vector of 1, estimated friction coefficient of the tip against the object; need not be
-      connected.
+    * contact_friction: vector of 1, estimated friction coefficient of the tip against the object;
+      need not be connected.
     * center_of_mass: vector of 2, estimated p_BBcm in B, m; need not be connected.
-    * center_of_mass_covariance: vector of 4, its covariance in B, row-major, m²; need not be connected.
+    * center_of_mass_covariance: vector of 4, its covariance in B, row-major, m²; need not be
+      connected.
     * push_command: vector of 6, see `PushCommand`; need not be connected.
-    * body_poses: abstract `list[RigidTransform]`, as a MultibodyPlant gives it; need not be connected. Where it is, and
-      `body` is given, the object is drawn where that body is, lifted and tipped as it may be.
+    * body_poses: abstract `list[RigidTransform]`, as a MultibodyPlant gives it; need not be
+      connected. Where it is, and `body` is given, the object is drawn where that body is, lifted
+      and tipped as it may be.
 
     Initializing a Simulator wipes what is below `path` and begins anew.
     """
@@ -214,7 +229,8 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
             shows: which of the cells' values gives their color, see `CellColors`.
             limits: of the color scale, see `CellColors`.
             period: between two updates of the scene, s.
-            pusher_radius: of the finger's tip, m; by default the object's file's, or DEFAULT_PUSHER_RADIUS.
+            pusher_radius: of the finger's tip, m; by default the object's file's, or
+                DEFAULT_PUSHER_RADIUS.
             regime: of the prediction, see `simulate`.
             lift: of everything above the table, m.
             body: index of the object among `body_poses`.
@@ -225,7 +241,9 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
         super().__init__(NOTHING, period)
         KeepToItsThread(meshcat)
         self._obj = obj
-        self._canvas = Canvas(obj, meshcat, path.rstrip("/"), height, lift, CellColors(shows, limits), period)
+        self._canvas = Canvas(
+            obj, meshcat, path.rstrip("/"), height, lift, CellColors(shows, limits), period
+        )
         self._radius = pusher_radius or obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
         self._regime: Regime = regime
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
@@ -236,7 +254,9 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
         self._covariance = self.DeclareVectorInputPort("center_of_mass_covariance", 4)
         self._command = self.DeclareVectorInputPort("push_command", PUSH_COMMAND_SIZE)
         self._body = body
-        self._body_poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
+        self._body_poses = self.DeclareAbstractInputPort(
+            "body_poses", Value[list[RigidTransform]]()
+        )
         self.DeclareInitializationUnrestrictedUpdateEvent(self._Begin)
         self.DeclareInitializationPublishEvent(self._PublishAnew)
         self.DeclarePeriodicPublishEvent(period, 0.0, self._Publish)
@@ -244,7 +264,9 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
 
     def _Begin(self, context: Context, state: State) -> EventStatus:
         """Forgets what was drawn before."""
-        state.get_mutable_abstract_state(int(self._state)).set_value(self._CalcDrawing(context, NOTHING))
+        state.get_mutable_abstract_state(int(self._state)).set_value(
+            self._CalcDrawing(context, NOTHING)
+        )
         return EventStatus.Succeeded()
 
     def _go_on(self, context: Context, now: Drawing) -> Drawing:
@@ -270,11 +292,19 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
     def _CalcDrawing(self, context: Context, drawn: Drawing) -> Drawing:
         """What the inputs ask for; `drawn` itself where that is drawn already."""
         mass, friction = self._Eval(self._mass, context), self._Eval(self._friction, context)
-        center, covariance = self._Eval(self._center, context), self._Eval(self._covariance, context)
+        center, covariance = (
+            self._Eval(self._center, context),
+            self._Eval(self._covariance, context),
+        )
         present = drawn
         if not drawn.estimate or not drawn.has_estimate(mass, friction, center, covariance):
             present = replace(
-                drawn, estimate=drawn.estimate + 1, mass=mass, friction=friction, center=center, covariance=covariance
+                drawn,
+                estimate=drawn.estimate + 1,
+                mass=mass,
+                friction=friction,
+                center=center,
+                covariance=covariance,
             )
         vector = self._Eval(self._command, context)
         command = PushCommand.from_vector(vector) if len(vector) else PushCommand()
@@ -283,7 +313,9 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
         predicted = self._Predict(context, command, mass, friction)
         return replace(present, push=drawn.push + 1, command=command, predicted=predicted)
 
-    def _Predict(self, context: Context, command: PushCommand, mass: Array, friction: Array) -> Array:
+    def _Predict(
+        self, context: Context, command: PushCommand, mass: Array, friction: Array
+    ) -> Array:
         """The pose (3,) after a push; empty where the model cannot say."""
         if not (command.command_id and command.distance > 0 and command.speed > 0):
             return EMPTY
@@ -293,10 +325,14 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
         if not np.isfinite(pose).all():
             return EMPTY
         try:
-            push = Push(command.start, (command.end - command.start) / duration, duration, self._radius)
+            push = Push(
+                command.start, (command.end - command.start) / duration, duration, self._radius
+            )
             params = CellParameters(mass, friction, mu)
             motion = simulate(self._obj, params, push, pose, regime=self._regime)
-        except GridPushError:  # an estimate or a command out of range has no ghost; whoever made it says why
+        except (
+            GridPushError
+        ):  # an estimate or a command out of range has no ghost; whoever made it says why
             return EMPTY
         return motion.final_pose
 

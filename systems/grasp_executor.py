@@ -1,9 +1,10 @@
 """`GraspExecutor`: from a grasp command to the tool's desired pose and the gripper's opening.
 
-The tool takes the object from beyond the table's edge, and goes back: up from the pushing finger's rest, over to
-above the standoff while the tool turns, down beyond the edge, in, close, up.
+The tool takes the object from beyond the table's edge, and goes back: up from the pushing finger's
+rest, over to above the standoff while the tool turns, down beyond the edge, in, close, up.
 
-The gripper's grasp frame G is fixed to the tip's frame P. The fingers point along P's x axis, which is W's -x at yaw 0:
+The gripper's grasp frame G is fixed to the tip's frame P. The fingers point along P's x axis, which
+is W's -x at yaw 0:
 
     yaw = approach - pi,   p_WP = p_WG - R_WP(yaw) p_PG
 """
@@ -39,7 +40,8 @@ from gridpush_drake.systems.object_controller import AbstractStateSystem
 from gridpush_drake.systems.push_executor import NOT_FINITE, SPEED_SCALES, UNREADABLE
 
 CONTROLLER_STIFFNESS = 200.0
-"""Of Drake's SchunkWsgPositionController between the opening that is asked for and the one there is, N/m."""
+"""Of Drake's SchunkWsgPositionController between the opening that is asked for and the one there
+is, N/m."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,11 @@ def calc_tip(style: GraspTrajectoryOptions, p_WG: Array, yaw: float) -> Array:
 
 
 def make_grasp_trajectory(
-    command: GraspCommand, rest: ToolPose, style: GraspTrajectoryOptions, yaw: float, speed_scale: float = 1.0
+    command: GraspCommand,
+    rest: ToolPose,
+    style: GraspTrajectoryOptions,
+    yaw: float,
+    speed_scale: float = 1.0,
 ) -> tuple[ToolTrajectorySegment, ...]:
     """Makes the trajectory of a grasp: up, over, down, in, close, lift, hold.
 
@@ -133,23 +139,44 @@ def make_grasp_trajectory(
     vertical = speed_scale * style.vertical_speed
     approaching, closing = GraspPhase.APPROACHING, GraspPhase.CLOSING
     segments = (
-        [ToolTrajectorySegment(approaching, rest, (x, y, high, turn), vertical, fast, opening=opened)]
+        [
+            ToolTrajectorySegment(
+                approaching, rest, (x, y, high, turn), vertical, fast, opening=opened
+            )
+        ]
         if z != high
         else []
     )
     segments += [
         ToolTrajectorySegment(
-            approaching, (x, y, high, turn), above, speed_scale * style.travel_speed, fast, opening=opened
+            approaching,
+            (x, y, high, turn),
+            above,
+            speed_scale * style.travel_speed,
+            fast,
+            opening=opened,
         ),
         ToolTrajectorySegment(approaching, above, outside, vertical, fast, opening=opened),
-        ToolTrajectorySegment(GraspPhase.ENTERING, outside, inside, style.entering_speed, careful, opening=opened),
         ToolTrajectorySegment(
-            closing, inside, inside, wait=style.opening / style.closing_speed, opening=(style.opening, 0.0)
+            GraspPhase.ENTERING, outside, inside, style.entering_speed, careful, opening=opened
         ),
-        ToolTrajectorySegment(closing, inside, inside, wait=style.squeeze_time, opening=(0.0, style.squeeze)),
+        ToolTrajectorySegment(
+            closing,
+            inside,
+            inside,
+            wait=style.opening / style.closing_speed,
+            opening=(style.opening, 0.0),
+        ),
+        ToolTrajectorySegment(
+            closing, inside, inside, wait=style.squeeze_time, opening=(0.0, style.squeeze)
+        ),
         ToolTrajectorySegment(closing, inside, inside, wait=style.settle_time, opening=squeezed),
-        ToolTrajectorySegment(GraspPhase.LIFTING, inside, lifted, style.lifting_speed, careful, opening=squeezed),
-        ToolTrajectorySegment(GraspPhase.HOLDING, lifted, lifted, wait=style.hold_time, opening=squeezed),
+        ToolTrajectorySegment(
+            GraspPhase.LIFTING, inside, lifted, style.lifting_speed, careful, opening=squeezed
+        ),
+        ToolTrajectorySegment(
+            GraspPhase.HOLDING, lifted, lifted, wait=style.hold_time, opening=squeezed
+        ),
     ]
     return tuple(segments)
 
@@ -181,9 +208,15 @@ def make_retreat_trajectory(
     opened, phase = (style.opening, style.opening), GraspPhase.RETREATING
     return (
         ToolTrajectorySegment(
-            GraspPhase.OPENING, pose, pose, wait=style.opening_time, opening=(opening, style.opening)
+            GraspPhase.OPENING,
+            pose,
+            pose,
+            wait=style.opening_time,
+            opening=(opening, style.opening),
         ),
-        ToolTrajectorySegment(phase, pose, outside, style.entering_speed, style.careful_acceleration, opening=opened),
+        ToolTrajectorySegment(
+            phase, pose, outside, style.entering_speed, style.careful_acceleration, opening=opened
+        ),
         *make_homing_trajectory(outside, rest, style, speed_scale),
     )
 
@@ -195,7 +228,11 @@ def make_homing_trajectory(
     x0, y0, z, yaw = pose
     x, y, _, turn = rest
     high = max(style.travel_height, z)
-    phase, vertical, opened = GraspPhase.RETREATING, speed_scale * style.vertical_speed, (style.opening, style.opening)
+    phase, vertical, opened = (
+        GraspPhase.RETREATING,
+        speed_scale * style.vertical_speed,
+        (style.opening, style.opening),
+    )
     acceleration = style.travel_acceleration
     corners = [(pose, (x0, y0, high, yaw), vertical)]
     corners.append(((x0, y0, high, yaw), (x, y, high, turn), speed_scale * style.travel_speed))
@@ -208,7 +245,8 @@ def make_homing_trajectory(
 
 
 TurningReach = Callable[[Array, Array, Array], str | None]
-"""Of the tip's path (k, 3), m in W, speeds (k - 1,) on its pieces, m/s, and yaws (k,), rad: None, or what stops it."""
+"""Of the tip's path (k, 3), m in W, speeds (k - 1,) on its pieces, m/s, and yaws (k,), rad: None,
+or what stops it."""
 
 Validator = Callable[[GraspCommand], str | None]
 """Of a command: None, or why it must not be carried out."""
@@ -228,13 +266,15 @@ class GraspState(Unchanging):
     """All that the executor remembers.
 
     Attributes:
-        segments: the current one and those still to come; none while it passes the push executor's pose through.
+        segments: the current one and those still to come; none while it passes the push executor's
+            pose through.
         segment_start: when the current one began, s.
         command: the last one taken up.
         speed_scale: share of the traveling speeds at which the arm can follow it.
         closed: opening when the gripper had closed on the object, m.
         status: as on the port, but for what is not finite at present.
-        fault: what on the ports is not finite, and keeps the executor from going on; empty for nothing.
+        fault: what on the ports is not finite, and keeps the executor from going on; empty for
+            nothing.
     """
 
     segments: tuple[ToolTrajectorySegment, ...] = ()
@@ -257,11 +297,11 @@ class GraspState(Unchanging):
 class GraspExecutor(AbstractStateSystem[GraspState]):
     """Grasps what overhangs the table's edge, from the side, lifts it and holds it; else passes the finger's pose on.
 
-    A command is taken up when the push executor is idle, this one too, and the command's id is not the last one's.
-    It is refused, with its reason in the status, where its numbers are not usable and where the arm cannot follow.
-    While what it needs to see is not finite it waits where it is, and the status says why.
-    After a grasp that failed the tool goes back to the push executor's pose. The pose is continuous, and so are its
-    first two derivatives.
+    A command is taken up when the push executor is idle, this one too, and the command's id is not
+    the last one's. It is refused, with its reason in the status, where its numbers are not usable
+    and where the arm cannot follow. While what it needs to see is not finite it waits where it is,
+    and the status says why. After a grasp that failed the tool goes back to the push executor's
+    pose. The pose is continuous, and so are its first two derivatives.
 
     .. pydrake_system::
 
@@ -277,10 +317,11 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
         - gripper_force_limit
         - status
 
-    * push_tip_pose: abstract `RigidTransform`, X_WP that the push executor desires, m; at rest while that is idle.
+    * push_tip_pose: abstract `RigidTransform`, X_WP that the push executor desires, m; at rest
+      while that is idle.
     * push_status: abstract `PushStatus` of the push executor.
-    * grasp_command: vector of 6, see `GraspCommand`: command_id, x, y, z (m), approach (rad), lift (m). Need not be
-      connected where nothing is grasped.
+    * grasp_command: vector of 6, see `GraspCommand`: command_id, x, y, z (m), approach (rad), lift
+      (m). Need not be connected where nothing is grasped.
     * gripper_state: vector of 4, the fingers' positions, left and right, m, and velocities, m/s.
     * tip_pose: abstract `RigidTransform`, X_WP desired, m.
     * gripper_position: vector of 1, the opening asked for, m.
@@ -308,8 +349,12 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
         self.style = style or GraspTrajectoryOptions()
         super().__init__(GraspState(), self.style.period)
         self._reach, self._validator = reach, validator
-        self._push_pose = self.DeclareAbstractInputPort("push_tip_pose", AbstractValue.Make(RigidTransform()))
-        self._push_status = self.DeclareAbstractInputPort("push_status", AbstractValue.Make(PushStatus()))
+        self._push_pose = self.DeclareAbstractInputPort(
+            "push_tip_pose", AbstractValue.Make(RigidTransform())
+        )
+        self._push_status = self.DeclareAbstractInputPort(
+            "push_status", AbstractValue.Make(PushStatus())
+        )
         self._command = self.DeclareVectorInputPort("grasp_command", GRASP_COMMAND_SIZE)
         self._gripper = self.DeclareVectorInputPort("gripper_state", GRIPPER_STATE_SIZE)
         remembered = self._remembered
@@ -322,13 +367,17 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
         self.DeclareVectorOutputPort(
             "gripper_position", 1, weakly(self._calc_position), {self.time_ticket(), remembered}
         )
-        self.DeclareVectorOutputPort("gripper_force_limit", 1, weakly(self._calc_force_limit), {self.nothing_ticket()})
+        self.DeclareVectorOutputPort(
+            "gripper_force_limit", 1, weakly(self._calc_force_limit), {self.nothing_ticket()}
+        )
         self._declare_value("status", lambda now: now.shown_status)
 
     def _calc_tip_pose(self, context: Context, output: AbstractValue) -> None:
         state = self._get_state(context)
         if state.segments:
-            output.set_value(make_transform(state.segments[0].position(context.get_time() - state.segment_start)))
+            output.set_value(
+                make_transform(state.segments[0].position(context.get_time() - state.segment_start))
+            )
         else:
             output.set_value(self._push_pose.Eval(context))
 
@@ -348,7 +397,9 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
             now = replace(now, fault=fault)
         if fault:
             return now
-        return self._follow(context, now, time) if now.segments else self._take_up(context, now, time)
+        return (
+            self._follow(context, now, time) if now.segments else self._take_up(context, now, time)
+        )
 
     def _find_bad_input(self, context: Context, now: GraspState) -> str:
         """What is needed at present and not finite; empty for nothing."""
@@ -361,7 +412,11 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
                 return ""
         if not np.isfinite(self._push_pose.Eval(context).translation()).all():
             return "the push executor's pose is not finite"
-        if busy and now.segments[0].phase in GRASPING and not np.isfinite(self._gripper.Eval(context)).all():
+        if (
+            busy
+            and now.segments[0].phase in GRASPING
+            and not np.isfinite(self._gripper.Eval(context)).all()
+        ):
             return "the gripper's state is not finite"
         return ""
 
@@ -375,12 +430,18 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
         rest = calc_tool_pose(self._push_pose.Eval(context))
         segments, reason = self.plan(command, rest)
         if reason:
-            refused = GraspStatus(command_id=command.command_id, outcome=GraspOutcome.REFUSED, reason=reason)
+            refused = GraspStatus(
+                command_id=command.command_id, outcome=GraspOutcome.REFUSED, reason=reason
+            )
             return replace(now, status=refused)
         status = GraspStatus(GraspPhase(segments[0].phase), command.command_id)
-        return GraspState(segments, time, command, _find_speed_scale(segments, self.style), 0.0, status)
+        return GraspState(
+            segments, time, command, _find_speed_scale(segments, self.style), 0.0, status
+        )
 
-    def plan(self, command: GraspCommand, rest: ToolPose) -> tuple[tuple[ToolTrajectorySegment, ...], str]:
+    def plan(
+        self, command: GraspCommand, rest: ToolPose
+    ) -> tuple[tuple[ToolTrajectorySegment, ...], str]:
         """Plans a grasp from a pose of the tool; returns its segments, or none and why it is refused."""
         reason = self._find_fault(command) or (self._validator and self._validator(command))
         if reason:
@@ -399,7 +460,9 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
         segment, left = now.segments[0], now.segments[1:]
         over = time - now.segment_start >= segment.duration
         if segment.phase in GRASPING and not now.status.outcome:
-            now = self._look(context, now, closed=over and bool(left) and left[0].phase == GraspPhase.LIFTING)
+            now = self._look(
+                context, now, closed=over and bool(left) and left[0].phase == GraspPhase.LIFTING
+            )
         if (
             segment.phase in GRASPING
             and now.status.outcome in (GraspOutcome.MISSED, GraspOutcome.SLIPPED)
@@ -410,7 +473,10 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
             return now
         if left:
             return replace(
-                now, segments=left, segment_start=time, status=replace(now.status, phase=GraspPhase(left[0].phase))
+                now,
+                segments=left,
+                segment_start=time,
+                status=replace(now.status, phase=GraspPhase(left[0].phase)),
             )
         if segment.phase == GraspPhase.HOLDING:
             return replace(now, status=replace(now.status, outcome=GraspOutcome.HELD))
@@ -421,7 +487,9 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
         opening = self._calc_opening(context)
         if closed and opening < self.style.min_width:
             return self._fail(
-                now, GraspOutcome.MISSED, f"the gripper closed to {1e3 * opening:.1f} mm: nothing is in it"
+                now,
+                GraspOutcome.MISSED,
+                f"the gripper closed to {1e3 * opening:.1f} mm: nothing is in it",
             )
         if closed:
             return replace(now, closed=opening)
@@ -429,7 +497,9 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
         if now.status.phase == GraspPhase.CLOSING or opening > least:
             return now
         return self._fail(
-            now, GraspOutcome.SLIPPED, f"the opening fell from {1e3 * now.closed:.1f} to {1e3 * opening:.1f} mm"
+            now,
+            GraspOutcome.SLIPPED,
+            f"the opening fell from {1e3 * now.closed:.1f} to {1e3 * opening:.1f} mm",
         )
 
     def _fail(self, now: GraspState, outcome: GraspOutcome, reason: str) -> GraspState:
@@ -444,7 +514,10 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
             (x, y, z, yaw), opening, rest, now.command.approach, self.style, now.speed_scale
         )
         return replace(
-            now, segments=segments, segment_start=time, status=replace(now.status, phase=GraspPhase(segments[0].phase))
+            now,
+            segments=segments,
+            segment_start=time,
+            status=replace(now.status, phase=GraspPhase(segments[0].phase)),
         )
 
     def _come_home(self, context: Context, now: GraspState, time: float) -> GraspState:
@@ -454,9 +527,13 @@ class GraspExecutor(AbstractStateSystem[GraspState]):
             return now
         if not np.allclose(rest, at, rtol=0.0, atol=SAME_PLACE):
             return replace(
-                now, segments=make_homing_trajectory(at, rest, self.style, now.speed_scale), segment_start=time
+                now,
+                segments=make_homing_trajectory(at, rest, self.style, now.speed_scale),
+                segment_start=time,
             )
-        return replace(now, segments=(), segment_start=time, status=replace(now.status, phase=GraspPhase.IDLE))
+        return replace(
+            now, segments=(), segment_start=time, status=replace(now.status, phase=GraspPhase.IDLE)
+        )
 
     def _calc_opening(self, context: Context) -> float:
         left, right, *_ = self._gripper.Eval(context)
@@ -495,6 +572,11 @@ def _describe(segments: tuple[ToolTrajectorySegment, ...]) -> tuple[Array, Array
     return corners[:, :3], np.array([segment.top_speed for segment in moving]), corners[:, 3]
 
 
-def _find_speed_scale(segments: tuple[ToolTrajectorySegment, ...], style: GraspTrajectoryOptions) -> float:
+def _find_speed_scale(
+    segments: tuple[ToolTrajectorySegment, ...], style: GraspTrajectoryOptions
+) -> float:
     """Share of the traveling speeds at which segments were planned."""
-    return min(segment.speed for segment in segments if segment.phase == GraspPhase.APPROACHING) / style.vertical_speed
+    return (
+        min(segment.speed for segment in segments if segment.phase == GraspPhase.APPROACHING)
+        / style.vertical_speed
+    )

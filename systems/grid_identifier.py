@@ -1,7 +1,8 @@
 """The identifier as a Drake system: watches pushes, keeps their log, and learns when one ends.
 
-Every `period` it looks at the object and the tip; `pushes.segmentation` finds the pushes and writes them down,
-and `identify` learns from the log when a push has ended. The estimate is that of `identify` on the log it keeps.
+Every `period` it looks at the object and the tip; `pushes.segmentation` finds the pushes and writes
+them down, and `identify` learns from the log when a push has ended. The estimate is that of
+`identify` on the log it keeps.
 """
 
 from collections.abc import Callable
@@ -111,27 +112,31 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         - message
         - age
 
-    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object was not seen.
-    * pusher_state: vector of 6, the tip's center p_WP in m and its velocity v_WP in m/s, in W; a sample with NaN is
-      passed over.
+    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object
+      was not seen.
+    * pusher_state: vector of 6, the tip's center p_WP in m and its velocity v_WP in m/s, in W; a
+      sample with NaN is passed over.
     * mass: vector of n, estimated mass of each cell, kg.
     * friction: vector of n, estimated friction coefficient of each cell against the support.
     * mass_std: vector of n, standard deviation of `mass`, kg.
     * friction_std: vector of n, standard deviation of `friction`.
     * contact_friction: vector of 1, estimated friction coefficient of the tip against the object.
     * center_of_mass: vector of 2, estimated p_BBcm in B, m.
-    * center_of_mass_covariance: vector of 4, its covariance in B, row-major, m²; see `calc_center_of_mass`.
+    * center_of_mass_covariance: vector of 4, its covariance in B, row-major, m²; see
+      `calc_center_of_mass`.
     * loss: vector of 1, mean cell error of the pushes learned from, m; NaN before the first.
     * num_pushes: vector of 1, pushes in the log.
-    * identification: abstract `Identification`; while nothing was learned the prior's, whose `push_names` are empty.
+    * identification: abstract `Identification`; while nothing was learned the prior's, whose
+      `push_names` are empty.
     * push_log: abstract `PushLog`, all pushes so far.
-    * message: abstract `str`, why the last push could not be learned from; empty where there is nothing to say. The
-      estimate stays as it was then, and later ones do without that push.
-    * age: vector of 1, since the estimate was asked for, when a push had ended, s; NaN before the first.
+    * message: abstract `str`, why the last push could not be learned from; empty where there is
+      nothing to say. The estimate stays as it was then, and later ones do without that push.
+    * age: vector of 1, since the estimate was asked for, when a push had ended, s; NaN before the
+      first.
 
-    Learning takes long. With an answer delay it is done beside the Diagram, see `systems.worker`: one push after
-    another, while the outputs hold and pushes are logged. Before the first push the outputs are the prior's. Abstract
-    state: one `IdentifierState`.
+    Learning takes long. With an answer delay it is done beside the Diagram, see `systems.worker`:
+    one push after another, while the outputs hold and pushes are logged. Before the first push the
+    outputs are the prior's. Abstract state: one `IdentifierState`.
     """
 
     __slots__ = NO_SLOTS
@@ -166,26 +171,36 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
             max_learning_pushes: later pushes are logged, not learned from; None for no limit.
             regime: of the simulations, or "auto".
             seed: of everything random.
-            warm_start: whether learning begins where it ended the last time (default method only). The answer is the
-                same to a fraction of its standard deviation; without, it is the offline one bit for bit.
-            pusher_radius: of the tip, m; by default the prior's, or DEFAULT_PUSHER_RADIUS. Where given, it replaces the
-                prior's in `self.obj`, so that the object's file and the log's say the same offline.
-            segmenter: other options of finding pushes; its `engaged_below` is replaced by the argument.
-            record: options of writing them down; its `pose_delay` where the sensor's poses are old when they are read.
-            table: (K, 2) corners in W of the table's top, m, which the log carries; None where its edge is far away.
+            warm_start: whether learning begins where it ended the last time (default method only).
+                The answer is the same to a fraction of its standard deviation; without, it is the
+                offline one bit for bit.
+            pusher_radius: of the tip, m; by default the prior's, or DEFAULT_PUSHER_RADIUS. Where
+                given, it replaces the prior's in `self.obj`, so that the object's file and the
+                log's say the same offline.
+            segmenter: other options of finding pushes; its `engaged_below` is replaced by the
+                argument.
+            record: options of writing them down; its `pose_delay` where the sensor's poses are old
+                when they are read.
+            table: (K, 2) corners in W of the table's top, m, which the log carries; None where its
+                edge is far away.
             progress: called now and then while learning.
-            answer_delay: s after which what was learned is taken; None for real time, see `worker.make_worker`.
+            answer_delay: s after which what was learned is taken; None for real time, see
+                `worker.make_worker`.
 
         Raises:
             IdentificationError, PlanningError: an argument is out of range.
         """
         for name, value, known in (("method", method, METHODS), ("regime", regime, REGIMES)):
             if value not in known:
-                raise IdentificationError(f"{name} is {value!r}; expected one of {', '.join(known)}")
+                raise IdentificationError(
+                    f"{name} is {value!r}; expected one of {', '.join(known)}"
+                )
         if not (np.isfinite(period) and period > 0):
             raise IdentificationError(f"period is {period!r}; expected a positive number (s)")
         if max_learning_pushes is not None and max_learning_pushes < 0:
-            raise IdentificationError(f"max_learning_pushes is {max_learning_pushes}; expected 0 or more")
+            raise IdentificationError(
+                f"max_learning_pushes is {max_learning_pushes}; expected 0 or more"
+            )
         if pusher_radius is not None:
             obj = replace(obj, prior=replace(obj.prior, pusher_radius=pusher_radius))
         no_pushes = PushLog((), SOURCE, table=None if table is None else np.asarray(table))
@@ -221,13 +236,19 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         declare("friction_std", n, lambda estimate: estimate.found.std.friction)
         declare("contact_friction", 1, lambda estimate: [estimate.found.params.contact_friction])
         declare("center_of_mass", 2, lambda estimate: estimate.center_of_mass)
-        declare("center_of_mass_covariance", 4, lambda estimate: estimate.center_of_mass_covariance.ravel())
+        declare(
+            "center_of_mass_covariance",
+            4,
+            lambda estimate: estimate.center_of_mass_covariance.ravel(),
+        )
         declare("loss", 1, lambda estimate: [estimate.loss])
         self._declare_vector("num_pushes", 1, lambda now: [len(now.log)])
         self._declare_value("identification", lambda now: (now.estimate or prior).found)
         self._declare_value("push_log", lambda now: now.log)
         self._declare_value("message", lambda now: now.message)
-        self.DeclareVectorOutputPort("age", 1, weakly(self._calc_age), {self._remembered, self.time_ticket()})
+        self.DeclareVectorOutputPort(
+            "age", 1, weakly(self._calc_age), {self._remembered, self.time_ticket()}
+        )
 
     def _calc_age(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector([context.get_time() - self._get_state(context).learned_at])
@@ -237,7 +258,9 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         pose = tuple(self._object_pose.Eval(context).tolist())
         sample = Sample(context.get_time(), pose, pusher[:3], pusher[3:])
         segmenter, episode = advance(now.segmenter, sample, self._segmenter)
-        return self._learn(self._take_in(replace(now, segmenter=segmenter), episode), context.get_time())
+        return self._learn(
+            self._take_in(replace(now, segmenter=segmenter), episode), context.get_time()
+        )
 
     def _take_in(self, state: IdentifierState, episode: Episode | None) -> IdentifierState:
         """Logs a push that has ended."""
@@ -250,7 +273,9 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
             return replace(state, message=f"A push could not be written down: {error}.")
         if observed is None:
             return state
-        return replace(state, log=replace(state.log, pushes=(*state.log.pushes, observed)), message="")
+        return replace(
+            state, log=replace(state.log, pushes=(*state.log.pushes, observed)), message=""
+        )
 
     def _learn(self, state: IdentifierState, time: float) -> IdentifierState:
         """Takes what was learned beside the Diagram, and learns from the log's next pushes, one after another."""
@@ -273,7 +298,9 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         """What is to be calculated because of the first push that was not considered yet; None for nothing."""
         log = state.log[: state.considered + 1]
         chosen = self.select(log)
-        chosen = chosen.subset([i for i, seen in enumerate(chosen) if seen.name not in state.left_out])
+        chosen = chosen.subset(
+            [i for i, seen in enumerate(chosen) if seen.name not in state.left_out]
+        )
         if not len(chosen) or chosen[-1] is not log[-1]:
             return None
         start = state.estimate.found if state.estimate is not None and self.warm_start else None
@@ -289,7 +316,9 @@ class GridIdentifier(AbstractStateSystem[IdentifierState]):
         return replace(state, left_out=(*state.left_out, name), message=message)
 
 
-def _learn_from(learn: Callable[..., Identification], log: PushLog, start: Identification | None) -> Estimate | str:
+def _learn_from(
+    learn: Callable[..., Identification], log: PushLog, start: Identification | None
+) -> Estimate | str:
     """The estimate, or what is wrong with the last push."""
     try:
         return _make_estimate(learn(log, start), log)

@@ -2,12 +2,14 @@
 
 With q = (x, y, theta) the pose X_WB and nu = (vx, vy, w) the velocity of B's origin,
 
-    (q, nu)[n+1] = step(q[n], nu[n]; m, mu, mu_c, h, patch; p_WP(t_n), v_WP(t_n), W(t_n)),     t_n = n dt
+    (q, nu)[n+1] = step(q[n], nu[n]; m, mu, mu_c, h, patch; p_WP(t_n), v_WP(t_n), W(t_n)),     t_n =
+    n dt
 
 with h the height at which the pusher acts.
 
-The pusher is where its port says when the step begins, and moves on through the step at the velocity that its port says
-then. Where the true motion bends within a step, the next step begins at the true place again: no error adds up.
+The pusher is where its port says when the step begins, and moves on through the step at the
+velocity that its port says then. Where the true motion bends within a step, the next step begins at
+the true place again: no error adds up.
 """
 
 import numpy as np
@@ -72,26 +74,28 @@ class GridLcpSystem(LeafSystem):
         - unsolved_steps
         - tipping_steps
 
-    * pusher_state: vector of 4, (x, y) of the disc's center p_WP in m and its velocity v_WP in m/s, in W. Not
-      connected, or NaN in it: there is no pusher.
-    * applied_wrench: vector of 3, force in W in N acting at B's origin, and moment in N m, constant during a step; zero
-      where not connected. Inertial regime only. A wrench that is not finite is none.
+    * pusher_state: vector of 4, (x, y) of the disc's center p_WP in m and its velocity v_WP in m/s,
+      in W. Not connected, or NaN in it: there is no pusher.
+    * applied_wrench: vector of 3, force in W in N acting at B's origin, and moment in N m, constant
+      during a step; zero where not connected. Inertial regime only. A wrench that is not finite is
+      none.
     * pose: vector of 3, q = (x, y, theta) of B in W, m and rad.
     * velocity: vector of 3, (vx, vy, w) of B's origin in W, m/s and rad/s.
     * cell_positions: vector of 2n, x and y of every cell's center p_WC in turn, m.
     * contact_force: vector of 2, force of the pusher on the object in W during the last step, N.
-    * step_jacobian: abstract `dynamics.motion.Jacobian` with one row: the derivatives of the pose at the end of the
-      step that begins now by mass, friction, contact friction, pose, and the pusher's place (`start`), direction and
-      path (`length`) during it, and by the push height where loads shift; the velocity at the beginning is held.
-      Depends on the inputs directly.
-    * unsolved_steps: vector of 1, how many steps the solver did not solve to tolerance (as in `simulate`, the motion
-      goes on from what it had).
-    * tipping_steps: vector of 1, how many steps no loads could hold the object: it tips, or falls off the table.
+    * step_jacobian: abstract `dynamics.motion.Jacobian` with one row: the derivatives of the pose
+      at the end of the step that begins now by mass, friction, contact friction, pose, and the
+      pusher's place (`start`), direction and path (`length`) during it, and by the push height
+      where loads shift; the velocity at the beginning is held. Depends on the inputs directly.
+    * unsolved_steps: vector of 1, how many steps the solver did not solve to tolerance (as in
+      `simulate`, the motion goes on from what it had).
+    * tipping_steps: vector of 1, how many steps no loads could hold the object: it tips, or falls
+      off the table.
 
-    * Discrete state: (q, nu); the solver's memory (`dynamics.kernels.step_memory`); the last contact force; the
-      unsolved steps; the tipping steps.
-    * Numeric parameters: mass (n), kg; friction (n); contact friction (1); push height (1), m; patch ratio (1); see
-      `CellParameters`.
+    * Discrete state: (q, nu); the solver's memory (`dynamics.kernels.step_memory`); the last
+      contact force; the unsolved steps; the tipping steps.
+    * Numeric parameters: mass (n), kg; friction (n); contact friction (1); push height (1), m;
+      patch ratio (1); see `CellParameters`.
     """
 
     __slots__ = NO_SLOTS
@@ -134,16 +138,28 @@ class GridLcpSystem(LeafSystem):
         if regime not in ("inertial", "quasi_static"):
             raise SimulationError(f"regime is {regime!r}; expected 'inertial' or 'quasi_static'")
         if spin not in SPIN_MODELS:
-            raise SimulationError(f"spin is {spin!r}; expected one of {', '.join(map(repr, SPIN_MODELS))}")
+            raise SimulationError(
+                f"spin is {spin!r}; expected one of {', '.join(map(repr, SPIN_MODELS))}"
+            )
         if not (np.isfinite(dt) and dt > 0):
             raise SimulationError(f"dt is {dt!r}; expected a positive number (s)")
         check_number("gravity", gravity, 0.0)
-        radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS if pusher_radius is None else pusher_radius
+        radius = (
+            obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
+            if pusher_radius is None
+            else pusher_radius
+        )
         if not (np.isfinite(radius) and radius > 0):
             raise SimulationError(f"pusher_radius is {radius!r}; expected a positive number (m)")
         params = CellParameters.uniform(obj) if params is None else params
         params.center_of_mass(obj)
-        self.obj, self.dt, self.regime, self.pusher_radius, self.gravity = obj, float(dt), regime, radius, gravity
+        self.obj, self.dt, self.regime, self.pusher_radius, self.gravity = (
+            obj,
+            float(dt),
+            regime,
+            radius,
+            gravity,
+        )
         inertial = regime == "inertial"
         self._table = None if table is None else get_edges(table)
         self._method = make_method(inertial, LAW, spin, stiction_tolerance, RELATIVE_STICTION)
@@ -153,7 +169,9 @@ class GridLcpSystem(LeafSystem):
         self._declare_outputs()
         self.DeclarePeriodicDiscreteUpdateEvent(self.dt, 0.0, self._step)
 
-    def SetPose(self, context: Context, pose: ArrayLike, velocity: ArrayLike = (0.0, 0.0, 0.0)) -> None:
+    def SetPose(
+        self, context: Context, pose: ArrayLike, velocity: ArrayLike = (0.0, 0.0, 0.0)
+    ) -> None:
         """Places the object: pose (3,) m and rad, velocity (3,) m/s and rad/s.
 
         Raises:
@@ -179,7 +197,9 @@ class GridLcpSystem(LeafSystem):
     def GetParameters(self, context: Context) -> CellParameters:
         """The Context's parameters."""
         count = context.num_numeric_parameter_groups()
-        mass, friction, *numbers = (context.get_numeric_parameter(i).CopyToVector() for i in range(count))
+        mass, friction, *numbers = (
+            context.get_numeric_parameter(i).CopyToVector() for i in range(count)
+        )
         return CellParameters(mass, friction, *(float(number[0]) for number in numbers))
 
     def _declare_state(self, params: CellParameters, state: Array) -> None:
@@ -205,12 +225,17 @@ class GridLcpSystem(LeafSystem):
         state = {self.discrete_state_ticket(_STATE)}
         self.DeclareVectorOutputPort("pose", 3, weakly(self._calc_pose), state)
         self.DeclareVectorOutputPort("velocity", 3, weakly(self._calc_velocity), state)
-        self.DeclareVectorOutputPort("cell_positions", 2 * self.obj.n, weakly(self._calc_cell_positions), state)
+        self.DeclareVectorOutputPort(
+            "cell_positions", 2 * self.obj.n, weakly(self._calc_cell_positions), state
+        )
         self.DeclareStateOutputPort("contact_force", _CONTACT_FORCE)
         inputs = {self.all_input_ports_ticket(), self.all_parameters_ticket(), self.xd_ticket()}
         none = _make_zero_jacobian(self.obj.n)
         self.DeclareAbstractOutputPort(
-            "step_jacobian", lambda: AbstractValue.Make(none), weakly(self._calc_step_jacobian), inputs
+            "step_jacobian",
+            lambda: AbstractValue.Make(none),
+            weakly(self._calc_step_jacobian),
+            inputs,
         )
         self.DeclareStateOutputPort("unsolved_steps", _UNSOLVED)
         self.DeclareStateOutputPort("tipping_steps", _TIPPING)
@@ -225,7 +250,9 @@ class GridLcpSystem(LeafSystem):
         output.SetFromVector(context.get_discrete_state(_STATE).value()[3:])
 
     def _calc_cell_positions(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self.obj.cells_at(context.get_discrete_state(_STATE).value()[:3]).ravel())
+        output.SetFromVector(
+            self.obj.cells_at(context.get_discrete_state(_STATE).value()[:3]).ravel()
+        )
 
     def _calc_step_jacobian(self, context: Context, output: BasicVector) -> None:
         params: CellParameters = self.get_cache_entry(self._params).Eval(context)
@@ -244,9 +271,13 @@ class GridLcpSystem(LeafSystem):
         next_state.set_value(_STATE, np.concatenate([record.poses[1], record.velocities[1]]))
         next_state.set_value(_MEMORY, memory)
         next_state.set_value(_CONTACT_FORCE, record.contact_forces[0].sum(axis=0))
-        unsolved = context.get_discrete_state(_UNSOLVED).value() + (record.statuses[0, 0] != CONVERGED)
+        unsolved = context.get_discrete_state(_UNSOLVED).value() + (
+            record.statuses[0, 0] != CONVERGED
+        )
         next_state.set_value(_UNSOLVED, unsolved)
-        next_state.set_value(_TIPPING, context.get_discrete_state(_TIPPING).value() + record.tips[0])
+        next_state.set_value(
+            _TIPPING, context.get_discrete_state(_TIPPING).value() + record.tips[0]
+        )
 
     def _run(self, context: Context, memory: Array, J: Array) -> Steps:
         """Takes one step from the Context; `memory` is updated and J (1 or 0 rows) filled."""
@@ -263,7 +294,11 @@ class GridLcpSystem(LeafSystem):
         if self._wrench is not None and self._wrench.HasValue(context):
             wrench[0] = self._wrench.Eval(context)
             wrench[~np.isfinite(wrench).all(axis=1)] = 0.0
-        pusher = self._pusher_state.Eval(context) if self._pusher_state.HasValue(context) else np.full(4, np.nan)
+        pusher = (
+            self._pusher_state.Eval(context)
+            if self._pusher_state.HasValue(context)
+            else np.full(4, np.nan)
+        )
         if not np.isfinite(pusher).all():
             return Load(np.zeros((2, 2)), 0.0, NO_PUSHER, wrench, np.zeros(2))
         path = pusher[2:] * self.dt
@@ -281,7 +316,15 @@ def _make_zero_jacobian(n: int) -> Jacobian:
     """One row of nothing, for n cells."""
     zeros, by_cell = np.zeros((1, 3)), np.zeros((1, 3, n))
     return Jacobian(
-        np.array([1]), by_cell, by_cell, zeros, np.zeros((1, 3, 2)), zeros, zeros, np.zeros((1, 3, 3)), None
+        np.array([1]),
+        by_cell,
+        by_cell,
+        zeros,
+        np.zeros((1, 3, 2)),
+        zeros,
+        zeros,
+        np.zeros((1, 3, 3)),
+        None,
     )
 
 

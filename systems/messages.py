@@ -1,7 +1,8 @@
 """What systems say to each other on their ports: commands, as vectors, and what becomes of them, as abstract values.
 
-What executors say of themselves is what a loop is shown, `planning.closed_loop`; what controllers say is the status of
-their loops, `planning.goal.push_to_goal` and `planning.pregrasp.pregrasp_loop`.
+What executors say of themselves is what a loop is shown, `planning.closed_loop`; what controllers
+say is the status of their loops, `planning.goal.push_to_goal` and
+`planning.pregrasp.pregrasp_loop`.
 """
 
 from dataclasses import astuple, dataclass
@@ -45,7 +46,8 @@ class PushCommand(_Command):
     """A straight push of the finger's tip in the plane of the table, world frame.
 
     Attributes:
-        command_id: counts the commands from 1; a command is new when its id is. 0 stands for no command.
+        command_id: counts the commands from 1; a command is new when its id is. 0 stands for no
+            command.
         x: of the tip's center where the push begins, m.
         y: likewise.
         direction: of the motion, rad from W's x axis, counterclockwise.
@@ -87,11 +89,13 @@ class GraspCommand(_Command):
     """A grasp from beyond the table's edge, one jaw under the object and one over it, world frame.
 
     Attributes:
-        command_id: counts the commands from 1; a command is new when its id is. 0 stands for no command.
+        command_id: counts the commands from 1; a command is new when its id is. 0 stands for no
+            command.
         x: of the grasp point p_WG, the middle between the pads, m.
         y: likewise.
         z: likewise; half the object's thickness where it lies on the table.
-        approach: heading in which the fingers point while they go in, level, rad from W's x axis, counterclockwise.
+        approach: heading in which the fingers point while they go in, level, rad from W's x axis,
+            counterclockwise.
         lift: how high to lift what was grasped, m.
     """
 

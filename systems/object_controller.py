@@ -59,19 +59,28 @@ class AbstractStateSystem(LeafSystem, Generic[S]):
 
     def _declare_vector(self, name: str, size: int, show: Callable[[S], ArrayLike]) -> None:
         """Declares an output port for a vector that a state shows."""
-        self.DeclareVectorOutputPort(name, size, weakly(self._calc_vector, show), {self._remembered})
+        self.DeclareVectorOutputPort(
+            name, size, weakly(self._calc_vector, show), {self._remembered}
+        )
 
     def _declare_value(self, name: str, show: Callable[[S], Any]) -> None:
         """Likewise, for an abstract value of the kind that the state at the beginning shows."""
         first = show(self._begin)
         self.DeclareAbstractOutputPort(
-            name, lambda: AbstractValue.Make(first), weakly(self._calc_value, show), {self._remembered}
+            name,
+            lambda: AbstractValue.Make(first),
+            weakly(self._calc_value, show),
+            {self._remembered},
         )
 
-    def _calc_vector(self, context: Context, output: BasicVector, show: Callable[[S], ArrayLike]) -> None:
+    def _calc_vector(
+        self, context: Context, output: BasicVector, show: Callable[[S], ArrayLike]
+    ) -> None:
         output.SetFromVector(show(self._get_state(context)))
 
-    def _calc_value(self, context: Context, output: AbstractValue, show: Callable[[S], Any]) -> None:
+    def _calc_value(
+        self, context: Context, output: AbstractValue, show: Callable[[S], Any]
+    ) -> None:
         output.set_value(show(self._get_state(context)))
 
 
@@ -89,19 +98,23 @@ class ObjectController(AbstractStateSystem[L]):
         output_ports:
         - status
 
-    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object was not seen.
+    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object
+      was not seen.
     * identification: abstract `Identification`; without `push_names` before anything was learned.
     * push_log: abstract `PushLog`, all pushes so far; need not be connected.
     * push_status: abstract `PushStatus` of the push executor.
     * status: abstract, the loop's status.
 
-    A decision takes long. With an answer delay it is made beside the Diagram, see `systems.worker`: the outputs hold
-    until then, and it is passed over where the object does not lie any more where it did. Abstract state: the loop's.
+    A decision takes long. With an answer delay it is made beside the Diagram, see `systems.worker`:
+    the outputs hold until then, and it is passed over where the object does not lie any more where
+    it did. Abstract state: the loop's.
     """
 
     __slots__ = NO_SLOTS
 
-    def __init__(self, obj: GridObject, loop: ClosedLoop[L], answer_delay: float | None = 0.0) -> None:
+    def __init__(
+        self, obj: GridObject, loop: ClosedLoop[L], answer_delay: float | None = 0.0
+    ) -> None:
         """Declares the ports.
 
         Args:
@@ -116,9 +129,13 @@ class ObjectController(AbstractStateSystem[L]):
         self._worker = make_worker(answer_delay)
         self.obj, self.loop = obj, loop
         self._object_pose = self.DeclareVectorInputPort("object_pose", 3)
-        self._identification = self.DeclareAbstractInputPort("identification", AbstractValue.Make(describe_prior(obj)))
+        self._identification = self.DeclareAbstractInputPort(
+            "identification", AbstractValue.Make(describe_prior(obj))
+        )
         self._push_log = self.DeclareAbstractInputPort("push_log", AbstractValue.Make(PushLog(())))
-        self._push_status = self.DeclareAbstractInputPort("push_status", AbstractValue.Make(PushStatus()))
+        self._push_status = self.DeclareAbstractInputPort(
+            "push_status", AbstractValue.Make(PushStatus())
+        )
         self._declare_value("status", lambda now: now.status)
 
     def _go_on(self, context: Context, now: L) -> L:
@@ -130,7 +147,9 @@ class ObjectController(AbstractStateSystem[L]):
         now, due = self.loop.observe(now, seen)
         if not due:
             return now
-        return replace(now, request=self._worker.ask(partial(self.loop.decide, now, seen), seen.time))
+        return replace(
+            now, request=self._worker.ask(partial(self.loop.decide, now, seen), seen.time)
+        )
 
     def _take_decision(self, worker: Worker, now: L, seen: Observation) -> L:
         """The state once a decision was made, if it was and still fits what is seen; `now` while none was."""

@@ -49,9 +49,11 @@ class Detection:
     """What came of the pictures so far.
 
     Attributes:
-        detected: what was found, with outline, mask and the picture; None where nothing was, as yet.
+        detected: what was found, with outline, mask and the picture; None where nothing was, as
+            yet.
         obj: of it, in its body frame B.
-        message: why nothing was found in the last picture; empty where it was, and before the first.
+        message: why nothing was found in the last picture; empty where it was, and before the
+            first.
     """
 
     detected: DetectedObject | None = None
@@ -91,20 +93,24 @@ class ObjectDetector(AbstractStateSystem[DetectorState]):
         - detection
         - message
 
-    * color_image: abstract `ImageRgba8U`; depth_image: abstract `ImageDepth32F`, m, registered to it, 0 where it was
-      not measured; need not be connected where the camera's pose is known and the object's height given.
-    * label_image: abstract `ImageLabel16I`, rendered from where the camera is: what of the robot, or else, hides the
-      table. It need not be connected.
-    * trigger: vector of 1, a number. Where it becomes another one, what was found is forgotten, and looked for anew. It
-      need not be connected: 0.
-    * object_pose: vector of 3, (x, y, theta) of B in W, m and rad, in the picture in which it was found; else NaN.
+    * color_image: abstract `ImageRgba8U`; depth_image: abstract `ImageDepth32F`, m, registered to
+      it, 0 where it was not measured; need not be connected where the camera's pose is known and
+      the object's height given.
+    * label_image: abstract `ImageLabel16I`, rendered from where the camera is: what of the robot,
+      or else, hides the table. It need not be connected.
+    * trigger: vector of 1, a number. Where it becomes another one, what was found is forgotten, and
+      looked for anew. It need not be connected: 0.
+    * object_pose: vector of 3, (x, y, theta) of B in W, m and rad, in the picture in which it was
+      found; else NaN.
     * found: vector of 1, 1 where an object was found, else 0.
     * detection: abstract `Detection`, with the object, its outline and the picture.
-    * message: abstract `str`, why none was found in the last picture: two objects, no table in view, an image of
-      another size. Empty where one was found. Whatever is in the pictures, nothing is raised.
+    * message: abstract `str`, why none was found in the last picture: two objects, no table in
+      view, an image of another size. Empty where one was found. Whatever is in the pictures,
+      nothing is raised.
 
-    A picture is looked at every `period` until an object is found, with `once` false also after that. Abstract state:
-    one `DetectorState`. Numeric parameter 0: the seed of the table's colors that are painted over the robot.
+    A picture is looked at every `period` until an object is found, with `once` false also after
+    that. Abstract state: one `DetectorState`. Numeric parameter 0: the seed of the table's colors
+    that are painted over the robot.
     """
 
     __slots__ = NO_SLOTS
@@ -128,12 +134,14 @@ class ObjectDetector(AbstractStateSystem[DetectorState]):
             camera: that takes the pictures.
             options: what counts as an object.
             naming: of the object that is found.
-            table_top: where on the table objects may lie, a polygon in W, m; all that is in view where None.
+            table_top: where on the table objects may lie, a polygon in W, m; all that is in view
+                where None.
             hidden_by: labels in `label_image` of what may hide the table.
             seed: see above.
             period: between two pictures, s.
             once: whether it looks no more once it has found an object, until it is triggered.
-            answer_delay: s after which what a picture tells is there; None for real time, see `make_worker`.
+            answer_delay: s after which what a picture tells is there; None for real time, see
+                `make_worker`.
 
         Raises:
             CameraError: there is a table's top, but the camera's pose is not known.
@@ -141,7 +149,12 @@ class ObjectDetector(AbstractStateSystem[DetectorState]):
         """
         super().__init__(DetectorState(), period)
         self._worker = make_worker(answer_delay)
-        self._camera, self._options, self._naming, self._once = camera, options, naming or ObjectNaming(), once
+        self._camera, self._options, self._naming, self._once = (
+            camera,
+            options,
+            naming or ObjectNaming(),
+            once,
+        )
         self._off_table = None if table_top is None else find_off_table(camera, table_top)
         self._seed = self.DeclareNumericParameter(BasicVector([float(seed)]))
         self._inputs = RgbdInputs(self, camera.width, camera.height, hidden_by)
@@ -149,7 +162,9 @@ class ObjectDetector(AbstractStateSystem[DetectorState]):
         self._declare_value("detection", lambda now: now.seen)
         self._declare_value("message", lambda now: now.seen.message)
         self._declare_vector(
-            "object_pose", 3, lambda now: np.full(3, np.nan) if now.seen.detected is None else now.seen.detected.X_WB
+            "object_pose",
+            3,
+            lambda now: np.full(3, np.nan) if now.seen.detected is None else now.seen.detected.X_WB,
         )
         self._declare_vector("found", 1, lambda now: [float(now.seen.detected is not None)])
         self.DeclareInitializationUnrestrictedUpdateEvent(self._look_first)
@@ -172,7 +187,9 @@ class ObjectDetector(AbstractStateSystem[DetectorState]):
         seed = int(context.get_numeric_parameter(int(self._seed)).value()[0])
         frame, hidden = self._inputs.take_frame(context), self._inputs.find_hidden(context)
         unseen = (self._off_table, hidden)
-        work = partial(find_in_frame, frame, self._camera, self._options, self._naming, unseen, seed)
+        work = partial(
+            find_in_frame, frame, self._camera, self._options, self._naming, unseen, seed
+        )
         if self._worker is None:
             return _settle(now, answer_now(work))
         return replace(now, request=self._worker.ask(work, context.get_time()))
@@ -196,7 +213,9 @@ def find_in_frame(
                 covered |= mask
         if frame.depth is not None:
             camera.check_size(frame.depth, "the depth image")
-        detected = detect_object(*cover_pixels(frame.color, frame.depth, covered, seed), camera, options)
+        detected = detect_object(
+            *cover_pixels(frame.color, frame.depth, covered, seed), camera, options
+        )
         x, y, _ = detected.X_WB
         detected = replace(detected, X_WB=np.array([x, y, naming.heading]))
         obj = detected.make_grid_object(name=naming.name)

@@ -43,7 +43,9 @@ class EstimatorState(Unchanging):
 class RgbdInputs:
     """The input ports of a system that looks at a color and depth camera's pictures, and what is on them."""
 
-    def __init__(self, system: LeafSystem, width: int, height: int, hidden_by: Iterable[int]) -> None:
+    def __init__(
+        self, system: LeafSystem, width: int, height: int, hidden_by: Iterable[int]
+    ) -> None:
         """Declares `color_image`, `depth_image` and `label_image`, of which the first must be connected.
 
         Args:
@@ -54,9 +56,15 @@ class RgbdInputs:
         """
         self._hidden = np.zeros(MAX_LABEL, dtype=bool)
         self._hidden[list(hidden_by)] = True
-        self._color = system.DeclareAbstractInputPort("color_image", Value(ImageRgba8U(width, height)))
-        self._depth = system.DeclareAbstractInputPort("depth_image", Value(ImageDepth32F(width, height)))
-        self._labels = system.DeclareAbstractInputPort("label_image", Value(ImageLabel16I(width, height)))
+        self._color = system.DeclareAbstractInputPort(
+            "color_image", Value(ImageRgba8U(width, height))
+        )
+        self._depth = system.DeclareAbstractInputPort(
+            "depth_image", Value(ImageDepth32F(width, height))
+        )
+        self._labels = system.DeclareAbstractInputPort(
+            "label_image", Value(ImageLabel16I(width, height))
+        )
 
     def take_frame(self, context: Context) -> Frame:
         """What the camera sees, copied; without depth where that is not connected."""
@@ -89,16 +97,20 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
         - seen
         - message
 
-    * color_image: abstract `ImageRgba8U`; depth_image: abstract `ImageDepth32F`, m, registered to it.
-    * label_image: abstract `ImageLabel16I`, rendered from where the camera is: what of the robot, or else, hides the
-      table. It need not be connected, nor need depth.
-    * object_pose: vector of 3, (x, y, theta) of B in W, m and rad, theta without jumps; NaN where it was not seen.
-    * covariance: vector of 9, of the pose, row-major, m², m rad and rad²; NaN where it was not seen.
-    * seen: vector of 1, 1 where the object was seen in the picture that the pose is of, 0 where not.
+    * color_image: abstract `ImageRgba8U`; depth_image: abstract `ImageDepth32F`, m, registered to
+      it.
+    * label_image: abstract `ImageLabel16I`, rendered from where the camera is: what of the robot,
+      or else, hides the table. It need not be connected, nor need depth.
+    * object_pose: vector of 3, (x, y, theta) of B in W, m and rad, theta without jumps; NaN where
+      it was not seen.
+    * covariance: vector of 9, of the pose, row-major, m², m rad and rad²; NaN where it was not
+      seen.
+    * seen: vector of 1, 1 where the object was seen in the picture that the pose is of, 0 where
+      not.
     * message: abstract `str`, why the object was not found, before it was for the first time.
 
-    A picture is taken every `period`; what it tells is there `latency` later. While the lens is covered, which numeric
-    parameter 0 says, nothing is seen. Abstract state: one `EstimatorState`.
+    A picture is taken every `period`; what it tells is there `latency` later. While the lens is
+    covered, which numeric parameter 0 says, nothing is seen. Abstract state: one `EstimatorState`.
     """
 
     __slots__ = NO_SLOTS
@@ -148,7 +160,9 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
         declare("seen", 1, lambda told: [float(told.seen)])
         self._declare_value("message", lambda now: now.message)
 
-    def _calc_told(self, context: Context, output: BasicVector, calc: Callable[[TrackedPose], Any]) -> None:
+    def _calc_told(
+        self, context: Context, output: BasicVector, calc: Callable[[TrackedPose], Any]
+    ) -> None:
         output.SetFromVector(calc(find_told(self._get_state(context), context.get_time())))
 
     def _look_first(self, context: Context, state: State) -> None:
@@ -160,7 +174,9 @@ class ObjectPoseEstimator(AbstractStateSystem[EstimatorState]):
         """Takes a picture."""
         time, after, pose = context.get_time(), now, UNSEEN
         if not context.get_numeric_parameter(self._covered).value()[0]:
-            after, pose = self._track(now, self._inputs.take_frame(context), self._inputs.find_hidden(context))
+            after, pose = self._track(
+                now, self._inputs.take_frame(context), self._inputs.find_hidden(context)
+            )
         ready = time + self._latency
         due = max((at for at, _ in after.told if at <= time), default=-np.inf)
         told = tuple(item for item in after.told if item[0] >= due and item[0] < ready)

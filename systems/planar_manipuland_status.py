@@ -28,13 +28,16 @@ class PlanarManipulandStatusReceiver(LeafSystem):
         - object_pose
         - newest_pose
 
-    * message: abstract `lcmt_planar_manipuland_status`, X_WB of the object's body frame; its `utime` differs from
-      message to message, and is 0 before the first. A pose that is not finite says that the object is not seen.
+    * message: abstract `lcmt_planar_manipuland_status`, X_WB of the object's body frame; its
+      `utime` differs from message to message, and is 0 before the first. A pose that is not finite
+      says that the object is not seen.
     * time: vector of 1, s, by the clock that `utime` is of. It need not be connected.
-    * object_pose: vector of 3, x and y in W, m, and yaw, rad; the yaw is continuous, it counts whole turns. It is of
-      `delay` ago, between the messages before and after; as last seen where none came since, or where the time is not
-      known. NaN where the object was not seen then, or no message came for `max_age`.
-    * newest_pose: vector of 3, as the last message has it, whatever the delay: for who must notice a jump at once.
+    * object_pose: vector of 3, x and y in W, m, and yaw, rad; the yaw is continuous, it counts
+      whole turns. It is of `delay` ago, between the messages before and after; as last seen where
+      none came since, or where the time is not known. NaN where the object was not seen then, or no
+      message came for `max_age`.
+    * newest_pose: vector of 3, as the last message has it, whatever the delay: for who must notice
+      a jump at once.
     """
 
     __slots__ = NO_SLOTS
@@ -49,13 +52,19 @@ class PlanarManipulandStatusReceiver(LeafSystem):
         """
         super().__init__()
         self._max_age, self._delay = max_age, delay
-        self._message = self.DeclareAbstractInputPort("message", AbstractValue.Make(lcmt_planar_manipuland_status()))
+        self._message = self.DeclareAbstractInputPort(
+            "message", AbstractValue.Make(lcmt_planar_manipuland_status())
+        )
         self._time = self.DeclareVectorInputPort("time", 1)
         self._pose = self.DeclareDiscreteState(np.full(3, np.nan))
-        self._kept = self.DeclareDiscreteState(np.tile([-np.inf, np.nan, np.nan, np.nan], KEPT))  # rows: s, and a pose
+        self._kept = self.DeclareDiscreteState(
+            np.tile([-np.inf, np.nan, np.nan, np.nan], KEPT)
+        )  # rows: s, and a pose
         self._newest = self.DeclareDiscreteState(np.full(3, np.nan))
         self._yaw = self.DeclareDiscreteState(1)
-        self._last = self.DeclareDiscreteState(2)  # the last message's utime, us, and when it came, s
+        self._last = self.DeclareDiscreteState(
+            2
+        )  # the last message's utime, us, and when it came, s
         self.DeclareStateOutputPort("object_pose", self._pose)
         self.DeclareStateOutputPort("newest_pose", self._newest)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._look)
@@ -74,7 +83,11 @@ class PlanarManipulandStatusReceiver(LeafSystem):
                 pose = np.full(3, np.nan)
             came, kept = time, np.vstack([kept[1:], [message.utime / MICROSECONDS, *pose]])
             state.set_value(self._kept, kept.ravel())
-        clock = float(self._time.Eval(context)[0]) - self._delay if self._time.HasValue(context) else np.inf
+        clock = (
+            float(self._time.Eval(context)[0]) - self._delay
+            if self._time.HasValue(context)
+            else np.inf
+        )
         lost = time - came > self._max_age
         state.set_value(self._pose, np.full(3, np.nan) if lost else find_pose(kept, clock))
         state.set_value(self._newest, np.full(3, np.nan) if lost else kept[-1, 1:])
@@ -90,7 +103,11 @@ def find_pose(kept: Array, time: float) -> Array:
         return kept[min(after, len(kept) - 1), 1:]
     (t0, *_), (t1, *_) = kept[after - 1], kept[after]
     share = (time - t0) / (t1 - t0) if np.isfinite(t0) else 1.0
-    return kept[after, 1:] if share == 1.0 else (1 - share) * kept[after - 1, 1:] + share * kept[after, 1:]
+    return (
+        kept[after, 1:]
+        if share == 1.0
+        else (1 - share) * kept[after - 1, 1:] + share * kept[after, 1:]
+    )
 
 
 class PlanarManipulandStatusSender(LeafSystem):
@@ -105,7 +122,8 @@ class PlanarManipulandStatusSender(LeafSystem):
         - message
 
     * object_pose: vector of 3, x and y in W, m, and yaw, rad; NaN where the object is not seen.
-    * message: abstract `lcmt_planar_manipuland_status` with the Context's time; its velocities are 0.
+    * message: abstract `lcmt_planar_manipuland_status` with the Context's time; its velocities are
+      0.
     """
 
     __slots__ = NO_SLOTS
@@ -115,7 +133,9 @@ class PlanarManipulandStatusSender(LeafSystem):
         super().__init__()
         self._pose = self.DeclareVectorInputPort("object_pose", 3)
         self.DeclareAbstractOutputPort(
-            "message", lambda: AbstractValue.Make(lcmt_planar_manipuland_status()), weakly(self._calc)
+            "message",
+            lambda: AbstractValue.Make(lcmt_planar_manipuland_status()),
+            weakly(self._calc),
         )
 
     def _calc(self, context: Context, output: AbstractValue) -> None:

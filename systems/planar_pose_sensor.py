@@ -25,12 +25,13 @@ class PlanarPoseSensor(LeafSystem):
         - object_pose
 
     * body_poses: abstract `list[RigidTransform]`, as a MultibodyPlant gives it.
-    * object_pose: vector of 3, x and y of the body's origin in W, m, and its yaw, rad, as last seen; the yaw is
-      continuous, it counts whole turns. NaN where the body is lost from sight, or its pose is not finite.
+    * object_pose: vector of 3, x and y of the body's origin in W, m, and its yaw, rad, as last
+      seen; the yaw is continuous, it counts whole turns. NaN where the body is lost from sight, or
+      its pose is not finite.
 
-    The noise of the k-th picture depends on k and the seed alone, which is numeric parameter 0: a Context and its clone
-    see the same. The body is lost from sight where its origin lies lower than `lowest` above z = 0, and while the lens
-    is covered, which numeric parameter 1 says.
+    The noise of the k-th picture depends on k and the seed alone, which is numeric parameter 0: a
+    Context and its clone see the same. The body is lost from sight where its origin lies lower than
+    `lowest` above z = 0, and while the lens is covered, which numeric parameter 1 says.
     """
 
     __slots__ = NO_SLOTS
@@ -61,7 +62,9 @@ class PlanarPoseSensor(LeafSystem):
         self._lowest = lowest
         self._seed = self.DeclareNumericParameter(BasicVector([float(seed)]))
         self._covered = self.DeclareNumericParameter(BasicVector([0.0]))
-        self._body_poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
+        self._body_poses = self.DeclareAbstractInputPort(
+            "body_poses", Value[list[RigidTransform]]()
+        )
         self._seen = self.DeclareDiscreteState(np.full(3, np.nan))
         self._yaw = self.DeclareDiscreteState(1)
         self._count = self.DeclareDiscreteState(1)
@@ -99,7 +102,9 @@ class PlanarPoseSensor(LeafSystem):
         q = project_pose(X_WB, float(context.get_discrete_state(self._yaw).value()[0]))
         state.set_value(self._yaw, [q[2]])
         seed = int(context.get_numeric_parameter(self._seed).value()[0])
-        state.set_value(self._seen, q + self._std * np.random.default_rng((seed, count)).normal(size=3))
+        state.set_value(
+            self._seen, q + self._std * np.random.default_rng((seed, count)).normal(size=3)
+        )
 
 
 def project_pose(X_WB: RigidTransform, near: float = 0.0) -> NDArray[np.float64]:

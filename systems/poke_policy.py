@@ -1,8 +1,8 @@
 """Which push comes next, as a Drake system: random pokes, one whenever the executor is ready for it.
 
-A poke begins at a random place of the outline where the tip fits and the object stays in bounds. The k-th candidate of
-a push is drawn from (seed, command_id, k) alone: neither the pushes before it nor how many candidates they took change
-it.
+A poke begins at a random place of the outline where the tip fits and the object stays in bounds.
+The k-th candidate of a push is drawn from (seed, command_id, k) alone: neither the pushes before it
+nor how many candidates they took change it.
 """
 
 from collections.abc import Callable
@@ -33,7 +33,8 @@ Reach = Callable[[PushCommand], bool]
 """Whether the arm can carry out a command."""
 
 ROUNDING = 1e-6
-"""Share of the gap at the start that may be missing: the outline's own point is not exactly on it."""
+"""Share of the gap at the start that may be missing: the outline's own point is not exactly on
+it."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +46,12 @@ class RandomPokeOptions:
         speed: of the tip, m/s.
         slant: furthest from the outline's normal, rad.
         tip_radius: m.
-        clearance: gap between tip and outline at the beginning, m; the path through it comes on top of the distance.
-        min_motion: of the cells, mean, as predicted, m; a push that moves the object less is drawn again.
-        candidates: most draws before a push that takes the object out of its region is taken for want of a better one.
+        clearance: gap between tip and outline at the beginning, m; the path through it comes on top
+            of the distance.
+        min_motion: of the cells, mean, as predicted, m; a push that moves the object less is drawn
+            again.
+        candidates: most draws before a push that takes the object out of its region is taken for
+            want of a better one.
 
     Raises:
         PushError: a value is out of range.
@@ -68,7 +72,9 @@ class RandomPokeOptions:
             if not (isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise PushError(f"{name} is {getattr(self, name)!r}; expected a positive number")
         if not 0 <= self.slant < pi / 2:
-            raise PushError(f"slant is {self.slant!r}; expected an angle from 0 to less than pi / 2 (rad)")
+            raise PushError(
+                f"slant is {self.slant!r}; expected an angle from 0 to less than pi / 2 (rad)"
+            )
         for name in ("clearance", "min_motion"):
             if not (isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise PushError(f"{name} is {getattr(self, name)!r}; expected a number >= 0 (m)")
@@ -83,8 +89,8 @@ class PokeRegion:
     Attributes:
         workspace: where the tip's center may be.
         keep_in: that the whole object must stay in.
-        middle: that the object's centroid should stay in, where the finger gets at it from all sides; None asks for no
-            more than `keep_in`.
+        middle: that the object's centroid should stay in, where the finger gets at it from all
+            sides; None asks for no more than `keep_in`.
     """
 
     workspace: Polygon
@@ -114,9 +120,10 @@ def choose_poke(
 ) -> tuple[PushCommand | None, int]:
     """Chooses a push.
 
-    Candidates are drawn one after another. The first one is taken that fits (the tip beside the object and within its
-    workspace, within the arm's reach), moves the object, and is predicted to leave it within its region. Where there is
-    none, the fitting one that ends nearest to the region's center is taken, of those that keep the object in if any do.
+    Candidates are drawn one after another. The first one is taken that fits (the tip beside the
+    object and within its workspace, within the arm's reach), moves the object, and is predicted to
+    leave it within its region. Where there is none, the fitting one that ends nearest to the
+    region's center is taken, of those that keep the object in if any do.
 
     Args:
         obj: the object.
@@ -130,7 +137,8 @@ def choose_poke(
         first: candidates to pass over.
 
     Returns:
-        The command, or None where no candidate fits; and how many candidates were looked at, with those passed over.
+        The command, or None where no candidate fits; and how many candidates were looked at, with
+        those passed over.
     """
     q = np.array(pose, dtype=np.float64)
     nearest, least = None, (True, np.inf)
@@ -157,16 +165,24 @@ def draw_poke(
 ) -> PushCommand:
     """Draws a candidate: a place on the exterior outline, a slant and a distance, all uniform."""
     rng = np.random.default_rng((seed, command_id, attempt))
-    place, slant, distance = rng.uniform(0, obj.edges.perimeter), rng.uniform(-1, 1), rng.uniform(*style.distance)
+    place, slant, distance = (
+        rng.uniform(0, obj.edges.perimeter),
+        rng.uniform(-1, 1),
+        rng.uniform(*style.distance),
+    )
     push = Push.on_outline(
         obj, place, slant * style.slant, distance + style.clearance, radius=style.tip_radius, speed=style.speed,
         pose=pose, clearance=style.clearance,
     )  # fmt: skip
     x, y = push.start.tolist()
-    return PushCommand(command_id, x, y, atan2(push.velocity[1], push.velocity[0]), push.length, style.speed)
+    return PushCommand(
+        command_id, x, y, atan2(push.velocity[1], push.velocity[0]), push.length, style.speed
+    )
 
 
-def fits(obj: GridObject, pose: Array, command: PushCommand, style: RandomPokeOptions, region: PokeRegion) -> bool:
+def fits(
+    obj: GridObject, pose: Array, command: PushCommand, style: RandomPokeOptions, region: PokeRegion
+) -> bool:
     """Whether the tip has room where it starts (a notch may be too narrow) and stays within its workspace."""
     start, end = Point(command.start), Point(command.end)
     gap = transform_shape(pose, obj.outline).distance(start)
@@ -176,7 +192,11 @@ def fits(obj: GridObject, pose: Array, command: PushCommand, style: RandomPokeOp
 
 
 def predict_poke(
-    obj: GridObject, params: CellParameters, pose: Array, command: PushCommand, style: RandomPokeOptions
+    obj: GridObject,
+    params: CellParameters,
+    pose: Array,
+    command: PushCommand,
+    style: RandomPokeOptions,
 ) -> Array:
     """Predicts the object's pose (3,) after a push, by the LCP of slow motion."""
     velocity = (command.end - command.start) / command.distance * command.speed
@@ -220,15 +240,17 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
         - push_command
         - message
 
-    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; while it is NaN the policy waits.
+    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; while it is NaN the
+      policy waits.
     * status: abstract `PushStatus` of the executor.
-    * push_command: vector of 6, see `PushCommand`; id 0 before the first. It stays until the executor is ready
-      again and has taken up, or refused, its id.
-    * message: abstract `str`, why no push could be chosen, where what chooses beside the Diagram failed; else empty.
+    * push_command: vector of 6, see `PushCommand`; id 0 before the first. It stays until the
+      executor is ready again and has taken up, or refused, its id.
+    * message: abstract `str`, why no push could be chosen, where what chooses beside the Diagram
+      failed; else empty.
 
-    A refused command is replaced by another one, with the next id. After `num_pushes` executed commands, and
-    `test_pushes` more of their own style, the last one stays. Abstract state: one `PokePolicyState`. Numeric parameter
-    0: the seed.
+    A refused command is replaced by another one, with the next id. After `num_pushes` executed
+    commands, and `test_pushes` more of their own style, the last one stays. Abstract state: one
+    `PokePolicyState`. Numeric parameter 0: the seed.
     """
 
     __slots__ = NO_SLOTS
@@ -261,7 +283,8 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
             test_pushes: to be executed after that.
             test_distance: of those, m.
             period: between two looks at the status, s.
-            answer_delay: s after which a choice is taken; None for real time, see `worker.make_worker`.
+            answer_delay: s after which a choice is taken; None for real time, see
+                `worker.make_worker`.
 
         Raises:
             PushError: a number is negative, or the period is not positive.
@@ -294,7 +317,12 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
         status: PushStatus = self._status.Eval(context)
         pose = self._object_pose.Eval(context)
         wanted = status.executed < self.num_pushes + self.test_pushes
-        if not (wanted and status.ready and status.command_id == now.command.command_id and np.isfinite(pose).all()):
+        if not (
+            wanted
+            and status.ready
+            and status.command_id == now.command.command_id
+            and np.isfinite(pose).all()
+        ):
             return now if now.request is None else replace(now, request=None, looked_at=None)
         if now.request is not None and self._worker is not None:
             return self._take_choice(self._worker, now, pose, context.get_time())
@@ -307,9 +335,13 @@ class PokePolicy(AbstractStateSystem[PokePolicyState]):
         if self._worker is None:
             return _choose(now, *work())
         x, y, theta = pose.tolist()
-        return replace(now, request=self._worker.ask(work, context.get_time()), looked_at=(x, y, theta))
+        return replace(
+            now, request=self._worker.ask(work, context.get_time()), looked_at=(x, y, theta)
+        )
 
-    def _take_choice(self, worker: Worker, now: PokePolicyState, pose: Array, time: float) -> PokePolicyState:
+    def _take_choice(
+        self, worker: Worker, now: PokePolicyState, pose: Array, time: float
+    ) -> PokePolicyState:
         """The state once a choice was made, which counts if the object still lies there; `now` while none was."""
         assert now.request is not None and now.looked_at is not None
         answer = worker.take(now.request, time)

@@ -43,14 +43,15 @@ class PreGraspController(ObjectController[PreGraspState]):
         - push_command
         - grasp_command
 
-    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object was not seen.
+    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; NaN where the object
+      was not seen.
     * identification: abstract `Identification`; without `push_names` before the first push.
     * push_log: abstract `PushLog`, all pushes so far; need not be connected.
     * push_status: abstract `PushStatus` of the push executor.
     * grasp_status: abstract `GraspStatus` of the grasp executor.
     * status: abstract `PreGraspStatus`.
-    * push_command: vector of 6, see `PushCommand`; id 0 before the first, while a push is broken off, where it was
-      withdrawn, and while the object is grasped.
+    * push_command: vector of 6, see `PushCommand`; id 0 before the first, while a push is broken
+      off, where it was withdrawn, and while the object is grasped.
     * grasp_command: vector of 6, see `GraspCommand`; id 0 before the first.
 
     Abstract state: one `PreGraspState`.
@@ -78,12 +79,17 @@ class PreGraspController(ObjectController[PreGraspState]):
             lift: how high to lift, m.
             seed: of the draws from what is held possible.
             options: how to go about it.
-            answer_delay: s after which a decision is taken; None for real time, see `worker.make_worker`.
+            answer_delay: s after which a decision is taken; None for real time, see
+                `worker.make_worker`.
         """
         self.planner = planner
-        super().__init__(planner.obj, PreGraspLoop(planner, find_grasp, seed=seed, options=options), answer_delay)
+        super().__init__(
+            planner.obj, PreGraspLoop(planner, find_grasp, seed=seed, options=options), answer_delay
+        )
         self._height, self._lift = grasp_height, lift
-        self._grasp_status = self.DeclareAbstractInputPort("grasp_status", AbstractValue.Make(GraspStatus()))
+        self._grasp_status = self.DeclareAbstractInputPort(
+            "grasp_status", AbstractValue.Make(GraspStatus())
+        )
         self._declare_vector(
             "push_command",
             PUSH_COMMAND_SIZE,
@@ -98,4 +104,6 @@ class PreGraspController(ObjectController[PreGraspState]):
         if now.grasp is None:
             return GraspCommand().to_vector()
         x, y = now.grasp.p_WG.tolist()
-        return GraspCommand(now.grasp_id, x, y, self._height, now.grasp.approach, self._lift).to_vector()
+        return GraspCommand(
+            now.grasp_id, x, y, self._height, now.grasp.approach, self._lift
+        ).to_vector()

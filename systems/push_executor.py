@@ -19,7 +19,13 @@ from gridpush_drake.multibody.tool_motion import R_WP_DOWN, Point, TrajectorySeg
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.planning.closed_loop import Unchanging
 from gridpush_drake.planning.contact.trial import DEFAULT_RADIUS
-from gridpush_drake.systems.messages import PUSH_COMMAND_SIZE, GraspStatus, PushCommand, PushPhase, PushStatus
+from gridpush_drake.systems.messages import (
+    PUSH_COMMAND_SIZE,
+    GraspStatus,
+    PushCommand,
+    PushPhase,
+    PushStatus,
+)
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 
 
@@ -73,12 +79,18 @@ def make_push_trajectory(
     high, low = style.travel_height, style.push_height
     travel = (speed_scale * style.travel_speed, style.travel_acceleration)
     vertical = (speed_scale * style.vertical_speed, style.travel_acceleration)
-    segments = [TrajectorySegment(PushPhase.APPROACHING, (x, y, z), (x, y, high), *vertical)] if z < high else []
+    segments = (
+        [TrajectorySegment(PushPhase.APPROACHING, (x, y, z), (x, y, high), *vertical)]
+        if z < high
+        else []
+    )
     z = max(z, high)
     segments += [
         TrajectorySegment(PushPhase.APPROACHING, (x, y, z), (x0, y0, high), *travel),
         TrajectorySegment(PushPhase.DESCENDING, (x0, y0, high), (x0, y0, low), *vertical),
-        TrajectorySegment(PushPhase.PUSHING, (x0, y0, low), (x1, y1, low), command.speed, style.push_acceleration),
+        TrajectorySegment(
+            PushPhase.PUSHING, (x0, y0, low), (x1, y1, low), command.speed, style.push_acceleration
+        ),
         TrajectorySegment(PushPhase.SETTLING, (x1, y1, low), (x1, y1, low), wait=style.settle_time),
         TrajectorySegment(PushPhase.RETRACTING, (x1, y1, low), (x1, y1, high), *vertical),
     ]
@@ -94,7 +106,9 @@ def make_lookout_trajectory(
     places = [(x, y, z), (x, y, high), (x1, y1, high), (x1, y1, z1)]
     travel = (speed_scale * style.travel_speed, style.travel_acceleration)
     return tuple(
-        TrajectorySegment(PushPhase.CLEARING, start, end, *travel) for start, end in pairwise(places) if start != end
+        TrajectorySegment(PushPhase.CLEARING, start, end, *travel)
+        for start, end in pairwise(places)
+        if start != end
     )
 
 
@@ -117,16 +131,19 @@ def break_off(segments: tuple[TrajectorySegment, ...], t: float) -> tuple[Trajec
         return segments
     x, y, _ = push.end
     after = [
-        replace(segment, start=(x, y, segment.start[2]), end=(x, y, segment.end[2])) for segment in segments[i + 1 :]
+        replace(segment, start=(x, y, segment.start[2]), end=(x, y, segment.end[2]))
+        for segment in segments[i + 1 :]
     ]
     return (*segments[:i], push, *after)
 
 
 Reach = Callable[[Array, Array], str | None]
-"""Of the tip's path (k, 3), m in W, and speeds (k - 1,) on its pieces, m/s: None, or why the arm cannot follow."""
+"""Of the tip's path (k, 3), m in W, and speeds (k - 1,) on its pieces, m/s: None, or why the arm
+cannot follow."""
 
 SPEED_SCALES = (1.0, 0.5, 0.25)
-"""Shares of the traveling speeds, tried in turn until the arm can follow: stretched, its joints turn fast."""
+"""Shares of the traveling speeds, tried in turn until the arm can follow: stretched, its joints
+turn fast."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +155,8 @@ class ExecutorState(Unchanging):
         segments: the current one and those still to come.
         segment_start: when the current one began, s.
         status: as on the port, but for the reason while a command cannot be read.
-        unseen_since: since when the object has been out of sight with the tip at rest, s; None where it is seen.
+        unseen_since: since when the object has been out of sight with the tip at rest, s; None
+            where it is seen.
         lookouts: how many of them were gone to since the object was last seen.
         unreadable: whether the command on the port has a number that is not finite.
     """
@@ -158,7 +176,11 @@ class ExecutorState(Unchanging):
 
     def position(self, time: float) -> Array:
         """(3,) p_WP desired at `time`, m."""
-        return self.segments[0].position(time - self.segment_start) if self.segments else np.array(self.rest)
+        return (
+            self.segments[0].position(time - self.segment_start)
+            if self.segments
+            else np.array(self.rest)
+        )
 
 
 HIDDEN_AFTER = 0.3
@@ -175,14 +197,16 @@ UNREADABLE = "the command's id is not finite"
 class PushExecutor(AbstractStateSystem[ExecutorState]):
     """Carries out straight pushes: over the object, down beside it, along, a pause, and up again.
 
-    A command is taken up when the executor is idle and the command's id is not the last one's. It is refused, with
-    its reason in the status, where its numbers are not finite or not usable, where the tip would start in the object or
-    touch it, and where the arm cannot follow. One whose own id is not finite counts as refused once; the status
-    says so until another one is there. A command that is withdrawn, by another with id 0, is broken off: the finger
-    stops as soon as it can, and goes up. The desired position, velocity and acceleration are continuous.
+    A command is taken up when the executor is idle and the command's id is not the last one's. It
+    is refused, with its reason in the status, where its numbers are not finite or not usable, where
+    the tip would start in the object or touch it, and where the arm cannot follow. One whose own id
+    is not finite counts as refused once; the status says so until another one is there. A command
+    that is withdrawn, by another with id 0, is broken off: the finger stops as soon as it can, and
+    goes up. The desired position, velocity and acceleration are continuous.
 
-    Where the object has been out of sight for a while and nothing is to be done, the arm may be what hides it: the
-    finger goes to its lookouts, one after the other, until the object is seen, at most as often as there are some.
+    Where the object has been out of sight for a while and nothing is to be done, the arm may be
+    what hides it: the finger goes to its lookouts, one after the other, until the object is seen,
+    at most as often as there are some.
 
     .. pydrake_system::
 
@@ -195,12 +219,15 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         - tip_pose
         - status
 
-    * push_command: vector of 6, see `PushCommand`: command_id, x, y (m), direction (rad), distance (m), and
-      speed (m/s).
-    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; read when a command is taken up, which
-      waits while they are NaN (the object is not seen). Need not be connected where there is no outline.
-    * grasp_status: abstract `GraspStatus`: while a grasp is under way nothing is looked out for. Need not be connected.
-    * tip_pose: abstract `RigidTransform`, X_WP desired: P at the tip's center, its z axis pointing down, m.
+    * push_command: vector of 6, see `PushCommand`: command_id, x, y (m), direction (rad), distance
+      (m), and speed (m/s).
+    * object_pose: vector of 3, observed (x, y, theta) of B in W, m and rad; read when a command is
+      taken up, which waits while they are NaN (the object is not seen). Need not be connected where
+      there is no outline.
+    * grasp_status: abstract `GraspStatus`: while a grasp is under way nothing is looked out for.
+      Need not be connected.
+    * tip_pose: abstract `RigidTransform`, X_WP desired: P at the tip's center, its z axis pointing
+      down, m.
     * status: abstract `PushStatus`.
 
     Abstract state: one `ExecutorState`.
@@ -223,17 +250,21 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
             outline: of the object in B, m; None asks no questions about the object.
             reach: whether the arm can follow a path; None trusts it.
             style: heights, speeds and times.
-            lookouts: (n, 3) p_WP where the tip goes when the object is out of sight, in this order, m; one that the arm
-                cannot go to is left out.
+            lookouts: (n, 3) p_WP where the tip goes when the object is out of sight, in this order,
+                m; one that the arm cannot go to is left out.
         """
         self.style = style or PushTrajectoryOptions()
         x, y, z = np.asarray(home, float).tolist()
         super().__init__(ExecutorState((x, y, z)), self.style.period)
         self._outline, self._reach = outline, reach
-        self._lookouts: list[Point] = [(x, y, z) for x, y, z in np.asarray(lookouts, float).reshape(-1, 3).tolist()]
+        self._lookouts: list[Point] = [
+            (x, y, z) for x, y, z in np.asarray(lookouts, float).reshape(-1, 3).tolist()
+        ]
         self._command_port = self.DeclareVectorInputPort("push_command", PUSH_COMMAND_SIZE)
         self._pose_port = self.DeclareVectorInputPort("object_pose", 3)
-        self._grasp_port = self.DeclareAbstractInputPort("grasp_status", AbstractValue.Make(GraspStatus()))
+        self._grasp_port = self.DeclareAbstractInputPort(
+            "grasp_status", AbstractValue.Make(GraspStatus())
+        )
         self.DeclareAbstractOutputPort(
             "tip_pose",
             lambda: AbstractValue.Make(RigidTransform()),
@@ -255,7 +286,9 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
     def _go_on(self, context: Context, now: ExecutorState) -> ExecutorState:
         """Goes on to the next segment when one is done; breaks off, takes up or refuses a command."""
         time = context.get_time()
-        return self._follow(context, now, time) if now.segments else self._take_up(context, now, time)
+        return (
+            self._follow(context, now, time) if now.segments else self._take_up(context, now, time)
+        )
 
     def _follow(self, context: Context, now: ExecutorState, time: float) -> ExecutorState:
         if self._command_port.Eval(context)[0] == 0:
@@ -284,7 +317,9 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
         status = replace(now.status, command_id=command.command_id, reason=reason)
         if reason:
             return replace(now, status=replace(status, refused=status.refused + 1))
-        return ExecutorState(now.rest, segments, time, replace(status, phase=PushPhase(segments[0].phase)))
+        return ExecutorState(
+            now.rest, segments, time, replace(status, phase=PushPhase(segments[0].phase))
+        )
 
     def _is_grasping(self, context: Context) -> bool:
         return self._grasp_port.HasValue(context) and not self._grasp_port.Eval(context).ready
@@ -292,24 +327,40 @@ class PushExecutor(AbstractStateSystem[ExecutorState]):
     def _look_out(self, now: ExecutorState, time: float, content: bool) -> ExecutorState:
         """Waits; goes to the next lookout where it has not been content with what it sees for too long."""
         if content:
-            return now if now.unseen_since is None and not now.lookouts else replace(now, unseen_since=None, lookouts=0)
+            return (
+                now
+                if now.unseen_since is None and not now.lookouts
+                else replace(now, unseen_since=None, lookouts=0)
+            )
         since = time if now.unseen_since is None else now.unseen_since
         waited = time - since >= (LOOK_FOR if now.lookouts else HIDDEN_AFTER)
         if not waited or now.lookouts == len(self._lookouts):
             return now if now.unseen_since == since else replace(now, unseen_since=since)
-        ways = (plan_lookout(now.rest, place, self.style, self._reach) for place in self._order_lookouts(now.rest))
+        ways = (
+            plan_lookout(now.rest, place, self.style, self._reach)
+            for place in self._order_lookouts(now.rest)
+        )
         segments: tuple[TrajectorySegment, ...] = next((way for way in ways if way), ())
-        now = replace(now, lookouts=now.lookouts + 1 if segments else len(self._lookouts), unseen_since=None)
+        now = replace(
+            now, lookouts=now.lookouts + 1 if segments else len(self._lookouts), unseen_since=None
+        )
         if not segments:
             return now
-        return replace(now, segments=segments, segment_start=time, status=replace(now.status, phase=PushPhase.CLEARING))
+        return replace(
+            now,
+            segments=segments,
+            segment_start=time,
+            status=replace(now.status, phase=PushPhase.CLEARING),
+        )
 
     def _order_lookouts(self, rest: Point) -> list[Point]:
         """All of them, from the one after `rest`: what is seen on the way to one may be hidden again from there."""
         i = self._lookouts.index(rest) + 1 if rest in self._lookouts else 0
         return self._lookouts[i:] + self._lookouts[:i]
 
-    def _plan(self, context: Context, command: PushCommand, rest: Point) -> tuple[tuple[TrajectorySegment, ...], str]:
+    def _plan(
+        self, context: Context, command: PushCommand, rest: Point
+    ) -> tuple[tuple[TrajectorySegment, ...], str]:
         """The segments of a command, and why it is refused or ""."""
         reason = self._find_fault(command)
         if reason is None and self._outline is not None:

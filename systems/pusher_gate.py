@@ -33,11 +33,18 @@ class PusherGate(LeafSystem):
         """Declares the ports."""
         super().__init__()
         self._pusher = self.DeclareVectorInputPort("pusher_state", PUSHER_STATE_SIZE)
-        self._status = self.DeclareAbstractInputPort("grasp_status", AbstractValue.Make(GraspStatus()))
+        self._status = self.DeclareAbstractInputPort(
+            "grasp_status", AbstractValue.Make(GraspStatus())
+        )
         self.DeclareVectorOutputPort(
-            "pusher_state", PUSHER_STATE_SIZE, weakly(self._calc), {self._pusher.ticket(), self._status.ticket()}
+            "pusher_state",
+            PUSHER_STATE_SIZE,
+            weakly(self._calc),
+            {self._pusher.ticket(), self._status.ticket()},
         )
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         idle = self._status.Eval(context).ready
-        output.SetFromVector(self._pusher.Eval(context) if idle else np.full(PUSHER_STATE_SIZE, np.nan))
+        output.SetFromVector(
+            self._pusher.Eval(context) if idle else np.full(PUSHER_STATE_SIZE, np.nan)
+        )

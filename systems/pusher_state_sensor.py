@@ -40,8 +40,12 @@ class PusherStateSensor(LeafSystem):
         super().__init__()
         self._body = int(body)
         self._p_BP = np.zeros(3) if p_BP is None else np.array(p_BP, dtype=np.float64)
-        self._body_poses = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
-        self._velocities = self.DeclareAbstractInputPort("body_spatial_velocities", Value[list[SpatialVelocity]]())
+        self._body_poses = self.DeclareAbstractInputPort(
+            "body_poses", Value[list[RigidTransform]]()
+        )
+        self._velocities = self.DeclareAbstractInputPort(
+            "body_spatial_velocities", Value[list[SpatialVelocity]]()
+        )
         self.DeclareVectorOutputPort(
             "pusher_state",
             6,
@@ -75,8 +79,9 @@ class ArmTipSensor(LeafSystem):
     * velocity_estimated: vector of n, their velocities, rad/s.
     * torque_external: vector of n, on the joints from outside, N m.
     * pusher_state: vector of 6, the tip's center p_WP, m, and its velocity v_WP, m/s, in W.
-    * force: vector of 3, on the tip, in W, N: the one that says most of the torques, by least squares of
-      J^T f = tau with the Jacobian J of the tip's velocity. What the joints cannot feel is 0 in it.
+    * force: vector of 3, on the tip, in W, N: the one that says most of the torques, by least
+      squares of J^T f = tau with the Jacobian J of the tip's velocity. What the joints cannot feel
+      is 0 in it.
     """
 
     __slots__ = NO_SLOTS
@@ -93,17 +98,23 @@ class ArmTipSensor(LeafSystem):
         self._plant_context = control_plant.CreateDefaultContext()
         self._q = self.DeclareVectorInputPort("position_measured", control_plant.num_positions())
         self._v = self.DeclareVectorInputPort("velocity_estimated", control_plant.num_velocities())
-        self._torque = self.DeclareVectorInputPort("torque_external", control_plant.num_velocities())
+        self._torque = self.DeclareVectorInputPort(
+            "torque_external", control_plant.num_velocities()
+        )
         self.DeclareVectorOutputPort(
             "pusher_state", 6, weakly(self._calc_pusher_state), {self._q.ticket(), self._v.ticket()}
         )
-        self.DeclareVectorOutputPort("force", 3, weakly(self._calc_force), {self._q.ticket(), self._torque.ticket()})
+        self.DeclareVectorOutputPort(
+            "force", 3, weakly(self._calc_force), {self._q.ticket(), self._torque.ticket()}
+        )
 
     def _calc_force(self, context: Context, output: BasicVector) -> None:
         plant, scratch = self._plant, self._plant_context
         plant.SetPositions(scratch, self._q.Eval(context))
         tip, world = plant.GetFrameByName(self._tip_frame), plant.world_frame()
-        J = plant.CalcJacobianTranslationalVelocity(scratch, JacobianWrtVariable.kV, tip, np.zeros(3), world, world)
+        J = plant.CalcJacobianTranslationalVelocity(
+            scratch, JacobianWrtVariable.kV, tip, np.zeros(3), world, world
+        )
         torque = self._torque.Eval(context)
         finite = np.isfinite(torque).all() and np.isfinite(J).all()
         output.SetFromVector(np.linalg.lstsq(J.T, torque)[0] if finite else np.full(3, np.nan))

@@ -28,13 +28,13 @@ class RgbdNoise(LeafSystem):
         - color_image
         - depth_image
 
-    * color_image: abstract `ImageRgba8U`, in and out. A picture's exposure is off by a common factor, each value by
-      noise of its own.
-    * depth_image: abstract `ImageDepth32F`, m, in and out. The noise grows with the distance squared, sigma(z) = s z^2;
-      where depth jumps between neighbors it is not measured, 0.
+    * color_image: abstract `ImageRgba8U`, in and out. A picture's exposure is off by a common
+      factor, each value by noise of its own.
+    * depth_image: abstract `ImageDepth32F`, m, in and out. The noise grows with the distance
+      squared, sigma(z) = s z^2; where depth jumps between neighbors it is not measured, 0.
 
-    The noise of a picture depends on its number, time / period, and on the seed alone, which is numeric parameter 0: a
-    Context and its clone see the same.
+    The noise of a picture depends on its number, time / period, and on the seed alone, which is
+    numeric parameter 0: a Context and its clone see the same.
     """
 
     __slots__ = NO_SLOTS
@@ -71,8 +71,12 @@ class RgbdNoise(LeafSystem):
         color, depth = ImageRgba8U(width, height), ImageDepth32F(width, height)
         self._color = self.DeclareAbstractInputPort("color_image", Value(color))
         self._depth = self.DeclareAbstractInputPort("depth_image", Value(depth))
-        self.DeclareAbstractOutputPort("color_image", lambda: Value(color), weakly(self._calc_color))
-        self.DeclareAbstractOutputPort("depth_image", lambda: Value(depth), weakly(self._calc_depth))
+        self.DeclareAbstractOutputPort(
+            "color_image", lambda: Value(color), weakly(self._calc_color)
+        )
+        self.DeclareAbstractOutputPort(
+            "depth_image", lambda: Value(depth), weakly(self._calc_depth)
+        )
 
     def SetSeed(self, root_context: Context, seed: int) -> None:
         """Sets the seed of the noise in a Diagram's Context."""
@@ -102,5 +106,7 @@ class RgbdNoise(LeafSystem):
         noise = self._make_generator(context, 1).standard_normal(z.shape, dtype=np.float32)
         noisy = z + np.float32(self._depth_noise) * z**2 * noise
         image = ImageDepth32F(*self._size)
-        image.mutable_data[..., 0] = np.where(measured & (jump < self._depth_edge), np.maximum(noisy, 0.0), 0.0)
+        image.mutable_data[..., 0] = np.where(
+            measured & (jump < self._depth_edge), np.maximum(noisy, 0.0), 0.0
+        )
         output.set_value(image)

@@ -14,7 +14,8 @@ class TrueParameters(LeafSystem):
 
         name: TrueParameters
 
-    A plant knows the truth as an inertia and as contact properties, from which the cells' masses cannot be read back.
+    A plant knows the truth as an inertia and as contact properties, from which the cells' masses
+    cannot be read back.
 
     Abstract parameter: one `CellParameters`.
     """

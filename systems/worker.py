@@ -1,11 +1,13 @@
 """`Worker`: what takes long is calculated beside the Diagram, which never waits for it.
 
-A system asks a `Request` and keeps it in its state; at later updates it takes the answer, which then is state, too.
-What is asked is a pure function of frozen arguments, so that a Context may be cloned, or come back later, with a
-request under way: two clones share one calculation, and one that is gone is made again.
+A system asks a `Request` and keeps it in its state; at later updates it takes the answer, which
+then is state, too. What is asked is a pure function of frozen arguments, so that a Context may be
+cloned, or come back later, with a request under way: two clones share one calculation, and one that
+is gone is made again.
 
     request = worker.ask(partial(decide, now, seen), time)      # in one update
-    answer = worker.take(request, time)                         # in later ones; None while there is none
+    answer = worker.take(request, time)                         # in later ones; None while there is
+    none
 """
 
 import sys
@@ -57,8 +59,9 @@ class Worker:
     """One thread that answers requests, one after another. It ends with the system that has it.
 
     Attributes:
-        delay: s, simulated, after which an answer is taken ("lockstep"): it is waited for then, so that a run does not
-            depend on how fast the computer is. None: "real time", an answer is taken once it is there.
+        delay: s, simulated, after which an answer is taken ("lockstep"): it is waited for then, so
+            that a run does not depend on how fast the computer is. None: "real time", an answer is
+            taken once it is there.
     """
 
     def __init__(self, delay: float | None) -> None:
@@ -82,10 +85,13 @@ class Worker:
             time: now, s.
 
         Returns:
-            The answer, which says so where the function raised or its thread was ended; never raises itself.
+            The answer, which says so where the function raised or its thread was ended; never
+            raises itself.
         """
         future = self._find(request)
-        if not (future.done() if self.delay is None else time >= request.time + self.delay - ROUNDING):
+        if not (
+            future.done() if self.delay is None else time >= request.time + self.delay - ROUNDING
+        ):
             return None
         return answer_now(future.result)
 
@@ -125,8 +131,8 @@ def make_worker(answer_delay: float | None) -> Worker | None:
     """Makes the worker that a system needs.
 
     Args:
-        answer_delay: s, simulated, after which what takes long is answered; 0: in the same update, by the Diagram
-            itself; None: in real time, whenever the answer is there.
+        answer_delay: s, simulated, after which what takes long is answered; 0: in the same update,
+            by the Diagram itself; None: in real time, whenever the answer is there.
 
     Returns:
         The worker; None where none is needed.
@@ -135,7 +141,9 @@ def make_worker(answer_delay: float | None) -> Worker | None:
         PlanningError: the delay is negative or not finite.
     """
     if answer_delay is not None and not (isfinite(answer_delay) and answer_delay >= 0):
-        raise PlanningError(f"answer_delay is {answer_delay!r}; expected a number >= 0 (s), or None for real time")
+        raise PlanningError(
+            f"answer_delay is {answer_delay!r}; expected a number >= 0 (s), or None for real time"
+        )
     return None if answer_delay == 0 else Worker(answer_delay)
 
 

@@ -8,7 +8,9 @@ BEGIN = monotonic()
 
 
 def pytest_addoption(parser):
-    parser.addoption("--budget", type=float, metavar="SECONDS", help="After so long no further test begins.")
+    parser.addoption(
+        "--budget", type=float, metavar="SECONDS", help="After so long no further test begins."
+    )
 
 
 def pytest_runtest_setup(item):

@@ -13,7 +13,9 @@ from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 OBJ = GridObject.from_outline([[0, 0], [0.1, 0], [0.1, 0.05], [0, 0.05]], max_cells=8)
 PUSH = Push.on_outline(OBJ, 0.02, 0.1, 0.03, radius=0.005, speed=0.02)
-SEEN = ObservedPush("a", PUSH, np.zeros(3), [PUSH.duration], np.ones((1, 3)), [0.0], np.zeros((1, 2)))
+SEEN = ObservedPush(
+    "a", PUSH, np.zeros(3), [PUSH.duration], np.ones((1, 3)), [0.0], np.zeros((1, 2))
+)
 RECORDS = [
     OBJ,
     OBJ.edges,
@@ -27,10 +29,16 @@ RECORDS = [
 
 
 @pytest.mark.parametrize("record", RECORDS, ids=lambda record: type(record).__name__)
-@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda record: pickle.loads(pickle.dumps(record))])
+@pytest.mark.parametrize(
+    "copied", [copy.copy, copy.deepcopy, lambda record: pickle.loads(pickle.dumps(record))]
+)
 def test_copies_are_as_frozen_and_equal(record, copied):
     other = copied(record)
-    arrays = [field.name for field in fields(record) if isinstance(getattr(record, field.name), np.ndarray)]
+    arrays = [
+        field.name
+        for field in fields(record)
+        if isinstance(getattr(record, field.name), np.ndarray)
+    ]
     assert arrays
     for name in arrays:
         np.testing.assert_array_equal(getattr(other, name), getattr(record, name))

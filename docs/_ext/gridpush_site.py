@@ -35,14 +35,18 @@ MARKUP = re.compile(r"(?<!\\)(\||(?<=\S)\*|\*(?=\S)|(?<=\w)_(?!\w))")
 
 
 ARRAY = re.compile(r"~?numpy\.ndarray\[~?tuple\[.*?\], ~?numpy\.dtype\[~?numpy\.(\w+?)\d*\]\]")
-ARRAY_LIKE = re.compile(r"~?numpy\._typing\._array_like\._Buffer.*?_NestedSequence\[complex \| bytes \| str\]")
+ARRAY_LIKE = re.compile(
+    r"~?numpy\._typing\._array_like\._Buffer.*?_NestedSequence\[complex \| bytes \| str\]"
+)
 CALLABLE = re.compile(r"~?collections\.abc\.Callable\[\[.*?\], .*?\](?=$|[ ,|\]])")
 UNIT_ALONE = re.compile(r"^(:\w+ \w+:) (\w\.)$")
 PYDANTIC = "Create a new model by parsing and validating input data from keyword arguments."
 """How the docstring of every model's constructor begins."""
 
 FUNCTION = re.compile(r"(<m[io]>(?:log|exp|det|cov|diag|tr|asinh|clip|Huber)</m[io]>)")
-LITERAL = re.compile(r"(^ *::\n\n(?:(?: {4,}.*)?\n)+|^ *\.\. \w+::\n(?:(?: {3,}.*)?\n)+)", re.MULTILINE)
+LITERAL = re.compile(
+    r"(^ *::\n\n(?:(?: {4,}.*)?\n)+|^ *\.\. \w+::\n(?:(?: {3,}.*)?\n)+)", re.MULTILINE
+)
 INDENT = 4
 """Columns by which an equation stands to the right of the text about it."""
 
@@ -74,7 +78,8 @@ class PydrakeSystem(Directive):
         """Makes the table."""
         system = yaml.safe_load("\n".join(self.content))
         names = [
-            [html.escape(str(port)) for port in system.get(side) or []] for side in ("input_ports", "output_ports")
+            [html.escape(str(port)) for port in system.get(side) or []]
+            for side in ("input_ports", "output_ports")
         ]
         inputs = "<br>".join(f"{name} &rarr;" for name in names[0])
         outputs = "<br>".join(f"&rarr; {name}" for name in names[1])
@@ -98,12 +103,22 @@ class StationDiagram(SphinxDirective):
         """Draws the station."""
         from gridpush_drake import MakePushStation, PushScenario
 
-        station = MakePushStation(PushScenario(object=self.arguments[0] if self.arguments else "claw_hammer"))
+        station = MakePushStation(
+            PushScenario(object=self.arguments[0] if self.arguments else "claw_hammer")
+        )
         text = station.GetGraphvizString(max_depth=1)
         if shutil.which("dot") is None:
             return [nodes.literal_block(text, text)]
-        drawn = subprocess.run(["dot", "-Tsvg"], input=text, capture_output=True, text=True, check=True).stdout
-        return [nodes.raw("", f'<div class="drake-diagram">{drawn[drawn.index("<svg") :]}</div>', format="html")]
+        drawn = subprocess.run(
+            ["dot", "-Tsvg"], input=text, capture_output=True, text=True, check=True
+        ).stdout
+        return [
+            nodes.raw(
+                "",
+                f'<div class="drake-diagram">{drawn[drawn.index("<svg") :]}</div>',
+                format="html",
+            )
+        ]
 
 
 class PublicNames(SphinxDirective):
@@ -121,7 +136,9 @@ class PublicNames(SphinxDirective):
         return [node]
 
 
-def make_rst(app: Sphinx, _what: str, _name: str, _obj: Any, _options: Any, lines: list[str]) -> None:
+def make_rst(
+    app: Sphinx, _what: str, _name: str, _obj: Any, _options: Any, lines: list[str]
+) -> None:
     """Makes reStructuredText of a docstring: indented equations stay as they are, |, * and _ are no markup."""
     out: list[str] = []
     directive = block = None
@@ -133,8 +150,18 @@ def make_rst(app: Sphinx, _what: str, _name: str, _obj: Any, _options: Any, line
             block = None if block is not None and indent < block else block
             if line.lstrip().startswith(".. "):
                 directive = indent
-            begins = bool(out) and not out[-1].strip() and bool(last.strip()) and indent >= _indent(last) + INDENT
-            if begins and directive is None and block is None and not last.lstrip().startswith("* "):
+            begins = (
+                bool(out)
+                and not out[-1].strip()
+                and bool(last.strip())
+                and indent >= _indent(last) + INDENT
+            )
+            if (
+                begins
+                and directive is None
+                and block is None
+                and not last.lstrip().startswith("* ")
+            ):
                 block = indent
                 out += [" " * _indent(last) + "::", ""]
             last = line
@@ -164,7 +191,13 @@ def _escape(text: str, public: dict[str, str]) -> str:
 
 
 def shorten_types(
-    app: Sphinx, _what: str, name: str, obj: Any, _options: Any, _args: str | None, returns: str | None
+    app: Sphinx,
+    _what: str,
+    name: str,
+    obj: Any,
+    _options: Any,
+    _args: str | None,
+    returns: str | None,
 ) -> tuple[str, str | None] | None:
     """Calls an array an array: shape and unit are in the docstring. Of a file's schema the fields say the defaults."""
     annotations = app.env.current_document.autodoc_annotations.get(name, {})
@@ -173,7 +206,9 @@ def shorten_types(
     return ("(**fields)", returns) if isinstance(obj, type) and issubclass(obj, BaseModel) else None
 
 
-def shorten_field_types(_app: Sphinx, _what: str, _name: str, obj: Any, _options: Any, lines: list[str]) -> None:
+def shorten_field_types(
+    _app: Sphinx, _what: str, _name: str, obj: Any, _options: Any, lines: list[str]
+) -> None:
     """Does the same with the attributes' types, which stand in the docstring by now.
 
     Takes out Pydantic's own text, and keeps an "m." from being the first item of a list.
@@ -187,12 +222,16 @@ def shorten_field_types(_app: Sphinx, _what: str, _name: str, obj: Any, _options
             lines[i] = UNIT_ALONE.sub(r"\1 \\\2", line)
 
 
-def skip_settings(_app: Sphinx, _what: str, name: str, _obj: Any, skip: bool, _options: Any) -> bool:
+def skip_settings(
+    _app: Sphinx, _what: str, name: str, _obj: Any, skip: bool, _options: Any
+) -> bool:
     """Leaves out how Pydantic is set."""
     return skip or name == "model_config"
 
 
-def link_public_name(app: Sphinx, env: Any, node: pending_xref, contnode: nodes.Element) -> nodes.Node | None:
+def link_public_name(
+    app: Sphinx, env: Any, node: pending_xref, contnode: nodes.Element
+) -> nodes.Node | None:
     """Leads a name that stands in a module to where its package shows it."""
     target = node.get("reftarget", "")
     short = target.rsplit(".", 1)[-1]
@@ -207,7 +246,11 @@ def drop_symbols(app: Sphinx, doctree: nodes.document) -> None:
     """Takes the links off symbols, such as the n of a shape (n, 2), which are no names."""
     for node in list(doctree.findall(pending_xref)):
         target = node.get("reftarget", "")
-        if node.get("refdomain") == "py" and "." not in target and target not in app.gridpush_public:  # type: ignore[attr-defined]
+        if (
+            node.get("refdomain") == "py"
+            and "." not in target
+            and target not in app.gridpush_public
+        ):  # type: ignore[attr-defined]
             node.replace_self(node.children)
 
 
@@ -245,7 +288,11 @@ def check_links(app: Sphinx, error: Exception | None) -> None:
             place, _, anchor = link.partition("#")
             target = (path.parent / unquote(place.partition("?")[0])).resolve() if place else path
             if "needs the network" not in link and (
-                "//" in place or (target.exists() and (target not in pages or unquote(anchor) in pages[target].anchors))
+                "//" in place
+                or (
+                    target.exists()
+                    and (target not in pages or unquote(anchor) in pages[target].anchors)
+                )
             ):
                 continue
             LOGGER.warning("%s: %s leads nowhere", path.relative_to(root), link)
@@ -277,7 +324,16 @@ def write_pages(app: Sphinx) -> None:
 
 def make_command_line_page() -> str:
     """The help of every command, as Typer writes it in Markdown, but with whole sentences in the lists of commands."""
-    command = [sys.executable, "-m", "typer", "gridpush_drake.cli.main", "utils", "docs", "--name", "gridpush"]
+    command = [
+        sys.executable,
+        "-m",
+        "typer",
+        "gridpush_drake.cli.main",
+        "utils",
+        "docs",
+        "--name",
+        "gridpush",
+    ]
     text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     said = dict(re.findall(r"^#+ `(gridpush[ \w]*)`\n\n(.+)$", text, re.MULTILINE))
     parts = re.split(r"^(#+ `(gridpush[ \w]*)`)$", text, flags=re.MULTILINE)
@@ -285,7 +341,9 @@ def make_command_line_page() -> str:
         above = parts[i - 1]
         parts[i] = re.sub(
             r"^\* `(\w+)`: .*$",
-            lambda found, above=above: f"* `{found[1]}`: {said.get(f'{above} {found[1]}', found[0])}",
+            lambda found, above=above: (
+                f"* `{found[1]}`: {said.get(f'{above} {found[1]}', found[0])}"
+            ),
             parts[i],
             flags=re.MULTILINE,
         )

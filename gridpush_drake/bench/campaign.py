@@ -1,7 +1,7 @@
 """`gridpush campaign`: whole episodes of a station's task with many seeds and objects, and how each of them ended.
 
-An episode is one run of the task: everything that is hidden or random is drawn from its seed, so that whoever runs it
-again sees the same. What came of it is one line of a file (`jobs.Results`).
+An episode is one run of the task: everything that is hidden or random is drawn from its seed, so
+that whoever runs it again sees the same. What came of it is one line of a file (`jobs.Results`).
 """
 
 import shlex
@@ -28,7 +28,8 @@ from gridpush_drake.station.scene import use_object
 from gridpush_drake.station.task import StationTask, TaskRecord, TaskStatus
 
 SCENARIO, EPISODES, TABLE, REPLAYS = "scenario.yaml", "episodes.jsonl", "table.md", "replays"
-"""In a campaign's folder: what its episodes are of, a line for each, what came of all, and those that were replayed."""
+"""In a campaign's folder: what its episodes are of, a line for each, what came of all, and those
+that were replayed."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,8 @@ TASKS = {
 """By the names that `gridpush demo` has for them."""
 
 REFUSED, BROKEN = "refused", "error"
-"""Statuses, beside a task's, of episodes that could not be run: for a reason that the package gives, and otherwise."""
+"""Statuses, beside a task's, of episodes that could not be run: for a reason that the package
+gives, and otherwise."""
 
 DROPPED, NOT_LIFTED, GAVE_UP = "dropped", "not lifted", "gave up"
 """What an episode came to that did not end as it should."""
@@ -97,11 +99,13 @@ class Episode:
         seed: likewise.
         status: of the run, or REFUSED or BROKEN.
         message: the status in a sentence.
-        outcome: the task's `done`, DROPPED (off the table), NOT_LIFTED, or GAVE_UP for anything else.
+        outcome: the task's `done`, DROPPED (off the table), NOT_LIFTED, or GAVE_UP for anything
+            else.
         pushes: made.
         pokes: of them to learn only; None where the task does not tell them apart.
         slides: of them toward the edge; likewise.
-        raised: how far the object's lowest point was above the table at the end, m; None where it is not lifted.
+        raised: how far the object's lowest point was above the table at the end, m; None where it
+            is not lifted.
         center_of_mass_error: of the last estimate, m; None where nothing was learned.
         duration: simulated, s.
         wall: what it took, s, with making the station.
@@ -131,10 +135,14 @@ def run_episode(job: EpisodeJob) -> Episode:
         task = TASKS[job.task].make(scenario)
         record = task.run()
     except GridPushError as error:
-        return Episode(job.object, job.seed, REFUSED, str(error), GAVE_UP, wall=perf_counter() - begin)
+        return Episode(
+            job.object, job.seed, REFUSED, str(error), GAVE_UP, wall=perf_counter() - begin
+        )
     except Exception as error:
         *_, last = traceback.extract_tb(error.__traceback__)
-        message = f"{type(error).__name__} in {Path(last.filename).name}, line {last.lineno}: {error}"
+        message = (
+            f"{type(error).__name__} in {Path(last.filename).name}, line {last.lineno}: {error}"
+        )
         return Episode(job.object, job.seed, BROKEN, message, GAVE_UP, wall=perf_counter() - begin)
     if record.status == TaskStatus.INTERRUPTED:
         raise KeyboardInterrupt
@@ -188,7 +196,9 @@ class Campaign:
     def ends(self) -> list[str]:
         """What episodes came to, for the table's columns: "not lifted" only where one did."""
         lifted = all(episode.outcome != NOT_LIFTED for episode in self.episodes)
-        return [self.done, DROPPED, GAVE_UP] if lifted else [self.done, DROPPED, NOT_LIFTED, GAVE_UP]
+        return (
+            [self.done, DROPPED, GAVE_UP] if lifted else [self.done, DROPPED, NOT_LIFTED, GAVE_UP]
+        )
 
     @property
     def failures(self) -> list[Episode]:
@@ -199,13 +209,20 @@ class Campaign:
         """The command that runs an episode again, and writes its recording and report."""
         out = self.folder / REPLAYS / f"{Path(episode.object).stem}-{episode.seed}"
         words = ["gridpush", "demo", "--task", self.task, "--scenario", str(self.folder / SCENARIO)]
-        return shlex.join([*words, "--object", episode.object, "--seed", str(episode.seed), "--out", str(out)])
+        return shlex.join(
+            [*words, "--object", episode.object, "--seed", str(episode.seed), "--out", str(out)]
+        )
 
     def count(self) -> Iterator[tuple[str, list[Episode], dict[str, Share]]]:
         """For each object, and for "all" where there are several: its episodes, and how many ended in what way."""
         names = list(dict.fromkeys(episode.object for episode in self.episodes))
-        groups = [(name, [episode for episode in self.episodes if episode.object == name]) for name in names]
-        for name, group in [*groups, ("all", list(self.episodes))][: len(groups) + (len(groups) > 1)]:
+        groups = [
+            (name, [episode for episode in self.episodes if episode.object == name])
+            for name in names
+        ]
+        for name, group in [*groups, ("all", list(self.episodes))][
+            : len(groups) + (len(groups) > 1)
+        ]:
             ends = [episode.outcome for episode in group]
             yield name, group, {end: Share.of(ends.count(end), len(ends)) for end in self.ends}
 
@@ -214,8 +231,18 @@ class Campaign:
         rows: list[tuple[Value, ...]] = []
         averaged = [name for name, (key, _) in AVERAGED.items() if _list_known(self.episodes, key)]
         for name, group, shares in self.count():
-            means = [AVERAGED[each][1] * calc_mean(_list_known(group, AVERAGED[each][0])) for each in averaged]
-            rows.append((Path(name).stem, len(group), *(share.describe() for share in shares.values()), *means))
+            means = [
+                AVERAGED[each][1] * calc_mean(_list_known(group, AVERAGED[each][0]))
+                for each in averaged
+            ]
+            rows.append(
+                (
+                    Path(name).stem,
+                    len(group),
+                    *(share.describe() for share in shares.values()),
+                    *means,
+                )
+            )
         meanings = [f"{end}: {MEANINGS[end]}." for end in self.ends if end in MEANINGS]
         notes = [
             f"In brackets: {PERCENT * CONFIDENCE:g} % Wilson intervals. {' '.join(meanings)}"
@@ -233,7 +260,9 @@ class Campaign:
             {"object": name, **{end: asdict(share) for end, share in shares.items()}}
             for name, _, shares in self.count()
         ]
-        failures = [{**asdict(failure), "replay": self.make_replay(failure)} for failure in self.failures]
+        failures = [
+            {**asdict(failure), "replay": self.make_replay(failure)} for failure in self.failures
+        ]
         return {"task": self.task, "objects": objects, "failures": failures}
 
 
@@ -255,14 +284,20 @@ def describe_settings(task: str, scenario: PushScenario) -> dict[str, Any]:
     """All that makes a campaign's episodes what they are, but object and seed, by its place; for `open_results`."""
     own = {"object", "seed", "directives"}
     settings = {"task": task, **_flatten("scenario", scenario.model_dump(exclude=own))}
-    directives = yaml_dump_typed(ModelDirectives(directives=scenario.directives), schema=ModelDirectives)
+    directives = yaml_dump_typed(
+        ModelDirectives(directives=scenario.directives), schema=ModelDirectives
+    )
     return {**settings, "scenario.directives": " ".join(directives.split())}
 
 
 def _flatten(place: str, value: Any) -> dict[str, Any]:
     if not isinstance(value, dict):
         return {place: value}
-    return {key: inner for name, each in value.items() for key, inner in _flatten(f"{place}.{name}", each).items()}
+    return {
+        key: inner
+        for name, each in value.items()
+        for key, inner in _flatten(f"{place}.{name}", each).items()
+    }
 
 
 def run(
@@ -274,7 +309,8 @@ def run(
     Args:
         task: one of TASKS.
         scenario: of all of them; its object and seed do not matter.
-        objects: names of shipped objects or object files, with the hash of the file of those that are not shipped.
+        objects: names of shipped objects or object files, with the hash of the file of those that
+            are not shipped.
         seeds: of the episodes with each.
         folder: of the campaign, where the scenario lies.
         execution: how they are run.
@@ -288,7 +324,13 @@ def run(
     if not objects or not seeds:
         raise GridPushError(f"{'seeds' if objects else 'objects'}: none; expected at least one")
     text = format_scenario(scenario)
-    jobs = [EpisodeJob(name, seed, digest, task, text) for seed in seeds for name, digest in objects.items()]
+    jobs = [
+        EpisodeJob(name, seed, digest, task, text)
+        for seed in seeds
+        for name, digest in objects.items()
+    ]
     found = run_jobs(run_episode, jobs, EpisodeJob.describe, execution)
     order = {name: at for at, name in enumerate(objects)}
-    return Campaign(task, folder, sorted(found, key=lambda episode: (order[episode.object], episode.seed)))
+    return Campaign(
+        task, folder, sorted(found, key=lambda episode: (order[episode.object], episode.seed))
+    )

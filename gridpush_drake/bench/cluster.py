@@ -1,7 +1,8 @@
 """Runs jobs on the workers of a Dask cluster that is there already; `distributed` is imported where one is used.
 
-The cluster's scheduler hands out the jobs, and those of a worker that was lost to another one. Workers must have the
-same sources of this package; a worker does one job at a time, so that one thread each is best.
+The cluster's scheduler hands out the jobs, and those of a worker that was lost to another one.
+Workers must have the same sources of this package; a worker does one job at a time, so that one
+thread each is best.
 """
 
 import logging
@@ -30,7 +31,8 @@ def open_cluster(address: str) -> "Iterator[DaskCluster]":
     """Connects to the cluster of a scheduler's address; in the end, jobs that it has not done are dropped.
 
     Raises:
-        GridPushError: `distributed` is not installed, or no scheduler answers within CONNECT_WITHIN.
+        GridPushError: `distributed` is not installed, or no scheduler answers within
+            CONNECT_WITHIN.
     """
     client = _connect(address)
     try:
@@ -43,8 +45,12 @@ def _connect(address: str) -> "Client":
     try:
         from distributed import Client
     except ImportError as error:
-        raise GridPushError("--dask: needs distributed; pip install 'gridpush-drake[cluster]'") from error
-    logging.getLogger(Client.__module__).setLevel(logging.CRITICAL)  # what it has to say is said here
+        raise GridPushError(
+            "--dask: needs distributed; pip install 'gridpush-drake[cluster]'"
+        ) from error
+    logging.getLogger(Client.__module__).setLevel(
+        logging.CRITICAL
+    )  # what it has to say is said here
     answer: Queue[Client | Exception] = Queue()
 
     def connect() -> None:
@@ -53,13 +59,17 @@ def _connect(address: str) -> "Client":
         except Exception as error:  # what is no scheduler may answer anything
             answer.put(error)
 
-    Thread(target=connect, daemon=True).start()  # what listens but never answers is waited for without end
+    Thread(
+        target=connect, daemon=True
+    ).start()  # what listens but never answers is waited for without end
     try:
         found = answer.get(timeout=CONNECT_WITHIN + REPORT_EVERY)
     except Empty:
         found = TimeoutError(f"nothing answered within {CONNECT_WITHIN:g} s")
     if isinstance(found, Exception):
-        raise GridPushError(f"--dask: no cluster at {address!r} ({found}); expected {ADDRESS}") from found
+        raise GridPushError(
+            f"--dask: no cluster at {address!r} ({found}); expected {ADDRESS}"
+        ) from found
     return found
 
 
@@ -73,11 +83,14 @@ class DaskCluster:
     def __init__(self, address: str, client: "Client") -> None:
         self.address, self._client = address, client
 
-    def run(self, function: Callable[[Any], Any], jobs: Sequence[tuple[int, Any]]) -> Iterator[Found]:
+    def run(
+        self, function: Callable[[Any], Any], jobs: Sequence[tuple[int, Any]]
+    ) -> Iterator[Found]:
         """Runs a function on numbered jobs; yields their results as they come, and None now and then without.
 
         Raises:
-            LostJobsError: jobs lost more workers than the cluster allows, which is said when all others are done.
+            LostJobsError: jobs lost more workers than the cluster allows, which is said when all
+                others are done.
             GridPushError: the scheduler is lost, or a worker has other sources.
         """
         from distributed import KilledWorker
@@ -121,7 +134,9 @@ class DaskCluster:
             raise self._lost()
 
     def _lost(self) -> GridPushError:
-        return GridPushError(f"--dask: the cluster at {self.address!r} answers no longer; what was done is kept")
+        return GridPushError(
+            f"--dask: the cluster at {self.address!r} answers no longer; what was done is kept"
+        )
 
 
 _find_program = cache(hash_sources)

@@ -53,9 +53,10 @@ class Job:
 class StationScore:
     """What came of one experiment; lengths in m.
 
-    Mean cell errors of the held-out pushes are with the uniform model, as learned, and with the true parameters; center
-    of mass errors with the first two. `share` is the greatest of joint position, velocity and torque limits; `touched`
-    counts pairs of bodies that should not have touched; `rate` is of the poses, Hz.
+    Mean cell errors of the held-out pushes are with the uniform model, as learned, and with the
+    true parameters; center of mass errors with the first two. `share` is the greatest of joint
+    position, velocity and torque limits; `touched` counts pairs of bodies that should not have
+    touched; `rate` is of the poses, Hz.
     """
 
     name: str
@@ -73,26 +74,34 @@ class StationScore:
     rate: float = 30.0
 
 
-def run(seed: int = 0, execution: Execution = QUIET, *, quick: bool = False, camera: CameraKind = IDEAL) -> list[Table]:
+def run(
+    seed: int = 0, execution: Execution = QUIET, *, quick: bool = False, camera: CameraKind = IDEAL
+) -> list[Table]:
     """Measures all: the LCP system, single updates, the plant beside the model (`bench.plant`), and the station.
 
-    No single updates, and of the rest the first object only, with two pushes and one seed, where `quick`. With a
-    camera only the station, which learns from as many ideal poses a second, too.
+    No single updates, and of the rest the first object only, with two pushes and one seed, where
+    `quick`. With a camera only the station, which learns from as many ideal poses a second, too.
     """
     count = 1 if quick else None
     if camera != IDEAL:
         return _run_station((IDEAL, camera), seed, count, execution)
     tables = [run_lcp_system(execution.report), *([] if quick else [run_updates(execution.report)])]
-    pushes = plant.calc_scores(plant.OBJECTS[:count], 2 if quick else plant.PUSHES, seed=seed, execution=execution)
+    pushes = plant.calc_scores(
+        plant.OBJECTS[:count], 2 if quick else plant.PUSHES, seed=seed, execution=execution
+    )
     return [*tables, plant.make_table(pushes), *_run_station((IDEAL,), seed, count, execution)]
 
 
-def _run_station(cameras: Sequence[CameraKind], seed: int, count: int | None, execution: Execution) -> list[Table]:
+def _run_station(
+    cameras: Sequence[CameraKind], seed: int, count: int | None, execution: Execution
+) -> list[Table]:
     """A table for each camera, of the first objects and seeds only where there is a count."""
     rate = RGBD_RATE if len(cameras) > 1 else None
     cases = [(name, seed + each) for name in OBJECTS[:count] for each in SEEDS[:count]]
     jobs = [Job(*case, camera, rate) for case in cases for camera in cameras]
-    scores = run_jobs(run_job, jobs, lambda job: f"{job.name}, seed {job.seed}, {job.camera} camera", execution)
+    scores = run_jobs(
+        run_job, jobs, lambda job: f"{job.name}, seed {job.seed}, {job.camera} camera", execution
+    )
     return [make_table([score for score in scores if score.camera == camera]) for camera in cameras]
 
 
@@ -103,11 +112,18 @@ def run_job(job: Job) -> StationScore:
     scenario.camera.rate = job.rate or scenario.camera.rate
     record = IdentifyTask(scenario).run()
     assert record.truth is not None  # of a simulated object it is known
-    obj, truth, limits, held_out = record.obj, record.truth, record.limit_report, record.held_out_log
+    obj, truth, limits, held_out = (
+        record.obj,
+        record.truth,
+        record.limit_report,
+        record.held_out_log,
+    )
     uniform = CellParameters.uniform(obj)
     learned = record.estimates[-1].params if record.estimates else uniform
     regime = record.estimates[-1].regime if record.estimates else "quasi_static"
-    before, after, floor = (calc_mean_cell_error(obj, params, held_out, regime) for params in (uniform, learned, truth))
+    before, after, floor = (
+        calc_mean_cell_error(obj, params, held_out, regime) for params in (uniform, learned, truth)
+    )
     gaps = [calc_center_error(record, params) for params in (uniform, learned)]
     return StationScore(
         job.name, job.seed, record.status, len(record.training_log), len(held_out), (before, after, floor),
@@ -119,11 +135,18 @@ def run_job(job: Job) -> StationScore:
 
 def make_table(scores: Sequence[StationScore]) -> Table:
     """A row a score, and one of their means."""
-    rows: list[list[Value]] = [[f"{score.name}, {score.seed}", score.status, *_figures(score)] for score in scores]
+    rows: list[list[Value]] = [
+        [f"{score.name}, {score.seed}", score.status, *_figures(score)] for score in scores
+    ]
     if len(scores) > 1:
-        rows.append(["mean", "", *np.nanmean([_figures(score) for score in scores], axis=0).tolist()])
+        rows.append(
+            ["mean", "", *np.nanmean([_figures(score) for score in scores], axis=0).tolist()]
+        )
     touched = sum(score.touched for score in scores)
-    seen = {IDEAL: "pose noise 0.5 mm and 0.2°", "rgbd": "object and poses from a rendered color and depth camera"}
+    seen = {
+        IDEAL: "pose noise 0.5 mm and 0.2°",
+        "rgbd": "object and poses from a rendered color and depth camera",
+    }
     notes = [
         f"An iiwa with a finger, free base, {seen[scores[0].camera]}, at {scores[0].rate:g} Hz; "
         "held-out pushes of 10 cm by the same robot.",
@@ -134,7 +157,9 @@ def make_table(scores: Sequence[StationScore]) -> Table:
         "object, seed", "status", "pushes", "held out", "uniform, mm", "learned, mm", "truth, mm", "learned/uniform",
         "CoM uniform, mm", "CoM learned, mm", "tracking, mm",
     )  # fmt: skip
-    return Table("Learning in the full station: mean cell error of held-out pushes", columns, rows, notes)
+    return Table(
+        "Learning in the full station: mean cell error of held-out pushes", columns, rows, notes
+    )
 
 
 def _figures(score: StationScore) -> list[float]:
@@ -164,8 +189,13 @@ def run_updates(report: Report | None = None) -> Table:
         announce(words)
         times, busy, learned = time_updates(delay)
         for when, chosen in (("at rest", times[~busy]), ("meanwhile", times[busy])):
-            middle, worst = (np.median(chosen, axis=0) * MS).tolist(), (chosen.max(axis=0) * MS).tolist()
-            rows.append([f"{words}; {when}", learned, len(chosen), middle[0], worst[0], middle[1], worst[1]])
+            middle, worst = (
+                (np.median(chosen, axis=0) * MS).tolist(),
+                (chosen.max(axis=0) * MS).tolist(),
+            )
+            rows.append(
+                [f"{words}; {when}", learned, len(chosen), middle[0], worst[0], middle[1], worst[1]]
+            )
     columns = (
         "learning and choosing", "pushes learned from", "updates", "an update, ms", "worst, ms",
         "its own processor time, ms", "worst, ms of it",
@@ -182,8 +212,8 @@ def time_updates(answer_delay: float | None) -> tuple[Array, NDArray[np.bool_], 
     """Lets the station poke a hammer; `answer_delay` is as of the scenario.
 
     Returns:
-        (U, 2) each update's time by the clock on the wall and by that of the thread's processor, s; (U,) whether
-        something was being learned or chosen; the pushes learned from.
+        (U, 2) each update's time by the clock on the wall and by that of the thread's processor, s;
+        (U,) whether something was being learned or chosen; the pushes learned from.
     """
     scenario = PushScenario(object="claw_hammer")
     simulation = scenario.simulation.model_copy(update={"answer_delay": answer_delay})
@@ -195,18 +225,23 @@ def time_updates(answer_delay: float | None) -> tuple[Array, NDArray[np.bool_], 
     times, busy = [], []
 
     def remember() -> list[Any]:
-        return [one.GetMyContextFromRoot(context).get_abstract_state(0).get_value() for one in systems]
+        return [
+            one.GetMyContextFromRoot(context).get_abstract_state(0).get_value() for one in systems
+        ]
 
     task.simulator.Initialize()
     while context.get_time() < UPDATE_LIMIT and (
-        task.read("executor.status").executed < UPDATE_POKES or any(one.request for one in remember())
+        task.read("executor.status").executed < UPDATE_POKES
+        or any(one.request for one in remember())
     ):
         before, begin, own = remember(), perf_counter(), thread_time()
         task.simulator.AdvanceTo(context.get_time() + UPDATE)
         times.append((perf_counter() - begin, thread_time() - own))
         sleep(max(0.0, UPDATE / UPDATE_RATE - times[-1][0]))
         after = remember()
-        answered = after[0].considered != before[0].considered or after[1].command != before[1].command
+        answered = (
+            after[0].considered != before[0].considered or after[1].command != before[1].command
+        )
         busy.append(answered or any(one.request for one in (*before, *after)))
     return np.array(times), np.array(busy), len(task.read("estimate.identification").push_names)
 
@@ -227,7 +262,9 @@ def run_lcp_system(report: Report | None = None) -> Table:
             obj = GridObject.from_yaml(find_shipped_object(name))
             times = np.sort(_time_pushes(obj, regime))
             median = float(np.median(times))
-            rows.append([f"{name}, {regime}", obj.n, median * MS, float(times[0]) * MS, DURATION / median])
+            rows.append(
+                [f"{name}, {regime}", obj.n, median * MS, float(times[0]) * MS, DURATION / median]
+            )
     notes = [
         f"A push of {DURATION:g} s in steps of {DT * MS:g} ms, {LCP_RUNS} runs, with Drake's Simulator and logging."
     ]
@@ -238,9 +275,13 @@ def run_lcp_system(report: Report | None = None) -> Table:
 def _time_pushes(obj: GridObject, regime: Regime) -> list[float]:
     push = make_bench_push(obj)
     builder = DiagramBuilder()
-    lcp = builder.AddSystem(GridLcpSystem(obj, CellParameters.random(obj, seed=0), DT, regime, RADIUS))
+    lcp = builder.AddSystem(
+        GridLcpSystem(obj, CellParameters.random(obj, seed=0), DT, regime, RADIUS)
+    )
     states = np.column_stack([push.xy, np.tile(push.velocity, (len(push.xy), 1))])
-    source = builder.AddSystem(TrajectorySource(PiecewisePolynomial.FirstOrderHold(push.t, states.T)))
+    source = builder.AddSystem(
+        TrajectorySource(PiecewisePolynomial.FirstOrderHold(push.t, states.T))
+    )
     builder.Connect(source.get_output_port(), lcp.GetInputPort("pusher_state"))
     diagram = builder.Build()
     times = []

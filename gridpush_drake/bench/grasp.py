@@ -5,7 +5,14 @@ Its runs are episodes of a campaign with the shipped scenario.
 
 from collections.abc import Sequence
 
-from gridpush_drake.bench.campaign import DROPPED, GAVE_UP, NOT_LIFTED, Episode, EpisodeJob, run_episode
+from gridpush_drake.bench.campaign import (
+    DROPPED,
+    GAVE_UP,
+    NOT_LIFTED,
+    Episode,
+    EpisodeJob,
+    run_episode,
+)
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.table import MM, Table, by_object, calc_mean, count_of, mean_of
 from gridpush_drake.errors import GridPushError
@@ -56,7 +63,9 @@ def tabulate(episodes: Sequence[Episode], objects: Sequence[str]) -> Table:
         "given up": count_of("outcome", GAVE_UP),
         "pokes": mean_of("pokes"),
         "slides": mean_of("slides"),
-        "raised, mm": lambda runs: MM * calc_mean([run.raised for run in runs if run.outcome == held]),
+        "raised, mm": lambda runs: (
+            MM * calc_mean([run.raised for run in runs if run.outcome == held])
+        ),
         "CoM error, mm": mean_of("center_of_mass_error", MM),
         "simulated, s": mean_of("duration"),
         "wall, s": mean_of("wall"),
@@ -67,6 +76,10 @@ def tabulate(episodes: Sequence[Episode], objects: Sequence[str]) -> Table:
         "anything else, such as no safe way found.",
         "pokes, slides, raised, CoM error, simulated, wall: means of all runs; raised of those held.",
     ]
-    notes += [f"{run.object}, seed {run.seed}: {run.status}. {run.message}" for run in episodes if run.outcome != held]
+    notes += [
+        f"{run.object}, seed {run.seed}: {run.status}. {run.message}"
+        for run in episodes
+        if run.outcome != held
+    ]
     title = "The whole story in the station: poke, learn, slide, grasp, lift, hold"
     return Table.of(title, ("object",), by_object(episodes, objects, key="object"), columns, notes)

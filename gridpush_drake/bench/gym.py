@@ -1,9 +1,9 @@
 """`gridpush bench gym`: how many pushes a second the Gymnasium environments make, and how well players do in them.
 
-The players are our own planner, one at random, and a small one that learns by trying: it rates each place of the
-outline, in each of some directions, by a weighted sum of what the observation says of it, takes the best, and pushes as
-far as another weighted sum says. CMA-ES finds the weights: it keeps those that earned most in episodes which are the
-same for all that it compares.
+The players are our own planner, one at random, and a small one that learns by trying: it rates each
+place of the outline, in each of some directions, by a weighted sum of what the observation says of
+it, takes the best, and pushes as far as another weighted sum says. CMA-ES finds the weights: it
+keeps those that earned most in episodes which are the same for all that it compares.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,7 +28,11 @@ from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_to_goal import push_to_goal
-from gridpush_drake.planning.pregrasp.exploration import choose_poke, make_center_functional, make_pokes
+from gridpush_drake.planning.pregrasp.exploration import (
+    choose_poke,
+    make_center_functional,
+    make_pokes,
+)
 from gridpush_drake.planning.pregrasp.planner import PreGraspOptions, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoop, PreGraspLoopOptions
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
@@ -44,7 +48,9 @@ try:
 except ModuleNotFoundError as error:
     if error.name != "gymnasium":
         raise
-    raise GridPushError("gymnasium: is not installed; expected pip install 'gridpush-drake[gym]'") from error
+    raise GridPushError(
+        "gymnasium: is not installed; expected pip install 'gridpush-drake[gym]'"
+    ) from error
 
 PLANNER, LEARNED, RANDOM = "planner", "learned", "random"
 PLAYERS = (PLANNER, LEARNED, RANDOM)
@@ -81,7 +87,8 @@ DIRECTIONS = (-0.5, 0.0, 0.5)
 """That the learned player chooses from, as actions."""
 
 WEIGHTS, SPREAD = 11, 1.0
-"""Of the learned player: eight rate a place and a direction, three the distance; and the first ones' deviation."""
+"""Of the learned player: eight rate a place and a direction, three the distance; and the first
+ones' deviation."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +133,8 @@ def run(
 ) -> list[Table]:
     """Measures the environments' speed, then lets every player play the same episodes, of all games where None.
 
-    The arguments are the options of `gridpush bench gym`; two episodes, and hardly any training, where `quick`.
+    The arguments are the options of `gridpush bench gym`; two episodes, and hardly any training,
+    where `quick`.
 
     Raises:
         GridPushError: a game is not known.
@@ -157,7 +165,9 @@ def run_job(job: Job) -> Played:
     begin = perf_counter()
     weights = train(job.game, job.seed, job.generations, CANDIDATES, TRAINING_EPISODES)
     seconds = perf_counter() - begin
-    return Played(job.game, job.player, play_learned(job.game, weights, job.seed, job.episodes), seconds)
+    return Played(
+        job.game, job.player, play_learned(job.game, weights, job.seed, job.episodes), seconds
+    )
 
 
 def tabulate_speed(games: Sequence[tuple[str, int]]) -> Table:
@@ -173,7 +183,9 @@ def tabulate_speed(games: Sequence[tuple[str, int]]) -> Table:
             for _ in range(steps):
                 before = [len(episode.pushes) for episode in env.episodes]
                 env.step(rng.uniform(-1, 1, (SIDE_BY_SIDE, 3)))
-                made += sum(len(now.pushes) > was for now, was in zip(env.episodes, before, strict=True))
+                made += sum(
+                    len(now.pushes) > was for now, was in zip(env.episodes, before, strict=True)
+                )
             rates = made / (perf_counter() - begin), made / (process_time() - busy)
             rows.append([game, SIDE_BY_SIDE, made, *rates, rates[1] * SIMULATIONS.get(game, 1)])
     return Table(
@@ -198,7 +210,9 @@ def tabulate_scores(played: Sequence[Played], games: Sequence[str]) -> Table:
     columns: dict[str, Column] = {
         "episodes": len,
         "reward": mean_of("reward"),
-        "standard error": lambda scores: float(sem([score.reward for score in scores])) if len(scores) > 1 else None,
+        "standard error": lambda scores: (
+            float(sem([score.reward for score in scores])) if len(scores) > 1 else None
+        ),
         "won, %": mean_of("won", PERCENT),
         "fell": count_of("fell", True),
         "pushes": mean_of("pushes"),
@@ -211,7 +225,9 @@ def tabulate_scores(played: Sequence[Played], games: Sequence[str]) -> Table:
             scores = [score for entry in chosen for score in entry.scores]
             row = {name: calc(scores) for name, calc in columns.items()}
             row |= {"won, %": None} if game == "Explore" else {}
-            rows.append([game, player, *row.values(), sum(entry.seconds for entry in chosen) or None])
+            rows.append(
+                [game, player, *row.values(), sum(entry.seconds for entry in chosen) or None]
+            )
     notes = (
         "All play the same episodes: objects, hidden masses, starts, goals. Reward: mean of an episode's sum.",
         "Final score, median: mean cell error to the goal; how far a part to be grasped hangs over the edge; error"
@@ -219,13 +235,21 @@ def tabulate_scores(played: Sequence[Played], games: Sequence[str]) -> Table:
         "planner: this project's own, learning as it goes; learned: a linear rating of places and directions by "
         f"{CANDIDATES} candidates a generation of CMA-ES, trained on other episodes; random: any action.",
     )
-    return Table("Players of the environments", ("game", "player", *columns, "training, s"), rows, notes, keys=2)
+    return Table(
+        "Players of the environments",
+        ("game", "player", *columns, "training, s"),
+        rows,
+        notes,
+        keys=2,
+    )
 
 
 def play_planner(game: str, seed: int) -> Score:
     """Lets our own planner play an episode; the seed is also the planner's."""
     world = EnvironmentWorld(PushEnvironment(game), seed)
-    {"PushToGoal": _push_to_goal, "SlideToEdge": _slide_to_edge, "Explore": _explore}[game](world, seed)
+    {"PushToGoal": _push_to_goal, "SlideToEdge": _slide_to_edge, "Explore": _explore}[game](
+        world, seed
+    )
     return world.finish()
 
 
@@ -250,8 +274,14 @@ class EnvironmentWorld:
 
     def execute(self, push: Push) -> ObservedPush:
         """Takes the action that is this push."""
-        _, reward, terminated, cut_off, info = self.env.step(self.episode.shape.find_action(push, self.episode.pose))
-        self._reward, self._won, self.over = self._reward + reward, info["is_success"], terminated or cut_off
+        _, reward, terminated, cut_off, info = self.env.step(
+            self.episode.shape.find_action(push, self.episode.pose)
+        )
+        self._reward, self._won, self.over = (
+            self._reward + reward,
+            info["is_success"],
+            terminated or cut_off,
+        )
         return self.episode.pushes[-1]
 
     def finish(self) -> Score:
@@ -276,10 +306,17 @@ def _push_to_goal(world: EnvironmentWorld, seed: int) -> None:
 def _slide_to_edge(world: EnvironmentWorld, seed: int) -> None:
     obj, surface = _hide(world.episode.shape.obj), world.env.game.surface
     planner = PreGraspPlanner(obj, surface, PreGraspOptions(max_arm=MAX_ARM, slide=SLIDE))
-    loop = PreGraspLoop(planner, lambda *_: None, seed=seed, options=PreGraspLoopOptions(observations=1, timeout=0.1))
+    loop = PreGraspLoop(
+        planner,
+        lambda *_: None,
+        seed=seed,
+        options=PreGraspLoopOptions(observations=1, timeout=0.1),
+    )
     learner = Learner(memory=14, seed=seed)
 
-    def learn(obj: GridObject, log: PushLog, before: Identification | None) -> Identification | None:
+    def learn(
+        obj: GridObject, log: PushLog, before: Identification | None
+    ) -> Identification | None:
         return before if world.over else learner(obj, log, before)
 
     run_loop(loop, obj, world, is_over, learn=learn, surface=surface)
@@ -290,7 +327,11 @@ def _explore(world: EnvironmentWorld, seed: int) -> None:
         episode = world.episode
         assert episode.model is not None
         pokes = make_pokes(episode.model, episode.pose)
-        world.execute(choose_poke(episode.model, episode.pose, pokes, make_center_functional(episode.model)).push)
+        world.execute(
+            choose_poke(
+                episode.model, episode.pose, pokes, make_center_functional(episode.model)
+            ).push
+        )
 
 
 def play_random(game: str, seed: int, episodes: int) -> list[Score]:
@@ -314,7 +355,10 @@ def train(game: str, seed: int, generations: int, candidates: int, episodes: int
     search = cma.CMAEvolutionStrategy(np.zeros(WEIGHTS), SPREAD, options)
     for _ in range(generations):
         first, tried = int(rng.integers(2**31)), search.ask()
-        earned = [np.mean([score.reward for score in play_learned(game, w, first, episodes)]) for w in tried]
+        earned = [
+            np.mean([score.reward for score in play_learned(game, w, first, episodes)])
+            for w in tried
+        ]
         search.tell(tried, [-value for value in earned])
     return np.asarray(search.result.xfavorite)
 
@@ -333,7 +377,9 @@ def choose_by_weights(weights: Array, seen: dict[str, NDArray[Any]]) -> Array:
     ux, uy = c * nx - s * ny, s * nx + c * ny
     lever = (arm[..., 0, None] * uy - arm[..., 1, None] * ux) / size
     far = np.linalg.norm(wanted, axis=1)[:, None, None]
-    along = (ux * wanted[:, 0, None, None] + uy * wanted[:, 1, None, None]) / (far + np.finfo(float).tiny)
+    along = (ux * wanted[:, 0, None, None] + uy * wanted[:, 1, None, None]) / (
+        far + np.finfo(float).tiny
+    )
     last = (seen["last_action"][:, :1] + 1) / 2 - np.arange(PLACES) / PLACES
     pushed = np.abs(seen["last_action"]).max(axis=1) > 0
     near = np.cos(2 * np.pi * last)[..., None] * pushed[:, None, None]
@@ -355,7 +401,9 @@ def _find_wanted(seen: dict[str, NDArray[Any]], middle: Array) -> tuple[Array, A
     """By how much the object's middle (N, 2), body frame, m, is to move, (N, 2), and to turn, (N,) rad."""
     pose = seen["pose"].astype(np.float64)
     x, y, c, s = pose.T
-    here = np.column_stack([x + c * middle[:, 0] - s * middle[:, 1], y + s * middle[:, 0] + c * middle[:, 1]])
+    here = np.column_stack(
+        [x + c * middle[:, 0] - s * middle[:, 1], y + s * middle[:, 0] + c * middle[:, 1]]
+    )
     turn = np.zeros(len(pose))
     if "goal" in seen:
         gx, gy, gc, gs = seen["goal"].astype(np.float64).T
@@ -374,7 +422,9 @@ def _find_wanted(seen: dict[str, NDArray[Any]], middle: Array) -> tuple[Array, A
     return np.column_stack([c * move[:, 0] + s * move[:, 1], c * move[:, 1] - s * move[:, 0]]), turn
 
 
-def _play_all(game: str, seed: int, episodes: int, choose: Callable[[dict[str, NDArray[Any]]], Array]) -> list[Score]:
+def _play_all(
+    game: str, seed: int, episodes: int, choose: Callable[[dict[str, NDArray[Any]]], Array]
+) -> list[Score]:
     """Plays one episode in each place of a vector environment."""
     env = PushVectorEnvironment(episodes, game)
     seen, _ = env.reset(seed=seed)

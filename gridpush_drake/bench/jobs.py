@@ -1,8 +1,9 @@
 """Runs jobs in worker processes, which end with this one, and keeps what each of them found.
 
-What a worker was doing that ended, or was killed, is done again by another. An interrupted run goes on from the file in
-which the results of finished jobs are kept. It is JSON lines: first the settings, then a line for each finished job.
-Each line is written at once and whole; a last line that was cut off is dropped when the file is read.
+What a worker was doing that ended, or was killed, is done again by another. An interrupted run goes
+on from the file in which the results of finished jobs are kept. It is JSON lines: first the
+settings, then a line for each finished job. Each line is written at once and whole; a last line
+that was cut off is dropped when the file is read.
 """
 
 import hashlib
@@ -59,9 +60,13 @@ class Results:
         Raises:
             GridPushError: one is of another form than the function is annotated with.
         """
-        found = {i: self.lines[key] for i, key in enumerate(map(make_key, jobs)) if key in self.lines}
+        found = {
+            i: self.lines[key] for i, key in enumerate(map(make_key, jobs)) if key in self.lines
+        }
         try:
-            return {i: _find_adapter(function).validate_python(result) for i, result in found.items()}
+            return {
+                i: _find_adapter(function).validate_python(result) for i, result in found.items()
+            }
         except ValidationError as error:
             raise GridPushError(
                 f"{self.path}: holds a result of another form; pass --force to start anew ({error.title})"
@@ -91,14 +96,19 @@ def _find_adapter(function: Callable[[Any], Any]) -> TypeAdapter[Any]:
 def make_key(job: Any) -> str:
     """A job, a dataclass, as text: its type and all that it is compared by."""
     compared, held = {field.name for field in fields(job) if field.compare}, asdict(job)
-    return json.dumps([type(job).__name__, {key: held[key] for key in held if key in compared}], default=str)
+    return json.dumps(
+        [type(job).__name__, {key: held[key] for key in held if key in compared}], default=str
+    )
 
 
-def open_results(path: Path | str | None, bench: str, settings: dict[str, Any], force: bool = False) -> Results:
+def open_results(
+    path: Path | str | None, bench: str, settings: dict[str, Any], force: bool = False
+) -> Results:
     """Opens the file of a bench's results, or begins it, anew where `force`.
 
     Args:
-        path: of the file; None for one in FOLDER, another for every choice of settings and every change of the program.
+        path: of the file; None for one in FOLDER, another for every choice of settings and every
+            change of the program.
         bench: the bench's name.
         settings: all that was chosen.
         force: whether to begin anew.
@@ -107,7 +117,11 @@ def open_results(path: Path | str | None, bench: str, settings: dict[str, Any], 
         GridPushError: the file is of other settings, or is no such file.
         OutputError: it cannot be written.
     """
-    head = {"bench": bench, "program": hash_sources(), "settings": json.loads(json.dumps(settings, default=str))}
+    head = {
+        "bench": bench,
+        "program": hash_sources(),
+        "settings": json.loads(json.dumps(settings, default=str)),
+    }
     if path is None:
         check_writable(FOLDER / bench if FOLDER.is_dir() else FOLDER, force=True)
         path = FOLDER / f"{bench}-{hash_content(_to_line(head))}.jsonl"
@@ -133,8 +147,13 @@ def _read(path: Path, head: dict[str, Any]) -> dict[str, Any]:
     here = {"bench": head["bench"], "program": head["program"], **head["settings"]}
     changed = [key for key in {**here, **there} if here.get(key) != there.get(key)]
     if changed:
-        said = ", ".join(f"{key} {json.dumps(there.get(key))}, now {json.dumps(here.get(key))}" for key in changed)
-        raise GridPushError(f"{path}: was made with other settings ({said}); pass --force to start anew")
+        said = ", ".join(
+            f"{key} {json.dumps(there.get(key))}, now {json.dumps(here.get(key))}"
+            for key in changed
+        )
+        raise GridPushError(
+            f"{path}: was made with other settings ({said}); pass --force to start anew"
+        )
     if len(whole) < len(content):
         os.truncate(path, len(whole))
     return known
@@ -181,7 +200,9 @@ Found = tuple[int, Any] | None
 class Executor(Protocol):
     """What runs jobs in place of worker processes here, such as a cluster."""
 
-    def run(self, function: Callable[[Any], Any], jobs: Sequence[tuple[int, Any]]) -> Iterator[Found]:
+    def run(
+        self, function: Callable[[Any], Any], jobs: Sequence[tuple[int, Any]]
+    ) -> Iterator[Found]:
         """Runs a function on numbered jobs; yields their results as they come, and None every REPORT_EVERY without.
 
         Raises LostJobsError, once all others are done, where jobs lost MAX_LOST workers each.
@@ -242,8 +263,8 @@ def run_jobs(
         The results in the jobs' order, which does not depend on the workers.
 
     Raises:
-        GridPushError: a job lost MAX_LOST workers, which is said when all others are done, or the results cannot be
-            kept.
+        GridPushError: a job lost MAX_LOST workers, which is said when all others are done, or the
+            results cannot be kept.
     """
     kept = execution.results
     done = {} if kept is None else kept.find(function, jobs)
@@ -263,7 +284,9 @@ def run_jobs(
             report(said, len(done), len(jobs))
     except LostJobsError as lost:
         names = "; ".join(describe(jobs[i]) for i in lost.jobs)
-        raise GridPushError(f"{names}: ended {MAX_LOST} workers without an answer, {lost.why}") from lost
+        raise GridPushError(
+            f"{names}: ended {MAX_LOST} workers without an answer, {lost.why}"
+        ) from lost
     return [done[i] for i in range(len(jobs))]
 
 
@@ -273,7 +296,9 @@ def check_known(what: str, given: Sequence[str], known: Sequence[str]) -> None:
     if not unknown and len(set(given)) < len(given):
         raise GridPushError(f"{what}: {', '.join(given)}; expected each once")
     if unknown or not given:
-        raise GridPushError(f"{what}: {', '.join(unknown) or 'none'}; expected some of {', '.join(known)}")
+        raise GridPushError(
+            f"{what}: {', '.join(unknown) or 'none'}; expected some of {', '.join(known)}"
+        )
 
 
 def count_steps(report: Report | None, total: int) -> Callable[[str], None]:
@@ -343,7 +368,10 @@ class _Pool:
     """Worker processes by the pipe to each; as a context, at whose end they are killed, whatever they do."""
 
     def __init__(self, function: Callable[[Any], Any]) -> None:
-        self._function, self._context = function, get_context("spawn")  # a fork would copy other threads' locks
+        self._function, self._context = (
+            function,
+            get_context("spawn"),
+        )  # a fork would copy other threads' locks
         self._workers: dict[Connection, BaseProcess] = {}
 
     def __enter__(self) -> "_Pool":
@@ -358,7 +386,8 @@ class _Pool:
 
     def start(self) -> Connection:
         """Starts a worker; returns the pipe to it."""
-        # an interrupt waits until the new process is known here; the process itself inherits it blocked
+        # an interrupt waits until the new process is known here; the process itself inherits it
+        # blocked
         blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
         try:
             here, there = self._context.Pipe()
@@ -380,7 +409,9 @@ class _Pool:
 
 def _work(connection: Connection, function: Callable[[Any], Any]) -> None:
     """A worker's life: jobs in, answers out, until the pipe or the parent ends."""
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])  # an interrupt is the parent's business
+    signal.pthread_sigmask(
+        signal.SIG_UNBLOCK, [signal.SIGTERM]
+    )  # an interrupt is the parent's business
     Thread(target=_end_with_parent, daemon=True).start()
     while True:
         try:

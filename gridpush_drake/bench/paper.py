@@ -1,7 +1,7 @@
 """`gridpush bench paper`: every method on the paper's simulated protocol, over the same number of simulations.
 
-The scores have bootstrap confidence intervals over mass sets and their splits; the figure shows the error against the
-number of simulations, as the paper's Fig. 4.
+The scores have bootstrap confidence intervals over mass sets and their splits; the figure shows the
+error against the number of simulations, as the paper's Fig. 4.
 """
 
 from collections.abc import Sequence
@@ -27,7 +27,15 @@ from gridpush_drake.bench.protocol import (
     make_case,
     make_protocol,
 )
-from gridpush_drake.bench.table import CONFIDENCE, MM, Column, Mean, Table, check_figure, write_panels
+from gridpush_drake.bench.table import (
+    CONFIDENCE,
+    MM,
+    Column,
+    Mean,
+    Table,
+    check_figure,
+    write_panels,
+)
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import METHODS, identify
@@ -82,19 +90,32 @@ def calc_interval(values: Sequence[float]) -> Interval:
 def summarize(scores: Sequence[Score]) -> Interval:
     """The mean error, m: of each mass set over the objects, then over the mass sets; the interval is over these."""
     sets = sorted({score.mass_set for score in scores})
-    return calc_interval([float(np.mean([s.error for s in scores if s.mass_set == i])) for i in sets])
+    return calc_interval(
+        [float(np.mean([s.error for s in scores if s.mass_set == i])) for i in sets]
+    )
 
 
 def select(scores: Sequence[Score], **wanted: object) -> list[Score]:
     """The scores whose attributes are as given."""
-    return [score for score in scores if all(getattr(score, key) == value for key, value in wanted.items())]
+    return [
+        score
+        for score in scores
+        if all(getattr(score, key) == value for key, value in wanted.items())
+    ]
 
 
 def tabulate_methods(
-    scores: Sequence[Score], names: Sequence[str], methods: Sequence[str], training: int, budget: int
+    scores: Sequence[Score],
+    names: Sequence[str],
+    methods: Sequence[str],
+    training: int,
+    budget: int,
 ) -> Table:
     """Errors by method and object."""
-    groups = [((method,), select(scores, method=method, training=training, budget=budget)) for method in methods]
+    groups = [
+        ((method,), select(scores, method=method, training=training, budget=budget))
+        for method in methods
+    ]
     title = f"Mean test cell error, mm, by method: {training} training pushes, searches of {budget} simulated pushes"
     columns = {**_error_columns(names), "simulations": mean_simulations}
     notes = [
@@ -106,15 +127,23 @@ def tabulate_methods(
     return Table.of(title, ("method",), groups, columns, notes)
 
 
-def tabulate_training(scores: Sequence[Score], names: Sequence[str], method: str, budget: int) -> Table:
+def tabulate_training(
+    scores: Sequence[Score], names: Sequence[str], method: str, budget: int
+) -> Table:
     """Errors of one method by number of training pushes."""
     counts = sorted({score.training for score in scores})
-    groups = [((count,), select(scores, method=method, training=count, budget=budget)) for count in counts]
+    groups = [
+        ((count,), select(scores, method=method, training=count, budget=budget)) for count in counts
+    ]
 
     def average_before(chosen: Sequence[Score]) -> Mean | None:
         return _average(scores, method=UNIFORM, training=chosen[0].training, budget=budget)
 
-    columns = {**_error_columns(names), f"all, {UNIFORM}": average_before, "simulations": mean_simulations}
+    columns = {
+        **_error_columns(names),
+        f"all, {UNIFORM}": average_before,
+        "simulations": mean_simulations,
+    }
     title = f"Mean test cell error, mm, of the {method} method by training pushes"
     return Table.of(title, ("training pushes",), groups, columns, _notes(scores))
 
@@ -124,7 +153,9 @@ def tabulate_budgets(scores: Sequence[Score], methods: Sequence[str], training: 
     groups = [((method,), select(scores, method=method, training=training)) for method in methods]
     budgets = sorted({score.budget for score in select(scores, training=training)})
     columns = {f"at most {budget}": partial(_average, budget=budget) for budget in budgets}
-    title = f"Mean test cell error, mm, by simulated pushes: {training} training pushes, all objects"
+    title = (
+        f"Mean test cell error, mm, by simulated pushes: {training} training pushes, all objects"
+    )
     return Table.of(title, ("method",), groups, columns, _notes(scores))
 
 
@@ -156,7 +187,8 @@ def _notes(scores: Sequence[Score]) -> list[str]:
 TRUTH_REGIME: Regime = "inertial"
 TRAINING_PUSHES = 5
 BUDGET = 1500
-"""Simulated pushes a search may spend; the default method decides itself, and takes about two thirds of it."""
+"""Simulated pushes a search may spend; the default method decides itself, and takes about two
+thirds of it."""
 
 BUDGET_SHARES = (1 / 60, 1 / 30, 1 / 15, 1 / 6, 1 / 3, 1.0)
 """Shares of the budget at which the curve is measured, each by a run of its own."""
@@ -192,12 +224,12 @@ def run(
 ) -> list[Table]:
     """Measures the methods on the paper's simulated protocol; the arguments are the options of `gridpush bench paper`.
 
-    Mass set i goes with split i, and only QUICK_MASS_SETS of them are taken where `quick`. The default method decides
-    itself how much of the budget it spends.
+    Mass set i goes with split i, and only QUICK_MASS_SETS of them are taken where `quick`. The
+    default method decides itself how much of the budget it spends.
 
     Returns:
-        Test cell error by method and object; by number of training pushes for the default method; and, with
-        `figure`, by number of simulations.
+        Test cell error by method and object; by number of training pushes for the default method;
+        and, with `figure`, by number of simulations.
 
     Raises:
         GridPushError: the data are not there, or an argument is out of range.
@@ -218,11 +250,17 @@ def run(
         for name in names
         for job in (
             Job(folder, name, mass_set, TRAINING_PUSHES, tuple(methods), budgets, seed),
-            *(Job(folder, name, mass_set, count, (DEFAULT,), budgets[-1:], seed) for count in others),
+            *(
+                Job(folder, name, mass_set, count, (DEFAULT,), budgets[-1:], seed)
+                for count in others
+            ),
         )
     ]
     done = run_jobs(
-        run_job, jobs, lambda job: f"{job.name}, mass set {job.mass_set}, {job.training} training pushes", execution
+        run_job,
+        jobs,
+        lambda job: f"{job.name}, mass set {job.mass_set}, {job.training} training pushes",
+        execution,
     )
     scores = [score for scores in done for score in scores]
     tables = [tabulate_methods(scores, names, (UNIFORM, *methods), TRAINING_PUSHES, budget)]
@@ -241,11 +279,16 @@ def choose_budgets(budget: int) -> tuple[int, ...]:
 
 def run_job(job: Job) -> list[Score]:
     """Identifies one case by each method at each budget, by the default only once, and predicts its test pushes."""
-    protocol, case = make_protocol(job.data, job.seed), _make_case(job.data, job.seed, job.name, job.mass_set)
+    protocol, case = (
+        make_protocol(job.data, job.seed),
+        _make_case(job.data, job.seed, job.name, job.mass_set),
+    )
     split = protocol.splits[job.training][job.mass_set]
     train, test = case.log.subset(split.train), case.log.subset(split.test)
 
-    def score(method: str, budget: int, simulations: int, params: CellParameters, regime: Regime) -> Score:
+    def score(
+        method: str, budget: int, simulations: int, params: CellParameters, regime: Regime
+    ) -> Score:
         error = calc_mean_cell_error(case.obj, params, test, regime)
         return Score(job.name, job.mass_set, job.training, method, budget, simulations, error)
 
@@ -260,14 +303,20 @@ def run_job(job: Job) -> list[Score]:
     return scores
 
 
-def _check(protocol: Protocol, names: Sequence[str], methods: Sequence[str], budget: int, sets: int) -> None:
+def _check(
+    protocol: Protocol, names: Sequence[str], methods: Sequence[str], budget: int, sets: int
+) -> None:
     check_known("objects", names, tuple(protocol.masses))
     check_known("methods", methods, METHODS)
-    most = min(len(protocol.splits[TRAINING_PUSHES]), *(len(protocol.masses[name]) for name in names))
+    most = min(
+        len(protocol.splits[TRAINING_PUSHES]), *(len(protocol.masses[name]) for name in names)
+    )
     if not 1 <= sets <= most:
         raise GridPushError(f"mass sets: {sets}; expected 1 to {most}")
     if budget < TRAINING_PUSHES:
-        raise GridPushError(f"budget: {budget}; expected at least {TRAINING_PUSHES}, one for each training push")
+        raise GridPushError(
+            f"budget: {budget}; expected at least {TRAINING_PUSHES}, one for each training push"
+        )
 
 
 @lru_cache(maxsize=1)
@@ -282,7 +331,12 @@ ALL_OBJECTS = "all objects"
 
 
 def write_figure(
-    path: Path | str, scores: Sequence[Score], names: Sequence[str], methods: Sequence[str], training: int, force: bool
+    path: Path | str,
+    scores: Sequence[Score],
+    names: Sequence[str],
+    methods: Sequence[str],
+    training: int,
+    force: bool,
 ) -> None:
     """Draws a panel for each object and one for all, see `write_panels`; scores of several budgets are connected."""
 
@@ -300,13 +354,25 @@ def draw_panel(axis: Axes, scores: Sequence[Score], methods: Sequence[str]) -> N
         chosen = select(scores, method=method)
         budgets = sorted({score.budget for score in chosen})
         spent = (
-            budgets if method == UNIFORM else [mean_simulations(select(chosen, budget=budget)) for budget in budgets]
+            budgets
+            if method == UNIFORM
+            else [mean_simulations(select(chosen, budget=budget)) for budget in budgets]
         )
-        mean, low, high = MM * np.array([summarize(select(chosen, budget=budget)) for budget in budgets]).T
+        mean, low, high = (
+            MM * np.array([summarize(select(chosen, budget=budget)) for budget in budgets]).T
+        )
         style: dict[str, Any] = (
-            {"color": "0.4", "linestyle": "--"} if method == UNIFORM else {"color": f"C{i - 1}", "marker": "o"}
+            {"color": "0.4", "linestyle": "--"}
+            if method == UNIFORM
+            else {"color": f"C{i - 1}", "marker": "o"}
         )
-        axis.plot(spent, mean, label=method.replace("_", " "), markersize=3 if len(spent) > 1 else 6, **style)
+        axis.plot(
+            spent,
+            mean,
+            label=method.replace("_", " "),
+            markersize=3 if len(spent) > 1 else 6,
+            **style,
+        )
         if len(spent) > 1:
             axis.fill_between(spent, low, high, color=style["color"], alpha=0.15, linewidth=0)
         elif np.isfinite(low).all():

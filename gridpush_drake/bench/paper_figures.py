@@ -1,10 +1,11 @@
 """`gridpush bench paper --figures DIR`: the paper's own figures, made anew, each beside what the paper says.
 
     mass_maps            where the objects are heavy: hidden, learned, and how sure that is
-    simulations          test error against the number of simulated pushes, every method (its Fig. 4 a)
-    real_pushes          error of foretold pushes with error bars; of real robots' pushes where they are cloned
-    contact_points       contact points: simulations and what they are worth beside an exhaustive search (its Fig. 4 b)
-    pregrasp             the hammer at the table's edge: learned, uniform, without a bound on the friction
+    simulations          test error against the number of simulated pushes, every method (its Fig. 4
+    a) real_pushes          error of foretold pushes with error bars; of real robots' pushes where
+    they are cloned contact_points       contact points: simulations and what they are worth beside
+    an exhaustive search (its Fig. 4 b) pregrasp             the hammer at the table's edge:
+    learned, uniform, without a bound on the friction
 
 The objects are the paper's masks where they are cloned, and else shipped objects of the same kind.
 """
@@ -20,7 +21,12 @@ from matplotlib.figure import Figure
 from gridpush_drake.bench import paper, planning, real
 from gridpush_drake.bench.jobs import QUIET, Execution, Job, Result, check_known, run_jobs
 from gridpush_drake.bench.pregrasp import experiments as pregrasp
-from gridpush_drake.bench.protocol import make_case, make_planning_protocol, make_protocol, read_object
+from gridpush_drake.bench.protocol import (
+    make_case,
+    make_planning_protocol,
+    make_protocol,
+    read_object,
+)
 from gridpush_drake.bench.table import MM, PERCENT, Table
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.files import check_writable, write_whole
@@ -53,7 +59,10 @@ QUICK = Counts(1, 2, 2, 2, 150)
 REAL_COUNTS = (1, 3, 7, 25)
 """Training pushes; the paper's robot made 7."""
 
-PAPER_REAL, PAPER_SUCCESS = 22.7, {pregrasp.LEARNED: 100, pregrasp.UNBOUNDED: 81, pregrasp.UNIFORM: 75}
+PAPER_REAL, PAPER_SUCCESS = (
+    22.7,
+    {pregrasp.LEARNED: 100, pregrasp.UNBOUNDED: 81, pregrasp.UNIFORM: 75},
+)
 """The paper's error of a real robot's pushes, mm, and its hammer's successes, %."""
 
 PAPER_SIMULATIONS = {"gradient": (40, 75), "exhaustive": (280, 650)}
@@ -108,7 +117,9 @@ class Study:
     def run(self, function: Callable[[Job], Result], jobs: Sequence[Job]) -> list[Result]:
         """What the function makes of each job; the jobs are called by its name and, where they have them, theirs."""
         name = function.__name__
-        return run_jobs(function, jobs, lambda job: f"{name}: {getattr(job, 'name', '')}", self.execution)
+        return run_jobs(
+            function, jobs, lambda job: f"{name}: {getattr(job, 'name', '')}", self.execution
+        )
 
     def write(self, name: str, figure: Figure) -> None:
         """Writes a figure as PNG and as SVG."""
@@ -153,8 +164,20 @@ def run(
     protocol = make_protocol(root, seed)
     names = list(objects or protocol.masks or SHIPPED)
     check_known("objects", names, tuple(protocol.masses))
-    study = Study(folder, root, names, methods, seed, counts or (QUICK if quick else Counts()), execution, force)
-    drawn = [draw(study) for draw in (_draw_maps, _draw_simulations, _draw_real, _draw_contacts, _draw_pregrasp)]
+    study = Study(
+        folder,
+        root,
+        names,
+        methods,
+        seed,
+        counts or (QUICK if quick else Counts()),
+        execution,
+        force,
+    )
+    drawn = [
+        draw(study)
+        for draw in (_draw_maps, _draw_simulations, _draw_real, _draw_contacts, _draw_pregrasp)
+    ]
     rows = [[name, *said] for name, said in zip(FIGURES, drawn, strict=True)]
     notes = [f"In {folder}, each as PNG and SVG.", "Objects: " + ", ".join(names) + "."]
     return [Table("The paper's figures", ("figure", "here", "in the paper"), rows, notes)]
@@ -176,7 +199,9 @@ def learn_map(job: MapJob) -> MassMap:
     case = make_case(protocol, job.name, job.mass_set)
     split = protocol.splits[paper.TRAINING_PUSHES][job.mass_set]
     found = identify(case.obj, case.log.subset(split.train), seed=job.seed)
-    hidden = np.array(protocol.masses[job.name][job.mass_set])[read_object(protocol, job.name).labels - 1]
+    hidden = np.array(protocol.masses[job.name][job.mass_set])[
+        read_object(protocol, job.name).labels - 1
+    ]
     error = calc_mean_cell_error(case.obj, found.params, case.log.subset(split.test), found.regime)
     mean = found.params.mass.mean()
     return MassMap(
@@ -191,7 +216,9 @@ def _draw_maps(study: Study) -> tuple[str, str]:
     for row, found in zip(axes, maps, strict=True):
         obj = make_case(make_protocol(study.data, study.seed), found.name, 0).obj
         top = max(*found.hidden, *found.learned)
-        for ax, title, values in zip(row, MAP_COLUMNS, (found.hidden, found.learned, found.std), strict=True):
+        for ax, title, values in zip(
+            row, MAP_COLUMNS, (found.hidden, found.learned, found.std), strict=True
+        ):
             draw_cells(ax, obj, values, label="mass / mean", limits=(0.0, top))
             hide_axes(ax, f"{found.name}, {title}")
     study.write("mass_maps", figure)
@@ -222,7 +249,8 @@ def _draw_simulations(study: Study) -> tuple[str, str]:
     ax.legend(fontsize="small", ncols=2)
     study.write("simulations", figure)
     best = {
-        method: MM * paper.summarize(paper.select(scores, method=method, budget=budgets[-1])).mean for method in shown
+        method: MM * paper.summarize(paper.select(scores, method=method, budget=budgets[-1])).mean
+        for method in shown
     }
     said = ", ".join(f"{method.replace('_', ' ')} {error:.1f}" for method, error in best.items())
     return (
@@ -245,7 +273,9 @@ def _draw_real(study: Study) -> tuple[str, str]:
     ]
     scores = [score for scores in study.run(real.run_job, jobs) for score in scores]
     shown = list(dict.fromkeys(score.name for score in scores))
-    steps = sorted({score.training for score in scores if score.model in (real.UNIFORM, real.POSES)})
+    steps = sorted(
+        {score.training for score in scores if score.model in (real.UNIFORM, real.POSES)}
+    )
     figure, ax = make_chart(2 * PANEL[0], 1.2 * PANEL[1])
     for i, count in enumerate(steps):
         model = real.POSES if count else real.UNIFORM
@@ -253,7 +283,10 @@ def _draw_real(study: Study) -> tuple[str, str]:
         _draw_bars(ax, i, len(steps), [_means(scores, name, model, count) for name in shown], label)
     what = "real pushes" if logs else "simulated stand-ins for real pushes"
     _finish_bars(ax, shown, "position error, mm")
-    ax.set_title(f"Foretold positions of {what}, 95 % intervals over {study.counts.splits} splits", fontsize="small")
+    ax.set_title(
+        f"Foretold positions of {what}, 95 % intervals over {study.counts.splits} splits",
+        fontsize="small",
+    )
     study.write("real_pushes", figure)
     last = steps[-1]
     means = [
@@ -269,7 +302,9 @@ def _draw_real(study: Study) -> tuple[str, str]:
 def _means(scores: Sequence[real.Score], name: str, model: str, training: int) -> list[float]:
     """Mean position error of each split, mm."""
     wanted = (name, model, training)
-    return [MM * float(np.mean(s.position)) for s in scores if (s.name, s.model, s.training) == wanted]
+    return [
+        MM * float(np.mean(s.position)) for s in scores if (s.name, s.model, s.training) == wanted
+    ]
 
 
 def _find_logs(data: Path | None) -> list[tuple[str, Path]]:
@@ -277,7 +312,11 @@ def _find_logs(data: Path | None) -> list[tuple[str, Path]]:
     if data is None:
         return []
     try:
-        return [log for log in real.find_push_logs(data, real.CMU_TEST + max(REAL_COUNTS)) if log[0] == "cmu"]
+        return [
+            log
+            for log in real.find_push_logs(data, real.CMU_TEST + max(REAL_COUNTS))
+            if log[0] == "cmu"
+        ]
     except GridPushError:
         return []
 
@@ -289,20 +328,31 @@ def _draw_contacts(study: Study) -> tuple[str, str]:
         for name in study.names
     ]
     found = study.run(planning.run_job, jobs)
-    decisions = [entry for entries in found for entry in entries if isinstance(entry, planning.Decision)]
+    decisions = [
+        entry for entries in found for entry in entries if isinstance(entry, planning.Decision)
+    ]
     methods = (planning.GRADIENT, planning.DIFFERENCES, planning.EXHAUSTIVE)
     figure, axes = make_grid(1, 2, 2.4 * PANEL[0], PANEL[1])
     for i, method in enumerate(methods):
-        chosen = [[d for d in decisions if (d.name, d.method) == (name, method)] for name in study.names]
+        chosen = [
+            [d for d in decisions if (d.name, d.method) == (name, method)] for name in study.names
+        ]
         label = method.replace("_", " ")
-        _draw_bars(axes[0, 0], i, len(methods), [[d.simulations for d in some] for some in chosen], label)
-        _draw_bars(axes[0, 1], i, len(methods), [[MM * d.gap for d in some] for some in chosen], label)
+        _draw_bars(
+            axes[0, 0], i, len(methods), [[d.simulations for d in some] for some in chosen], label
+        )
+        _draw_bars(
+            axes[0, 1], i, len(methods), [[MM * d.gap for d in some] for some in chosen], label
+        )
     axes[0, 0].set_yscale("log")
     axes[0, 0].margins(y=0.3)  # room for the legend
     _finish_bars(axes[0, 0], study.names, "simulations of a decision")
     _finish_bars(axes[0, 1], study.names, "above the exhaustive search, mm")
     study.write("contact_points", figure)
-    spent = {method: np.mean([d.simulations for d in decisions if d.method == method]) for method in methods}
+    spent = {
+        method: np.mean([d.simulations for d in decisions if d.method == method])
+        for method in methods
+    }
     gap = MM * float(np.mean([d.gap for d in decisions if d.method == planning.GRADIENT]))
     low, high = PAPER_SIMULATIONS["gradient"], PAPER_SIMULATIONS["exhaustive"]
     return (
@@ -320,10 +370,23 @@ def _draw_pregrasp(study: Study) -> tuple[str, str]:
         for mass_set in range(study.counts.tries)
         for method in SLIDE_METHODS
     ]
-    scores = [score for score in study.run(pregrasp.run_job, jobs) if isinstance(score, pregrasp.SlideScore)]
-    outcomes = {method: [score.outcome for score in scores if score.method == method] for method in SLIDE_METHODS}
-    grasped = {method: PERCENT * float(np.mean([o.grasped for o in some])) for method, some in outcomes.items()}
-    dropped = {method: PERCENT * float(np.mean([o.dropped for o in some])) for method, some in outcomes.items()}
+    scores = [
+        score
+        for score in study.run(pregrasp.run_job, jobs)
+        if isinstance(score, pregrasp.SlideScore)
+    ]
+    outcomes = {
+        method: [score.outcome for score in scores if score.method == method]
+        for method in SLIDE_METHODS
+    }
+    grasped = {
+        method: PERCENT * float(np.mean([o.grasped for o in some]))
+        for method, some in outcomes.items()
+    }
+    dropped = {
+        method: PERCENT * float(np.mean([o.dropped for o in some]))
+        for method, some in outcomes.items()
+    }
     figure, ax = make_chart(2 * PANEL[0], PANEL[1])
     places = np.arange(len(SLIDE_METHODS))
     ends: list[tuple[str, str, Mapping[str, float]]] = [
@@ -332,18 +395,25 @@ def _draw_pregrasp(study: Study) -> tuple[str, str]:
     ]  # fmt: skip
     for i, (label, color, values) in enumerate(ends):
         shares = [values.get(method, np.nan) for method in SLIDE_METHODS]
-        ax.bar(places + (i - 1) * BAR / len(ends), shares, BAR / len(ends), color=color, label=label)
+        ax.bar(
+            places + (i - 1) * BAR / len(ends), shares, BAR / len(ends), color=color, label=label
+        )
     ax.set_ylabel(f"{hammer}: share of {study.counts.tries} runs, %")
     ax.set_xticks(places, SLIDE_METHODS)
     ax.margins(y=0.35)  # room for the legend
     ax.legend(fontsize="x-small")
     study.write("pregrasp", figure)
-    said = "; ".join(f"{method} {grasped[method]:.0f} % ({dropped[method]:.0f} % dropped)" for method in SLIDE_METHODS)
+    said = "; ".join(
+        f"{method} {grasped[method]:.0f} % ({dropped[method]:.0f} % dropped)"
+        for method in SLIDE_METHODS
+    )
     paper_said = "; ".join(f"{method} {share} %" for method, share in PAPER_SUCCESS.items())
     return f"{hammer}: {said}", paper_said
 
 
-def _draw_bars(ax: Axes, i: int, count: int, samples: Sequence[Sequence[float]], label: str) -> None:
+def _draw_bars(
+    ax: Axes, i: int, count: int, samples: Sequence[Sequence[float]], label: str
+) -> None:
     """The i-th of `count` bars in each place: the mean of the place's sample, with its interval."""
     mean, low, high = np.array([paper.calc_interval(sample) for sample in samples]).T
     width = BAR / count

@@ -1,6 +1,7 @@
 """`gridpush bench perception`: what the camera makes of photographs, of rendered objects, and of pushes.
 
-The photographs are real (--data, see `find_photographs`); everything else is rendered, see `rendered_table`.
+The photographs are real (--data, see `find_photographs`); everything else is rendered, see
+`rendered_table`.
 """
 
 from collections.abc import Callable, Sequence
@@ -47,7 +48,13 @@ POSES, PUSHES = 10, 5
 HEIGHT = 0.02
 """Of the objects, m."""
 
-COLORS = ((0.60, 0.35, 0.20), (0.15, 0.25, 0.55), (0.25, 0.25, 0.27), (0.75, 0.15, 0.15), (0.20, 0.45, 0.25))
+COLORS = (
+    (0.60, 0.35, 0.20),
+    (0.15, 0.25, 0.55),
+    (0.25, 0.25, 0.27),
+    (0.75, 0.15, 0.15),
+    (0.20, 0.45, 0.25),
+)
 """Of the objects, in turn: wood, blue, dark gray, red, green."""
 
 WIDTH, HEIGHT_PIXELS, FOCAL = 640, 480, 615.0
@@ -141,7 +148,8 @@ class TrackScore:
         name: of the object.
         frames: how many.
         lost: in how many it was not found.
-        errors: of each frame found in which the outline determines the pose: x, y, theta, m and rad.
+        errors: of each frame found in which the outline determines the pose: x, y, theta, m and
+            rad.
         deviations: likewise, as the tracker states them; NaN of a tag, which states none.
     """
 
@@ -165,7 +173,8 @@ def run(
     """Measures all three.
 
     Args:
-        data: folder with NAME_color.png, NAME_depth.png and, anywhere in it, NAME_label.pgm; None for no photographs.
+        data: folder with NAME_color.png, NAME_depth.png and, anywhere in it, NAME_label.pgm; None
+            for no photographs.
         objects: shipped objects' names; None for all.
         poses: in which each is rendered and found.
         pushes: during which each is tracked.
@@ -191,11 +200,21 @@ def run(
         photos = run_jobs(run_photo, find_photographs(data), lambda job: job.name, execution)
         tables.append(tabulate_photos(photos))
     outline_jobs = [OutlineJob(name, poses, seed) for name in names]
-    tables.append(tabulate_outlines(run_jobs(run_outline, outline_jobs, lambda job: job.name, execution)))
+    tables.append(
+        tabulate_outlines(run_jobs(run_outline, outline_jobs, lambda job: job.name, execution))
+    )
     track_jobs = [TrackJob(name, pushes, seed) for name in names]
-    tables.append(tabulate_tracks(run_jobs(run_track, track_jobs, lambda job: f"{job.name}, pushed", execution)))
+    tables.append(
+        tabulate_tracks(
+            run_jobs(run_track, track_jobs, lambda job: f"{job.name}, pushed", execution)
+        )
+    )
     tag_jobs = [replace(job, tag=True) for job in track_jobs]
-    tables.append(tabulate_tags(run_jobs(run_track, tag_jobs, lambda job: f"{job.name}, with a tag", execution)))
+    tables.append(
+        tabulate_tags(
+            run_jobs(run_track, tag_jobs, lambda job: f"{job.name}, with a tag", execution)
+        )
+    )
     return tables
 
 
@@ -213,7 +232,9 @@ def find_photographs(data: Path) -> list[PhotoJob]:
         if depth.is_file() and name in masks:
             jobs.append(PhotoJob(name, str(color), str(depth), str(masks[name])))
     if not jobs:
-        raise GridPushError(f"{data}: holds no NAME{COLOR_ENDING} with NAME{DEPTH_ENDING} and NAME_label.pgm")
+        raise GridPushError(
+            f"{data}: holds no NAME{COLOR_ENDING} with NAME{DEPTH_ENDING} and NAME_label.pgm"
+        )
     return jobs
 
 
@@ -242,7 +263,9 @@ def run_outline(job: OutlineJob) -> OutlineScore:
         table = RenderedTable(obj.outline, HEIGHT, COLORS[k % len(COLORS)], camera)
         middle = camera.cast(camera.K[:2, 2])
         pose = np.array([*rng.uniform(-MAX_SHIFT, MAX_SHIFT, 2), rng.uniform(-np.pi, np.pi)])
-        pose[:2] += middle - transform([0, 0, pose[2]], [obj.outline.envelope.centroid.coords[0]])[0]
+        pose[:2] += (
+            middle - transform([0, 0, pose[2]], [obj.outline.envelope.centroid.coords[0]])[0]
+        )
         frame, _ = table.look(pose, seed=job.seed + k)
         true = shapely.transform(obj.outline, lambda points, pose=pose: transform(pose, points))
         try:
@@ -269,10 +292,14 @@ def run_track(job: TrackJob) -> TrackScore:
         camera = make_overhead_camera(FAR, at=motion.poses[:, :2].mean(axis=0))
         tag = TAG if job.tag else None
         table = RenderedTable(obj.outline, HEIGHT, COLORS[k % len(COLORS)], camera, ROD_RADIUS, tag)
-        follow = (_follow_tag if job.tag else _follow_outline)(obj, table.look(pose, seed=k)[0], pose, camera)
+        follow = (_follow_tag if job.tag else _follow_outline)(
+            obj, table.look(pose, seed=k)[0], pose, camera
+        )
         for i in np.linspace(0, len(motion.times) - 1, FRAMES).astype(int):
             q = motion.poses[i]
-            tracked = follow(*table.look(q, motion.tip[i], seed=FRAMES * k + int(i), t=float(motion.times[i])))
+            tracked = follow(
+                *table.look(q, motion.tip[i], seed=FRAMES * k + int(i), t=float(motion.times[i]))
+            )
             frames += 1
             lost += not tracked.seen
             deviation = np.sqrt(np.diag(tracked.covariance))
@@ -287,7 +314,9 @@ Follow = Callable[[Frame, NDArray[np.bool_]], TrackedPose]
 """Of the next frame, and where the arm is in it."""
 
 
-def _follow_outline(obj: GridObject, first: Frame, pose: NDArray[np.float64], camera: Camera) -> Follow:
+def _follow_outline(
+    obj: GridObject, first: Frame, pose: NDArray[np.float64], camera: Camera
+) -> Follow:
     tracker = PoseTracker(obj.outline, HEIGHT, camera)
     state = tracker.start(first, pose)
 
@@ -313,12 +342,18 @@ def _follow_tag(obj: GridObject, first: Frame, pose: NDArray[np.float64], camera
 
     def follow(frame: Frame, arm: NDArray[np.bool_]) -> TrackedPose:
         tag = find(frame)
-        return NOT_SEEN if tag is None else replace(NOT_SEEN, pose=compose(tag.planar_pose, X_TB), seen=True)
+        return (
+            NOT_SEEN
+            if tag is None
+            else replace(NOT_SEEN, pose=compose(tag.planar_pose, X_TB), seen=True)
+        )
 
     return follow
 
 
-def make_overhead_camera(distance: float, tilt: ArrayLike = (0.0, 0.0), at: ArrayLike = (0.0, 0.0)) -> Camera:
+def make_overhead_camera(
+    distance: float, tilt: ArrayLike = (0.0, 0.0), at: ArrayLike = (0.0, 0.0)
+) -> Camera:
     """A camera that looks down from `distance` m over the table at `at` (2,), tilted by degrees about its x and y."""
     a, b = np.radians(tilt)
     R_x = np.array([[1, 0, 0], [0, -np.cos(a), np.sin(a)], [0, -np.sin(a), -np.cos(a)]])
@@ -336,7 +371,9 @@ def calc_outline_error(a: Polygon, b: Polygon) -> float:
 
 def _calc_distance(a: Polygon, b: Polygon) -> float:
     boundary = a.boundary
-    points = shapely.line_interpolate_point(boundary, np.linspace(0, boundary.length, COMPARED, endpoint=False))
+    points = shapely.line_interpolate_point(
+        boundary, np.linspace(0, boundary.length, COMPARED, endpoint=False)
+    )
     return float(shapely.distance(points, b.boundary).mean())
 
 
@@ -344,8 +381,15 @@ def tabulate_photos(scores: Sequence[PhotoScore]) -> Table:
     """A row a photograph, and their mean."""
     rows: list[tuple[Value, ...]] = [(score.name, *score.iou) for score in scores]
     rows.append(("mean", *np.mean([score.iou for score in scores], axis=0).tolist()))
-    notes = ["Intersection over union with a mask drawn by hand, which itself would not score above about 0.97."]
-    return Table("The object's mask in real photographs", ("photograph", "both", "color", "depth"), rows, notes)
+    notes = [
+        "Intersection over union with a mask drawn by hand, which itself would not score above about 0.97."
+    ]
+    return Table(
+        "The object's mask in real photographs",
+        ("photograph", "both", "color", "depth"),
+        rows,
+        notes,
+    )
 
 
 def tabulate_outlines(scores: Sequence[OutlineScore]) -> Table:
@@ -353,7 +397,8 @@ def tabulate_outlines(scores: Sequence[OutlineScore]) -> Table:
 
     def make_row(name: str, some: Sequence[OutlineScore]) -> tuple[Value, ...]:
         errors, areas, heights = (
-            np.concatenate([getattr(score, key) for score in some]) for key in ("errors", "areas", "heights")
+            np.concatenate([getattr(score, key) for score in some])
+            for key in ("errors", "areas", "heights")
         )
         found = errors[np.isfinite(errors)]
         return (
@@ -380,12 +425,23 @@ def tabulate_tracks(scores: Sequence[TrackScore]) -> Table:
 
     def make_row(name: str, some: Sequence[TrackScore]) -> tuple[Value, ...]:
         frames, lost, place, angle = _summarize_track(some)
-        e, s = (np.concatenate([np.reshape(rows, (-1, 3)) for rows in both]) for both in _list_errors(some))
+        e, s = (
+            np.concatenate([np.reshape(rows, (-1, 3)) for rows in both])
+            for both in _list_errors(some)
+        )
         within = float((np.abs(e) <= NORMAL_95 * s).mean()) if len(e) else float("nan")
         return name, frames, lost, frames - lost - len(e), place, angle, PERCENT * within
 
     rows = [make_row(score.name, [score]) for score in scores] + [make_row("all", scores)]
-    columns = ("object", "frames", "lost", "not determined", "place, RMS, mm", "angle, RMS, deg", "within 95 %, %")
+    columns = (
+        "object",
+        "frames",
+        "lost",
+        "not determined",
+        "place, RMS, mm",
+        "angle, RMS, deg",
+        "within 95 %, %",
+    )
     notes = [
         f"Pushes of 10 cm, {FRAMES} frames each, with the arm in view, rendered from {FAR} m: a pixel is "
         f"{FAR / FOCAL * MM:.1f} mm.",
@@ -397,9 +453,13 @@ def tabulate_tracks(scores: Sequence[TrackScore]) -> Table:
 
 def tabulate_tags(scores: Sequence[TrackScore]) -> Table:
     """A row an object, and one of all."""
-    rows = [(score.name, *_summarize_track([score])) for score in scores] + [("all", *_summarize_track(scores))]
+    rows = [(score.name, *_summarize_track([score])) for score in scores] + [
+        ("all", *_summarize_track(scores))
+    ]
     columns = ("object", "frames", "hidden", "place, RMS, mm", "angle, RMS, deg")
-    notes = [f"The same pushes, by a tag of {TAG[1] * MM:g} mm on the object; hidden: the arm covers a part of it."]
+    notes = [
+        f"The same pushes, by a tag of {TAG[1] * MM:g} mm on the object; hidden: the arm covers a part of it."
+    ]
     return Table("Pose during pushes, by a tag", columns, rows, notes)
 
 

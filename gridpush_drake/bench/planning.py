@@ -18,7 +18,17 @@ from gridpush_drake.bench.protocol import (
     make_planning_protocol,
     read_planning_object,
 )
-from gridpush_drake.bench.table import MM, MS, PERCENT, Column, Table, by_object, calc_mean, count_of, mean_of
+from gridpush_drake.bench.table import (
+    MM,
+    MS,
+    PERCENT,
+    Column,
+    Table,
+    by_object,
+    calc_mean,
+    count_of,
+    mean_of,
+)
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
@@ -28,7 +38,8 @@ from gridpush_drake.planning.goal.push_to_goal import push_to_goal
 from gridpush_drake.planning.simulated_world import Learner, SimulatedWorld
 
 LEARNING, UNIFORM, TRUE, LOOK_AHEAD = "learning", "uniform", "true", "true, two ahead"
-"""Which model pushes are planned with: learned on the way, uniform throughout, the truth; that looking two ahead."""
+"""Which model pushes are planned with: learned on the way, uniform throughout, the truth; that
+looking two ahead."""
 
 WITHIN = 0.001
 """m by which a decision may be worse than the exhaustive search's and count as good as it."""
@@ -52,7 +63,8 @@ class Decision:
 class Run:
     """One object pushed towards one goal, planned with the model of a mode.
 
-    The first push's prediction is off by `first_error`, m, the later ones by `later_error` on average; NaN without any.
+    The first push's prediction is off by `first_error`, m, the later ones by `later_error` on
+    average; NaN without any.
     """
 
     name: str
@@ -72,7 +84,9 @@ def tabulate_decisions(decisions: Sequence[Decision], names: Sequence[str]) -> T
     """By object: how many simulations a decision takes, and how good it is beside the exhaustive search's."""
 
     def of(method: str, calc: Callable[[Any], Any], field: str, scale: float = 1.0) -> Column:
-        return lambda some: scale * float(calc([getattr(entry, field) for entry in some if entry.method == method]))
+        return lambda some: (
+            scale * float(calc([getattr(entry, field) for entry in some if entry.method == method]))
+        )
 
     def share_within(gaps: Sequence[float]) -> float:
         return PERCENT * float(np.mean(np.array(gaps) <= WITHIN))
@@ -99,12 +113,20 @@ def tabulate_decisions(decisions: Sequence[Decision], names: Sequence[str]) -> T
         "negative is better.",
         "f. d.: finite differences, the paper's walk along the outline. Times are medians of wall clock.",
     ]
-    return Table.of("Choosing a contact point", ("object",), by_object(decisions, names), columns, notes)
+    return Table.of(
+        "Choosing a contact point", ("object",), by_object(decisions, names), columns, notes
+    )
 
 
-def tabulate_runs(runs: Sequence[Run], names: Sequence[str], modes: Sequence[str], max_pushes: int) -> Table:
+def tabulate_runs(
+    runs: Sequence[Run], names: Sequence[str], modes: Sequence[str], max_pushes: int
+) -> Table:
     """By model and object: how often the goal is reached, and with how many pushes."""
-    groups = [group for mode in modes for group in by_object([run for run in runs if run.mode == mode], names, mode)]
+    groups = [
+        group
+        for mode in modes
+        for group in by_object([run for run in runs if run.mode == mode], names, mode)
+    ]
     columns: dict[str, Column] = {
         "runs": len,
         "success, %": mean_of("success", PERCENT),
@@ -147,8 +169,8 @@ PARAMETER_SEED = 100
 """Of the first random parameter set of the contact points."""
 
 SUCCESS, TOLERANCE = 0.02, 0.018
-"""m, true mean cell error below which a run has succeeded (the paper's), and the seen one at which the driver stops:
-less, for it sees poses with noise."""
+"""m, true mean cell error below which a run has succeeded (the paper's), and the seen one at which
+the driver stops: less, for it sees poses with noise."""
 
 MAX_PUSHES = 25
 
@@ -179,13 +201,13 @@ def run(
 ) -> list[Table]:
     """Measures the choice of contact points, and pushing to goal poses on the round table.
 
-    The arguments are the options of `gridpush bench planning`, and `modes` which model pushes are planned with. Without
-    `objects`, contact points are chosen on all, and the masks and `PUSHED_SHIPPED` are pushed. One set, and three pairs
-    of poses, where `quick`.
+    The arguments are the options of `gridpush bench planning`, and `modes` which model pushes are
+    planned with. Without `objects`, contact points are chosen on all, and the masks and
+    `PUSHED_SHIPPED` are pushed. One set, and three pairs of poses, where `quick`.
 
     Returns:
-        Simulations, gap to the exhaustive optimum and time of a decision, by object; success, pushes and time of a run,
-        by model and object.
+        Simulations, gap to the exhaustive optimum and time of a decision, by object; success,
+        pushes and time of a run, by model and object.
 
     Raises:
         GridPushError: the data are not there, or an argument is out of range.
@@ -207,11 +229,18 @@ def run(
         for number in range(count)
         for name in names[part]
     ]
-    results = run_jobs(run_job, jobs, lambda job: f"{PART_NAMES[job.kind]}: {job.name}, set {job.number}", execution)
+    results = run_jobs(
+        run_job,
+        jobs,
+        lambda job: f"{PART_NAMES[job.kind]}: {job.name}, set {job.number}",
+        execution,
+    )
     decisions = [entry for result in results for entry in result if isinstance(entry, Decision)]
     runs = [entry for result in results for entry in result if isinstance(entry, Run)]
     tables = [tabulate_decisions(decisions, names["contact"])] if "contact" in parts else []
-    return tables + ([tabulate_runs(runs, names["push"], modes, MAX_PUSHES)] if "push" in parts else [])
+    return tables + (
+        [tabulate_runs(runs, names["push"], modes, MAX_PUSHES)] if "push" in parts else []
+    )
 
 
 def run_job(job: Job) -> list[Decision | Run]:
@@ -233,7 +262,8 @@ def _decide(job: Job) -> list[Decision]:
             chosen = replace(options, budget=budget, seed=job.seed)
             plans.append(optimize_contact(obj, params, start, goal, method=method, options=chosen))
         decisions += [
-            Decision(job.name, plan.method, plan.simulations, plan.cost - best.cost, plan.seconds) for plan in plans
+            Decision(job.name, plan.method, plan.simulations, plan.cost - best.cost, plan.seconds)
+            for plan in plans
         ]
     return decisions
 

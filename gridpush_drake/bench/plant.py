@@ -1,15 +1,16 @@
 """The same pushes in Drake's MultibodyPlant and in the grid LCP model.
 
-Random parts, random pushes of 10 cm from random places of the outline. The plant's sphere feet resist no spin, so the
-model's exact counterpart is spin="none"; "coupled", the default elsewhere, gives cells their area. With the "planar"
-base each cell bears its own weight, as the model assumes; with the "free" base the loads shift because the push acts
-above the table.
+Random parts, random pushes of 10 cm from random places of the outline. The plant's sphere feet
+resist no spin, so the model's exact counterpart is spin="none"; "coupled", the default elsewhere,
+gives cells their area. With the "planar" base each cell bears its own weight, as the model assumes;
+with the "free" base the loads shift because the push acts above the table.
 
 A grid object in a MultibodyPlant, pushed by a sphere along a given path.
 
-The sphere slides on two prismatic joints, x and y, and is held to its path by stiff implicit PD gains: it errs by
-force/gain, 1e-6 m. A pusher of huge mass at constant velocity would seem simpler, but Drake's solver stops at a
-residual relative to the largest momentum around, and the object's motion is then not solved at all.
+The sphere slides on two prismatic joints, x and y, and is held to its path by stiff implicit PD
+gains: it errs by force/gain, 1e-6 m. A pusher of huge mass at constant velocity would seem simpler,
+but Drake's solver stops at a residual relative to the largest momentum around, and the object's
+motion is then not solved at all.
 """
 
 from collections.abc import Sequence
@@ -83,8 +84,8 @@ class PlantJob:
 class PlantScore:
     """How far plant (its base, its tilt) and model (its spin) differ at the end of one push, m and rad.
 
-    `position` is the distance of B's origins, `cells` the mean one of the cells, `moved` how far the plant's cells went
-    on average, and `tracking_error` the plant's pusher's.
+    `position` is the distance of B's origins, `cells` the mean one of the cells, `moved` how far
+    the plant's cells went on average, and `tracking_error` the plant's pusher's.
     """
 
     name: str
@@ -143,7 +144,9 @@ def run_job(job: PlantJob) -> list[PlantScore]:
     return scores
 
 
-def draw_push(obj: GridObject, params: CellParameters, seed: int, radius: float) -> tuple[Push, np.ndarray]:
+def draw_push(
+    obj: GridObject, params: CellParameters, seed: int, radius: float
+) -> tuple[Push, np.ndarray]:
     """Draws a push of a pusher's radius, from a place of the outline inwards, and a pose (3,) of the object.
 
     Raises:
@@ -157,7 +160,10 @@ def draw_push(obj: GridObject, params: CellParameters, seed: int, radius: float)
         if obj.outline.distance(Point(point + normal * radius)) < (1 - 1e-6) * radius:
             continue
         push = Push.on_outline(obj, place, angle, DISTANCE, radius=radius, speed=SPEED, pose=pose)
-        if calc_pose_error(obj, simulate(obj, params, push, pose).final_pose, pose).cell >= MIN_MOTION:
+        if (
+            calc_pose_error(obj, simulate(obj, params, push, pose).final_pose, pose).cell
+            >= MIN_MOTION
+        ):
             return push, pose
     raise PushError(f"{obj.name}: none of {TRIES} random pushes moves it by {MIN_MOTION * MM:g} mm")
 
@@ -169,7 +175,9 @@ def make_table(scores: Sequence[PlantScore]) -> Table:
         ((name, base, spin), found)
         for base in dict.fromkeys(score.base for score in scores)
         for spin in SPINS
-        for (name,), found in by_object([s for s in scores if (s.base, s.spin) == (base, spin)], names)
+        for (name,), found in by_object(
+            [s for s in scores if (s.base, s.spin) == (base, spin)], names
+        )
         if name != ALL or len(names) > 1
     ]
     columns = {
@@ -189,7 +197,9 @@ def make_table(scores: Sequence[PlantScore]) -> Table:
         "Spin: the model's; none is the plant's sphere feet.",
         f"The plant's pusher left its path by at most {worst * 1e6:.1f} µm.",
     )
-    return Table.of("MultibodyPlant against the grid LCP", ("object", "base", "spin"), groups, columns, notes)
+    return Table.of(
+        "MultibodyPlant against the grid LCP", ("object", "base", "spin"), groups, columns, notes
+    )
 
 
 TIME_STEP = {"planar": 1e-3, "free": 2e-3}
@@ -252,7 +262,9 @@ class PlantPusher:
             MakePartnerProperties(),
         )  # fmt: skip
         self.pusher = AddPusher(self.plant, radius, push_height)
-        self.handle = AddGridObject(self.plant, self.scene_graph, obj, params, base, table=[table], **options)
+        self.handle = AddGridObject(
+            self.plant, self.scene_graph, obj, params, base, table=[table], **options
+        )
         tip = self.plant.GetCollisionGeometriesForBody(self.plant.GetBodyByName("tip", self.pusher))
         self.scene_graph.collision_filter_manager().Apply(
             CollisionFilterDeclaration().ExcludeBetween(GeometrySet(tip), GeometrySet(table))
@@ -260,14 +272,18 @@ class PlantPusher:
         self.plant.Finalize()
         self.simulator = Simulator(builder.Build())
 
-    def push(self, params: CellParameters, push: Push, pose: ArrayLike = (0.0, 0.0, 0.0)) -> PlantMotion:
+    def push(
+        self, params: CellParameters, push: Push, pose: ArrayLike = (0.0, 0.0, 0.0)
+    ) -> PlantMotion:
         """Pushes the object from rest at a pose (3,), m and rad, with these masses and frictions.
 
         Raises:
             PushError: the pusher's radius is another.
         """
         if not np.isclose(push.radius, self.radius):
-            raise PushError(f"push: the radius is {push.radius:g} m; expected that of the plant's, {self.radius:g}")
+            raise PushError(
+                f"push: the radius is {push.radius:g} m; expected that of the plant's, {self.radius:g}"
+            )
         plant, simulator = self.plant, self.simulator
         context = simulator.get_mutable_context()
         plant_context = plant.GetMyMutableContextFromRoot(context)
@@ -288,8 +304,13 @@ class PlantPusher:
             desired.FixValue(plant_context, np.r_[path[i], velocity[i]])
             simulator.AdvanceTo(i * self.dt)
             poses.append(CalcPlanarPose(plant, plant_context, self.handle))
-            error = max(error, float(np.linalg.norm(plant.GetPositions(plant_context, self.pusher) - path[i])))
-            upright = plant.EvalBodyPoseInWorld(plant_context, self.handle.body).rotation().matrix()[2, 2]
+            error = max(
+                error,
+                float(np.linalg.norm(plant.GetPositions(plant_context, self.pusher) - path[i])),
+            )
+            upright = (
+                plant.EvalBodyPoseInWorld(plant_context, self.handle.body).rotation().matrix()[2, 2]
+            )
             tilt = max(tilt, float(np.arccos(np.clip(upright, -1, 1))))
         return PlantMotion(times, np.array(poses), error, tilt)
 
@@ -305,7 +326,9 @@ def AddPusher(plant: MultibodyPlant, radius: float, height: float) -> ModelInsta
     slide = plant.AddRigidBody("slide", instance, inertia)
     tip = plant.AddRigidBody("tip", instance, inertia)
     rail = plant.AddFrame(
-        FixedOffsetFrame("rail", plant.world_frame(), RigidTransform(np.array([0, 0, height])), instance)
+        FixedOffsetFrame(
+            "rail", plant.world_frame(), RigidTransform(np.array([0, 0, height])), instance
+        )
     )
     for name, parent, child, axis in (
         ("x", rail, slide.body_frame(), [1, 0, 0]),
@@ -314,5 +337,7 @@ def AddPusher(plant: MultibodyPlant, radius: float, height: float) -> ModelInsta
         joint = plant.AddJoint(PrismaticJoint(name, parent, child, np.array(axis)))
         gains = PdControllerGains(p=PUSHER_GAIN, d=PUSHER_DAMPING)
         plant.AddJointActuator(name, joint).set_controller_gains(gains)
-    plant.RegisterCollisionGeometry(tip, RigidTransform(), Sphere(radius), "tip", MakePartnerProperties())
+    plant.RegisterCollisionGeometry(
+        tip, RigidTransform(), Sphere(radius), "tip", MakePartnerProperties()
+    )
     return instance

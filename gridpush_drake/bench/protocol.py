@@ -1,12 +1,15 @@
 """The paper's protocols: what is hidden, pushed, drawn and split (Song & Boularias, RSS 2020, VI).
 
-They are drawn by seed for the objects that ship with the package, and read for the paper's own: masks NAME_label.pgm
-anywhere below a clone of MASK_SOURCE, with `protocol.json` beside them, where there is one, in place of what is drawn.
+They are drawn by seed for the objects that ship with the package, and read for the paper's own:
+masks NAME_label.pgm anywhere below a clone of MASK_SOURCE, with `protocol.json` beside them, where
+there is one, in place of what is drawn.
 
-    simulated   hidden masses, ten pushes and their splits (VI.A). Where the paper pushes with a square finger of 3 cm,
-                a disc of 1.5 cm radius stands in for it. Pushes are numbered from the object's left to its right, the
-                five on its upper side first.
-    planning    hidden masses, ten start and goal poses, a round table; masks at the scale that the paper plans with.
+    simulated   hidden masses, ten pushes and their splits (VI.A). Where the paper pushes with a
+    square finger of 3 cm,
+                a disc of 1.5 cm radius stands in for it. Pushes are numbered from the object's left
+                to its right, the five on its upper side first.
+    planning    hidden masses, ten start and goal poses, a round table; masks at the scale that the
+    paper plans with.
 """
 
 import json
@@ -57,17 +60,20 @@ SUPPORT_FRICTION = 0.4
 """Of every cell, in the simulated truth; it is also the identifier's prior."""
 
 PUSHED_SHIPPED = ("combination_wrench", "pliers", "toothpaste_tube")
-"""Shipped objects that are pushed to goals, beside the masks: of other shapes than the masks have."""
+"""Shipped objects that are pushed to goals, beside the masks: of other shapes than the masks
+have."""
 
 PAIRS = 10
 """Of start and goal poses."""
 
 TABLE_CENTER, TABLE_RADIUS, PLACE_RADIUS = (0.63, 0.0), 0.5, 0.28
-"""Of the round table, and within which poses are drawn, evenly, m: the widest object then hangs over by 45 mm."""
+"""Of the round table, and within which poses are drawn, evenly, m: the widest object then hangs
+over by 45 mm."""
 
 OVERHANG, FINGER_OVERHANG = 0.045, 0.1
-"""m by which cells may hang over the table's edge (the protocol's own poses make the widest object do so by 36 mm), and
-the finger's center: it ends above the table, and pushes back what hangs over."""
+"""m by which cells may hang over the table's edge (the protocol's own poses make the widest object
+do so by 36 mm), and the finger's center: it ends above the table, and pushes back what hangs
+over."""
 
 POSITION_STD, ANGLE_STD = 0.0005, 0.003
 """Noise of poses that are seen by whoever plans, m per axis and rad."""
@@ -95,10 +101,14 @@ def find_masks(data: Path) -> dict[str, Path]:
     for path in sorted(data.rglob(f"*{MASK_ENDING}")):
         name = path.name.removesuffix(MASK_ENDING)
         if name in masks:
-            raise GridPushError(f"{path}: is a second mask of {name}, beside {masks[name]}; expected one of each")
+            raise GridPushError(
+                f"{path}: is a second mask of {name}, beside {masks[name]}; expected one of each"
+            )
         masks[name] = path
     if not masks:
-        raise GridPushError(f"{data}: holds no mask; expected files NAME{MASK_ENDING}, as of {MASK_SOURCE}")
+        raise GridPushError(
+            f"{data}: holds no mask; expected files NAME{MASK_ENDING}, as of {MASK_SOURCE}"
+        )
     return masks
 
 
@@ -140,16 +150,26 @@ def make_protocol(data: Path | None = None, seed: int = 0) -> Protocol:
     """The simulated protocol: of the shipped objects, and of the masks in a folder.
 
     Raises:
-        GridPushError: there is no such folder, no mask in it, or `protocol.json` is not of its form.
+        GridPushError: there is no such folder, no mask in it, or `protocol.json` is not of its
+            form.
     """
     masks = {} if data is None else find_masks(data)
     labels: dict[str, NDArray[Any]] = {name: read_labels(path) for name, path in masks.items()}
-    labels |= {name: GridObject.from_yaml(find_shipped_object(name)).labels for name in list_shipped_objects()}
-    drawn = Protocol(masks, {name: draw_masses(name, seen, seed) for name, seen in labels.items()}, draw_splits(seed))
+    labels |= {
+        name: GridObject.from_yaml(find_shipped_object(name)).labels
+        for name in list_shipped_objects()
+    }
+    drawn = Protocol(
+        masks,
+        {name: draw_masses(name, seen, seed) for name, seen in labels.items()},
+        draw_splits(seed),
+    )
 
     def read(content: Any) -> Protocol:
         splits = {
-            int(count): tuple(Split(tuple(split["train"]), tuple(split["test"])) for split in splits)
+            int(count): tuple(
+                Split(tuple(split["train"]), tuple(split["test"])) for split in splits
+            )
             for count, splits in content["splits"].items()
         }
         scale = float(content["metres_per_pixel"]["simulated"])
@@ -167,7 +187,10 @@ def draw_masses(name: str, labels: NDArray[Any], seed: int) -> tuple[tuple[float
 def draw_splits(seed: int) -> dict[int, tuple[Split, ...]]:
     """Draws a split for each mass set and number of pushes to learn from."""
     rng = np.random.default_rng([seed, len(TRAINING)])
-    orders = {count: [rng.permutation(2 * PUSHES_PER_SIDE).tolist() for _ in range(MASS_SETS)] for count in TRAINING}
+    orders = {
+        count: [rng.permutation(2 * PUSHES_PER_SIDE).tolist() for _ in range(MASS_SETS)]
+        for count in TRAINING
+    }
     return {
         count: tuple(Split(tuple(order[:count]), tuple(sorted(order[count:]))) for order in some)
         for count, some in orders.items()
@@ -175,7 +198,10 @@ def draw_splits(seed: int) -> dict[int, tuple[Split, ...]]:
 
 
 def _read_masses(content: Any, drawn: Masses) -> Masses:
-    return {name: tuple(map(tuple, content["masses_by_label"].get(name, sets))) for name, sets in drawn.items()}
+    return {
+        name: tuple(map(tuple, content["masses_by_label"].get(name, sets)))
+        for name, sets in drawn.items()
+    }
 
 
 def _read_document(drawn: Drawn, expected: str, read: Callable[[Any], Drawn]) -> Drawn:
@@ -187,7 +213,9 @@ def _read_document(drawn: Drawn, expected: str, read: Callable[[Any], Drawn]) ->
     try:
         return read(json.loads(path.read_text()))
     except OSError as error:
-        raise GridPushError(f"{path}: cannot be read: {error.strerror}; expected the paper's numbers") from error
+        raise GridPushError(
+            f"{path}: cannot be read: {error.strerror}; expected the paper's numbers"
+        ) from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise GridPushError(f"{path}: expected JSON with {expected} ({error!r})") from error
 
@@ -199,7 +227,9 @@ def make_case(protocol: Protocol, name: str, mass_set: int) -> Case:
         GridPushError: the protocol has no such object.
     """
     if name not in protocol.masses:
-        raise GridPushError(f"objects: {name!r} is not in the protocol; expected one of {', '.join(protocol.masses)}")
+        raise GridPushError(
+            f"objects: {name!r} is not in the protocol; expected one of {', '.join(protocol.masses)}"
+        )
     obj = replace(read_object(protocol, name), prior=PhysicalPrior(friction=SUPPORT_FRICTION))
     if name in protocol.masks:
         columns = read_labels(protocol.masks[name]).shape[1]
@@ -210,26 +240,38 @@ def make_case(protocol: Protocol, name: str, mass_set: int) -> Case:
     truth = CellParameters.by_part(obj, masses, SUPPORT_FRICTION)
     pushes = make_pushes(obj, columns)
     seen = [_observe(obj, truth, f"push_{i}", push) for i, push in enumerate(pushes)]
-    return Case(hide_parts(replace(obj, name=name)), PushLog(tuple(seen), source=f"{name}, mass set {mass_set}"))
+    return Case(
+        hide_parts(replace(obj, name=name)),
+        PushLog(tuple(seen), source=f"{name}, mass set {mass_set}"),
+    )
 
 
 def make_pushes(obj: GridObject, columns: int) -> list[Push]:
     """The ten pushes, for an object at the pose (0, 0, 0): along -y onto the upper side, then along +y onto the lower.
 
-    The disc touches the outline at their start; `columns` is how many the object's image has, first to last pixel.
+    The disc touches the outline at their start; `columns` is how many the object's image has, first
+    to last pixel.
     """
     left, _, right, _ = obj.outline.bounds
     step = columns // PUSHES_PER_SIDE
     places = columns // 2 + step * (np.arange(PUSHES_PER_SIDE) - PUSHES_PER_SIDE // 2)
     x = left + (places + 0.5) * (right - left) / columns
-    starts = [(side, np.array([xi, place_disc(obj.edges, xi, side, FINGER_RADIUS)])) for side in (1, -1) for xi in x]
-    return [Push(start, np.array([0.0, -side * SPEED]), DURATION, FINGER_RADIUS) for side, start in starts]
+    starts = [
+        (side, np.array([xi, place_disc(obj.edges, xi, side, FINGER_RADIUS)]))
+        for side in (1, -1)
+        for xi in x
+    ]
+    return [
+        Push(start, np.array([0.0, -side * SPEED]), DURATION, FINGER_RADIUS)
+        for side, start in starts
+    ]
 
 
 def place_disc(edges: OutlineEdges, x: float, side: int, radius: float) -> float:
     """The y, m, of a disc's center that comes along y, from `side` +1 (above) or -1, where it touches the outline.
 
-    The center then lies on the outline grown by the radius: on a circle about a vertex or on a shifted edge.
+    The center then lies on the outline grown by the radius: on a circle about a vertex or on a
+    shifted edge.
     """
     flip = np.array([1.0, side])
     start, end = edges.start * flip, edges.end * flip
@@ -237,7 +279,9 @@ def place_disc(edges: OutlineEdges, x: float, side: int, radius: float) -> float
     near = np.abs(offset) <= radius
     heights = [start[near, 1] + np.sqrt(radius**2 - offset[near] ** 2)]
     along = end - start
-    normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
+    normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(
+        along, axis=1, keepdims=True
+    )
     normal *= np.where(normal[:, 1:] < 0, -1.0, 1.0)
     steep = along[:, 0] == 0
     share = (offset - radius * normal[:, 0]) / np.where(steep, 1.0, along[:, 0])
@@ -250,7 +294,9 @@ def _observe(obj: GridObject, truth: CellParameters, name: str, push: Push) -> O
     times = make_path_times(push)
     simulation = simulate(obj, truth, push, times=times, regime="inertial")
     every = round(len(times[1:]) * OBSERVED_EVERY / DURATION)
-    return ObservedPush(name, push, simulation.poses[0], times[every::every], simulation.poses[every::every])
+    return ObservedPush(
+        name, push, simulation.poses[0], times[every::every], simulation.poses[every::every]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,7 +340,9 @@ def make_planning_protocol(data: Path | None = None, seed: int = 0) -> PlanningP
 
     def read(content: Any) -> PlanningProtocol:
         planning = content["planning"]
-        pairs = np.stack([np.array(planning[end], dtype=np.float64) for end in ("start", "goal")], axis=1)
+        pairs = np.stack(
+            [np.array(planning[end], dtype=np.float64) for end in ("start", "goal")], axis=1
+        )
         table = planning["table"]
         surface = SupportSurface.round(table["centre"], float(table["radius"]))
         scale = float(content["metres_per_pixel"]["real_and_planning"])
@@ -344,12 +392,19 @@ def add_pose_noise(pose: Array, rng: np.random.Generator) -> Array:
 def know_friction(obj: GridObject, low: float, high: float) -> GridObject:
     """The object with support friction known to be within a range, its geometric mean the prior, but no weight."""
     middle = float(np.sqrt(low * high))
-    return replace(obj, prior=replace(obj.prior, total_mass=None, friction=middle, friction_min=low, friction_max=high))
+    return replace(
+        obj,
+        prior=replace(
+            obj.prior, total_mass=None, friction=middle, friction_min=low, friction_max=high
+        ),
+    )
 
 
 def make_hidden(protocol: PlanningProtocol, name: str, mass_set: int) -> CellParameters:
     """The hidden masses of a mass set: the protocol's for a mask, drawn by part for a shipped object."""
     obj = read_planning_object(protocol, name)
     if name in protocol.masks:
-        return CellParameters.by_part(obj, dict(enumerate(protocol.masses[name][mass_set], start=1)), SUPPORT_FRICTION)
+        return CellParameters.by_part(
+            obj, dict(enumerate(protocol.masses[name][mass_set], start=1)), SUPPORT_FRICTION
+        )
     return CellParameters.random(obj, protocol.seed + mass_set)

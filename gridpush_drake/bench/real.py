@@ -1,12 +1,15 @@
 """`gridpush bench real`: learning from real robots' pushes, and predicting others of them.
 
-The pushes are public data of other people. Without them, simulated pushes of the shipped objects stand in
-(`simulate_log`), and the table says so: nothing in it is real. Their masses and frictions are hidden, drawn by part;
-every push begins at a random place of the outline, and the object is seen with noise at its beginning and its end.
+The pushes are public data of other people. Without them, simulated pushes of the shipped objects
+stand in (`simulate_log`), and the table says so: nothing in it is real. Their masses and frictions
+are hidden, drawn by part; every push begins at a random place of the outline, and the object is
+seen with noise at its beginning and its end.
 
-CMU (Zhou et al. 2016): 25 of a file's 50 pushes are held out, 1 to 25 of the others train; the metric is
-|dxy| + rho |dtheta|, rho = 0.05 sqrt 2 m. MIT (Yu et al. 2016): a fifth of a file's pushes trains, the rest are held
-out. The standard error of one CMU split's mean is 0.15 mm: smaller differences say nothing.
+CMU (Zhou et al. 2016): 25 of a file's 50 pushes are held out, 1 to 25 of the others train; the
+metric is
+|dxy| + rho |dtheta|, rho = 0.05 sqrt 2 m. MIT (Yu et al. 2016): a fifth of a file's pushes trains,
+the rest are held out. The standard error of one CMU split's mean is 0.15 mm: smaller differences
+say nothing.
 
 A figure shows the error on the CMU pushes against the number of training pushes.
 """
@@ -23,8 +26,23 @@ from scipy.io import whosmat
 
 from gridpush_drake.bench.jobs import QUIET, Execution, check_known, run_jobs
 from gridpush_drake.bench.plant import DISTANCE, SPEED, draw_push
-from gridpush_drake.bench.protocol import ANGLE_STD, MASS_RANGE, POSITION_STD, add_pose_noise, check_folder, hide_parts
-from gridpush_drake.bench.table import CONFIDENCE, MM, Mean, Table, Value, check_figure, write_panels
+from gridpush_drake.bench.protocol import (
+    ANGLE_STD,
+    MASS_RANGE,
+    POSITION_STD,
+    add_pose_noise,
+    check_folder,
+    hide_parts,
+)
+from gridpush_drake.bench.table import (
+    CONFIDENCE,
+    MM,
+    Mean,
+    Table,
+    Value,
+    check_figure,
+    write_panels,
+)
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.identification.learning import identify
@@ -48,8 +66,8 @@ FRICTION_RANGE = (0.2, 0.5)
 def simulate_log(path: Path, seed: int, number: int) -> tuple[PushLog, GridObject]:
     """Simulates the log of an object's file with this number, quasi-static.
 
-    The hidden parameters, pushes and noise of each number are its own. The object comes back as whoever learns sees it:
-    one part of unknown mass.
+    The hidden parameters, pushes and noise of each number are its own. The object comes back as
+    whoever learns sees it: one part of unknown mass.
 
     Raises:
         ObjectError: the file cannot be read.
@@ -65,12 +83,19 @@ def simulate_log(path: Path, seed: int, number: int) -> tuple[PushLog, GridObjec
         push, pose = draw_push(obj, truth, first + i, radius)
         last = simulate(obj, truth, push, pose, regime="quasi_static").final_pose
         before, after = add_pose_noise(pose, rng), add_pose_noise(last, rng)
-        pushes.append(ObservedPush(f"push_{i + 1:02d}", push, before, np.array([push.duration]), after[None]))
+        pushes.append(
+            ObservedPush(f"push_{i + 1:02d}", push, before, np.array([push.duration]), after[None])
+        )
     plain = replace(obj, prior=replace(obj.prior, total_mass=None))
-    return PushLog(tuple(pushes), source=f"{obj.name}, simulated, number {number}"), hide_parts(plain)
+    return PushLog(tuple(pushes), source=f"{obj.name}, simulated, number {number}"), hide_parts(
+        plain
+    )
 
 
-CMU_SOURCE, MIT_SOURCE = "GitHub robinzhoucmu/MLab_EXP", "GitHub robinzhoucmu/PlanarManipulationToolBox"
+CMU_SOURCE, MIT_SOURCE = (
+    "GitHub robinzhoucmu/MLab_EXP",
+    "GitHub robinzhoucmu/PlanarManipulationToolBox",
+)
 
 RECORDS = "record_all"
 """The variable of a MATLAB file that holds pushes."""
@@ -86,7 +111,11 @@ def find_push_logs(data: Path, min_pushes: int) -> list[tuple[str, Path]]:
     """
     expected = f"push logs as of {CMU_SOURCE} (text files of {min_pushes} or more pushes) or of {MIT_SOURCE} (.mat)"
     check_folder(data, expected)
-    logs = [("cmu", path) for path in sorted(data.rglob("*.txt")) if _count_cmu_pushes(path) >= min_pushes]
+    logs = [
+        ("cmu", path)
+        for path in sorted(data.rglob("*.txt"))
+        if _count_cmu_pushes(path) >= min_pushes
+    ]
     logs += [("mit", path) for path in sorted(data.rglob("*.mat")) if _has_records(path)]
     if not logs:
         raise GridPushError(f"{data}: holds no push log; expected {expected}")
@@ -173,8 +202,9 @@ def run(
 ) -> list[Table]:
     """Measures the default method on the public push data sets, or on simulated pushes that stand in for them.
 
-    The arguments are the options of `gridpush bench real`, and `counts` the numbers of training pushes for the CMU
-    files; `quick` leaves QUICK_SPLITS and SHOWN_COUNTS of them. `objects` are for simulated pushes, without `data`.
+    The arguments are the options of `gridpush bench real`, and `counts` the numbers of training
+    pushes for the CMU files; `quick` leaves QUICK_SPLITS and SHOWN_COUNTS of them. `objects` are
+    for simulated pushes, without `data`.
 
     Raises:
         GridPushError: the data are not there, or an argument does not go with them.
@@ -197,7 +227,11 @@ def run(
         files = name_logs(find_push_logs(Path(data).resolve(), CMU_TEST + max(counts)))
         for _, kind, path in files:
             _read(path, kind)
-    jobs = [Job(path, kind, split, counts, seed, name) for name, kind, path in files for split in range(splits)]
+    jobs = [
+        Job(path, kind, split, counts, seed, name)
+        for name, kind, path in files
+        for split in range(splits)
+    ]
     results = run_jobs(run_job, jobs, lambda job: f"{job.name}, split {job.split}", execution)
     scores = [score for result in results for score in result]
     tables = [] if data is not None else [_tabulate_simulated(scores, names)]
@@ -223,7 +257,11 @@ def name_logs(logs: Sequence[tuple[str, Path]]) -> list[tuple[str, str, Path]]:
 
 def run_job(job: Job) -> list[Score]:
     """Learns from one split of one file with each number of pushes, and predicts its held-out pushes."""
-    log, obj = simulate_log(job.path, job.seed, job.split) if job.kind == "simulated" else _read(job.path, job.kind)
+    log, obj = (
+        simulate_log(job.path, job.seed, job.split)
+        if job.kind == "simulated"
+        else _read(job.path, job.kind)
+    )
     order = np.random.default_rng([job.seed, job.split]).permutation(len(log))
     models, counts = [(POSES, obj)], job.counts
     if job.kind == "mit":
@@ -242,9 +280,18 @@ def run_job(job: Job) -> list[Score]:
     return scores
 
 
-def _score(job: Job, model: str, training: int, obj: GridObject, params: CellParameters, test: PushLog) -> Score:
-    errors = [error for error in calc_final_errors(obj, predict(obj, params, test), test) if error is not None]
-    position, angle = tuple(error.position for error in errors), tuple(error.angle for error in errors)
+def _score(
+    job: Job, model: str, training: int, obj: GridObject, params: CellParameters, test: PushLog
+) -> Score:
+    errors = [
+        error
+        for error in calc_final_errors(obj, predict(obj, params, test), test)
+        if error is not None
+    ]
+    position, angle = (
+        tuple(error.position for error in errors),
+        tuple(error.angle for error in errors),
+    )
     return Score(job.name or job.path.stem, job.split, model, training, position, angle)
 
 
@@ -258,15 +305,21 @@ def choose_feet(names: Sequence[str]) -> list[str]:
     return [name for name in names if name in FEET_SETS] or list(names)
 
 
-def _choose(scores: Sequence[Score], names: Sequence[str], model: str, training: int) -> list[Score]:
+def _choose(
+    scores: Sequence[Score], names: Sequence[str], model: str, training: int
+) -> list[Score]:
     return [s for s in scores if s.name in names and s.model == model and s.training == training]
 
 
-def calc_split_means(scores: Sequence[Score], names: Sequence[str], model: str, training: int) -> np.ndarray:
+def calc_split_means(
+    scores: Sequence[Score], names: Sequence[str], model: str, training: int
+) -> np.ndarray:
     """Mean error of each split, mm, averaged over the named files."""
     chosen = _choose(scores, names, model, training)
     splits = sorted({score.split for score in chosen})
-    return np.array([np.mean([s.combined().mean() for s in chosen if s.split == split]) for split in splits])
+    return np.array(
+        [np.mean([s.combined().mean() for s in chosen if s.split == split]) for split in splits]
+    )
 
 
 def calc_splits_mean(values: np.ndarray) -> Mean:
@@ -285,7 +338,10 @@ def _tabulate_cmu(scores: Sequence[Score], names: Sequence[str], counts: Sequenc
     feet = choose_feet(names)
     for model, training in variants:
         errors = np.concatenate([s.combined() for s in _choose(scores, feet, model, training)])
-        means = [calc_split_means(scores, of, model, training) for of in (*([name] for name in names), feet)]
+        means = [
+            calc_split_means(scores, of, model, training)
+            for of in (*([name] for name in names), feet)
+        ]
         spread = float(np.median(errors)), float(np.quantile(errors, 0.9))
         rows.append([model, training, *map(calc_splits_mean, means), *spread])
     notes = (
@@ -304,13 +360,16 @@ def _tabulate_curve(scores: Sequence[Score], names: Sequence[str], counts: Seque
         row: list[Value] = [count]
         for model in (CENTER, POSES):
             worse = {
-                name: float((calc_split_means(scores, [name], model, count) - uniform[name]).mean()) for name in names
+                name: float((calc_split_means(scores, [name], model, count) - uniform[name]).mean())
+                for name in names
             }
             worst = max(worse, key=lambda name: worse[name])
             feet = calc_split_means(scores, choose_feet(names), model, count)
             row += [calc_splits_mean(feet), worse[worst], worst]
         rows.append(row)
-    notes = ("Worst: on the set where learning helps least, its mean error less that of uniform pressure, mm.",)
+    notes = (
+        "Worst: on the set where learning helps least, its mean error less that of uniform pressure, mm.",
+    )
     columns = ("training", CENTER, "worst", "on", POSES, "worst", "on")
     return Table("CMU pushes: error by number of training pushes, mm", columns, rows, notes)
 
@@ -319,12 +378,16 @@ def _tabulate_mit(scores: Sequence[Score], paths: dict[str, Path]) -> Table:
     rows: list[list[Value]] = []
     for name, path in paths.items():
         position, angle = read_model_errors(path)
-        rows.append([name, "the file's own", None, Mean(MM * position), Mean(float(np.degrees(angle)))])
+        rows.append(
+            [name, "the file's own", None, Mean(MM * position), Mean(float(np.degrees(angle)))]
+        )
         rows += [_make_pose_row(scores, name, model) for model in (UNIFORM, POSES)]
     notes = (
         f"{100 * MIT_SHARE:.0f} % of the pushes train, the others are held out; mean over splits ± 95 % confidence.",
     )
-    return Table("MIT pushes: held-out error", ("file", "model", *POSE_COLUMNS), rows, notes, keys=2)
+    return Table(
+        "MIT pushes: held-out error", ("file", "model", *POSE_COLUMNS), rows, notes, keys=2
+    )
 
 
 def _tabulate_simulated(scores: Sequence[Score], names: Sequence[str]) -> Table:
@@ -345,8 +408,12 @@ def _tabulate_simulated(scores: Sequence[Score], names: Sequence[str]) -> Table:
     return Table(title, columns, rows, notes, keys=2)
 
 
-def _make_pose_row(scores: Sequence[Score], name: str, model: str, training: int | None = None) -> list[Value]:
-    chosen = [s for s in scores if s.name == name and s.model == model and training in (None, s.training)]
+def _make_pose_row(
+    scores: Sequence[Score], name: str, model: str, training: int | None = None
+) -> list[Value]:
+    chosen = [
+        s for s in scores if s.name == name and s.model == model and training in (None, s.training)
+    ]
     mm = np.array([MM * np.mean(score.position) for score in chosen])
     degrees = np.array([np.degrees(np.mean(score.angle)) for score in chosen])
     return [name, model, chosen[0].training, calc_splits_mean(mm), calc_splits_mean(degrees)]
@@ -357,7 +424,11 @@ COLUMNS = 2
 
 
 def write_curve(
-    path: Path | str, scores: Sequence[Score], names: Sequence[str], counts: Sequence[int], force: bool
+    path: Path | str,
+    scores: Sequence[Score],
+    names: Sequence[str],
+    counts: Sequence[int],
+    force: bool,
 ) -> None:
     """Draws a panel a file, see `write_panels`: the error against the number of training pushes."""
 
@@ -367,8 +438,15 @@ def write_curve(
             middle = np.array([values.mean() for values in means])
             spread = np.array([values.std(ddof=1) if len(values) > 1 else 0.0 for values in means])
             axis.plot(counts, middle, "o-", color=color, label=model, markersize=4)
-            axis.fill_between(counts, middle - spread, middle + spread, color=color, alpha=0.15, linewidth=0)
-        axis.axhline(calc_split_means(scores, [name], UNIFORM, 0).mean(), color="0.4", linestyle="--", label=UNIFORM)
+            axis.fill_between(
+                counts, middle - spread, middle + spread, color=color, alpha=0.15, linewidth=0
+            )
+        axis.axhline(
+            calc_split_means(scores, [name], UNIFORM, 0).mean(),
+            color="0.4",
+            linestyle="--",
+            label=UNIFORM,
+        )
 
     labels = ("training pushes", "held-out error, mm (band: one standard deviation of the splits)")
     write_panels(path, names, COLUMNS, labels, draw, force, from_zero=True)

@@ -48,7 +48,8 @@ LAMPS = (("camera", 0.75, (0.0, 0.0, 1.0)), ("world", 0.25, (0.3, 0.5, -1.0)))
 """Of each: the frame of its direction, its intensity, its direction."""
 
 SHADOW_MAP = 2048
-"""Side of what shadows are computed on, pixels; with Drake's default objects shade themselves in blocks."""
+"""Side of what shadows are computed on, pixels; with Drake's default objects shade themselves in
+blocks."""
 
 SHEET, WHITE, BLACK = 2e-4, (0.95, 0.95, 0.95), (0.03, 0.03, 0.03)
 """Thickness of a tag's paper and of its ink, m, and their colors."""
@@ -63,7 +64,8 @@ COLOR_NOISE = 2.0
 """Standard deviation, of 255."""
 
 DEPTH_NOISE, DEPTH_EDGE = 0.005, 0.01
-"""Standard deviation of depth at 1 m, m: it grows with distance squared; and the step at which it is not measured."""
+"""Standard deviation of depth at 1 m, m: it grows with distance squared; and the step at which it
+is not measured."""
 
 TABLE_LABEL, OBJECT_LABEL, ARM_LABEL = 1, 2, 3
 
@@ -83,18 +85,25 @@ class RenderedTable:
             color: of it, red, green and blue, 0 to 1.
             camera: without distortion, with X_WC.
             rod_radius: of the rod that an arm's hand holds, m; None without an arm.
-            tag: number and side, m, of an AprilTag on the object, level over the middle of its outline's bounds.
+            tag: number and side, m, of an AprilTag on the object, level over the middle of its
+                outline's bounds.
         """
         self.camera = camera
         self._scene = SceneGraph()
         self._source = self._scene.RegisterSource("table")
         lights = [
-            LightParameter(type="directional", frame=frame, intensity=intensity, direction=list(direction))
+            LightParameter(
+                type="directional", frame=frame, intensity=intensity, direction=list(direction)
+            )
             for frame, intensity, direction in LAMPS
         ]
-        parameters = RenderEngineVtkParams(lights=lights, cast_shadows=True, shadow_map_size=SHADOW_MAP)
+        parameters = RenderEngineVtkParams(
+            lights=lights, cast_shadows=True, shadow_map_size=SHADOW_MAP
+        )
         self._scene.AddRenderer(RENDERER, MakeRenderEngineVtk(parameters))
-        self._add(None, Box(TABLE, TABLE, THICKNESS), TABLE_COLOR, TABLE_LABEL, [0, 0, -THICKNESS / 2])
+        self._add(
+            None, Box(TABLE, TABLE, THICKNESS), TABLE_COLOR, TABLE_LABEL, [0, 0, -THICKNESS / 2]
+        )
         prism = MemoryFile(make_outline_mesh(outline, height, normals=True), ".obj", "outline.obj")
         self._object = self._add_frame("object")
         self._add(self._object, Mesh(InMemoryMesh(mesh_file=prism)), color, OBJECT_LABEL, [0, 0, 0])
@@ -113,7 +122,13 @@ class RenderedTable:
         self._depth_camera = DepthRenderCamera(core, DepthRange(NEAR, FAR))
 
     def look(
-        self, pose: ArrayLike, tip: ArrayLike | None = None, *, seed: int = 0, t: float = 0.0, depth: bool = True
+        self,
+        pose: ArrayLike,
+        tip: ArrayLike | None = None,
+        *,
+        seed: int = 0,
+        t: float = 0.0,
+        depth: bool = True,
     ) -> tuple[Frame, NDArray[np.bool_]]:
         """Takes a frame.
 
@@ -139,10 +154,16 @@ class RenderedTable:
         color = query.RenderColorImage(self._color_camera, world, X_WC).data[..., :3]
         labels = query.RenderLabelImage(self._color_camera, world, X_WC).data[..., 0]
         rng = np.random.default_rng(seed)
-        noisy = np.clip(color + COLOR_NOISE * rng.standard_normal(color.shape), 0, 255).astype(np.uint8)
+        noisy = np.clip(color + COLOR_NOISE * rng.standard_normal(color.shape), 0, 255).astype(
+            np.uint8
+        )
         measured = None
         if depth:
-            z = query.RenderDepthImage(self._depth_camera, world, X_WC).data[..., 0].astype(np.float64)
+            z = (
+                query.RenderDepthImage(self._depth_camera, world, X_WC)
+                .data[..., 0]
+                .astype(np.float64)
+            )
             measured = add_depth_noise(z, rng)
         return Frame(noisy, measured, t), labels == ARM_LABEL
 
@@ -153,14 +174,28 @@ class RenderedTable:
         """Adds a white plate, with a margin of one bit, and on it the tag's black bits."""
         bits = draw_tag(number)
         bit, (x, y, z) = size / len(bits), at
-        self._add(self._object, Box(size + 2 * bit, size + 2 * bit, SHEET), WHITE, OBJECT_LABEL, [x, y, z + SHEET / 2])
+        self._add(
+            self._object,
+            Box(size + 2 * bit, size + 2 * bit, SHEET),
+            WHITE,
+            OBJECT_LABEL,
+            [x, y, z + SHEET / 2],
+        )
         for row, column in np.argwhere(bits == 0):
             right, up = (np.array([column, len(bits) - 1 - row]) - (len(bits) - 1) / 2) * bit
             ink = [x + right, y + up, z + SHEET]
-            self._add(self._object, Box(bit, bit, SHEET), BLACK, OBJECT_LABEL, ink, f"bit_{row}_{column}")
+            self._add(
+                self._object, Box(bit, bit, SHEET), BLACK, OBJECT_LABEL, ink, f"bit_{row}_{column}"
+            )
 
     def _add(
-        self, frame: FrameId | None, shape: Shape, color: ArrayLike, label: int, at: ArrayLike, name: str = ""
+        self,
+        frame: FrameId | None,
+        shape: Shape,
+        color: ArrayLike,
+        label: int,
+        at: ArrayLike,
+        name: str = "",
     ) -> None:
         properties = PerceptionProperties()
         properties.AddProperty("phong", "diffuse", Rgba(*np.asarray(color, dtype=np.float64), 1.0))
@@ -180,7 +215,9 @@ def add_depth_noise(z: NDArray[np.float64], rng: np.random.Generator) -> NDArray
     edge = np.zeros(z.shape, dtype=bool)
     for axis in (0, 1):
         step = np.abs(np.diff(noisy, axis=axis)) > DEPTH_EDGE
-        edge |= np.insert(step, 0, False, axis=axis) | np.insert(step, step.shape[axis], False, axis=axis)
+        edge |= np.insert(step, 0, False, axis=axis) | np.insert(
+            step, step.shape[axis], False, axis=axis
+        )
     noisy += DEPTH_NOISE * noisy**2 * rng.standard_normal(z.shape)
     noisy[edge] = 0.0
     return noisy.astype(np.float32)

@@ -41,7 +41,10 @@ class Timing(NamedTuple):
 
 
 def measure(
-    work: Callable[[], object], repetitions: int, warm_up: int = 1, clock: Callable[[], float] = perf_counter
+    work: Callable[[], object],
+    repetitions: int,
+    warm_up: int = 1,
+    clock: Callable[[], float] = perf_counter,
 ) -> Timing:
     """Times `work` by a clock that gives s, after `warm_up` runs that are not counted."""
     for _ in range(warm_up):
@@ -85,8 +88,8 @@ PLACE = 0.7
 """Where along the object's width it is pushed, 0 to 1."""
 
 SIZES, LINEAR_FROM = (10, 30, 100, 300, 1000, 3000, 10000), 300
-"""Numbers of cells for the cost against n; from where on the slope is fitted: below, work that does not depend on n
-shows."""
+"""Numbers of cells for the cost against n; from where on the slope is fitted: below, work that does
+not depend on n shows."""
 
 START_UPS = 7
 """Of each command that starts Python."""
@@ -135,7 +138,9 @@ def run(
         with_mujoco: whether to run MuJoCo beside, where it is installed.
         report: called with what begins, as of jobs.
     """
-    announce = count_steps(report, len(_simulations(obj)) + int(with_mujoco) + len(sizes) + len(logs) + 1)
+    announce = count_steps(
+        report, len(_simulations(obj)) + int(with_mujoco) + len(sizes) + len(logs) + 1
+    )
     with one_core() as pinned:
         tables = [
             _measure_push(obj, repetitions, with_mujoco, pinned, announce),
@@ -159,12 +164,18 @@ def load_hammer(data: Path | None) -> GridObject:
     """Loads the paper's hammer from a folder of masks, or, where that is None, the shipped one in its place."""
     if data is None:
         return GridObject.from_yaml(find_shipped_object("claw_hammer"))
-    return GridObject.from_mask(find_mask(data), meters_per_pixel=METERS_PER_PIXEL, name="hammer mask")
+    return GridObject.from_mask(
+        find_mask(data), meters_per_pixel=METERS_PER_PIXEL, name="hammer mask"
+    )
 
 
 def _simulations(obj: GridObject) -> dict[str, Callable[[], object]]:
     """What is timed, by name; the Jacobian is expanded to all its named blocks."""
-    params, push, steps = CellParameters.random(obj, seed=0), make_bench_push(obj), round(DURATION / DT)
+    params, push, steps = (
+        CellParameters.random(obj, seed=0),
+        make_bench_push(obj),
+        round(DURATION / DT),
+    )
     high = replace(params, push_height=PUSH_HEIGHT)
     recorded: dict[str, Sequence[int] | None] = {"": None, FINAL: [steps], EVERY: range(steps + 1)}
     kinds: list[tuple[str, CellParameters, Regime]] = [
@@ -180,20 +191,28 @@ def _simulations(obj: GridObject) -> dict[str, Callable[[], object]]:
 
 
 def _simulate(
-    obj: GridObject, params: CellParameters, push: Push, regime: Regime, record: Sequence[int] | None
+    obj: GridObject,
+    params: CellParameters,
+    push: Push,
+    regime: Regime,
+    record: Sequence[int] | None,
 ) -> object:
     if record is None:
         return simulate(obj, params, push, dt=DT, regime=regime)
     return simulate(obj, params, push, dt=DT, regime=regime, gradients=True, record=record).jacobian
 
 
-def _measure_push(obj: GridObject, repetitions: int, with_mujoco: bool, pinned: bool, announce: Announce) -> Table:
+def _measure_push(
+    obj: GridObject, repetitions: int, with_mujoco: bool, pinned: bool, announce: Announce
+) -> Table:
     times: dict[str, Timing] = {}
     for name, work in _simulations(obj).items():
         announce(name)
         times[name] = measure(work, repetitions, warm_up=3)
     plain = times["inertial"].median
-    rows: list[list[Value]] = [_row(name, timing, timing.median / plain) for name, timing in times.items()]
+    rows: list[list[Value]] = [
+        _row(name, timing, timing.median / plain) for name, timing in times.items()
+    ]
     notes = [
         f"{obj.name}, {obj.n} cells, {DURATION:g} s push, step {DT * MS:g} ms; median and quartiles of {repetitions} "
         f"runs{', pinned to one core' if pinned else ''}.",
@@ -207,10 +226,16 @@ def _measure_push(obj: GridObject, repetitions: int, with_mujoco: bool, pinned: 
             rows.append(_row("MuJoCo, cells as boxes, step 2 ms", beside, beside.median / plain))
         except ImportError:
             notes.append("MuJoCo is not installed: pip install 'gridpush-drake[bench]'.")
-    rows.append(["the paper, simulation", PAPER_SIMULATION * MS, None, None, PAPER_SIMULATION / plain])
-    rows.append(["the paper, gradient by itself", PAPER_GRADIENT * MS, None, None, PAPER_GRADIENT / plain])
+    rows.append(
+        ["the paper, simulation", PAPER_SIMULATION * MS, None, None, PAPER_SIMULATION / plain]
+    )
+    rows.append(
+        ["the paper, gradient by itself", PAPER_GRADIENT * MS, None, None, PAPER_GRADIENT / plain]
+    )
     notes.append("The paper's times are as published, on its authors' computer.")
-    return Table("One push", ("what", "median, ms", "25 %, ms", "75 %, ms", "times the first"), rows, notes)
+    return Table(
+        "One push", ("what", "median, ms", "25 %, ms", "75 %, ms", "times the first"), rows, notes
+    )
 
 
 def _measure_sizes(sizes: Sequence[int], repetitions: int, announce: Announce) -> Table:
@@ -218,7 +243,9 @@ def _measure_sizes(sizes: Sequence[int], repetitions: int, announce: Announce) -
     medians = []
     for size in sizes:
         announce(f"{size} cells")
-        obj = GridObject.from_outline(np.array([[0, 0], [0.2, 0], [0.2, 0.2], [0, 0.2]]), max_cells=size)
+        obj = GridObject.from_outline(
+            np.array([[0, 0], [0.2, 0], [0.2, 0.2], [0, 0.2]]), max_cells=size
+        )
         works = _simulations(obj)
         chosen = [works[name] for name in ("inertial", f"inertial{FINAL}")]
         fewer = max(3, int(repetitions * min(1.0, 100 / obj.n)))
@@ -226,7 +253,10 @@ def _measure_sizes(sizes: Sequence[int], repetitions: int, announce: Announce) -
         medians.append((obj.n, plain, jacobian))
         rows.append([obj.n, plain * MS, jacobian * MS, jacobian / plain, plain / obj.n * 1e6])
     columns = ("cells", "simulation, ms", "with Jacobian, ms", "ratio", "simulation, µs a cell")
-    notes = ["A square of 0.2 m; inertial, with the Jacobian of the final pose.", _describe_slopes(np.array(medians))]
+    notes = [
+        "A square of 0.2 m; inertial, with the Jacobian of the final pose.",
+        _describe_slopes(np.array(medians)),
+    ]
     return Table("Cost against the number of cells", columns, rows, notes)
 
 
@@ -253,7 +283,9 @@ def make_bench_log(cells: int, pushes: int) -> tuple[GridObject, PushLog]:
         times = np.linspace(0.0, push.duration, OBSERVED + 1)[1:]
         steps = make_times_with(push, times, "quasi_static")
         motion = simulate(obj, truth, push, regime="quasi_static", times=steps)
-        poses = motion.poses[np.searchsorted(steps, times)] + rng.normal(0.0, POSE_NOISE, (OBSERVED, 3))
+        poses = motion.poses[np.searchsorted(steps, times)] + rng.normal(
+            0.0, POSE_NOISE, (OBSERVED, 3)
+        )
         seen.append(ObservedPush(f"poke_{i}", push, np.zeros(3), times, poses))
     return obj, PushLog(tuple(seen))
 
@@ -291,7 +323,9 @@ def _measure_identification(logs: Sequence[tuple[int, int]], announce: Announce)
     return Table("Identification", columns, rows, [note])
 
 
-def _simulate_singly(obj: GridObject, params: CellParameters, timed: Sequence[TimedPush], regime: Regime) -> None:
+def _simulate_singly(
+    obj: GridObject, params: CellParameters, timed: Sequence[TimedPush], regime: Regime
+) -> None:
     for one in timed:
         _ = one.simulate(obj, params, regime=regime, gradients="mass", record=one.rows).jacobian
 
@@ -311,7 +345,12 @@ def _measure_start_up() -> Table:
             START_UPS,
         )
         rows.append([name, *timing])
-    return Table("Start-up", ("what", "median, s", "25 %, s", "75 %, s"), rows, [f"Processes, {START_UPS} runs each."])
+    return Table(
+        "Start-up",
+        ("what", "median, s", "25 %, s", "75 %, s"),
+        rows,
+        [f"Processes, {START_UPS} runs each."],
+    )
 
 
 def _row(name: str, timing: Timing, ratio: float) -> list[Value]:
@@ -322,12 +361,14 @@ MUJOCO_TIME_STEP, PUSHER_GAIN, PUSHER_MASS = 0.002, 1e4, 1.0
 """MuJoCo's default, s; of the position servo that drives the pusher, N/m; kg."""
 
 
-def make_mujoco_push(obj: GridObject, params: CellParameters, push: Push) -> Callable[[], np.ndarray]:
+def make_mujoco_push(
+    obj: GridObject, params: CellParameters, push: Push
+) -> Callable[[], np.ndarray]:
     """Prepares the same push in MuJoCo: the object's cells as boxes of one free body on a plane, pushed by a sphere.
 
     Returns:
-        What runs the push, straight and at constant velocity, from the beginning and returns the final pose (x, y,
-        theta).
+        What runs the push, straight and at constant velocity, from the beginning and returns the
+        final pose (x, y, theta).
 
     Raises:
         ImportError: MuJoCo is not installed (`pip install 'gridpush-drake[bench]'`).

@@ -68,7 +68,8 @@ class Table:
         rows: of as many values as there are columns; None or NaN where there is none.
         notes: how it was measured, and what else must be known to read it, a sentence each.
         digits: significant digits that numbers are shown with.
-        keys: how many of the first columns say what a row is of; they are repeated where a table is too wide.
+        keys: how many of the first columns say what a row is of; they are repeated where a table is
+            too wide.
     """
 
     title: str
@@ -81,7 +82,9 @@ class Table:
     def __post_init__(self) -> None:
         for row in self.rows:
             if len(row) != len(self.columns):
-                raise ValueError(f"{self.title}: a row of {len(row)} values; expected {len(self.columns)}")
+                raise ValueError(
+                    f"{self.title}: a row of {len(row)} values; expected {len(self.columns)}"
+                )
 
     @classmethod
     def of(
@@ -98,7 +101,8 @@ class Table:
         Args:
             title: of the table.
             keys: names of the columns that say what a row is of.
-            groups: of each row the values of these, and its results; those without any are left out.
+            groups: of each row the values of these, and its results; those without any are left
+                out.
             columns: of the others the name, and what it says of a row's results.
             notes: as of the table.
             digits: likewise.
@@ -106,7 +110,11 @@ class Table:
         Returns:
             The table.
         """
-        rows = [[*key, *(calc(results) for calc in columns.values())] for key, results in groups if len(results)]
+        rows = [
+            [*key, *(calc(results) for calc in columns.values())]
+            for key, results in groups
+            if len(results)
+        ]
         return cls(title, (*keys, *columns), rows, notes, digits, len(keys))
 
     def to_dict(self) -> dict[str, Any]:
@@ -135,14 +143,18 @@ class Table:
             width: of what it is shown on, characters.
 
         Returns:
-            The columns' numbers of each part, the keys in all of them. Where keys and one column are wider than the
-            width, they are a part, and that column's values are broken between words when they are shown.
+            The columns' numbers of each part, the keys in all of them. Where keys and one column
+            are wider than the width, they are a part, and that column's values are broken between
+            words when they are shown.
         """
         widths = [self._measure(i) + PADDING for i in range(len(self.columns))]
         keys = list(range(self.keys))
         parts = [list(keys)]
         for i in range(self.keys, len(self.columns)):
-            if len(parts[-1]) > self.keys and FRAME + sum(widths[j] for j in (*parts[-1], i)) > width:
+            if (
+                len(parts[-1]) > self.keys
+                and FRAME + sum(widths[j] for j in (*parts[-1], i)) > width
+            ):
                 parts.append(list(keys))
             parts[-1].append(i)
         return parts
@@ -182,7 +194,9 @@ class Table:
         spare = width - FRAME - sum(self._measure(i) + PADDING for i in part)
         fits = spare >= 0
         whole = part if fits else part[: self.keys]
-        table = rich.table.Table(title=Text(title) if title else None, title_justify="left", show_lines=not fits)
+        table = rich.table.Table(
+            title=Text(title) if title else None, title_justify="left", show_lines=not fits
+        )
         for i in part:
             least = self._measure(i)
             more = max(0, min(spare, len(self.columns[i]) - least))
@@ -199,7 +213,11 @@ class Table:
 
 def _to_json(value: Value) -> Any:
     """A value as JSON has it, a mean's figures by name."""
-    return {"mean": value.mean, "low": value.low, "high": value.high} if isinstance(value, Mean) else value
+    return (
+        {"mean": value.mean, "low": value.low, "high": value.high}
+        if isinstance(value, Mean)
+        else value
+    )
 
 
 CONFIDENCE = 0.95
@@ -257,7 +275,10 @@ def by_object(
     results: Sequence[Any], names: Sequence[str], *keys: str, key: str = "name"
 ) -> list[tuple[tuple[str, ...], list[Any]]]:
     """Groups of `Table.of`: results of each object, by their field `key`, and of all; `keys` come before the name."""
-    groups = [((*keys, name), [result for result in results if getattr(result, key) == name]) for name in names]
+    groups = [
+        ((*keys, name), [result for result in results if getattr(result, key) == name])
+        for name in names
+    ]
     return [*groups, ((*keys, ALL), list(results))]
 
 
@@ -270,7 +291,9 @@ PANEL, LEGEND_HEIGHT = (3.6, 2.7), 0.6
 def check_figure(path: Path | str, force: bool) -> None:
     """Checks, before long work begins, that a figure may be written. Raises OutputError where it may not."""
     if Path(path).suffix.lower() not in ENDINGS:
-        raise OutputError(f"{path}: is of an unknown kind; expected a name that ends in {', '.join(ENDINGS)}")
+        raise OutputError(
+            f"{path}: is of an unknown kind; expected a name that ends in {', '.join(ENDINGS)}"
+        )
     check_writable(path, force)
 
 
@@ -299,7 +322,9 @@ def write_panels(
         OutputError: as `check_figure`.
     """
     rows = -(-len(titles) // columns)
-    figure = Figure(figsize=(PANEL[0] * columns, PANEL[1] * rows + LEGEND_HEIGHT), layout="constrained")
+    figure = Figure(
+        figsize=(PANEL[0] * columns, PANEL[1] * rows + LEGEND_HEIGHT), layout="constrained"
+    )
     axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
     for axis, title in zip(axes, titles, strict=False):
         draw(axis, title)
@@ -310,7 +335,9 @@ def write_panels(
         axis.set_visible(False)
     figure.supxlabel(labels[0])
     figure.supylabel(labels[1])
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
+    figure.legend(
+        *axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False
+    )
     buffer = BytesIO()
     figure.savefig(buffer, format=Path(path).suffix.lstrip("."), dpi=DPI)
     write_whole(path, buffer.getvalue(), force)

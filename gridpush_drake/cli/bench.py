@@ -13,7 +13,10 @@ from gridpush_drake.cli.console import print_json, print_table, to_json, work_pr
 if TYPE_CHECKING:
     from gridpush_drake.bench.table import Table
 
-app = typer.Typer(no_args_is_help=True, help="Measure speed and accuracy, on the objects that ship with the package.")
+app = typer.Typer(
+    no_args_is_help=True,
+    help="Measure speed and accuracy, on the objects that ship with the package.",
+)
 
 Masks = Annotated[
     Path | None,
@@ -31,10 +34,15 @@ Logs = Annotated[
 ]  # fmt: skip
 Objects = Annotated[
     list[str] | None,
-    typer.Option(metavar="NAME", help="An object; may be repeated.", show_default="all of the bench's"),
+    typer.Option(
+        metavar="NAME", help="An object; may be repeated.", show_default="all of the bench's"
+    ),
 ]
 Out = Annotated[
-    Path | None, typer.Option("--out", "-o", metavar="FILE", help="Also write the tables: .md, or .json for JSON.")
+    Path | None,
+    typer.Option(
+        "--out", "-o", metavar="FILE", help="Also write the tables: .md, or .json for JSON."
+    ),
 ]
 
 COMMON: dict[str, tuple[Any, Any]] = {
@@ -66,13 +74,19 @@ NO_SETTINGS = {"figure", "figures", "force"}
 def _add(bench: Callable[..., "list[Table]"]) -> Callable[..., "list[Table]"]:
     """Adds a bench as a command: its own options, and COMMON.
 
-    It is called with its options, and with `quick`, `seed` and `execution`; what it has of COMMON itself is its own
-    affair, such as where `out` goes.
+    It is called with its options, and with `quick`, `seed` and `execution`; what it has of COMMON
+    itself is its own affair, such as where `out` goes.
     """
     name = bench.__name__
-    own = {key: each for key, each in signature(bench).parameters.items() if each.kind is not Parameter.VAR_KEYWORD}
+    own = {
+        key: each
+        for key, each in signature(bench).parameters.items()
+        if each.kind is not Parameter.VAR_KEYWORD
+    }
 
-    def command(workers: int, dask: str | None, results: Path | None, json: bool, **given: Any) -> None:
+    def command(
+        workers: int, dask: str | None, results: Path | None, json: bool, **given: Any
+    ) -> None:
         from gridpush_drake.bench.jobs import open_results
 
         out = None if "out" in own else given.pop("out")
@@ -89,7 +103,9 @@ def _add(bench: Callable[..., "list[Table]"]) -> Callable[..., "list[Table]"]:
             tables = bench(**given, execution=execution)
         _show(tables, out, force, json)
 
-    parameters = [each.replace(kind=Parameter.KEYWORD_ONLY) for key, each in own.items() if key not in COMMON]
+    parameters = [
+        each.replace(kind=Parameter.KEYWORD_ONLY) for key, each in own.items() if key not in COMMON
+    ]
     for key, (annotation, default) in COMMON.items():
         common = Parameter(key, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
         parameters.append(own[key].replace(kind=Parameter.KEYWORD_ONLY) if key in own else common)
@@ -141,13 +157,19 @@ def paper(
     sets: Annotated[int, typer.Option(min=1, help="Mass sets of each object.")] = 10,
     methods: Annotated[
         list[str] | None,
-        typer.Option("--method", metavar="NAME", help="A method; may be repeated.", show_default="all"),
+        typer.Option(
+            "--method", metavar="NAME", help="A method; may be repeated.", show_default="all"
+        ),
     ] = None,
-    budget: Annotated[int, typer.Option(min=1, help="Most simulated pushes of an identification.")] = 1500,
+    budget: Annotated[
+        int, typer.Option(min=1, help="Most simulated pushes of an identification.")
+    ] = 1500,
     figure: Annotated[
         Path | None,
         typer.Option(
-            metavar="FIGURE.png", callback=options.PNG, help="Also draw the error against the number of simulations."
+            metavar="FIGURE.png",
+            callback=options.PNG,
+            help="Also draw the error against the number of simulations.",
         ),
     ] = None,
     figures: Annotated[
@@ -176,11 +198,15 @@ def paper(
 def real(
     data: Logs = None,
     objects: Objects = None,
-    splits: Annotated[int, typer.Option(min=1, help="Divisions of a log into pushes to learn from and others.")] = 10,
+    splits: Annotated[
+        int, typer.Option(min=1, help="Divisions of a log into pushes to learn from and others.")
+    ] = 10,
     figure: Annotated[
         Path | None,
         typer.Option(
-            metavar="FIGURE.png", callback=options.PNG, help="Also draw the error against the number of pushes."
+            metavar="FIGURE.png",
+            callback=options.PNG,
+            help="Also draw the error against the number of pushes.",
         ),
     ] = None,
     force: options.Force = False,
@@ -197,7 +223,9 @@ def planning(
     data: Masks = None,
     objects: Objects = None,
     sets: Annotated[int, typer.Option(min=1, help="Parameter and mass sets of each object.")] = 10,
-    part: Annotated[Literal["all", "contact", "push"], typer.Option(help="Which to measure.")] = "all",
+    part: Annotated[
+        Literal["all", "contact", "push"], typer.Option(help="Which to measure.")
+    ] = "all",
     **common: Any,
 ) -> "list[Table]":
     """Choose contact points, and push objects to goal poses on the paper's round table."""
@@ -210,9 +238,15 @@ def planning(
 def pregrasp(
     data: Masks = None,
     objects: Objects = None,
-    mass_sets: Annotated[int | None, typer.Option(min=1, help="Hidden sets of masses and frictions an object.")] = None,
-    seeds: Annotated[int | None, typer.Option(min=1, help="Tables, starts and noises a set.")] = None,
-    depth: Annotated[float, typer.Option(help="Depth of the gripper's fingers, which must hang over, m.")] = 0.03,
+    mass_sets: Annotated[
+        int | None, typer.Option(min=1, help="Hidden sets of masses and frictions an object.")
+    ] = None,
+    seeds: Annotated[
+        int | None, typer.Option(min=1, help="Tables, starts and noises a set.")
+    ] = None,
+    depth: Annotated[
+        float, typer.Option(help="Depth of the gripper's fingers, which must hang over, m.")
+    ] = 0.03,
     experiment: Annotated[
         Literal["all", "sliding", "exploring", "materials", "bounds"],
         typer.Option(
@@ -231,12 +265,14 @@ def pregrasp(
         ),
     ] = None,
     max_arm: Annotated[
-        float, typer.Option(help="How far from its believed center of mass an object may be taken, m.")
+        float,
+        typer.Option(help="How far from its believed center of mass an object may be taken, m."),
     ] = 0.06,
     friction: Annotated[
         tuple[float, float],
         typer.Option(
-            metavar="LEAST GREATEST", help="Bounds of the friction of any part against the table, true and known."
+            metavar="LEAST GREATEST",
+            help="Bounds of the friction of any part against the table, true and known.",
         ),
     ] = (0.3, 0.4),
     **common: Any,
@@ -253,7 +289,9 @@ def pregrasp(
 @_add
 def grasp(
     objects: Objects = None,
-    seeds: Annotated[int | None, typer.Option(min=1, help="Hidden truths and noises an object.")] = None,
+    seeds: Annotated[
+        int | None, typer.Option(min=1, help="Hidden truths and noises an object.")
+    ] = None,
     seed: options.Seed = 0,
     **common: Any,
 ) -> "list[Table]":
@@ -278,7 +316,11 @@ def truth(
     sets: Annotated[int, typer.Option(min=1, help="Hidden bodies of each kind and object.")] = 3,
     pushes: Annotated[
         list[int] | None,
-        typer.Option(min=1, help="How many pushes to learn from; may be repeated.", show_default="3, 5, 8, 18"),
+        typer.Option(
+            min=1,
+            help="How many pushes to learn from; may be repeated.",
+            show_default="3, 5, 8, 18",
+        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -305,7 +347,9 @@ def truth(
 def drake(
     camera: Annotated[
         Literal["ideal", "rgbd"],
-        typer.Option(help="rgbd: only the station, which learns from a color and depth camera, and from ideal poses."),
+        typer.Option(
+            help="rgbd: only the station, which learns from a color and depth camera, and from ideal poses."
+        ),
     ] = "ideal",
     **common: Any,
 ) -> "list[Table]":
@@ -338,9 +382,13 @@ def perception(
 def gym(
     games: Annotated[
         list[str] | None,
-        typer.Option("--game", metavar="NAME", help="A game; may be repeated.", show_default="all three"),
+        typer.Option(
+            "--game", metavar="NAME", help="A game; may be repeated.", show_default="all three"
+        ),
     ] = None,
-    episodes: Annotated[int, typer.Option(min=2, help="Episodes of each game that each player plays.")] = 20,
+    episodes: Annotated[
+        int, typer.Option(min=2, help="Episodes of each game that each player plays.")
+    ] = 20,
     **common: Any,
 ) -> "list[Table]":
     """Time the Gymnasium environments; let our planner, a small learned player and chance play them."""

@@ -17,23 +17,39 @@ FORM = "COLUMNSxROWS:SIZE[:GAP[:FIRST]], such as 4x5:0.035 (m)"
 
 def calibrate(
     photo: Annotated[
-        Path | None, typer.Argument(metavar="PHOTO", help="A photograph of the board on the table.", show_default=False)
+        Path | None,
+        typer.Argument(
+            metavar="PHOTO", help="A photograph of the board on the table.", show_default=False
+        ),
     ] = None,
     board: Annotated[
         str,
-        typer.Option(metavar="BOARD", help=f"{FORM}: AprilTags 36h11, the side of a black square, 0.3 of it apart."),
+        typer.Option(
+            metavar="BOARD",
+            help=f"{FORM}: AprilTags 36h11, the side of a black square, 0.3 of it apart.",
+        ),
     ] = "4x5:0.035",
     camera: Annotated[
-        Path | None, typer.Option(metavar="CAMERA.yaml", help="The camera's file: its intrinsics and distortion.")
+        Path | None,
+        typer.Option(
+            metavar="CAMERA.yaml", help="The camera's file: its intrinsics and distortion."
+        ),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="CAMERA.yaml", help="The camera's file with X_WC, to write.")
+        Path | None,
+        typer.Option(
+            "--out", "-o", metavar="CAMERA.yaml", help="The camera's file with X_WC, to write."
+        ),
     ] = None,
     picture: Annotated[
-        Path | None, typer.Option(metavar="SEEN.png", callback=options.PNG, help="The tags that were seen.")
+        Path | None,
+        typer.Option(metavar="SEEN.png", callback=options.PNG, help="The tags that were seen."),
     ] = None,
     sheet: Annotated[
-        Path | None, typer.Option("--print", metavar="BOARD.pdf", help="Write the board instead, to print at 100 %.")
+        Path | None,
+        typer.Option(
+            "--print", metavar="BOARD.pdf", help="Write the board instead, to print at 100 %."
+        ),
     ] = None,
     force: options.Force = False,
     json: options.Json = False,
@@ -46,7 +62,9 @@ def calibrate(
         raise options.OptionError("calibrate: expected either a photograph, or --print BOARD.pdf")
     if sheet is not None:
         if sheet.suffix.lower() != ".pdf":
-            raise options.OptionError(f"--print: is {str(sheet)!r}; expected a PDF file's name, such as board.pdf")
+            raise options.OptionError(
+                f"--print: is {str(sheet)!r}; expected a PDF file's name, such as board.pdf"
+            )
         write_whole(sheet, tags.make_pdf(), force)
         width, height = tags.extent
         if json:
@@ -58,8 +76,17 @@ def calibrate(
         return
     assert photo is not None
     if camera is None or out is None:
-        raise options.OptionError("calibrate: --camera and --out are needed: the camera's file, and the one to write")
-    from gridpush_drake.perception import Camera, calibrate_pose, draw_tags, find_tag_corners, read_color, write_picture
+        raise options.OptionError(
+            "calibrate: --camera and --out are needed: the camera's file, and the one to write"
+        )
+    from gridpush_drake.perception import (
+        Camera,
+        calibrate_pose,
+        draw_tags,
+        find_tag_corners,
+        read_color,
+        write_picture,
+    )
 
     options.check_outputs(force, out, picture, inputs=(photo,))
     seen_by = Camera.read(camera)

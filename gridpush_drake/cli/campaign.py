@@ -103,10 +103,16 @@ def parse_seeds(option: str, text: str, most: int) -> list[int]:
     for part in text.split(","):
         start, colon, stop = part.partition(":")
         numbers = [start, stop] if colon else [start]
-        if not all(number.isdecimal() and number.isascii() and len(number) <= MAX_DIGITS for number in numbers):
+        if not all(
+            number.isdecimal() and number.isascii() and len(number) <= MAX_DIGITS
+            for number in numbers
+        ):
             raise options.OptionError(f"{option}: is {shorten(text)}; expected {FORM}")
         ranges.append(range(int(start), int(stop) if colon else int(start) + 1))
-    if any(not each or each[-1] > MAX_SEED for each in ranges) or sum(each.stop - each.start for each in ranges) > most:
+    if (
+        any(not each or each[-1] > MAX_SEED for each in ranges)
+        or sum(each.stop - each.start for each in ranges) > most
+    ):
         raise options.OptionError(
             f"{option}: is {shorten(text)}; expected at least one seed in each range, none over {MAX_SEED}, and at "
             f"most {most}"
@@ -131,5 +137,7 @@ def _find_objects(scenario: "PushScenario", names: str | None) -> dict[str, str]
         if name in list_shipped_objects() and not exists(name):
             found[name] = ""
         else:
-            found[str(path.resolve())] = hash_content(read_bytes(path, "an object file", ObjectError))
+            found[str(path.resolve())] = hash_content(
+                read_bytes(path, "an object file", ObjectError)
+            )
     return found

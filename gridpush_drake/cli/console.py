@@ -27,7 +27,9 @@ PLAIN_PERIOD = 5.0
 
 def count_noun(count: int, noun: str) -> str:
     """Says how many there are: "1 push", "2 pushes", "3 cells"."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}{'es' if noun.endswith('sh') else 's'}"
+    return (
+        f"{count} {noun}" if count == 1 else f"{count} {noun}{'es' if noun.endswith('sh') else 's'}"
+    )
 
 
 def print_line(text: str = "") -> None:
@@ -103,8 +105,8 @@ def work_progress(what: str) -> Iterator[Callable[[str, int, int], None]]:
     """Shows how much of some work is done: a bar on a terminal's standard error, elsewhere a plain line now and then.
 
     Yields:
-        What the work calls, as often as it likes, with what it is at or did last, how many steps are done, and how many
-        there are.
+        What the work calls, as often as it likes, with what it is at or did last, how many steps
+        are done, and how many there are.
     """
     with count_progress(what, None, LINE_EVERY) as show:
         begun = monotonic()
@@ -119,7 +121,8 @@ def work_progress(what: str) -> Iterator[Callable[[str, int, int], None]]:
 class PlainProgress:
     """What a bar shows, as plain lines: for standard error where that is no terminal, such as a log file.
 
-    A line is printed when something new is being done, and now and then while it goes on; never twice the same.
+    A line is printed when something new is being done, and now and then while it goes on; never
+    twice the same.
 
     Attributes:
         period: at least so long between two lines about the same thing, s.
@@ -153,8 +156,9 @@ def count_progress(
         period: between two plain lines about the same thing, s.
 
     Yields:
-        What the work calls now and then, with what it is doing, a detail that changes all the time, such as the
-        simulated time, the count, and what to count to: `report(doing, detail, count, of)`.
+        What the work calls now and then, with what it is doing, a detail that changes all the time,
+        such as the simulated time, the count, and what to count to: `report(doing, detail, count,
+        of)`.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -170,6 +174,11 @@ def count_progress(
         task = bar.add_task(what, total=total)
 
         def show(doing: str, detail: str = "", count: int = 0, of: int | None = total) -> None:
-            bar.update(task, completed=count, total=of, description=f"{what}: {doing}{detail and f', {detail}'}")
+            bar.update(
+                task,
+                completed=count,
+                total=of,
+                description=f"{what}: {doing}{detail and f', {detail}'}",
+            )
 
         yield show

@@ -33,7 +33,9 @@ def demo(
     ] = TaskName.pregrasp,
     object_file: Annotated[
         str | None,
-        typer.Option("--object", metavar="NAME|FILE", help="A shipped object's name, or an object file."),
+        typer.Option(
+            "--object", metavar="NAME|FILE", help="A shipped object's name, or an object file."
+        ),
     ] = None,
     robot: Annotated[
         str | None,
@@ -45,10 +47,13 @@ def demo(
     ] = None,
     scenario_file: Annotated[
         Path | None,
-        typer.Option("--scenario", metavar="FILE", help="What stands where, as YAML; see models/scenarios."),
+        typer.Option(
+            "--scenario", metavar="FILE", help="What stands where, as YAML; see models/scenarios."
+        ),
     ] = None,
     pushes: Annotated[
-        int | None, typer.Option(min=1, help="How many pushes to learn from (--task identify).  [default: 8]")
+        int | None,
+        typer.Option(min=1, help="How many pushes to learn from (--task identify).  [default: 8]"),
     ] = None,
     camera: Annotated[
         Literal["ideal", "rgbd"] | None,
@@ -59,18 +64,22 @@ def demo(
         ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed of everything random.  [default: the scenario's]")
+        int | None,
+        typer.Option(min=0, help="Seed of everything random.  [default: the scenario's]"),
     ] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for what the demo writes.")] = Path(
-        "gridpush_demo"
-    ),
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for what the demo writes.")
+    ] = Path("gridpush_demo"),
     open_browser: Annotated[
-        bool, typer.Option("--open", help="Watch it in the browser, and open the report at the end.")
+        bool,
+        typer.Option("--open", help="Watch it in the browser, and open the report at the end."),
     ] = False,
     realtime_rate: Annotated[
         float,
         typer.Option(
-            min=0, metavar="R", help="Greatest number of simulated seconds in a second; 0: as fast as it goes."
+            min=0,
+            metavar="R",
+            help="Greatest number of simulated seconds in a second; 0: as fast as it goes.",
         ),
     ] = 0.0,
     port: Annotated[
@@ -95,7 +104,9 @@ def demo(
     from gridpush_drake.station.scene import check_scenario, use_object
 
     if pushes is not None and task is not TaskName.identify:
-        raise options.OptionError(f"--pushes: is for --task identify; {task} decides itself how many to make")
+        raise options.OptionError(
+            f"--pushes: is for --task identify; {task} decides itself how many to make"
+        )
     chosen = TASKS[task]
     scenario = read_scenario(scenario_file) if scenario_file else chosen.make_scenario()
     if object_file is not None:

@@ -96,7 +96,11 @@ class DemoTask:
 
     def make_scenario(self) -> PushScenario:
         """The scenario that it has by itself."""
-        return PushScenario() if self.scenario is None else read_scenario(find_models() / self.scenario)
+        return (
+            PushScenario()
+            if self.scenario is None
+            else read_scenario(find_models() / self.scenario)
+        )
 
     def run(self, scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> Any:
         """Runs the task and records it from the moment when all is set up; returns the record."""
@@ -125,7 +129,10 @@ class DemoTask:
 
     def list_phases(self, record: Any) -> list[Phase]:
         """What the robot did when, for the recording: a phase a step of the controller."""
-        return [Phase(step.time, self.name_phase(step.status), step.status.reason) for step in record.steps]
+        return [
+            Phase(step.time, self.name_phase(step.status), step.status.reason)
+            for step in record.steps
+        ]
 
     def split_log(self, record: Any) -> tuple[PushLog, PushLog]:
         """The pushes to learn from and those held out: none."""
@@ -138,8 +145,12 @@ class DemoTask:
     def make_report(self, record: Any) -> str:
         """The report, as HTML, of the pushes that the last estimate was learned from; the record has one."""
         found = record.estimates[-1]
-        used = record.log.subset([i for i, seen in enumerate(record.log) if seen.name in found.push_names])
-        return make_report(found, used, truth=record.truth, summary=self.make_summary(record), sight=record.sight)
+        used = record.log.subset(
+            [i for i, seen in enumerate(record.log) if seen.name in found.push_names]
+        )
+        return make_report(
+            found, used, truth=record.truth, summary=self.make_summary(record), sight=record.sight
+        )
 
     def summarize(self, record: Any) -> dict[str, Any]:
         """What came of it, in SI units, for JSON; "done": whether the robot got there."""
@@ -159,19 +170,26 @@ class DemoTask:
 
 
 def write_files(
-    task: DemoTask, folder: Path, scenario: PushScenario, record: Any, meshcat: Meshcat | None, force: bool
+    task: DemoTask,
+    folder: Path,
+    scenario: PushScenario,
+    record: Any,
+    meshcat: Meshcat | None,
+    force: bool,
 ) -> list[Path]:
     """Writes what a run came to, and gives the files in the order of the task's; not what it was too short for.
 
-    The model is the station's own: that which `gridpush identify` makes of object.yaml and pushes.csv. Without Meshcat,
-    there is no recording.
+    The model is the station's own: that which `gridpush identify` makes of object.yaml and
+    pushes.csv. Without Meshcat, there is no recording.
 
     Raises:
         OutputError: a file exists and `force` is not set, or it cannot be written.
     """
     obj = record.obj
     overlay = Overlay(
-        make_color_scale(obj, CellColors()), (*list_estimate_marks(), *task.marks), tuple(task.list_phases(record))
+        make_color_scale(obj, CellColors()),
+        (*list_estimate_marks(), *task.marks),
+        tuple(task.list_phases(record)),
     )
     written = {"object.yaml", "stream.csv", "scenario.yaml"}
     if meshcat is not None:
@@ -219,7 +237,10 @@ class IdentifyDemo(DemoTask):
         kind = "push" if status.executed < task.station.scenario.pokes.count else "held-out push"
         if status.reason:
             refused = f" (refused {status.refused}: {status.reason})"
-        return f"{kind} {min(status.executed + 1, total)} of {total}, {status.phase}{refused}", status.executed
+        return (
+            f"{kind} {min(status.executed + 1, total)} of {total}, {status.phase}{refused}",
+            status.executed,
+        )
 
     def list_phases(self, record: IdentifyTaskRecord) -> list[Phase]:
         """Pushes to learn from, then pushes to test."""
@@ -255,8 +276,13 @@ class IdentifyDemo(DemoTask):
         if record.estimates:
             summary["learned"] = record.estimates[-1].message
             found, centers = record.estimates[-1], _calc_center_errors(record)
-            for name, params in (("before", CellParameters.uniform(record.obj)), ("after", found.params)):
-                held_out = calc_mean_cell_error(record.obj, params, record.held_out_log, found.regime)
+            for name, params in (
+                ("before", CellParameters.uniform(record.obj)),
+                ("after", found.params),
+            ):
+                held_out = calc_mean_cell_error(
+                    record.obj, params, record.held_out_log, found.regime
+                )
                 summary[name] = {"held_out_cell_error": held_out}
                 if centers:
                     summary[name]["center_of_mass_error"] = centers[name]
@@ -270,7 +296,13 @@ class IdentifyDemo(DemoTask):
             return [*lines, f"Nothing was learned about the {name}."]
         lines.append(f"The {name} after {summary['pushes']} pushes: {summary['learned']}")
         if summary["held_out"]:
-            lines.append(_compare(f"error of {summary['held_out']} pushes held out", "held_out_cell_error", summary))
+            lines.append(
+                _compare(
+                    f"error of {summary['held_out']} pushes held out",
+                    "held_out_cell_error",
+                    summary,
+                )
+            )
         if "center_of_mass_error" in summary["after"]:
             lines.append(_compare("error of the center of mass", "center_of_mass_error", summary))
         return lines
@@ -297,7 +329,11 @@ class PushDemo(DemoTask):
     def summarize(self, record: PushTaskRecord) -> dict[str, Any]:
         """How far from the goal it ended."""
         goal = [float(value) for value in record.goal]
-        return super().summarize(record) | {"pushes": record.pushes, "goal": goal, "error": record.error}
+        return super().summarize(record) | {
+            "pushes": record.pushes,
+            "goal": goal,
+            "error": record.error,
+        }
 
     def describe(self, summary: dict[str, Any]) -> list[str]:
         """How far from the goal it ended."""
@@ -309,10 +345,18 @@ class PushDemo(DemoTask):
     def make_summary(self, record: PushTaskRecord) -> ReportSummary:
         """Where the object lay after every push."""
         steps = []
-        for count, (seen, pose) in enumerate(zip(record.log, record.rest_poses[1:], strict=False), start=1):
+        for count, (seen, pose) in enumerate(
+            zip(record.log, record.rest_poses[1:], strict=False), start=1
+        ):
             x, y = seen.push.start.tolist()
             left = float(calc_goal_error(record.obj, pose, record.goal)) * MM
-            steps.append((str(count), f"({x:.3f}, {y:.3f}) m, {seen.push.length * MM:.0f} mm far", f"{left:.0f} mm"))
+            steps.append(
+                (
+                    str(count),
+                    f"({x:.3f}, {y:.3f}) m, {seen.push.length * MM:.0f} mm far",
+                    f"{left:.0f} mm",
+                )
+            )
         return ReportSummary(
             headline=record.message,
             facts=(
@@ -354,7 +398,12 @@ class PreGraspDemo(DemoTask):
         """Whether the object was lifted, and how well its center of mass was known."""
         last = record.last
         summary = super().summarize(record)
-        summary |= {"pokes": last.pokes, "slides": last.slides, "grasps": last.grasps, "raised": record.raised}
+        summary |= {
+            "pokes": last.pokes,
+            "slides": last.slides,
+            "grasps": last.grasps,
+            "raised": record.raised,
+        }
         if record.estimates:
             errors = _calc_center_errors(record)
             summary |= {name: {"center_of_mass_error": error} for name, error in errors.items()}
@@ -363,7 +412,9 @@ class PreGraspDemo(DemoTask):
     def describe(self, summary: dict[str, Any]) -> list[str]:
         """Whether the object was lifted, and how well its center of mass was known."""
         name = summary["object"].replace("_", " ")
-        lines = [f"The {name} after {_count_pushes(summary['pokes'], summary['slides'])}: {summary['message']}"]
+        lines = [
+            f"The {name} after {_count_pushes(summary['pokes'], summary['slides'])}: {summary['message']}"
+        ]
         if "after" in summary:
             lines.append(_compare("error of the center of mass", "center_of_mass_error", summary))
         return lines
@@ -372,13 +423,19 @@ class PreGraspDemo(DemoTask):
         """The object's trajectory to the edge, and how safely it lies there."""
         last = record.last
         masses = UncertainModel.of_identification(record.estimates[-1], log=record.log).masses
-        poses = [step.pose for step in record.steps if np.isfinite(step.pose).all() and not step.status.over]
+        poses = [
+            step.pose
+            for step in record.steps
+            if np.isfinite(step.pose).all() and not step.status.over
+        ]
         pushes = [
             PushDrawn(step.push.start, step.push.end, step.status.mode == PreGraspMode.EXPLORING)
             for step in record.steps
             if step.push is not None
         ]
-        grasp = next((step.grasp for step in reversed(record.steps) if step.grasp is not None), None)
+        grasp = next(
+            (step.grasp for step in reversed(record.steps) if step.grasp is not None), None
+        )
         drawn = None if grasp is None else GraspDrawn(np.array([grasp.x, grasp.y]), grasp.approach)
         return ReportSummary(
             headline=f"{record.message} It took {_count_pushes(last.pokes, last.slides)}.",
@@ -386,9 +443,16 @@ class PreGraspDemo(DemoTask):
                 ("pokes", str(last.pokes)),
                 ("slides", str(last.slides)),
                 ("simulated", f"{record.duration:.0f} s"),
-                ("raised by", f"{record.raised * MM:.0f} mm" if np.isfinite(record.raised) else "not measured"),
+                (
+                    "raised by",
+                    f"{record.raised * MM:.0f} mm"
+                    if np.isfinite(record.raised)
+                    else "not measured",
+                ),
             ),
-            figure=draw_pre_grasp(record.obj, record.surface, poses, pushes, masses, record.truth, drawn),
+            figure=draw_pre_grasp(
+                record.obj, record.surface, poses, pushes, masses, record.truth, drawn
+            ),
             caption="Left: pokes to learn, then slides to the table's edge. Right: as long as its center of mass is "
             "within what holds the object it stays put; it was judged on every place where the center of mass may "
             "still be.",
@@ -401,7 +465,11 @@ class PreGraspDemo(DemoTask):
         )
 
 
-TASKS: dict[str, DemoTask] = {"identify": IdentifyDemo(), "push": PushDemo(), "pregrasp": PreGraspDemo()}
+TASKS: dict[str, DemoTask] = {
+    "identify": IdentifyDemo(),
+    "push": PushDemo(),
+    "pregrasp": PreGraspDemo(),
+}
 """By the words of `demo.TaskName`."""
 
 

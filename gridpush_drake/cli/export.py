@@ -15,7 +15,9 @@ SUFFIXES: dict[str, Format] = {".sdf": "sdf", ".urdf": "urdf", ".xml": "mjcf", "
 
 def export(
     target: options.ObjectOrModel,
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write.", show_default=False)],
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT", help="The file to write.", show_default=False)
+    ],
     file_format: Annotated[
         Format | None,
         typer.Option(
@@ -46,7 +48,9 @@ def export(
             f"OUT: is {str(out)!r}; expected a name that ends in {', '.join(SUFFIXES)}, or --format"
         )
     if base == "planar" and chosen != "sdf":
-        raise options.OptionError(f"base: is 'planar'; expected 'free', or the format sdf: {chosen} cannot say it here")
+        raise options.OptionError(
+            f"base: is 'planar'; expected 'free', or the format sdf: {chosen} cannot say it here"
+        )
     options.check_outputs(force, out, inputs=(target,))
     loaded = options.load_target(target, largest_piece)
     obj, mass = loaded.obj, loaded.params.total_mass

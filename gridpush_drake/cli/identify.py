@@ -22,22 +22,33 @@ def identify(
     object_file: Annotated[
         str,
         typer.Argument(
-            metavar="OBJECT.yaml", help="The object's file, or a shipped object's name.", show_default=False
+            metavar="OBJECT.yaml",
+            help="The object's file, or a shipped object's name.",
+            show_default=False,
         ),
     ],
     pushes: options.PushesFile,
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="MODEL.yaml", help="The model to write.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="MODEL.yaml", help="The model to write.")
+    ],
     report: Annotated[
         Path | None,
         typer.Option(
-            metavar="REPORT.html", callback=options.HTML, help="Also write a report, one self-contained page."
+            metavar="REPORT.html",
+            callback=options.HTML,
+            help="Also write a report, one self-contained page.",
         ),
     ] = None,
-    method: Annotated[Method, typer.Option(help="How to search; all but the first are for comparison.")] = "default",
+    method: Annotated[
+        Method, typer.Option(help="How to search; all but the first are for comparison.")
+    ] = "default",
     seed: options.Seed = 0,
     regime: options.Regime = "auto",
     budget: Annotated[
-        int | None, typer.Option(min=1, help="Greatest number of pushes to simulate; not for the default method.")
+        int | None,
+        typer.Option(
+            min=1, help="Greatest number of pushes to simulate; not for the default method."
+        ),
     ] = None,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
@@ -51,14 +62,18 @@ def identify(
     from gridpush_drake.pushes.plausibility import explain_no_contact
 
     if budget is not None and method == "default":
-        raise options.OptionError("--budget: is for the other methods; the default one ends by itself")
+        raise options.OptionError(
+            "--budget: is for the other methods; the default one ends by itself"
+        )
     options.check_outputs(force, out, report, inputs=(object_file, pushes))
     obj = options.load_object(object_file, largest_piece)
     full = options.load_log(pushes, obj)
     log = full.supported
     options.compile_kernels()
     with search_progress(f"identifying {obj.name}", budget) as progress:
-        result = search(obj, log, method=method, seed=seed, regime=regime, budget=budget, progress=progress)
+        result = search(
+            obj, log, method=method, seed=seed, regime=regime, budget=budget, progress=progress
+        )
     if not result.push_names:
         raise PushLogError(explain_no_contact(obj, log))
     write_model(out, result, force)
@@ -71,7 +86,9 @@ def identify(
         "overhanging_pushes": [seen.name for seen in full.overhanging],
         "written": [str(path) for path in (out, report) if path],
     }
-    print_found(found, [*explain_result(result, found), "", *options.describe_written(out, report)], json)
+    print_found(
+        found, [*explain_result(result, found), "", *options.describe_written(out, report)], json
+    )
 
 
 def describe_result(result: "Identification", log: "PushLog") -> dict[str, Any]:
@@ -92,7 +109,13 @@ def describe_result(result: "Identification", log: "PushLog") -> dict[str, Any]:
         "training_pushes": result.push_names,
         "unused_pushes": result.unused_pushes,
         "outliers": [
-            {"push": out.push, "poses": out.poses, "observed": out.observed, "share": out.share, "whole": out.whole}
+            {
+                "push": out.push,
+                "poses": out.poses,
+                "observed": out.observed,
+                "share": out.share,
+                "whole": out.whole,
+            }
             for out in result.outliers
         ],
         "noise_std": result.noise_std,
@@ -109,7 +132,10 @@ def describe_result(result: "Identification", log: "PushLog") -> dict[str, Any]:
 
 def explain_result(result: "Identification", found: dict[str, Any]) -> list[str]:
     """The same in lines of words."""
-    center, spread = result.identifiability.center_of_friction, result.identifiability.center_of_friction_covariance
+    center, spread = (
+        result.identifiability.center_of_friction,
+        result.identifiability.center_of_friction_covariance,
+    )
     x, y = (
         f"{value * MM:.1f} ± {max(variance, 0.0) ** 0.5 * MM:.1f}"
         for value, variance in zip(center, spread.diagonal(), strict=True)
@@ -125,7 +151,9 @@ def explain_result(result: "Identification", found: dict[str, Any]) -> list[str]
         f"contact friction: {result.params.contact_friction:.2f} ± {result.std.contact_friction:.2f}",
     ]
     if result.unused_pushes:
-        lines.append(f"left out, as the pusher never touched the object: {', '.join(result.unused_pushes)}")
+        lines.append(
+            f"left out, as the pusher never touched the object: {', '.join(result.unused_pushes)}"
+        )
     lines += [outlier.describe() for outlier in result.outliers]
     if found["overhanging_pushes"]:
         lines.append(options.describe_overhanging(found["overhanging_pushes"]))

@@ -27,7 +27,9 @@ OutDir = Annotated[
     ),
 ]
 OutCsv = Annotated[Path | None, typer.Option(metavar="PUSHES.csv", help="The push log to write.")]
-OutObject = Annotated[Path | None, typer.Option(metavar="OBJECT.yaml", help="The object file to write.")]
+OutObject = Annotated[
+    Path | None, typer.Option(metavar="OBJECT.yaml", help="The object file to write.")
+]
 
 OUTPUTS = {"out_dir": OutDir, "out_csv": OutCsv, "out_object": OutObject}
 FLAGS = {"force": options.Force, "json": options.Json}
@@ -73,16 +75,33 @@ def _make_command(name: str, importer: "type[Importer]") -> Any:
             make_folder(out_dir)
         pushes.write_csv(paths[0], force)
         obj.write_yaml(paths[1], force=force)
-        found = {"object": obj.name, "cells": obj.n, "pushes": len(pushes), "written": list(map(str, paths))}
-        print_found(found, [f"{count_noun(len(pushes), 'push')} of {obj.name}. Wrote {paths[0]} and {paths[1]}."], json)
+        found = {
+            "object": obj.name,
+            "cells": obj.n,
+            "pushes": len(pushes),
+            "written": list(map(str, paths)),
+        }
+        print_found(
+            found,
+            [f"{count_noun(len(pushes), 'push')} of {obj.name}. Wrote {paths[0]} and {paths[1]}."],
+            json,
+        )
 
-    file = Annotated[Path, typer.Argument(metavar=importer.file, help=f"A file of {importer.source}.")]
+    file = Annotated[
+        Path, typer.Argument(metavar=importer.file, help=f"A file of {importer.source}.")
+    ]
     parameters = [Parameter("file", Parameter.POSITIONAL_OR_KEYWORD, annotation=file)]
-    annotations = OUTPUTS | {key: _describe_option(field, types[key]) for key, field in fields.items()} | FLAGS
+    annotations = (
+        OUTPUTS
+        | {key: _describe_option(field, types[key]) for key, field in fields.items()}
+        | FLAGS
+    )
     defaults = dict.fromkeys(OUTPUTS) | {key: field.default for key, field in fields.items()}
     for key, annotation in annotations.items():
         default = defaults.get(key, False)
-        parameters.append(Parameter(key, Parameter.KEYWORD_ONLY, default=default, annotation=annotation))
+        parameters.append(
+            Parameter(key, Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+        )
     run.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     single = typer.Typer(add_completion=False)
@@ -93,7 +112,9 @@ def _make_command(name: str, importer: "type[Importer]") -> Any:
 def _describe_option(field: "dataclasses.Field[Any]", kind: Any) -> Any:
     names = [field.metadata["name"]] if "name" in field.metadata else []
     if _is_object(kind):
-        return Annotated[str | None, typer.Option(*names, metavar="OBJECT.yaml", help=field.metadata["help"])]
+        return Annotated[
+            str | None, typer.Option(*names, metavar="OBJECT.yaml", help=field.metadata["help"])
+        ]
     return Annotated[kind, typer.Option(*names, help=field.metadata["help"])]
 
 
@@ -108,7 +129,9 @@ def _check_outputs(
 ) -> tuple[Path, Path]:
     """The paths of the log and the object; a folder is made only when there is something to write."""
     if (out_dir is None) == (out_csv is None or out_object is None):
-        raise OutputError("--out-dir: expected a folder, or both --out-csv and --out-object instead of it")
+        raise OutputError(
+            "--out-dir: expected a folder, or both --out-csv and --out-object instead of it"
+        )
     folder = out_dir or Path()
     paths = out_csv or folder / "pushes.csv", out_object or folder / "object.yaml"
     if out_dir is None or out_dir.is_dir():

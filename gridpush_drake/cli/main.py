@@ -87,7 +87,10 @@ def _print_version(wanted: bool) -> None:
 @app.callback()
 def common(
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
     ] = False,
 ) -> None:
     """Learn an object's friction and mass by pushing it, and predict where the next push takes it."""
@@ -176,7 +179,8 @@ class Interrupts:
         if self.code is not None:
             self.end()
         self.code = SIGNALED + number
-        # the exception may be lost: Python ignores those that are raised in a callback of C code or in a finalizer
+        # the exception may be lost: Python ignores those that are raised in a callback of C code or
+        # in a finalizer
         if not self._graceful:
             timer = Timer(UNWIND_WITHIN, self.end)
             timer.daemon = True
@@ -200,9 +204,10 @@ def _watch_interrupts(last: bool, graceful: bool) -> Iterator[Interrupts]:
     """Handles the signals while a command runs.
 
     Args:
-        last: whether the process ends with the command; if so, the signals stay handled, for Python would end by the
-            signal itself where one comes while it shuts down.
-        graceful: whether the command may take its time to end, as one that writes what was done so far.
+        last: whether the process ends with the command; if so, the signals stay handled, for Python
+            would end by the signal itself where one comes while it shuts down.
+        graceful: whether the command may take its time to end, as one that writes what was done so
+            far.
 
     Yields:
         What came of them; nothing is handled outside the main thread.

@@ -19,7 +19,10 @@ MM, CM2 = 1e3, 1e4
 """In m and m^2."""
 
 Photo = Annotated[
-    Path, typer.Argument(metavar="PHOTO", help="A photograph of the object on the table.", show_default=False)
+    Path,
+    typer.Argument(
+        metavar="PHOTO", help="A photograph of the object on the table.", show_default=False
+    ),
 ]
 CameraFile = Annotated[
     Path,
@@ -28,32 +31,48 @@ CameraFile = Annotated[
         " `gridpush calibrate` writes it, unless there is depth.", show_default=False,
     ),
 ]  # fmt: skip
-TagSize = Annotated[float, typer.Option(metavar="M", min=1e-3, help="Side of a tag's black square, m.")]
+TagSize = Annotated[
+    float, typer.Option(metavar="M", min=1e-3, help="Side of a tag's black square, m.")
+]
 
 
 def make_object(
     photo: Photo,
     camera: CameraFile,
     depth: Annotated[
-        Path | None, typer.Option(metavar="DEPTH.png", help="Depth image, registered: 16 bit in mm, or float in m.")
+        Path | None,
+        typer.Option(
+            metavar="DEPTH.png", help="Depth image, registered: 16 bit in mm, or float in m."
+        ),
     ] = None,
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="OBJECT.yaml", help="The object file to write.")] = Path(
-        "object.yaml"
-    ),
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="OBJECT.yaml", help="The object file to write.")
+    ] = Path("object.yaml"),
     picture: Annotated[
         Path | None,
-        typer.Option(metavar="SEEN.png", callback=options.PNG, help="What was seen; also where no object was found."),
+        typer.Option(
+            metavar="SEEN.png",
+            callback=options.PNG,
+            help="What was seen; also where no object was found.",
+        ),
     ] = None,
-    name: Annotated[str | None, typer.Option(help="Name of the object.", show_default="the photograph's")] = None,
+    name: Annotated[
+        str | None, typer.Option(help="Name of the object.", show_default="the photograph's")
+    ] = None,
     height: Annotated[
-        float | None, typer.Option(min=1e-4, help="Height of the object, m.", show_default="as depth says")
+        float | None,
+        typer.Option(min=1e-4, help="Height of the object, m.", show_default="as depth says"),
     ] = None,
     cell_size: Annotated[
-        float | None, typer.Option(min=1e-4, help="Side of a cell, m.", show_default="127 cells at most")
+        float | None,
+        typer.Option(min=1e-4, help="Side of a cell, m.", show_default="127 cells at most"),
     ] = None,
-    parts: Annotated[bool, typer.Option("--parts", help="Tell the object's parts apart by color.")] = False,
+    parts: Annotated[
+        bool, typer.Option("--parts", help="Tell the object's parts apart by color.")
+    ] = False,
     tag: Annotated[
-        int | None, typer.Option(min=0, help="AprilTag 36h11 on the object: its pose goes into the file.")
+        int | None,
+        typer.Option(min=0, help="AprilTag 36h11 on the object: its pose goes into the file."),
     ] = None,
     tag_size: TagSize = 0.03,
     force: options.Force = False,
@@ -104,10 +123,14 @@ def make_object(
         )  # fmt: skip
     else:
         tall = f"{found.height * MM:.0f} mm high" if found.height else "of unknown height"
-        print_line(f"{obj.name}: {found.outline.area * CM2:.1f} cm2, {tall}, {obj.n} cells. Wrote {out}.")
+        print_line(
+            f"{obj.name}: {found.outline.area * CM2:.1f} cm2, {tall}, {obj.n} cells. Wrote {out}."
+        )
 
 
-def _find_tag(photo: Path, color: "Color", found: "DetectedObject", tag: int, size: float) -> "TagSchema":
+def _find_tag(
+    photo: Path, color: "Color", found: "DetectedObject", tag: int, size: float
+) -> "TagSchema":
     from gridpush_drake.errors import TagError
     from gridpush_drake.objects.object_file import TagSchema
     from gridpush_drake.perception import detect_tags, solve_tag_to_body

@@ -47,8 +47,14 @@ def expect_ending(*endings: str) -> "Callable[[Path | None], Path | None]":
     """Makes the callback of an option that refuses a file to be written whose name has none of the endings."""
 
     def check(path: Path | None) -> Path | None:
-        if path is not None and path.suffix.lower() not in endings and (is_file(path) or not exists(path)):
-            raise typer.BadParameter(f"is {str(path)!r}; expected a name that ends with {endings[0]}")
+        if (
+            path is not None
+            and path.suffix.lower() not in endings
+            and (is_file(path) or not exists(path))
+        ):
+            raise typer.BadParameter(
+                f"is {str(path)!r}; expected a name that ends with {endings[0]}"
+            )
         return path
 
     return check
@@ -58,17 +64,25 @@ PNG, HTML = expect_ending(".png"), expect_ending(".html", ".htm")
 
 Force = Annotated[bool, typer.Option("--force", help="Replace output files that exist.")]
 
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output, and nothing else.")]
+Json = Annotated[
+    bool,
+    typer.Option("--json", help="Print one JSON document on standard output, and nothing else."),
+]
 
-LargestPiece = Annotated[bool, typer.Option("--largest-piece", help="Of a mask in several pieces, keep the largest.")]
+LargestPiece = Annotated[
+    bool, typer.Option("--largest-piece", help="Of a mask in several pieces, keep the largest.")
+]
 
 Regime = Annotated[
     Literal["auto", "quasi_static", "inertial"],
-    typer.Option(help="quasi_static for slow pushes, inertial for fast ones; auto: by their speed."),
+    typer.Option(
+        help="quasi_static for slow pushes, inertial for fast ones; auto: by their speed."
+    ),
 ]
 
 Height = Annotated[
-    float | None, typer.Option(help="Height of the object, m.", show_default="as its file says, or 0.03")
+    float | None,
+    typer.Option(help="Height of the object, m.", show_default="as its file says, or 0.03"),
 ]
 
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
@@ -108,7 +122,9 @@ def parse_numbers(option: str, text: str, names: str) -> tuple[float, ...]:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
         numbers = ()
-    if len(numbers) != len(names.split(",")) or not all(abs(number) <= MAX_NUMBER for number in numbers):
+    if len(numbers) != len(names.split(",")) or not all(
+        abs(number) <= MAX_NUMBER for number in numbers
+    ):
         raise OptionError(
             f"{option}: is {text!r}; expected {names}, such as {','.join(['0.1'] * len(names.split(',')))}"
         )
@@ -117,7 +133,10 @@ def parse_numbers(option: str, text: str, names: str) -> tuple[float, ...]:
 
 FORMS = "rectangle:WxH@x,y, round:R@x,y, both also without @x,y, or polygon:x,y;x,y;x,y (m)"
 
-Table = Annotated[str, typer.Option("--table", metavar="SHAPE", help=f"The table's top: {FORMS}.", show_default=False)]
+Table = Annotated[
+    str,
+    typer.Option("--table", metavar="SHAPE", help=f"The table's top: {FORMS}.", show_default=False),
+]
 
 
 def parse_shape(option: str, text: str) -> "SupportSurface":
@@ -125,8 +144,9 @@ def parse_shape(option: str, text: str) -> "SupportSurface":
 
     Args:
         option: its name, for the message.
-        text: `rectangle:0.8x0.6@0,0` (sides along x and y, then the center), `round:0.5@0.6,0` (radius, then the
-            center) or `polygon:0,0;1,0;0,1` (corners), m; a center left out is the world's origin.
+        text: `rectangle:0.8x0.6@0,0` (sides along x and y, then the center), `round:0.5@0.6,0`
+            (radius, then the center) or `polygon:0,0;1,0;0,1` (corners), m; a center left out is
+            the world's origin.
 
     Returns:
         The table.
@@ -205,16 +225,21 @@ def executing(
             print_notice(f"{what}: results are kept in {results.path}{known}")
             compile_kernels()
 
-        yield Execution(workers, stack.enter_context(work_progress(what)), results, prepare, executor)
+        yield Execution(
+            workers, stack.enter_context(work_progress(what)), results, prepare, executor
+        )
 
 
-def check_outputs(force: bool, *paths: Path | None, inputs: "Sequence[Path | str | None]" = ()) -> None:
+def check_outputs(
+    force: bool, *paths: Path | None, inputs: "Sequence[Path | str | None]" = ()
+) -> None:
     """Checks, before long work begins, that files may be written, each to its own place.
 
     Args:
         force: whether existing files may be replaced.
         paths: to be written; None for what is not asked for.
-        inputs: files that are read, none of which may be replaced even so; None for what is not read.
+        inputs: files that are read, none of which may be replaced even so; None for what is not
+            read.
 
     Raises:
         OutputError: one may not be written.
@@ -223,7 +248,9 @@ def check_outputs(force: bool, *paths: Path | None, inputs: "Sequence[Path | str
     given = [path for path in paths if path is not None]
     for i, path in enumerate(given):
         if path.resolve() in [other.resolve() for other in given[:i]]:
-            raise OptionError(f"{path}: is to be written twice; expected a file of its own for each output")
+            raise OptionError(
+                f"{path}: is to be written twice; expected a file of its own for each output"
+            )
         check_writable(path, force)
         if any(other is not None and is_same(path, other) for other in inputs):
             raise OptionError(f"{path}: is read, too; expected another file to be written")
@@ -275,7 +302,9 @@ def load_log(path: Path, obj: "GridObject", *, require_final: bool = True) -> "P
     if log.radius_given:
         return log
     if obj.prior.pusher_radius is None:
-        print_notice(f"{obj.name}: no pusher.radius in its file; {DEFAULT_PUSHER_RADIUS:g} m is taken for the pusher's")
+        print_notice(
+            f"{obj.name}: no pusher.radius in its file; {DEFAULT_PUSHER_RADIUS:g} m is taken for the pusher's"
+        )
         return log
     return log.with_radius(obj.prior.pusher_radius)
 
@@ -288,7 +317,8 @@ def describe_overhanging(names: "Sequence[str]") -> str:
 NOTICE = "compiling kernels (once a machine) ..."
 
 NOTICE_AFTER = 1.5
-"""s of waiting, after which the notice is printed; loading kernels that are compiled already takes less."""
+"""s of waiting, after which the notice is printed; loading kernels that are compiled already takes
+less."""
 
 SIDE, RADIUS, SPEED, DURATION = 0.02, 0.005, 0.1, 0.02
 """A small square and a short push of it: m, m, m/s, s."""

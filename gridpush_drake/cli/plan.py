@@ -15,28 +15,46 @@ if TYPE_CHECKING:
 
 def plan(
     model: options.ObjectOrModel,
-    goal: Annotated[str, typer.Option(metavar="X,Y,THETA", help="Where the object should lie, m and rad.")],
-    start: Annotated[str, typer.Option(metavar="X,Y,THETA", help="Where it lies, m and rad.")] = "0,0,0",
+    goal: Annotated[
+        str, typer.Option(metavar="X,Y,THETA", help="Where the object should lie, m and rad.")
+    ],
+    start: Annotated[
+        str, typer.Option(metavar="X,Y,THETA", help="Where it lies, m and rad.")
+    ] = "0,0,0",
     table: Annotated[
         str | None,
-        typer.Option(metavar="SHAPE", help=f"The table's top: {options.FORMS}; endless where not given."),
+        typer.Option(
+            metavar="SHAPE", help=f"The table's top: {options.FORMS}; endless where not given."
+        ),
     ] = None,
     obstacle: Annotated[
-        list[str] | None, typer.Option(metavar="SHAPE", help="What is in the way, in the same form; may be repeated.")
+        list[str] | None,
+        typer.Option(
+            metavar="SHAPE", help="What is in the way, in the same form; may be repeated."
+        ),
     ] = None,
-    overhang: Annotated[float, typer.Option(help="How far cells may hang over the table's edge, m.")] = 0.0,
+    overhang: Annotated[
+        float, typer.Option(help="How far cells may hang over the table's edge, m.")
+    ] = 0.0,
     radius: Annotated[
-        float | None, typer.Option(help="Radius of the pusher, m; by default what the object's file says, or 0.008.")
+        float | None,
+        typer.Option(
+            help="Radius of the pusher, m; by default what the object's file says, or 0.008."
+        ),
     ] = None,
     speed: Annotated[float, typer.Option(help="Speed of the pusher, m/s.")] = 0.03,
     tolerance: Annotated[
-        float, typer.Option(help="Mean error of the cells below which the goal counts as reached, m.")
+        float,
+        typer.Option(help="Mean error of the cells below which the goal counts as reached, m."),
     ] = 0.005,
     max_pushes: Annotated[int, typer.Option(min=0, help="Greatest number of pushes.")] = 25,
     horizon: Annotated[int, typer.Option(min=1, max=2, help="Pushes to look ahead.")] = 2,
-    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="PLAN.yaml", help="Write the plan.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="PLAN.yaml", help="Write the plan.")
+    ] = None,
     picture: Annotated[
-        Path | None, typer.Option(metavar="PICTURE.png", callback=options.PNG, help="Draw the plan.")
+        Path | None,
+        typer.Option(metavar="PICTURE.png", callback=options.PNG, help="Draw the plan."),
     ] = None,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
@@ -56,7 +74,8 @@ def plan(
 
     options.check_outputs(force, out, picture, inputs=(model,))
     aim, pose = (
-        options.parse_numbers(name, text, "x,y,theta") for name, text in (("--goal", goal), ("--start", start))
+        options.parse_numbers(name, text, "x,y,theta")
+        for name, text in (("--goal", goal), ("--start", start))
     )
     if not isfinite(overhang):
         raise options.OptionError(f"--overhang: is {overhang}; expected a finite number (m)")
@@ -79,7 +98,9 @@ def plan(
     ):
         if found.status in ends:
             form = "expected x,y,theta (m, rad) on the table, clear of what is in the way"
-            raise options.OptionError(f"{option}: {found.status}: {found.reason.rstrip('.')}; {form}")
+            raise options.OptionError(
+                f"{option}: {found.status}: {found.reason.rstrip('.')}; {form}"
+            )
     if out is not None:
         write_plan(out, found, target.obj.name, finger, force)
     if picture is not None:
@@ -89,7 +110,11 @@ def plan(
         write_whole(picture, to_png(draw_plan(target.obj, found, surface, obstacles)), force)
     written = [str(path) for path in (out, picture) if path is not None]
     document = {**describe_plan(found, target.obj.name, finger), "written": written}
-    print_found(document, [*_describe(target.obj.name, found), *options.describe_written(out, picture)], json)
+    print_found(
+        document,
+        [*_describe(target.obj.name, found), *options.describe_written(out, picture)],
+        json,
+    )
     if not found.reached:
         raise typer.Exit(options.EXIT_NO_PLAN)
 
@@ -98,7 +123,9 @@ def _describe(name: str, found: "PushPlan") -> list[str]:
     from math import degrees
 
     lines = [f"{name}: {found.status}: {found.reason}"]
-    for number, (planned, error) in enumerate(zip(found.pushes, found.errors, strict=True), start=1):
+    for number, (planned, error) in enumerate(
+        zip(found.pushes, found.errors, strict=True), start=1
+    ):
         (x0, y0), (x1, y1) = planned.push.xy[0] * MM, planned.push.xy[-1] * MM
         x, y, theta = planned.pose
         lines.append(

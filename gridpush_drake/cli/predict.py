@@ -24,7 +24,10 @@ DEGREES = 180 / pi
 def predict(
     model: options.ObjectOrModel,
     pushes: options.PushesFile,
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="PREDICTED.csv", help="Final poses: push,x,y,theta.")],
+    out: Annotated[
+        Path,
+        typer.Option("--out", "-o", metavar="PREDICTED.csv", help="Final poses: push,x,y,theta."),
+    ],
     regime: options.Regime = "auto",
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
@@ -35,7 +38,11 @@ def predict(
     from gridpush_drake.errors import PushLogError
     from gridpush_drake.files import write_whole
     from gridpush_drake.identification.learning import choose_regime
-    from gridpush_drake.identification.prediction import calc_final_errors, predict_spread, summarize_errors
+    from gridpush_drake.identification.prediction import (
+        calc_final_errors,
+        predict_spread,
+        summarize_errors,
+    )
     from gridpush_drake.identification.prediction import predict as predict_log
     from gridpush_drake.pushes.plausibility import explain_no_contact
 
@@ -52,7 +59,9 @@ def predict(
 
     errors = calc_final_errors(target.obj, predictions, log)
     spreads = predict_spread(target.model, log, chosen) if target.model else []
-    seen = [(error, spread) for error, spread in zip(errors, spreads, strict=False) if error is not None]
+    seen = [
+        (error, spread) for error, spread in zip(errors, spreads, strict=False) if error is not None
+    ]
     summaries, rho = summarize_errors(target.obj, predictions, log), target.obj.radius_of_gyration
     found: dict[str, Any] = {
         "object": target.obj.name,
@@ -86,7 +95,9 @@ def predict(
         print_json(found)
         return
     if target.model is None:
-        print_line(f"{model} is an object, not a model: predicted with its prior, mass and friction spread evenly.")
+        print_line(
+            f"{model} is an object, not a model: predicted with its prior, mass and friction spread evenly."
+        )
     if found["untouched"]:
         print_line(f"The pusher never touches the object in: {', '.join(found['untouched'])}")
     if found["overhanging"]:
@@ -102,7 +113,12 @@ def predict(
 def _describe_summary(error: "ErrorSummary") -> dict[str, Any]:
     """A summary for machines; its numbers are in its unit, "mm" or "deg"."""
     values = {key: getattr(error, key) * error.scale for key in ("mean", "median", "p90")}
-    return {"name": error.name, "unit": "deg" if error.unit == "°" else error.unit, "pushes": error.pushes, **values}
+    return {
+        "name": error.name,
+        "unit": "deg" if error.unit == "°" else error.unit,
+        "pushes": error.pushes,
+        **values,
+    }
 
 
 def print_errors(title: str, errors: "list[ErrorSummary]") -> None:
@@ -120,5 +136,7 @@ def _make_csv(predictions: "list[Prediction]") -> str:
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(COLUMNS)
-    writer.writerows([prediction.name, *map(repr, prediction.poses[-1].tolist())] for prediction in predictions)
+    writer.writerows(
+        [prediction.name, *map(repr, prediction.poses[-1].tolist())] for prediction in predictions
+    )
     return buffer.getvalue()

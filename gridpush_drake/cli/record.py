@@ -31,18 +31,26 @@ def record(
         ),
     ],
     object_file: Annotated[
-        str, typer.Option("--object", metavar="OBJECT", help="An object file, or a shipped object's name.")
+        str,
+        typer.Option(
+            "--object", metavar="OBJECT", help="An object file, or a shipped object's name."
+        ),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="PUSHES.csv", help="The push log to write.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="PUSHES.csv", help="The push log to write.")
+    ],
     engaged_below: Annotated[
-        float, typer.Option(help="Height of the tip's center below which it can touch the object, m.")
+        float,
+        typer.Option(help="Height of the tip's center below which it can touch the object, m."),
     ] = ENGAGED_BELOW,
     pose_delay: Annotated[
         float, typer.Option(help="How much older the object's poses are than their times say, s.")
     ] = 0.0,
     table: Annotated[
         str | None,
-        typer.Option(metavar="SHAPE", help=f"Marks pushes with a part off its edge: {options.FORMS}."),
+        typer.Option(
+            metavar="SHAPE", help=f"Marks pushes with a part off its edge: {options.FORMS}."
+        ),
     ] = None,
     force: options.Force = False,
     json: options.Json = False,
@@ -69,15 +77,23 @@ def record(
     recorded = record_pushes(samples, obj, radius, *how, str(stream))
     log = recorded.log
     if not len(log):
-        ended = "it ends within a push" if recorded.unfinished else "the tip never moved the object while it was down"
+        ended = (
+            "it ends within a push"
+            if recorded.unfinished
+            else "the tip never moved the object while it was down"
+        )
         tips = np.array([sample.tip[:2] for sample in samples if isfinite(sample.tip[0])])
         span = float(np.ptp(tips, axis=0).max()) if len(tips) else 0.0
         if span > MAX_SPAN:
             ended += f"; tip_x, tip_y: in millimeters? expected m, they span {span:.3g}"
         why = "; ".join(recorded.unusable) or ended
-        raise PushLogError(f"{stream}: holds no push: {why}; expected a tip below {engaged_below:g} m that pushes")
+        raise PushLogError(
+            f"{stream}: holds no push: {why}; expected a tip below {engaged_below:g} m that pushes"
+        )
     if surface is not None:
-        pushes = tuple(replace(seen, overhang=not stayed_supported(obj, seen, surface)) for seen in log)
+        pushes = tuple(
+            replace(seen, overhang=not stayed_supported(obj, seen, surface)) for seen in log
+        )
         log = replace(log, pushes=pushes, table=surface.corners)
     check_plausible(obj, replace(log, source=str(stream)), learning=True)
     log.write_csv(out, force)
@@ -85,7 +101,9 @@ def record(
     found = {
         "object": obj.name,
         "pushes": len(log),
-        "delay": None if delay is None else {key: getattr(delay, key) for key in ("value", "std", "pushes")},
+        "delay": None
+        if delay is None
+        else {key: getattr(delay, key) for key in ("value", "std", "pushes")},
         "overhanging": [seen.name for seen in log if seen.overhang],
         "unusable": list(recorded.unusable),
         "unfinished": recorded.unfinished,

@@ -15,7 +15,14 @@ import typer
 from gridpush_drake.cli import options
 from gridpush_drake.cli.console import MM, count_progress, print_json, print_line, print_notice
 from gridpush_drake.cli.demo import EXIT_INTERRUPTED, EXIT_NOT_DONE, TaskName
-from gridpush_drake.cli.twin import DEFAULT_URL, LcmUrl, ObjectFile, RealtimeRate, Scenario, read_robot_scenario
+from gridpush_drake.cli.twin import (
+    DEFAULT_URL,
+    LcmUrl,
+    ObjectFile,
+    RealtimeRate,
+    Scenario,
+    read_robot_scenario,
+)
 from gridpush_drake.errors import ScenarioError
 
 if TYPE_CHECKING:
@@ -31,19 +38,28 @@ LOOKING = 20.0
 
 
 def robot(
-    task: Annotated[TaskName, typer.Option(help="What the robot is to do; see gridpush demo.")] = TaskName.pregrasp,
+    task: Annotated[
+        TaskName, typer.Option(help="What the robot is to do; see gridpush demo.")
+    ] = TaskName.pregrasp,
     scenario_file: Scenario = None,
     object_file: ObjectFile = None,
     lcm: LcmUrl = DEFAULT_URL,
     go: Annotated[
-        bool, typer.Option("--go", help="Move. Without it the command says what it sees and would do, and ends.")
+        bool,
+        typer.Option(
+            "--go", help="Move. Without it the command says what it sees and would do, and ends."
+        ),
     ] = False,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed of the pokes that are drawn.  [default: the scenario's]")
+        int | None,
+        typer.Option(min=0, help="Seed of the pokes that are drawn.  [default: the scenario's]"),
     ] = None,
     realtime_rate: RealtimeRate = 1.0,
     out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="DIR", help="Folder for log, report, model and pushes.")
+        Path,
+        typer.Option(
+            "--out", "-o", metavar="DIR", help="Folder for log, report, model and pushes."
+        ),
     ] = Path("gridpush_robot"),
     force: options.Force = False,
     json: options.Json = False,
@@ -65,7 +81,9 @@ def robot(
     scenario.simulation.answer_delay = None  # a real arm waits for nobody
     check_scenario(scenario, scenario_file)
     if scenario.camera.kind == "rgbd" and object_file is None:
-        raise ScenarioError("--object: missing; with camera.kind rgbd, expected the file that gridpush tracker wrote")
+        raise ScenarioError(
+            "--object: missing; with camera.kind rgbd, expected the file that gridpush tracker wrote"
+        )
     if go:
         make_folder(out)
         options.check_outputs(force, *(out / name for name in (*chosen.files, LOG)))
@@ -87,7 +105,9 @@ def robot(
         print_summary(chosen, summary, [*written, out / LOG])
         print_line(f"The loop: {link.report.describe()}.")
     if summary["status"] in ("stopped", "interrupted"):
-        print_notice(f"gridpush: {record.message} To go on, run the command again with --force, or another --out.")
+        print_notice(
+            f"gridpush: {record.message} To go on, run the command again with --force, or another --out."
+        )
     if summary["status"] == "interrupted":
         raise typer.Exit(EXIT_INTERRUPTED)
     if not summary.get("done", summary["status"] == "finished"):

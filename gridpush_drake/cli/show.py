@@ -12,7 +12,10 @@ from gridpush_drake.cli.console import MM, count_noun, print_found
 def show(
     target: options.ObjectOrModel,
     out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="PICTURE.png", callback=options.PNG, help="The picture to write.")
+        Path,
+        typer.Option(
+            "--out", "-o", metavar="PICTURE.png", callback=options.PNG, help="The picture to write."
+        ),
     ],
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,

@@ -15,23 +15,34 @@ PUSH_NAME = "push_1"
 
 def simulate(
     target: options.ObjectOrModel,
-    start: Annotated[str, typer.Option(metavar="X,Y", help="Center of the pusher at the beginning, m.")],
+    start: Annotated[
+        str, typer.Option(metavar="X,Y", help="Center of the pusher at the beginning, m.")
+    ],
     velocity: Annotated[str, typer.Option(metavar="VX,VY", help="Velocity of the pusher, m/s.")],
     duration: Annotated[float, typer.Option(help="Duration of the push, s.")],
     radius: Annotated[
-        float | None, typer.Option(help="Radius of the pusher, m; by default what the object's file says, or 0.005.")
+        float | None,
+        typer.Option(
+            help="Radius of the pusher, m; by default what the object's file says, or 0.005."
+        ),
     ] = None,
     pose: Annotated[
-        str, typer.Option(metavar="X,Y,THETA", help="Pose of the object at the beginning, m and rad.")
+        str,
+        typer.Option(metavar="X,Y,THETA", help="Pose of the object at the beginning, m and rad."),
     ] = "0,0,0",
     regime: options.Regime = "auto",
     mass_seed: Annotated[
         int | None, typer.Option(min=0, help="Give each part a random mass, drawn with this seed.")
     ] = None,
-    samples: Annotated[int, typer.Option(min=1, help="Poses to write to the log, after the first.")] = 10,
-    out: Annotated[Path | None, typer.Option("--out", "-o", metavar="LOG.csv", help="Write a push log.")] = None,
+    samples: Annotated[
+        int, typer.Option(min=1, help="Poses to write to the log, after the first.")
+    ] = 10,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="LOG.csv", help="Write a push log.")
+    ] = None,
     picture: Annotated[
-        Path | None, typer.Option(metavar="PICTURE.png", callback=options.PNG, help="Draw the motion.")
+        Path | None,
+        typer.Option(metavar="PICTURE.png", callback=options.PNG, help="Draw the motion."),
     ] = None,
     largest_piece: options.LargestPiece = False,
     force: options.Force = False,
@@ -63,7 +74,9 @@ def simulate(
     if out is not None:
         steps = len(motion.times) - 1
         rows = np.unique(np.rint(np.linspace(0, steps, min(samples, steps) + 1)).astype(int))[1:]
-        seen = ObservedPush(PUSH_NAME, push, motion.poses[0], motion.times[rows], motion.poses[rows])
+        seen = ObservedPush(
+            PUSH_NAME, push, motion.poses[0], motion.times[rows], motion.poses[rows]
+        )
         PushLog((seen,)).write_csv(out, force)
     if picture is not None:
         from gridpush_drake.report.figures import draw_motion

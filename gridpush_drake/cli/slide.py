@@ -27,10 +27,15 @@ def slide(
     table: options.Table,
     start: Annotated[
         str | None,
-        typer.Option(metavar="x,y,theta", help="Where the object is, m and rad; by default in the table's middle."),
+        typer.Option(
+            metavar="x,y,theta",
+            help="Where the object is, m and rad; by default in the table's middle.",
+        ),
     ] = None,
     opening: Annotated[float, typer.Option(help="How far the gripper opens, m.")] = 0.11,
-    depth: Annotated[float, typer.Option(help="Depth of the gripper's fingers, which must hang over, m.")] = 0.03,
+    depth: Annotated[
+        float, typer.Option(help="Depth of the gripper's fingers, which must hang over, m.")
+    ] = 0.03,
     pad_force: Annotated[
         float | None,
         typer.Option(
@@ -41,21 +46,30 @@ def slide(
     ] = None,
     margin: Annotated[float, typer.Option(help="Stability margin asked for, m.")] = 0.003,
     radius: Annotated[
-        float | None, typer.Option(help="Radius of the pusher, m; by default what the object's file says, or 0.008.")
+        float | None,
+        typer.Option(
+            help="Radius of the pusher, m; by default what the object's file says, or 0.008."
+        ),
     ] = None,
     friction: Annotated[
         str | None,
         typer.Option(
-            metavar="min,max", help="Bounds of the friction with the table; by default those of the object's file."
+            metavar="min,max",
+            help="Bounds of the friction with the table; by default those of the object's file.",
         ),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="PLAN", help="Write the plan: .yaml, or .json for JSON.")
+        Path | None,
+        typer.Option(
+            "--out", "-o", metavar="PLAN", help="Write the plan: .yaml, or .json for JSON."
+        ),
     ] = None,
     picture: Annotated[
         Path | None,
         typer.Option(
-            metavar="PICTURE.png", callback=options.PNG, help="Draw the plan, what hangs over and what holds it."
+            metavar="PICTURE.png",
+            callback=options.PNG,
+            help="Draw the plan, what hangs over and what holds it.",
         ),
     ] = None,
     largest_piece: options.LargestPiece = False,
@@ -83,7 +97,11 @@ def slide(
     surface = options.parse_shape("--table", table)
     target = options.load_target(model, largest_piece)
     middle = surface.polygon.representative_point()
-    pose = (middle.x, middle.y, 0.0) if start is None else options.parse_numbers("--start", start, "x,y,theta")
+    pose = (
+        (middle.x, middle.y, 0.0)
+        if start is None
+        else options.parse_numbers("--start", start, "x,y,theta")
+    )
     bounds = None
     if friction is not None:
         low, high = options.parse_numbers("--friction", friction, "min,max")
@@ -96,7 +114,9 @@ def slide(
     chosen = PreGraspOptions(
         gripper=Gripper(opening=opening, depth=depth),
         goal=GoalOptions(margin=margin),
-        slide=SlideOptions(margin=ACCEPTED_SHARE * margin, contact=replace(SlideOptions().contact, radius=finger)),
+        slide=SlideOptions(
+            margin=ACCEPTED_SHARE * margin, contact=replace(SlideOptions().contact, radius=finger)
+        ),
         poke=PokeOptions(radius=finger),
         pads=pads,
     )
@@ -135,7 +155,11 @@ def _limit_to_held(obj: "GridObject", surface: "SupportSurface", pads: "PadLimit
     def can_grasp(goal: "PreGraspGoal", masses: "PlausibleMassSet") -> bool:
         if not isinstance(goal.part, FlatPart):
             return True
-        return bool(find_held_grasps(obj, goal.pose, surface, pads, goal.part.p_BG, height, masses, at_worst=True))
+        return bool(
+            find_held_grasps(
+                obj, goal.pose, surface, pads, goal.part.p_BG, height, masses, at_worst=True
+            )
+        )
 
     return ArmLimits(can_grasp=can_grasp)
 
@@ -170,7 +194,12 @@ def _describe_grasp(goal: "PreGraspGoal") -> dict[str, Any]:
 
     if isinstance(goal.part, FlatPart):
         return {"at": goal.p_WG, "by": "rim", "approach": goal.part.heading + goal.pose[2]}
-    return {"at": goal.p_WG, "by": "narrow part", "closing": goal.closing_W, "width": goal.part.width}
+    return {
+        "at": goal.p_WG,
+        "by": "narrow part",
+        "closing": goal.closing_W,
+        "width": goal.part.width,
+    }
 
 
 def _describe_push(push: Any) -> dict[str, Any]:
@@ -191,7 +220,9 @@ def _to_text(found: dict[str, Any], out: Path) -> str:
 def _explain(found: dict[str, Any]) -> list[str]:
     lines = [f"{found['object']}: {found['status']}: {found['message']}"]
     if found["model"] == "prior":
-        lines.append(f"{found['object']} is an object, not a model: nothing is known of its masses yet.")
+        lines.append(
+            f"{found['object']} is an object, not a model: nothing is known of its masses yet."
+        )
     goal = found["goal"]
     if goal is not None:
         grasp = goal["grasp"]

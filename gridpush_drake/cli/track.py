@@ -84,7 +84,12 @@ def track(
     from gridpush_drake.perception.camera import NOT_KNOWN
     from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS
     from gridpush_drake.pushes.segmentation import SegmenterOptions
-    from gridpush_drake.pushes.stream import calc_velocities, make_samples, record_pushes, write_stream_csv
+    from gridpush_drake.pushes.stream import (
+        calc_velocities,
+        make_samples,
+        record_pushes,
+        write_stream_csv,
+    )
 
     options.check_outputs(force, out, picture, stream, inputs=(video, camera, object_file, tip))
     offset = options.parse_numbers("--tip-offset", tip_offset, "x,y,z")
@@ -98,7 +103,9 @@ def track(
     seen = read_object_file(options.object_path(object_file)).seen
     tag = seen.tag if seen is not None else None
     if by not in ("auto", "outline", "tag") or (by == "tag" and tag is None):
-        raise options.OptionError(f"--by: is {by!r}; expected auto, outline or, where the object's file has one, tag")
+        raise options.OptionError(
+            f"--by: is {by!r}; expected auto, outline or, where the object's file has one, tag"
+        )
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
     tall = height if height is not None else obj.height or 0.0
     find_tip = _TipFinder(tip, seen_by, tag_size, np.array(offset), tag_height)
@@ -118,7 +125,9 @@ def track(
     if picture is not None and pictures:
         drawn = seen_by.undistort(pictures[-1][0].color)
         for _, pose in pictures:
-            outline = shapely.transform(obj.outline, lambda points, pose=pose: transform(pose, points))
+            outline = shapely.transform(
+                obj.outline, lambda points, pose=pose: transform(pose, points)
+            )
             drawn = draw_outline(drawn, seen_by, outline, tall, pose)
         write_picture(picture, drawn, force)
     recording = record_pushes(samples, obj, radius, source=str(video))
@@ -133,23 +142,43 @@ def track(
         )
     log.write_csv(out, force)
     if json:
-        print_json({"object": obj.name, "frames": len(t), "lost": lost, "pushes": len(log), "written": str(out)})
+        print_json(
+            {
+                "object": obj.name,
+                "frames": len(t),
+                "lost": lost,
+                "pushes": len(log),
+                "written": str(out),
+            }
+        )
     else:
         count = count_noun(len(log), "push")
-        print_line(f"{count} in {len(t)} frames, in {lost} of which the object was not found. Wrote {out}.")
+        print_line(
+            f"{count} in {len(t)} frames, in {lost} of which the object was not found. Wrote {out}."
+        )
 
 
 class _TipFinder:
     """Where the tip is in a frame: from a CSV file on the same clock, or from a tag on the pusher."""
 
-    def __init__(self, text: str, camera: "Camera", size: float, offset: "Array", height: float | None) -> None:
-        self.text, self.camera, self.size, self.offset, self.height = text, camera, size, offset, height
+    def __init__(
+        self, text: str, camera: "Camera", size: float, offset: "Array", height: float | None
+    ) -> None:
+        self.text, self.camera, self.size, self.offset, self.height = (
+            text,
+            camera,
+            size,
+            offset,
+            height,
+        )
         self.tag = None
         self.seen: set[int] = set()
         if text.startswith(TAG):
             number = text.removeprefix(TAG)
             if not re.fullmatch("[0-9]{1,9}", number):
-                raise options.OptionError(f"--tip: is {text!r}; expected TIP.csv, or tag:ID, such as tag:7")
+                raise options.OptionError(
+                    f"--tip: is {text!r}; expected TIP.csv, or tag:ID, such as tag:7"
+                )
             self.tag = int(number)
         else:
             self.times, self.places = _read_tips(Path(text))
@@ -195,7 +224,9 @@ def _read_tips(path: Path) -> "tuple[Array, Array]":
     from gridpush_drake.errors import PushLogError
     from gridpush_drake.files import read_text
 
-    lines = list(csv.reader(read_text(path, f"the tip's places: {TIP_FORM}", PushLogError).splitlines()))
+    lines = list(
+        csv.reader(read_text(path, f"the tip's places: {TIP_FORM}", PushLogError).splitlines())
+    )
     header = [name.strip() for name in lines[0]] if lines else []
     if header[:3] != ["t", "tip_x", "tip_y"] or header[3:] not in ([], ["tip_z"]) or len(lines) < 3:
         raise PushLogError(f"{path}: expected {TIP_FORM}")
@@ -230,7 +261,10 @@ def _follow_outline(
         place = find_tip(frame)
         if not np.isfinite(place).all():
             return None
-        ends = [np.column_stack([place[:2] + circle, np.full(len(circle), place[2] + z)]) for z in (0.0, ROD)]
+        ends = [
+            np.column_stack([place[:2] + circle, np.full(len(circle), place[2] + z)])
+            for z in (0.0, ROD)
+        ]
         hull = cv2.convexHull(np.round(camera.project(np.concatenate(ends))).astype(np.int32))
         painted = np.zeros((camera.height, camera.width), np.uint8)
         cv2.fillConvexPoly(painted, hull, 1)
@@ -258,4 +292,7 @@ def _follow_tag(
     assert tag is not None
     for frame in read_frames(video, camera):
         tags = detect_tags(frame.color, camera, tag.size, height)
-        yield frame, compose(tags[tag.id].planar_pose, tag.pose) if tag.id in tags else np.full(3, np.nan)
+        yield (
+            frame,
+            compose(tags[tag.id].planar_pose, tag.pose) if tag.id in tags else np.full(3, np.nan),
+        )

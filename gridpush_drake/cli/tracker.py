@@ -25,12 +25,17 @@ def tracker(
     object_file: Annotated[
         str | None,
         typer.Option(
-            "--object", metavar="NAME|FILE", help="Follow this object.  [default: what is found in the first picture]"
+            "--object",
+            metavar="NAME|FILE",
+            help="Follow this object.  [default: what is found in the first picture]",
         ),
     ] = None,
     lcm: LcmUrl = DEFAULT_URL,
     out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="OBJECT.yaml", help="Where the object that is found is written.")
+        Path,
+        typer.Option(
+            "--out", "-o", metavar="OBJECT.yaml", help="Where the object that is found is written."
+        ),
     ] = Path("object.yaml"),
     force: options.Force = False,
 ) -> None:
@@ -79,4 +84,6 @@ def _find(follower: "PictureTracker", out: Path | None, force: bool) -> None:
         print_line(f"{obj.name} is seen {where}.")
         return
     write_whole(out, dump_object(obj.name, obj.grid, obj.prior, obj.height), force)
-    print_line(f"An object of {obj.n} cells, {MM * (obj.height or 0.0):.0f} mm high, is seen {where}. Wrote {out}.")
+    print_line(
+        f"An object of {obj.n} cells, {MM * (obj.height or 0.0):.0f} mm high, is seen {where}. Wrote {out}."
+    )

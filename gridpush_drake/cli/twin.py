@@ -29,10 +29,15 @@ Scenario = Annotated[
 ]
 
 ObjectFile = Annotated[
-    str | None, typer.Option("--object", metavar="NAME|FILE", help="A shipped object's name, or an object file.")
+    str | None,
+    typer.Option(
+        "--object", metavar="NAME|FILE", help="A shipped object's name, or an object file."
+    ),
 ]
 
-LcmUrl = Annotated[str, typer.Option("--lcm", metavar="URL", help="The LCM network that robot and twin are on.")]
+LcmUrl = Annotated[
+    str, typer.Option("--lcm", metavar="URL", help="The LCM network that robot and twin are on.")
+]
 
 RealtimeRate = Annotated[
     float,
@@ -50,7 +55,8 @@ def twin(
     object_file: ObjectFile = None,
     lcm: LcmUrl = DEFAULT_URL,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed of everything random.  [default: the scenario's]")
+        int | None,
+        typer.Option(min=0, help="Seed of everything random.  [default: the scenario's]"),
     ] = None,
     realtime_rate: RealtimeRate = 1.0,
 ) -> None:
@@ -69,7 +75,9 @@ def twin(
     diagram.SetStart(simulator.get_mutable_context())
     simulator.set_target_realtime_rate(realtime_rate)
     simulator.Initialize()
-    print_notice(f"The twin speaks on {lcm} as an {diagram.world.setting.robot.arm_model}; Ctrl-C ends it.")
+    print_notice(
+        f"The twin speaks on {lcm} as an {diagram.world.setting.robot.arm_model}; Ctrl-C ends it."
+    )
     camera = PictureProcess(scenario, lcm) if scenario.camera.kind == "rgbd" else None
     advance = ADVANCE if camera is None else 1 / scenario.camera.rate
     begin, told, said = monotonic(), False, ""
@@ -82,14 +90,18 @@ def twin(
             simulator.AdvanceTo(time)
             status = port.Eval(context)
             if status.reason != said and status.mode == GuardMode.HOLDING:
-                print_notice(f"{status.since:.2f} s: {status.reason}. The arm came to rest; a command moves it again.")
+                print_notice(
+                    f"{status.since:.2f} s: {status.reason}. The arm came to rest; a command moves it again."
+                )
             said = status.reason
             behind = (monotonic() - begin) * realtime_rate - time
             if behind > BEHIND:
                 begin += behind / realtime_rate
                 simulator.ResetStatistics()  # else it would run faster than the clock once it can
                 if not told:
-                    print_notice("The twin is slower than the clock; give both sides a smaller --realtime-rate.")
+                    print_notice(
+                        "The twin is slower than the clock; give both sides a smaller --realtime-rate."
+                    )
                 told = True
     except KeyboardInterrupt:
         print_notice(f"The twin ends after {context.get_time():.1f} s of its time.")
@@ -98,7 +110,9 @@ def twin(
             camera.close()
 
 
-def read_robot_scenario(scenario_file: Path | None, object_file: str | None, seed: int | None) -> "PushScenario":
+def read_robot_scenario(
+    scenario_file: Path | None, object_file: str | None, seed: int | None
+) -> "PushScenario":
     """The scenario that twin and robot agree on, with what the command line says instead."""
     from gridpush_drake.multibody.parser import find_models
     from gridpush_drake.station.scenario import read_scenario

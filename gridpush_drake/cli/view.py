@@ -39,25 +39,39 @@ def view(
         ),
     ],
     object_file: Annotated[
-        str | None, typer.Option("--object", metavar="NAME|FILE", help="The pushes' object, where there is no model.")
+        str | None,
+        typer.Option(
+            "--object", metavar="NAME|FILE", help="The pushes' object, where there is no model."
+        ),
     ] = None,
     model_file: Annotated[
         Path | None,
-        typer.Option("--model", metavar="FILE", help="Predicts the pushes; by default model.yaml beside the log."),
+        typer.Option(
+            "--model",
+            metavar="FILE",
+            help="Predicts the pushes; by default model.yaml beside the log.",
+        ),
     ] = None,
     push: Annotated[
-        list[str] | None, typer.Option("--push", metavar="NAME", help="Replay this push only; may be repeated.")
+        list[str] | None,
+        typer.Option("--push", metavar="NAME", help="Replay this push only; may be repeated."),
     ] = None,
     shows: Annotated[Shows, typer.Option(help="What the cells' colors stand for.")] = "mass",
     height: options.Height = None,
     port: Annotated[
         int | None, typer.Option(help="Port of Meshcat's page; by default a free one from 7000 on.")
     ] = None,
-    open_page: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")] = True,
+    open_page: Annotated[
+        bool, typer.Option("--open/--no-open", help="Open the page in the browser.")
+    ] = True,
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", "-o", metavar="FILE.html", callback=options.HTML, help="Write the page instead of serving it."
+            "--out",
+            "-o",
+            metavar="FILE.html",
+            callback=options.HTML,
+            help="Write the page instead of serving it.",
         ),
     ] = None,
     film: Annotated[
@@ -78,7 +92,9 @@ def view(
         raise ViewError(f"--height: is {height}; expected a positive number (m)")
     options.check_outputs(force, out, inputs=(source,))
 
-    def serve(meshcat: "Meshcat", overlay: "Overlay", found: dict[str, Any], lines: list[str]) -> None:
+    def serve(
+        meshcat: "Meshcat", overlay: "Overlay", found: dict[str, Any], lines: list[str]
+    ) -> None:
         _write_or_serve(meshcat, overlay, found, lines, out, open_page, force, json)
 
     if film is not None:
@@ -92,7 +108,9 @@ def view(
         address = Path(source).resolve().as_uri()
         opened = open_page and _open(address)
         line = f"{'Opened' if opened else 'Open this in a browser:'} {address}"
-        print_found({"kind": "recording", "url": address, "opened": opened, "written": []}, [line], json)
+        print_found(
+            {"kind": "recording", "url": address, "opened": opened, "written": []}, [line], json
+        )
     elif kind == ".csv":
         target = _find_target(Path(source), object_file, model_file, largest_piece)
         _view_pushes(Path(source), target, push, shows, height, port if out is None else 0, serve)
@@ -105,9 +123,13 @@ def _check_options(kind: str, of_pushes: dict[str, Any], out: Path | None) -> No
         if value and kind != ".csv":
             raise ViewError(f"{name}: goes with a push log (.csv) only")
     if of_pushes["--object"] and of_pushes["--model"]:
-        raise ViewError("--object: a model holds its own object; expected either --object or --model")
+        raise ViewError(
+            "--object: a model holds its own object; expected either --object or --model"
+        )
     if out is not None and kind in (".html", ".htm"):
-        raise ViewError("--out: a recording is a page already; expected a model or a push log with --out")
+        raise ViewError(
+            "--out: a recording is a page already; expected a model or a push log with --out"
+        )
 
 
 def _check_recording(path: Path) -> None:
@@ -117,7 +139,9 @@ def _check_recording(path: Path) -> None:
     if not is_file(path):
         raise ViewError(f"{path}: there is no such file")
     if not looks_like_recording(path):
-        raise ViewError(f"{path}: is not a recording; expected a page that Meshcat wrote, such as the demo's")
+        raise ViewError(
+            f"{path}: is not a recording; expected a page that Meshcat wrote, such as the demo's"
+        )
 
 
 def _view_model(
@@ -134,13 +158,17 @@ def _view_model(
     serve(meshcat, make_overlay(target, shows), {"kind": kind, "object": target.obj.name}, lines)
 
 
-def _find_target(log: Path, object_file: str | None, model_file: Path | None, largest_piece: bool) -> "options.Target":
+def _find_target(
+    log: Path, object_file: str | None, model_file: Path | None, largest_piece: bool
+) -> "options.Target":
     """The model or object of a push log: as told, or by the names the demo uses."""
     from gridpush_drake.files import exists, is_file
     from gridpush_drake.identification.model_file import looks_like_model
 
     if model_file is not None and not looks_like_model(model_file):
-        raise ViewError(f"--model: {model_file} is not a model; expected a file that `gridpush identify` wrote")
+        raise ViewError(
+            f"--model: {model_file} is not a model; expected a file that `gridpush identify` wrote"
+        )
     beside = (log.parent / MODEL_BESIDE, log.parent / OBJECT_BESIDE)
     told = model_file or object_file or next((path for path in beside if is_file(path)), None)
     if not exists(log):
@@ -177,12 +205,17 @@ def _view_pushes(
     errors = summarize_errors(target.obj, judged, picked.supported) if judged else []
 
     meshcat = StartMeshcatServer(port)
-    AddPushes(meshcat, target, picked, predictions, shows, options.choose_height(height, target.obj))
+    AddPushes(
+        meshcat, target, picked, predictions, shows, options.choose_height(height, target.obj)
+    )
     lines = [f"{target.obj.name}: {count_noun(len(picked), 'push')}"]
     if predictions:
         lines += ["Solid: as observed. Orange: as the model predicts it.", describe_colors(shows)]
     cell = [error for error in errors if error.name == "cell"]
-    lines += [f"Mean cell error of the final poses: {error.mean * error.scale:.1f} {error.unit}" for error in cell]
+    lines += [
+        f"Mean cell error of the final poses: {error.mean * error.scale:.1f} {error.unit}"
+        for error in cell
+    ]
     if predictions and overhanging:
         lines.append(f"Of these errors, {options.describe_overhanging(overhanging)}")
     found = {"kind": "pushes", "object": target.obj.name, "pushes": [seen.name for seen in picked]}
@@ -200,7 +233,9 @@ def _write_or_serve(
     url = meshcat.web_url()
     if out is not None:
         write_recording(meshcat, out, force, overlay)
-        print_found({**found, "written": [str(out)]}, [*lines, *options.describe_written(out)], json)
+        print_found(
+            {**found, "written": [str(out)]}, [*lines, *options.describe_written(out)], json
+        )
         return
     try:  # from the first line on: who reads the address may interrupt at once
         PublishOnce(meshcat)
@@ -220,7 +255,9 @@ def _open(address: str) -> bool:
     import webbrowser
 
     # Without a display Python would start a browser in the terminal itself, if it finds one.
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    if sys.platform.startswith("linux") and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
         return False
     return webbrowser.open(address)
 

@@ -44,7 +44,8 @@ TABLE_MARGIN, TABLE_THICKNESS = 0.05, 0.01
 """About what stands on the table, and of the table, m."""
 
 VIEW_SHARE, FINGER_SHARE = 0.65, 2.0
-"""Distance of the camera, in diagonals of what is to be seen, and height of the finger, in heights of the object."""
+"""Distance of the camera, in diagonals of what is to be seen, and height of the finger, in heights
+of the object."""
 
 FRAMES_PER_SECOND, HOLD = 30.0, 0.8
 """Of a replay, and s for which a push's first and last poses are held."""
@@ -56,7 +57,9 @@ def describe_colors(shows: Shown) -> str:
     if shows == "friction":
         return f"Colors: the cells' friction coefficient, from {low:g} (dark) to {high:g} (bright)."
     what = "mass" if shows == "mass" else "share of the friction"
-    return f"Colors: the cells' {what}, from {low:g} (dark) to {high:g} times (bright) the even share."
+    return (
+        f"Colors: the cells' {what}, from {low:g} (dark) to {high:g} times (bright) the even share."
+    )
 
 
 def AddModel(meshcat: Meshcat, target: Target, shows: Shown, height: float) -> None:
@@ -66,7 +69,10 @@ def AddModel(meshcat: Meshcat, target: Target, shows: Shown, height: float) -> N
 
 
 def make_overlay(
-    target: Target, shows: Shown, log: PushLog | None = None, predictions: Sequence[Prediction] | None = None
+    target: Target,
+    shows: Shown,
+    log: PushLog | None = None,
+    predictions: Sequence[Prediction] | None = None,
 ) -> Overlay:
     """What stands beside the page of a model, or of the pushes that `AddPushes` records."""
     scale = make_color_scale(target.obj, CellColors(shows)) if target.model is not None else None
@@ -74,7 +80,9 @@ def make_overlay(
     if log is not None:
         marks += (Mark(to_css(PLAN_COLOR), "the finger's push", "line"),)
     if predictions is not None:
-        marks += (Mark(to_css(PLAN_COLOR), "the object as the model predicts it; solid: as observed"),)
+        marks += (
+            Mark(to_css(PLAN_COLOR), "the object as the model predicts it; solid: as observed"),
+        )
     phases, begin = [], 0.0
     for seen in log or ():
         detail = f"{MM * seen.push.length:.0f} mm in {seen.push.duration:.1f} s"
@@ -94,8 +102,8 @@ def AddPushes(
 ) -> None:
     """Records pushes one after the other: the object as observed, the finger, and the predicted poses as a ghost.
 
-    Between two observations the object is drawn on the straight line from one to the other. The recording is begun
-    here and left for the caller to publish.
+    Between two observations the object is drawn on the straight line from one to the other. The
+    recording is begun here and left for the caller to publish.
     """
     obj = target.obj
     _AddObject(meshcat, target, CellColors(shows), height)
@@ -112,7 +120,9 @@ def AddPushes(
         if predictions is not None:
             motion = predictions[i]
             at = _sample(motion.times)
-            poses = np.column_stack([np.interp(at, motion.times, column) for column in motion.poses.T])
+            poses = np.column_stack(
+                [np.interp(at, motion.times, column) for column in motion.poses.T]
+            )
             _RecordPoses(meshcat, GHOST, first + at, poses, begin, last + HOLD)
         begin = last + HOLD
     meshcat.StopRecording()
@@ -120,11 +130,17 @@ def AddPushes(
 
 def _AddObject(meshcat: Meshcat, target: Target, colors: CellColors, height: float) -> None:
     obj, params, model = target.obj, target.params, target.model
-    drawn = np.tile(PLAIN_COLOR, (obj.n, 1)) if model is None else colors.calc_colors(params.mass, params.friction)
+    drawn = (
+        np.tile(PLAIN_COLOR, (obj.n, 1))
+        if model is None
+        else colors.calc_colors(params.mass, params.friction)
+    )
     AddCells(meshcat, f"{OBJECT}/cells", obj, drawn, height)
     if model is not None:
         covariance = model.identifiability.center_of_friction_covariance
-        AddCenter(meshcat, f"{OBJECT}/center", params.center_of_mass(obj), covariance, height + LAYER)
+        AddCenter(
+            meshcat, f"{OBJECT}/center", params.center_of_mass(obj), covariance, height + LAYER
+        )
 
 
 def _AddPush(meshcat: Meshcat, seen: ObservedPush, i: int, begin: float, height: float) -> None:
@@ -132,7 +148,9 @@ def _AddPush(meshcat: Meshcat, seen: ObservedPush, i: int, begin: float, height:
     path, push = f"{PUSHES}/{i}", seen.push
     if push.length > 0:
         AddArrow(meshcat, f"{path}/arrow", push.xy[0], push.xy[-1], height + 4 * LAYER)
-    meshcat.SetObject(f"{path}/{FINGER}", Cylinder(push.radius, FINGER_SHARE * height), FINGER_COLOR)
+    meshcat.SetObject(
+        f"{path}/{FINGER}", Cylinder(push.radius, FINGER_SHARE * height), FINGER_COLOR
+    )
     at = _sample(push.t)
     tips = np.column_stack([push.tip_at(at), np.zeros(len(at))])
     middle = FINGER_SHARE * height / 2
@@ -142,7 +160,13 @@ def _AddPush(meshcat: Meshcat, seen: ObservedPush, i: int, begin: float, height:
 
 
 def _RecordPoses(
-    meshcat: Meshcat, path: str, times: Array, poses: Array, begin: float, end: float, height: float = 0.0
+    meshcat: Meshcat,
+    path: str,
+    times: Array,
+    poses: Array,
+    begin: float,
+    end: float,
+    height: float = 0.0,
 ) -> None:
     """Records planar poses (k, 3) at `times` (k,), s, the first held from `begin` on and the last until `end`."""
     still_held = end - 1 / FRAMES_PER_SECOND

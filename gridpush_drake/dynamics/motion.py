@@ -33,14 +33,16 @@ class Jacobian:
     Attributes:
         steps: (R,) the steps the rows belong to.
         mass: (R, 3, n) by the cells' masses, 1/kg.
-        friction: (R, 3, n) by the cells' friction coefficients; (R, 3, 0) where only those by mass were asked for.
+        friction: (R, 3, n) by the cells' friction coefficients; (R, 3, 0) where only those by mass
+            were asked for.
         contact_friction: (R, 3) by the pusher's friction coefficient.
-        start: (R, 3, 2) by the place (x, y) in W where the push begins, the path moved with it, 1/m.
+        start: (R, 3, 2) by the place (x, y) in W where the push begins, the path moved with it,
+            1/m.
         direction: (R, 3) by turning the path about its start, 1/rad.
         length: (R, 3) by the length of the path, its duration held, 1/m.
         pose: (R, 3, 3) by the pose at the beginning.
-        contact_location: (R, 3) by the arc length on the outline where the push begins, 1/m; None unless the push was
-            made by `Push.on_outline`.
+        contact_location: (R, 3) by the arc length on the outline where the push begins, 1/m; None
+            unless the push was made by `Push.on_outline`.
         push_height: (R, 3) by the height at which the pusher acts; None where loads do not shift.
     """
 
@@ -65,16 +67,20 @@ class Motion:
         poses: (T+1, 3) q = (x, y, theta) of the body frame, m and rad.
         velocities: (T+1, 3) (vx, vy, w) of the body frame's origin, m/s and rad/s.
         tip: (T+1, 2) center of the pusher, m; NaN for a force-driven push.
-        contact_forces: (T, 2, 2) force of the pusher on the object at its at most two contacts, N. In the quasi-static
-            regime too: it is what the support's friction asks for. How two contacts that stick share it is statically
-            indeterminate; one admissible way is given.
-        contact_points: (T, 2, 2) where they act, halfway through the step, m; NaN where there is no contact.
-        modes: (T, 2) contact modes: 0 separate, 1 stick, 2 slide with lam_t = +mu_c lam_n, 3 with the opposite sign.
-        gaps: (T+1,) distance from the disc's edge to the outline, m; negative where they overlap, infinite where far.
+        contact_forces: (T, 2, 2) force of the pusher on the object at its at most two contacts, N.
+            In the quasi-static regime too: it is what the support's friction asks for. How two
+            contacts that stick share it is statically indeterminate; one admissible way is given.
+        contact_points: (T, 2, 2) where they act, halfway through the step, m; NaN where there is no
+            contact.
+        modes: (T, 2) contact modes: 0 separate, 1 stick, 2 slide with lam_t = +mu_c lam_n, 3 with
+            the opposite sign.
+        gaps: (T+1,) distance from the disc's edge to the outline, m; negative where they overlap,
+            infinite where far.
         status: how it went; compares equal to its string, "ok" for instance.
-        load_centers: (T, 2) where the table bears the object at each step, on average, m; NaN where every cell bears
-            its own weight.
-        tips: (T,) whether no loads can hold the object: their center would be beyond what is on the table.
+        load_centers: (T, 2) where the table bears the object at each step, on average, m; NaN where
+            every cell bears its own weight.
+        tips: (T,) whether no loads can hold the object: their center would be beyond what is on the
+            table.
         iterations: (T,) Newton iterations of each step.
         jacobian: derivatives of the poses, where asked for.
     """
@@ -97,7 +103,9 @@ class Motion:
     def jacobian(self) -> Jacobian:
         """The derivatives of the recorded poses. Raises SimulationError: the simulation ran without `gradients`."""
         if self._jacobian is None:
-            raise SimulationError("no derivatives: pass gradients=True or gradients='paper' to simulate")
+            raise SimulationError(
+                "no derivatives: pass gradients=True or gradients='paper' to simulate"
+            )
         return self._jacobian if isinstance(self._jacobian, Jacobian) else self._jacobian.expand()
 
     @property
@@ -116,7 +124,8 @@ class RawJacobian:
     """The kernel's columns, and what turns them into named blocks by the chain rule.
 
     k_i = mu_i m_i g, and m_i moves mass, center of mass c and inertia I about it:
-    dm = dm_i, dc = (p_i - c)/m dm_i, dI = (|p_i - c|² + s²/6) dm_i. Where loads shift the columns are by m_i already.
+    dm = dm_i, dc = (p_i - c)/m dm_i, dI = (|p_i - c|² + s²/6) dm_i. Where loads shift the columns
+    are by m_i already.
     """
 
     steps: NDArray[np.int64]

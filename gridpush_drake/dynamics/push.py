@@ -17,8 +17,8 @@ from gridpush_drake.objects.grid_object import GridObject
 class Push(Frozen):
     """The motion of a disc of radius `radius` in the plane of the support, piecewise linear in time.
 
-    `Push(start, velocity, duration, radius)` is straight at constant velocity; `Push.along` follows sampled points;
-    `Push.on_outline` starts at a place on an object's outline.
+    `Push(start, velocity, duration, radius)` is straight at constant velocity; `Push.along` follows
+    sampled points; `Push.on_outline` starts at a place on an object's outline.
 
     Attributes:
         start: (2,) p_WP of the disc's center at the beginning, m, world frame.
@@ -27,11 +27,12 @@ class Push(Frozen):
         radius: m, positive.
         t: (K,) sample times from the push's beginning, s, strictly increasing, `t[0] == 0`.
         xy: (K, 2) p_WP at those times, m.
-        start_tangent: (2,) direction in W in which `start` moves as the contact's arc length on the outline
-            grows, where the push was made by an outline location; None otherwise.
+        start_tangent: (2,) direction in W in which `start` moves as the contact's arc length on the
+            outline grows, where the push was made by an outline location; None otherwise.
 
     Raises:
-        PushError: a value is not finite, radius or duration is not positive, or samples disagree with the rest.
+        PushError: a value is not finite, radius or duration is not positive, or samples disagree
+            with the rest.
     """
 
     start: NDArray[np.float64]
@@ -57,13 +58,21 @@ class Push(Frozen):
         begin = check_vector(PushError, "push: start", start, 2)
         v = check_vector(PushError, "push: velocity", velocity, 2)
         require_positive(PushError, "push: ", radius=radius, duration=duration)
-        end = check_vector(PushError, "push: end, start + velocity * duration,", begin + v * duration, 2)
+        end = check_vector(
+            PushError, "push: end, start + velocity * duration,", begin + v * duration, 2
+        )
         times = np.array([0.0, duration] if t is None else t, dtype=np.float64)
         path = np.array([begin, end] if xy is None else xy, dtype=np.float64)
         if t is not None or xy is not None:
             _check_samples(times, path)
-            if times[0] != 0 or times[-1] != duration or not np.allclose(path[[0, -1]], [begin, end]):
-                raise PushError("push: t and xy disagree with start, velocity or duration; `Push.along` takes samples")
+            if (
+                times[0] != 0
+                or times[-1] != duration
+                or not np.allclose(path[[0, -1]], [begin, end])
+            ):
+                raise PushError(
+                    "push: t and xy disagree with start, velocity or duration; `Push.along` takes samples"
+                )
         values = {
             "start": begin,
             "velocity": v,
@@ -81,7 +90,9 @@ class Push(Frozen):
             object.__setattr__(self, name, value)
 
     @classmethod
-    def along(cls, t: ArrayLike, xy: ArrayLike | Sequence[Sequence[float]], radius: float) -> "Push":
+    def along(
+        cls, t: ArrayLike, xy: ArrayLike | Sequence[Sequence[float]], radius: float
+    ) -> "Push":
         """Makes a push along p_WP (K, 2), m, at times (K,), s, strictly increasing; only their differences matter.
 
         Raises:
@@ -90,7 +101,14 @@ class Push(Frozen):
         times, path = np.array(t, dtype=np.float64), np.array(xy, dtype=np.float64)
         _check_samples(times, path)
         times -= times[0]
-        return cls(path[0].copy(), (path[-1] - path[0]) / times[-1], float(times[-1]), radius, t=times, xy=path)
+        return cls(
+            path[0].copy(),
+            (path[-1] - path[0]) / times[-1],
+            float(times[-1]),
+            radius,
+            t=times,
+            xy=path,
+        )
 
     @classmethod
     def on_outline(
@@ -109,7 +127,8 @@ class Push(Frozen):
         """Makes a straight push that starts on an object's outline.
 
         Args:
-            arc_length: where on the exterior outline, m from its first vertex, counterclockwise, modulo the perimeter.
+            arc_length: where on the exterior outline, m from its first vertex, counterclockwise,
+                modulo the perimeter.
             angle: of the motion from the inward normal there, rad, counterclockwise.
             distance: to move, m.
             radius: of the disc, m.
@@ -118,9 +137,9 @@ class Push(Frozen):
             clearance: gap between disc and outline at the beginning, m.
 
         Returns:
-            The push. Its `start_tangent` is that of the edge; so `Jacobian.contact_location` is the derivative by
-            `arc_length` with the motion's direction held fixed, and at a vertex the one towards the edge that
-            begins there.
+            The push. Its `start_tangent` is that of the edge; so `Jacobian.contact_location` is the
+            derivative by `arc_length` with the motion's direction held fixed, and at a vertex the
+            one towards the edge that begins there.
 
         Raises:
             PushError: not one of duration and speed is given, or a value is out of range.
@@ -140,7 +159,9 @@ class Push(Frozen):
         R = make_rotation(q[2])
         start = q[:2] + R @ (point + (radius + clearance) * normal)
         direction = R @ rotate(angle, -normal)
-        return cls(start, distance / duration * direction, duration, radius, start_tangent=R @ tangent)
+        return cls(
+            start, distance / duration * direction, duration, radius, start_tangent=R @ tangent
+        )
 
     @property
     def length(self) -> float:
@@ -179,7 +200,8 @@ class ForcePush(Frozen):
         point: (2,) p_BP where it acts, m, body frame.
         force: (2,) or (K, 2) N, world frame; the k-th acts from t[k] to t[k+1].
         duration: s, positive.
-        t: (K,) times at which each force begins, s, strictly increasing from 0; not needed for one force.
+        t: (K,) times at which each force begins, s, strictly increasing from 0; not needed for one
+            force.
 
     Raises:
         PushError: shapes disagree or a value is out of range.
@@ -216,7 +238,9 @@ class ForcePush(Frozen):
 
 DEFAULT_DT = 0.01  # s, the longest step where none is given
 DEFAULT_TIP_STEP = 0.001  # m, the furthest the pusher moves in a step where none is given
-MAX_STEPS = 1_000_000  # of a simulation, each of which is kept: 1 km of the pusher's path by default
+MAX_STEPS = (
+    1_000_000  # of a simulation, each of which is kept: 1 km of the pusher's path by default
+)
 SAME_TIME = 1e-9  # of a push's duration, by which two of its times differ that are one
 SHORT_STEP = 0.01  # of the mean step: in what is shorter a rounding error of a place is a speed
 SLACK = 1e-9  # share of a step by which a duration may exceed a whole number of them
@@ -241,15 +265,18 @@ def make_times(push: Push | ForcePush, dt: float | None, regime: str = "inertial
 
 
 def make_path_times(
-    push: Push, regime: str = "inertial", tip_step: float = DEFAULT_TIP_STEP, longest: float = DEFAULT_DT
+    push: Push,
+    regime: str = "inertial",
+    tip_step: float = DEFAULT_TIP_STEP,
+    longest: float = DEFAULT_DT,
 ) -> Array:
     """Cuts a push's path into the default steps: (T+1,), s from its beginning.
 
-    "inertial": every piece of the path, whose samples are among the times, is cut into the longest steps allowed,
-    `longest` (s) and `tip_step` (m of the pusher), so that they do not jump with the piece's length and speed; the last
-    two, half a step to a whole one each, share what is left. Samples less than a short step apart are taken for one.
-    "quasi_static": the path's length is cut evenly, whatever its pieces and however long they last, for time does not
-    matter.
+    "inertial": every piece of the path, whose samples are among the times, is cut into the longest
+    steps allowed, `longest` (s) and `tip_step` (m of the pusher), so that they do not jump with the
+    piece's length and speed; the last two, half a step to a whole one each, share what is left.
+    Samples less than a short step apart are taken for one. "quasi_static": the path's length is cut
+    evenly, whatever its pieces and however long they last, for time does not matter.
 
     Raises:
         SimulationError: they are more than MAX_STEPS.
@@ -262,7 +289,9 @@ def make_path_times(
         return np.unique(np.concatenate([[0.0], cuts, [push.duration]]))
     wanted = np.maximum(distance / tip_step, np.diff(push.t) / longest)
     _count_steps(float(np.maximum(wanted, 1.0).sum()))
-    pieces = [push.t[i] + (push.t[i + 1] - push.t[i]) * _cut(parts) for i, parts in enumerate(wanted)]
+    pieces = [
+        push.t[i] + (push.t[i + 1] - push.t[i]) * _cut(parts) for i, parts in enumerate(wanted)
+    ]
     times = np.append(np.concatenate(pieces), push.t[-1])
     return _merge(times, SHORT_STEP * push.duration / (len(times) - 1))
 
@@ -304,15 +333,20 @@ def make_times_with(push: Push, wanted: Array, regime: str) -> Array:
 
     Args:
         push: the push.
-        wanted: (K,) increasing times after its beginning, s. The default ones so near them that the step between would
-            be a short one are left out.
+        wanted: (K,) increasing times after its beginning, s. The default ones so near them that the
+            step between would be a short one are left out.
         regime: "inertial" or "quasi_static".
 
     Returns:
-        All times, increasing, s. In the inertial regime, wanted ones less than a short step apart are taken for one.
+        All times, increasing, s. In the inertial regime, wanted ones less than a short step apart
+        are taken for one.
     """
     path = make_path_times(push, regime)
-    place, near = (path, wanted) if regime == "inertial" else (push.distance_at(path), push.distance_at(wanted))
+    place, near = (
+        (path, wanted)
+        if regime == "inertial"
+        else (push.distance_at(path), push.distance_at(wanted))
+    )
     before, after = np.append(-np.inf, near), np.append(near, np.inf)
     at, shortest = np.searchsorted(near, place), SHORT_STEP * float(place[-1]) / (len(path) - 1)
     repeated = np.minimum(place - before[at], after[at] - place) < shortest
@@ -324,8 +358,8 @@ def make_times_with(push: Push, wanted: Array, regime: str) -> Array:
 def measure_steps(push: Push | ForcePush, times: Array, regime: str) -> Array:
     """How long the steps between `times` (T+1,) are, (T,): s; where nothing has inertia, by the pusher's path, m.
 
-    There time does not matter, and what a step expects of the one before must not depend on it. Steps in which the
-    pusher all but stands still count as short ones.
+    There time does not matter, and what a step expects of the one before must not depend on it.
+    Steps in which the pusher all but stands still count as short ones.
     """
     if regime == "inertial" or isinstance(push, ForcePush):
         return np.diff(times)
@@ -337,13 +371,22 @@ def check_times(times: ArrayLike, inertial: bool) -> Array:
     """Copies the steps' times that a caller gives, (T+1,), s.
 
     Raises:
-        SimulationError: they are not finite or not strictly increasing, or two are all but the same where the
-            object has inertia.
+        SimulationError: they are not finite or not strictly increasing, or two are all but the same
+            where the object has inertia.
     """
     times = np.array(times, dtype=np.float64)
-    if times.ndim != 1 or len(times) < 2 or not np.isfinite(times).all() or (np.diff(times) <= 0).any():
-        raise SimulationError("times: expected at least two finite, strictly increasing numbers (s)")
+    if (
+        times.ndim != 1
+        or len(times) < 2
+        or not np.isfinite(times).all()
+        or (np.diff(times) <= 0).any()
+    ):
+        raise SimulationError(
+            "times: expected at least two finite, strictly increasing numbers (s)"
+        )
     shortest = SAME_TIME * float(times[-1] - times[0])
     if inertial and (np.diff(times) < shortest).any():
-        raise SimulationError(f"times: two are all but the same; expected steps of at least {shortest:.3g} s")
+        raise SimulationError(
+            f"times: two are all but the same; expected steps of at least {shortest:.3g} s"
+        )
     return times

@@ -1,7 +1,7 @@
 """`PushBatch`: many pushes of one object, simulated again and again with other parameters, in one compiled call.
 
-What does not depend on the parameters is prepared once. Each push is simulated just as `simulate` does it by itself,
-bit for bit.
+What does not depend on the parameters is prepared once. Each push is simulated just as `simulate`
+does it by itself, bit for bit.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.kernels.call import make_method, run_pushes, shifts_loads
-from gridpush_drake.dynamics.kernels.forward_sensitivity import CONTACT_FRICTION, OTHER, START_X, START_Y
+from gridpush_drake.dynamics.kernels.forward_sensitivity import (
+    CONTACT_FRICTION,
+    OTHER,
+    START_X,
+    START_Y,
+)
 from gridpush_drake.dynamics.kernels.inputs import Pushes
 from gridpush_drake.dynamics.motion import RawJacobian
 from gridpush_drake.dynamics.push import Push, measure_steps
@@ -48,7 +53,9 @@ class _Group:
     table: Array | None  # (K, 4) the table's edges, m; None where it is far
     pushes: Pushes  # their arrays
     row_of_step: IntArray  # (S+P,) see `rollout_pushes`
-    recorded: IntArray  # (R,) the row that records each one's pose: its own, or another of the same pose
+    recorded: (
+        IntArray  # (R,) the row that records each one's pose: its own, or another of the same pose
+    )
     rows: IntArray  # (R,) the batch's rows that those of this group are
     steps: IntArray  # (R,) the step of each row
 
@@ -67,7 +74,9 @@ class PushBatch:
         self.obj, self.regime = obj, regime
         self.offsets = np.append(0, np.cumsum([len(one.rows) for one in pushes], dtype=np.int64))
         inertial = regime == "inertial"
-        self._method = make_method(inertial, "isotropic", "coupled", STICTION_TOLERANCE, RELATIVE_STICTION)
+        self._method = make_method(
+            inertial, "isotropic", "coupled", STICTION_TOLERANCE, RELATIVE_STICTION
+        )
         near = [find_edges_near(obj, one.push, one.pose, one.table, inertial) for one in pushes]
         kinds = [None if edges is None else edges.tobytes() for edges in near]
         self._groups = []
@@ -92,7 +101,8 @@ class PushBatch:
     def differentiate(self, params: CellParameters) -> tuple[Array, Array]:
         """The wanted poses (R, 3), m and rad, push by push, and their exact derivatives (R, 3, n+3).
 
-        They are by the n masses, 1/kg, by the contact friction, and by the place (x, y) where the push begins, 1/m.
+        They are by the n masses, 1/kg, by the contact friction, and by the place (x, y) where the
+        push begins, 1/m.
         """
         n = self.obj.n
         poses, derivatives = np.empty((self.offsets[-1], 3)), np.empty((self.offsets[-1], 3, n + 3))
@@ -109,16 +119,28 @@ class PushBatch:
             derivatives[group.rows, :, n + 1 :] = raw.other[..., START_X : START_Y + 1]
         return poses, derivatives
 
-    def _run(self, group: _Group, params: CellParameters, J: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def _run(
+        self, group: _Group, params: CellParameters, J: Array
+    ) -> tuple[Array, NDArray[np.bool_]]:
         poses, touched = run_pushes(
-            self.obj, params, GRAVITY, self._method, group.pushes, group.row_of_step, J, len(group.rows), group.table
+            self.obj,
+            params,
+            GRAVITY,
+            self._method,
+            group.pushes,
+            group.row_of_step,
+            J,
+            len(group.rows),
+            group.table,
         )
         if len(J):
             again = group.recorded != np.arange(len(J))
             J[again] = J[group.recorded[again]]
         return poses[group.recorded], touched
 
-    def _make_group(self, pushes: Sequence[BatchPush], chosen: IntArray, table: Array | None) -> _Group:
+    def _make_group(
+        self, pushes: Sequence[BatchPush], chosen: IntArray, table: Array | None
+    ) -> _Group:
         some = [pushes[i] for i in chosen]
         first = np.append(0, np.cumsum([len(one.times) - 1 for one in some], dtype=np.int64))
         row_of_step = np.full(int(first[-1]) + len(some), -1)

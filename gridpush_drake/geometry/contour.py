@@ -1,7 +1,7 @@
 """The outline of a mask: smooth enough that a pusher feels the object's sides, not its pixels.
 
-The contour at half coverage of the smoothed mask is traced and simplified; then straight edges are fitted through the
-traced points, so that their normals do not hang on two of them.
+The contour at half coverage of the smoothed mask is traced and simplified; then straight edges are
+fitted through the traced points, so that their normals do not hang on two of them.
 """
 
 from itertools import pairwise
@@ -20,17 +20,20 @@ TOLERANCE = 0.75  # how far the simplified outline may leave the contour, pixels
 MIN_HOLE = 9.0  # holes of less area are dropped, pixels
 
 AREA_TOLERANCE = 0.02
-"""The smooth outline is kept while its area is within this part of the mask's; thin objects fail it."""
+"""The smooth outline is kept while its area is within this part of the mask's; thin objects fail
+it."""
 
 MAX_STEPS = 60_000
-"""A mask whose boundary takes more pixel sides than this is noise at its own scale; it is traced at a coarser one."""
+"""A mask whose boundary takes more pixel sides than this is noise at its own scale; it is traced at
+a coarser one."""
 
 STITCH = 0.05  # pixels that only touch at a corner are joined by a bridge of about this half width, pixels
 TRIM = 2.0  # length left out of the fit at each end of an edge, pixels: corners are rounded there
 MIN_FITTED = 6.0  # shorter edges are not fitted but drawn from vertex to vertex, pixels
 
 STRAIGHT = 0.75
-"""Two edges become one when no point between their ends leaves the line through both by more, pixels."""
+"""Two edges become one when no point between their ends leaves the line through both by more,
+pixels."""
 
 MIN_CORNERS = 3  # no ring is left fewer
 MIN_SINE = 0.1  # edges that turn by less than this do not meet at a usable intersection
@@ -42,12 +45,12 @@ def calc_contour(coverage: NDArray[np.float64], smoothing: float = SMOOTHING) ->
 
     Args:
         coverage: (height, width) share of each pixel that is object.
-        smoothing: standard deviation of the Gaussian that it goes through, pixels; less rounds corners less, but takes
-            a coverage finer than yes and no.
+        smoothing: standard deviation of the Gaussian that it goes through, pixels; less rounds
+            corners less, but takes a coverage finer than yes and no.
 
     Returns:
-        A valid polygon with holes in pixels from the upper left corner, x right and y *down*, its outer ring
-        counterclockwise in these axes.
+        A valid polygon with holes in pixels from the upper left corner, x right and y *down*, its
+        outer ring counterclockwise in these axes.
     """
     scale = 1
     while _count_steps(coverage) > MAX_STEPS:
@@ -75,7 +78,9 @@ def _trace_smooth(coverage: NDArray[np.float64], smoothing: float) -> Polygon | 
     pieces = []
     for points, offsets in zip(*generator.filled(HALF, np.inf), strict=True):
         rings = [_from_corner(points[a:b]) + (HALF - margin) for a, b in pairwise(offsets)]
-        pieces.append(Polygon(rings[0], [ring for ring in rings[1:] if Polygon(ring).area >= MIN_HOLE]))
+        pieces.append(
+            Polygon(rings[0], [ring for ring in rings[1:] if Polygon(ring).area >= MIN_HOLE])
+        )
     if not pieces:
         return None
     traced = max(pieces, key=lambda piece: piece.area)
@@ -92,7 +97,11 @@ def _fit(traced: Polygon, simple: Polygon) -> Polygon:
         return simple
     outer, *holes = (fit_edges(starts[tuple(ring[0])], ring) for ring in corners)
     fitted = Polygon(outer, holes)
-    return fitted if fitted.is_valid and abs(fitted.area / traced.area - 1) <= AREA_TOLERANCE else simple
+    return (
+        fitted
+        if fitted.is_valid and abs(fitted.area / traced.area - 1) <= AREA_TOLERANCE
+        else simple
+    )
 
 
 def _from_corner(ring: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -108,7 +117,9 @@ def _trace_pixels(coverage: NDArray[np.float64]) -> Polygon:
         row, column = np.nonzero(coverage >= min_share)
         if not len(row):
             continue
-        union = shapely.union_all(shapely.box(column, row, column + 1, row + 1)).buffer(STITCH, join_style="mitre")
+        union = shapely.union_all(shapely.box(column, row, column + 1, row + 1)).buffer(
+            STITCH, join_style="mitre"
+        )
         if isinstance(union, Polygon):
             holes = [ring for ring in union.interiors if Polygon(ring).area >= MIN_HOLE]
             union = Polygon(union.exterior, holes)
@@ -118,7 +129,9 @@ def _trace_pixels(coverage: NDArray[np.float64]) -> Polygon:
 
 def _simplify(polygon: Polygon) -> Polygon | None:
     simple = polygon.simplify(TOLERANCE, preserve_topology=True)
-    usable = isinstance(simple, Polygon) and not simple.is_empty and simple.is_valid and simple.area > 0
+    usable = (
+        isinstance(simple, Polygon) and not simple.is_empty and simple.is_valid and simple.area > 0
+    )
     return simple if usable else None
 
 
@@ -130,7 +143,8 @@ def fit_edges(ring: NDArray[np.float64], simple: NDArray[np.float64]) -> NDArray
         simple: (v, 2) vertices of the simplified ring, some of those points in the same order.
 
     Returns:
-        (w, 2) vertices, w <= v: near-straight corners are dropped, the others are where fitted edges meet.
+        (w, 2) vertices, w <= v: near-straight corners are dropped, the others are where fitted
+        edges meet.
     """
     index = {tuple(point): i for i, point in enumerate(ring)}
     corners = _drop_straight(ring, [index[tuple(point)] for point in simple])

@@ -27,14 +27,19 @@ def hull_of(points: Array) -> Array:
 def bound_by_half_planes(directions: Array, offsets: Array) -> Array:
     """Corners (V, 2) of the convex polygon {c: d.c <= h(d)}, m, counterclockwise, each bound taken SLACK further out.
 
-    Bounds of single directions that hold for most draws only are no support function: some lie outside what the
-    others leave, and count nothing. `directions` (D, 2) are unit vectors, all round; `offsets` (D,) are h, m, and leave
-    something, be it a point.
+    Bounds of single directions that hold for most draws only are no support function: some lie
+    outside what the others leave, and count nothing. `directions` (D, 2) are unit vectors, all
+    round; `offsets` (D,) are h, m, and leave something, be it a point.
     """
     reach = FAR * (float(np.abs(offsets).max()) + SLACK)
     on_edge = (offsets + SLACK)[:, None] * directions
-    along, inward = reach * np.column_stack([-directions[:, 1], directions[:, 0]]), -reach * directions
-    half_planes = np.stack([on_edge + along, on_edge + along + inward, on_edge - along + inward, on_edge - along], 1)
+    along, inward = (
+        reach * np.column_stack([-directions[:, 1], directions[:, 0]]),
+        -reach * directions,
+    )
+    half_planes = np.stack(
+        [on_edge + along, on_edge + along + inward, on_edge - along + inward, on_edge - along], 1
+    )
     return hull_of(shapely.get_coordinates(shapely.intersection_all(shapely.polygons(half_planes))))
 
 
@@ -60,7 +65,9 @@ def find_weakest_direction(inner: Array, hull: Array) -> Array:
 def _calc_gaps(inner: Array, hull: Array) -> tuple[Array, Array]:
     """Least distance (k,) of points inside each edge of a convex polygon, m, and the edges' outward normals (k, 2)."""
     along = np.roll(hull, -1, axis=0) - hull
-    normals = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
+    normals = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(
+        along, axis=1, keepdims=True
+    )
     return (normals * hull).sum(axis=1) - (inner @ normals.T).max(axis=0), normals
 
 
@@ -72,7 +79,8 @@ class OutlineEdges(Frozen):
         start: (E, 2) first vertex of each edge, m.
         end: (E, 2) last vertex, m.
         previous: (E,) index of the edge that ends where this one starts.
-        arc_length: (E,) distance along its ring from the ring's first vertex to the edge's start, m.
+        arc_length: (E,) distance along its ring from the ring's first vertex to the edge's start,
+            m.
         exterior_count: the first so many edges are the exterior ring; those of holes follow.
     """
 
@@ -109,7 +117,9 @@ class OutlineEdges(Frozen):
         last = self.exterior_count - 1
         return float(self.arc_length[last] + np.linalg.norm(self.end[last] - self.start[last]))
 
-    def at(self, arc_length: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    def at(
+        self, arc_length: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """The place at an arc length, m, on the exterior ring, counterclockwise from its first vertex.
 
         The point (2,) in m, the unit tangent (2,) and the outward unit normal (2,), body frame.

@@ -1,6 +1,7 @@
 """Planar rigid motions, SE(2).
 
-A pose q = (x, y, theta), m and rad, is X_AB: where frame B stands in frame A, as in Drake's monogram notation.
+A pose q = (x, y, theta), m and rad, is X_AB: where frame B stands in frame A, as in Drake's
+monogram notation.
 
     p_A = (x, y) + R(theta) p_B,      R(theta) = [[cos theta, -sin theta], [sin theta, cos theta]]
 
@@ -82,7 +83,9 @@ def wrap_angle(theta: ArrayLike) -> Array:
     return np.asarray((np.asarray(theta, dtype=np.float64) + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-def check_vector(kind: type[GridPushError], name: str, value: ArrayLike, size: int, unit: str = "") -> Array:
+def check_vector(
+    kind: type[GridPushError], name: str, value: ArrayLike, size: int, unit: str = ""
+) -> Array:
     """Copies two or three finite numbers (size,), at most MAX_NUMBER. Raises `kind` where they are not."""
     try:
         vector = np.array(value, dtype=np.float64)

@@ -1,6 +1,7 @@
 """The environments: `PushEnvironment`, one episode, and `PushVectorEnvironment`, many that are simulated together.
 
-The i-th of a vector environment that is seeded with s does what an environment seeded with s + i does, bit for bit.
+The i-th of a vector environment that is seeded with s does what an environment seeded with s + i
+does, bit for bit.
 """
 
 from collections.abc import Sequence
@@ -56,7 +57,9 @@ class _View:
     def __init__(self, game: PushGame, camera: bool) -> None:
         self._game, self._camera, self._spaces = game, camera, game.make_spaces()
         if camera:
-            self._spaces["rgb"] = Box(0, np.iinfo(np.uint8).max, (CAMERA_SIZE, CAMERA_SIZE, 3), np.uint8)
+            self._spaces["rgb"] = Box(
+                0, np.iinfo(np.uint8).max, (CAMERA_SIZE, CAMERA_SIZE, 3), np.uint8
+            )
         # Gymnasium's stubs leave its type open
         self.space = cast(Space[Observation], Dict(cast(dict[str, Space[Any]], self._spaces)))
 
@@ -67,7 +70,9 @@ class _View:
             for values, episode in zip(seen, episodes, strict=True):
                 values["rgb"] = draw_scene(self._game, episode, CAMERA_SIZE, show_hidden=False)
         return {
-            name: np.clip(np.stack([values[name] for values in seen]), space.low, space.high).astype(space.dtype)
+            name: np.clip(
+                np.stack([values[name] for values in seen]), space.low, space.high
+            ).astype(space.dtype)
             for name, space in self._spaces.items()
         }
 
@@ -75,22 +80,23 @@ class _View:
 class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
     """One episode after another.
 
-    An action is a push: (place, direction, distance), each from -1 to 1. They stand for where along the outline that
-    the finger can reach (once round), for -0.8 to 0.8 rad from the inward normal there, and for 1 to 15 cm. An
-    observation is a dictionary; lengths are in m, and everything is as it was seen, with noise:
+    An action is a push: (place, direction, distance), each from -1 to 1. They stand for where along
+    the outline that the finger can reach (once round), for -0.8 to 0.8 rad from the inward normal
+    there, and for 1 to 15 cm. An observation is a dictionary; lengths are in m, and everything is
+    as it was seen, with noise:
 
         pose          (4,) x, y, cosine and sine of theta of the object's body frame
-        outline       (256,) 64 places, at actions -1, -1 + 2/64, ...: point and inward normal (4 each), body frame
-        occupancy     (48, 48, 1) 255 where the object is, 1 cm a pixel, about its cells' centroid
-        last_action   (3,) zeros before the first push
-        last_motion   (3,) by which it moved the object, in the object's frame before, m and rad
-        table         (2,) half of the sides along x and y; its middle is the world's origin
-        goal          (4,) as the pose (PushToGoal)
-        estimate      (3,) the learner's center of friction, body frame, and its standard deviation (Explore)
-        rgb           (96, 96, 3) the scene from above, where `camera` is set
+        outline       (256,) 64 places, at actions -1, -1 + 2/64, ...: point and inward normal (4
+        each), body frame occupancy     (48, 48, 1) 255 where the object is, 1 cm a pixel, about its
+        cells' centroid last_action   (3,) zeros before the first push last_motion   (3,) by which
+        it moved the object, in the object's frame before, m and rad table         (2,) half of the
+        sides along x and y; its middle is the world's origin goal          (4,) as the pose
+        (PushToGoal) estimate      (3,) the learner's center of friction, body frame, and its
+        standard deviation (Explore) rgb           (96, 96, 3) the scene from above, where `camera`
+        is set
 
-    `info` has "score", the game's own measure in m (mean distance to the goal; how far a part hangs over; held-out
-    error), and "is_success".
+    `info` has "score", the game's own measure in m (mean distance to the goal; how far a part hangs
+    over; held-out error), and "is_success".
 
     Attributes:
         game: what is drawn, seen and rewarded.
@@ -100,14 +106,19 @@ class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
     metadata = METADATA
 
     def __init__(
-        self, game: str = "PushToGoal", render_mode: str | None = None, camera: bool = False, **options: Any
+        self,
+        game: str = "PushToGoal",
+        render_mode: str | None = None,
+        camera: bool = False,
+        **options: Any,
     ) -> None:
         """Makes the environment of a game of GAMES.
 
         Args:
             game: its name.
             render_mode: "rgb_array", or None for no pictures.
-            camera: whether the observation has "rgb", the scene seen from above, which shows no masses.
+            camera: whether the observation has "rgb", the scene seen from above, which shows no
+                masses.
             options: fields of `GameOptions`.
         """
         self.game, self.render_mode = make_game(game, options), render_mode
@@ -147,7 +158,8 @@ class PushEnvironment(gymnasium.Env[Observation, NDArray[Any]]):
 class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
     """Many episodes at once, whose pushes are simulated in one batch.
 
-    An episode that is over begins anew with the next step, whose action it does not heed (`AutoresetMode.NEXT_STEP`).
+    An episode that is over begins anew with the next step, whose action it does not heed
+    (`AutoresetMode.NEXT_STEP`).
 
     Attributes:
         game: what is drawn, seen and rewarded.
@@ -175,7 +187,10 @@ class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self._over = np.zeros(num_envs, dtype=bool)
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
         """Begins all episodes; the i-th is seeded with `seed` + i, or with the i-th of the seeds.
 
@@ -185,9 +200,15 @@ class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         if seed is not None or not self._generators:
             seeds: list[int | None] = [None] * self.num_envs
             if seed is not None:
-                seeds = list(seed) if isinstance(seed, Sequence) else [seed + i for i in range(self.num_envs)]
+                seeds = (
+                    list(seed)
+                    if isinstance(seed, Sequence)
+                    else [seed + i for i in range(self.num_envs)]
+                )
             if len(seeds) != self.num_envs:
-                raise PlanningError(f"seed: {len(seeds)} seeds; expected {self.num_envs}, one an episode")
+                raise PlanningError(
+                    f"seed: {len(seeds)} seeds; expected {self.num_envs}, one an episode"
+                )
             self._generators = [np_random(one)[0] for one in seeds]
         self.episodes = [self.game.begin(rng) for rng in self._generators]
         self._over[:] = False
@@ -197,13 +218,23 @@ class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self, actions: NDArray[Any]
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Makes one push in each episode that is not over."""
-        rewards, (terminated, cut_off, won) = np.zeros(self.num_envs), np.zeros((3, self.num_envs), dtype=bool)
+        rewards, (terminated, cut_off, won) = (
+            np.zeros(self.num_envs),
+            np.zeros((3, self.num_envs), dtype=bool),
+        )
         for i in np.flatnonzero(self._over):
             self.episodes[i] = self.game.begin(self._generators[i])
         going_on = np.flatnonzero(~self._over)
-        turns = self.game.play([self.episodes[i] for i in going_on], [np.asarray(actions[i]) for i in going_on])
+        turns = self.game.play(
+            [self.episodes[i] for i in going_on], [np.asarray(actions[i]) for i in going_on]
+        )
         for i, turn in zip(going_on, turns, strict=True):
-            self.episodes[i], rewards[i], terminated[i], won[i] = turn.episode, turn.reward, turn.terminated, turn.won
+            self.episodes[i], rewards[i], terminated[i], won[i] = (
+                turn.episode,
+                turn.reward,
+                turn.terminated,
+                turn.won,
+            )
             cut_off[i] = not turn.terminated and self.game.is_cut_off(turn.episode)
         self._over = terminated | cut_off
         return self._view.observe(self.episodes), rewards, terminated, cut_off, self._inform(won)
@@ -212,7 +243,10 @@ class PushVectorEnvironment(VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         """A picture of each episode, as `PushEnvironment.render` has it."""
         if self.render_mode is None or not self.episodes:
             return None
-        return tuple(draw_scene(self.game, episode, PICTURE_SIZE, show_hidden=True) for episode in self.episodes)
+        return tuple(
+            draw_scene(self.game, episode, PICTURE_SIZE, show_hidden=True)
+            for episode in self.episodes
+        )
 
     def _inform(self, won: NDArray[np.bool_]) -> dict[str, Any]:
         every = np.ones(self.num_envs, dtype=bool)

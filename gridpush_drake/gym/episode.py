@@ -1,7 +1,7 @@
 """An episode: one hidden object, pushed a number of times; and the game that says what pushes are worth.
 
-A game holds what never changes, an episode all that does. `play` makes one push in each of many episodes, all of them
-simulated together; an environment is one episode, a vector environment many.
+A game holds what never changes, an episode all that does. `play` makes one push in each of many
+episodes, all of them simulated together; an environment is one episode, a vector environment many.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,14 @@ from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
-OBJECTS = ("claw_hammer", "combination_wrench", "pliers", "spray_bottle", "spring_clamp", "toothpaste_tube")
+OBJECTS = (
+    "claw_hammer",
+    "combination_wrench",
+    "pliers",
+    "spray_bottle",
+    "spring_clamp",
+    "toothpaste_tube",
+)
 """One of them is drawn for each episode."""
 
 MASS_RANGE, FRICTION_RANGE, CONTACT_FRICTION_RANGE = (0.1, 5.0), (0.3, 0.4), (0.35, 0.65)
@@ -89,7 +96,8 @@ class Episode:
         pose: (3,) as it was last seen.
         score: what the game is about, see there; NaN before it was measured.
         last_action: (3,) zeros before the first.
-        last_motion: (3,) by which the last push was seen to move the object, in its own frame before, m and rad.
+        last_motion: (3,) by which the last push was seen to move the object, in its own frame
+            before, m and rad.
         pushes: what was seen of every push, in order.
         fallen: whether the object fell off the table.
         goal: (3,) q_W, m and rad; None in games without one.
@@ -156,7 +164,10 @@ class PushGame:
     def __init__(self, options: GameOptions | None = None) -> None:
         """Takes what an episode is drawn from."""
         self.options = options or GameOptions()
-        self.shapes = [load_shape(one) if isinstance(one, str) else KnownShape(one) for one in self.options.objects]
+        self.shapes = [
+            load_shape(one) if isinstance(one, str) else KnownShape(one)
+            for one in self.options.objects
+        ]
         self.surface = SupportSurface.rectangle((0.0, 0.0), self.table)
         self._half = np.array(self.table) / 2
 
@@ -234,7 +245,9 @@ class PushGame:
             table=self.surface.corners,
         )
         played = zip(pairs, pushes, motions, strict=True)
-        return [self.judge(pair[0], self._go_on(*pair, push, motion)) for pair, push, motion in played]
+        return [
+            self.judge(pair[0], self._go_on(*pair, push, motion)) for pair, push, motion in played
+        ]
 
     def _go_on(self, episode: Episode, action: Array, push: Push, motion: Motion) -> Episode:
         """The episode after a push, not yet judged."""
@@ -248,7 +261,9 @@ class PushGame:
             at_rest = calc_loads(episode.shape.obj, episode.hidden, poses[-1], self.surface.corners)
             fallen = fallen or at_rest is None
         name = f"push_{len(episode.pushes) + 1}"
-        observed = ObservedPush(name, push, episode.pose, motion.times[rows], seen, overhang=not on_table)
+        observed = ObservedPush(
+            name, push, episode.pose, motion.times[rows], seen, overhang=not on_table
+        )
         pose = seen[-1] if len(seen) else self.add_noise(poses[-1], episode.rng)
         change = pose - episode.pose
         moved = np.append(rotate(-episode.pose[2], change[:2]), wrap_angle(change[2]))

@@ -1,6 +1,7 @@
 """The three games: what is drawn for an episode, what a push is worth, and when the aim is reached.
 
-In all of them the reward is how much better the score gets, and -1 for pushing the object off the table.
+In all of them the reward is how much better the score gets, and -1 for pushing the object off the
+table.
 """
 
 from dataclasses import replace
@@ -28,14 +29,15 @@ PER_METER, PER_METER_FORETOLD = 10.0, 100.0
 """Reward for a meter, towards the goal or over the edge, and of held-out error."""
 
 MARGIN, MIN_ERROR = 0.1, 0.1
-"""m inside the edge that an object with a goal lies, there and at the beginning; and its mean cell error then, m."""
+"""m inside the edge that an object with a goal lies, there and at the beginning; and its mean cell
+error then, m."""
 
 REACHED = 0.02
 """m, mean cell error: the paper's."""
 
 OFFSET, MAX_ARM = 0.05, 0.06
-"""m, at most, of an object to be slid from the table's middle at the beginning, along each axis, and of a part to be
-grasped from the center of mass."""
+"""m, at most, of an object to be slid from the table's middle at the beginning, along each axis,
+and of a part to be grasped from the center of mass."""
 
 HELD_OUT, HELD_OUT_DISTANCE = 6, 0.3
 """Pushes that the learner is tested on, and how far, as an action: nine centimeters or so."""
@@ -47,8 +49,9 @@ ITERATIONS = 2
 class PushToGoal(PushGame):
     """`gridpush/PushToGoal-v0`: an object of hidden masses is pushed to a goal pose on a large table.
 
-    Its score is the mean distance of the cells from where they are at the goal, m (the paper's ADD). Reward: the
-    score's decrease in decimeters, and 1 for coming within 2 cm, which ends the episode.
+    Its score is the mean distance of the cells from where they are at the goal, m (the paper's
+    ADD). Reward: the score's decrease in decimeters, and 1 for coming within 2 cm, which ends the
+    episode.
     """
 
     table = (1.4, 1.2)
@@ -92,9 +95,10 @@ class PushToGoal(PushGame):
 class SlideToEdge(PushGame):
     """`gridpush/SlideToEdge-v0`: an object is pushed over the table's edge, so far that it can be grasped.
 
-    Graspable are its narrow parts near the true center of mass, where it does not turn in the gripper. Its score is how
-    far the part that is farthest out hangs over the edge, m; negative while some of what the gripper needs is over the
-    table. Reward: the score's increase in decimeters, and 1 when a part is out, which ends the episode.
+    Graspable are its narrow parts near the true center of mass, where it does not turn in the
+    gripper. Its score is how far the part that is farthest out hangs over the edge, m; negative
+    while some of what the gripper needs is over the table. Reward: the score's increase in
+    decimeters, and 1 when a part is out, which ends the episode.
     """
 
     table, defaults = (0.9, 0.7), {"max_pushes": 30}
@@ -104,14 +108,18 @@ class SlideToEdge(PushGame):
         super().__init__(options)
         for shape in self.shapes:
             if not shape.grasp_parts:
-                raise PlanningError(f"objects: {shape.obj.name} has no part narrow enough to be grasped")
+                raise PlanningError(
+                    f"objects: {shape.obj.name} has no part narrow enough to be grasped"
+                )
 
     def begin(self, rng: np.random.Generator) -> Episode:
         """Draws an object and where it lies, in the table's middle; again where it cannot be grasped near enough."""
         while True:
             shape, hidden = self.draw_object(rng)
             center = hidden.center_of_mass(shape.obj)
-            near = tuple(part for part in shape.grasp_parts if np.linalg.norm(part.p_BG - center) <= MAX_ARM)
+            near = tuple(
+                part for part in shape.grasp_parts if np.linalg.norm(part.p_BG - center) <= MAX_ARM
+            )
             if near:
                 break
         start = np.append(rng.uniform(-OFFSET, OFFSET, 2), rng.uniform(-np.pi, np.pi))
@@ -129,9 +137,10 @@ class SlideToEdge(PushGame):
 class Explore(PushGame):
     """`gridpush/Explore-v0`: an object is pushed so that its motion can be foretold, out of any edge's reach.
 
-    After every push a learner that is the same for all players takes in where the object was seen to end (`learn`). Its
-    score is the held-out error: how far, on average, the learner puts the cells from where they truly end under pushes
-    that nobody makes, m. Reward: the score's decrease in centimeters.
+    After every push a learner that is the same for all players takes in where the object was seen
+    to end (`learn`). Its score is the held-out error: how far, on average, the learner puts the
+    cells from where they truly end under pushes that nobody makes, m. Reward: the score's decrease
+    in centimeters.
     """
 
     table, defaults = (4.0, 4.0), {"max_pushes": 8}
@@ -139,18 +148,36 @@ class Explore(PushGame):
     def begin(self, rng: np.random.Generator) -> Episode:
         """Draws an object, and the pushes that the learner is tested on."""
         shape, hidden = self.draw_object(rng)
-        start, places = np.append(np.zeros(2), rng.uniform(-np.pi, np.pi)), rng.uniform(-1.0, 1.0, (HELD_OUT, 2))
-        pushes = [shape.make_push(np.append(place, HELD_OUT_DISTANCE), np.zeros(3)) for place in places]
-        ends = [simulate(shape.obj, hidden, push, regime="quasi_static").final_pose for push in pushes]
+        start, places = (
+            np.append(np.zeros(2), rng.uniform(-np.pi, np.pi)),
+            rng.uniform(-1.0, 1.0, (HELD_OUT, 2)),
+        )
+        pushes = [
+            shape.make_push(np.append(place, HELD_OUT_DISTANCE), np.zeros(3)) for place in places
+        ]
+        ends = [
+            simulate(shape.obj, hidden, push, regime="quasi_static").final_pose for push in pushes
+        ]
         held_out = PushLog(
             tuple(
-                ObservedPush(f"held_out_{i}", push, np.zeros(3), np.array([push.duration]), end[None])
+                ObservedPush(
+                    f"held_out_{i}", push, np.zeros(3), np.array([push.duration]), end[None]
+                )
                 for i, (push, end) in enumerate(zip(pushes, ends, strict=True))
             )
         )
         model = _make_prior(shape)
         error = _calc_held_out_error(model, held_out)
-        return Episode(shape, hidden, rng, start, self.add_noise(start, rng), error, model=model, held_out=held_out)
+        return Episode(
+            shape,
+            hidden,
+            rng,
+            start,
+            self.add_noise(start, rng),
+            error,
+            model=model,
+            held_out=held_out,
+        )
 
     def judge(self, before: Episode, after: Episode) -> Turn:
         """By how much better the learner foretells."""
@@ -173,15 +200,18 @@ class Explore(PushGame):
         return {"estimate": np.append(center, calc_worst_std(F @ posterior.covariance @ F.T))}
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # small matrices: threads only cost, and reorder sums
+@threadpool_limits.wrap(
+    limits=1, user_api="blas"
+)  # small matrices: threads only cost, and reorder sums
 def learn(model: UncertainModel, seen: ObservedPush) -> UncertainModel:
     """Takes in where a push was seen to end; gives the same model where the push told nothing.
 
-    With z = (log k, log mu_c) ~ N(mean, S) of `identification.posterior`, r the residual of the push, J its exact
-    derivative by z and R its noise, it makes one step of the extended Kalman filter, taken twice, the second time at
-    the new mean:
+    With z = (log k, log mu_c) ~ N(mean, S) of `identification.posterior`, r the residual of the
+    push, J its exact derivative by z and R its noise, it makes one step of the extended Kalman
+    filter, taken twice, the second time at the new mean:
 
-        K = S J^T (J S J^T + R)^-1,   mean' = mean - K (r + J (mean - at)),   S' = (I - K J) S (I - K J)^T + K R K^T
+        K = S J^T (J S J^T + R)^-1,   mean' = mean - K (r + J (mean - at)),   S' = (I - K J) S (I -
+        K J)^T + K R K^T
     """
     before = model.require_posterior()
     end = replace(seen, t_observed=seen.t_observed[-1:], poses_observed=seen.poses_observed[-1:])
@@ -211,5 +241,7 @@ def _make_prior(shape: KnownShape) -> UncertainModel:
     return UncertainModel.of_prior(shape.obj)
 
 
-GAMES: dict[str, type[PushGame]] = {game.__name__: game for game in (PushToGoal, SlideToEdge, Explore)}
+GAMES: dict[str, type[PushGame]] = {
+    game.__name__: game for game in (PushToGoal, SlideToEdge, Explore)
+}
 """By the environment's name."""

@@ -1,7 +1,7 @@
 """What a player knows of an object beforehand: its shape, as arrays whose sizes are the same for every object.
 
-A place on the outline is a share of its reachable length (`planning.contact.reachable_outline`), from 0 to 1, so that
-the finger fits at every place.
+A place on the outline is a share of its reachable length (`planning.contact.reachable_outline`),
+from 0 to 1, so that the finger fits at every place.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,10 @@ from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.se2 import Array, check_vector, transform_back
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
-from gridpush_drake.planning.contact.reachable_outline import ReachableOutline, find_reachable_outline
+from gridpush_drake.planning.contact.reachable_outline import (
+    ReachableOutline,
+    find_reachable_outline,
+)
 from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, find_grasp_parts
 
@@ -23,7 +26,8 @@ PLACES = 64
 """On the outline, that are observed."""
 
 PIXELS, WINDOW, OCCUPIED = 48, 0.48, 255
-"""Of the occupancy picture along each side, the side's length, m, and the value of a pixel within the object."""
+"""Of the occupancy picture along each side, the side's length, m, and the value of a pixel within
+the object."""
 
 FINGER = ContactOptions(distance_range=(0.01, 0.15))
 """The finger and the pushes that it can make."""
@@ -42,7 +46,9 @@ class KnownShape:
     def __post_init__(self) -> None:
         width = np.ptp(np.reshape(self.obj.outline.bounds, (2, 2)), axis=0).max()
         if width > WINDOW:
-            raise PlanningError(f"{self.obj.name}: is {width:.3g} m wide; expected at most {WINDOW:g} m in these games")
+            raise PlanningError(
+                f"{self.obj.name}: is {width:.3g} m wide; expected at most {WINDOW:g} m in these games"
+            )
 
     @cached_property
     def reachable(self) -> ReachableOutline:
@@ -59,7 +65,9 @@ class KnownShape:
     def occupancy(self) -> NDArray[np.uint8]:
         """(PIXELS, PIXELS, 1) OCCUPIED where a cell is, about the cells' centroid; rows along -y, columns along x."""
         along = WINDOW * ((np.arange(PIXELS) + 0.5) / PIXELS - 0.5)
-        pixels = np.stack(np.meshgrid(along, -along), axis=-1).reshape(-1, 2) + self.obj.p_BC.mean(axis=0)
+        pixels = np.stack(np.meshgrid(along, -along), axis=-1).reshape(-1, 2) + self.obj.p_BC.mean(
+            axis=0
+        )
         half = self.obj.cell_size / 2
         inside = (np.abs(pixels[:, None] - self.obj.p_BC).max(axis=-1) <= half).any(axis=1)
         return np.where(inside, OCCUPIED, 0).astype(np.uint8).reshape(PIXELS, PIXELS, 1)
@@ -72,14 +80,17 @@ class KnownShape:
     def make_push(self, action: Array, pose: Array) -> Push:
         """Makes the push of an action on an object that is seen at a pose (3,), m and rad.
 
-        The action is (3,) place, direction and distance, each from -1 to 1, which stand for shares of the outline from
-        0 to 1 (which is 0 again), and for the least and the greatest of `FINGER.angle_range` and
-        `FINGER.distance_range`. Numbers beyond are taken for the nearest of them.
+        The action is (3,) place, direction and distance, each from -1 to 1, which stand for shares
+        of the outline from 0 to 1 (which is 0 again), and for the least and the greatest of
+        `FINGER.angle_range` and `FINGER.distance_range`. Numbers beyond are taken for the nearest
+        of them.
 
         Raises:
             PlanningError: the action is not three finite numbers.
         """
-        share, angle, distance = (np.clip(check_vector(PlanningError, "action", action, 3), -1.0, 1.0) + 1.0) / 2.0
+        share, angle, distance = (
+            np.clip(check_vector(PlanningError, "action", action, 3), -1.0, 1.0) + 1.0
+        ) / 2.0
         s, _ = self.reachable.locate(share % 1.0)
         low, high = FINGER.angle_range
         least, greatest = FINGER.distance_range
@@ -91,11 +102,14 @@ class KnownShape:
     def find_action(self, push: Push, pose: Array) -> NDArray[np.float32]:
         """Finds the action (3,) that comes nearest to a straight push of an object seen at a pose (3,).
 
-        `make_push` of it gives that push again where it touches the outline as `Push.on_outline` would have it, with
-        the finger's radius and clearance, and its direction and distance are among those that can be made.
+        `make_push` of it gives that push again where it touches the outline as `Push.on_outline`
+        would have it, with the finger's radius and clearance, and its direction and distance are
+        among those that can be made.
         """
         reach, normal = self.reachable, self.reachable.normal
-        start = transform_back(pose, push.start[None])[0] - (FINGER.radius + FINGER.clearance) * normal
+        start = (
+            transform_back(pose, push.start[None])[0] - (FINGER.radius + FINGER.clearance) * normal
+        )
         along = np.clip(((start - reach.origin) * reach.tangent).sum(axis=1), reach.low, reach.high)
         off = np.linalg.norm(reach.origin + along[:, None] * reach.tangent - start, axis=1)
         piece = int(off.argmin())

@@ -13,7 +13,13 @@ VIEW, ROOM = 1.0, 0.1
 SMOOTHING, LINE = 3, 0.004
 """Pixels drawn for each pixel of the picture, along each side, and width of lines, m."""
 
-FLOOR, WOOD, PLAIN, GOAL, TIP = (70, 72, 76), (222, 205, 176), (96, 120, 160), (40, 140, 60), (200, 40, 40)
+FLOOR, WOOD, PLAIN, GOAL, TIP = (
+    (70, 72, 76),
+    (222, 205, 176),
+    (96, 120, 160),
+    (40, 140, 60),
+    (200, 40, 40),
+)
 """Colors of what is below the table, the table, the object, its goal, and the last push; RGB."""
 
 LIGHT, HEAVY = np.array([196, 214, 240]), np.array([120, 20, 60])
@@ -44,7 +50,9 @@ def draw_scene(game: PushGame, episode: Episode, size: int, show_hidden: bool) -
         brush.polygon(place(transform(episode.true_pose, p_BC + square)), fill=color)
     if episode.goal is not None:
         outline = np.array(obj.outline.exterior.coords)
-        brush.line(place(transform(episode.goal, outline)), fill=GOAL, width=max(1, round(LINE * scale)))
+        brush.line(
+            place(transform(episode.goal, outline)), fill=GOAL, width=max(1, round(LINE * scale))
+        )
     if episode.pushes:
         push = episode.pushes[-1].push
         brush.line(place(push.xy), fill=TIP, width=max(1, round(LINE * scale)))

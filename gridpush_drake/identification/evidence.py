@@ -1,13 +1,16 @@
 """How well the pushes that were learned from bear a model out, and draws drawn in until they do.
 
-The spread of what was learned is a normal about the best fit. Far from it the pushes may say more than their
-derivatives there: a cell that bears next to nothing has next to no derivative, and yet would be noticed if it bore
-much. Therefore the pushes are simulated with a draw z = mean + dz itself. Its excess
+The spread of what was learned is a normal about the best fit. Far from it the pushes may say more
+than their derivatives there: a cell that bears next to nothing has next to no derivative, and yet
+would be noticed if it bore much. Therefore the pushes are simulated with a draw z = mean + dz
+itself. Its excess
 
-    E(dz) = 2 sum_p rho(W_p r_p(z)) - 2 sum_p rho(W_p r_p(mean)),    rho Huber's loss, W_p the push's whitening
+    E(dz) = 2 sum_p rho(W_p r_p(z)) - 2 sum_p rho(W_p r_p(mean)),    rho Huber's loss, W_p the
+    push's whitening
 
-is at most a chi square of three numbers a push. A draw whose excess is more than that can be is drawn in, dz <- c dz,
-until it is not, six times at most (`docs/theory/identification.md`, section 6).
+is at most a chi square of three numbers a push. A draw whose excess is more than that can be is
+drawn in, dz <- c dz, until it is not, six times at most (`docs/theory/identification.md`, section
+6).
 """
 
 from math import sqrt

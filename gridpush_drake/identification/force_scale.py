@@ -1,7 +1,8 @@
 """What measured forces add to poses: the absolute scale of friction (`docs/theory/identification.md`, section 10).
 
-Slow pushes show the shares x_i = k_i / sum k of the friction alone. With them the model says the force of a push up to
-the scale, F(t) = K f(t), K = g sum k_i the friction of the whole object. Each push p so measures K by least squares,
+Slow pushes show the shares x_i = k_i / sum k of the friction alone. With them the model says the
+force of a push up to the scale, F(t) = K f(t), K = g sum k_i the friction of the whole object. Each
+push p so measures K by least squares,
 
     K_p = sum_j f_j·y_j / sum_j f_j·f_j,    y_j the forces seen,
 
@@ -22,7 +23,8 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 PUSH_STD = 0.15
-"""Of log K from push to push before any was seen: friction of a table differs by so much from place to place."""
+"""Of log K from push to push before any was seen: friction of a table differs by so much from place
+to place."""
 
 PUSH_STD_WEIGHT = 3.0
 """Pushes that this is worth."""
@@ -111,9 +113,12 @@ def calc_force_scale(
         seed: of draws from the posterior.
 
     Returns:
-        The scale; None where no force was measured while an object was pushed, or most point against the pusher.
+        The scale; None where no force was measured while an object was pushed, or most point
+        against the pusher.
     """
-    timed = [TimedPush.of(seen, "quasi_static", log.table) for seen in log if seen.force is not None]
+    timed = [
+        TimedPush.of(seen, "quasi_static", log.table) for seen in log if seen.force is not None
+    ]
     if not timed:
         return None
     scales = _calc_scales(obj, params, timed)
@@ -123,16 +128,22 @@ def calc_force_scale(
         return None
     mean, variance = _average(np.log(scales[right]))
     few = [one for one, use in zip(timed, right, strict=True) if use][:MAX_DRAWN_PUSHES]
-    drawn = [_calc_scales(obj, draw, few) for draw in posterior.draw_parameters(params, DRAWS, seed)]
+    drawn = [
+        _calc_scales(obj, draw, few) for draw in posterior.draw_parameters(params, DRAWS, seed)
+    ]
     medians = [np.median(scales[scales > 0]) for scales in drawn if (scales > 0).any()]
     spread = float(np.var(np.log(medians))) if len(medians) > 1 else 0.0
-    return ForceScale(float(np.exp(mean)), float(np.sqrt(variance + spread)), int(right.sum()), against)
+    return ForceScale(
+        float(np.exp(mean)), float(np.sqrt(variance + spread)), int(right.sum()), against
+    )
 
 
 def _calc_scales(obj: GridObject, params: CellParameters, pushes: Sequence[TimedPush]) -> Array:
     """(P,) K_p of each push, N; NaN where the model has no force while one was measured."""
     whole = GRAVITY * float(params.mass @ params.friction)
-    return np.array([_calc_scale(one.observed, *_simulate(obj, params, one), whole) for one in pushes])
+    return np.array(
+        [_calc_scale(one.observed, *_simulate(obj, params, one), whole) for one in pushes]
+    )
 
 
 def _simulate(obj: GridObject, params: CellParameters, one: TimedPush) -> tuple[Array, Array]:
@@ -154,7 +165,9 @@ def _average(values: Array) -> tuple[float, float]:
     mean, variance, weights = float(np.median(values)), PUSH_STD**2, np.ones(len(values))
     for _ in range(ROUNDS):
         off = values - mean
-        weights = np.minimum(1.0, HUBER * np.sqrt(variance) / np.maximum(np.abs(off), np.finfo(float).tiny))
+        weights = np.minimum(
+            1.0, HUBER * np.sqrt(variance) / np.maximum(np.abs(off), np.finfo(float).tiny)
+        )
         mean = float(weights @ values / weights.sum())
         squares = float(weights @ (values - mean) ** 2)
         variance = (PUSH_STD_WEIGHT * PUSH_STD**2 + squares) / (PUSH_STD_WEIGHT + weights.sum() - 1)

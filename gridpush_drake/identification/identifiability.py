@@ -1,8 +1,9 @@
 """What pushes can tell, and what they cannot (`docs/theory/identification.md`, section 2).
 
-Slow pushes observed by their poses see only the relative support friction k_i = mu_i m_i / sum(mu m), and of it only
-the combinations that the pushes excited. Mass and friction by themselves need a weight, a measured force, a fast push,
-or bounds: with mu_min <= mu_i <= mu_max every mass distribution k_i/mu_max <= m_i/c <= k_i/mu_min agrees with the data.
+Slow pushes observed by their poses see only the relative support friction k_i = mu_i m_i / sum(mu
+m), and of it only the combinations that the pushes excited. Mass and friction by themselves need a
+weight, a measured force, a fast push, or bounds: with mu_min <= mu_i <= mu_max every mass
+distribution k_i/mu_max <= m_i/c <= k_i/mu_min agrees with the data.
 """
 
 from dataclasses import dataclass
@@ -12,7 +13,12 @@ from scipy.optimize import linprog
 
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.force_scale import ForceScale
-from gridpush_drake.identification.posterior import CELLS, LEARNED_SHARE, Posterior, compare_covariances
+from gridpush_drake.identification.posterior import (
+    CELLS,
+    LEARNED_SHARE,
+    Posterior,
+    compare_covariances,
+)
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
@@ -32,14 +38,16 @@ class Identifiability:
         relative_friction_std: (n,) its standard deviation.
         center_of_friction: (2,) sum k_i p_BC_i, m, body frame.
         center_of_friction_covariance: (2, 2) m².
-        learned_directions: how many independent combinations of the cells' log-friction the pushes determined.
-        null_space: (n - learned_directions, n) orthonormal basis of those they did not; its first row is the common
-            scale, which no slow push shows.
+        learned_directions: how many independent combinations of the cells' log-friction the pushes
+            determined.
+        null_space: (n - learned_directions, n) orthonormal basis of those they did not; its first
+            row is the common scale, which no slow push shows.
         learned_share: (n,) share of each cell's prior variance that the pushes took away, 0 to 1.
-        mass_min: (n,) kg, the least mass each cell may have, given the friction bounds and the total mass.
+        mass_min: (n,) kg, the least mass each cell may have, given the friction bounds and the
+            total mass.
         mass_max: (n,) kg, the greatest.
-        center_of_mass_box: (2, 2) rows min and max of the centers of mass that agree with k, taken for exact, and the
-            bounds, m.
+        center_of_mass_box: (2, 2) rows min and max of the centers of mass that agree with k, taken
+            for exact, and the bounds, m.
         statements: the same in sentences, for a report.
     """
 
@@ -79,10 +87,15 @@ def calc_identifiability(
     mass_min, mass_max = _calc_mass_bounds(share, params.total_mass, obj, force)
     box = calc_center_of_mass_box(share, obj)
     mean_friction = None if force is None else force.calc_mean_friction_bounds(obj)
-    wide, box = box, box if mean_friction is None else _calc_box_of_known_scale(share, obj, *mean_friction)
+    wide, box = (
+        box,
+        box if mean_friction is None else _calc_box_of_known_scale(share, obj, *mean_friction),
+    )
     learned = obj.n - len(null_space)
     covariance = obj.p_BC.T @ share_covariance @ obj.p_BC
-    statements = _describe(obj, learned, learned_share, np.sqrt(np.maximum(np.diag(covariance), 0.0)), wide)
+    statements = _describe(
+        obj, learned, learned_share, np.sqrt(np.maximum(np.diag(covariance), 0.0)), wide
+    )
     if force is not None:
         statements = (_describe_force(obj, force, wide, box), *statements[1:])
     return Identifiability(
@@ -94,8 +107,9 @@ def calc_identifiability(
 def calc_farthest_center(p: Array, mass_min: Array, mass_max: Array) -> Array:
     """Farthest that the center of mass can be along an axis: max sum m_i p_i / sum m_i, mass_min <= m <= mass_max.
 
-    A linear-fractional program: every cell on the far side of a cut is as heavy, and on the near side as light, as can
-    be; the cut runs through the optimum itself, so that trying every cell's coordinate finds it.
+    A linear-fractional program: every cell on the far side of a cut is as heavy, and on the near
+    side as light, as can be; the cut runs through the optimum itself, so that trying every cell's
+    coordinate finds it.
 
     Args:
         p: (n,) the cells' coordinates along the axis, m.
@@ -123,7 +137,10 @@ def calc_center_of_mass_box(share: Array, obj: GridObject) -> Array:
         (2, 2) rows least and greatest, columns x and y, m, body frame.
     """
     light, heavy = share[None] / obj.prior.friction_max, share[None] / obj.prior.friction_min
-    farthest = [[sign * calc_farthest_center(sign * p, light, heavy)[0] for p in obj.p_BC.T] for sign in (-1.0, 1.0)]
+    farthest = [
+        [sign * calc_farthest_center(sign * p, light, heavy)[0] for p in obj.p_BC.T]
+        for sign in (-1.0, 1.0)
+    ]
     return np.array(farthest)
 
 
@@ -151,7 +168,14 @@ def _calc_box_of_known_scale(share: Array, obj: GridObject, lowest: float, highe
     box = np.empty((2, 2))
     for axis, p in enumerate(obj.p_BC.T):
         for row, sign in enumerate((1.0, -1.0)):
-            found = linprog(np.append(sign * p, 0.0), A, np.zeros(2 * n), [np.append(np.ones(n), 0.0)], [1.0], bounds)
+            found = linprog(
+                np.append(sign * p, 0.0),
+                A,
+                np.zeros(2 * n),
+                [np.append(np.ones(n), 0.0)],
+                [1.0],
+                bounds,
+            )
             box[row, axis] = sign * found.fun
     return box
 
@@ -161,10 +185,13 @@ def _calc_mass_bounds(
 ) -> tuple[Array, Array]:
     """Each cell's least and greatest mass: it rubs the most (least) it may and all others the least (most).
 
-    With forces, its friction by itself bounds its mass; where the object's mass is not known, that alone does.
+    With forces, its friction by itself bounds its mass; where the object's mass is not known, that
+    alone does.
     """
     low, high = obj.prior.friction_min, obj.prior.friction_max
-    if force is not None and (obj.prior.total_mass is None or force.calc_mean_friction_bounds(obj) is not None):
+    if force is not None and (
+        obj.prior.total_mass is None or force.calc_mean_friction_bounds(obj) is not None
+    ):
         lightest, heaviest = force.calc_mass_bounds(obj)
         if obj.prior.total_mass is None:
             return share * lightest, share * heaviest
@@ -197,23 +224,30 @@ def _describe_force(obj: GridObject, force: ForceScale, wide: Array, box: Array)
         known += f"Left out are the forces of {force.against} pushes that point against the pusher's motion. "
     lightest, heaviest = force.calc_mass_bounds(obj)
     low, high, mass = obj.prior.friction_min, obj.prior.friction_max, obj.prior.total_mass
-    between = (
-        f"with friction coefficients from {low:g} to {high:g} the object weighs {lightest:.3g} to {heaviest:.3g} kg"
-    )
+    between = f"with friction coefficients from {low:g} to {high:g} the object weighs {lightest:.3g} to {heaviest:.3g} kg"
     if mass is None:
         return f"{known}Hence {between}."
     mean = force.calc_mean_friction_bounds(obj)
     if mean is None:
         return f"{known}That contradicts what was told: {between}, not {mass:g} kg; the forces are not used."
-    sizes = [f"{x:.0f} mm by {y:.0f} mm" for x, y in (np.diff(each, axis=0)[0] * MM for each in (wide, box))]
+    sizes = [
+        f"{x:.0f} mm by {y:.0f} mm"
+        for x, y in (np.diff(each, axis=0)[0] * MM for each in (wide, box))
+    ]
     return (
         f"{known}As it weighs {mass:g} kg, the mean friction coefficient is between {mean[0]:.3f} and {mean[1]:.3f}, "
         f"and the box of possible centers of mass is {sizes[1]}; without forces it would be {sizes[0]}."
     )
 
 
-def _describe(obj: GridObject, learned: int, learned_share: Array, center_std: Array, box: Array) -> tuple[str, ...]:
-    total = "that they add up to the known total mass" if obj.prior.total_mass else "a total mass that was not measured"
+def _describe(
+    obj: GridObject, learned: int, learned_share: Array, center_std: Array, box: Array
+) -> tuple[str, ...]:
+    total = (
+        "that they add up to the known total mass"
+        if obj.prior.total_mass
+        else "a total mass that was not measured"
+    )
     known_cells = int((learned_share >= LEARNED_SHARE).sum())
     width, height = np.diff(box, axis=0)[0] * MM
     low, high = obj.prior.friction_min, obj.prior.friction_max

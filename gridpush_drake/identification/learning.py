@@ -13,16 +13,37 @@ from gridpush_drake.dynamics.simulation import GRAVITY, Regime
 from gridpush_drake.errors import IdentificationError, ParameterError
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.baselines.methods import DEFAULT_BUDGET_PER_PUSH, SEARCH_METHODS
-from gridpush_drake.identification.baselines.search import Bounds, SearchMethod, SearchStatus, run_search
+from gridpush_drake.identification.baselines.search import (
+    Bounds,
+    SearchMethod,
+    SearchStatus,
+    run_search,
+)
 from gridpush_drake.identification.force_scale import calc_force_scale
 from gridpush_drake.identification.identifiability import calc_identifiability
 from gridpush_drake.identification.map_ensemble import MapEnsemble, MapEnsembleFit, Tracker
-from gridpush_drake.identification.map_fit import UNIFORM_WIDTH, CenterOfMass, MapFit, System, calc_laplace
+from gridpush_drake.identification.map_fit import (
+    UNIFORM_WIDTH,
+    CenterOfMass,
+    MapFit,
+    System,
+    calc_laplace,
+)
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
-from gridpush_drake.identification.outliers import SUSPECT_ODDS, LeftOut, Screening, calc_foreign_odds
+from gridpush_drake.identification.outliers import (
+    SUSPECT_ODDS,
+    LeftOut,
+    Screening,
+    calc_foreign_odds,
+)
 from gridpush_drake.identification.posterior import CONTACT_FRICTION, Posterior
 from gridpush_drake.identification.problem import PushProblem
-from gridpush_drake.identification.result import FitStart, Identification, IdentificationStatus, Progress
+from gridpush_drake.identification.result import (
+    FitStart,
+    Identification,
+    IdentificationStatus,
+    Progress,
+)
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
 from gridpush_drake.pushes.plausibility import check_plausible
@@ -43,7 +64,8 @@ MAX_FITS = 8
 """To a log, each without what the one before refused."""
 
 POOR = NoiseScale(2.0, 4.0)
-"""Of the noise, beyond which several pushes may be another object's: a fit explains them all by noise or by shifts."""
+"""Of the noise, beyond which several pushes may be another object's: a fit explains them all by
+noise or by shifts."""
 
 MAJORITY_TRIALS, MAJORITY_PUSHES = 16, 3
 """How many sets of so few pushes are then fitted by themselves."""
@@ -52,7 +74,9 @@ MIN_CONTACT_FRICTION = 0.05
 """Below which a prior contact friction is taken for this one, whose logarithm is the unknown."""
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")  # small matrices: threads only cost, and reorder sums
+@threadpool_limits.wrap(
+    limits=1, user_api="blas"
+)  # small matrices: threads only cost, and reorder sums
 def identify(
     obj: GridObject,
     log: PushLog,
@@ -70,27 +94,30 @@ def identify(
 
     Args:
         obj: the object.
-        log: the training pushes, with at least one observed pose each after the first. Those during which a part of
-            the object hung over the table's edge are passed over where the log has no table, and by all methods but the
-            default.
+        log: the training pushes, with at least one observed pose each after the first. Those during
+            which a part of the object hung over the table's edge are passed over where the log has
+            no table, and by all methods but the default.
         prior: what is known beforehand; `obj.prior` by default.
         method: one of METHODS: "default", the paper's, or a baseline.
         seed: of everything random.
         regime: "quasi_static", "inertial", or "auto": see `choose_regime`.
-        budget: most pushes to be simulated; searches only (DEFAULT_BUDGET_PER_PUSH times the pushes by default).
-        ensemble: the default method with its settings, whose widest prior a search takes for its spread, too.
+        budget: most pushes to be simulated; searches only (DEFAULT_BUDGET_PER_PUSH times the pushes
+            by default).
+        ensemble: the default method with its settings, whose widest prior a search takes for its
+            spread, too.
         progress: called now and then with what was reached.
-        start: of the same object from fewer pushes, to begin with (default method only); it changes the path, not the
-            answer.
+        start: of the same object from fewer pushes, to begin with (default method only); it changes
+            the path, not the answer.
 
     Returns:
         The model, its spread, and what the log cannot tell.
 
     Raises:
-        IdentificationError: the method or regime is unknown, the seed is no whole number or negative, the log is empty
-            or lacks observations, or no loads of the cells explain it with what is told of the object.
-        PushLogError: the object hung over the table's edge during every push, or the log cannot be true of the object,
-            see `pushes.plausibility`.
+        IdentificationError: the method or regime is unknown, the seed is no whole number or
+            negative, the log is empty or lacks observations, or no loads of the cells explain it
+            with what is told of the object.
+        PushLogError: the object hung over the table's edge during every push, or the log cannot be
+            true of the object, see `pushes.plausibility`.
     """
     for name, value, known in (("method", method, METHODS), ("regime", regime, REGIMES)):
         if value not in known:
@@ -117,19 +144,38 @@ def identify(
         starts = _choose_starts(obj, start, ensemble)
         try:
             fit, screened = _fit_default(
-                problem, screened, z0, log_contact_friction_std, ensemble, tracker, starts, int(seed)
+                problem,
+                screened,
+                z0,
+                log_contact_friction_std,
+                ensemble,
+                tracker,
+                starts,
+                int(seed),
             )
         except (np.linalg.LinAlgError, ParameterError) as error:
             raise IdentificationError(_describe_no_fit(obj)) from error
     else:
         search = SEARCH_METHODS[method]
         fit, held = _fit_by_search(
-            problem, screened.log, search, uniform, log_contact_friction_std, ensemble, budget, seed, tracker
+            problem,
+            screened.log,
+            search,
+            uniform,
+            log_contact_friction_std,
+            ensemble,
+            budget,
+            seed,
+            tracker,
         )
-    return _make_result(obj, screened, fit, held, method, tracker, used_regime, seed, unused, ensemble.noise)
+    return _make_result(
+        obj, screened, fit, held, method, tracker, used_regime, seed, unused, ensemble.noise
+    )
 
 
-def describe_prior(obj: GridObject, ensemble: MapEnsemble | None = None, seed: int = 0) -> Identification:
+def describe_prior(
+    obj: GridObject, ensemble: MapEnsemble | None = None, seed: int = 0
+) -> Identification:
     """What is held of an object before any push, in the form of an identification.
 
     Args:
@@ -147,7 +193,18 @@ def describe_prior(obj: GridObject, ensemble: MapEnsemble | None = None, seed: i
     log_contact_friction_std = obj.prior.contact_friction_std / uniform.contact_friction
     fit = ensemble.fit_prior(obj, problem.unknowns(uniform), log_contact_friction_std)
     tracker = Tracker(problem, None)
-    return _make_result(obj, Screening(PushLog(())), fit, uniform, "default", tracker, regime, seed, (), ensemble.noise)
+    return _make_result(
+        obj,
+        Screening(PushLog(())),
+        fit,
+        uniform,
+        "default",
+        tracker,
+        regime,
+        seed,
+        (),
+        ensemble.noise,
+    )
 
 
 def choose_regime(obj: GridObject, log: PushLog) -> Regime:
@@ -165,7 +222,9 @@ def _fit_default(
     obj = problem.obj
     center = CenterOfMass.of_prior(obj.prior)
 
-    def fit_all(problem: PushProblem, starts: tuple[FitStart, ...]) -> tuple[MapEnsembleFit, MapFit]:
+    def fit_all(
+        problem: PushProblem, starts: tuple[FitStart, ...]
+    ) -> tuple[MapEnsembleFit, MapFit]:
         tracker.follow(problem)
         fit = ensemble.fit(problem, z0, log_contact_friction_std, center, tracker.report, starts)
         assert fit.best is not None
@@ -174,7 +233,10 @@ def _fit_default(
     fit, best = fit_all(problem, starts)
     if _is_poor(best) and screened.may_refuse and len(problem) > MAJORITY_PUSHES:
         fit_few = partial(
-            ensemble.fit_field, z0=z0, log_contact_friction_std=log_contact_friction_std, center_of_mass=center
+            ensemble.fit_field,
+            z0=z0,
+            log_contact_friction_std=log_contact_friction_std,
+            center_of_mass=center,
         )
         majority = _find_majority(problem, screened, fit_few, seed)
         if majority is not screened:
@@ -217,7 +279,12 @@ def _find_majority(
         judged = fit.judge(problem, others)
         odds = [calc_foreign_odds(one, ways[i]) for one, i in zip(judged, others, strict=True)]
         score = float(
-            np.mean([one.log_density + np.logaddexp(0.0, value) for one, value in zip(judged, odds, strict=True)])
+            np.mean(
+                [
+                    one.log_density + np.logaddexp(0.0, value)
+                    for one, value in zip(judged, odds, strict=True)
+                ]
+            )
         )
         if score > best:
             best, foreign = score, [i for i, value in zip(others, odds, strict=True) if value > 0]
@@ -268,7 +335,9 @@ def _fit_by_search(
     covariance, scale = calc_laplace(final, z, A, ensemble.noise)
     spent = found.status == SearchStatus.BUDGET_SPENT
     status = IdentificationStatus.BUDGET_SPENT if spent else IdentificationStatus.LEARNED
-    message = f"The search ended after {found.simulations} simulations: {found.status.replace('_', ' ')}."
+    message = (
+        f"The search ended after {found.simulations} simulations: {found.status.replace('_', ' ')}."
+    )
     noise = ensemble.noise.scaled(scale)
     fit = MapEnsembleFit(z, covariance, A @ A.T, noise.pose, noise.load_shift, status, message)
     return fit, params
@@ -277,15 +346,21 @@ def _fit_by_search(
 def _make_uniform(obj: GridObject, patch_ratio: float) -> CellParameters:
     """The prior's parameters; the logarithm of the contact friction is an unknown, so that it must not be nil."""
     contact_friction = max(obj.prior.contact_friction, MIN_CONTACT_FRICTION)
-    return replace(CellParameters.uniform(obj, contact_friction=contact_friction), patch_ratio=patch_ratio)
+    return replace(
+        CellParameters.uniform(obj, contact_friction=contact_friction), patch_ratio=patch_ratio
+    )
 
 
-def _choose_starts(obj: GridObject, start: Identification | None, ensemble: MapEnsemble) -> tuple[FitStart, ...]:
+def _choose_starts(
+    obj: GridObject, start: Identification | None, ensemble: MapEnsemble
+) -> tuple[FitStart, ...]:
     """One start a fit, or none."""
     if start is None:
         return ()
     if start.obj.n != obj.n:
-        raise IdentificationError(f"start: an object of {start.obj.n} cells; expected {obj.n}, as {obj.name} has")
+        raise IdentificationError(
+            f"start: an object of {start.obj.n} cells; expected {obj.n}, as {obj.name} has"
+        )
     if len(start.starts) >= ensemble.count:
         return start.starts
     return (FitStart(start.posterior.mean, NoiseScale()),) * ensemble.count
@@ -334,7 +409,9 @@ def _make_result(
     std = CellParameters(
         np.maximum(mass * relative_std, np.finfo(float).tiny),
         np.full(obj.n, friction_std),
-        float(params.contact_friction * np.sqrt(fit.covariance[CONTACT_FRICTION, CONTACT_FRICTION])),
+        float(
+            params.contact_friction * np.sqrt(fit.covariance[CONTACT_FRICTION, CONTACT_FRICTION])
+        ),
     )
     return Identification(
         obj, params, std, posterior, calc_identifiability(obj, params, posterior, force), method, regime, fit.status,

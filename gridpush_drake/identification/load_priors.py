@@ -1,7 +1,8 @@
 """Ideas of how an object bears on the table, each a normal distribution of z = (log k, log mu_c).
 
 * A smooth field: log k ~ N(log k_0, a² C), neighboring cells alike, of one amplitude a.
-* Two parts, as of steel and of wood, that meet at a straight cut: h is 1/2 on one side and -1/2 on the other,
+* Two parts, as of steel and of wood, that meet at a straight cut: h is 1/2 on one side and -1/2 on
+  the other,
 
       log k ~ N(log k_0, a_p² C + sigma_p² h h^T)
 
@@ -26,13 +27,16 @@ RANGE_CELLS = 4.0
 """Distance, in cells, at which two cells' log-frictions are nearly independent."""
 
 KAPPA_RANGE = 8.0**0.5
-"""kappa times the range, of the Matérn field of smoothness one (Lindgren, Rue and Lindström 2011, section 2)."""
+"""kappa times the range, of the Matérn field of smoothness one (Lindgren, Rue and Lindström 2011,
+section 2)."""
 
 WEAKNESS = 0.65
-"""Power of 1/a that an amplitude a weighs beforehand: few noisy pushes are not to talk the model out of uniformity."""
+"""Power of 1/a that an amplitude a weighs beforehand: few noisy pushes are not to talk the model
+out of uniformity."""
 
 CENTER_STD = 0.6
-"""Of the center of friction about the cells' centroid where nothing is known of it, per axis, in radii of gyration."""
+"""Of the center of friction about the cells' centroid where nothing is known of it, per axis, in
+radii of gyration."""
 
 PART_STD, PART_AMPLITUDE = 1.5, 0.3
 """sigma_p and a_p: of log k between two parts, and within each."""
@@ -71,7 +75,8 @@ class LoadPrior:
         factor: (n+1, n+1).
         weight: beforehand, up to a constant.
         p_BC: (n, 2) where the cells' loads are, m, body frame.
-        share: by how much less than its own fit's the evidence of the idea is, where it is the best of many.
+        share: by how much less than its own fit's the evidence of the idea is, where it is the best
+            of many.
     """
 
     mean: Array
@@ -81,7 +86,9 @@ class LoadPrior:
     share: float = 1.0
 
 
-def calc_smooth_covariance(obj: GridObject, range_cells: float = RANGE_CELLS) -> NDArray[np.float64]:
+def calc_smooth_covariance(
+    obj: GridObject, range_cells: float = RANGE_CELLS
+) -> NDArray[np.float64]:
     """Makes C (n, n), unit mean variance: C^-1 ~ (L + kappa² I)², L the graph Laplacian of neighboring cells.
 
     Args:
@@ -103,12 +110,21 @@ def calc_smooth_covariance(obj: GridObject, range_cells: float = RANGE_CELLS) ->
 
 def calc_prior_factor(C: Array, amplitude: float, log_contact_friction_std: float) -> Array:
     """Cholesky factor (n+1, n+1) of blockdiag(a² C, sigma²), the prior covariance of z."""
-    return np.asarray(block_diag(amplitude * np.linalg.cholesky(C), np.diag([log_contact_friction_std])))
+    return np.asarray(
+        block_diag(amplitude * np.linalg.cholesky(C), np.diag([log_contact_friction_std]))
+    )
 
 
-def make_field(obj: GridObject, z0: Array, C: Array, amplitude: float, log_contact_friction_std: float) -> LoadPrior:
+def make_field(
+    obj: GridObject, z0: Array, C: Array, amplitude: float, log_contact_friction_std: float
+) -> LoadPrior:
     """A smooth field of one amplitude about z0 (n+1,)."""
-    return LoadPrior(z0, calc_prior_factor(C, amplitude, log_contact_friction_std), amplitude**-WEAKNESS, obj.p_BC)
+    return LoadPrior(
+        z0,
+        calc_prior_factor(C, amplitude, log_contact_friction_std),
+        amplitude**-WEAKNESS,
+        obj.p_BC,
+    )
 
 
 def make_bottom(obj: GridObject, z0: Array, log_contact_friction_std: float) -> LoadPrior:
@@ -130,8 +146,8 @@ def find_corners(obj: GridObject) -> tuple[NDArray[np.int64], Array]:
         obj: the object.
 
     Returns:
-        The cells nearest to corners, increasing, and the place (corners, 2), m, of each one's corner, or of the mean of
-        its corners.
+        The cells nearest to corners, increasing, and the place (corners, 2), m, of each one's
+        corner, or of the mean of its corners.
     """
     corners = shapely.get_coordinates(obj.outline.convex_hull)[:-1]
     nearest = np.linalg.norm(corners[:, None] - obj.p_BC, axis=2).argmin(axis=1)
@@ -158,7 +174,13 @@ def find_cuts(obj: GridObject) -> Array:
 
 
 def choose_parts(
-    obj: GridObject, z0: Array, C: Array, log_contact_friction_std: float, residuals: Array, J: Array, known: int = 0
+    obj: GridObject,
+    z0: Array,
+    C: Array,
+    log_contact_friction_std: float,
+    residuals: Array,
+    J: Array,
+    known: int = 0,
 ) -> list[tuple[LoadPrior, Array]]:
     """Chooses the two parts that explain the pushes best to first order, r = residuals + J (z - z0) ~ N(0, I).
 
@@ -172,13 +194,17 @@ def choose_parts(
         known: how many of the residuals, the last ones, are prior knowledge and no evidence.
 
     Returns:
-        At most PART_FITS priors, the most probable first, each with the z (n+1,) to begin its fit at.
+        At most PART_FITS priors, the most probable first, each with the z (n+1,) to begin its fit
+        at.
     """
     cuts = find_cuts(obj)
     if len(residuals) > len(z0):  # the same with fewer rows
         seen = len(residuals) - known
         rotated = np.asarray(np.linalg.qr(np.column_stack([J[:seen], residuals[:seen]]), mode="r"))
-        J, residuals = np.vstack([rotated[:, :-1], J[seen:]]), np.append(rotated[:, -1], residuals[seen:])
+        J, residuals = (
+            np.vstack([rotated[:, :-1], J[seen:]]),
+            np.append(rotated[:, -1], residuals[seen:]),
+        )
     within = block_diag(PART_AMPLITUDE**2 * C, log_contact_friction_std**2)
     log_evidence = calc_cut_evidence(cuts, within, residuals, J)
     if known:

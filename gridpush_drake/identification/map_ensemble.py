@@ -1,10 +1,11 @@
 """The default identifier: several ideas of how the object bears on the table, weighed by evidence.
 
-For each amplitude of the smoothness prior, weakest variation first, z is fitted by Gauss-Newton (`map_fit`), each fit
-starting where the last one ended: coarse to fine. Where the best of them leaves much unexplained it may be a poor
-optimum; then fits begin with loads that are tilted to all sides. One more is of a rigid bottom that rests on the
-outline's corners, and the last are of objects of two parts, by the cuts that explain the pushes best (`load_priors`).
-By their evidence and a prior weight a^-0.65 the shares of friction that they give are averaged, x = sum_a w_a x_a
+For each amplitude of the smoothness prior, weakest variation first, z is fitted by Gauss-Newton
+(`map_fit`), each fit starting where the last one ended: coarse to fine. Where the best of them
+leaves much unexplained it may be a poor optimum; then fits begin with loads that are tilted to all
+sides. One more is of a rigid bottom that rests on the outline's corners, and the last are of
+objects of two parts, by the cuts that explain the pushes best (`load_priors`). By their evidence
+and a prior weight a^-0.65 the shares of friction that they give are averaged, x = sum_a w_a x_a
 (`docs/theory/identification.md`, section 5).
 """
 
@@ -35,35 +36,42 @@ from gridpush_drake.identification.result import FitStart, HistoryEntry, Identif
 from gridpush_drake.objects.grid_object import GridObject
 
 FIRST_EVALUATIONS = 6
-"""Of the pushes by each fit, before all have begun; only those that may count for something are then gone on with."""
+"""Of the pushes by each fit, before all have begun; only those that may count for something are
+then gone on with."""
 
 HOPELESS = 30.0
-"""Of log evidence below the best: more than a fit gains once it has begun to settle, and than leaves it any weight."""
+"""Of log evidence below the best: more than a fit gains once it has begun to settle, and than
+leaves it any weight."""
 
 STUCK = 1.0
 """Scale of the noise at the best field beyond which it may be a poor optimum."""
 
 FAR = 10.0
-"""Standard deviations of a pose, as the noise is found to be, beyond which a push that ends so far off tells of a poor
-optimum: it is explained away by being sensitive to where it began."""
+"""Standard deviations of a pose, as the noise is found to be, beyond which a push that ends so far
+off tells of a poor optimum: it is explained away by being sensitive to where it began."""
 
 TILT_DIRECTIONS, TILT_SIZES = 8, (1.0, 2.5)
-"""Of tilted loads that fits then begin with; the sizes are of log k, at the object's radius of gyration."""
+"""Of tilted loads that fits then begin with; the sizes are of log k, at the object's radius of
+gyration."""
 
 TILTED_FITS, TILTED_AMPLITUDE = 3, 1.5
-"""How many of them, those that predict best, are fitted; and the amplitude, the nearest of those there are."""
+"""How many of them, those that predict best, are fitted; and the amplitude, the nearest of those
+there are."""
 
 SHARED_SHIFT = 0.3
-"""Of the load's shift from push to push, how much all pushes may share, so that no number of them averages it out."""
+"""Of the load's shift from push to push, how much all pushes may share, so that no number of them
+averages it out."""
 
 CAUTION = 2.0
-"""How much larger than the pushes show it the noise is taken for, where it says how sure the parameters are."""
+"""How much larger than the pushes show it the noise is taken for, where it says how sure the
+parameters are."""
 
 NEGLIGIBLE = 1e-3
 """Of the evidence, below which a fit does not come to count for the spread."""
 
 TILT_RIDGE = 0.01
-"""Keeps the tilt finite where a corner's place is beyond all cells' centers; it takes off that much of the shift."""
+"""Keeps the tilt finite where a corner's place is beyond all cells' centers; it takes off that much
+of the shift."""
 
 TILT_STEPS, MAX_TILT_STEP = 20, 1.0
 """Newton's, and the longest, of any cell's log k."""
@@ -106,11 +114,12 @@ class MapEnsemble:
     """The default identifier, and what it takes for granted.
 
     Attributes:
-        amplitudes: standard deviations of log k under each smoothness prior, increasing; the first stands for uniform.
+        amplitudes: standard deviations of log k under each smoothness prior, increasing; the first
+            stands for uniform.
         range_cells: correlation range of the prior, cells.
         noise: the noise model.
-        patch_ratio: on what part of its side a cell bears its load, see `CellParameters`; None for n^(-1/2): a rigid
-            body stands on points, but the only cell of an object is all of it.
+        patch_ratio: on what part of its side a cell bears its load, see `CellParameters`; None for
+            n^(-1/2): a rigid body stands on points, but the only cell of an object is all of it.
     """
 
     amplitudes: tuple[float, ...] = (0.05, 0.3, 0.7, 1.5, 3.0, 6.0)
@@ -122,7 +131,9 @@ class MapEnsemble:
         """Raises IdentificationError: the amplitudes are not positive and increasing, or there are none."""
         steps = np.diff((0.0, *self.amplitudes))
         if not (len(self.amplitudes) and (steps > 0).all() and np.isfinite(self.amplitudes[-1])):
-            raise IdentificationError(f"amplitudes: {self.amplitudes}; expected positive finite numbers that increase")
+            raise IdentificationError(
+                f"amplitudes: {self.amplitudes}; expected positive finite numbers that increase"
+            )
 
     def choose_patch_ratio(self, obj: GridObject) -> float:
         """On what part of its side a cell of the object bears its load."""
@@ -150,8 +161,8 @@ class MapEnsemble:
             log_contact_friction_std: prior standard deviation of log mu_c.
             center_of_mass: prior knowledge; None stands for CENTER_STD about the cells' centroid.
             on_step: called with z and the pushes' residuals and derivatives there after every step.
-            starts: of fits to fewer pushes; each of the first `count` fits begins there or where the last amplitude's
-                ended, whichever is more probable.
+            starts: of fits to fewer pushes; each of the first `count` fits begins there or where
+                the last amplitude's ended, whichever is more probable.
 
         Returns:
             The fit.
@@ -164,7 +175,11 @@ class MapEnsemble:
         for i, prior in enumerate(priors):
             smooth = prior.p_BC is problem.obj.p_BC
             last = fits[-1] if fits and smooth else None
-            begin = None if last is None else FitStart(last.z, NoiseScale(*np.minimum(last.scale, 1.0).tolist()))
+            begin = (
+                None
+                if last is None
+                else FitStart(last.z, NoiseScale(*np.minimum(last.scale, 1.0).tolist()))
+            )
             fits.append(
                 fit_one(
                     problem if smooth else problem.move_cells(prior.p_BC), prior.mean, prior.factor,
@@ -177,7 +192,9 @@ class MapEnsemble:
         best = fits[self._find_best(fits)]
         residuals, J = best.system.linearize_at_prior()
         known = len(center_of_mass.at)
-        for prior, z in choose_parts(problem.obj, z0, C, log_contact_friction_std, residuals, J, known):
+        for prior, z in choose_parts(
+            problem.obj, z0, C, log_contact_friction_std, residuals, J, known
+        ):
             priors.append(prior)
             fits.append(
                 fit_one(
@@ -189,25 +206,41 @@ class MapEnsemble:
         for i, (fit, prior) in enumerate(zip(fits, priors, strict=True)):
             if not fit.settled and fit.log_evidence > best_evidence - HOPELESS:
                 start = FitStart(fit.z, fit.scale)
-                fits[i] = fit_one(fit.system.problem, prior.mean, prior.factor, start=start, linear=fit.linear)
+                fits[i] = fit_one(
+                    fit.system.problem, prior.mean, prior.factor, start=start, linear=fit.linear
+                )
         return self._average(problem, priors, fits)
 
     def fit_field(
-        self, problem: PushProblem, z0: Array, log_contact_friction_std: float, center_of_mass: CenterOfMass | None
+        self,
+        problem: PushProblem,
+        z0: Array,
+        log_contact_friction_std: float,
+        center_of_mass: CenterOfMass | None,
     ) -> MapFit:
         """Fits the smooth field of the middle amplitude alone, with the arguments of `fit`."""
-        amplitude, C = self.amplitudes[self._middle], calc_smooth_covariance(problem.obj, self.range_cells)
+        amplitude, C = (
+            self.amplitudes[self._middle],
+            calc_smooth_covariance(problem.obj, self.range_cells),
+        )
         A = calc_prior_factor(C, amplitude, log_contact_friction_std)
         return fit_map(problem, z0, A, self.noise, center_of_mass or _hold_center(problem.obj))
 
-    def _begin_with_tilts(self, priors: list[LoadPrior], fits: list[MapFit], fit_one: Callable[..., MapFit]) -> None:
+    def _begin_with_tilts(
+        self, priors: list[LoadPrior], fits: list[MapFit], fit_one: Callable[..., MapFit]
+    ) -> None:
         """Fits anew from tilted loads where the best field is poor.
 
         It leaves much unexplained, or a push ends far off, or its neighbors are much worse.
         """
         best = self._find_best(fits)
-        beside = max((fits[i].log_evidence for i in self._fields if abs(i - best) == 1), default=np.inf)
-        scale, farthest = fits[best].scale.pose, max(np.linalg.norm(r[-POSE:]) for r in fits[best].linear.residuals)
+        beside = max(
+            (fits[i].log_evidence for i in self._fields if abs(i - best) == 1), default=np.inf
+        )
+        scale, farthest = (
+            fits[best].scale.pose,
+            max(np.linalg.norm(r[-POSE:]) for r in fits[best].linear.residuals),
+        )
         explains = scale < STUCK and farthest < FAR * scale * self.noise.pose
         if explains and beside > fits[best].log_evidence - HOPELESS:
             return
@@ -216,17 +249,23 @@ class MapEnsemble:
         tilted = tilt_loads(problem.obj, prior.mean)
         errors = [problem.calc_cell_errors(problem.residuals(z)).mean() for z in tilted]
         for i in np.argsort(errors, kind="stable")[:TILTED_FITS]:
-            fit = fit_one(problem, prior.mean, prior.factor, start=FitStart(tilted[i], NoiseScale()))
+            fit = fit_one(
+                problem, prior.mean, prior.factor, start=FitStart(tilted[i], NoiseScale())
+            )
             fits[middle] = max(fits[middle], fit, key=lambda fit: fit.log_evidence)
 
-    def _follow_best(self, priors: list[LoadPrior], fits: list[MapFit], fit_one: Callable[..., MapFit]) -> None:
+    def _follow_best(
+        self, priors: list[LoadPrior], fits: list[MapFit], fit_one: Callable[..., MapFit]
+    ) -> None:
         """Fits the other fields anew from where their neighbor ended, where that is better than where they are."""
         best = self._find_best(fits)
         for i in [*reversed(self._fields[:best]), *self._fields[best + 1 :]]:
             near, own, prior = fits[i + 1 if i < best else i - 1], fits[i].system, priors[i]
             if fits[i].log_evidence > near.log_evidence - HOPELESS:
                 continue
-            there = own.move(solve_factor(prior.factor, near.z - prior.mean), near.linear).rescale(near.scale)
+            there = own.move(solve_factor(prior.factor, near.z - prior.mean), near.linear).rescale(
+                near.scale
+            )
             if there.objective() < own.objective():
                 fits[i] = fit_one(
                     own.problem, prior.mean, prior.factor, start=FitStart(near.z, near.scale), linear=near.linear,
@@ -246,9 +285,16 @@ class MapEnsemble:
         """Of the fields, the most probable one."""
         return max(self._fields, key=lambda i: fits[i].log_evidence)
 
-    def _average(self, problem: PushProblem, priors: list[LoadPrior], fits: list[MapFit]) -> MapEnsembleFit:
+    def _average(
+        self, problem: PushProblem, priors: list[LoadPrior], fits: list[MapFit]
+    ) -> MapEnsembleFit:
         """Averages the fits; the spread is the mixture's, and what the pushes say of each other is in it."""
-        evidences = np.array([fit.log_evidence + np.log(prior.share) for prior, fit in zip(priors, fits, strict=True)])
+        evidences = np.array(
+            [
+                fit.log_evidence + np.log(prior.share)
+                for prior, fit in zip(priors, fits, strict=True)
+            ]
+        )
         leaning = evidences + np.log([prior.weight for prior in priors])
         plausible, weights = softmax(evidences), softmax(leaning)
         bottom = self.count - 1
@@ -260,7 +306,8 @@ class MapEnsemble:
         ratios = [fits[i].system.calc_end_errors(residuals) for i in counted]
         kappa = self.noise.calc_discrepancy(np.average(ratios, axis=0, weights=plausible[counted]))
         wider, surer = max(kappa, 1.0), min(CAUTION * kappa, 1.0)
-        # Leaning on weak variation predicts better; it is no knowledge, and must not make the estimate look surer.
+        # Leaning on weak variation predicts better; it is no knowledge, and must not make the
+        # estimate look surer.
         covariance, prior_covariance = np.zeros((2, len(z), len(z)))
         for means, chosen in ((z_field, fields), (z_bottom, [bottom])):
             if not plausible[chosen].sum() > NEGLIGIBLE:
@@ -268,7 +315,11 @@ class MapEnsemble:
             off, T = _compare_shares(means, z)
             for i in chosen:
                 d = fits[i].z - means if means is z_field else np.zeros(len(z))
-                S = fits[i].covariance if surer == 1.0 else fits[i].system.scale_noise(surer).calc_covariance()
+                S = (
+                    fits[i].covariance
+                    if surer == 1.0
+                    else fits[i].system.scale_noise(surer).calc_covariance()
+                )
                 covariance += plausible[i] * (T @ (S + np.outer(d, d)) @ T.T + np.outer(off, off))
                 root = T @ priors[i].factor
                 prior_covariance += plausible[i] * (root @ root.T)
@@ -276,7 +327,8 @@ class MapEnsemble:
         noise, best = self.noise.scaled(scale), int(np.argmax(weights))
         return MapEnsembleFit(
             z,
-            wider**2 * covariance + problem.calc_tilt_covariance(SHARED_SHIFT * surer * noise.load_shift),
+            wider**2 * covariance
+            + problem.calc_tilt_covariance(SHARED_SHIFT * surer * noise.load_shift),
             wider**2 * prior_covariance,
             noise.pose,
             noise.load_shift,
@@ -286,23 +338,35 @@ class MapEnsemble:
             kappa / wider,
         )
 
-    def _make_priors(self, obj: GridObject, z0: Array, C: Array, log_contact_friction_std: float) -> list[LoadPrior]:
+    def _make_priors(
+        self, obj: GridObject, z0: Array, C: Array, log_contact_friction_std: float
+    ) -> list[LoadPrior]:
         """A smooth field of each amplitude, weakest first, and a rigid bottom on the outline's corners."""
         fields = [make_field(obj, z0, C, a, log_contact_friction_std) for a in self.amplitudes]
         return [*fields, make_bottom(obj, z0, log_contact_friction_std)]
 
-    def fit_prior(self, obj: GridObject, z0: Array, log_contact_friction_std: float) -> MapEnsembleFit:
+    def fit_prior(
+        self, obj: GridObject, z0: Array, log_contact_friction_std: float
+    ) -> MapEnsembleFit:
         """Gives the widest prior, where no push touched the object."""
         A = self.make_widest_factor(obj, log_contact_friction_std)
         message = "The pusher never touched the object: nothing was learned, this is the prior."
         return MapEnsembleFit(
-            z0, A @ A.T, A @ A.T, self.noise.pose, self.noise.load_shift, IdentificationStatus.NO_DATA, message
+            z0,
+            A @ A.T,
+            A @ A.T,
+            self.noise.pose,
+            self.noise.load_shift,
+            IdentificationStatus.NO_DATA,
+            message,
         )
 
     def make_widest_factor(self, obj: GridObject, log_contact_friction_std: float) -> Array:
         """Makes the factor (n+1, n+1) of the prior covariance of z at the last amplitude."""
         return calc_prior_factor(
-            calc_smooth_covariance(obj, self.range_cells), self.amplitudes[-1], log_contact_friction_std
+            calc_smooth_covariance(obj, self.range_cells),
+            self.amplitudes[-1],
+            log_contact_friction_std,
         )
 
 
@@ -352,7 +416,9 @@ def _move_center(p_BC: Array, z: Array, p_loads: Array) -> Array:
         w = x * np.exp(arm @ b - (arm @ b).max())
         w /= w.sum()
         mean = w @ arm
-        step = -np.linalg.solve((arm * w[:, None]).T @ arm - np.outer(mean, mean) + ridge, mean + ridge @ b)
+        step = -np.linalg.solve(
+            (arm * w[:, None]).T @ arm - np.outer(mean, mean) + ridge, mean + ridge @ b
+        )
         b += step / max(1.0, float(np.abs(arm @ step).max()) / MAX_TILT_STEP)
     moved = z.copy()
     moved[CELLS] += arm @ b
@@ -379,7 +445,9 @@ def _compare_shares(z: Array, z0: Array) -> tuple[Array, Array]:
 class Tracker:
     """Keeps the best loss so far, and tells whoever wants to know."""
 
-    def __init__(self, problem: PushProblem, progress: Callable[[HistoryEntry], None] | None) -> None:
+    def __init__(
+        self, problem: PushProblem, progress: Callable[[HistoryEntry], None] | None
+    ) -> None:
         """Begins at nothing simulated."""
         self.problem, self.progress = problem, progress
         self.history: list[HistoryEntry] = []
@@ -400,7 +468,9 @@ class Tracker:
         loss = float(self.problem.calc_cell_errors(linear.residuals).mean())
         self.add(
             HistoryEntry(
-                self.problem.simulations, min([loss, *(e.loss for e in self.history[self._first :][-1:])]), FITTING
+                self.problem.simulations,
+                min([loss, *(e.loss for e in self.history[self._first :][-1:])]),
+                FITTING,
             )
         )
 

@@ -1,12 +1,13 @@
 """The most probable parameters under one smoothness prior, by damped Gauss-Newton, and that prior's evidence.
 
-With z = z_0 + A u, A A^T the prior covariance of z, the unknown is u, a priori N(0, I). Minimized is
+With z = z_0 + A u, A A^T the prior covariance of z, the unknown is u, a priori N(0, I). Minimized
+is
 
     1/2 |u|² + sum over pushes of Huber(W_p r_p(z)) + 1/2 |W_c (c(k) - c_0)|²
 
-r_p the residuals of push p, W_p their whitening by the noise's covariance, c the center of friction and c_0 the center
-of mass where one is given. Whitening, Huber's weights and the noise scale are renewed between runs of the
-descent (`docs/theory/identification.md`, sections 3 and 4).
+r_p the residuals of push p, W_p their whitening by the noise's covariance, c the center of friction
+and c_0 the center of mass where one is given. Whitening, Huber's weights and the noise scale are
+renewed between runs of the descent (`docs/theory/identification.md`, sections 3 and 4).
 """
 
 from collections.abc import Callable, Sequence
@@ -35,8 +36,8 @@ ROUGHLY_SETTLED = 0.05
 """The same at which the noise scale is renewed, as long as that still changes."""
 
 MAX_REJECTED = 3
-"""Steps in a row, each shorter, that make things worse: then the fit is in a kink of the loss, where contacts change,
-and stays there."""
+"""Steps in a row, each shorter, that make things worse: then the fit is in a kink of the loss,
+where contacts change, and stays there."""
 
 SCALE_TOLERANCE = 0.03
 """Relative change of the noise scale at which it has settled too."""
@@ -45,20 +46,22 @@ MAX_STEP = 2.0
 """Of any unknown, in one step."""
 
 DAMPING_FACTOR = 8.0
-"""What damping grows by when a step makes things worse. It begins at the loss's curvature along that step, which about
-halves it."""
+"""What damping grows by when a step makes things worse. It begins at the loss's curvature along
+that step, which about halves it."""
 
 MAX_INFORMED_SHARE = 0.8
 """Of the residuals, that parameters may use up; the rest speaks of the noise."""
 
 FRICTION_STD = 0.2
-"""Of log mu from cell to cell, at most: what the bounds of the friction allow where that is less."""
+"""Of log mu from cell to cell, at most: what the bounds of the friction allow where that is
+less."""
 
 UNIFORM_WIDTH = 12.0**0.5
 """Width of a uniform distribution, in its standard deviations."""
 
 MIN_CENTER_STD = 1e-4
-"""m, below which the center of mass is not taken to be known: sharper, the fit's equations are singular."""
+"""m, below which the center of mass is not taken to be known: sharper, the fit's equations are
+singular."""
 
 LAST_POSE = slice(-3, None)
 """Of a push's residuals."""
@@ -68,9 +71,10 @@ LAST_POSE = slice(-3, None)
 class CenterOfMass:
     """Where the center of mass is held to be, and how far from it the center of friction may be.
 
-    Friction differs from place to place. Where loads x_i rest on frictions mu_i that scatter by themselves, the center
-    of friction scatters about the center of mass with the covariance sigma_mu² sum_i x_i² (p_i - c) (p_i - c)^T: a body
-    on three feet far apart by a lot, one that rests evenly by little.
+    Friction differs from place to place. Where loads x_i rest on frictions mu_i that scatter by
+    themselves, the center of friction scatters about the center of mass with the covariance
+    sigma_mu² sum_i x_i² (p_i - c) (p_i - c)^T: a body on three feet far apart by a lot, one that
+    rests evenly by little.
 
     Attributes:
         at: (2,) body frame, m.
@@ -88,7 +92,11 @@ class CenterOfMass:
         if prior.center_of_mass is None:
             return None
         bounds_std = float(np.log(prior.friction_max / prior.friction_min)) / UNIFORM_WIDTH
-        return cls(prior.center_of_mass, max(prior.center_of_mass_std, MIN_CENTER_STD), min(FRICTION_STD, bounds_std))
+        return cls(
+            prior.center_of_mass,
+            max(prior.center_of_mass_std, MIN_CENTER_STD),
+            min(FRICTION_STD, bounds_std),
+        )
 
     def make_whitening(self, obj: GridObject, z: Array) -> tuple[Array, float]:
         """W_c (2, 2), 1/m, which whitens the center of friction's distance from `at` at z (n+1,), and -log det W_c."""
@@ -100,7 +108,9 @@ class CenterOfMass:
     def linearize(self, obj: GridObject, z: Array, whitening: Array) -> tuple[Array, Array]:
         """Whitened residual (2,) of the center of friction at z (n+1,), and its Jacobian (2, n+1)."""
         share = calc_share(z)
-        return whitening @ (share @ obj.p_BC - self.at), whitening @ calc_center_jacobian(share, obj.p_BC)
+        return whitening @ (share @ obj.p_BC - self.at), whitening @ calc_center_jacobian(
+            share, obj.p_BC
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +122,8 @@ class MapFit:
         covariance: (n+1, n+1) of z, Laplace's approximation.
         scale: of the noise.
         log_evidence: for the prior, up to a constant shared by all priors on the same data.
-        informed: number of directions of u that the data, not the prior, hold in place (MacKay's gamma).
+        informed: number of directions of u that the data, not the prior, hold in place (MacKay's
+            gamma).
         settled: whether it ended by itself, not because it was not to simulate the pushes any more.
         system: the least-squares problem about z.
     """
@@ -163,8 +174,10 @@ def fit_map(
         center_of_mass: prior knowledge of the center of mass, or None.
         start: where to begin; z0 and scale one by default.
         linear: the pushes' residuals and derivatives there, where they are known.
-        warm_start: where a fit to fewer pushes ended; it is taken instead where it is the more probable beginning.
-        on_step: called with z and the residuals and derivatives there after every step that is taken.
+        warm_start: where a fit to fewer pushes ended; it is taken instead where it is the more
+            probable beginning.
+        on_step: called with z and the residuals and derivatives there after every step that is
+            taken.
         max_evaluations: most times that the pushes are simulated.
 
     Returns:
@@ -174,7 +187,9 @@ def fit_map(
     start = start or FitStart(z0, NoiseScale())
     system = make(solve_factor(A, start.z - z0), linear or problem.linearize(start.z), start.scale)
     if warm_start is not None:
-        other = make(solve_factor(A, warm_start.z - z0), problem.linearize(warm_start.z), warm_start.scale)
+        other = make(
+            solve_factor(A, warm_start.z - z0), problem.linearize(warm_start.z), warm_start.scale
+        )
         system = min(system, other, key=System.objective)
     descent = _Descent(problem, system, max_evaluations, on_step)
     gamma = descent.run()
@@ -183,7 +198,13 @@ def fit_map(
     if center_of_mass is not None:
         evidence -= _calc_center_evidence(problem.obj, z0, A, center_of_mass)
     return MapFit(
-        z0 + A @ system.u, system.calc_covariance(), system.scale, float(evidence), gamma, not descent.is_spent, system
+        z0 + A @ system.u,
+        system.calc_covariance(),
+        system.scale,
+        float(evidence),
+        gamma,
+        not descent.is_spent,
+        system,
     )
 
 
@@ -210,7 +231,9 @@ class _Descent:
             settled = expected < SETTLED or self._rejected >= MAX_REJECTED
             if settled or self.is_spent or (settling and expected < ROUGHLY_SETTLED):
                 scale, gamma = self.system.renew_scale()
-                settling = bool(np.abs(np.log(np.divide(scale, self.system.scale))).max() >= SCALE_TOLERANCE)
+                settling = bool(
+                    np.abs(np.log(np.divide(scale, self.system.scale))).max() >= SCALE_TOLERANCE
+                )
                 if settling or settled or self.is_spent:
                     self.system = self.system.rescale(scale)
                 if self.is_spent or (settled and not settling):
@@ -227,7 +250,9 @@ class _Descent:
         z = system.z0 + system.A @ u
         linear = self.problem.linearize(z)
         self._left -= 1
-        if not system.calc_loss(u, linear.residuals) < system.calc_loss(system.u, system.linear.residuals):
+        if not system.calc_loss(u, linear.residuals) < system.calc_loss(
+            system.u, system.linear.residuals
+        ):
             self._damping = max(DAMPING_FACTOR * self._damping, system.calc_curvature(step))
             self._rejected += 1
             return
@@ -238,7 +263,9 @@ class _Descent:
             self._on_step(z, linear)
 
 
-def calc_laplace(problem: PushProblem, z: Array, A: Array, noise: NoiseModel) -> tuple[Array, NoiseScale]:
+def calc_laplace(
+    problem: PushProblem, z: Array, A: Array, noise: NoiseModel
+) -> tuple[Array, NoiseScale]:
     """Spread about given parameters.
 
     Args:
@@ -259,7 +286,8 @@ def calc_laplace(problem: PushProblem, z: Array, A: Array, noise: NoiseModel) ->
 class System:
     """The least-squares problem in u about one point, whitening and weights as they are there.
 
-    Of the two forms of I + J^T J and its inverse the smaller one is taken: by unknowns, or by residuals,
+    Of the two forms of I + J^T J and its inverse the smaller one is taken: by unknowns, or by
+    residuals,
 
         (c I + J^T J)^-1 = (I - J^T (c I + J J^T)^-1 J) / c
     """
@@ -269,18 +297,28 @@ class System:
         u: Array, linear: Linearization, slopes: list[Array], scale: NoiseScale,
     ) -> None:  # fmt: skip
         """Takes over a point; `slopes` (3K, n+1) are the residuals' derivatives by u, one entry a push."""
-        self.problem, self.z0, self.A, self.noise, self.center_of_mass = problem, z0, A, noise, center_of_mass
+        self.problem, self.z0, self.A, self.noise, self.center_of_mass = (
+            problem,
+            z0,
+            A,
+            noise,
+            center_of_mass,
+        )
         self.u, self.linear, self.slopes, self.scale = u, linear, slopes, scale
         self.whitenings = noise.make_whitenings(linear.by_inputs, scale)
         whitened = [W.apply(r) for W, r in zip(self.whitenings, linear.residuals, strict=True)]
         self.weights = [noise.calc_weight(r) for r in whitened]
         roots = np.sqrt(self.weights)
         self.rows = [root * r for root, r in zip(roots, whitened, strict=True)]
-        jacobians = [root * W.apply(J) for root, W, J in zip(roots, self.whitenings, slopes, strict=True)]
+        jacobians = [
+            root * W.apply(J) for root, W, J in zip(roots, self.whitenings, slopes, strict=True)
+        ]
         rows = list(self.rows)
         if center_of_mass is not None:
             z = z0 + A @ u
-            self.center_whitening, self.center_spread = center_of_mass.make_whitening(problem.obj, z)
+            self.center_whitening, self.center_spread = center_of_mass.make_whitening(
+                problem.obj, z
+            )
             r, J = center_of_mass.linearize(problem.obj, z, self.center_whitening)
             rows.append(r)
             jacobians.append(J @ A)
@@ -301,12 +339,22 @@ class System:
 
     def move(self, u: Array, linear: Linearization) -> "System":
         """The same about another point."""
-        return self.of(self.problem, self.z0, self.A, self.noise, self.center_of_mass, u, linear, self.scale)
+        return self.of(
+            self.problem, self.z0, self.A, self.noise, self.center_of_mass, u, linear, self.scale
+        )
 
     def rescale(self, scale: NoiseScale) -> "System":
         """The same about the same point, with another scale of the noise."""
         return System(
-            self.problem, self.z0, self.A, self.noise, self.center_of_mass, self.u, self.linear, self.slopes, scale
+            self.problem,
+            self.z0,
+            self.A,
+            self.noise,
+            self.center_of_mass,
+            self.u,
+            self.linear,
+            self.slopes,
+            scale,
         )
 
     def scale_noise(self, factor: float) -> "System":
@@ -322,7 +370,11 @@ class System:
         g = self.u + self.J.T @ self.r
         c = 1.0 + damping
         factor = self.factor if damping == 0 else self._factorize(c)
-        d = (self.J.T @ cho_solve(factor, self.J @ g) - g) / c if self.by_residuals else -cho_solve(factor, g)
+        d = (
+            (self.J.T @ cho_solve(factor, self.J @ g) - g) / c
+            if self.by_residuals
+            else -cho_solve(factor, g)
+        )
         d *= min(1.0, MAX_STEP / max(float(np.abs(self.A @ d).max()), np.finfo(float).tiny))
         slope = self.J @ d
         return d, float(-g @ d - 0.5 * (d @ d + slope @ slope))
@@ -335,9 +387,14 @@ class System:
     def calc_loss(self, u: Array, residuals: list[Array]) -> float:
         """Negative log posterior at u but for normalization; Huber's, not the weighted quadratic."""
         total = 0.5 * float(u @ u)
-        total += sum(self.noise.calc_loss(W.apply(r)) for W, r in zip(self.whitenings, residuals, strict=True))
+        total += sum(
+            self.noise.calc_loss(W.apply(r))
+            for W, r in zip(self.whitenings, residuals, strict=True)
+        )
         if self.center_of_mass is not None:
-            r, _ = self.center_of_mass.linearize(self.problem.obj, self.z0 + self.A @ u, self.center_whitening)
+            r, _ = self.center_of_mass.linearize(
+                self.problem.obj, self.z0 + self.A @ u, self.center_whitening
+            )
             total += 0.5 * float(r @ r)
         return total
 
@@ -348,25 +405,34 @@ class System:
             for W, r in zip(self.whitenings, self.linear.residuals, strict=True)
         )
         normalizer += 0.0 if self.center_of_mass is None else self.center_spread
-        return self.calc_loss(self.u, self.linear.residuals) + normalizer + self.noise.calc_scale_loss(self.scale)
+        return (
+            self.calc_loss(self.u, self.linear.residuals)
+            + normalizer
+            + self.noise.calc_scale_loss(self.scale)
+        )
 
     def renew_scale(self) -> tuple[NoiseScale, float]:
         """The noise scale by MacKay's fixed points, and gamma.
 
-        s² = (sum |W r|² s² + nu)/(N - gamma + nu), and t² = (sum |xi|²/sigma_c² + nu_c)/(sum gamma_c + nu_c) with xi
-        the shifts that the residuals speak for and gamma_c how surely, each between 0 and 2.
+        s² = (sum |W r|² s² + nu)/(N - gamma + nu), and t² = (sum |xi|²/sigma_c² + nu_c)/(sum
+        gamma_c + nu_c) with xi the shifts that the residuals speak for and gamma_c how surely, each
+        between 0 and 2.
         """
         known = 2 if self.center_of_mass is not None else 0
         squares = sum(float(r @ r) for r in self.rows)
         count = sum(calc_effective_count(len(r)) for r in self.linear.residuals)
-        root, _ = dtrtri(self.factor[0], lower=1)  # whose squares add up to the trace of the inverse
+        root, _ = dtrtri(
+            self.factor[0], lower=1
+        )  # whose squares add up to the trace of the inverse
         gamma = len(self.gram) - float((np.tril(root) ** 2).sum()) - known
         gamma = float(np.clip(gamma, 0.0, MAX_INFORMED_SHARE * count))
         weight = self.noise.prior_weight
         pose = np.sqrt((squares * self.scale.pose**2 + weight) / (count - gamma + weight))
         moved, sure = self._calc_shifts()
         weight = self.noise.shift_weight
-        return NoiseScale(float(pose), float(np.sqrt((moved * self.scale.shift**2 + weight) / (sure + weight)))), gamma
+        return NoiseScale(
+            float(pose), float(np.sqrt((moved * self.scale.shift**2 + weight) / (sure + weight)))
+        ), gamma
 
     def _calc_shifts(self) -> tuple[float, float]:
         """Sums over pushes of |xi|², xi the expected shift of the load's center in its deviations, and of gamma_c."""
@@ -413,16 +479,20 @@ class System:
     def leave_out(self) -> list[LeftOut]:
         """What the other pushes say of each, to first order.
 
-        With h = J H^-1 J^T of a push of weight w, its own pull on the fit included, the others predict residuals
-        (I - w h)^-1 r with covariance I + h (I - w h)^-1, all whitened.
+        With h = J H^-1 J^T of a push of weight w, its own pull on the fit included, the others
+        predict residuals (I - w h)^-1 r with covariance I + h (I - w h)^-1, all whitened.
         """
         found = []
-        for weight, W, r, J in zip(self.weights, self.whitenings, self.linear.residuals, self.slopes, strict=True):
+        for weight, W, r, J in zip(
+            self.weights, self.whitenings, self.linear.residuals, self.slopes, strict=True
+        ):
             identity = np.eye(len(r))
             whitened = W.apply(J)
             h = whitened @ self.solve(whitened.T)
             alone = np.linalg.inv(identity - weight * h)
-            root = np.asarray(np.linalg.solve(identity + h @ alone, W.apply(identity)), dtype=np.float64)
+            root = np.asarray(
+                np.linalg.solve(identity + h @ alone, W.apply(identity)), dtype=np.float64
+            )
             found.append(LeftOut(W.apply(root), root.T @ (alone @ W.apply(r))))
         return found
 
@@ -430,17 +500,22 @@ class System:
         """Says how far off the other pushes predict each one's last pose, seen by itself.
 
         Args:
-            residuals: (3K,) of each push, m, by the parameters that are to predict, which stand in for this fit's.
+            residuals: (3K,) of each push, m, by the parameters that are to predict, which stand in
+                for this fit's.
 
         Returns:
             (P,) squared lengths of the errors, as cells move, over the expected ones.
         """
         found = []
-        for left_out, r, own in zip(self.leave_out(), residuals, self.linear.residuals, strict=True):
+        for left_out, r, own in zip(
+            self.leave_out(), residuals, self.linear.residuals, strict=True
+        ):
             covariance = np.linalg.inv(left_out.precision)
             shared = (self.scale.pose * self.noise.pose) ** 2 * (np.sqrt(len(covariance) / 3) - 1)
             e = covariance[LAST_POSE] @ left_out.pull + (r - own)[LAST_POSE]
-            found.append(float(e @ e) / float(np.trace(covariance[LAST_POSE, LAST_POSE]) - 3 * shared))
+            found.append(
+                float(e @ e) / float(np.trace(covariance[LAST_POSE, LAST_POSE]) - 3 * shared)
+            )
         return np.array(found)
 
     def _factorize(self, c: float) -> tuple[Array, bool]:
@@ -452,7 +527,9 @@ def solve_factor(A: Array, difference: Array) -> Array:
     return np.asarray(np.linalg.solve(A, difference), dtype=np.float64)
 
 
-def _calc_center_evidence(obj: GridObject, z0: Array, A: Array, center_of_mass: CenterOfMass) -> float:
+def _calc_center_evidence(
+    obj: GridObject, z0: Array, A: Array, center_of_mass: CenterOfMass
+) -> float:
     """Log p(c_0) under the smoothness prior alone: knowledge, not data. Laplace's, as that of the fit is."""
     u = np.zeros(A.shape[1])
     for _ in range(EVALUATIONS):

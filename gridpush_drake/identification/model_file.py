@@ -145,7 +145,9 @@ class ModelSchema(StrictSchema):
         n = len(self.object.cells.centers)
         for name, values in self.cells:
             if len(values) != n:
-                raise ValueError(f"cells.{name} has {len(values)} entries; expected one a cell, {n}")
+                raise ValueError(
+                    f"cells.{name} has {len(values)} entries; expected one a cell, {n}"
+                )
         size = n + len(GLOBALS)
         if len(self.posterior.mean) != size:
             more = ", ".join(GLOBALS)
@@ -211,7 +213,9 @@ def _decode(name: str, text: str) -> Array:
         data = base64.b64decode("".join(text.split()), validate=True)
         values = np.frombuffer(data, dtype="<f8").astype(np.float64)
     except (binascii.Error, ValueError) as error:
-        raise IdentificationError(f"{name}: expected base64 of little-endian float64 numbers") from error
+        raise IdentificationError(
+            f"{name}: expected base64 of little-endian float64 numbers"
+        ) from error
     if not np.isfinite(values).all():
         raise IdentificationError(f"{name}: holds a number that is not finite")
     return values
@@ -253,7 +257,9 @@ def write_model(path: Path | str, identification: Identification, force: bool = 
         OutputError: the file exists and `force` is not set, or it cannot be written.
     """
     content = _describe(identification).model_dump(exclude_none=True, exclude_unset=True)
-    write_whole(path, HEADER + yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=LINE_WIDTH), force)
+    write_whole(
+        path, HEADER + yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=LINE_WIDTH), force
+    )
 
 
 def read_model(path: Path | str) -> Identification:
@@ -270,7 +276,9 @@ def read_model(path: Path | str) -> Identification:
         IdentificationError: it is not a model; the message names the file, the field and the expected form.
     """
     path = Path(path)
-    schema = check_mapping(path, read_mapping(path, WHAT), ModelSchema, IdentificationError, RENAMED)
+    schema = check_mapping(
+        path, read_mapping(path, WHAT), ModelSchema, IdentificationError, RENAMED
+    )
     try:
         return _restore(schema)
     except GridPushError as error:
@@ -295,10 +303,14 @@ def _describe(result: Identification) -> ModelSchema:
         training_pushes=list(result.push_names),
         unused_pushes=list(result.unused_pushes),
         outliers=[
-            OutlierSchema(push=out.push, poses=list(out.poses), observed=out.observed, whole=out.whole)
+            OutlierSchema(
+                push=out.push, poses=list(out.poses), observed=out.observed, whole=out.whole
+            )
             for out in result.outliers
         ],
-        object=LearnedObjectSchema.model_validate(describe_object(obj.name, obj.grid, obj.prior, obj.height)),
+        object=LearnedObjectSchema.model_validate(
+            describe_object(obj.name, obj.grid, obj.prior, obj.height)
+        ),
         contact_friction=result.params.contact_friction,
         contact_friction_std=result.std.contact_friction,
         patch_ratio=result.params.patch_ratio,
@@ -332,14 +344,27 @@ def _describe(result: Identification) -> ModelSchema:
 
 def _restore(schema: ModelSchema) -> Identification:
     name = str(schema.object.name)
-    obj = GridObject(name, *make_cells(schema.object, name, Path()), schema.object.to_prior(), schema.object.height)
+    obj = GridObject(
+        name,
+        *make_cells(schema.object, name, Path()),
+        schema.object.to_prior(),
+        schema.object.height,
+    )
     cells, n = schema.cells, obj.n
-    mass, friction, push_height = np.array(cells.mass), np.array(cells.friction), obj.prior.push_height or 0.0
-    params = CellParameters(mass, friction, schema.contact_friction, push_height, schema.patch_ratio)
+    mass, friction, push_height = (
+        np.array(cells.mass),
+        np.array(cells.friction),
+        obj.prior.push_height or 0.0,
+    )
+    params = CellParameters(
+        mass, friction, schema.contact_friction, push_height, schema.patch_ratio
+    )
     posterior = Posterior(
         np.array(schema.posterior.mean),
         unpack_symmetric("posterior.covariance", schema.posterior.covariance, n + len(GLOBALS)),
-        unpack_symmetric("posterior.prior_covariance", schema.posterior.prior_covariance, n + len(GLOBALS)),
+        unpack_symmetric(
+            "posterior.prior_covariance", schema.posterior.prior_covariance, n + len(GLOBALS)
+        ),
     )
     force = None if schema.force is None else ForceScale(**schema.force.model_dump())
     return Identification(
@@ -375,10 +400,14 @@ def _represent_list(dumper: Any, value: list[Any]) -> Any:
 
 
 def _represent_text(dumper: Any, value: str) -> Any:
-    return dumper.represent_scalar("tag:yaml.org,2002:str", value, style="|" if "\n" in value else None)
+    return dumper.represent_scalar(
+        "tag:yaml.org,2002:str", value, style="|" if "\n" in value else None
+    )
 
 
 _Dumper.add_representer(list, _represent_list)
 _Dumper.add_representer(tuple, _represent_list)
 _Dumper.add_representer(str, _represent_text)
-_Dumper.add_representer(IdentificationStatus, lambda dumper, value: _represent_text(dumper, str(value)))
+_Dumper.add_representer(
+    IdentificationStatus, lambda dumper, value: _represent_text(dumper, str(value))
+)

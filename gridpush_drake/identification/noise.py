@@ -2,10 +2,11 @@
 
 A push's residuals share their errors,
 
-    Sigma = s² (sigma² K/K_eff I + sigma_tip² J_start J_start^T + sigma_mu² J_mu J_mu^T) + t² sigma_c² J_c J_c^T
+    Sigma = s² (sigma² K/K_eff I + sigma_tip² J_start J_start^T + sigma_mu² J_mu J_mu^T) + t²
+    sigma_c² J_c J_c^T
 
-with K_eff = sqrt(K) of K observations, J_c the derivatives by a shift of the load's center, and s and t what the pushes
-make of the stated deviations (`docs/theory/identification.md`, section 4).
+with K_eff = sqrt(K) of K observations, J_c the derivatives by a shift of the load's center, and s
+and t what the pushes make of the stated deviations (`docs/theory/identification.md`, section 4).
 """
 
 from collections.abc import Sequence
@@ -49,7 +50,9 @@ class Whitening:
 
     def apply(self, values: Array) -> Array:
         """W times (3K,) or (3K, p)."""
-        return np.asarray((values - self.inputs @ (self.inner @ (self.inputs.T @ values))) / self.std)
+        return np.asarray(
+            (values - self.inputs @ (self.inner @ (self.inputs.T @ values))) / self.std
+        )
 
 
 @dataclass(frozen=True)
@@ -57,14 +60,16 @@ class NoiseModel:
     """Standard deviations at scale one, and the priors on their scales.
 
     Attributes:
-        pose: of a residual (a coordinate of the centroid, or the turn at the radius of gyration), m.
+        pose: of a residual (a coordinate of the centroid, or the turn at the radius of gyration),
+            m.
         tip: of the pusher's place per axis, m.
         log_contact_friction: of log mu_c from push to push.
         load_shift: of the load's center per axis from push to push, m.
         prior_weight: how many residuals the prior on scale one is worth.
         shift_weight: how many shifts the prior on the shift's scale one is worth.
         discrepancy_weight: how many predicted numbers the prior on a discrepancy of one is worth.
-        outlier: a push whose whitened residual is this many standard deviations counts less from there on (Huber).
+        outlier: a push whose whitened residual is this many standard deviations counts less from
+            there on (Huber).
     """
 
     pose: float = 0.0008
@@ -80,15 +85,17 @@ class NoiseModel:
         """Sigma (3K, 3K), m².
 
         Args:
-            input_jacobian: (3K, 5) residuals by start x, start y (both per m), log mu_c, m, and shift of the load's
-                center in x and y (per m).
+            input_jacobian: (3K, 5) residuals by start x, start y (both per m), log mu_c, m, and
+                shift of the load's center in x and y (per m).
             scale: s and t.
         """
         rows = len(input_jacobian)
         inputs = input_jacobian * self._calc_stds(scale)
         return (scale.pose * self.pose) ** 2 * np.sqrt(rows / 3) * np.eye(rows) + inputs @ inputs.T
 
-    def make_whitenings(self, input_jacobians: Sequence[Array], scale: NoiseScale) -> list[Whitening]:
+    def make_whitenings(
+        self, input_jacobians: Sequence[Array], scale: NoiseScale
+    ) -> list[Whitening]:
         """Makes W with W² = Sigma^-1 for many pushes, at the cost of the few inputs rather than of the many rows.
 
         Args:
@@ -118,7 +125,8 @@ class NoiseModel:
         """kappa, by how much more than said the pushes' last poses differ from what the others predict.
 
         Args:
-            ratios: (P,) squared lengths of the differences over the expected ones, each of POSE numbers.
+            ratios: (P,) squared lengths of the differences over the expected ones, each of POSE
+                numbers.
         """
         weight = self.discrepancy_weight
         return sqrt((POSE * float(ratios.sum()) + weight) / (POSE * len(ratios) + weight))
@@ -151,7 +159,9 @@ class NoiseModel:
     def _calc_stds(self, scale: NoiseScale) -> Array:
         """(5,) of the inputs."""
         noise = self.scaled(scale)
-        return np.array([noise.tip, noise.tip, noise.log_contact_friction, noise.load_shift, noise.load_shift])
+        return np.array(
+            [noise.tip, noise.tip, noise.log_contact_friction, noise.load_shift, noise.load_shift]
+        )
 
 
 def calc_effective_count(rows: int) -> float:

@@ -1,8 +1,9 @@
 """Poses and pushes that cannot be used: a tracker that jumped or flipped, a push that belongs to another object.
 
-Two looks are taken (`docs/theory/identification.md`, section 5). Before the fit, no motion of the pusher explains a
-jump between frames: of each push the longest chain of poses is kept in which each can be reached from the one before.
-After it, each pose is compared with what all others say of it, and each push with what the other pushes say.
+Two looks are taken (`docs/theory/identification.md`, section 5). Before the fit, no motion of the
+pusher explains a jump between frames: of each push the longest chain of poses is kept in which each
+can be reached from the one before. After it, each pose is compared with what all others say of it,
+and each push with what the other pushes say.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,7 +26,8 @@ JUMP_SLACK = 0.008
 """m that a pose may be off besides what the pusher can have moved it."""
 
 FIRST_POSE_BONUS = 0.5
-"""Poses that the first one counts for beyond itself: of two chains as long the one with it is taken."""
+"""Poses that the first one counts for beyond itself: of two chains as long the one with it is
+taken."""
 
 MAX_JUMP_SHARE = 0.4
 """Of a log's poses; if more seem to jump, the log is what is wrong, and is left as it is."""
@@ -34,13 +36,15 @@ OUTLIER_ODDS = 0.02
 """Of a pose, or a push, to be wrong rather than right, beforehand."""
 
 MAX_REFUSED_POSES = 0.5
-"""Share of a push's poses; where more do not agree with the rest, it is the push that is in doubt."""
+"""Share of a push's poses; where more do not agree with the rest, it is the push that is in
+doubt."""
 
 MIN_PUSHES_EACH = 4
 """Pushes that it takes to refuse one as a whole."""
 
 SUSPECT_ODDS = -9.0
-"""Log odds to be another object's, to first order, from which a push is tried to be done without."""
+"""Log odds to be another object's, to first order, from which a push is tried to be done
+without."""
 
 FOREIGN_SHARE = 0.3
 """Of the pusher's way, by which another object than ours would be off."""
@@ -54,7 +58,8 @@ class Outlier:
         push: its name.
         poses: the poses refused, 0 the first of the push.
         observed: how many poses the push has, the first included.
-        whole: whether the whole push is refused, because it belongs to another object or too few poses were left.
+        whole: whether the whole push is refused, because it belongs to another object or too few
+            poses were left.
     """
 
     push: str
@@ -73,7 +78,9 @@ class Outlier:
             return f"push {self.push}: refused, as no motion of this object that the other pushes allow"
         where = f"{len(self.poses)} of {self.observed} poses jump or disagree with the rest"
         numbers = ", ".join(str(i + 1) for i in self.poses)
-        return f"push {self.push}: {where} (number {numbers})" + (", all of it refused" if self.whole else ", refused")
+        return f"push {self.push}: {where} (number {numbers})" + (
+            ", all of it refused" if self.whole else ", refused"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +108,8 @@ class Screening:
 
     Attributes:
         log: the pushes with the poses that are kept.
-        kept: of each push as observed, the poses that are kept, 0 the first; as many as there are where not listed.
+        kept: of each push as observed, the poses that are kept, 0 the first; as many as there are
+            where not listed.
         observed: of each push, how many poses it had.
         refused: names of the pushes refused as a whole.
     """
@@ -131,7 +139,9 @@ class Screening:
             size: of the object: its radius of gyration, m.
         """
         masks = [np.append(True, _judge_poses(seen, size)) for seen in left_out]
-        masks = [mask if mask[1:].mean() > MAX_REFUSED_POSES else np.ones_like(mask) for mask in masks]
+        masks = [
+            mask if mask[1:].mean() > MAX_REFUSED_POSES else np.ones_like(mask) for mask in masks
+        ]
         if all(mask.all() for mask in masks):
             return self
         kept = dict(self.kept)
@@ -168,8 +178,8 @@ def find_jumps(obj: GridObject, log: PushLog) -> list[Mask]:
         log: the pushes.
 
     Returns:
-        A mask (K+1,) a push, the first pose included, of the poses to keep; all of them where so many seem to jump that
-        the log itself must be wrong.
+        A mask (K+1,) a push, the first pose included, of the poses to keep; all of them where so
+        many seem to jump that the log itself must be wrong.
     """
     masks = [_find_chain(obj, seen) for seen in log]
     jumped = sum(int((~mask).sum()) for mask in masks)

@@ -1,12 +1,13 @@
 """The spread of what was learned, and draws from it that agree with what the pushes showed.
 
-z = (log k_1 .. log k_n, log mu_c) ~ N(mean, S), Laplace's normal about the best fit. A draw dz = z - mean is moved, as
-little as can be in the prior's norm, until its shares x = k / sum k keep every combination a that the pushes fixed,
+z = (log k_1 .. log k_n, log mu_c) ~ N(mean, S), Laplace's normal about the best fit. A draw dz = z
+- mean is moved, as little as can be in the prior's norm, until its shares x = k / sum k keep every
+combination a that the pushes fixed,
 
     a.(x/x0 - 1) = a.dz,    x0 the shares at the mean
 
-which for small dz is the draw itself (`docs/theory/identification.md`, section 6). Where the pushes are at hand, they
-have the last word (`evidence`).
+which for small dz is the draw itself (`docs/theory/identification.md`, section 6). Where the pushes
+are at hand, they have the last word (`evidence`).
 """
 
 from dataclasses import dataclass, replace
@@ -28,13 +29,15 @@ CONTACT_FRICTION = GLOBALS.index("log_contact_friction") - len(GLOBALS)
 """Where in z log mu_c stands."""
 
 LEARNED_SHARE = 0.5
-"""A combination, or a cell, counts as learned where the pushes took away this share of its prior variance."""
+"""A combination, or a cell, counts as learned where the pushes took away this share of its prior
+variance."""
 
 MIN_SHARE = 1e-12
 """Of the friction that a cell is given where a draw has none: masses must be positive."""
 
 STEPS = 25
-"""Newton steps at most; the few draws that need more stay wider than they ought to be, which is safe."""
+"""Newton steps at most; the few draws that need more stay wider than they ought to be, which is
+safe."""
 
 TOLERANCE = 0.05
 """Of a combination, in standard deviations of the posterior, at which a draw is left alone."""
@@ -71,7 +74,9 @@ class Posterior:
     covariance: Array
     prior_covariance: Array
 
-    def draw(self, count: int, seed: int = 0, judge: DrawJudge | None = None) -> tuple[Array, Array]:
+    def draw(
+        self, count: int, seed: int = 0, judge: DrawJudge | None = None
+    ) -> tuple[Array, Array]:
         """Draws relative support frictions and contact frictions that agree with what the pushes showed.
 
         Args:
@@ -80,7 +85,8 @@ class Posterior:
             judge: of the draws, such as the pushes themselves.
 
         Returns:
-            (count, n) shares k / sum k, each positive and summing to one, but for MIN_SHARE; (count,) mu_c.
+            (count, n) shares k / sum k, each positive and summing to one, but for MIN_SHARE;
+            (count,) mu_c.
         """
         values, vectors = np.linalg.eigh(self.covariance)
         factor = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -96,7 +102,9 @@ class Posterior:
             self.mean[CONTACT_FRICTION] + dz[:, CONTACT_FRICTION]
         )
 
-    @threadpool_limits.wrap(limits=1, user_api="blas")  # small matrices: threads only cost, and reorder sums
+    @threadpool_limits.wrap(
+        limits=1, user_api="blas"
+    )  # small matrices: threads only cost, and reorder sums
     def draw_parameters(
         self, params: CellParameters, count: int, seed: int = 0, judge: DrawJudge | None = None
     ) -> list[CellParameters]:
@@ -142,7 +150,8 @@ def calc_center_jacobian(share: Array, p_BC: Array) -> Array:
     """Derivatives share_i (p_i - c) by z of the center c = sum_i share_i p_i.
 
     Args:
-        share: (n,) weights proportional to exp z_i, summing to one: of friction or, with mu_i held, of mass.
+        share: (n,) weights proportional to exp z_i, summing to one: of friction or, with mu_i held,
+            of mass.
         p_BC: (n, 2) the cells' centers, body frame, m.
 
     Returns:
@@ -161,8 +170,9 @@ def compare_covariances(prior: Array, after: Array) -> tuple[Array, Array, Array
         after: (n, n) after them.
 
     Returns:
-        Ratios (n,) of the variances after to before, increasing; the columns (n, n) of their directions in coordinates
-        u, z = root u, in which the prior is the identity; root (n, n), and its inverse.
+        Ratios (n,) of the variances after to before, increasing; the columns (n, n) of their
+        directions in coordinates u, z = root u, in which the prior is the identity; root (n, n),
+        and its inverse.
     """
     values, vectors = np.linalg.eigh(prior)
     size = np.sqrt(np.maximum(values, np.finfo(float).eps * values[-1]))
@@ -173,10 +183,14 @@ def compare_covariances(prior: Array, after: Array) -> tuple[Array, Array, Array
 
 def _find_learned(posterior: Posterior) -> tuple[Array, Array, Array]:
     """Learned combinations A (m, n+1), each of prior variance one, their variances (m,), and the prior's root."""
-    ratio, directions, root, inverse = compare_covariances(posterior.prior_covariance, posterior.covariance)
+    ratio, directions, root, inverse = compare_covariances(
+        posterior.prior_covariance, posterior.covariance
+    )
     learned = ratio < 1 - LEARNED_SHARE
     A = directions[:, learned].T @ inverse
-    A[:, CELLS] -= A[:, CELLS].mean(axis=1, keepdims=True)  # no push shows the common scale, nor do shares
+    A[:, CELLS] -= A[:, CELLS].mean(
+        axis=1, keepdims=True
+    )  # no push shows the common scale, nor do shares
     return A, np.maximum(ratio[learned], np.finfo(float).tiny), root
 
 
@@ -194,7 +208,9 @@ def _correct(dz: Array, share: Array, A: Array, stds: Array, root: Array) -> Non
             return
         # d(ratio_i) = ratio_i (dz_i - sum_j x_j dz_j)
         slope = np.empty((len(rest), *A.shape))
-        slope[:, :, CELLS] = A[:, CELLS] * ratio[:, None] - (ratio @ A[:, CELLS].T)[:, :, None] * x[:, None]
+        slope[:, :, CELLS] = (
+            A[:, CELLS] * ratio[:, None] - (ratio @ A[:, CELLS].T)[:, :, None] * x[:, None]
+        )
         slope[:, :, GLOBAL] = A[:, GLOBAL]
         J = slope @ root
         JT = np.swapaxes(J, 1, 2)

@@ -27,10 +27,12 @@ P90 = 0.9
 """Share of the errors that are below the last figure of a summary."""
 
 DOUBTFUL = 0.2
-"""Of how far the object moves, an error of the pushes learned from that is too large for their model."""
+"""Of how far the object moves, an error of the pushes learned from that is too large for their
+model."""
 
 CONTRADICTED = 4.0
-"""Standard deviations of the center of friction from a center of mass, beyond which the pushes contradict that."""
+"""Standard deviations of the center of friction from a center of mass, beyond which the pushes
+contradict that."""
 
 INTERVAL = 0.9
 """Probability of a predicted interval."""
@@ -74,7 +76,9 @@ class PoseError:
         return self.position + radius * self.angle
 
 
-def predict(obj: GridObject, params: CellParameters, log: PushLog, regime: Regime = "quasi_static") -> list[Prediction]:
+def predict(
+    obj: GridObject, params: CellParameters, log: PushLog, regime: Regime = "quasi_static"
+) -> list[Prediction]:
     """Predicts every push of a log from its first observed pose.
 
     Args:
@@ -108,10 +112,13 @@ class Spread:
     cell_error: float
 
 
-def predict_spread(model: Identification, log: PushLog, regime: Regime | None = None) -> list[Spread]:
+def predict_spread(
+    model: Identification, log: PushLog, regime: Regime | None = None
+) -> list[Spread]:
     """Predicts how far the final poses of a log's pushes may be off: J S J^T + Sigma, S what is left open of z.
 
-    The error is Student's t, with the freedom that the pushes learned from leave it, and `interval_scale` as wide.
+    The error is Student's t, with the freedom that the pushes learned from leave it, and
+    `interval_scale` as wide.
 
     Args:
         model: what was learned, with its posterior, and the noise that its pushes showed.
@@ -123,13 +130,20 @@ def predict_spread(model: Identification, log: PushLog, regime: Regime | None = 
     """
     obj, noise = model.obj, model.noise
     ends = [
-        ObservedPush(seen.name, seen.push, seen.pose, np.array([seen.push.duration]), np.zeros((1, 3))) for seen in log
+        ObservedPush(
+            seen.name, seen.push, seen.pose, np.array([seen.push.duration]), np.zeros((1, 3))
+        )
+        for seen in log
     ]  # in the axes of the pose given as the final one, here the world's
-    problem = PushProblem(obj, PushLog(tuple(ends), table=log.table), model.params, regime or model.regime)
+    problem = PushProblem(
+        obj, PushLog(tuple(ends), table=log.table), model.params, regime or model.regime
+    )
     linear = problem.linearize(model.posterior.mean)
     scale2, freedom, found = model.interval_scale**2, noise.calc_freedom(len(model.push_names)), []
     for seen, J, inputs in zip(log, linear.by_z, linear.by_inputs, strict=True):
-        covariance = J @ model.posterior.covariance @ J.T + noise.calc_covariance(inputs, model.noise_scale)
+        covariance = J @ model.posterior.covariance @ J.T + noise.calc_covariance(
+            inputs, model.noise_scale
+        )
         covariance *= scale2
         std = np.sqrt(np.diag(covariance)) / (1.0, 1.0, obj.radius_of_gyration)
         found.append(Spread(seen.name, std, calc_norm_quantile(covariance, freedom)))
@@ -149,7 +163,9 @@ def calc_pose_error(obj: GridObject, predicted: ArrayLike, observed: ArrayLike) 
     angle = abs(wrap_angle(difference[2]))
     cells = obj.cells_at(predicted) - obj.cells_at(observed)
     return PoseError(
-        float(np.hypot(difference[0], difference[1])), float(angle), float(np.linalg.norm(cells, axis=-1).mean())
+        float(np.hypot(difference[0], difference[1])),
+        float(angle),
+        float(np.linalg.norm(cells, axis=-1).mean()),
     )
 
 
@@ -158,7 +174,9 @@ def _predict_push(
 ) -> Prediction:
     timed = TimedPush.of(push, regime, table)
     motion = timed.simulate(obj, params, regime=regime)
-    return Prediction(push.name, motion.times, motion.poses, motion.poses[timed.rows], motion.status)
+    return Prediction(
+        push.name, motion.times, motion.poses, motion.poses[timed.rows], motion.status
+    )
 
 
 @dataclass(frozen=True)
@@ -184,15 +202,21 @@ class ErrorSummary:
     scale: float
 
 
-def calc_final_errors(obj: GridObject, predictions: Sequence[Prediction], log: PushLog) -> list[PoseError | None]:
+def calc_final_errors(
+    obj: GridObject, predictions: Sequence[Prediction], log: PushLog
+) -> list[PoseError | None]:
     """Compares each push's predicted with its observed final pose; None where the log has none."""
     return [
-        calc_pose_error(obj, prediction.at_observations[-1], seen.final_pose) if len(seen.poses_observed) else None
+        calc_pose_error(obj, prediction.at_observations[-1], seen.final_pose)
+        if len(seen.poses_observed)
+        else None
         for prediction, seen in zip(predictions, log, strict=True)
     ]
 
 
-def summarize_errors(obj: GridObject, predictions: Sequence[Prediction], log: PushLog) -> list[ErrorSummary]:
+def summarize_errors(
+    obj: GridObject, predictions: Sequence[Prediction], log: PushLog
+) -> list[ErrorSummary]:
     """Sums up the errors of final poses: position, angle, cell, and combined: |dxy| + rho |dtheta|.
 
     Args:
@@ -234,7 +258,8 @@ def calc_training_errors(result: Identification, log: PushLog) -> tuple[float, f
 def doubt_fit(result: Identification, log: PushLog) -> str | None:
     """Says in sentences what about a model and the pushes it was learned from does not agree; None where all does.
 
-    That is a model that explains too little of them, and a center of friction too far from the center of mass told.
+    That is a model that explains too little of them, and a center of friction too far from the
+    center of mass told.
 
     Args:
         result: the model.
@@ -249,7 +274,8 @@ def doubt_fit(result: Identification, log: PushLog) -> str | None:
 def _doubt_errors(result: Identification, used: PushLog) -> str | None:
     obj = result.obj
     moved = [
-        np.linalg.norm(np.diff(obj.cells_at([seen.pose, seen.final_pose]), axis=0), axis=2).mean() for seen in used
+        np.linalg.norm(np.diff(obj.cells_at([seen.pose, seen.final_pose]), axis=0), axis=2).mean()
+        for seen in used
     ]
     mean = float(np.mean(moved))
     error = calc_mean_cell_error(obj, result.params, used, result.regime)
@@ -277,10 +303,14 @@ def _doubt_center(result: Identification) -> str | None:
     )
 
 
-def calc_mean_cell_error(obj: GridObject, params: CellParameters, log: PushLog, regime: Regime) -> float:
+def calc_mean_cell_error(
+    obj: GridObject, params: CellParameters, log: PushLog, regime: Regime
+) -> float:
     """Mean cell error of a log's final poses, m; NaN where it has no push."""
     errors = calc_final_errors(obj, predict(obj, params, log, regime), log)
-    return float(np.mean([error.cell for error in errors if error is not None])) if len(log) else nan
+    return (
+        float(np.mean([error.cell for error in errors if error is not None])) if len(log) else nan
+    )
 
 
 def _select_used(result: Identification, log: PushLog) -> PushLog:

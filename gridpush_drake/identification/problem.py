@@ -1,13 +1,13 @@
 """The least-squares problem behind identification: predicted against observed poses, with exact derivatives.
 
-The unknowns are z = (log k_1 .. log k_n, log mu_c), with k_i = mu_i m_i the friction each cell carries (relative to g)
-and mu_c the contact friction. Each observed pose gives the residual
+The unknowns are z = (log k_1 .. log k_n, log mu_c), with k_i = mu_i m_i the friction each cell
+carries (relative to g) and mu_c the contact friction. Each observed pose gives the residual
 
     r = (dx_c, dy_c, rho dtheta),    so that |r|² is the mean squared distance of the cells' points
 
-with (x_c, y_c) the cells' centroid, its error in the observed body's axes, and rho the radius of gyration. The cells'
-frictions mu_i stay those of the prior and the masses follow, m_i = k_i / mu_i; slow pushes cannot tell the two apart
-(`identifiability`).
+with (x_c, y_c) the cells' centroid, its error in the observed body's axes, and rho the radius of
+gyration. The cells' frictions mu_i stay those of the prior and the masses follow, m_i = k_i / mu_i;
+slow pushes cannot tell the two apart (`identifiability`).
 """
 
 from collections.abc import Sequence
@@ -76,8 +76,8 @@ class Linearization:
     Attributes:
         residuals: (3K,) m.
         by_z: (3K, n+1).
-        by_inputs: (3K, 5) by the place (x, y) where the push begins, by log mu_c, and by a shift (x, y) of the center
-            of the load, all loads tilted along it.
+        by_inputs: (3K, 5) by the place (x, y) where the push begins, by log mu_c, and by a shift
+            (x, y) of the center of the load, all loads tilted along it.
     """
 
     residuals: list[Array]
@@ -86,14 +86,18 @@ class Linearization:
 
     def choose(self, pushes: Sequence[int]) -> "Linearization":
         """Those of some pushes."""
-        chosen = ([values[i] for i in pushes] for values in (self.residuals, self.by_z, self.by_inputs))
+        chosen = (
+            [values[i] for i in pushes] for values in (self.residuals, self.by_z, self.by_inputs)
+        )
         return Linearization(*chosen)
 
 
 class PushProblem:
     """Residuals of a log as a function of z, for one object and regime; counts the simulations it makes."""
 
-    def __init__(self, obj: GridObject, log: PushLog, held: CellParameters, regime: Regime = "quasi_static") -> None:
+    def __init__(
+        self, obj: GridObject, log: PushLog, held: CellParameters, regime: Regime = "quasi_static"
+    ) -> None:
         """Prepares the log.
 
         Args:
@@ -110,7 +114,9 @@ class PushProblem:
         self._centroid = obj.p_BC.mean(axis=0)
         self._rho = obj.radius_of_gyration
         arm = obj.p_BC - self._centroid
-        self._tilts = np.linalg.solve(arm.T @ arm / obj.n + SINGULAR * self._rho**2 * np.eye(2), arm.T).T
+        self._tilts = np.linalg.solve(
+            arm.T @ arm / obj.n + SINGULAR * self._rho**2 * np.eye(2), arm.T
+        ).T
 
     @property
     def simulations(self) -> int:
@@ -154,7 +160,10 @@ class PushProblem:
 
     def unknowns(self, params: CellParameters) -> Array:
         """The unknowns z (n+1,) of some parameters."""
-        k, contact_friction = params.mass * self._held.friction, max(params.contact_friction, FRICTION_FLOOR)
+        k, contact_friction = (
+            params.mass * self._held.friction,
+            max(params.contact_friction, FRICTION_FLOOR),
+        )
         return np.append(np.log(k), np.log(contact_friction))
 
     def residuals(self, z: Array, pushes: Sequence[int] | None = None) -> list[Array]:
@@ -177,7 +186,9 @@ class PushProblem:
         J = self._to_residuals(poses, J)
         inputs = np.concatenate([J[:, [n + 1, n + 2, n]], J[:, :n] @ self._tilts], axis=1)
         residuals = self._calc_residuals(poses).ravel()
-        return Linearization(self._split(residuals), self._split(J[:, : n + 1]), self._split(inputs))
+        return Linearization(
+            self._split(residuals), self._split(J[:, : n + 1]), self._split(inputs)
+        )
 
     def touched(self, z: Array) -> NDArray[np.bool_]:
         """Whether the pusher touches the object, by push."""
@@ -188,7 +199,10 @@ class PushProblem:
         """Mean distance of the cells' centers, m, by push: the paper's ADD, averaged over a push's observations."""
         if not len(residuals):
             return np.empty(0)
-        rows, counts = np.concatenate(residuals).reshape(-1, 3), np.array([len(one) // 3 for one in residuals])
+        rows, counts = (
+            np.concatenate(residuals).reshape(-1, 3),
+            np.array([len(one) // 3 for one in residuals]),
+        )
         arm = self.obj.p_BC - self._centroid
         x, y, turn = rows[:, 0], rows[:, 1], rows[:, 2] / self._rho
         c, s = -2.0 * np.sin(turn / 2) ** 2, np.sin(turn)  # the rotation less the identity
@@ -199,9 +213,16 @@ class PushProblem:
 
     @cached_property
     def _observed(self) -> "_Observations":
-        pushes = [BatchPush(p.observed.push, p.observed.pose, p.times, p.rows, p.table) for p in self._pushes]
-        poses = np.concatenate([np.empty((0, 3)), *(p.observed.poses_observed for p in self._pushes)])
-        return _Observations(PushBatch(self.obj, pushes, self.regime), poses, self._centroid_at(poses))
+        pushes = [
+            BatchPush(p.observed.push, p.observed.pose, p.times, p.rows, p.table)
+            for p in self._pushes
+        ]
+        poses = np.concatenate(
+            [np.empty((0, 3)), *(p.observed.poses_observed for p in self._pushes)]
+        )
+        return _Observations(
+            PushBatch(self.obj, pushes, self.regime), poses, self._centroid_at(poses)
+        )
 
     def _split(self, values: Array) -> list[Array]:
         """Cuts (3R, ...) of all pushes into those of each."""
@@ -222,7 +243,9 @@ class PushProblem:
         arm = self._centroid_at(predicted) - predicted[:, :2]
         c, s = np.cos(self._observed.poses[:, 2:]), np.sin(self._observed.poses[:, 2:])
         x, y = J[:, 0] - arm[:, 1:] * J[:, 2], J[:, 1] + arm[:, :1] * J[:, 2]
-        return np.stack([c * x + s * y, c * y - s * x, self._rho * J[:, 2]], axis=1).reshape(-1, J.shape[2])
+        return np.stack([c * x + s * y, c * y - s * x, self._rho * J[:, 2]], axis=1).reshape(
+            -1, J.shape[2]
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -69,7 +69,8 @@ class Identification:
     Attributes:
         obj: the object.
         params: the estimate of its cells' masses and frictions.
-        std: its standard deviations, in the same shape and units: mass (n,), friction (n,), contact_friction.
+        std: its standard deviations, in the same shape and units: mass (n,), friction (n,),
+            contact_friction.
         posterior: the spread of the relative support friction and the contact friction.
         identifiability: what these data say and what they cannot say.
         method: that found it.
@@ -78,16 +79,18 @@ class Identification:
         message: the status in a sentence.
         history: the best loss so far along the search, simulations increasing.
         simulations: pushes simulated in all.
-        noise_std: standard deviation of what the model leaves unexplained, as cell error per axis, m.
+        noise_std: standard deviation of what the model leaves unexplained, as cell error per axis,
+            m.
         load_shift_std: standard deviation of the center of the load per axis from push to push, m.
         seed: of everything random.
         push_names: of the training pushes used.
         unused_pushes: of those left out, because the pusher never touched the object in them.
         outliers: what was refused of the pushes, one entry for each of which something was.
-        starts: where each of the default method's fits ended, for `identify(start=...)`; empty for other methods.
+        starts: where each of the default method's fits ended, for `identify(start=...)`; empty for
+            other methods.
         force: what measured forces say of the friction's scale; None where there are none.
-        interval_scale: of predicted intervals, at most 1: how much narrower they are than posterior and noise make
-            them, as pushes like these turn out nearer.
+        interval_scale: of predicted intervals, at most 1: how much narrower they are than posterior
+            and noise make them, as pushes like these turn out nearer.
         noise: what the method took for granted of the noise, at scale one.
     """
 
@@ -116,7 +119,9 @@ class Identification:
     @property
     def noise_scale(self) -> NoiseScale:
         """Of `noise`, as large as the pushes said."""
-        return NoiseScale(self.noise_std / self.noise.pose, self.load_shift_std / self.noise.load_shift)
+        return NoiseScale(
+            self.noise_std / self.noise.pose, self.load_shift_std / self.noise.load_shift
+        )
 
     def samples(self, k: int, seed: int = 0) -> list[CellParameters]:
         """Draws k parameter sets that agree with the pushes; every cell's friction is the estimate's.
@@ -132,7 +137,9 @@ class Identification:
             IdentificationError: k or the seed is negative.
         """
         if k < 0 or seed < 0:
-            raise IdentificationError(f"samples: k is {k}, seed {seed}; expected whole numbers, 0 or more")
+            raise IdentificationError(
+                f"samples: k is {k}, seed {seed}; expected whole numbers, 0 or more"
+            )
         return self.posterior.draw_parameters(self.params, k, seed)
 
     @property
@@ -144,10 +151,11 @@ class Identification:
 def calc_center_of_mass(found: Identification) -> tuple[Array, Array]:
     """Calculates where the center of mass is held to be: c = sum_i a_i p_i with a_i = m_i / sum m, to first order.
 
-    The cells' frictions are held; what they may be is left out: see `Identifiability.center_of_mass_box`. Where next to
-    nothing is known, first order says more than can be: along no direction is the center less sure than one that may be
-    anywhere in the object. A center of mass that was told is where it was told: what pushes show is the center of
-    friction, from which it differs as frictions do.
+    The cells' frictions are held; what they may be is left out: see
+    `Identifiability.center_of_mass_box`. Where next to nothing is known, first order says more than
+    can be: along no direction is the center less sure than one that may be anywhere in the object.
+    A center of mass that was told is where it was told: what pushes show is the center of friction,
+    from which it differs as frictions do.
 
     Args:
         found: the identification.

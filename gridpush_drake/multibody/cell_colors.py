@@ -1,8 +1,8 @@
 """Cells' values as colors, on a scale that stays the same while an estimate improves.
 
-Shares are shown as ratios to the even share: a cell's mass as m_i n / sum(m), its relative friction as
-mu_i m_i n / sum(mu m). Colors follow the logarithm, u = log(value / low) / log(high / low) cut to 0..1, so
-that a quarter of the even share and four times as much lie equally far from the middle.
+Shares are shown as ratios to the even share: a cell's mass as m_i n / sum(m), its relative friction
+as mu_i m_i n / sum(mu m). Colors follow the logarithm, u = log(value / low) / log(high / low) cut
+to 0..1, so that a quarter of the even share and four times as much lie equally far from the middle.
 """
 
 from dataclasses import dataclass
@@ -45,7 +45,9 @@ class CellColors:
         if self.shows not in SHOWN:
             raise StationError(f"shows is {self.shows!r}; expected one of {', '.join(SHOWN)}")
         if self.colormap not in colormaps:
-            raise StationError(f"colormap is {self.colormap!r}; expected one of matplotlib's, such as {CELL_MAP}")
+            raise StationError(
+                f"colormap is {self.colormap!r}; expected one of matplotlib's, such as {CELL_MAP}"
+            )
         low, high = self.resolve_limits()
         if not 0 < low < high < np.inf:
             raise StationError(f"limits are {self.limits!r}; expected 0 < least < greatest")

@@ -1,15 +1,16 @@
 """Contact properties, with Drake's combination laws undone.
 
-Two surfaces a and b touch with friction 2 mu_a mu_b/(mu_a + mu_b) and stiffness k_a k_b/(k_a + k_b). Against a *stiff
-partner* of friction mu_b = 1 and stiffness k_b >> k_a, the contact has friction mu and stiffness k_a where
+Two surfaces a and b touch with friction 2 mu_a mu_b/(mu_a + mu_b) and stiffness k_a k_b/(k_a +
+k_b). Against a *stiff partner* of friction mu_b = 1 and stiffness k_b >> k_a, the contact has
+friction mu and stiffness k_a where
 
     mu_a = mu mu_b / (2 mu_b - mu) = mu / (2 - mu)
 
-So whatever touches a grid object (the table under its spheres, the pusher's tip at its side) is made a stiff partner,
-and the object alone carries the parameters of the contact.
+So whatever touches a grid object (the table under its spheres, the pusher's tip at its side) is
+made a stiff partner, and the object alone carries the parameters of the contact.
 
-`FindTableOutline`: where on the table's top things may lie, read from the table's model, which alone says how large
-it is.
+`FindTableOutline`: where on the table's top things may lie, read from the table's model, which
+alone says how large it is.
 """
 
 from collections.abc import Iterable
@@ -17,7 +18,15 @@ from math import isclose
 
 import numpy as np
 import shapely
-from pydrake.geometry import Box, Cylinder, GeometryId, ProximityProperties, RoleAssign, SceneGraph, SceneGraphInspector
+from pydrake.geometry import (
+    Box,
+    Cylinder,
+    GeometryId,
+    ProximityProperties,
+    RoleAssign,
+    SceneGraph,
+    SceneGraphInspector,
+)
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from shapely.geometry.base import BaseGeometry
@@ -37,11 +46,15 @@ def calc_own_friction(friction: float, name: str = "friction") -> float:
     """
     limit = 2 * PARTNER_FRICTION
     if not 0 <= friction < limit:
-        raise ParameterError(f"{name} is {friction:g}; expected at least 0 and less than {limit:g} in a Drake plant")
+        raise ParameterError(
+            f"{name} is {friction:g}; expected at least 0 and less than {limit:g} in a Drake plant"
+        )
     return friction * PARTNER_FRICTION / (limit - friction)
 
 
-def MakeContactProperties(friction: float, stiffness: float, dissipation: float = 0.0) -> ProximityProperties:
+def MakeContactProperties(
+    friction: float, stiffness: float, dissipation: float = 0.0
+) -> ProximityProperties:
     """Makes the properties of a surface: friction, static and dynamic, stiffness, N/m, and dissipation, s/m."""
     properties = ProximityProperties()
     properties.AddProperty("material", "coulomb_friction", CoulombFriction(friction, friction))
@@ -55,12 +68,16 @@ def MakePartnerProperties() -> ProximityProperties:
     return MakeContactProperties(PARTNER_FRICTION, PARTNER_STIFFNESS)
 
 
-def SetPartner(plant: MultibodyPlant, scene_graph: SceneGraph, geometries: Iterable[GeometryId]) -> None:
+def SetPartner(
+    plant: MultibodyPlant, scene_graph: SceneGraph, geometries: Iterable[GeometryId]
+) -> None:
     """Makes stiff partners of a plant's collision geometries, before a Context is made: the table's, the tip's."""
     source = plant.get_source_id()
     for geometry in geometries:
         # keep what else is known of the surface, such as its hydroelastic properties
-        properties = ProximityProperties(scene_graph.model_inspector().GetProximityProperties(geometry))
+        properties = ProximityProperties(
+            scene_graph.model_inspector().GetProximityProperties(geometry)
+        )
         wanted = MakePartnerProperties()
         for name in wanted.GetPropertiesInGroup("material"):
             properties.UpdateProperty("material", name, wanted.GetProperty("material", name))
@@ -71,12 +88,15 @@ TABLE = "table"  # name of the table's model instance
 TOP_TOLERANCE = 1e-6  # m, about the plane z = 0; and of the table's normal, as a sine
 
 QUADRANT_SEGMENTS = 256
-"""Of the polygon within a round table's edge, a quarter turn; it lies within 2 um of a edge of 0.5 m."""
+"""Of the polygon within a round table's edge, a quarter turn; it lies within 2 um of a edge of 0.5
+m."""
 
 SEAM = 1e-9  # m: outlines are rounded to it, so that pieces of a table that meet leave no gap
 
 
-def FindTableTops(plant: MultibodyPlant, inspector: SceneGraphInspector) -> dict[GeometryId, BaseGeometry]:
+def FindTableTops(
+    plant: MultibodyPlant, inspector: SceneGraphInspector
+) -> dict[GeometryId, BaseGeometry]:
     """Finds the collision geometries of a finalised plant whose top is the table's.
 
     Returns:
@@ -86,7 +106,9 @@ def FindTableTops(plant: MultibodyPlant, inspector: SceneGraphInspector) -> dict
         ScenarioError: there is no such model, or none of its geometries ends there.
     """
     if not plant.HasModelInstanceNamed(TABLE):
-        raise ScenarioError(f"directives: there is no model {TABLE}; expected one whose top lies at z = 0")
+        raise ScenarioError(
+            f"directives: there is no model {TABLE}; expected one whose top lies at z = 0"
+        )
     context = plant.CreateDefaultContext()
     tops: dict[GeometryId, BaseGeometry] = {}
     for index in plant.GetBodyIndices(plant.GetModelInstanceByName(TABLE)):
@@ -98,7 +120,9 @@ def FindTableTops(plant: MultibodyPlant, inspector: SceneGraphInspector) -> dict
             if outline is not None:
                 tops[geometry] = outline
     if not tops:
-        raise ScenarioError(f"directives: {TABLE} has no level box or cylinder that ends at z = 0; expected one")
+        raise ScenarioError(
+            f"directives: {TABLE} has no level box or cylinder that ends at z = 0; expected one"
+        )
     return tops
 
 
@@ -117,5 +141,8 @@ def _outline_of(shape: Box | Cylinder | object, X_WG: RigidTransform) -> BaseGeo
         return None
     if isinstance(shape, Cylinder):
         return shapely.Point(p[:2]).buffer(shape.radius(), quad_segs=QUADRANT_SEGMENTS)
-    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (shape.width() / 2, shape.depth() / 2)
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * (
+        shape.width() / 2,
+        shape.depth() / 2,
+    )
     return shapely.Polygon(corners @ R[:2, :2].T + p[:2])

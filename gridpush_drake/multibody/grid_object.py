@@ -1,17 +1,20 @@
 """A grid object as a body of a MultibodyPlant.
 
-One rigid body with the cells' inertia stands on contact spheres, a cell on one (or four), and is pushed at boxes along
-its outline. Two ways to hold it:
+One rigid body with the cells' inertia stands on contact spheres, a cell on one (or four), and is
+pushed at boxes along its outline. Two ways to hold it:
 
-* "planar": a PlanarJoint whose parent frame lies `delta` below the table's top. Each sphere is pressed in by delta, so
-  cell i bears m_i g by construction, as the planar model assumes. For dt = 1 ms.
-* "free": six degrees of freedom: it can tip over the table's edge and be lifted; the cells' loads shift as it is pushed
-  above the table. For dt = 2 ms.
+* "planar": a PlanarJoint whose parent frame lies `delta` below the table's top. Each sphere is
+  pressed in by delta, so cell i bears m_i g by construction, as the planar model assumes. For dt =
+  1 ms.
+* "free": six degrees of freedom: it can tip over the table's edge and be lifted; the cells' loads
+  shift as it is pushed above the table. For dt = 2 ms.
 
-The plant's contact approximation is best left at Drake's default, "lagged": "sap" and "similar" glide.
+The plant's contact approximation is best left at Drake's default, "lagged": "sap" and "similar"
+glide.
 
-Frames: the table's top is the plane z = 0 of the world; the object's bottom is z = 0 of B, whose x and y are the grid
-object's own. Spheres touch nothing but the table, sides everything but the table.
+Frames: the table's top is the plane z = 0 of the world; the object's bottom is z = 0 of B, whose x
+and y are the grid object's own. Spheres touch nothing but the table, sides everything but the
+table.
 
 A sphere that carries the share m_i g of the weight, pressed in by delta, has stiffness
 
@@ -19,11 +22,12 @@ A sphere that carries the share m_i g of the weight, pressed in by delta, has st
 
 so that, pressed in by delta, it bears just that share, whatever the other spheres do.
 
-A finger pushes at boxes. Contact of a sphere and a box is solved in closed form in Drake, that of sphere and convex
-mesh by iteration. So each edge of the outline is the outer face of one box, as deep as the object lets it be. A
-sphere's nearest point on these boxes is the nearest point of the outline, corners and holes included; a corner shared
-by two boxes gives the same contact twice. The inside is filled with boxes too, a little clear of the outline, so that
-whatever else comes down on the object or grips it is not let through.
+A finger pushes at boxes. Contact of a sphere and a box is solved in closed form in Drake, that of
+sphere and convex mesh by iteration. So each edge of the outline is the outer face of one box, as
+deep as the object lets it be. A sphere's nearest point on these boxes is the nearest point of the
+outline, corners and holes included; a corner shared by two boxes gives the same contact twice. The
+inside is filled with boxes too, a little clear of the outline, so that whatever else comes down on
+the object or grips it is not let through.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -82,7 +86,9 @@ class ContactSphereLayout:
     spheres_per_cell: SpheresPerCell  # 1: at the cells' centers; 4: at their corners
 
     @classmethod
-    def for_object(cls, obj: GridObject, spheres_per_cell: SpheresPerCell = 1) -> "ContactSphereLayout":
+    def for_object(
+        cls, obj: GridObject, spheres_per_cell: SpheresPerCell = 1
+    ) -> "ContactSphereLayout":
         """Lays out the spheres of an object, cell by cell: 1 a cell, or 4 to support it out to its edge.
 
         Raises ParameterError: `spheres_per_cell` is neither.
@@ -100,14 +106,18 @@ class ContactSphereLayout:
         """Makes the spheres' contact properties, pressed in by `delta`, m.
 
         Args:
-            support: (n,) what each cell's spheres bear where they are pressed in so far, kg; its own mass by default.
+            support: (n,) what each cell's spheres bear where they are pressed in so far, kg; its
+                own mass by default.
 
         Raises:
             ParameterError: a friction is 2 or more, which Drake's combination cannot give.
         """
         borne = params.mass if support is None else support
         stiffness = borne * gravity / (delta * self.spheres_per_cell)
-        friction = [calc_own_friction(float(mu), f"friction of cell {i}") for i, mu in enumerate(params.friction)]
+        friction = [
+            calc_own_friction(float(mu), f"friction of cell {i}")
+            for i, mu in enumerate(params.friction)
+        ]
         return [MakeContactProperties(friction[i], float(stiffness[i])) for i in self.cell]
 
 
@@ -156,11 +166,21 @@ def make_inner_boxes(obj: GridObject) -> list[PlanarBox]:
     for low, high in pairwise(np.linspace(bottom, top, STRIPS + 1)):
         outside = box(left, low, right, high).difference(room)
         # the row is free where nothing outside is seen along y
-        seen = sorted((part.bounds[0], part.bounds[2]) for part in getattr(outside, "geoms", [outside]) if part.area)
+        seen = sorted(
+            (part.bounds[0], part.bounds[2])
+            for part in getattr(outside, "geoms", [outside])
+            if part.area
+        )
         reached = left
         for start, end in [*seen, (right, right)]:
             if start - reached > CLEARANCE:
-                boxes.append(PlanarBox(np.array([reached + start, low + high]) / 2, 0.0, (start - reached, high - low)))
+                boxes.append(
+                    PlanarBox(
+                        np.array([reached + start, low + high]) / 2,
+                        0.0,
+                        (start - reached, high - low),
+                    )
+                )
             reached = max(reached, end)
     return boxes
 
@@ -173,10 +193,13 @@ DEFAULT_DELTA = {"planar": 1e-3, "free": 1e-6}
 """m the spheres are pressed in; a free body on softer spheres tips falsely."""
 
 SIDE_STIFFNESS = 3e5
-"""N/m, of the outline: a push of 3 N presses the finger in by 0.01 mm. Friction of Drake's lagged contact follows the
-normal force of the step before: on a stiffer outline that force jumps from step to step, and the finger slips."""
+"""N/m, of the outline: a push of 3 N presses the finger in by 0.01 mm. Friction of Drake's lagged
+contact follows the normal force of the step before: on a stiffer outline that force jumps from step
+to step, and the finger slips."""
 
-SIDE_DISSIPATION = 100.0  # s/m, of the outline's contacts (Hunt-Crossley): it keeps the finger from bouncing
+SIDE_DISSIPATION = (
+    100.0  # s/m, of the outline's contacts (Hunt-Crossley): it keeps the finger from bouncing
+)
 DEFAULT_COLOR = (0.55, 0.62, 0.7, 1.0)  # red, green, blue and opacity
 
 
@@ -244,9 +267,9 @@ def AddGridObject(
 ) -> GridObjectInPlant:
     """Adds a grid object to a plant, before Finalize.
 
-    The table and the pusher's tip are to be stiff partners (`contact_material.SetPartner`). Spheres and sides are
-    filtered against whatever else is in the plant by now; where more is added afterwards, call
-    `ApplyGridObjectFilters` again.
+    The table and the pusher's tip are to be stiff partners (`contact_material.SetPartner`). Spheres
+    and sides are filtered against whatever else is in the plant by now; where more is added
+    afterwards, call `ApplyGridObjectFilters` again.
 
     Args:
         plant: discrete; its gravity field is the one that the spheres are made for.
@@ -255,16 +278,18 @@ def AddGridObject(
         height: of the object, m.
         name: of model instance and body, no other model's; the object's by default.
         delta: m the spheres are pressed in; by default 1e-3 for "planar", 1e-6 for "free".
-        spheres_per_cell: 1, or 4: at the cells' corners, so that the object is supported out to its edge. Over a
-            table's edge it tips up to one cell early, either way.
-        support: (n,) how stiff the cells' spheres are: what they bear where they are pressed in by delta, kg (see
-            `ground_truth.calc_support`). By default each cell's mass, and so each bears its own weight.
+        spheres_per_cell: 1, or 4: at the cells' corners, so that the object is supported out to its
+            edge. Over a table's edge it tips up to one cell early, either way.
+        support: (n,) how stiff the cells' spheres are: what they bear where they are pressed in by
+            delta, kg (see `ground_truth.calc_support`). By default each cell's mass, and so each
+            bears its own weight.
         side_stiffness: of the outline's contacts, N/m.
         visual: whether it has illustration geometry.
         color: red, green, blue and opacity of that.
 
     Raises:
-        ObjectError: `base` is neither, a size is not positive, there is no table, or a model of that name.
+        ObjectError: `base` is neither, a size is not positive, there is no table, or a model of
+            that name.
         ParameterError: the parameters are of another number of cells, or a friction is 2 or more.
     """
     if base not in DEFAULT_DELTA:
@@ -273,10 +298,14 @@ def AddGridObject(
     require_positive(ObjectError, height=height, delta=delta, side_stiffness=side_stiffness)
     table = list(table)
     if not table:
-        raise ObjectError("table is empty; expected the collision geometries that the spheres stand on")
+        raise ObjectError(
+            "table is empty; expected the collision geometries that the spheres stand on"
+        )
     name = obj.name if name is None else name
     if plant.HasModelInstanceNamed(name):
-        raise ObjectError(f"name is {name!r}, as another model's in the plant; expected one of its own")
+        raise ObjectError(
+            f"name is {name!r}, as another model's in the plant; expected one of its own"
+        )
     layout = ContactSphereLayout.for_object(obj, spheres_per_cell)
     model_instance = plant.AddModelInstance(name)
     body = plant.AddRigidBody(name, model_instance, MakeSpatialInertia(obj, params, height))
@@ -292,10 +321,13 @@ def AddGridObject(
     return handle
 
 
-def MakeSpatialInertia(obj: GridObject, params: CellParameters, height: float = DEFAULT_HEIGHT) -> SpatialInertia:
+def MakeSpatialInertia(
+    obj: GridObject, params: CellParameters, height: float = DEFAULT_HEIGHT
+) -> SpatialInertia:
     """Sums up the cells' inertia, each a homogeneous square prism: M_BBo_B, about B's origin, at the object's bottom.
 
-    Raises ParameterError: the parameters are of another number of cells, or Drake finds the masses unphysical.
+    Raises ParameterError: the parameters are of another number of cells, or Drake finds the masses
+    unphysical.
     """
     params.center_of_mass(obj)  # says so where the numbers of cells differ
     total = SpatialInertia.Zero()
@@ -330,12 +362,17 @@ def calc_gravity(plant: MultibodyPlant) -> float:
 
 
 def ApplyGridObjectFilters(
-    plant: MultibodyPlant, scene_graph: SceneGraph, handle: GridObjectInPlant, table: Iterable[GeometryId]
+    plant: MultibodyPlant,
+    scene_graph: SceneGraph,
+    handle: GridObjectInPlant,
+    table: Iterable[GeometryId],
 ) -> None:
     """Lets the spheres touch the table alone, the sides everything but the table, of what is in the plant by now."""
     table = list(table)
     inspector = scene_graph.model_inspector()
-    others = set(inspector.GetGeometryIds(GeometrySet(inspector.GetAllGeometryIds()), Role.kProximity)) - set(table)
+    others = set(
+        inspector.GetGeometryIds(GeometrySet(inspector.GetAllGeometryIds()), Role.kProximity)
+    ) - set(table)
     spheres, sides = GeometrySet(list(handle.contact_spheres)), GeometrySet(list(handle.sides))
     declaration = CollisionFilterDeclaration(CollisionFilterScope.kAll)
     declaration.ExcludeBetween(spheres, GeometrySet(list(others)))
@@ -348,8 +385,12 @@ def _hold(plant: MultibodyPlant, body: RigidBody, base: Base, delta: float) -> P
     if base == "free":
         plant.SetDefaultFloatingBaseBodyPose(body, X_WB)
         return None
-    frame = plant.AddFrame(FixedOffsetFrame(f"{body.name()}_table", plant.world_frame(), X_WB, body.model_instance()))
-    return plant.AddJoint(PlanarJoint(f"{body.name()}_planar", frame, body.body_frame(), np.zeros(3)))
+    frame = plant.AddFrame(
+        FixedOffsetFrame(f"{body.name()}_table", plant.world_frame(), X_WB, body.model_instance())
+    )
+    return plant.AddJoint(
+        PlanarJoint(f"{body.name()}_planar", frame, body.body_frame(), np.zeros(3))
+    )
 
 
 def _add_spheres(
@@ -368,13 +409,20 @@ def _add_spheres(
 
 
 def _add_sides(
-    plant: MultibodyPlant, body: RigidBody, obj: GridObject, params: CellParameters, height: float, stiffness: float
+    plant: MultibodyPlant,
+    body: RigidBody,
+    obj: GridObject,
+    params: CellParameters,
+    height: float,
+    stiffness: float,
 ) -> tuple[GeometryId, ...]:
     properties = MakeSideProperties(params, stiffness)
 
     def add(name: str, flat: PlanarBox) -> GeometryId:
         X_BG = RigidTransform(RollPitchYaw(0, 0, flat.angle), [*flat.center, height / 2])
-        return plant.RegisterCollisionGeometry(body, X_BG, Box(*flat.size, height), name, properties)
+        return plant.RegisterCollisionGeometry(
+            body, X_BG, Box(*flat.size, height), name, properties
+        )
 
     edges = [add(f"edge_{i}", flat) for i, flat in enumerate(make_edge_boxes(obj))]
     return (*edges, *(add(f"inside_{i}", flat) for i, flat in enumerate(make_inner_boxes(obj))))
@@ -386,7 +434,11 @@ def _add_visual(
 ) -> tuple[GeometryId, ...]:  # fmt: skip
     file = MemoryFile(make_outline_mesh(obj.outline, height), ".obj", f"{obj.name}.obj")
     geometry = plant.RegisterVisualGeometry(
-        body, RigidTransform(), Mesh(InMemoryMesh(mesh_file=file)), "outline", np.asarray(color, dtype=float)
+        body,
+        RigidTransform(),
+        Mesh(InMemoryMesh(mesh_file=file)),
+        "outline",
+        np.asarray(color, dtype=float),
     )
     scene_graph.RemoveRole(plant.get_source_id(), geometry, Role.kPerception)
     return (geometry,)

@@ -17,14 +17,20 @@ from scipy.spatial import cKDTree
 
 from gridpush_drake.errors import ObjectError
 from gridpush_drake.geometry.se2 import check_vector
-from gridpush_drake.multibody.grid_object import GridObjectInPlant, MakeSideProperties, MakeSpatialInertia, calc_gravity
+from gridpush_drake.multibody.grid_object import (
+    GridObjectInPlant,
+    MakeSideProperties,
+    MakeSpatialInertia,
+    calc_gravity,
+)
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS, CellParameters
 
 Range = tuple[float, float]
 
 CELL_MASS_RANGE = (0.1, 1.0)
-"""Smallest and greatest mass of a cell before all are scaled to the object's total mass; one draw a part."""
+"""Smallest and greatest mass of a cell before all are scaled to the object's total mass; one draw a
+part."""
 
 FRICTION_RANGE = (0.2, 0.6)
 CONTACT_FRICTION_RANGE = (0.35, 0.65)
@@ -45,13 +51,17 @@ def sample_ground_truth(
     """Draws what the parts weigh and how they rub; the total mass is the object's, or DEFAULT_TOTAL_MASS.
 
     Args:
-        cell_mass_range: of a cell's mass before all are scaled to the total, kg; log-uniform, one draw a part.
+        cell_mass_range: of a cell's mass before all are scaled to the total, kg; log-uniform, one
+            draw a part.
         friction_range: of the coefficient against the support.
         contact_friction_range: of the coefficient against the pusher.
-        friction_by_part: whether every part has a friction of its own. Slow pushes cannot tell mass and friction apart,
-            and the center of mass can only be learned where they do not vary both.
+        friction_by_part: whether every part has a friction of its own. Slow pushes cannot tell mass
+            and friction apart, and the center of mass can only be learned where they do not vary
+            both.
     """
-    drawn = CellParameters.random(obj, seed, cell_mass_range, friction_range if friction_by_part else None)
+    drawn = CellParameters.random(
+        obj, seed, cell_mass_range, friction_range if friction_by_part else None
+    )
     total = obj.prior.total_mass or DEFAULT_TOTAL_MASS
     rng = np.random.default_rng((seed, 1))
     contact_friction = float(rng.uniform(*contact_friction_range))
@@ -59,11 +69,14 @@ def sample_ground_truth(
     return CellParameters(drawn.mass * (total / drawn.total_mass), friction, contact_friction)
 
 
-def resample_parameters(obj: GridObject, params: CellParameters, other: GridObject) -> CellParameters:
+def resample_parameters(
+    obj: GridObject, params: CellParameters, other: GridObject
+) -> CellParameters:
     """The parameters of an object's cells on another grid of it, in the same frame, such as one that a camera saw.
 
-    Each cell takes mass by area and friction from the nearest one; then masses are tilted, linearly over the object, so
-    that total mass and center of mass are kept. `params` themselves where it is the same object.
+    Each cell takes mass by area and friction from the nearest one; then masses are tilted, linearly
+    over the object, so that total mass and center of mass are kept. `params` themselves where it is
+    the same object.
     """
     if other is obj:
         return params
@@ -78,12 +91,14 @@ def resample_parameters(obj: GridObject, params: CellParameters, other: GridObje
 
 
 Support = Literal["own_weight", "foundation", "three_feet"]
-"""How a free body stands: each cell bears its own weight, on an evenly compliant bottom, or on three feet."""
+"""How a free body stands: each cell bears its own weight, on an evenly compliant bottom, or on
+three feet."""
 
 FEET_SLACK = 0.002  # m that the center of mass lies within three feet's triangle, beside what a push takes away
 
 SOFT = 1e-3
-"""Stiffness of the bottom beside three feet, relative to an even one: it bears where a foot is over the edge."""
+"""Stiffness of the bottom beside three feet, relative to an even one: it bears where a foot is over
+the edge."""
 
 TRIES = 20_000
 
@@ -93,7 +108,8 @@ def calc_support(
 ) -> NDArray[np.float64] | None:
     """Says how stiff a body's feet are, one below each cell; None for own weight.
 
-    Three feet, drawn by a seed, stand so far apart that a pusher at `push_height`, m, does not tip the body.
+    Three feet, drawn by a seed, stand so far apart that a pusher at `push_height`, m, does not tip
+    the body.
 
     Returns:
         (n,) what each foot bears where all are pressed in as far as by the body's weight, kg.
@@ -108,11 +124,15 @@ def calc_support(
         return np.full(obj.n, even)
     stiffness = np.full(obj.n, SOFT * even)
     margin = float(params.friction.max()) * push_height + FEET_SLACK
-    stiffness[draw_feet(obj, params, margin, np.random.default_rng((seed, 2)))] = params.total_mass / 3
+    stiffness[draw_feet(obj, params, margin, np.random.default_rng((seed, 2)))] = (
+        params.total_mass / 3
+    )
     return stiffness
 
 
-def draw_feet(obj: GridObject, params: CellParameters, margin: float, rng: np.random.Generator) -> NDArray[np.int64]:
+def draw_feet(
+    obj: GridObject, params: CellParameters, margin: float, rng: np.random.Generator
+) -> NDArray[np.int64]:
     """Draws (3,) cells whose triangle holds the center of mass, `margin`, m, within its sides; else ObjectError."""
     center = shapely.Point(params.center_of_mass(obj))
     for _ in range(TRIES):
@@ -120,7 +140,9 @@ def draw_feet(obj: GridObject, params: CellParameters, margin: float, rng: np.ra
         triangle = shapely.Polygon(obj.p_BC[cells])
         if triangle.covers(center) and triangle.exterior.distance(center) >= margin:
             return np.asarray(cells, dtype=np.int64)
-    raise ObjectError(f"{obj.name}: found no three feet about the center of mass, {margin:g} m from every side")
+    raise ObjectError(
+        f"{obj.name}: found no three feet about the center of mass, {margin:g} m from every side"
+    )
 
 
 def describe_truth(obj: GridObject, truth: CellParameters) -> dict[str, Any]:
@@ -169,13 +191,19 @@ def SetGridObjectVelocity(
         handle.joint.set_translational_velocity(plant_context, [vx, vy])
         handle.joint.set_angular_velocity(plant_context, w)
     else:
-        plant.SetFreeBodySpatialVelocity(plant_context, handle.body, SpatialVelocity([0, 0, w], [vx, vy, 0]))
+        plant.SetFreeBodySpatialVelocity(
+            plant_context, handle.body, SpatialVelocity([0, 0, w], [vx, vy, 0])
+        )
 
 
-def CalcPlanarPose(plant: MultibodyPlant, plant_context: Context, handle: GridObjectInPlant) -> NDArray[np.float64]:
+def CalcPlanarPose(
+    plant: MultibodyPlant, plant_context: Context, handle: GridObjectInPlant
+) -> NDArray[np.float64]:
     """Calculates q = (x, y, theta) (3,) of B in W, m and rad; theta in (-pi, pi] for a free base."""
     if handle.joint is not None:
-        return np.array([*handle.joint.get_translation(plant_context), handle.joint.get_rotation(plant_context)])
+        return np.array(
+            [*handle.joint.get_translation(plant_context), handle.joint.get_rotation(plant_context)]
+        )
     X_WB = plant.EvalBodyPoseInWorld(plant_context, handle.body)
     R = X_WB.rotation().matrix()
     return np.array([*X_WB.translation()[:2], np.arctan2(R[1, 0], R[0, 0])])
@@ -192,8 +220,8 @@ def SetGridObjectParameters(
     """Changes the truth: inertia, what each sphere bears and how it rubs, the friction of the sides.
 
     Args:
-        context: of the Diagram that holds both; `Simulator.reset_context` and `Diagram.CreateDefaultContext` bring back
-            the parameters that the object was added with.
+        context: of the Diagram that holds both; `Simulator.reset_context` and
+            `Diagram.CreateDefaultContext` bring back the parameters that the object was added with.
         support: (n,) as `AddGridObject`.
 
     Raises:

@@ -27,10 +27,14 @@ CAMERA_AZIMUTH, CAMERA_ELEVATION = -1.75, 0.85
 
 MARK = b"<title>Drake MeshCat</title>"  # what stands in every page of Meshcat
 MARK_ROOM = 4096  # bytes within which it stands
-BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.97, 0.975, 0.98), (0.80, 0.82, 0.85)  # colors of the background, sRGB
+BACKGROUND_TOP, BACKGROUND_BOTTOM = (
+    (0.97, 0.975, 0.98),
+    (0.80, 0.82, 0.85),
+)  # colors of the background, sRGB
 
 LIGHTS = {"AmbientLight": 1.2, "PointLightNegativeX": 14.0, "PointLightPositiveX": 14.0}
-"""Intensities that show a horizontal face near the origin in its own color; Meshcat's own make it a third brighter."""
+"""Intensities that show a horizontal face near the origin in its own color; Meshcat's own make it a
+third brighter."""
 
 _STARTED: list[tuple["ref[Meshcat]", int]] = []  # each server and the thread that started it
 _HELD: list[Meshcat] = []  # what the thread that collects garbage must not destroy
@@ -47,7 +51,9 @@ def StartMeshcatServer(port: int | None = None, host: str = "localhost") -> Mesh
         StationError: the port is out of range or in use, or the host is not this machine's.
     """
     if port is not None and port != 0 and not MIN_PORT <= port <= MAX_PORT:
-        raise StationError(f"port is {port}; expected one from {MIN_PORT} to {MAX_PORT}, or 0 for any free one")
+        raise StationError(
+            f"port is {port}; expected one from {MIN_PORT} to {MAX_PORT}, or 0 for any free one"
+        )
     params = MeshcatParams(host=host, port=port, show_stats_plot=False)
     log = logging.getLogger("drake")
     level = log.level
@@ -66,8 +72,8 @@ def StartMeshcatServer(port: int | None = None, host: str = "localhost") -> Mesh
 def KeepToItsThread(meshcat: Meshcat) -> None:
     """Has a server destroyed by this thread only, if no other was said before; it must be the one that started it.
 
-    Drake ends the process where another thread destroys it, as a worker's does that happens to collect the garbage
-    in which a dropped Diagram's server lies.
+    Drake ends the process where another thread destroys it, as a worker's does that happens to
+    collect the garbage in which a dropped Diagram's server lies.
     """
     _STARTED[:] = [one for one in _STARTED if one[0]() is not None]
     if all(made() is not meshcat for made, _ in _STARTED):
@@ -95,7 +101,8 @@ def AimCamera(
 ) -> None:
     """Points the camera at a place (3,) in W, m, from a distance, m.
 
-    Azimuth (rad from the x axis) and elevation (rad from the table) are the camera's, as seen from that place.
+    Azimuth (rad from the x axis) and elevation (rad from the table) are the camera's, as seen from
+    that place.
     """
     direction = [*cos(elevation) * make_direction(azimuth), sin(elevation)]
     p_WT: Any = np.asarray(target, dtype=np.float64)
@@ -106,7 +113,8 @@ def AimCamera(
 def PublishOnce(meshcat: Meshcat) -> None:
     """Publishes what was recorded, to be played once and to stay on its last frame.
 
-    In a loop each thing that moves would begin anew when its own last change is over, and they would not keep time.
+    In a loop each thing that moves would begin anew when its own last change is over, and they
+    would not keep time.
     """
     meshcat.StopRecording()
     recording = meshcat.get_mutable_recording()
@@ -115,7 +123,9 @@ def PublishOnce(meshcat: Meshcat) -> None:
     meshcat.PublishRecording()
 
 
-def write_recording(meshcat: Meshcat, path: Path | str, force: bool = False, overlay: Overlay | None = None) -> None:
+def write_recording(
+    meshcat: Meshcat, path: Path | str, force: bool = False, overlay: Overlay | None = None
+) -> None:
     """Writes the scene, with what was recorded, as one self-contained HTML file that plays when it is opened.
 
     The recording is stopped and published, and LAYERS_TO_LEAVE_OUT are deleted from the scene.
@@ -140,7 +150,11 @@ def _hold_others(phase: str, _: dict[str, int]) -> None:
     """Before a thread collects garbage, holds the servers of the others, and lets go of its own."""
     if phase == "start":
         here = get_ident()
-        _HELD[:] = [meshcat for made, thread in _STARTED if thread != here and (meshcat := made()) is not None]
+        _HELD[:] = [
+            meshcat
+            for made, thread in _STARTED
+            if thread != here and (meshcat := made()) is not None
+        ]
 
 
 def _explain(port: int | None, host: str) -> str:

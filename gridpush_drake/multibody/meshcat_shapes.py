@@ -1,13 +1,14 @@
 """What is drawn of an object and its estimate in Meshcat, and how it changes in a live scene and in a recording alike.
 
-An animation in Meshcat moves things and changes properties, but cannot change a mesh. So each new version of what is
-drawn gets a path of its own, and versions take turns by the property "visible", which is recorded.
+An animation in Meshcat moves things and changes properties, but cannot change a mesh. So each new
+version of what is drawn gets a path of its own, and versions take turns by the property "visible",
+which is recorded.
 
-Meshcat's shader takes a mesh's vertex colors for linear light, though a material's for sRGB; what is given here is
-always sRGB.
+Meshcat's shader takes a mesh's vertex colors for linear light, though a material's for sRGB; what
+is given here is always sRGB.
 
-What is drawn lies flat on a table: cells, an outline's prism, discs, rings and arrows. Areas are shapely's, meshes
-trimesh's.
+What is drawn lies flat on a table: cells, an outline's prism, discs, rings and arrows. Areas are
+shapely's, meshes trimesh's.
 """
 
 from typing import Any
@@ -23,7 +24,9 @@ from trimesh import Trimesh
 from gridpush_drake.geometry.se2 import Array, make_direction
 from gridpush_drake.objects.grid_object import GridObject
 
-CELL_SHARE = 0.94  # side of a drawn cell, in cells; the rest is the gap that lets cells be told apart
+CELL_SHARE = (
+    0.94  # side of a drawn cell, in cells; the rest is the gap that lets cells be told apart
+)
 CIRCLE_SIDES = 48  # straight pieces of a drawn circle
 MIN_HALF_AXIS = 1e-5  # of a drawn ellipse, m; one that is narrower has no area to speak of
 MIN_LENGTH = 1e-5  # of a drawn arrow, m
@@ -35,7 +38,9 @@ def make_cell_prisms(obj: GridObject, height: float, share: float = CELL_SHARE) 
     The 8 n vertices come by corner, then by cell (the first n are all cells' first corners).
     """
     side, cell = share * obj.cell_size, np.arange(obj.n)
-    box = _drop_floor(trimesh.creation.box(bounds=[[-side / 2, -side / 2, 0.0], [side / 2, side / 2, height]]))
+    box = _drop_floor(
+        trimesh.creation.box(bounds=[[-side / 2, -side / 2, 0.0], [side / 2, side / 2, height]])
+    )
     p_BC = np.column_stack([obj.p_BC, np.zeros(obj.n)])
     vertices = (box.vertices[:, None] + p_BC).reshape(-1, 3)
     faces = (box.faces[None] * obj.n + cell[:, None, None]).reshape(-1, 3)
@@ -55,7 +60,9 @@ def make_outline_mesh(outline: Polygon, height: float, normals: bool = False) ->
     mesh = trimesh.creation.extrude_triangulation(*_triangulate(outline), height)
     if normals:
         mesh.unmerge_vertices()
-    return str(mesh.export(file_type="obj", include_normals=normals, header="prism of an outline, m"))
+    return str(
+        mesh.export(file_type="obj", include_normals=normals, header="prism of an outline, m")
+    )
 
 
 def make_outline_edge(obj: GridObject, height: float, width: float) -> Trimesh:
@@ -124,12 +131,16 @@ def _make_ellipse(covariance: ArrayLike, center: ArrayLike, margin: float = 0.0)
 
 VISIBLE = "visible"
 
-CENTER_COLOR = Rgba(0.93, 0.07, 0.42)  # of the center of mass and its ellipse; no color of viridis comes near
+CENTER_COLOR = Rgba(
+    0.93, 0.07, 0.42
+)  # of the center of mass and its ellipse; no color of viridis comes near
 
 ELLIPSE_OPACITY = 0.3
 
 SIGMAS = 2.0  # half axes of the ellipse, in standard deviations
-PLAN_COLOR = Rgba(0.93, 0.38, 0.05)  # of what is to come: a push, and the pose it is predicted to end in
+PLAN_COLOR = Rgba(
+    0.93, 0.38, 0.05
+)  # of what is to come: a push, and the pose it is predicted to end in
 
 GHOST_OPACITY = 0.3
 
@@ -143,7 +154,9 @@ GHOST_SHARE = 0.97
 """Height of a ghost, in heights of its object, whose own top then covers it where the two meet."""
 
 
-def AddCells(meshcat: Meshcat, path: str, obj: GridObject, colors: ArrayLike, height: float) -> None:
+def AddCells(
+    meshcat: Meshcat, path: str, obj: GridObject, colors: ArrayLike, height: float
+) -> None:
     """Draws an object's cells as one mesh, standing on z = 0 of its body frame, in `colors` (n, 3), sRGB, 0 to 1."""
     mesh = make_cell_prisms(obj, height)
     light = srgb_to_linear(np.asarray(colors, dtype=np.float64))
@@ -153,11 +166,14 @@ def AddCells(meshcat: Meshcat, path: str, obj: GridObject, colors: ArrayLike, he
     meshcat.SetTriangleColorMesh(path, vertices, faces, columns)
 
 
-def AddCenter(meshcat: Meshcat, path: str, center: ArrayLike, covariance: ArrayLike, height: float) -> None:
+def AddCenter(
+    meshcat: Meshcat, path: str, center: ArrayLike, covariance: ArrayLike, height: float
+) -> None:
     """Draws an estimated point and its ellipse of SIGMAS standard deviations, flat, from z = `height` up.
 
-    A dot is drawn at `path`/dot, the ellipse and its edge at `path`/ellipse and `path`/edge; nothing where `center`
-    (2,), m, is not finite, and the dot alone where `covariance` (2, 2), m², is not.
+    A dot is drawn at `path`/dot, the ellipse and its edge at `path`/ellipse and `path`/edge;
+    nothing where `center` (2,), m, is not finite, and the dot alone where `covariance` (2, 2), m²,
+    is not.
     """
     if not np.isfinite(center).all():
         return
@@ -167,15 +183,28 @@ def AddCenter(meshcat: Meshcat, path: str, center: ArrayLike, covariance: ArrayL
     if np.isfinite(spread).all() and spread.any():
         fill = make_disc(spread, center, height)
         _AddMesh(meshcat, f"{path}/ellipse", fill, _fade(CENTER_COLOR, ELLIPSE_OPACITY))
-        _AddMesh(meshcat, f"{path}/edge", make_ring(spread, center, height + LAYER, RING_WIDTH), CENTER_COLOR)
+        _AddMesh(
+            meshcat,
+            f"{path}/edge",
+            make_ring(spread, center, height + LAYER, RING_WIDTH),
+            CENTER_COLOR,
+        )
 
 
-def AddGhost(meshcat: Meshcat, path: str, obj: GridObject, height: float, color: Rgba = PLAN_COLOR) -> None:
+def AddGhost(
+    meshcat: Meshcat, path: str, obj: GridObject, height: float, color: Rgba = PLAN_COLOR
+) -> None:
     """Draws a translucent prism of an object's outline, body frame, with its upper edge as an opaque band.
 
-    They are at `path`/body, which ends a little below `height`, m, and at `path`/edge, which lies a little above.
+    They are at `path`/body, which ends a little below `height`, m, and at `path`/edge, which lies a
+    little above.
     """
-    _AddMesh(meshcat, f"{path}/body", make_outline_prism(obj, GHOST_SHARE * height), _fade(color, GHOST_OPACITY))
+    _AddMesh(
+        meshcat,
+        f"{path}/body",
+        make_outline_prism(obj, GHOST_SHARE * height),
+        _fade(color, GHOST_OPACITY),
+    )
     edge = make_outline_edge(obj, height + LAYER / 2, EDGE_WIDTH)
     _AddMesh(meshcat, f"{path}/edge", edge, color)
 
@@ -190,11 +219,13 @@ def AddArrow(meshcat: Meshcat, path: str, start: ArrayLike, end: ArrayLike, heig
     _AddMesh(meshcat, path, make_arrow(start, end, height, ARROW_WIDTH), PLAN_COLOR)
 
 
-def SwapVisible(meshcat: Meshcat, shown: str | None, hidden: str | None, time: float, period: float) -> None:
+def SwapVisible(
+    meshcat: Meshcat, shown: str | None, hidden: str | None, time: float, period: float
+) -> None:
     """Shows one path instead of another, from `time` (s) on, live and in the recording where one is made.
 
-    In the recording `shown` is hidden before; `hidden` stays as it is until a `period` (s) before, at least: what
-    passed since the scene was drawn last.
+    In the recording `shown` is hidden before; `hidden` stays as it is until a `period` (s) before,
+    at least: what passed since the scene was drawn last.
     """
     recording = meshcat.get_mutable_recording()
     begin = recording.start_time()

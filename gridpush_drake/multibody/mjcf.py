@@ -1,18 +1,21 @@
 """A grid object as a MuJoCo model (MJCF), in one file: a free rigid body on a table, a foot under every cell.
 
-The body's feet are as stiff as their cells are heavy, so that it sinks evenly and each cell bears its own weight, the
-model's assumption. A finger touches a thin ring along the outline at the height that the model supposes, 0 unless it
-was told another: pushed above the table, a rigid body's load moves forward.
+The body's feet are as stiff as their cells are heavy, so that it sinks evenly and each cell bears
+its own weight, the model's assumption. A finger touches a thin ring along the outline at the height
+that the model supposes, 0 unless it was told another: pushed above the table, a rigid body's load
+moves forward.
 
-MuJoCo's contacts slip a little when they stick, and are lifted by slip when they slide. Both follow from four numbers.
-With R the regularization of a contact's normal force f, d its impedance (`solimp`) and b what its slip v is
-damped with (`solreffriction`), R f is the body's weight on the foot as acceleration over d, and
+MuJoCo's contacts slip a little when they stick, and are lifted by slip when they slide. Both follow
+from four numbers. With R the regularization of a contact's normal force f, d its impedance
+(`solimp`) and b what its slip v is damped with (`solreffriction`), R f is the body's weight on the
+foot as acceleration over d, and
 
     creep of a sticking foot at the cone's edge        mu R f / (b impratio)
     load that slip feigns, relative to the foot's own  mu b v / (R f)
     time by which friction's direction lags            1 / b
 
-so R f, here REGULARIZATION, is to be large, which a small impedance gives, and `impratio` very large.
+so R f, here REGULARIZATION, is to be large, which a small impedance gives, and `impratio` very
+large.
 """
 
 from pathlib import Path
@@ -32,12 +35,14 @@ TIME_STEP = 1e-3  # s
 FOOT_RADIUS = 0.002  # m, of the spheres that stand on the table
 
 WALL_RADIUS = 1e-4
-"""m, of the capsules along the outline, which the pusher touches; its own radius should be less by as much."""
+"""m, of the capsules along the outline, which the pusher touches; its own radius should be less by
+as much."""
 
 SINKAGE = 2e-4  # m that a compliant bottom sinks under its weight
 
 DAMPING_RATIO = 0.3
-"""Of the body's motion up and down on its feet; explicit in time, so that rocking, which is faster, stays stable."""
+"""Of the body's motion up and down on its feet; explicit in time, so that rocking, which is faster,
+stays stable."""
 
 REGULARIZATION = 1e3  # R f of a foot, m/s²
 SLIP_DAMPING = 200.0  # b, 1/s
@@ -46,7 +51,8 @@ MIN_IMPEDANCE = 1e-4  # MuJoCo's least
 TABLE_HALF = 5.0  # m, half a side of the table
 
 WALL_IMPEDANCE, WALL_TIME = 0.99, 0.002
-"""Of the ring where a finger touches it: its impedance, and in how many seconds it gives back what it gave way."""
+"""Of the ring where a finger touches it: its impedance, and in how many seconds it gives back what
+it gave way."""
 
 NOTICE = """
   A grid object on a table. Units: m, kg, rad. The object's frame has its origin at the bottom, z = 0.
@@ -67,11 +73,12 @@ Element = ElementTree.Element
 def calc_springs(load: Array, sinkage: float, inverse: float) -> tuple[Array, Array, Array]:
     """Calculates MuJoCo's numbers for contacts that give way by `sinkage` (m) under loads (K,), N.
 
-    The force is stiffness times depth, at any depth, as the impedance does not vary with it. `inverse` is of the mass
-    that MuJoCo takes for granted (`body_invweight0`), 1/kg.
+    The force is stiffness times depth, at any depth, as the impedance does not vary with it.
+    `inverse` is of the mass that MuJoCo takes for granted (`body_invweight0`), 1/kg.
 
     Returns:
-        `solref` (K, 2), `solreffriction` (K, 2), and the impedance (K,), the first two entries of `solimp`.
+        `solref` (K, 2), `solreffriction` (K, 2), and the impedance (K,), the first two entries of
+        `solimp`.
     """
     impedance = np.maximum(inverse / (inverse + REGULARIZATION / load), MIN_IMPEDANCE)
     stiffness = load / sinkage
@@ -97,7 +104,14 @@ def make_mjcf(obj: GridObject, params: CellParameters, height: float) -> str:
         gravity=(0, 0, -GRAVITY),
     )  # fmt: skip
     world = ElementTree.SubElement(mujoco, "worldbody")
-    _add(world, "geom", name="table", type="plane", size=(TABLE_HALF, TABLE_HALF, 1), friction=(1, 0, 0))
+    _add(
+        world,
+        "geom",
+        name="table",
+        type="plane",
+        size=(TABLE_HALF, TABLE_HALF, 1),
+        friction=(1, 0, 0),
+    )
     body = _add(world, "body", name=obj.name, pos=(0, 0, 0))
     _add(body, "freejoint", name=obj.name)
     _add_cells(body, obj, params, height)
@@ -119,7 +133,9 @@ def make_mjcf(obj: GridObject, params: CellParameters, height: float) -> str:
     return ElementTree.tostring(mujoco, encoding="unicode") + "\n"
 
 
-def WriteMjcf(obj: GridObject, params: CellParameters, path: Path | str, force: bool, *, height: float) -> None:
+def WriteMjcf(
+    obj: GridObject, params: CellParameters, path: Path | str, force: bool, *, height: float
+) -> None:
     """Writes the model to a file. Raises OutputError where it cannot be written, and ObjectError as `make_mjcf`."""
     write_whole(path, make_mjcf(obj, params, height), force)
 
@@ -148,11 +164,17 @@ def _add_walls(body: Element, obj: GridObject, params: CellParameters) -> None:
 def _add(parent: Element, tag: str, **values: ArrayLike) -> Element:
     """Adds an element, its numbers so written that they are read back exactly."""
     return ElementTree.SubElement(
-        parent, tag, {name: value if isinstance(value, str) else _write(value) for name, value in values.items()}
+        parent,
+        tag,
+        {
+            name: value if isinstance(value, str) else _write(value)
+            for name, value in values.items()
+        },
     )
 
 
 def _write(values: ArrayLike) -> str:
     return " ".join(
-        repr(int(value)) if float(value).is_integer() else repr(float(value)) for value in np.ravel(np.asarray(values))
+        repr(int(value)) if float(value).is_integer() else repr(float(value))
+        for value in np.ravel(np.asarray(values))
     )

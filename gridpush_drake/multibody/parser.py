@@ -1,8 +1,9 @@
 """A Drake parser that knows this package's models as `package://gridpush_drake/...`; and Drake's own meshes for them.
 
-This package's models are made of primitives and need nothing else. `package://drake_models` is what Drake downloads on
-demand; where someone has, its meshes of the iiwa and the WSG-50 are shown instead of the primitives. They are
-illustration only: contact, inertia and what the robot does stay the same. Nothing is ever downloaded for them.
+This package's models are made of primitives and need nothing else. `package://drake_models` is what
+Drake downloads on demand; where someone has, its meshes of the iiwa and the WSG-50 are shown
+instead of the primitives. They are illustration only: contact, inertia and what the robot does stay
+the same. Nothing is ever downloaded for them.
 """
 
 import os
@@ -39,7 +40,8 @@ def MakeParser(plant: MultibodyPlant) -> Parser:
 
 
 NETWORK_VARIABLE = "DRAKE_ALLOW_NETWORK"
-"""Environment variable by which Drake's package map is kept from downloading; set to `none` while it is asked."""
+"""Environment variable by which Drake's package map is kept from downloading; set to `none` while
+it is asked."""
 
 _IIWA, _WSG = "iiwa_description/meshes/iiwa14/visual", "wsg_50_description/meshes"
 
@@ -86,8 +88,8 @@ def AddVisualMeshes(
 ) -> list[str]:
     """Shows meshes instead of primitives, body by body; a body of which a mesh is missing keeps its primitives.
 
-    The plant has its models and is not finalised; without a folder (`find_drake_models`) nothing is added. Returns the
-    names of the bodies that wear meshes now.
+    The plant has its models and is not finalised; without a folder (`find_drake_models`) nothing is
+    added. Returns the names of the bodies that wear meshes now.
     """
     changed: list[str] = []
     if folder is None:
@@ -104,7 +106,9 @@ def AddVisualMeshes(
     return changed
 
 
-def _replace_visuals(plant: MultibodyPlant, scene_graph: SceneGraph, body: BodyIndex, files: Sequence[Path]) -> None:
+def _replace_visuals(
+    plant: MultibodyPlant, scene_graph: SceneGraph, body: BodyIndex, files: Sequence[Path]
+) -> None:
     source, frame = plant.get_source_id(), plant.GetBodyFrameIdOrThrow(body)
     scene_graph.RemoveRole(source, frame, Role.kIllustration)
     for file in files:

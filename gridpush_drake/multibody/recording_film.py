@@ -1,7 +1,8 @@
 """A film of a recording: its moments as a browser draws them, in a GIF or an animated WebP.
 
-Chromium opens the page without a window, holds the animation still at each moment in turn, and gives back what the
-page's own renderer drew. What is being done then, which stands beside the scene, is written below it.
+Chromium opens the page without a window, holds the animation still at each moment in turn, and
+gives back what the page's own renderer drew. What is being done then, which stands beside the
+scene, is written below it.
 """
 
 import base64
@@ -39,17 +40,23 @@ FLAGS = (
 )
 """Of a browser without window, display or graphics card."""
 
-PAGE_TIME, PATIENCE = 10_000, 600.0  # what the page may take by its own clock, ms, and the browser by ours, s
+PAGE_TIME, PATIENCE = (
+    10_000,
+    600.0,
+)  # what the page may take by its own clock, ms, and the browser by ours, s
 SIZE = (640, 400)  # of the scene, pixels; the caption is below it
-SECONDS, FRAMES_PER_SECOND = 12.0, 8  # of the film; it plays as much faster than the recording as it is shorter
+SECONDS, FRAMES_PER_SECOND = (
+    12.0,
+    8,
+)  # of the film; it plays as much faster than the recording as it is shorter
 REST = 1.5  # s that the last picture stays
 
 CAPTION, FONT_SIZE, TEXT, PAPER = 30, 17, (35, 39, 46), (255, 255, 255)
 """Height of the caption and of its letters, pixels; colors of letters and ground, RGB."""
 
 COLORS, PALETTE_BITS, SOME = 192, 5, 8
-"""Of a GIF, the same for all of its pictures: how many, the bits by which colors are told apart that they stand for,
-and the pictures that these are taken from."""
+"""Of a GIF, the same for all of its pictures: how many, the bits by which colors are told apart
+that they stand for, and the pictures that these are taken from."""
 
 ZOOM = 1.25  # by which the recording's view is drawn nearer
 
@@ -97,7 +104,9 @@ def check_film(path: Path | str, force: bool) -> None:
         StationError: its ending is of another kind, or there is no browser.
     """
     if Path(path).suffix.lower() not in ENDINGS:
-        raise StationError(f"{path}: is of an unknown kind; expected a name that ends in {' or '.join(ENDINGS)}")
+        raise StationError(
+            f"{path}: is of an unknown kind; expected a name that ends in {' or '.join(ENDINGS)}"
+        )
     check_writable(path, force)
     find_browser()
 
@@ -106,11 +115,15 @@ def find_browser() -> str:
     """The path of a browser that draws pages. Raises StationError where there is none."""
     found = next((path for name in BROWSERS if (path := shutil.which(name))), None)
     if found is None:
-        raise StationError("no browser is installed that draws the film; get one with apt-get install chromium")
+        raise StationError(
+            "no browser is installed that draws the film; get one with apt-get install chromium"
+        )
     return found
 
 
-def write_film(recording: Path | str, path: Path | str, force: bool = False, *, seconds: float = SECONDS) -> None:
+def write_film(
+    recording: Path | str, path: Path | str, force: bool = False, *, seconds: float = SECONDS
+) -> None:
     """Makes a film of a recording, GIF or WebP by its ending, that takes `seconds` without the last picture's rest.
 
     Raises:
@@ -121,7 +134,10 @@ def write_film(recording: Path | str, path: Path | str, force: bool = False, *, 
     duration, pictures = draw_frames(page, max(2, round(seconds * FRAMES_PER_SECOND)))
     phases = read_phases(page)
     times = [duration * i / (len(pictures) - 1) for i in range(len(pictures))]
-    frames = [add_caption(picture, find_phase(phases, time)) for picture, time in zip(pictures, times, strict=True)]
+    frames = [
+        add_caption(picture, find_phase(phases, time))
+        for picture, time in zip(pictures, times, strict=True)
+    ]
     write_whole(path, _pack(frames, Path(path).suffix.lower()), force)
 
 
@@ -140,12 +156,16 @@ def draw_frames(page: str, count: int) -> tuple[float, list[Image.Image]]:
             f"--virtual-time-budget={PAGE_TIME}", "--dump-dom", held.as_uri(),
         ]  # fmt: skip
         try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+            done = subprocess.run(
+                command, capture_output=True, text=True, timeout=PATIENCE, check=False
+            )
         except subprocess.TimeoutExpired as error:
             raise StationError(f"the browser drew no film within {PATIENCE:g} s") from error
     found = FILM.search(done.stdout)
     if found is None:
-        raise StationError("the browser drew no film of the recording; expected a page that Meshcat wrote")
+        raise StationError(
+            "the browser drew no film of the recording; expected a page that Meshcat wrote"
+        )
     film = json.loads(found[1])
     data = (BytesIO(base64.b64decode(address.partition(",")[2])) for address in film["pictures"])
     pictures = [Image.open(picture).convert("RGB") for picture in data]
@@ -179,7 +199,9 @@ def _pack(frames: Sequence[Image.Image], kind: str) -> bytes:
     options: dict[str, Any] = {"save_all": True, "duration": lasts, "loop": 0}
     buffer = BytesIO()
     if kind == ".webp":
-        frames[0].save(buffer, "WEBP", append_images=frames[1:], quality=WEBP_QUALITY, method=6, **options)
+        frames[0].save(
+            buffer, "WEBP", append_images=frames[1:], quality=WEBP_QUALITY, method=6, **options
+        )
         return buffer.getvalue()
     palette = _find_palette(frames)
     few = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
@@ -190,7 +212,8 @@ def _pack(frames: Sequence[Image.Image], kind: str) -> bytes:
 def _find_palette(frames: Sequence[Image.Image]) -> Image.Image:
     """Colors for all frames, so that what does not move keeps its own.
 
-    They stand for all that occur, each as much as the other: by their areas the background would take most.
+    They stand for all that occur, each as much as the other: by their areas the background would
+    take most.
     """
     some = [np.asarray(frame).reshape(-1, 3) for frame in frames[:: max(1, len(frames) // SOME)]]
     width = 2 ** (8 - PALETTE_BITS)

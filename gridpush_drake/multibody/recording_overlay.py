@@ -1,8 +1,8 @@
 """What stands beside a recording: what is being done at each moment, what the colors mean, and what is drawn.
 
-A recording is a page that shows Meshcat's animation. The overlay is HTML above it that follows the animation's time: it
-plays, stops and is wound with it. Fonts and colors are the page's own; nothing is loaded. The legend's colors are those
-of `CellColors` and `meshcat_shapes`.
+A recording is a page that shows Meshcat's animation. The overlay is HTML above it that follows the
+animation's time: it plays, stops and is wound with it. Fonts and colors are the page's own; nothing
+is loaded. The legend's colors are those of `CellColors` and `meshcat_shapes`.
 """
 
 import json
@@ -35,7 +35,9 @@ class ColorScale:
 
     title: str  # what the colors stand for, with its unit
     colors: tuple[str, ...]  # CSS colors from the smallest value to the greatest, evenly spaced
-    ticks: tuple[tuple[float, str], ...]  # (place, text) of some values, place from 0, the smallest, to 1
+    ticks: tuple[
+        tuple[float, str], ...
+    ]  # (place, text) of some values, place from 0, the smallest, to 1
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,9 @@ def make_color_scale(obj: GridObject, colors: CellColors) -> ColorScale:
     else:
         what = "mass" if colors.shows == "mass" else "friction force"
         title = f"estimated {what} of a cell, in even shares"
-    ticks = tuple((float(place), f"{value:.{DIGITS}g}") for place, value in zip(places, shown, strict=True))
+    ticks = tuple(
+        (float(place), f"{value:.{DIGITS}g}") for place, value in zip(places, shown, strict=True)
+    )
     return ColorScale(title, tuple(map(to_hex, colors.calc_colors_of(values))), ticks)
 
 
@@ -132,7 +136,10 @@ def _describe_legend(scale: ColorScale | None, marks: Sequence[Mark]) -> str:
 
 
 def _describe_scale(scale: ColorScale) -> str:
-    ticks = "".join(f'<span style="left:{PERCENT * place:.1f}%">{escape(text)}</span>' for place, text in scale.ticks)
+    ticks = "".join(
+        f'<span style="left:{PERCENT * place:.1f}%">{escape(text)}</span>'
+        for place, text in scale.ticks
+    )
     gradient = f"linear-gradient(to right, {', '.join(map(escape, scale.colors))})"
     bar = f'<div class="bar" style="background:{gradient}"></div>'
     return f'<b>{escape(scale.title)}</b>{bar}<div class="ticks">{ticks}</div>'

@@ -1,14 +1,17 @@
 """A grid object as an SDFormat or URDF model, in one file, for Drake's parser.
 
-It has what `AddGridObject` gives a plant: the cells' inertia, a contact sphere a cell, boxes along and within the
-outline; the cells are what is seen. SDFormat filters collisions by link and model only, so nothing is filtered: instead
-the sides end `SIDE_LIFT` above the table and the spheres are lower than a finger reaches.
+It has what `AddGridObject` gives a plant: the cells' inertia, a contact sphere a cell, boxes along
+and within the outline; the cells are what is seen. SDFormat filters collisions by link and model
+only, so nothing is filtered: instead the sides end `SIDE_LIFT` above the table and the spheres are
+lower than a finger reaches.
 
-The file supposes that table and pusher are stiff partners: of friction 1, and of point contact stiffness 1e12 N/m
-(`contact_material`). Then cell i has friction mu_i, and bears m_i g where the base is "planar".
+The file supposes that table and pusher are stiff partners: of friction 1, and of point contact
+stiffness 1e12 N/m (`contact_material`). Then cell i has friction mu_i, and bears m_i g where the
+base is "planar".
 
-URDF says the same of a free object. It has no friction itself: each collision has it, and its stiffness, in Drake's own
-elements, which other simulators leave out; the inertia and the shapes are for anyone.
+URDF says the same of a free object. It has no friction itself: each collision has it, and its
+stiffness, in Drake's own elements, which other simulators leave out; the inertia and the shapes are
+for anyone.
 """
 
 from pathlib import Path
@@ -41,7 +44,9 @@ from gridpush_drake.objects.parameters import CellParameters
 DRAKE = "http://drake.mit.edu"  # XML namespace of Drake's elements
 VERSION = "1.9"  # of SDFormat
 GRAVITY = 9.81  # m/s², that the spheres are made for; Drake's own
-SIDE_LIFT = 0.003  # m from the object's bottom to that of its sides; more than the spheres are pressed in
+SIDE_LIFT = (
+    0.003  # m from the object's bottom to that of its sides; more than the spheres are pressed in
+)
 
 NOTICE = (
     " A grid object: a sphere under every cell, boxes along the outline for a finger to push. Table and finger are to "
@@ -65,7 +70,8 @@ def make_sdf(
     """Makes the model's text; the model and its link have the object's name.
 
     Args:
-        base: "free", or "planar": held by a planar joint to a frame `delta` below the world's z = 0.
+        base: "free", or "planar": held by a planar joint to a frame `delta` below the world's z =
+            0.
         height: of the object, m; more than SIDE_LIFT.
         delta: m the spheres are pressed in; by default as `AddGridObject`.
         side_stiffness: of the outline's contacts, N/m.
@@ -73,13 +79,20 @@ def make_sdf(
 
     Raises:
         ObjectError: `base` is neither, a size is out of range, or SDFormat has no such names.
-        ParameterError: the parameters are of another number of cells, a friction is 2 or more, or Drake
-            finds the masses unphysical.
+        ParameterError: the parameters are of another number of cells, a friction is 2 or more, or
+            Drake finds the masses unphysical.
     """
     if base not in DEFAULT_DELTA:
         raise ObjectError(f"base is {base!r}; expected 'planar' or 'free'")
-    if not obj.name or "::" in obj.name or obj.name == "world" or (obj.name[:2] == obj.name[-2:] == "__"):
-        raise ObjectError(f"name is {obj.name!r}; expected one that SDFormat has not reserved, without '::'")
+    if (
+        not obj.name
+        or "::" in obj.name
+        or obj.name == "world"
+        or (obj.name[:2] == obj.name[-2:] == "__")
+    ):
+        raise ObjectError(
+            f"name is {obj.name!r}; expected one that SDFormat has not reserved, without '::'"
+        )
     delta = DEFAULT_DELTA[base] if delta is None else delta
     if not SIDE_LIFT < height < np.inf:
         raise ObjectError(f"height is {height!r}; expected more than {SIDE_LIFT} m")
@@ -91,7 +104,9 @@ def make_sdf(
     model = ElementTree.SubElement(sdf, "model", name=obj.name)
     link = ElementTree.SubElement(model, "link", name=obj.name)
     _add_inertia(link, obj, params, height)
-    _add_spheres(link, obj, params, ContactSphereLayout.for_object(obj, spheres_per_cell), delta, gravity)
+    _add_spheres(
+        link, obj, params, ContactSphereLayout.for_object(obj, spheres_per_cell), delta, gravity
+    )
     _add_sides(link, obj, params, height, side_stiffness)
     _add_cells(link, obj, height)
     if base == "planar":
@@ -111,7 +126,9 @@ def WriteSdf(
     spheres_per_cell: SpheresPerCell = 1,
 ) -> None:
     """Writes what `make_sdf` makes to a file. Raises OutputError where it cannot be written."""
-    write_whole(path, make_sdf(obj, params, base, height=height, spheres_per_cell=spheres_per_cell), force)
+    write_whole(
+        path, make_sdf(obj, params, base, height=height, spheres_per_cell=spheres_per_cell), force
+    )
 
 
 def _add_inertia(link: Element, obj: GridObject, params: CellParameters, height: float) -> None:
@@ -127,15 +144,24 @@ def _add_inertia(link: Element, obj: GridObject, params: CellParameters, height:
 
 
 def _add_spheres(
-    link: Element, obj: GridObject, params: CellParameters, layout: ContactSphereLayout, delta: float, gravity: float
+    link: Element,
+    obj: GridObject,
+    params: CellParameters,
+    layout: ContactSphereLayout,
+    delta: float,
+    gravity: float,
 ) -> None:
     properties = layout.make_properties(params, delta, gravity)
     for i, (x, y) in enumerate(layout.p_BS):
-        geometry = _add_collision(link, f"sphere_{i}", [x, y, SPHERE_RADIUS, 0, 0, 0], properties[i])
+        geometry = _add_collision(
+            link, f"sphere_{i}", [x, y, SPHERE_RADIUS, 0, 0, 0], properties[i]
+        )
         _add(ElementTree.SubElement(geometry, "sphere"), "radius", [SPHERE_RADIUS])
 
 
-def _add_sides(link: Element, obj: GridObject, params: CellParameters, height: float, stiffness: float) -> None:
+def _add_sides(
+    link: Element, obj: GridObject, params: CellParameters, height: float, stiffness: float
+) -> None:
     properties = MakeSideProperties(params, stiffness)
     for kind, boxes in (("edge", make_edge_boxes(obj)), ("inside", make_inner_boxes(obj))):
         for i, flat in enumerate(boxes):
@@ -149,7 +175,9 @@ def _add_cells(link: Element, obj: GridObject, height: float) -> None:
         visual = ElementTree.SubElement(link, "visual", name=f"cell_{i}")
         _add(visual, "pose", [x, y, height / 2, 0, 0, 0])
         geometry = ElementTree.SubElement(visual, "geometry")
-        _add(ElementTree.SubElement(geometry, "box"), "size", [obj.cell_size, obj.cell_size, height])
+        _add(
+            ElementTree.SubElement(geometry, "box"), "size", [obj.cell_size, obj.cell_size, height]
+        )
         _add(ElementTree.SubElement(visual, "material"), "diffuse", DEFAULT_COLOR)
 
 
@@ -167,7 +195,9 @@ def _add_joint(model: Element, link: str, delta: float) -> None:
     _add(joint, f"{{{DRAKE}}}damping", [0, 0, 0])
 
 
-def _add_collision(link: Element, name: str, pose: ArrayLike, properties: ProximityProperties) -> Element:
+def _add_collision(
+    link: Element, name: str, pose: ArrayLike, properties: ProximityProperties
+) -> Element:
     """Adds a collision and returns its empty geometry."""
     collision = ElementTree.SubElement(link, "collision", name=name)
     _add(collision, "pose", pose)
@@ -183,7 +213,9 @@ def _add_collision(link: Element, name: str, pose: ArrayLike, properties: Proxim
 
 def _add(parent: Element, tag: str, values: ArrayLike) -> None:
     """Adds numbers, so written that they are read back exactly."""
-    ElementTree.SubElement(parent, tag).text = " ".join(repr(float(value)) for value in np.asarray(values))
+    ElementTree.SubElement(parent, tag).text = " ".join(
+        repr(float(value)) for value in np.asarray(values)
+    )
 
 
 LIMIT = " Friction and stiffness are in Drake's elements alone: other simulators see shapes and inertia only. "
@@ -202,7 +234,9 @@ def make_urdf(obj: GridObject, params: CellParameters, *, height: float = DEFAUL
         ElementTree.SubElement(made, "origin", xyz=f"{x} {y} {z}", rpy=" ".join(angles))
         if part.tag == "inertial":
             ElementTree.SubElement(made, "mass", value=_read(part, "mass"))
-            ElementTree.SubElement(made, "inertia", {entry.tag: _read(entry) for entry in part.iterfind("inertia/*")})
+            ElementTree.SubElement(
+                made, "inertia", {entry.tag: _read(entry) for entry in part.iterfind("inertia/*")}
+            )
             continue
         _add_shape(made, part)
         for color in part.iterfind("material/diffuse"):
@@ -217,7 +251,12 @@ def make_urdf(obj: GridObject, params: CellParameters, *, height: float = DEFAUL
 
 
 def WriteUrdf(
-    obj: GridObject, params: CellParameters, path: Path | str, force: bool = False, *, height: float = DEFAULT_HEIGHT
+    obj: GridObject,
+    params: CellParameters,
+    path: Path | str,
+    force: bool = False,
+    *,
+    height: float = DEFAULT_HEIGHT,
 ) -> None:
     """Writes what `make_urdf` makes to a file. Raises OutputError where it cannot be written."""
     write_whole(path, make_urdf(obj, params, height=height), force)

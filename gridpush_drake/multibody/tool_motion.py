@@ -1,21 +1,22 @@
 """Straight motions of the tool from rest to rest, as trajectories of Drake's, and the tool's poses.
 
-A motion moves the tip by d and may turn the tool about the vertical by the angle b. The length of its path is
+A motion moves the tip by d and may turn the tool about the vertical by the angle b. The length of
+its path is
 
     l = sqrt(d^2 + (r b)^2)
 
-with the turning radius r. With top speed v and acceleration bound a, the length s made by time t grows during T, goes
-on at v during C, and slows down during T:
+with the turning radius r. With top speed v and acceleration bound a, the length s made by time t
+grows during T, goes on at v during C, and slows down during T:
 
     ramp:      ds/dt = v (3 u^2 - 2 u^3),   s = v T (u^3 - u^4 / 2),   u = t / T
     T = 3 v / (2 a),   C = l / v - T
 
-The ramp's acceleration 6 v u (1 - u) / T begins and ends at zero, so that position, velocity and acceleration are all
-continuous, and is greatest in the middle, where it is a. A ramp covers v T / 2; where l is too short for two of them,
-C = 0 and the top speed falls to sqrt(2 a l / 3).
+The ramp's acceleration 6 v u (1 - u) / T begins and ends at zero, so that position, velocity and
+acceleration are all continuous, and is greatest in the middle, where it is a. A ramp covers v T /
+2; where l is too short for two of them, C = 0 and the top speed falls to sqrt(2 a l / 3).
 
-The yaw is a number and no rotation: a wrist that has to turn by more than half a turn does so, while a
-`PiecewisePose` would go the shorter way.
+The yaw is a number and no rotation: a wrist that has to turn by more than half a turn does so,
+while a `PiecewisePose` would go the shorter way.
 """
 
 from dataclasses import dataclass, replace
@@ -44,7 +45,8 @@ TURNING_RADIUS = 0.3  # m of path that a turn by a radian counts
 RAMP_PEAK = 1.5  # greatest slope of 3 u^2 - 2 u^3: a ramp's greatest acceleration over its mean one
 
 ROUND_OFF = 1e-9
-"""Share of a segment by which it is not worth cutting it short, and of a ramp by which it is not worth cruising."""
+"""Share of a segment by which it is not worth cutting it short, and of a ramp by which it is not
+worth cruising."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,9 @@ class TrajectorySegment:
         v, T, cruise = self.top_speed, self.ramp, self.moving_time - 2.0 * self.ramp
         up = Polynomial(np.array([0.0, 0.0, 0.0, v / T**2, -v / (2.0 * T**3)]))
         level = Polynomial(np.array([v * T / 2.0, v]))
-        down = Polynomial(np.array([self.length - v * T / 2.0, v, 0.0, -v / T**2, v / (2.0 * T**3)]))
+        down = Polynomial(
+            np.array([self.length - v * T / 2.0, v, 0.0, -v / T**2, v / (2.0 * T**3)])
+        )
         if cruise < ROUND_OFF * T:
             return PiecewisePolynomial([up, down], [0.0, T, self.moving_time])
         return PiecewisePolynomial([up, level, down], [0.0, T, T + cruise, self.moving_time])
@@ -99,7 +103,9 @@ class TrajectorySegment:
     @cached_property
     def trajectory(self) -> PathParameterizedTrajectory:
         """(3,) or (4,) as `start`, over the time since the beginning, s, without the wait; of a segment that moves."""
-        path = PiecewisePolynomial.FirstOrderHold([0.0, self.length], np.column_stack([self.start, self.end]))
+        path = PiecewisePolynomial.FirstOrderHold(
+            [0.0, self.length], np.column_stack([self.start, self.end])
+        )
         return PathParameterizedTrajectory(path, self.time_scaling)
 
     def position(self, t: float) -> Array:
@@ -117,8 +123,9 @@ class TrajectorySegment:
     def stop_from(self, t: float) -> "TrajectorySegment":
         """The same motion up to time t, and from there the soonest stop; itself where it ends as soon anyway.
 
-        A motion that has begun is cut short to what it has traveled and one ramp more, or to two ramps: up to t it is
-        then the same, and all is as continuous as before. One that has not begun becomes none.
+        A motion that has begun is cut short to what it has traveled and one ramp more, or to two
+        ramps: up to t it is then the same, and all is as continuous as before. One that has not
+        begun becomes none.
         """
         if t <= 0.0 or self.length == 0.0:
             return replace(self, end=self.start)
@@ -126,7 +133,10 @@ class TrajectorySegment:
         share = (max(float(self.time_scaling.value(t)[0, 0]), braking) + braking) / self.length
         if share >= 1.0 - ROUND_OFF:
             return self
-        return replace(self, end=tuple((np.array(self.start) + share * np.subtract(self.end, self.start)).tolist()))
+        return replace(
+            self,
+            end=tuple((np.array(self.start) + share * np.subtract(self.end, self.start)).tolist()),
+        )
 
 
 @dataclass(frozen=True)
@@ -136,7 +146,8 @@ class ToolTrajectorySegment(TrajectorySegment):
     Attributes:
         start: of tip and yaw.
         end: likewise.
-        opening: that the gripper is asked for at the beginning and at the end, m; linear in between.
+        opening: that the gripper is asked for at the beginning and at the end, m; linear in
+            between.
     """
 
     start: ToolPose
@@ -145,7 +156,11 @@ class ToolTrajectorySegment(TrajectorySegment):
 
     def calc_opening(self, t: float) -> float:
         """That the gripper is asked for at time t after the beginning, m."""
-        return float(np.interp(t, [0.0, self.duration], self.opening)) if self.duration > 0.0 else self.opening[1]
+        return (
+            float(np.interp(t, [0.0, self.duration], self.opening))
+            if self.duration > 0.0
+            else self.opening[1]
+        )
 
 
 def calc_tool_rotation(yaw: float) -> RotationMatrix:

@@ -22,7 +22,8 @@ MAX_CELLS = 10_000  # of an object; what learning keeps grows with the square of
 MAX_LABEL = 2**31 - 1  # of a part
 
 MIN_SIZE, MAX_SIZE = 1e-6, 1e4
-"""Of a cell's side, least, and of any coordinate of an object, greatest, m; beyond them no object is pushed."""
+"""Of a cell's side, least, and of any coordinate of an object, greatest, m; beyond them no object
+is pushed."""
 
 
 class CellGrid(NamedTuple):
@@ -35,32 +36,42 @@ class CellGrid(NamedTuple):
 
 
 Share = Callable[[NDArray[np.float64], float], NDArray[np.float64]]
-"""Given the lower corners (k, 2) of square cells and their size, how much of each is object: (k,), 0 to 1."""
+"""Given the lower corners (k, 2) of square cells and their size, how much of each is object: (k,),
+0 to 1."""
 
 MIN_SHARE = 0.5 - 1e-9  # a cell belongs to the object when at least half of it does
 
 SIZES_FROM, SIZES_TO = 0.9, 1.6
-"""Range of sizes tried, in sides of the square cell whose `max_cells` copies have the shape's area."""
+"""Range of sizes tried, in sides of the square cell whose `max_cells` copies have the shape's
+area."""
 
 MAX_SIZES, MIN_SIZES = 80, 24
 """How many sizes are tried in that range; as many again that divide a side of the bounding box."""
 
-POINT_BUDGET = 3_000_000  # cells that may be tested in a range of sizes before fewer sizes are tried
-MAX_PHASED = 20_000  # in a lattice of more cells than this its phase hardly matters, and only one is tried
+POINT_BUDGET = (
+    3_000_000  # cells that may be tested in a range of sizes before fewer sizes are tried
+)
+MAX_PHASED = (
+    20_000  # in a lattice of more cells than this its phase hardly matters, and only one is tried
+)
 
 MAX_LATTICE_PER_CELL = 20
-"""A lattice this many times `max_cells` (and above MAX_PHASED) means a shape far thinner than its bounding box."""
+"""A lattice this many times `max_cells` (and above MAX_PHASED) means a shape far thinner than its
+bounding box."""
 
 EXACT = 1e-6  # below this error the cells tile the shape
 
 EXACT_LOSS, EXACT_DISCOUNT = 0.11, 0.25
-"""Cells that tile the shape are preferred while they leave no more than this part of `max_cells` unused: it then
-counts with this weight."""
+"""Cells that tile the shape are preferred while they leave no more than this part of `max_cells`
+unused: it then counts with this weight."""
 
-ERROR_WEIGHT = 2.0  # a relative error weighs as much as this many times that part of `max_cells` left unused
+ERROR_WEIGHT = (
+    2.0  # a relative error weighs as much as this many times that part of `max_cells` left unused
+)
 
 AREA_WEIGHT = 0.5
-"""Weight of the area's error (logarithmic): the cells' area matters less to sliding than where they are."""
+"""Weight of the area's error (logarithmic): the cells' area matters less to sliding than where they
+are."""
 
 ROUNDING = 1e-9  # relative slack within which a size divides a side
 
@@ -98,12 +109,14 @@ def check_max_cells(name: str, max_cells: int) -> None:
         )
 
 
-def choose_cells(region: Region, share: Share, overlap: Share, max_cells: int, min_size: float = 0.0) -> Cells:
+def choose_cells(
+    region: Region, share: Share, overlap: Share, max_cells: int, min_size: float = 0.0
+) -> Cells:
     """Fills a shape with at most `max_cells` cells, weighing their number against their likeness to the shape.
 
-    Sizes from just below the ideal one upwards are tried, with lattices centered on the bounding box or aligned
-    with a side of it. The cost is the part of `max_cells` not used plus the relative errors of the centroid, of
-    the second moments and of the area. The choice is deterministic.
+    Sizes from just below the ideal one upwards are tried, with lattices centered on the bounding
+    box or aligned with a side of it. The cost is the part of `max_cells` not used plus the relative
+    errors of the centroid, of the second moments and of the area. The choice is deterministic.
 
     Args:
         share: decides which cells belong (at least half).
@@ -123,7 +136,9 @@ def choose_cells(region: Region, share: Share, overlap: Share, max_cells: int, m
     return _take_touched(region, overlap, max_cells, min_size)
 
 
-def _find_best(region: Region, share: Share, max_cells: int, low: float, high: float, points: float) -> Cells | None:
+def _find_best(
+    region: Region, share: Share, max_cells: int, low: float, high: float, points: float
+) -> Cells | None:
     best, min_cost = None, np.inf
     for size in _candidate_sizes(region, low, high, points):
         for corners in _lattices(region, float(size), phased=points < MAX_PHASED):
@@ -140,7 +155,9 @@ def _candidate_sizes(region: Region, low: float, high: float, points: float) -> 
     count = int(np.clip(POINT_BUDGET / points, MIN_SIZES, MAX_SIZES))
     sizes = [np.geomspace(low, high, count)]
     for side in region.extent:
-        divisions = np.arange(max(1, np.ceil(side / high)), np.floor(side / low * (1 + ROUNDING)) + 1)
+        divisions = np.arange(
+            max(1, np.ceil(side / high)), np.floor(side / low * (1 + ROUNDING)) + 1
+        )
         sizes.append(side / divisions[:: 1 + len(divisions) // count])
     return np.unique(np.concatenate(sizes))
 
@@ -150,10 +167,16 @@ def _calc_cost(region: Region, cells: Cells, max_cells: int) -> float:
     offset = arm.mean(axis=0)
     covariance = arm.T @ arm / len(arm) - np.outer(offset, offset) + cells.size**2 / 12 * np.eye(2)
     spread = float(np.trace(region.covariance))
-    error = np.linalg.norm(offset) / np.sqrt(spread) + np.abs(covariance - region.covariance).sum() / spread
+    error = (
+        np.linalg.norm(offset) / np.sqrt(spread)
+        + np.abs(covariance - region.covariance).sum() / spread
+    )
     error += AREA_WEIGHT * abs(np.log(len(arm) * cells.size**2 / region.area))
     unused = 1 - len(arm) / max_cells
-    return float(ERROR_WEIGHT * error + unused * (EXACT_DISCOUNT if error < EXACT and unused <= EXACT_LOSS else 1))
+    return float(
+        ERROR_WEIGHT * error
+        + unused * (EXACT_DISCOUNT if error < EXACT and unused <= EXACT_LOSS else 1)
+    )
 
 
 def _lattices(region: Region, size: float, phased: bool) -> Iterator[NDArray[np.float64]]:
@@ -164,7 +187,11 @@ def _lattices(region: Region, size: float, phased: bool) -> Iterator[NDArray[np.
         down = max(1, int(np.floor(extent / size * (1 + ROUNDING))))
         starts = [(low + (extent - up * size) / 2, up)]
         if phased and up != down:
-            starts += [(low + (extent - down * size) / 2, down), (low, up), (low + extent - up * size, up)]
+            starts += [
+                (low + (extent - down * size) / 2, down),
+                (low, up),
+                (low + extent - up * size, up),
+            ]
         axes.append([start + size * np.arange(k) for start, k in starts])
     for x, y in product(*axes):
         yield np.column_stack([axis.ravel() for axis in np.meshgrid(x, y)])
@@ -185,10 +212,12 @@ def _take_touched(region: Region, overlap: Share, max_cells: int, min_size: floa
 
 
 SIDE_REACH = 1.2
-"""Centers nearer than this many cell sides share a side; diagonal neighbors are sqrt(2) sides apart."""
+"""Centers nearer than this many cell sides share a side; diagonal neighbors are sqrt(2) sides
+apart."""
 
 FLATNESS = 1e-9
-"""Cells whose extent across their main direction is below this many cell sides stand in one line."""
+"""Cells whose extent across their main direction is below this many cell sides stand in one
+line."""
 
 
 def calc_adjacency(p_BC: ArrayLike, cell_size: float) -> NDArray[np.int64]:
@@ -201,7 +230,9 @@ def calc_adjacency(p_BC: ArrayLike, cell_size: float) -> NDArray[np.int64]:
         (m, 2) pairs i < j in increasing order; as a graph they connect all n cells.
     """
     p_BC = np.asarray(p_BC, dtype=np.float64)
-    pairs = cKDTree(p_BC).query_pairs(SIDE_REACH * cell_size, output_type="ndarray").astype(np.int64)
+    pairs = (
+        cKDTree(p_BC).query_pairs(SIDE_REACH * cell_size, output_type="ndarray").astype(np.int64)
+    )
     islands = _find_islands(pairs, len(p_BC))
     if islands.max() > 0:
         pairs = np.concatenate([pairs, _calc_links(p_BC, cell_size, islands)])
@@ -213,7 +244,9 @@ def _find_islands(pairs: NDArray[np.int64], n: int) -> NDArray[np.int64]:
     return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
-def _calc_links(p_BC: NDArray[np.float64], cell_size: float, islands: NDArray[np.int64]) -> NDArray[np.int64]:
+def _calc_links(
+    p_BC: NDArray[np.float64], cell_size: float, islands: NDArray[np.int64]
+) -> NDArray[np.int64]:
     """Shortest tree of links between islands; the Delaunay edges contain the Euclidean spanning tree."""
     candidates = _tidy(_delaunay_edges(p_BC, cell_size))
     i, j = candidates[islands[candidates[:, 0]] != islands[candidates[:, 1]]].T
@@ -236,7 +269,9 @@ def _delaunay_edges(p_BC: NDArray[np.float64], cell_size: float) -> NDArray[np.i
     if len(p_BC) > 2 and np.ptp(across) > FLATNESS:
         try:
             simplices = Delaunay(centered).simplices
-            return np.concatenate([simplices[:, [0, 1]], simplices[:, [1, 2]], simplices[:, [2, 0]]]).astype(np.int64)
+            return np.concatenate(
+                [simplices[:, [0, 1]], simplices[:, [1, 2]], simplices[:, [2, 0]]]
+            ).astype(np.int64)
         except QhullError:
             pass
     order = np.argsort(along[:, 0], kind="stable")
@@ -262,20 +297,23 @@ def fill_outline(
 
     Args:
         outline: (k, 2) vertices, or a Polygon (with holes), body frame, m.
-        parts: polygons by label >= 1, body frame, m; the first to cover a cell's center names its part, and a
-            cell that none covers belongs to part 1.
+        parts: polygons by label >= 1, body frame, m; the first to cover a cell's center names its
+            part, and a cell that none covers belongs to part 1.
 
     Returns:
         The cells and the outline, which runs counterclockwise, holes clockwise.
 
     Raises:
-        ObjectError: a polygon crosses itself or has no area, a label is below 1, or the count is not positive.
+        ObjectError: a polygon crosses itself or has no area, a label is below 1, or the count is
+            not positive.
     """
     check_max_cells(name, max_cells)
     polygon = make_polygon(outline, f"{name}: outline")
     polygons = {label: _make_part(label, part, name) for label, part in parts.items()}
     region = _describe(polygon)
-    slightly_larger = polygon.buffer(EDGE_SLACK * float(np.linalg.norm(region.extent)), join_style="mitre")
+    slightly_larger = polygon.buffer(
+        EDGE_SLACK * float(np.linalg.norm(region.extent)), join_style="mitre"
+    )
     shapely.prepare(slightly_larger)
 
     def share(corners: NDArray[np.float64], size: float) -> NDArray[np.float64]:
@@ -289,11 +327,14 @@ def fill_outline(
     return CellGrid(cells.centers, cells.size, _label(cells.centers, polygons), polygon)
 
 
-def make_polygon(points: ArrayLike | Polygon, what: str, holes: tuple[ArrayLike, ...] = ()) -> Polygon:
+def make_polygon(
+    points: ArrayLike | Polygon, what: str, holes: tuple[ArrayLike, ...] = ()
+) -> Polygon:
     """Makes a valid polygon without repeated vertices, counterclockwise, holes clockwise.
 
     Args:
-        points: (k, 2) vertices, k >= 3, either way round, first one repeated or not, m; or a Polygon.
+        points: (k, 2) vertices, k >= 3, either way round, first one repeated or not, m; or a
+            Polygon.
         what: what it is, at the head of an error's message.
         holes: vertices of its holes, m.
 
@@ -309,10 +350,16 @@ def make_polygon(points: ArrayLike | Polygon, what: str, holes: tuple[ArrayLike,
     if polygon.is_empty:
         raise ObjectError(f"{what} is empty; expected at least three vertices")
     width, height = np.subtract(polygon.bounds[2:], polygon.bounds[:2])
-    if not (np.isfinite(polygon.area) and polygon.convex_hull.area > THINNEST * (width**2 + height**2)):
-        raise ObjectError(f"{what} encloses no area; expected vertices in meters, not all on one line")
+    if not (
+        np.isfinite(polygon.area) and polygon.convex_hull.area > THINNEST * (width**2 + height**2)
+    ):
+        raise ObjectError(
+            f"{what} encloses no area; expected vertices in meters, not all on one line"
+        )
     if not polygon.is_valid:
-        raise ObjectError(f"{what} is not a simple polygon ({explain_validity(polygon)}); it must not cross itself")
+        raise ObjectError(
+            f"{what} is not a simple polygon ({explain_validity(polygon)}); it must not cross itself"
+        )
     return orient(shapely.force_2d(shapely.remove_repeated_points(polygon)))
 
 
@@ -322,7 +369,9 @@ def _ring(points: ArrayLike, what: str) -> NDArray[np.float64]:
     except (TypeError, ValueError) as error:
         raise ObjectError(f"{what} is not a list of [x, y] points, in meters") from error
     if ring.ndim != 2 or ring.shape[1] != 2 or len(ring) < 3:
-        raise ObjectError(f"{what} has shape {ring.shape}; expected at least three [x, y] points, in meters")
+        raise ObjectError(
+            f"{what} has shape {ring.shape}; expected at least three [x, y] points, in meters"
+        )
     _check_coordinates(ring, what)
     return ring
 
@@ -332,10 +381,14 @@ def _check_coordinates(points: NDArray[np.float64], what: str) -> None:
         raise ObjectError(f"{what} has a coordinate that is not finite; expected numbers in meters")
     farthest = np.abs(points).max(initial=0.0)
     if farthest > MAX_SIZE:
-        raise ObjectError(f"{what} has a coordinate of {farthest:g} m; expected at most {MAX_SIZE:g} m")
+        raise ObjectError(
+            f"{what} has a coordinate of {farthest:g} m; expected at most {MAX_SIZE:g} m"
+        )
 
 
-def _make_part(label: int, part: ArrayLike | Polygon | MultiPolygon, name: str) -> Polygon | MultiPolygon:
+def _make_part(
+    label: int, part: ArrayLike | Polygon | MultiPolygon, name: str
+) -> Polygon | MultiPolygon:
     if isinstance(label, bool) or not isinstance(label, int | np.integer) or label < 1:
         raise ObjectError(f"{name}: part label is {label!r}; expected a whole number, 1 or more")
     if isinstance(part, MultiPolygon):
@@ -358,7 +411,9 @@ def _describe(polygon: Polygon) -> Region:
     return Region(low, high - low, polygon.area, center, moments / polygon.area)
 
 
-def _label(centers: NDArray[np.float64], parts: Mapping[int, Polygon | MultiPolygon]) -> NDArray[np.int64]:
+def _label(
+    centers: NDArray[np.float64], parts: Mapping[int, Polygon | MultiPolygon]
+) -> NDArray[np.int64]:
     labels = np.zeros(len(centers), dtype=np.int64)
     for label, part in parts.items():
         labels[shapely.intersects_xy(part, *centers.T) & (labels == 0)] = label

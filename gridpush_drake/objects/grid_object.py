@@ -1,7 +1,7 @@
 """The grid object: square cells, the outline they stand for, and what is known of them beforehand.
 
-The body frame B, said once: for an outline it is the outline's own coordinates; for a mask it is the cells' centroid,
-x to the right and y up in the image.
+The body frame B, said once: for an outline it is the outline's own coordinates; for a mask it is
+the cells' centroid, x to the right and y up in the image.
 """
 
 from dataclasses import dataclass, field
@@ -28,7 +28,12 @@ from gridpush_drake.objects.cells import (
     fill_outline,
 )
 from gridpush_drake.objects.mask import coarsen_mask
-from gridpush_drake.objects.object_file import PhysicalPrior, dump_object, make_cells, read_object_file
+from gridpush_drake.objects.object_file import (
+    PhysicalPrior,
+    dump_object,
+    make_cells,
+    read_object_file,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +66,9 @@ class GridObject(Frozen):
         try:
             labels = np.array(self.labels, dtype=np.int64)
         except (OverflowError, TypeError, ValueError) as error:
-            raise ObjectError(f"{self.name}: labels: expected whole numbers, 1 to {MAX_LABEL}") from error
+            raise ObjectError(
+                f"{self.name}: labels: expected whole numbers, 1 to {MAX_LABEL}"
+            ) from error
         if p_BC.ndim != 2 or p_BC.shape[1] != 2 or not len(p_BC) or labels.shape != p_BC.shape[:1]:
             raise ObjectError(
                 f"{self.name}: p_BC of shape {p_BC.shape}, labels of shape {labels.shape}; expected (n, 2) and (n,)"
@@ -71,15 +78,25 @@ class GridObject(Frozen):
         if not np.isfinite(p_BC).all():
             raise ObjectError(f"{self.name}: p_BC must be finite")
         if labels.min() < 1:
-            raise ObjectError(f"{self.name}: a label is {labels.min()}; expected whole numbers, 1 or more")
+            raise ObjectError(
+                f"{self.name}: a label is {labels.min()}; expected whole numbers, 1 or more"
+            )
         require_positive(ObjectError, f"{self.name}: ", "m", cell_size=self.cell_size)
-        if not isinstance(self.outline, Polygon) or self.outline.is_empty or not self.outline.is_valid:
-            raise ObjectError(f"{self.name}: the outline must be a simple polygon that does not cross itself")
+        if (
+            not isinstance(self.outline, Polygon)
+            or self.outline.is_empty
+            or not self.outline.is_valid
+        ):
+            raise ObjectError(
+                f"{self.name}: the outline must be a simple polygon that does not cross itself"
+            )
         self._check_size(p_BC)
         self._check_push_height()
         self._check_center_of_mass()
         if self.height is not None and not (np.isfinite(self.height) and self.height > 0):
-            raise ObjectError(f"{self.name}: height is {self.height!r}; expected a positive number (m), or none")
+            raise ObjectError(
+                f"{self.name}: height is {self.height!r}; expected a positive number (m), or none"
+            )
         for name, value in (("p_BC", p_BC), ("labels", labels)):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
@@ -90,7 +107,10 @@ class GridObject(Frozen):
             raise ObjectError(
                 f"{self.name}: cell_size is {self.cell_size:g} m; expected {MIN_SIZE:g} to {MAX_SIZE:g} m"
             )
-        for what, farthest in (("p_BC", np.abs(p_BC).max()), ("outline", np.abs(self.outline.bounds).max())):
+        for what, farthest in (
+            ("p_BC", np.abs(p_BC).max()),
+            ("outline", np.abs(self.outline.bounds).max()),
+        ):
             if not farthest <= MAX_SIZE:
                 raise ObjectError(
                     f"{self.name}: {what}: a coordinate is {farthest:g} m; expected at most {MAX_SIZE:g} m"
@@ -142,12 +162,14 @@ class GridObject(Frozen):
             The object; B is at the cells' centroid, x right and y up in the image.
 
         Raises:
-            ObjectError: the image cannot be read or is not a label image, is empty, has several pieces (and
-                `largest_piece` is not set), or a scale or count is not positive.
+            ObjectError: the image cannot be read or is not a label image, is empty, has several
+                pieces (and `largest_piece` is not set), or a scale or count is not positive.
         """
         path = Path(path)
         name = path.stem if name is None else name
-        grid = coarsen_mask(path, meters_per_pixel, max_cells, largest_piece=largest_piece, name=name)
+        grid = coarsen_mask(
+            path, meters_per_pixel, max_cells, largest_piece=largest_piece, name=name
+        )
         return cls(name, *grid, prior or PhysicalPrior())
 
     @classmethod
@@ -163,28 +185,38 @@ class GridObject(Frozen):
         """Fills a polygon with cells.
 
         Args:
-            outline: (k, 2) vertices, or a Polygon (with holes), m; its coordinates are the body frame.
+            outline: (k, 2) vertices, or a Polygon (with holes), m; its coordinates are the body
+                frame.
             parts: polygons by label >= 1; a cell whose center none covers belongs to part 1.
             max_cells: the most cells to make.
 
         Raises:
             ObjectError: the polygon crosses itself or has no area, or the count is not positive.
         """
-        return cls(name, *fill_outline(outline, parts or {}, max_cells, name=name), prior or PhysicalPrior())
+        return cls(
+            name,
+            *fill_outline(outline, parts or {}, max_cells, name=name),
+            prior or PhysicalPrior(),
+        )
 
     @classmethod
     def from_yaml(cls, path: Path | str, *, largest_piece: bool = False) -> "GridObject":
         """Reads an object file, see `docs/howto/own_object.md`; a mask it names is looked up beside it.
 
         Raises:
-            ObjectError: the file cannot be read, has an unknown key or a value out of range; the message names
-                the file, the field and the expected form.
+            ObjectError: the file cannot be read, has an unknown key or a value out of range; the
+                message names the file, the field and the expected form.
         """
         path = Path(path)
         schema = read_object_file(path)
         name = path.stem if schema.name is None else schema.name
         try:
-            return cls(name, *make_cells(schema, name, path.parent, largest_piece), schema.to_prior(), schema.height)
+            return cls(
+                name,
+                *make_cells(schema, name, path.parent, largest_piece),
+                schema.to_prior(),
+                schema.height,
+            )
         except ObjectError as error:
             raise ObjectError(f"{path}: {error}") from error
 

@@ -18,7 +18,14 @@ from shapely.geometry.polygon import orient
 from gridpush_drake.errors import ObjectError, ObjectWarning, require_positive
 from gridpush_drake.files import MEGABYTE, open_file, read_bytes
 from gridpush_drake.geometry.contour import calc_contour
-from gridpush_drake.objects.cells import CellGrid, Cells, Region, Share, check_max_cells, choose_cells
+from gridpush_drake.objects.cells import (
+    CellGrid,
+    Cells,
+    Region,
+    Share,
+    check_max_cells,
+    choose_cells,
+)
 
 MAX_PIXELS = 400_000_000  # larger images are refused before they are decoded
 MAX_FILE_SIZE = 1024 * MEGABYTE  # of an image file, bytes: more than the most pixels take at 16 bit
@@ -33,7 +40,8 @@ PNG_GRAY_STRETCH = {2: 85, 4: 17}
 """Pillow stretches gray of so few bits to 0 to 255 by this factor; labels are wanted as stored."""
 
 PGM_GAP = rb"(?:\s|#[^\r\n]*+[\r\n])++"
-"""Blanks and comments between the numbers of a header; possessive, so that it is read once and never again."""
+"""Blanks and comments between the numbers of a header; possessive, so that it is read once and
+never again."""
 
 PGM_HEADER = re.compile(rb"(P[25])" + (PGM_GAP + rb"(\d{1,9}+)") * 3 + rb"(?:[ \t]*+#[^\r\n]*+)?\s")
 
@@ -54,8 +62,8 @@ def read_labels(path: Path) -> NDArray[np.uint16]:
     A PGM (plain or raw, 8 or 16 bit) or PNG (gray of 1 to 16 bit, or palette) file.
 
     Raises:
-        ObjectError: the file cannot be read, is a color image or another kind of file, is too large, or holds
-            background only.
+        ObjectError: the file cannot be read, is a color image or another kind of file, is too
+            large, or holds background only.
     """
     with open_file(path, FORM, ObjectError, MAX_FILE_SIZE) as file:
         head = file.read(PGM_HEADER_ROOM)
@@ -79,7 +87,9 @@ def crop(path: Path, rows: Rows, width: int, height: int) -> NDArray[np.uint16]:
         used_columns |= object_here.any(axis=0)
     if not used_rows.any():
         raise ObjectError(f"{path}: holds background (0) only; {WANTED}")
-    (top, bottom), (left, right) = ((int(i[0]), int(i[-1]) + 1) for i in map(np.flatnonzero, (used_rows, used_columns)))
+    (top, bottom), (left, right) = (
+        (int(i[0]), int(i[-1]) + 1) for i in map(np.flatnonzero, (used_rows, used_columns))
+    )
     labels = np.empty((bottom - top, right - left), dtype=np.uint16)
     for first in range(top, bottom, step):
         last = min(bottom, first + step)
@@ -90,7 +100,8 @@ def crop(path: Path, rows: Rows, width: int, height: int) -> NDArray[np.uint16]:
 
 
 INVERTED_SHARE, MAIN_SHARE = 0.01, 0.9
-"""Least share of a picture, and of all background, that a hole has which is the object of an inverted mask."""
+"""Least share of a picture, and of all background, that a hole has which is the object of an
+inverted mask."""
 
 
 def _doubt_inverted(path: Path, labels: NDArray[np.uint16]) -> None:
@@ -110,12 +121,15 @@ def _doubt_inverted(path: Path, labels: NDArray[np.uint16]) -> None:
 
 
 def _read_png(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
-    # The plugin is opened itself: Image.open would measure it by Pillow's global limit instead of MAX_PIXELS.
+    # The plugin is opened itself: Image.open would measure it by Pillow's global limit instead of
+    # MAX_PIXELS.
     try:
         with PngImageFile(file) as image:
             _check_size(path, *image.size)
             if image.mode not in PNG_MODES:
-                raise ObjectError(f"{path}: is a color or transparent image ({image.mode}); {WANTED}")
+                raise ObjectError(
+                    f"{path}: is a color or transparent image ({image.mode}); {WANTED}"
+                )
             stretch = PNG_GRAY_STRETCH.get(head[PNG_DEPTH_AT], 1) if image.mode == "L" else 1
             image.load()
             width, height = image.size
@@ -138,14 +152,20 @@ def _read_pgm(path: Path, file: BinaryIO, head: bytes) -> NDArray[np.uint16]:
         raise ObjectError(f"{path}: is a PGM of greatest value {greatest}; expected 1 to 65535")
     try:
         if header[1] == b"P2":
-            text = read_bytes(path, "a raw PGM (P5), which takes less room", ObjectError, MAX_PLAIN_SIZE)
+            text = read_bytes(
+                path, "a raw PGM (P5), which takes less room", ObjectError, MAX_PLAIN_SIZE
+            )
             numbers = re.sub(rb"#[^\r\n]*", b"", text[header.end() :]).split()
             pixels = np.array(numbers[: width * height], dtype=np.uint16).reshape(height, width)
         else:
             kind = np.dtype(np.uint8 if greatest <= np.iinfo(np.uint8).max else ">u2")
-            pixels = np.memmap(file, dtype=kind, mode="r", offset=header.end(), shape=(height, width))
+            pixels = np.memmap(
+                file, dtype=kind, mode="r", offset=header.end(), shape=(height, width)
+            )
     except (OSError, ValueError, OverflowError) as error:
-        raise ObjectError(f"{path}: is a damaged PGM, shorter than its {width} x {height} pixels") from error
+        raise ObjectError(
+            f"{path}: is a damaged PGM, shorter than its {width} x {height} pixels"
+        ) from error
     return crop(path, lambda first, last: pixels[first:last], width, height)
 
 
@@ -157,7 +177,8 @@ def _check_size(path: Path, width: int, height: int) -> None:
 
 
 WORKING_PIXELS = 4_000_000
-"""Larger masks are averaged over square blocks of pixels down to about this many before they are traced."""
+"""Larger masks are averaged over square blocks of pixels down to about this many before they are
+traced."""
 
 MAX_PARTS = 100  # more labels than this are taken for a photograph or a softened edge
 
@@ -167,7 +188,8 @@ def coarsen_mask(
 ) -> CellGrid:
     """Reads a label image and coarsens it to square cells, none smaller than a pixel; as `GridObject.from_mask`.
 
-    A cell belongs to the object when at least half its area does, and to the part that covers most of it.
+    A cell belongs to the object when at least half its area does, and to the part that covers most
+    of it.
     """
     check_max_cells(name, max_cells)
     require_positive(ObjectError, f"{path}: ", "m", meters_per_pixel=meters_per_pixel)
@@ -181,17 +203,23 @@ def coarsen_mask(
     center = cells.centers.mean(axis=0)
     scale = meters_per_pixel * block * np.array([1.0, -1.0])
     outline = shapely.transform(calc_contour(coverage), lambda p: (p - center) * scale)
-    return CellGrid((cells.centers - center) * scale, cells.size * float(scale[0]), majority, orient(outline))
+    return CellGrid(
+        (cells.centers - center) * scale, cells.size * float(scale[0]), majority, orient(outline)
+    )
 
 
-def _keep_one_piece(path: Path, labels: NDArray[np.uint16], largest_piece: bool) -> NDArray[np.uint16]:
+def _keep_one_piece(
+    path: Path, labels: NDArray[np.uint16], largest_piece: bool
+) -> NDArray[np.uint16]:
     """Leaves the largest piece of pixels that touch along a side or at a corner, cropped to it."""
     pieces, count = label(labels != 0, np.ones((3, 3)))
     if count == 1:
         return labels
     sizes = np.bincount(pieces.ravel())[1:]
     if not largest_piece:
-        largest = ", ".join(str(size) for size in np.sort(sizes)[::-1][:4]) + (", ..." if count > 4 else "")
+        largest = ", ".join(str(size) for size in np.sort(sizes)[::-1][:4]) + (
+            ", ..." if count > 4 else ""
+        )
         raise ObjectError(
             f"{path}: the mask has {count} separate pieces (of {largest} pixels); expected one; "
             "pass --largest-piece to keep the largest and leave out the others"
@@ -247,7 +275,9 @@ def _describe(coverage: NDArray[np.float64]) -> Region:
     area = float(coverage.sum())
     by_axis = [coverage.sum(axis=0), coverage.sum(axis=1)]
     middles = [np.arange(len(mass)) + 0.5 for mass in by_axis]
-    centroid = np.array([mass @ middle for mass, middle in zip(by_axis, middles, strict=True)]) / area
+    centroid = (
+        np.array([mass @ middle for mass, middle in zip(by_axis, middles, strict=True)]) / area
+    )
     dx, dy = (middle - c for middle, c in zip(middles, centroid, strict=True))
     covariance = np.full((2, 2), dy @ coverage @ dx)
     np.fill_diagonal(covariance, [by_axis[0] @ dx**2, by_axis[1] @ dy**2])
@@ -256,7 +286,9 @@ def _describe(coverage: NDArray[np.float64]) -> Region:
     return Region(np.zeros(2), extent, area, centroid, covariance)
 
 
-def _vote(labels: NDArray[np.uint16], values: NDArray[np.int64], block: int, cells: Cells) -> NDArray[np.int64]:
+def _vote(
+    labels: NDArray[np.uint16], values: NDArray[np.int64], block: int, cells: Cells
+) -> NDArray[np.int64]:
     """The label with the largest share of each cell; the lowest of equals."""
     if len(values) == 1:
         return np.full(len(cells.corners), values[0])

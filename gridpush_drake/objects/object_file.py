@@ -14,7 +14,14 @@ from shapely import LinearRing, Polygon
 
 from gridpush_drake.errors import ObjectError, ParameterError
 from gridpush_drake.geometry.se2 import check_vector
-from gridpush_drake.objects.cells import DEFAULT_MAX_CELLS, MAX_CELLS, MAX_LABEL, CellGrid, fill_outline, make_polygon
+from gridpush_drake.objects.cells import (
+    DEFAULT_MAX_CELLS,
+    MAX_CELLS,
+    MAX_LABEL,
+    CellGrid,
+    fill_outline,
+    make_polygon,
+)
 from gridpush_drake.objects.mask import coarsen_mask
 from gridpush_drake.yaml_file import StrictSchema, check_mapping, read_mapping
 
@@ -33,8 +40,9 @@ class PhysicalPrior:
         contact_friction: prior friction coefficient of the pusher against the object.
         contact_friction_std: its standard deviation.
         pusher_radius: m; None where the object's file does not say.
-        push_height: above the table, where the pusher touches, m; it comes with the pusher's radius. None where nothing
-            is said of it: every cell is then taken to bear its own weight.
+        push_height: above the table, where the pusher touches, m; it comes with the pusher's
+            radius. None where nothing is said of it: every cell is then taken to bear its own
+            weight.
 
     Raises:
         ParameterError: a value is out of range.
@@ -63,14 +71,18 @@ class PhysicalPrior:
         if self.push_height is not None and self.pusher_radius is None:
             raise ParameterError("push_height is given without pusher_radius; expected both")
         if not (np.isfinite(self.contact_friction) and self.contact_friction >= 0):
-            raise ParameterError(f"contact_friction is {self.contact_friction!r}; expected a number >= 0")
+            raise ParameterError(
+                f"contact_friction is {self.contact_friction!r}; expected a number >= 0"
+            )
         if not self.friction_min <= self.friction <= self.friction_max:
             raise ParameterError(
                 f"friction.prior is {self.friction!r}; expected min <= prior <= max, "
                 f"here {self.friction_min} to {self.friction_max}"
             )
         if self.center_of_mass is not None:
-            x, y = check_vector(ParameterError, "center_of_mass.at", self.center_of_mass, 2).tolist()
+            x, y = check_vector(
+                ParameterError, "center_of_mass.at", self.center_of_mass, 2
+            ).tolist()
             object.__setattr__(self, "center_of_mass", (x, y))
 
 
@@ -147,7 +159,9 @@ class ContactFrictionSchema(StrictSchema):
 class PusherSchema(StrictSchema):
     """The disc that pushes, and the height above the table at which it does, m."""
 
-    radius: float = Field(gt=0, le=MAX_RADIUS, description=f"a positive number, in meters, at most {MAX_RADIUS:g}")
+    radius: float = Field(
+        gt=0, le=MAX_RADIUS, description=f"a positive number, in meters, at most {MAX_RADIUS:g}"
+    )
     height: float | None = Field(None, gt=0, description="a positive number, in meters")
 
 
@@ -156,14 +170,18 @@ class TagSchema(StrictSchema):
 
     id: int = Field(ge=0, description="a tag's number, a whole number, 0 or more")
     size: Length
-    pose: Annotated[tuple[float, float, float], Strict(False)] = Field(description="[x, y, theta], in m and rad")
+    pose: Annotated[tuple[float, float, float], Strict(False)] = Field(
+        description="[x, y, theta], in m and rad"
+    )
 
 
 class SeenSchema(StrictSchema):
     """Where the body frame was in the photograph that the object was made of, to align other trackers with it."""
 
     pixel: Point = Field(description="[x, y] of the body frame's origin in the photograph, pixels")
-    pose: Annotated[tuple[float, float, float], Strict(False)] = Field(description="[x, y, theta], W, in m and rad")
+    pose: Annotated[tuple[float, float, float], Strict(False)] = Field(
+        description="[x, y, theta], W, in m and rad"
+    )
     tag: TagSchema | None = Field(None, description="id, size and pose")
 
 
@@ -173,19 +191,32 @@ class ObjectSchema(StrictSchema):
     name: str | None = Field(None, min_length=1, description="some text")
     outline: Points | None = Field(None, description=POINTS)
     holes: list[Points] = Field([], description=f"a list of holes, each {POINTS}")
-    parts: list[PartSchema] = Field([], description="a list of parts, each with a label and an outline")
+    parts: list[PartSchema] = Field(
+        [], description="a list of parts, each with a label and an outline"
+    )
     mask: MaskSchema | None = Field(None, description="image and meters_per_pixel")
-    cells: CellsSchema | None = Field(None, description="size, centers and, where there are several parts, labels")
+    cells: CellsSchema | None = Field(
+        None, description="size, centers and, where there are several parts, labels"
+    )
     max_cells: int = Field(
-        DEFAULT_MAX_CELLS, ge=1, le=MAX_CELLS, description=f"a whole number, 1 or more, at most {MAX_CELLS}"
+        DEFAULT_MAX_CELLS,
+        ge=1,
+        le=MAX_CELLS,
+        description=f"a whole number, 1 or more, at most {MAX_CELLS}",
     )
     height: float | None = Field(None, gt=0, description="a positive number, in meters")
     seen: SeenSchema | None = Field(None, description="pixel, pose and, where there is one, tag")
     total_mass: float | None = Field(None, gt=0, description="a positive number, in kg")
-    center_of_mass: CenterOfMassSchema | None = Field(None, description="at: [x, y] and std, in meters")
+    center_of_mass: CenterOfMassSchema | None = Field(
+        None, description="at: [x, y] and std, in meters"
+    )
     friction: FrictionSchema = Field(FrictionSchema(), description="prior, min and max")
-    contact_friction: ContactFrictionSchema = Field(ContactFrictionSchema(), description="prior and std")
-    pusher: PusherSchema | None = Field(None, description="radius and, where it is known, height, in meters")
+    contact_friction: ContactFrictionSchema = Field(
+        ContactFrictionSchema(), description="prior and std"
+    )
+    pusher: PusherSchema | None = Field(
+        None, description="radius and, where it is known, height, in meters"
+    )
 
     @model_validator(mode="after")
     def _check_whole(self) -> "ObjectSchema":
@@ -197,10 +228,14 @@ class ObjectSchema(StrictSchema):
             found = "neither" if self.mask is None else "both"
             raise ValueError(f"has {found} of outline and mask; expected exactly one of them")
         if self.cells and (self.mask or self.parts or "max_cells" in self.model_fields_set):
-            raise ValueError("cells are the object's own; expected no mask, parts or max_cells beside them")
+            raise ValueError(
+                "cells are the object's own; expected no mask, parts or max_cells beside them"
+            )
         for key in ("holes", "parts"):
             if self.mask and getattr(self, key):
-                raise ValueError(f"{key} goes with outline; a mask's own background and labels say it")
+                raise ValueError(
+                    f"{key} goes with outline; a mask's own background and labels say it"
+                )
         return self
 
     def to_prior(self) -> PhysicalPrior:
@@ -234,8 +269,8 @@ def read_object_file(path: Path) -> ObjectSchema:
     """Reads an object file and checks it, but for the mask it may name.
 
     Raises:
-        ObjectError: the file cannot be read, has an unknown key or a value out of range; the message names the
-            file, the field and the expected form.
+        ObjectError: the file cannot be read, has an unknown key or a value out of range; the
+            message names the file, the field and the expected form.
     """
     data = read_mapping(path, WHAT)
     if MODEL in data:
@@ -243,10 +278,13 @@ def read_object_file(path: Path) -> ObjectSchema:
     return check_mapping(path, data, ObjectSchema, ObjectError, RENAMED)
 
 
-def make_cells(schema: ObjectSchema, name: str, folder: Path, largest_piece: bool = False) -> CellGrid:
+def make_cells(
+    schema: ObjectSchema, name: str, folder: Path, largest_piece: bool = False
+) -> CellGrid:
     """Makes the cells and the outline that a schema describes; a mask that it names is looked up in `folder`.
 
-    Raises ObjectError: a polygon crosses itself or has no area, or the mask cannot be read or is none.
+    Raises ObjectError: a polygon crosses itself or has no area, or the mask cannot be read or is
+    none.
     """
     if schema.mask is not None:
         image, scale = folder / schema.mask.image, schema.mask.meters_per_pixel
@@ -255,16 +293,24 @@ def make_cells(schema: ObjectSchema, name: str, folder: Path, largest_piece: boo
     outline = make_polygon(schema.outline, "outline", tuple(schema.holes))
     if schema.cells is not None:
         labels = schema.cells.labels or [1] * len(schema.cells.centers)
-        return CellGrid(np.array(schema.cells.centers), schema.cells.size, np.array(labels), outline)
+        return CellGrid(
+            np.array(schema.cells.centers), schema.cells.size, np.array(labels), outline
+        )
     by_label: dict[int, list[Polygon]] = {}
     for i, part in enumerate(schema.parts):
-        by_label.setdefault(part.label, []).append(make_polygon(part.outline, f"parts[{i}].outline"))
+        by_label.setdefault(part.label, []).append(
+            make_polygon(part.outline, f"parts[{i}].outline")
+        )
     parts = {label: shapely.union_all(pieces) for label, pieces in by_label.items()}
     return fill_outline(outline, parts, schema.max_cells, name=name)
 
 
 def describe_object(
-    name: str, grid: CellGrid, prior: PhysicalPrior, height: float | None = None, seen: SeenSchema | None = None
+    name: str,
+    grid: CellGrid,
+    prior: PhysicalPrior,
+    height: float | None = None,
+    seen: SeenSchema | None = None,
 ) -> dict[str, Any]:
     """The plain values, in a file's order, of which `ObjectSchema` makes the same object again, bit for bit."""
     data: dict[str, Any] = {"name": name, "outline": _points(grid.outline.exterior)}
@@ -294,7 +340,11 @@ def describe_object(
 
 
 def dump_object(
-    name: str, grid: CellGrid, prior: PhysicalPrior, height: float | None = None, seen: SeenSchema | None = None
+    name: str,
+    grid: CellGrid,
+    prior: PhysicalPrior,
+    height: float | None = None,
+    seen: SeenSchema | None = None,
 ) -> str:
     """An object file's text; the arguments are those of `describe_object`."""
     data = describe_object(name, grid, prior, height, seen)
@@ -318,7 +368,9 @@ def find_shipped_object(name: str) -> Path:
         return _shipped_folder() / f"{name}.yaml"
     near = get_close_matches(name, known, n=1)
     guess = f"; did you mean {near[0]}?" if near else "."
-    raise ObjectError(f"{name}: no shipped object has this name{guess} Shipped are: {', '.join(known)}")
+    raise ObjectError(
+        f"{name}: no shipped object has this name{guess} Shipped are: {', '.join(known)}"
+    )
 
 
 def _shipped_folder() -> Path:

@@ -21,10 +21,12 @@ class CellParameters(Frozen):
         mass: (n,) kg, positive.
         friction: (n,) friction coefficient of each cell against the support, >= 0.
         contact_friction: friction coefficient of the pusher against the object's outline, >= 0.
-        push_height: height above the table at which pushers act, m: the higher, the more load they shift forward (see
-            `dynamics.kernels.support_loads`). 0 leaves every cell its own weight, as in the paper.
-        patch_ratio: side of the square in a cell's middle that bears its load, over the cell's side, from 0 to 1. 1 is
-            the whole cell, as in the paper; towards 0 the cells stand on points, as a rigid body does on its feet.
+        push_height: height above the table at which pushers act, m: the higher, the more load they
+            shift forward (see `dynamics.kernels.support_loads`). 0 leaves every cell its own
+            weight, as in the paper.
+        patch_ratio: side of the square in a cell's middle that bears its load, over the cell's
+            side, from 0 to 1. 1 is the whole cell, as in the paper; towards 0 the cells stand on
+            points, as a rigid body does on its feet.
 
     Raises:
         ParameterError: shapes disagree or a value is out of range.
@@ -47,11 +49,15 @@ class CellParameters(Frozen):
         if not (np.isfinite(friction).all() and (friction >= 0).all()):
             raise ParameterError("friction: expected finite numbers >= 0")
         if not (np.isfinite(self.contact_friction) and self.contact_friction >= 0):
-            raise ParameterError(f"contact_friction is {self.contact_friction!r}; expected a number >= 0")
+            raise ParameterError(
+                f"contact_friction is {self.contact_friction!r}; expected a number >= 0"
+            )
         if not (np.isfinite(self.push_height) and self.push_height >= 0):
             raise ParameterError(f"push_height is {self.push_height!r}; expected a number >= 0 (m)")
         if not 0 <= self.patch_ratio <= 1:
-            raise ParameterError(f"patch_ratio is {self.patch_ratio!r}; expected a number from 0 to 1")
+            raise ParameterError(
+                f"patch_ratio is {self.patch_ratio!r}; expected a number from 0 to 1"
+            )
         for name, value in (("mass", mass), ("friction", friction)):
             value.setflags(write=False)
             object.__setattr__(self, name, value)
@@ -96,7 +102,9 @@ class CellParameters(Frozen):
         friction = obj.prior.friction if friction is None else friction
         return cls(
             _spread(obj, "mass", mass),
-            _spread(obj, "friction", friction) if isinstance(friction, Mapping) else np.full(obj.n, float(friction)),
+            _spread(obj, "friction", friction)
+            if isinstance(friction, Mapping)
+            else np.full(obj.n, float(friction)),
             obj.prior.contact_friction if contact_friction is None else contact_friction,
             obj.prior.push_height or 0.0,
         )
@@ -129,8 +137,12 @@ class CellParameters(Frozen):
         if friction_range is None:
             return cls(mass, np.full(obj.n, obj.prior.friction), obj.prior.contact_friction, height)
         if not 0 <= friction_range[0] <= friction_range[1] < np.inf:
-            raise ParameterError(f"friction_range is {friction_range!r}; expected 0 <= least <= greatest")
-        return cls(mass, rng.uniform(*friction_range, groups)[group], obj.prior.contact_friction, height)
+            raise ParameterError(
+                f"friction_range is {friction_range!r}; expected 0 <= least <= greatest"
+            )
+        return cls(
+            mass, rng.uniform(*friction_range, groups)[group], obj.prior.contact_friction, height
+        )
 
     @property
     def n(self) -> int:
@@ -145,7 +157,9 @@ class CellParameters(Frozen):
     def center_of_mass(self, obj: GridObject) -> NDArray[np.float64]:
         """p_BBcm, (2,), m."""
         if obj.n != self.n:
-            raise ParameterError(f"parameters of {self.n} cells; expected {obj.n}, as {obj.name} has")
+            raise ParameterError(
+                f"parameters of {self.n} cells; expected {obj.n}, as {obj.name} has"
+            )
         return self.mass @ obj.p_BC / self.total_mass
 
     def inertia(self, obj: GridObject) -> float:
@@ -160,9 +174,13 @@ class CellParameters(Frozen):
         return load / total if total > 0 else np.full(self.n, 1 / self.n)
 
 
-def _spread(obj: GridObject, name: str, by_label: Mapping[int, float] | ArrayLike) -> NDArray[np.float64]:
+def _spread(
+    obj: GridObject, name: str, by_label: Mapping[int, float] | ArrayLike
+) -> NDArray[np.float64]:
     assert isinstance(by_label, Mapping)
     missing = sorted(set(obj.labels.tolist()) - set(by_label))
     if missing:
-        raise ParameterError(f"{name}: no value for part {missing[0]} of {obj.name}; expected one for each part")
+        raise ParameterError(
+            f"{name}: no value for part {missing[0]} of {obj.name}; expected one for each part"
+        )
     return np.array([float(by_label[int(label)]) for label in obj.labels])

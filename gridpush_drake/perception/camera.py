@@ -2,8 +2,9 @@
 
     p_C = X_CW p_W,     (x, y) = distort(p_C.xy / p_C.z),     pixel = (fx x + s y + cx, fy y + cy)
 
-Three forms of files are read: ROS's `camera_info` (a calibration file, or a printed message), OpenCV's YAML, and
-Drake's CameraConfig. The first two may say X_WC besides, as four rows of four numbers; Drake's says it in its own way.
+Three forms of files are read: ROS's `camera_info` (a calibration file, or a printed message),
+OpenCV's YAML, and Drake's CameraConfig. The first two may say X_WC besides, as four rows of four
+numbers; Drake's says it in its own way.
 """
 
 import re
@@ -47,7 +48,8 @@ DRAKE_SIZE, DRAKE_FOV = (640, 480), 45.0
 """Of drake::systems::sensors::CameraConfig where it leaves them out: pixels; degrees along y."""
 
 DRAKE_PIXEL_MIDDLE = 0.5
-"""Where Drake's renderer has the middle of the upper left pixel, along x and y, pixels; here it is at 0."""
+"""Where Drake's renderer has the middle of the upper left pixel, along x and y, pixels; here it is
+at 0."""
 
 STRAIGHT_ANGLE = 180.0
 """Degrees."""
@@ -69,8 +71,8 @@ class Camera(Frozen):
         height: of the image, pixels.
         K: (3, 3) [[fx, s, cx], [0, fy, cy], [0, 0, 1]], pixels.
         distortion: (k,) coefficients in OpenCV's order, k one of 0, 4, 5, 8, 12, 14.
-        X_WC: (4, 4) pose of the camera in the world; None where it is not known. x is right and y down in the image,
-            z forward.
+        X_WC: (4, 4) pose of the camera in the world; None where it is not known. x is right and y
+            down in the image, z forward.
 
     Raises:
         CameraError: a shape or a value is not as said above.
@@ -85,24 +87,34 @@ class Camera(Frozen):
     def __post_init__(self) -> None:
         for name, side in (("width", self.width), ("height", self.height)):
             if not (isinstance(side, int | np.integer) and 1 <= side <= MAX_SIDE):
-                raise CameraError(f"{name} is {side!r}; expected a whole number of pixels, at most {MAX_SIDE}")
+                raise CameraError(
+                    f"{name} is {side!r}; expected a whole number of pixels, at most {MAX_SIDE}"
+                )
             object.__setattr__(self, name, int(side))
         K = self._freeze("K", self.K, (3, 3))
         if not (K[0, 0] > 0 and K[1, 1] > 0 and K[1, 0] == 0 and (K[2] == (0, 0, 1)).all()):
-            raise CameraError(f"K is {K.tolist()}; expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]], fx and fy positive")
+            raise CameraError(
+                f"K is {K.tolist()}; expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]], fx and fy positive"
+            )
         for name, focal, side in (("fx", K[0, 0], self.width), ("fy", K[1, 1], self.height)):
             if focal < MIN_FOCAL * side:
-                raise CameraError(f"{name} is {focal:g} pixels of {side}; expected at least {MIN_FOCAL * side:g}")
+                raise CameraError(
+                    f"{name} is {focal:g} pixels of {side}; expected at least {MIN_FOCAL * side:g}"
+                )
         count = np.size(self.distortion)
         if count not in DISTORTION_COUNTS:
-            raise CameraError(f"distortion has {count} coefficients; expected {DISTORTION_COUNTS[1:]} or none")
+            raise CameraError(
+                f"distortion has {count} coefficients; expected {DISTORTION_COUNTS[1:]} or none"
+            )
         self._freeze("distortion", np.reshape(self.distortion, -1), (count,))
         if self.X_WC is not None:
             X = self._freeze("X_WC", self.X_WC, (4, 4))
             R = X[:3, :3]
             rigid = np.abs(R.T @ R - np.eye(3)).max() <= ROTATION_TOLERANCE and np.linalg.det(R) > 0
             if not (rigid and (X[3] == (0, 0, 0, 1)).all()):
-                raise CameraError("X_WC is no rigid transform; expected [R p; 0 0 0 1] with a rotation R")
+                raise CameraError(
+                    "X_WC is no rigid transform; expected [R p; 0 0 0 1] with a rotation R"
+                )
 
     def _freeze(self, name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
         try:
@@ -110,7 +122,9 @@ class Camera(Frozen):
         except (TypeError, ValueError):
             array = np.full((), np.nan)
         if array.shape != shape or not np.isfinite(array).all():
-            raise CameraError(f"{name} is {shorten(value)}; expected finite numbers of shape {shape}")
+            raise CameraError(
+                f"{name} is {shorten(value)}; expected finite numbers of shape {shape}"
+            )
         array.setflags(write=False)
         object.__setattr__(self, name, array)
         return array
@@ -143,8 +157,8 @@ class Camera(Frozen):
             p_W: (..., 3) points in the world, m.
 
         Returns:
-            (..., 2) pixels, x right and y down from the middle of the upper left pixel, within the image or not; NaN
-            for points that are not in front of the camera.
+            (..., 2) pixels, x right and y down from the middle of the upper left pixel, within the
+            image or not; NaN for points that are not in front of the camera.
 
         Raises:
             CameraError: X_WC is not known.
@@ -180,25 +194,33 @@ class Camera(Frozen):
         """Directions (..., 3) in C, z = 1, of pixels (..., 2)."""
         places = np.asarray(pixels, dtype=np.float64)
         if self.distortion.any():
-            criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, UNDISTORT_ITERATIONS, UNDISTORT_EPSILON)
+            criteria = (
+                cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS,
+                UNDISTORT_ITERATIONS,
+                UNDISTORT_EPSILON,
+            )
             flat = np.ascontiguousarray(places.reshape(-1, 1, 2))
-            undistorted = cv2.undistortPoints(flat, self.K, self.distortion, None, None, None, criteria)
+            undistorted = cv2.undistortPoints(
+                flat, self.K, self.distortion, None, None, None, criteria
+            )
             xy = np.asarray(undistorted, dtype=np.float64).reshape(places.shape)
         else:
             y = (places[..., 1] - self.K[1, 2]) / self.K[1, 1]
-            xy = np.stack([(places[..., 0] - self.K[0, 2] - self.K[0, 1] * y) / self.K[0, 0], y], axis=-1)
+            xy = np.stack(
+                [(places[..., 0] - self.K[0, 2] - self.K[0, 1] * y) / self.K[0, 0], y], axis=-1
+            )
         return np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
 
     def undistort(self, image: NDArray[Any]) -> NDArray[Any]:
         """Takes the lens' distortion out of an image.
 
         Args:
-            image: (height, width[, channels]); uint8 is interpolated, any other type (depth) is taken from the nearest
-                pixel, and what the lens did not see is 0.
+            image: (height, width[, channels]); uint8 is interpolated, any other type (depth) is
+                taken from the nearest pixel, and what the lens did not see is 0.
 
         Returns:
-            The image that `undistorted` would take, of the same shape and type; the image itself where there is no
-            distortion.
+            The image that `undistorted` would take, of the same shape and type; the image itself
+            where there is no distortion.
 
         Raises:
             ImageError: its size is not the camera's.
@@ -220,14 +242,22 @@ class Camera(Frozen):
     @cached_property
     def _undistortion_maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         size = (self.width, self.height)
-        return cv2.initUndistortRectifyMap(self.K, self.distortion, None, self.K, size, cv2.CV_32FC1)  # type: ignore
+        return cv2.initUndistortRectifyMap(
+            self.K, self.distortion, None, self.K, size, cv2.CV_32FC1
+        )  # type: ignore
 
     def _distort(self, flat: Array) -> Array:
         """Pixels (..., 2) of points (..., 2) on the plane z = 1 of C."""
         if self.distortion.any():
-            points = np.concatenate([flat, np.ones((*flat.shape[:-1], 1))], axis=-1).reshape(-1, 1, 3)
+            points = np.concatenate([flat, np.ones((*flat.shape[:-1], 1))], axis=-1).reshape(
+                -1, 1, 3
+            )
             none = np.zeros(3)
-            pixels = cv2.projectPoints(points, none, none, self.K, self.distortion)[0] if len(points) else points
+            pixels = (
+                cv2.projectPoints(points, none, none, self.K, self.distortion)[0]
+                if len(points)
+                else points
+            )
             return np.asarray(pixels[..., :2].reshape(flat.shape), dtype=np.float64)
         x, y = flat[..., 0], flat[..., 1]
         K = self.K
@@ -244,8 +274,9 @@ class Camera(Frozen):
             The camera; X_WC is None where the file does not say it.
 
         Raises:
-            CameraError: the file cannot be read, is of none of these forms, or a field is missing or of the wrong form;
-                the message names the file and the field. ROS's and OpenCV's must have distortion coefficients.
+            CameraError: the file cannot be read, is of none of these forms, or a field is missing
+                or of the wrong form; the message names the file and the field. ROS's and OpenCV's
+                must have distortion coefficients.
         """
         path = Path(path)
         return cls.parse(path, read_text(path, WHAT, CameraError))
@@ -261,7 +292,9 @@ class Camera(Frozen):
         except CameraError as error:
             raise CameraError(f"{path}: {error}") from error
         except OverflowError as error:
-            raise CameraError(f"{path}: a number is too large; expected pixels and meters") from error
+            raise CameraError(
+                f"{path}: a number is too large; expected pixels and meters"
+            ) from error
 
     def write(self, path: Path | str, force: bool = False) -> None:
         """Writes the camera as ROS's camera_info, and X_WC besides, so that `read` gives it back, bit for bit.
@@ -292,12 +325,16 @@ def _read_ros(data: dict[str, Any]) -> dict[str, Any]:
     """Fields of a Camera from a calibration file of ROS or OpenCV, or a message's text."""
     model = _find(data, ("distortion_model",), "a name", "plumb_bob")
     if model not in DISTORTION_MODELS:
-        raise CameraError(f"distortion_model is {shorten(model)}; expected plumb_bob or rational_polynomial")
+        raise CameraError(
+            f"distortion_model is {shorten(model)}; expected plumb_bob or rational_polynomial"
+        )
     found = {
         "width": _find(data, ("image_width", "width"), "a whole number of pixels"),
         "height": _find(data, ("image_height", "height"), "a whole number of pixels"),
         "K": _matrix(data, ("camera_matrix", "K", "k"), 3),
-        "distortion": _numbers(data, ("distortion_coefficients", "D", "d"), "numbers; zeros where there is none"),
+        "distortion": _numbers(
+            data, ("distortion_coefficients", "D", "d"), "numbers; zeros where there is none"
+        ),
     }
     if "X_WC" in data:
         found["X_WC"] = _matrix(data, ("X_WC",), 4)
@@ -338,9 +375,13 @@ def _is_drake(data: dict[str, Any]) -> bool:
 
 def _read_drake(data: dict[str, Any]) -> dict[str, Any]:
     """Fields of a Camera from a CameraConfig; what it leaves out is as Drake's own defaults have it."""
-    width, height = (data.get(name, side) for name, side in zip(("width", "height"), DRAKE_SIZE, strict=True))
+    width, height = (
+        data.get(name, side) for name, side in zip(("width", "height"), DRAKE_SIZE, strict=True)
+    )
     if not all(isinstance(side, int) and side > 0 for side in (width, height)):
-        raise CameraError(f"width and height are {width!r} and {height!r}; expected whole numbers of pixels")
+        raise CameraError(
+            f"width and height are {width!r} and {height!r}; expected whole numbers of pixels"
+        )
     fx, fy = _read_focal(data.get("focal", {TAG: "FovDegrees", "y": DRAKE_FOV}), width, height)
     cx = _number(data, "center_x", width / 2 - 0.5)
     cy = _number(data, "center_y", height / 2 - 0.5)
@@ -354,7 +395,9 @@ def _read_drake(data: dict[str, Any]) -> dict[str, Any]:
 def _read_focal(focal: Any, width: int, height: int) -> tuple[float, float]:
     """The focal lengths fx and fy, pixels, of FocalLength or FovDegrees; of one alone, both."""
     if not isinstance(focal, dict) or not {"x", "y"} & focal.keys():
-        raise CameraError("focal: expected x or y, in pixels, or !FovDegrees and x or y, in degrees")
+        raise CameraError(
+            "focal: expected x or y, in pixels, or !FovDegrees and x or y, in degrees"
+        )
     found = {}
     for axis, side in (("x", width), ("y", height)):
         if focal.get(axis) is None:
@@ -378,7 +421,9 @@ def _read_transform(data: dict[str, Any], name: str) -> Array:
     X = np.eye(4)
     X[:3, 3] = _vector(schema, "translation", name)
     if kind == "Rpy":
-        X[:3, :3] = Rotation.from_euler("xyz", _vector(rotation, "deg", f"{name}.rotation"), degrees=True).as_matrix()
+        X[:3, :3] = Rotation.from_euler(
+            "xyz", _vector(rotation, "deg", f"{name}.rotation"), degrees=True
+        ).as_matrix()
     elif kind == "AngleAxis":
         axis = np.array(_vector(rotation, "axis", f"{name}.rotation"))
         angle = radians(_number(rotation, "angle_deg", 0.0, f"{name}.rotation."))

@@ -1,9 +1,9 @@
 """One object on a table, found in one photograph: its mask, outline, height and parts.
 
-What is seen of a prism of height h is its outline on every level from the table to h. A pixel of the picture's outline
-shows a point of the top where the prism's side there faces away from the camera, and one of the bottom where it faces
-it. So the outline is what the pixels' rays meet on all levels: the intersection of the picture's outline cast to some
-levels from the table to the height.
+What is seen of a prism of height h is its outline on every level from the table to h. A pixel of
+the picture's outline shows a point of the top where the prism's side there faces away from the
+camera, and one of the bottom where it faces it. So the outline is what the pixels' rays meet on all
+levels: the intersection of the picture's outline cast to some levels from the table to the height.
 """
 
 from dataclasses import dataclass
@@ -52,8 +52,8 @@ BORDER = 2
 """Pixels at the picture's border which no object may touch."""
 
 CERTAIN = 3.0
-"""Median score from which on a piece of the foreground is an object for certain, and not the table's own unevenness;
-the plainest piece needs none."""
+"""Median score from which on a piece of the foreground is an object for certain, and not the
+table's own unevenness; the plainest piece needs none."""
 
 MAX_TABLE_DEVIATION = 8.0
 """Of a table's color, units of CIE L*a*b*; without depth, more is taken for no table."""
@@ -62,7 +62,8 @@ MAX_TILT, MAX_SHIFT = np.radians(10), 0.05
 """Between the table in depth and X_WC's z = 0, rad and m."""
 
 RIM_WIDTH, RIM_PERCENTILE = 31, 60
-"""Of the window in which an outline's point finds the height of the object there, pixels; and of the heights in it."""
+"""Of the window in which an outline's point finds the height of the object there, pixels; and of
+the heights in it."""
 
 TOP_PERCENTILE, TOP_WINDOW = 90, 5
 """Of the heights of an object, smoothed in such a window, which is its height."""
@@ -80,7 +81,8 @@ MAX_PARTS, PART_ROUNDS, PART_EPSILON = 3, 30, 0.1
 """Most parts by color; of the clustering."""
 
 PART_CONTRAST, MIN_PART = 25.0, 0.08
-"""Colors nearer than this in CIE L*a*b* are of one part; a part of less than this share of the object is none."""
+"""Colors nearer than this in CIE L*a*b* are of one part; a part of less than this share of the
+object is none."""
 
 PART_SMOOTHING = 9
 """Width of the median that a part's colors go through, pixels."""
@@ -127,10 +129,11 @@ class DetectedObject:
         X_WB: (3,) pose (x, y, theta) chosen for the body frame: the outline's centroid, x as in W.
         pixel: (2,) where the body frame's origin is in the photograph as it was taken, pixels.
         parts: polygons by label, W, m; empty where they were not asked for.
-        camera: with X_WC: the one given, or, where it was not known, the one that depth gives: W's origin is where the
-            optical axis meets the table, x to the right in the image, z up.
+        camera: with X_WC: the one given, or, where it was not known, the one that depth gives: W's
+            origin is where the optical axis meets the table, x to the right in the image, z up.
         picture: (height, width, 3) uint8, the undistorted photograph with the outline drawn.
-        contradiction: share of the object about which color and depth contradict each other, see `calc_contradiction`.
+        contradiction: share of the object about which color and depth contradict each other, see
+            `calc_contradiction`.
     """
 
     outline: Polygon
@@ -148,7 +151,9 @@ class DetectedObject:
         """The part of the picture that shows the object, with some room about it."""
         x, y, width, height = cv2.boundingRect(self.mask.astype(np.uint8))
         room = round(CLOSE_UP_ROOM * max(width, height))
-        return self.picture[max(y - room, 0) : y + height + room, max(x - room, 0) : x + width + room]
+        return self.picture[
+            max(y - room, 0) : y + height + room, max(x - room, 0) : x + width + room
+        ]
 
     @cached_property
     def outline_B(self) -> Polygon:
@@ -168,7 +173,11 @@ class DetectedObject:
         Raises:
             ObjectError: the cells would be too many.
         """
-        max_cells = DEFAULT_MAX_CELLS if cell_size is None else max(1, round(self.outline.area / cell_size**2))
+        max_cells = (
+            DEFAULT_MAX_CELLS
+            if cell_size is None
+            else max(1, round(self.outline.area / cell_size**2))
+        )
         if max_cells > MAX_CELLS:
             raise ObjectError(
                 f"{name}: cells of {cell_size:g} m are {max_cells}; expected at most {MAX_CELLS}, so of at least "
@@ -189,8 +198,10 @@ def detect_object(
 
     Args:
         color: (height, width, 3) uint8, red, green, blue, as it was taken (distorted).
-        depth: (height, width), m, registered to `color`, 0 where it was not measured; None without a depth camera.
-        camera: that took it; X_WC, with the table's top at z = 0, may be left out where there is depth.
+        depth: (height, width), m, registered to `color`, 0 where it was not measured; None without
+            a depth camera.
+        camera: that took it; X_WC, with the table's top at z = 0, may be left out where there is
+            depth.
         options: see `DetectorOptions`.
 
     Returns:
@@ -203,14 +214,15 @@ def detect_object(
         NoObjectError: there is none on it.
         SeveralObjectsError: there are two or more.
         ObjectAtBorderError: the picture's border cuts it.
-        PerceptionError: the height is negative, or the object reaches up to the camera. Each of the last five has a
-            picture of what was seen.
+        PerceptionError: the height is negative, or the object reaches up to the camera. Each of the
+            last five has a picture of what was seen.
     """
     options = options or DetectorOptions()
     color, depth, plane, camera = look_at_table(color, depth, camera)
     if options.height is not None and not 0 <= options.height < camera.center[2]:
         raise PerceptionError(
-            f"height is {options.height!r}; expected 0 to {camera.center[2]:.3g} m, where the camera is", color
+            f"height is {options.height!r}; expected 0 to {camera.center[2]:.3g} m, where the camera is",
+            color,
         )
     found = find_foreground(color, plane, options.cues)
     if plane is None and found.deviation.max() > MAX_TABLE_DEVIATION:
@@ -220,7 +232,9 @@ def detect_object(
         raise NoObjectError("no object is in view; expected one on the table", color)
     heights = None if plane is None or options.height is not None else plane.heights
     height = _find_height(heights, mask) if heights is not None else options.height or 0.0
-    outline = _to_world(calc_contour(coverage.astype(np.float64), OUTLINE_SMOOTHING), camera, mask, heights, height)
+    outline = _to_world(
+        calc_contour(coverage.astype(np.float64), OUTLINE_SMOOTHING), camera, mask, heights, height
+    )
     X_WB = np.array([*outline.centroid.coords[0], 0.0])
     parts = _find_parts(color, mask, camera, outline, height) if options.parts else {}
     return DetectedObject(
@@ -251,7 +265,9 @@ def look_at_table(
     color = camera.undistort(color)
     if depth is None:
         if camera.X_WC is None:
-            raise CameraError("X_WC is not known and there is no depth image; expected one of the two")
+            raise CameraError(
+                "X_WC is not known and there is no depth image; expected one of the two"
+            )
         if not np.isfinite(camera.cast(camera.K[:2, 2])).all():
             raise NoTableError(
                 "the camera looks past the table; expected X_WC in its file with the table at z = 0 and the camera "
@@ -275,7 +291,9 @@ def look_at_table(
     return color, depth, plane, camera
 
 
-def cover_pixels(color: Color, depth: Depth | None, unseen: Mask, seed: int) -> tuple[Color, Depth | None]:
+def cover_pixels(
+    color: Color, depth: Depth | None, unseen: Mask, seed: int
+) -> tuple[Color, Depth | None]:
     """Paints the table over what is not to be looked at, such as the arm.
 
     Args:
@@ -309,17 +327,25 @@ def find_off_table(camera: Camera, table_top: BaseGeometry) -> Mask:
     return ~np.asarray(shapely.contains_xy(table_top, xy[..., 0], xy[..., 1]))
 
 
-def draw_outline(color: Color, camera: Camera, outline: Polygon, height: float, X_WB: ArrayLike) -> Color:
+def draw_outline(
+    color: Color, camera: Camera, outline: Polygon, height: float, X_WB: ArrayLike
+) -> Color:
     """Draws an outline (W, m) and the body frame at X_WB (3,) into an undistorted photograph; returns a new one."""
     picture, ideal = color.copy(), camera.undistorted
     for z, tint in ((0.0, BLUE), (height, GREEN))[: 1 + (height > 0)]:
         for ring in (outline.exterior, *outline.interiors):
             points = np.column_stack([np.array(ring.coords), np.full(len(ring.coords), z)])
-            cv2.polylines(picture, [_to_places(ideal.project(points))], True, tint, LINE, cv2.LINE_AA, SHIFT)
+            cv2.polylines(
+                picture, [_to_places(ideal.project(points))], True, tint, LINE, cv2.LINE_AA, SHIFT
+            )
     x, y, theta = np.asarray(X_WB, dtype=np.float64)
     for angle, tint in ((theta, RED), (theta + np.pi / 2, GREEN)):
-        ends = np.array([[x, y, height], [x + AXIS * np.cos(angle), y + AXIS * np.sin(angle), height]])
-        cv2.polylines(picture, [_to_places(ideal.project(ends))], False, tint, LINE, cv2.LINE_AA, SHIFT)
+        ends = np.array(
+            [[x, y, height], [x + AXIS * np.cos(angle), y + AXIS * np.sin(angle), height]]
+        )
+        cv2.polylines(
+            picture, [_to_places(ideal.project(ends))], False, tint, LINE, cv2.LINE_AA, SHIFT
+        )
     return picture
 
 
@@ -331,14 +357,26 @@ def _to_places(pixels: Array) -> NDArray[np.int32]:
     return np.round(pixels * 2**SHIFT).astype(np.int32)
 
 
-def _choose_object(found: Foreground, color: Color, camera: Camera, options: DetectorOptions) -> Mask:
+def _choose_object(
+    found: Foreground, color: Color, camera: Camera, options: DetectorOptions
+) -> Mask:
     """The one piece of the foreground that is large enough to be an object."""
     score = found.score
-    count, labels, stats, middles = cv2.connectedComponentsWithStats(found.mask.astype(np.uint8), connectivity=8)
-    corners = np.array([[-PIXEL_MIDDLE, -PIXEL_MIDDLE], [PIXEL_MIDDLE, -PIXEL_MIDDLE], [-PIXEL_MIDDLE, PIXEL_MIDDLE]])
+    count, labels, stats, middles = cv2.connectedComponentsWithStats(
+        found.mask.astype(np.uint8), connectivity=8
+    )
+    corners = np.array(
+        [
+            [-PIXEL_MIDDLE, -PIXEL_MIDDLE],
+            [PIXEL_MIDDLE, -PIXEL_MIDDLE],
+            [-PIXEL_MIDDLE, PIXEL_MIDDLE],
+        ]
+    )
     places = camera.undistorted.cast(middles[:, None] + corners)
     across, down = np.moveaxis(places[:, 1:] - places[:, :1], 1, 0)
-    area = stats[:, cv2.CC_STAT_AREA] * np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0])
+    area = stats[:, cv2.CC_STAT_AREA] * np.abs(
+        across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]
+    )
     large = [i for i in range(1, count) if area[i] >= options.min_area]
     if not large:
         raise NoObjectError("no object is in view; expected one on the table", color)
@@ -370,7 +408,9 @@ def _find_height(heights: Array, mask: Mask) -> float:
     return max(0.0, float(np.percentile(measured, TOP_PERCENTILE))) if len(measured) else 0.0
 
 
-def _to_world(contour: Polygon, camera: Camera, mask: Mask, heights: Array | None, height: float) -> Polygon:
+def _to_world(
+    contour: Polygon, camera: Camera, mask: Mask, heights: Array | None, height: float
+) -> Polygon:
     """The outline on the table of one in the picture, whose pixels are counted from the upper left corner."""
 
     def cast(points: Array, level: float) -> Array:
@@ -378,11 +418,20 @@ def _to_world(contour: Polygon, camera: Camera, mask: Mask, heights: Array | Non
         z = height if heights is None else _find_rim_heights(pixels, mask, heights, height)
         return camera.undistorted.cast(pixels, level * np.asarray(z))
 
-    layers = [shapely.transform(contour, lambda points, level=level: cast(points, level)) for level in LEVELS]
-    outline = shapely.intersection_all(shapely.make_valid(layers)) if height > 0 else shapely.make_valid(layers[0])
+    layers = [
+        shapely.transform(contour, lambda points, level=level: cast(points, level))
+        for level in LEVELS
+    ]
+    outline = (
+        shapely.intersection_all(shapely.make_valid(layers))
+        if height > 0
+        else shapely.make_valid(layers[0])
+    )
     pieces = [piece for piece in shapely.get_parts(outline) if isinstance(piece, Polygon)]
     if not pieces:
-        raise PerceptionError("the object is higher than it is wide, seen from the side; expected an overhead camera")
+        raise PerceptionError(
+            "the object is higher than it is wide, seen from the side; expected an overhead camera"
+        )
     largest = max(pieces, key=lambda piece: piece.area)
     return orient(largest.simplify(SIMPLIFICATION)) if height > 0 else orient(largest)
 
@@ -408,7 +457,9 @@ def _find_parts(
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, PART_ROUNDS, PART_EPSILON)
     cv2.setRNGSeed(0)
     none = np.zeros((len(lab), 1), np.int32)
-    _, labels, centers = cv2.kmeans(lab, min(MAX_PARTS, len(lab)), none, criteria, 1, cv2.KMEANS_PP_CENTERS)
+    _, labels, centers = cv2.kmeans(
+        lab, min(MAX_PARTS, len(lab)), none, criteria, 1, cv2.KMEANS_PP_CENTERS
+    )
     labels = labels.ravel()
     counts = np.bincount(labels, minlength=len(centers))
     kept: list[int] = []
@@ -426,7 +477,8 @@ def _find_parts(
         if part.sum() < MIN_PART * len(lab):
             continue
         shape = shapely.transform(
-            calc_contour(part.astype(np.float64)), lambda p: camera.undistorted.cast(p - PIXEL_MIDDLE, height)
+            calc_contour(part.astype(np.float64)),
+            lambda p: camera.undistorted.cast(p - PIXEL_MIDDLE, height),
         )
         pieces = shapely.get_parts(shapely.intersection(shapely.make_valid(shape), outline))
         pieces = [piece for piece in pieces if isinstance(piece, Polygon)]

@@ -1,14 +1,16 @@
 """Which pixels show something else than the table, by height and color together.
 
-The table's color is a smooth polynomial over the picture, fitted to what is certainly table: neither high nor, in later
-rounds, foreground. What a pixel's color c and height h say adds up:
+The table's color is a smooth polynomial over the picture, fitted to what is certainly table:
+neither high nor, in later rounds, foreground. What a pixel's color c and height h say adds up:
 
-    s = clip((|chroma(c) - table|^2/sigma^2 + (light(c) - table)^2/tau^2 - 9)/2) + clip(1.5 (h/sigma_h - 3))
+    s = clip((|chroma(c) - table|^2/sigma^2 + (light(c) - table)^2/tau^2 - 9)/2) + clip(1.5
+    (h/sigma_h - 3))
 
-with a wide tau where the pixel is darker than the table: that may be a shadow. Depth images miss edges by some pixels,
-so that along them color speaks louder. The boundary of what is left is then drawn anew where the color is half way
-between the object's and the table's, each the mean nearby; a shadow is of the table's. What is too dark for a shadow,
-such as a side in the dark, lies as far on that way as it is from the table, in whatever direction.
+with a wide tau where the pixel is darker than the table: that may be a shadow. Depth images miss
+edges by some pixels, so that along them color speaks louder. The boundary of what is left is then
+drawn anew where the color is half way between the object's and the table's, each the mean nearby; a
+shadow is of the table's. What is too dark for a shadow, such as a side in the dark, lies as far on
+that way as it is from the table, in whatever direction.
 """
 
 from typing import Any, Literal, NamedTuple
@@ -54,8 +56,8 @@ RIM_ORDER, ORDER = 2, 3
 """Of the polynomial of the table's color, from the rim alone and from all of the table."""
 
 GENEROSITY = (3.0, 2.0, 1.5, 1.0)
-"""Of each round of telling table and foreground apart: standard deviations count for so much more, as the first fits
-are to the rim, or to what is near the object in color."""
+"""Of each round of telling table and foreground apart: standard deviations count for so much more,
+as the first fits are to the rim, or to what is near the object in color."""
 
 FIT_ROUNDS = 10
 """Of reweighting in a fit."""
@@ -70,33 +72,38 @@ OPENING, CLOSING = 3, 5
 """Widths, pixels, of what is too thin to be object, or a gap."""
 
 MIN_HOLE, HOLE_SCORE, HOLE_SHARE = 15, -1.0, 0.5
-"""A hole is filled where it has fewer pixels, or where less than this share of it has a score below that."""
+"""A hole is filled where it has fewer pixels, or where less than this share of it has a score below
+that."""
 
 BAND = 6
 """Pixels about the first boundary within which the final one lies."""
 
 INSIDE_RADIUS, OUTSIDE_RADIUS, MEAN_GAP = 7.5, 4.0, 3
-"""Of the means of color nearby: standard deviations of their weights, the table's nearer as shadows are narrow; and the
-strip of that width at the boundary that is left out, pixels."""
+"""Of the means of color nearby: standard deviations of their weights, the table's nearer as shadows
+are narrow; and the strip of that width at the boundary that is left out, pixels."""
 
 TOO_DARK, DARK = 1.5 * SHADOW, 3 * SHADOW
-"""Drops of CIE L* from the table nearby from which on it is more and more, and surely, no shadow."""
+"""Drops of CIE L* from the table nearby from which on it is more and more, and surely, no
+shadow."""
 
 BOUNDARY_ROUNDS, BOUNDARY_SMOOTHING = 4, 0.5
-"""Of drawing the boundary; and the standard deviation, in pixels, of what a wider one would round: corners, holes."""
+"""Of drawing the boundary; and the standard deviation, in pixels, of what a wider one would round:
+corners, holes."""
 
 MIN_CONTRAST = 9.0
 """Squared difference of color at which the boundary is as uncertain as the pixels are noisy."""
 
 CONTRADICTION = 0.1
-"""Share of an object from which on color and depth are taken to show different things: of five real photographs with
-their own depth it is up to 0.02, with another's 0.2 and more."""
+"""Share of an object from which on color and depth are taken to show different things: of five real
+photographs with their own depth it is up to 0.02, with another's 0.2 and more."""
 
 HALF_STEP = 0.5
-"""Half of the way from the table's color to the object's; a pixel beyond either counts as either."""
+"""Half of the way from the table's color to the object's; a pixel beyond either counts as
+either."""
 
 HEIGHT_SAYS = 0.15
-"""Most that height moves the boundary's level, which is 0.5 of the way from one color to the other."""
+"""Most that height moves the boundary's level, which is 0.5 of the way from one color to the
+other."""
 
 
 class Foreground(NamedTuple):
@@ -107,7 +114,8 @@ class Foreground(NamedTuple):
         score: (height, width), above 0 where it is no table.
         difference: (height, width, 3) color less the table's, CIE L*a*b*.
         deviation: (3,) of the table's color; zeros where color was not looked at.
-        heights: what height alone says of the boundary, -HEIGHT_SAYS to HEIGHT_SAYS; zeros without depth.
+        heights: what height alone says of the boundary, -HEIGHT_SAYS to HEIGHT_SAYS; zeros without
+            depth.
     """
 
     mask: Mask
@@ -122,7 +130,8 @@ def find_foreground(color: Color, plane: TablePlane | None, cues: Cues = "both")
 
     Args:
         color: (height, width, 3), undistorted.
-        plane: the table with the heights above it; None without depth, or where color alone is to say.
+        plane: the table with the heights above it; None without depth, or where color alone is to
+            say.
         cues: what is looked at.
 
     Returns:
@@ -146,7 +155,9 @@ def find_foreground(color: Color, plane: TablePlane | None, cues: Cues = "both")
 
 def to_lab(color: Color) -> Image:
     """CIE L*a*b* of an image (height, width, 3) uint8."""
-    return np.asarray(cv2.cvtColor(color.astype(np.float32) / np.iinfo(np.uint8).max, cv2.COLOR_RGB2LAB))
+    return np.asarray(
+        cv2.cvtColor(color.astype(np.float32) / np.iinfo(np.uint8).max, cv2.COLOR_RGB2LAB)
+    )
 
 
 def find_high(plane: TablePlane) -> Mask:
@@ -176,8 +187,12 @@ def fit_table_color(lab: Image, table: Mask, order: int) -> tuple[Image, Array]:
     fitted: Array = np.zeros((A.shape[1], 3))
     deviation: Array = np.ones(3)
     for _ in range(FIT_ROUNDS):
-        W = A * weight[:, None]  # the normal equations: seventy times as fast, and polynomials on [-1, 1] allow them
-        fitted = np.asarray(np.linalg.lstsq(W.T @ W, W.T @ (colors * weight[:, None]))[0], dtype=np.float64)
+        W = (
+            A * weight[:, None]
+        )  # the normal equations: seventy times as fast, and polynomials on [-1, 1] allow them
+        fitted = np.asarray(
+            np.linalg.lstsq(W.T @ W, W.T @ (colors * weight[:, None]))[0], dtype=np.float64
+        )
         off = colors - A @ fitted
         deviation = np.maximum(TO_DEVIATION * np.median(np.abs(off), axis=0), MIN_COLOR_DEVIATION)
         weight = 1 / (1 + ((off / (OUTLIER * deviation)) ** 2).sum(axis=1))
@@ -189,7 +204,11 @@ FIT_SIDE = 140
 
 
 def score_pixels(
-    difference: Image, deviation: Array, plane: TablePlane | None, high: Mask | None, cues: Cues = "both"
+    difference: Image,
+    deviation: Array,
+    plane: TablePlane | None,
+    high: Mask | None,
+    cues: Cues = "both",
 ) -> Foreground:
     """Adds up what color and height say of each pixel.
 
@@ -209,7 +228,9 @@ def score_pixels(
         distance = _calc_color_distance(difference, deviation)
         score += np.clip((distance - COLOR_BIAS) / 2, MIN_COLOR_SCORE, MAX_COLOR_SCORE)
     if plane is not None and high is not None:
-        says = HEIGHT_SLOPE * (np.nan_to_num(plane.heights / plane.deviation, nan=HEIGHT_BIAS) - HEIGHT_BIAS)
+        says = HEIGHT_SLOPE * (
+            np.nan_to_num(plane.heights / plane.deviation, nan=HEIGHT_BIAS) - HEIGHT_BIAS
+        )
         says = np.clip(says, -MAX_HEIGHT_SCORE, MAX_HEIGHT_SCORE)
         heights = HEIGHT_SAYS * np.clip(says / MAX_HEIGHT_SCORE, -1, 1)
         if cues == "both":
@@ -231,25 +252,37 @@ def calc_contradiction(mask: Mask, found: Foreground, plane: TablePlane | None) 
         plane: the table with the heights above it; None without depth.
 
     Returns:
-        The share of the object that has another color than the table but not its height, or that is certainly high but
-        has the table's color, whichever is larger; 0 where the other of the two sees no object at all.
+        The share of the object that has another color than the table but not its height, or that is
+        certainly high but has the table's color, whichever is larger; 0 where the other of the two
+        sees no object at all.
     """
     if plane is None or not mask.any():
         return 0.0
     colored = _calc_color_distance(found.difference, found.deviation) > COLOR_BIAS
     heights, area = np.nan_to_num(plane.heights / plane.deviation, nan=HEIGHT_BIAS), mask.sum()
-    flat = (mask & colored & (heights < HEIGHT_BIAS)).sum() if find_high(plane).sum() > CONTRADICTION * area else 0
-    plain = (mask & ~colored & (heights > HIGH)).sum() if (mask & colored).sum() > CONTRADICTION * area else 0
+    flat = (
+        (mask & colored & (heights < HEIGHT_BIAS)).sum()
+        if find_high(plane).sum() > CONTRADICTION * area
+        else 0
+    )
+    plain = (
+        (mask & ~colored & (heights > HIGH)).sum()
+        if (mask & colored).sum() > CONTRADICTION * area
+        else 0
+    )
     return float(max(flat, plain) / area)
 
 
-def refine_boundary(mask: Mask, found: Foreground, covered: Mask | None = None) -> tuple[Mask, Image]:
+def refine_boundary(
+    mask: Mask, found: Foreground, covered: Mask | None = None
+) -> tuple[Mask, Image]:
     """Draws one object's boundary where the color is half way between the object's and the table's nearby.
 
     Args:
         mask: of the object; in one piece, unless something covers it.
         found: of the picture.
-        covered: pixels which show something else, such as the arm, and say nothing; None where there are none.
+        covered: pixels which show something else, such as the arm, and say nothing; None where
+            there are none.
 
     Returns:
         The mask, and (height, width) how much of each pixel is object, 0 to 1.
@@ -282,13 +315,17 @@ def _calc_color_distance(difference: Image, deviation: Array) -> Image:
 
 def keep_largest(mask: Mask) -> Mask:
     """The largest piece of a mask; nothing of nothing."""
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(
+        mask.astype(np.uint8), connectivity=4
+    )
     return labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])) if count > 1 else mask
 
 
 def fill_holes(mask: Mask, score: Image, table: Mask | None = None) -> Mask:
     """Fills the holes through which the table is not plainly seen, unless some of it is known to be table."""
-    count, labels, stats, _ = cv2.connectedComponentsWithStats((~mask).astype(np.uint8), connectivity=4)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(
+        (~mask).astype(np.uint8), connectivity=4
+    )
     rim = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     area = stats[:, cv2.CC_STAT_AREA]
     plain = np.bincount(labels[score < HOLE_SCORE], minlength=count)
@@ -313,7 +350,9 @@ def _calc_along(colors: Image, inside: Image, outside: Image) -> Image:
     along = ((colors - (inside + outside) / 2) * step).sum(axis=-1) / square
     distance = np.sqrt(((colors - outside) ** 2).sum(axis=-1) / square) - HALF_STEP
     drop = (outside - colors)[..., 0] / LIGHT_WEIGHT
-    return along + np.clip((drop - TOO_DARK) / (DARK - TOO_DARK), 0, 1) * np.maximum(distance - along, 0)
+    return along + np.clip((drop - TOO_DARK) / (DARK - TOO_DARK), 0, 1) * np.maximum(
+        distance - along, 0
+    )
 
 
 def _calc_nearby_mean(colors: Image, where: Mask, radius: float) -> Image:
@@ -322,7 +361,9 @@ def _calc_nearby_mean(colors: Image, where: Mask, radius: float) -> Image:
 
 
 def _blur(image: NDArray[Any], deviation: float) -> Image:
-    return np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), deviation), dtype=np.float32)
+    return np.asarray(
+        cv2.GaussianBlur(image.astype(np.float32), (0, 0), deviation), dtype=np.float32
+    )
 
 
 def dilate(mask: Mask, width: int) -> Mask:

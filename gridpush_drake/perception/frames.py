@@ -42,8 +42,8 @@ class Frame(NamedTuple):
 
     Attributes:
         color: (height, width, 3) uint8, red, green, blue.
-        depth: (height, width) float32, m along the camera's z axis, registered to `color`; 0 or not finite where it was
-            not measured; None without a depth camera.
+        depth: (height, width) float32, m along the camera's z axis, registered to `color`; 0 or not
+            finite where it was not measured; None without a depth camera.
         t: when it was taken, s.
     """
 
@@ -81,13 +81,15 @@ def read_depth(path: Path | str, camera: Camera) -> Depth:
         (height, width) float32, m; 0 where it was not measured.
 
     Raises:
-        ImageError: the file cannot be read, has another size than the camera, is of 8 bit or of several channels, or
-            its unit is not the one expected.
+        ImageError: the file cannot be read, has another size than the camera, is of 8 bit or of
+            several channels, or its unit is not the one expected.
     """
     image = _decode(path, "a depth image", cv2.IMREAD_UNCHANGED)
     if image.ndim != 2 or image.dtype not in (np.uint16, np.float32):
         found = f"{1 if image.ndim == 2 else image.shape[2]} channels of {image.dtype}"
-        raise ImageError(f"{path}: has {found}; expected a depth image: 16 bit in mm, or 32 bit float in m")
+        raise ImageError(
+            f"{path}: has {found}; expected a depth image: 16 bit in mm, or 32 bit float in m"
+        )
     _check_size(path, camera, image)
     scale, unit = (MILLIMETERS, "mm") if image.dtype == np.uint16 else (1.0, "m")
     depth = np.nan_to_num(image.astype(np.float32) / np.float32(scale), posinf=0.0, neginf=0.0)
@@ -107,16 +109,17 @@ def read_frames(path: Path | str, camera: Camera) -> Iterator[Frame]:
     """Reads a video, or a folder of images.
 
     Args:
-        path: a video (its own frame rate is the clock), or a folder: NAME.png or NAME.jpg, or NAME_color.png with
-            NAME_depth.png, in the order of their names; `times.csv` (name,t) gives their times, s.
+        path: a video (its own frame rate is the clock), or a folder: NAME.png or NAME.jpg, or
+            NAME_color.png with NAME_depth.png, in the order of their names; `times.csv` (name,t)
+            gives their times, s.
         camera: that took them.
 
     Yields:
         The frames, in order of time.
 
     Raises:
-        ImageError: there is no such video or folder, it is empty or cannot be read, times are missing or do not
-            increase, or a frame has another size than the camera.
+        ImageError: there is no such video or folder, it is empty or cannot be read, times are
+            missing or do not increase, or a frame has another size than the camera.
     """
     path = Path(path)
     return _read_folder(path, camera) if path.is_dir() else _read_video(path, camera)
@@ -136,7 +139,9 @@ def _decode(path: Path | str, what: str, flags: int) -> NDArray[Any]:
     except cv2.error:
         image = None
     if image is None:
-        raise ImageError(f"{path}: is no image that can be read; expected {what}, such as a PNG file")
+        raise ImageError(
+            f"{path}: is no image that can be read; expected {what}, such as a PNG file"
+        )
     return np.asarray(image)
 
 
@@ -149,7 +154,9 @@ def _check_size(path: Path | str, camera: Camera, image: NDArray[Any]) -> None:
 
 def _read_video(path: Path, camera: Camera) -> Iterator[Frame]:
     if not is_file(path):
-        raise ImageError(f"{path}: cannot be read: no such file; expected a video, or a folder of images")
+        raise ImageError(
+            f"{path}: cannot be read: no such file; expected a video, or a folder of images"
+        )
     video = cv2.VideoCapture(str(path))
     try:
         rate = video.get(cv2.CAP_PROP_FPS) if video.isOpened() else 0.0
@@ -162,35 +169,53 @@ def _read_video(path: Path, camera: Camera) -> Iterator[Frame]:
             yield Frame(np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB)), None, count / rate)
             count += 1
         if not count:
-            raise ImageError(f"{path}: no frame can be read; expected a video, or a folder of images")
+            raise ImageError(
+                f"{path}: no frame can be read; expected a video, or a folder of images"
+            )
     finally:
         video.release()
 
 
 def _read_folder(path: Path, camera: Camera) -> Iterator[Frame]:
-    images = sorted(p for p in path.iterdir() if p.suffix.lower() in COLOR_ENDINGS and not p.stem.endswith(DEPTH_MARK))
+    images = sorted(
+        p
+        for p in path.iterdir()
+        if p.suffix.lower() in COLOR_ENDINGS and not p.stem.endswith(DEPTH_MARK)
+    )
     if not images:
-        raise ImageError(f"{path}: holds no images; expected NAME.png, or NAME_color.png and NAME_depth.png")
+        raise ImageError(
+            f"{path}: holds no images; expected NAME.png, or NAME_color.png and NAME_depth.png"
+        )
     times = _read_times(path / TIMES)
     before = -math.inf
     for image in images:
         name = image.stem.removesuffix(COLOR_MARK)
         if name not in times:
-            raise ImageError(f"{path / TIMES}: has no line for {name}; expected {TIMES_FORM}, one for each image")
+            raise ImageError(
+                f"{path / TIMES}: has no line for {name}; expected {TIMES_FORM}, one for each image"
+            )
         if not times[name] > before:
-            raise ImageError(f"{path / TIMES}: {name} is at {times[name]} s, not later than the image before it")
+            raise ImageError(
+                f"{path / TIMES}: {name} is at {times[name]} s, not later than the image before it"
+            )
         before = times[name]
         depth = image.with_name(f"{name}{DEPTH_MARK}.png")
-        yield Frame(read_color(image, camera), read_depth(depth, camera) if is_file(depth) else None, before)
+        yield Frame(
+            read_color(image, camera), read_depth(depth, camera) if is_file(depth) else None, before
+        )
 
 
 def _read_times(path: Path) -> dict[str, float]:
-    rows = list(csv.reader(read_text(path, f"the images' times: {TIMES_FORM}", ImageError).splitlines()))
+    rows = list(
+        csv.reader(read_text(path, f"the images' times: {TIMES_FORM}", ImageError).splitlines())
+    )
     times = {}
     for line, row in enumerate(rows[1:], start=2):
         try:
             name, text = row
             times[Path(name.strip()).stem.removesuffix(COLOR_MARK)] = float(text)
         except ValueError:
-            raise ImageError(f"{path}, line {line}: is {','.join(row)!r}; expected {TIMES_FORM}") from None
+            raise ImageError(
+                f"{path}, line {line}: is {','.join(row)!r}; expected {TIMES_FORM}"
+            ) from None
     return times

@@ -1,7 +1,8 @@
 """The table's plane in a depth image, and how high everything stands above it.
 
-Of a plane n.p = d in the camera frame, with the ray r = (x, y, 1) of each pixel, 1/z = (n/d).r: linear in 1/z, so that
-three pixels give a plane, and many a least-squares one. A sensor's slow bias over the picture is fitted besides.
+Of a plane n.p = d in the camera frame, with the ray r = (x, y, 1) of each pixel, 1/z = (n/d).r:
+linear in 1/z, so that three pixels give a plane, and many a least-squares one. A sensor's slow bias
+over the picture is fitted besides.
 """
 
 from dataclasses import dataclass
@@ -17,8 +18,8 @@ SAMPLES, TRIALS = 3000, 300
 """Pixels that planes are tried on, and planes tried."""
 
 NEAR, BEHIND = 0.005, 0.012
-"""m: a pixel nearer to the plane than this is of it; one this far behind it speaks against it: objects stand on a
-table, nothing is beneath it."""
+"""m: a pixel nearer to the plane than this is of it; one this far behind it speaks against it:
+objects stand on a table, nothing is beneath it."""
 
 BEHIND_WEIGHT = 2.0
 
@@ -51,7 +52,8 @@ class TablePlane:
     Attributes:
         normal: (3,) unit normal in C, towards the camera.
         offset: distance of the plane from the camera, m: normal . p_C = -offset.
-        heights: (height, width) of what each pixel shows above the table, m; NaN where it was not measured.
+        heights: (height, width) of what each pixel shows above the table, m; NaN where it was not
+            measured.
         deviation: standard deviation of the table's own heights, m.
     """
 
@@ -89,16 +91,22 @@ def fit_table(depth: Depth, camera: Camera, picture: Color) -> TablePlane:
     """
     valid = np.isfinite(depth) & (depth > 0)
     if valid.mean() < MIN_MEASURED:
-        raise NoTableError(f"depth is measured in {valid.mean():.0%} of the picture; expected a table in view", picture)
+        raise NoTableError(
+            f"depth is measured in {valid.mean():.0%} of the picture; expected a table in view",
+            picture,
+        )
     median = float(np.median(depth[valid]))
     if not MIN_DEPTH <= median <= MAX_DEPTH:
-        raise ImageError(f"the depth image's median is {median:g}; expected {MIN_DEPTH:g} to {MAX_DEPTH:g} m")
+        raise ImageError(
+            f"the depth image's median is {median:g}; expected {MIN_DEPTH:g} to {MAX_DEPTH:g} m"
+        )
     rays = make_rays(camera)[valid]
     z = np.asarray(depth[valid], dtype=np.float64)
     plane, share = _find_plane(rays, z)
     if share < MIN_SHARE:
         raise NoTableError(
-            f"no plane takes more than {share:.0%} of the depth image; expected a table in view", picture
+            f"no plane takes more than {share:.0%} of the depth image; expected a table in view",
+            picture,
         )
     plane = _refine(rays[::STRIDE], z[::STRIDE], plane)
     scale = 1 / np.linalg.norm(plane)

@@ -1,7 +1,8 @@
 """AprilTags of the family 36h11: found in a photograph, placed in the world, and aligned with an object's body.
 
-A board of such tags lies on the table; a photograph of it tells where the camera is. The board's frame is W: its origin
-in the middle of the board, x to the right and y up on the sheet, z out of it.
+A board of such tags lies on the table; a photograph of it tells where the camera is. The board's
+frame is W: its origin in the middle of the board, x to the right and y up on the sheet, z out of
+it.
 """
 
 from dataclasses import dataclass
@@ -49,8 +50,10 @@ class DetectedTag:
 
     Attributes:
         id: its number in the family.
-        corners: (4, 2) pixels of its black square in the photograph as it was taken, clockwise from the upper left.
-        X_CT: (4, 4) pose of the tag in the camera: x to the tag's right, y up, z out of its face; origin in its middle.
+        corners: (4, 2) pixels of its black square in the photograph as it was taken, clockwise from
+            the upper left.
+        X_CT: (4, 4) pose of the tag in the camera: x to the tag's right, y up, z out of its face;
+            origin in its middle.
         X_WT: (4, 4) likewise in the world; None where the camera's pose is not known.
     """
 
@@ -76,8 +79,8 @@ def detect_tags(
         gray: (height, width) uint8, or (height, width, 3) color, as it was taken.
         camera: that took it.
         size: side of a tag's black square, m.
-        height: of the tags over the table, m, where they lie level: with the camera's pose it makes theirs ten times
-            as exact; None where they stand anyhow.
+        height: of the tags over the table, m, where they lie level: with the camera's pose it makes
+            theirs ten times as exact; None where they stand anyhow.
 
     Returns:
         The tags by id.
@@ -128,8 +131,8 @@ class TagBoard:
         first: number of the tag in the upper left.
 
     Raises:
-        TagError: a count or a length is not positive, the board is larger than MAX_BOARD_SIDE, or the family has fewer
-            tags.
+        TagError: a count or a length is not positive, the board is larger than MAX_BOARD_SIDE, or
+            the family has fewer tags.
     """
 
     columns: int = 4
@@ -141,15 +144,23 @@ class TagBoard:
     def __post_init__(self) -> None:
         count = self.columns * self.rows
         if min(self.columns, self.rows) < 1 or count < MIN_TAGS:
-            raise TagError(f"a board of {self.columns} x {self.rows} tags; expected at least {MIN_TAGS}")
+            raise TagError(
+                f"a board of {self.columns} x {self.rows} tags; expected at least {MIN_TAGS}"
+            )
         if not (self.size > 0 and self.gap > 0):
-            raise TagError(f"a board's tags are {self.size!r} m, {self.gap!r} m apart; expected positive numbers")
+            raise TagError(
+                f"a board's tags are {self.size!r} m, {self.gap!r} m apart; expected positive numbers"
+            )
         width, height = self.extent
         if not max(width, height) <= MAX_BOARD_SIDE:
-            raise TagError(f"a board of {width:g} x {height:g} m; expected at most {MAX_BOARD_SIDE:g} m a side")
+            raise TagError(
+                f"a board of {width:g} x {height:g} m; expected at most {MAX_BOARD_SIDE:g} m a side"
+            )
         most = len(_family().bytesList)
         if not 0 <= self.first <= most - count:
-            raise TagError(f"a board's tags are {self.first} to {self.first + count - 1}; expected 0 to {most - 1}")
+            raise TagError(
+                f"a board's tags are {self.first} to {self.first + count - 1}; expected 0 to {most - 1}"
+            )
 
     @property
     def extent(self) -> tuple[float, float]:
@@ -162,10 +173,16 @@ class TagBoard:
         """(4, 3) corners of each tag by number, W, m, clockwise from its upper left."""
         width, height = self.extent
         step, found = self.size + self.gap, {}
-        square = self.size * np.array([[0, 0, 0], [1, 0, 0], [1, -1, 0], [0, -1, 0]], dtype=np.float64)
+        square = self.size * np.array(
+            [[0, 0, 0], [1, 0, 0], [1, -1, 0], [0, -1, 0]], dtype=np.float64
+        )
         for i in range(self.columns * self.rows):
             row, column = divmod(i, self.columns)
-            found[self.first + i] = square + [column * step - width / 2, height / 2 - row * step, 0.0]
+            found[self.first + i] = square + [
+                column * step - width / 2,
+                height / 2 - row * step,
+                0.0,
+            ]
         return found
 
     def make_pdf(self) -> bytes:
@@ -180,13 +197,17 @@ class TagBoard:
         for i in range(self.columns * self.rows):
             row, column = divmod(i, self.columns)
             y, x = margin + round(row * step), margin + round(column * step)
-            sheet[y : y + side, x : x + side] = cv2.aruco.generateImageMarker(_family(), self.first + i, side)
+            sheet[y : y + side, x : x + side] = cv2.aruco.generateImageMarker(
+                _family(), self.first + i, side
+            )
         file = BytesIO()
         Image.fromarray(sheet).save(file, "PDF", resolution=INCH / dot)
         return file.getvalue()
 
 
-def calibrate_pose(gray: NDArray[np.uint8], camera: Camera, board: TagBoard) -> tuple[Camera, float]:
+def calibrate_pose(
+    gray: NDArray[np.uint8], camera: Camera, board: TagBoard
+) -> tuple[Camera, float]:
     """Finds where a camera is from a photograph of a board on the table.
 
     Args:
@@ -195,11 +216,13 @@ def calibrate_pose(gray: NDArray[np.uint8], camera: Camera, board: TagBoard) -> 
         board: that lies on the table.
 
     Returns:
-        The camera with X_WC, W the board's frame, and the root mean square error of the corners, pixels.
+        The camera with X_WC, W the board's frame, and the root mean square error of the corners,
+        pixels.
 
     Raises:
         ImageError: the image has another size than the camera.
-        TagError: fewer than MIN_TAGS of the board's tags are in view, or they do not lie as on the board.
+        TagError: fewer than MIN_TAGS of the board's tags are in view, or they do not lie as on the
+            board.
     """
     camera.check_size(gray)
     found, known = find_tag_corners(gray), board.corners
@@ -212,7 +235,9 @@ def calibrate_pose(gray: NDArray[np.uint8], camera: Camera, board: TagBoard) -> 
             draw_tags(gray, found),
         )
     p_W, pixels = (np.concatenate([corners[i] for i in common]) for corners in (known, found))
-    done, turn, shift = cv2.solvePnP(p_W, pixels, camera.K, camera.distortion, flags=cv2.SOLVEPNP_IPPE)
+    done, turn, shift = cv2.solvePnP(
+        p_W, pixels, camera.K, camera.distortion, flags=cv2.SOLVEPNP_IPPE
+    )
     assert done
     turn, shift = cv2.solvePnPRefineLM(p_W, pixels, camera.K, camera.distortion, turn, shift)
     X_CW = _make_transform(turn, shift)
@@ -247,19 +272,27 @@ def _family() -> cv2.aruco.Dictionary:
 
 def find_tag_corners(gray: NDArray[np.uint8]) -> dict[int, Array]:
     """Finds the corners (4, 2) of each tag in an image by number; of a number that is seen twice, the larger's."""
-    image = gray if gray.ndim == 2 else np.asarray(cv2.cvtColor(gray, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
-    corners, ids, _ = cv2.aruco.ArucoDetector(_family(), cv2.aruco.DetectorParameters()).detectMarkers(image)
+    image = (
+        gray
+        if gray.ndim == 2
+        else np.asarray(cv2.cvtColor(gray, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+    )
+    corners, ids, _ = cv2.aruco.ArucoDetector(
+        _family(), cv2.aruco.DetectorParameters()
+    ).detectMarkers(image)
     numbers = [] if ids is None else [int(number) for number in np.ravel(ids)]
     quads = [_refine(image, np.asarray(quad, dtype=np.float64).reshape(4, 2)) for quad in corners]
-    by_size = sorted(zip(numbers, quads, strict=True), key=lambda tag: float(np.ptp(tag[1], axis=0).max()))
+    by_size = sorted(
+        zip(numbers, quads, strict=True), key=lambda tag: float(np.ptp(tag[1], axis=0).max())
+    )
     return dict(by_size)
 
 
 def _refine(image: NDArray[np.uint8], corners: Array) -> Array:
     """The corners (4, 2) where straight lines through the edges of the tag's four sides meet.
 
-    An edge is where the image is half way from the black of the border to the white about it. A side along which too
-    few are found leaves its corners as they are.
+    An edge is where the image is half way from the black of the border to the white about it. A
+    side along which too few are found leaves its corners as they are.
     """
     ends = np.roll(corners, -1, axis=0)
     along = np.linspace(SIDE_ENDS, 1 - SIDE_ENDS, SIDE_POINTS)[:, None]
@@ -270,9 +303,13 @@ def _refine(image: NDArray[np.uint8], corners: Array) -> Array:
         points = a + along * (b - a)
         reach = EDGE_REACH * float(np.linalg.norm(b - a)) / BITS
         normals = np.repeat(normal[None], len(points), axis=0)
-        black, white = (float(np.median(sample_image(image, points + s * reach * normals))) for s in (-1, 1))
+        black, white = (
+            float(np.median(sample_image(image, points + s * reach * normals))) for s in (-1, 1)
+        )
         darkness = ((white - image.astype(np.float32)) / max(white - black, 1.0)).astype(np.float32)
-        offsets, _ = measure_edges(darkness, np.zeros(image.shape, dtype=bool), points, normals, reach, EDGE_STEP)
+        offsets, _ = measure_edges(
+            darkness, np.zeros(image.shape, dtype=bool), points, normals, reach, EDGE_STEP
+        )
         found = np.isfinite(offsets)
         if found.sum() < SIDE_POINTS // 2:
             return corners
@@ -296,7 +333,9 @@ def _make_square(size: float) -> Array:
 def _solve_pose(corners: Array, camera: Camera, size: float) -> Array:
     """(4, 4) X_CT from the corners alone."""
     square = _make_square(size)
-    _, turn, shift = cv2.solvePnP(square, corners, camera.K, camera.distortion, flags=cv2.SOLVEPNP_IPPE_SQUARE)
+    _, turn, shift = cv2.solvePnP(
+        square, corners, camera.K, camera.distortion, flags=cv2.SOLVEPNP_IPPE_SQUARE
+    )
     turn, shift = cv2.solvePnPRefineLM(square, corners, camera.K, camera.distortion, turn, shift)
     return _make_transform(turn, shift)
 

@@ -1,21 +1,23 @@
 """The pose of a known outline, from frame to frame.
 
-What is seen of a prism on the table is its silhouette: the union of its outline and of all that its sides and its top
-hide of the table. Along its boundary, at points p_i with outward normals n_i in the picture, the edge between object
-and table is looked for, d_i pixels off, and the pose q moves until these vanish on the whole:
+What is seen of a prism on the table is its silhouette: the union of its outline and of all that its
+sides and its top hide of the table. Along its boundary, at points p_i with outward normals n_i in
+the picture, the edge between object and table is looked for, d_i pixels off, and the pose q moves
+until these vanish on the whole:
 
     min_q  sum_i w_i (d_i - n_i' J_i dq)^2 / sigma^2 + |dq|^2_P,       J_i = d(pixel of p_i)/dq
 
-with Tukey's weights w_i, and a prior P as wide as the object can move between two frames. Points that something covers
-have no part. The covariance is the inverse of the information left, A = sum w_i J_i' n_i n_i' J_i / sigma^2 + P, and
-what errors that edges share do to the pose besides:
+with Tukey's weights w_i, and a prior P as wide as the object can move between two frames. Points
+that something covers have no part. The covariance is the inverse of the information left, A = sum
+w_i J_i' n_i n_i' J_i / sigma^2 + P, and what errors that edges share do to the pose besides:
 
     cov = A^-1 + sum_k (A^-1 sum_i w_i J_i' n_i e_ki / sigma^2) (...)'
 
-What no edge tells, such as the angle of a disc, keeps the prior's width: in sigma^2 is what neighboring edges share,
-and J is their mean along that length, as nothing finer is resolved. Shared errors are of two kinds. Where a side is
-seen below the top, the edge is off by a share of the side's width in the picture, on all such edges alike. And light
-from one side draws all edges its way. Either moves the pose, and hardly turns it.
+What no edge tells, such as the angle of a disc, keeps the prior's width: in sigma^2 is what
+neighboring edges share, and J is their mean along that length, as nothing finer is resolved. Shared
+errors are of two kinds. Where a side is seen below the top, the edge is off by a share of the
+side's width in the picture, on all such edges alike. And light from one side draws all edges its
+way. Either moves the pose, and hardly turns it.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -36,7 +38,12 @@ from gridpush_drake.errors import PerceptionError
 from gridpush_drake.geometry.se2 import Array, transform, wrap_angle
 from gridpush_drake.objects.cells import make_polygon
 from gridpush_drake.perception.camera import Camera
-from gridpush_drake.perception.detection import cover_pixels, draw_contours, find_off_table, look_at_table
+from gridpush_drake.perception.detection import (
+    cover_pixels,
+    draw_contours,
+    find_off_table,
+    look_at_table,
+)
 from gridpush_drake.perception.foreground import (
     Foreground,
     dilate,
@@ -56,7 +63,8 @@ MAX_POINTS, SPACING = 360, 1.5
 """Of the boundary that are looked at, at most; and how far apart they are at least, pixels."""
 
 SEARCHES = ((16.0, 1.0, 10), (6.0, 0.5, 10), (3.0, 0.25, 12))
-"""How far from the boundary the edge is looked for, in what steps, pixels, and how often at most; coarse to fine."""
+"""How far from the boundary the edge is looked for, in what steps, pixels, and how often at most;
+coarse to fine."""
 
 CONVERGED = 1e-3
 """Pixels, of the step at which a search ends."""
@@ -68,7 +76,8 @@ SHARED_LENGTH = 12.0
 """Along the boundary within which errors of edges are alike, pixels."""
 
 SIDE_ERROR = 0.1
-"""Of the edges below sides that are seen, in the sides' widths in the picture: a side is of another brightness."""
+"""Of the edges below sides that are seen, in the sides' widths in the picture: a side is of another
+brightness."""
 
 LIGHT_ERROR = 0.03
 """By which light from one side draws the edges its way, pixels."""
@@ -83,8 +92,9 @@ CLEARANCE = 0.015
 """What stands higher than the object by this is something else, such as the arm, m."""
 
 FLOOR, FLOOR_MARGIN = 0.05, 5
-"""What lies lower than the table by this, m, is not the object, whatever its color; nor is, beyond the table's edge,
-what is further than half of so many pixels from where the depth camera sees anything above that."""
+"""What lies lower than the table by this, m, is not the object, whatever its color; nor is, beyond
+the table's edge, what is further than half of so many pixels from where the depth camera sees
+anything above that."""
 
 COVER_MARGIN = 9
 """Width, pixels, by which what covers the object is widened: its edges are uncertain too."""
@@ -93,14 +103,15 @@ MARGIN = 30
 """About what may hold the object in the next frame, pixels."""
 
 PIECES, ANGLES, BEST, COARSE = 4, 48, 5, 4
-"""Of a search everywhere: how many of the largest pieces are looked at, angles tried with each, how many of the best
-are looked at closely, and the side of its pixels."""
+"""Of a search everywhere: how many of the largest pieces are looked at, angles tried with each, how
+many of the best are looked at closely, and the side of its pixels."""
 
 PAINT_SEED = 0
 """Of the table's colors that are painted over what covers it in the first frame."""
 
 MIN_OVERLAP = 0.35
-"""Least share that silhouette and foreground have in common (intersection over union) in a search everywhere."""
+"""Least share that silhouette and foreground have in common (intersection over union) in a search
+everywhere."""
 
 MIN_INSIDE = 0.6
 """Least share of the visible silhouette that must be foreground."""
@@ -117,13 +128,15 @@ class TrackerOptions:
         max_step: furthest that the object goes from one frame to the next, m.
         max_turn: likewise, rad.
         lost_share: the object is lost where less of its visible outline than this is found.
-        found_share: in a search everywhere it is found where at least this of its visible outline is, and where what is
-            visible determines the pose; else the arm's, the table's edge or another thing's would do.
+        found_share: in a search everywhere it is found where at least this of its visible outline
+            is, and where what is visible determines the pose; else the arm's, the table's edge or
+            another thing's would do.
         pixel_noise: least standard deviation of an edge's place, pixels.
-        max_dilution: the object counts as not seen where what covers it makes its pose less sure by more than this: a
-            ratio of standard deviations, in the worst direction.
-        search_period: least time from one search everywhere to the next, s; it takes several times as long as a look
-            where the object was. With 0 every frame in which the object is not there is searched.
+        max_dilution: the object counts as not seen where what covers it makes its pose less sure by
+            more than this: a ratio of standard deviations, in the worst direction.
+        search_period: least time from one search everywhere to the next, s; it takes several times
+            as long as a look where the object was. With 0 every frame in which the object is not
+            there is searched.
     """
 
     max_step: float = 0.03
@@ -176,11 +189,13 @@ class TrackedPose:
     """What one frame told.
 
     Attributes:
-        pose: (3,) (x, y, theta) of the object, W, m and rad, theta without jumps; NaN where it was not seen.
-        covariance: (3, 3) of it, m^2, m rad and rad^2; NaN where it was not seen. It is large along what cannot be
-            seen: the angle of a disc, what the arm covers.
+        pose: (3,) (x, y, theta) of the object, W, m and rad, theta without jumps; NaN where it was
+            not seen.
+        covariance: (3, 3) of it, m^2, m rad and rad^2; NaN where it was not seen. It is large along
+            what cannot be seen: the angle of a disc, what the arm covers.
         seen: whether the object was found.
-        residual: root mean square distance of the edges found from the outline, pixels; NaN where it was not seen.
+        residual: root mean square distance of the edges found from the outline, pixels; NaN where
+            it was not seen.
     """
 
     pose: Array
@@ -211,7 +226,8 @@ class _Fit(NamedTuple):
     Attributes:
         pose: (3,) m and rad.
         covariance: (3, 3) of it.
-        dilution: by how much less sure it is than with nothing covered, a ratio of standard deviations.
+        dilution: by how much less sure it is than with nothing covered, a ratio of standard
+            deviations.
         share: of the visible boundary that was found.
         inside: share of the visible silhouette that is foreground.
         rms: of the edges found, pixels.
@@ -252,16 +268,21 @@ class PoseTracker:
         self.outline = make_polygon(outline, "outline")
         self.height, self.camera, self.options = float(height), camera, options or TrackerOptions()
         if not 0 <= self.height < camera.center[2]:
-            raise PerceptionError(f"height is {height!r}; expected 0 to {camera.center[2]:g} m, where the camera is")
+            raise PerceptionError(
+                f"height is {height!r}; expected 0 to {camera.center[2]:g} m, where the camera is"
+            )
         self._ideal = camera.undistorted
         self._rays = make_rays(self._ideal)
         self._off_table, self._off_table_raw = (
-            None if table_top is None else find_off_table(view, table_top) for view in (self._ideal, camera)
+            None if table_top is None else find_off_table(view, table_top)
+            for view in (self._ideal, camera)
         )
         turn = self.options.max_turn
         self._prior = np.diag([self.options.max_step**-2, self.options.max_step**-2, turn**-2])
 
-    def start(self, frame: Frame, guess: ArrayLike | None = None, unseen: Mask | None = None) -> TrackerState:
+    def start(
+        self, frame: Frame, guess: ArrayLike | None = None, unseen: Mask | None = None
+    ) -> TrackerState:
         """Learns what the table looks like, and finds the object.
 
         Args:
@@ -273,7 +294,8 @@ class PoseTracker:
             The state before the first `track`, which may be of the same frame.
 
         Raises:
-            PerceptionError: an image has another size, no table is in view, or no object that has the outline.
+            PerceptionError: an image has another size, no table is in view, or no object that has
+                the outline.
         """
         color, depth = self._undistort(frame)
         table = self._cover(frame, unseen)
@@ -292,17 +314,21 @@ class PoseTracker:
         if fit is None:
             problem = "no object of this outline is in view; expected the one that the object's file describes"
             raise PerceptionError(problem, draw_contours(color, found.mask))
-        pose = np.array([*fit.pose[:2], fit.pose[2] if before is not None else wrap_angle(fit.pose[2])])
+        pose = np.array(
+            [*fit.pose[:2], fit.pose[2] if before is not None else wrap_angle(fit.pose[2])]
+        )
         return TrackerState(pose, False, frame.t, appearance)
 
-    def track(self, state: TrackerState, frame: Frame, unseen: Mask | None = None) -> tuple[TrackerState, TrackedPose]:
+    def track(
+        self, state: TrackerState, frame: Frame, unseen: Mask | None = None
+    ) -> tuple[TrackerState, TrackedPose]:
         """Finds the object in a frame.
 
         Args:
             state: after the frame before.
             frame: the next one.
-            unseen: (height, width) bool, pixels of the frame which something covers, such as the arm; None where
-                nothing is known to.
+            unseen: (height, width) bool, pixels of the frame which something covers, such as the
+                arm; None where nothing is known to.
 
         Returns:
             The state after it, and the pose.
@@ -312,9 +338,17 @@ class PoseTracker:
         """
         color, depth = self._undistort(frame)
         covered = self._find_covered(unseen)
-        fit, searched = self._find_near(state.appearance, color, depth, covered, state.pose), state.searched
-        if fit is None and (searched is None or not 0 <= frame.t - searched < self.options.search_period):
-            fit, searched = self._find_anywhere(state.appearance, color, depth, covered, state.pose), frame.t
+        fit, searched = (
+            self._find_near(state.appearance, color, depth, covered, state.pose),
+            state.searched,
+        )
+        if fit is None and (
+            searched is None or not 0 <= frame.t - searched < self.options.search_period
+        ):
+            fit, searched = (
+                self._find_anywhere(state.appearance, color, depth, covered, state.pose),
+                frame.t,
+            )
         state = replace(state, lost=fit is None, t=frame.t, searched=searched)
         if fit is None:
             return state, NOT_SEEN
@@ -366,7 +400,9 @@ class PoseTracker:
         fits = [self._register(view, pose) for pose in self._guess(view, before)]
         good = [fit for fit in fits if self._accepts(fit, self.options.found_share)]
         good = [fit for fit in good if fit.dilution <= self.options.max_dilution]
-        return max(good, key=lambda fit: fit.share * fit.inside - fit.rms / MAX_RMS) if good else None
+        return (
+            max(good, key=lambda fit: fit.share * fit.inside - fit.rms / MAX_RMS) if good else None
+        )
 
     def _accepts(self, fit: _Fit, share: float) -> bool:
         return fit.share >= share and fit.inside >= MIN_INSIDE and fit.rms <= MAX_RMS
@@ -387,7 +423,12 @@ class PoseTracker:
     ) -> _View:  # fmt: skip
         """Tells the object from the table in a part of the picture."""
         difference = to_lab(color[window]) - appearance.table[window]
-        hidden, plane, high, floor = covered[window], None, None, np.zeros(difference.shape[:2], dtype=bool)
+        hidden, plane, high, floor = (
+            covered[window],
+            None,
+            None,
+            np.zeros(difference.shape[:2], dtype=bool),
+        )
         if depth is not None and appearance.plane is not None:
             z = np.where(depth[window] > 0, depth[window], np.nan)
             scale = float(1 / np.linalg.norm(appearance.plane))
@@ -396,12 +437,16 @@ class PoseTracker:
             floor = heights < -FLOOR
             if self._off_table is not None:
                 floor |= self._off_table[window] & ~dilate(heights > -FLOOR, FLOOR_MARGIN)
-            plane = TablePlane(-appearance.plane * scale, scale, heights, appearance.height_deviation)
+            plane = TablePlane(
+                -appearance.plane * scale, scale, heights, appearance.height_deviation
+            )
             high = find_high(plane)
         hidden = dilate(hidden, COVER_MARGIN) if hidden.any() else hidden
         found: Foreground = score_pixels(difference, appearance.deviation, plane, high)
         mask, coverage = refine_boundary(remove_thin(found.mask & ~hidden & ~floor), found, hidden)
-        return _View(coverage, mask, hidden, np.array([window[1].start, window[0].start], dtype=np.float64))
+        return _View(
+            coverage, mask, hidden, np.array([window[1].start, window[0].start], dtype=np.float64)
+        )
 
     def _silhouette(self, pose: Array) -> Polygon:
         return make_silhouette(self.outline, pose, self.height, self._ideal)
@@ -410,13 +455,17 @@ class PoseTracker:
         """Poses whose silhouettes look most like the foreground, the best first."""
         small = cv2.resize((view.mask & ~view.covered).astype(np.float32), None, fx=1 / COARSE, fy=1 / COARSE,
                            interpolation=cv2.INTER_AREA) > HALF  # fmt: skip
-        count, labels, stats, middles = cv2.connectedComponentsWithStats(small.astype(np.uint8), connectivity=8)
+        count, labels, stats, middles = cv2.connectedComponentsWithStats(
+            small.astype(np.uint8), connectivity=8
+        )
         if count < 2:
             return []
         tried: list[tuple[float, Array]] = []
         largest = 1 + np.argsort(-stats[1:, cv2.CC_STAT_AREA])[:PIECES]
         for piece in largest:
-            at = self._ideal.cast((middles[piece] + HALF) * COARSE - HALF + view.corner, self.height / 2)
+            at = self._ideal.cast(
+                (middles[piece] + HALF) * COARSE - HALF + view.corner, self.height / 2
+            )
             for theta in np.arange(ANGLES) * (2 * np.pi / ANGLES):
                 pose = np.array([*at, theta])
                 pose[:2] += at - np.array(self._silhouette(pose).centroid.coords[0])
@@ -445,24 +494,32 @@ class PoseTracker:
                     break
         return fit
 
-    def _step(self, view: _View, pose: Array, start: Array, reach: float, step: float) -> tuple[_Fit, float]:
+    def _step(
+        self, view: _View, pose: Array, start: Array, reach: float, step: float
+    ) -> tuple[_Fit, float]:
         """One step of the least squares, and by how many pixels it moves the outline at most."""
         points, normals = sample_boundary(self._silhouette(pose), self._spacing(pose))
         pixels, rows = self._linearize(pose, points, normals)
-        offsets, state = measure_edges(view.coverage, view.covered, pixels - view.corner, rows.normals, reach, step)
+        offsets, state = measure_edges(
+            view.coverage, view.covered, pixels - view.corner, rows.normals, reach, step
+        )
         found = np.isfinite(offsets)
         visible = found | (state != COVERED)
         inside = sample_image(view.coverage, pixels - view.corner - reach * rows.normals)
         share = found.sum() / max(1, visible.sum())
         hold = float((inside[visible] > HALF).mean()) if visible.any() else 0.0
         J, d = rows.J[found], offsets[found]
-        spread = max(MIN_SPREAD, TO_DEVIATION * float(np.median(np.abs(d)))) if len(d) else MIN_SPREAD
+        spread = (
+            max(MIN_SPREAD, TO_DEVIATION * float(np.median(np.abs(d)))) if len(d) else MIN_SPREAD
+        )
         weight = np.clip(1 - (d / (TUKEY * spread + self.options.pixel_noise)) ** 2, 0, None) ** 2
         rms = float(np.sqrt((weight * d**2).sum() / max(weight.sum(), np.finfo(float).tiny)))
         noise = max(rms, self.options.pixel_noise) ** 2 * max(1.0, SHARED_LENGTH / rows.spacing)
         information = (J * weight[:, None]).T @ J / noise + self._prior
         back = start - pose
-        moved = np.linalg.solve(information, (J * weight[:, None]).T @ d / noise + self._prior @ back)
+        moved = np.linalg.solve(
+            information, (J * weight[:, None]).T @ d / noise + self._prior @ back
+        )
         counts = np.zeros(len(found))
         counts[found] = weight
         covariance = self._calc_covariance(rows, counts, noise)
@@ -505,7 +562,11 @@ class PoseTracker:
         J = np.column_stack([J_x, J_y, J_y * arm[:, 0] - J_x * arm[:, 1]])
         scale = np.linalg.norm(outward, axis=1)
         foot, distance = self._ideal.center[:2], self._ideal.center[2]
-        toward = np.maximum(0.0, ((foot - points) * normals).sum(axis=1)) * self.height / (distance - self.height)
+        toward = (
+            np.maximum(0.0, ((foot - points) * normals).sum(axis=1))
+            * self.height
+            / (distance - self.height)
+        )
         return pixels, _Rows(J, across, toward * scale, float(scale.mean()) * self._spacing(pose))
 
 
@@ -515,7 +576,8 @@ class _Rows(NamedTuple):
     Attributes:
         J: (n, 3) derivatives of their places along their normals by the pose, pixels by m and rad.
         normals: (n, 2) outward, unit.
-        sides: (n,) widths of the object's sides that are seen at them, pixels; 0 where it is the top that ends there.
+        sides: (n,) widths of the object's sides that are seen at them, pixels; 0 where it is the
+            top that ends there.
         spacing: of them, pixels.
     """
 
@@ -560,7 +622,9 @@ def make_silhouette(outline: Polygon, pose: ArrayLike, height: float, camera: Ca
         low = np.array(ring.coords)
         high = foot + scale * (low - foot)
         along, arm = np.diff(low, axis=0), low[:-1] - foot
-        hides = along[:, 1] * arm[:, 0] - along[:, 0] * arm[:, 1] > 0  # sides that face the camera hide no more
+        hides = (
+            along[:, 1] * arm[:, 0] - along[:, 0] * arm[:, 1] > 0
+        )  # sides that face the camera hide no more
         ends = np.flatnonzero(np.diff(hides, prepend=False, append=False))
         for i, j in ends.reshape(-1, 2):  # sides in a row that hide something
             strip = Polygon([*low[i : j + 1], *high[i : j + 1][::-1]])
@@ -591,7 +655,12 @@ FOUND, MISSING, COVERED = 0, 1, 2
 
 
 def measure_edges(
-    coverage: NDArray[np.float32], covered: Mask, pixels: Array, normals: Array, reach: float, step: float
+    coverage: NDArray[np.float32],
+    covered: Mask,
+    pixels: Array,
+    normals: Array,
+    reach: float,
+    step: float,
 ) -> tuple[Array, NDArray[np.int64]]:
     """Looks for the object's edge across its expected boundary.
 
@@ -604,7 +673,8 @@ def measure_edges(
         step: of looking, pixels.
 
     Returns:
-        (n,) how far outward the nearest edge is, pixels, NaN where there is none; and (n,) FOUND, MISSING or COVERED.
+        (n,) how far outward the nearest edge is, pixels, NaN where there is none; and (n,) FOUND,
+        MISSING or COVERED.
     """
     offsets = np.arange(-reach, reach + step / 2, step)
     places = pixels[:, None] + offsets[:, None] * normals[:, None]
@@ -638,7 +708,9 @@ MAX_REMAP = 32_000
 
 
 def track_object(
-    tracker: PoseTracker, frames: Iterable[Frame], unseen: Callable[[Frame], Mask | None] | None = None
+    tracker: PoseTracker,
+    frames: Iterable[Frame],
+    unseen: Callable[[Frame], Mask | None] | None = None,
 ) -> Iterator[tuple[Frame, TrackedPose]]:
     """Finds an object in frame after frame.
 

@@ -4,14 +4,17 @@
        |
        +--> lost, while the object is out of sight
 
-`ClosedLoop.step` takes a frozen state and an `Observation` to the next state; the state holds the push asked for. A
-LeafSystem steps it with what is on its ports, a benchmark with what a simulated world shows (`simulated_world`).
+`ClosedLoop.step` takes a frozen state and an `Observation` to the next state; the state holds the
+push asked for. A LeafSystem steps it with what is on its ports, a benchmark with what a simulated
+world shows (`simulated_world`).
 
-A single observation is noisy, and may show an object that moves still. The latest poses q_1 .. q_k are of one rest if
+A single observation is noisy, and may show an object that moves still. The latest poses q_1 .. q_k
+are of one rest if
 
     |x_i - x_k|, |y_i - y_k| <= rest   and   |theta_i - theta_k| <= rest_angle   for all i,
 
-and their mean says where the object lies. A pose that differs from the last one ends the rest that it was of.
+and their mean says where the object lies. A pose that differs from the last one ends the rest that
+it was of.
 """
 
 from collections.abc import Sequence
@@ -166,8 +169,9 @@ class GraspStatus:
     Attributes:
         phase: what it is doing.
         command_id: of the last command taken up or refused; 0 before the first.
-        outcome: of that command: "" (under way), "refused", "missed" (closed on nothing), "slipped" (lost while lifting
-            or holding) or "held" (lifted, and held for the time: the phase stays "holding").
+        outcome: of that command: "" (under way), "refused", "missed" (closed on nothing), "slipped"
+            (lost while lifting or holding) or "held" (lifted, and held for the time: the phase
+            stays "holding").
         reason: why it was refused, or what went wrong; empty where nothing did.
     """
 
@@ -222,8 +226,12 @@ class LoopState(Unchanging):
     """All that a loop remembers."""
 
     status: Any  # what it says of itself: frozen, with a `mode`, a `reason` and an `expected_pose`
-    filter: PoseFilter = field(default_factory=PoseFilter)  # poses seen since everything came to rest
-    push: Push | None = None  # the last one asked for; None before the first, and where it was withdrawn
+    filter: PoseFilter = field(
+        default_factory=PoseFilter
+    )  # poses seen since everything came to rest
+    push: Push | None = (
+        None  # the last one asked for; None before the first, and where it was withdrawn
+    )
     push_id: int = 0  # of the last one asked for, counted from 1; an id is never used again
     refused: tuple[Push, ...] = ()  # pushes that were refused since the last one that was not
     request: Any = None  # the decision under way beside the loop; None where none is
@@ -249,7 +257,8 @@ L = TypeVar("L", bound=LoopState)
 class ClosedLoop(Generic[L]):
     """One decision after another on what to do with an object, by what is seen.
 
-    It holds what never changes; whatever does is in the state, so that one loop may be stepped with many states.
+    It holds what never changes; whatever does is in the state, so that one loop may be stepped with
+    many states.
     """
 
     options: LoopOptions  # how it observes, and when it gives up
@@ -261,7 +270,8 @@ class ClosedLoop(Generic[L]):
     def step(self, now: L, seen: Observation) -> L:
         """The state after an observation; `now` itself where nothing is new.
 
-        The robot is waited for, then the object until it lies still; then the next push, or the end, is decided on.
+        The robot is waited for, then the object until it lies still; then the next push, or the
+        end, is decided on.
         """
         now, due = self.observe(now, seen)
         return self.decide(now, seen) if due else now
@@ -287,7 +297,11 @@ class ClosedLoop(Generic[L]):
 
     def is_outdated(self, now: L, seen: Observation) -> bool:
         """Whether a decision for `now` is of no use any more: the robot is at work, or the object not where it was."""
-        at_rest = seen.robot.ready and seen.gripper.ready and self.options.are_of_one_rest(now.filter.poses, seen.pose)
+        at_rest = (
+            seen.robot.ready
+            and seen.gripper.ready
+            and self.options.are_of_one_rest(now.filter.poses, seen.pose)
+        )
         return not at_rest or now.is_pending(seen.robot)
 
     pushing_modes: tuple[str, ...] = ()
@@ -315,13 +329,17 @@ class ClosedLoop(Generic[L]):
         if seen.seen or not seen.robot.ready or not now.is_pending(seen.robot):
             return now
         # when the object is seen again it may lie elsewhere
-        return replace(now, push=None).turn_to(WAITING, "The object is not seen.", **self._count_refused(now))
+        return replace(now, push=None).turn_to(
+            WAITING, "The object is not seen.", **self._count_refused(now)
+        )
 
     def _end_push(self, now: L, seen: Observation) -> L:
         """After a push that was carried out, broken off, or refused."""
         if not seen.robot.reason:
             changes = self._count_made(now, seen)
-            return replace(now, refused=()).turn_to(WAITING, **{"reason": "A push was made.", **changes})
+            return replace(now, refused=()).turn_to(
+                WAITING, **{"reason": "A push was made.", **changes}
+            )
         assert now.push is not None
         now = replace(now, refused=(*now.refused, now.push))
         count, why, changes = len(now.refused), seen.robot.reason, self._count_refused(now)
@@ -332,9 +350,14 @@ class ClosedLoop(Generic[L]):
 
     def _observe(self, now: L, seen: Observation) -> L:
         """Takes in what is seen of the object at rest."""
-        poses, lost = now.filter.take_in(seen.time, seen.pose, self.options), now.status.mode == LOST
+        poses, lost = (
+            now.filter.take_in(seen.time, seen.pose, self.options),
+            now.status.mode == LOST,
+        )
         if not lost and poses.is_overdue(seen.time, self.options):
-            return now.turn_to(LOST, f"The object has not been seen for {self.options.timeout:g} s.")
+            return now.turn_to(
+                LOST, f"The object has not been seen for {self.options.timeout:g} s."
+            )
         if lost and len(poses):
             now = now.turn_to(WAITING, "The object is seen again.")
         return now if poses is now.filter else replace(now, filter=poses)

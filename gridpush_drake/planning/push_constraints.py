@@ -1,7 +1,8 @@
 """What a push must keep clear of: the table's edge, obstacles, and whatever else a caller knows.
 
-A push is cut short where going on would break a rule. A rule that is broken where the push begins (an object that
-already hangs over the edge, or lies at an obstacle) asks instead that it does not get worse.
+A push is cut short where going on would break a rule. A rule that is broken where the push begins
+(an object that already hangs over the edge, or lies at an obstacle) asks instead that it does not
+get worse.
 """
 
 from collections.abc import Callable
@@ -36,16 +37,19 @@ class PushConstraints:
     Attributes:
         surface: the table; None for one without end.
         obstacles: polygons in W that neither object nor finger may touch.
-        edge_margin: least distance of every cell from the table's edge, inwards, m; negative lets cells hang over.
+        edge_margin: least distance of every cell from the table's edge, inwards, m; negative lets
+            cells hang over.
         obstacle_margin: least distance of object and finger from an obstacle, m.
-        finger_inset: least distance of the finger's center from the table's edge, inwards, m; negative lets it hang
-            beyond, as a finger that ends above the table may.
+        finger_inset: least distance of the finger's center from the table's edge, inwards, m;
+            negative lets it hang beyond, as a finger that ends above the table may.
         pose_rule: says of further poses of the object whether they are allowed; None allows all.
         finger_region: where the finger's center may be, W; None for anywhere.
-        push_rule: asked last, of a push that is about to be chosen: whether a robot can carry it out; None allows all.
+        push_rule: asked last, of a push that is about to be chosen: whether a robot can carry it
+            out; None allows all.
 
     Raises:
-        PlanningError: a number is not finite, the obstacles' margin is negative, or the finger's region is empty.
+        PlanningError: a number is not finite, the obstacles' margin is negative, or the finger's
+            region is empty.
     """
 
     surface: SupportSurface | None = None
@@ -61,19 +65,29 @@ class PushConstraints:
         object.__setattr__(self, "obstacles", tuple(self.obstacles))
         for name in ("edge_margin", "obstacle_margin", "finger_inset"):
             if not np.isfinite(getattr(self, name)):
-                raise PlanningError(f"{name} is {getattr(self, name)!r}; expected a finite number (m)")
+                raise PlanningError(
+                    f"{name} is {getattr(self, name)!r}; expected a finite number (m)"
+                )
         if self.obstacle_margin < 0:
-            raise PlanningError(f"obstacle_margin is {self.obstacle_margin!r}; expected a number >= 0 (m)")
+            raise PlanningError(
+                f"obstacle_margin is {self.obstacle_margin!r}; expected a number >= 0 (m)"
+            )
         if self.finger_region is not None and self.finger_region.is_empty:
-            raise PlanningError("finger_region is empty; expected some place where the finger may be")
+            raise PlanningError(
+                "finger_region is empty; expected some place where the finger may be"
+            )
         for obstacle in self.obstacles:
             if not isinstance(obstacle, Polygon) or obstacle.is_empty or not obstacle.is_valid:
-                raise PlanningError("obstacles: expected simple polygons that do not cross themselves")
+                raise PlanningError(
+                    "obstacles: expected simple polygons that do not cross themselves"
+                )
 
     @property
     def is_free(self) -> bool:
         """Whether no pose of object or finger is forbidden."""
-        return not self.obstacles and all(rule is None for rule in (self.surface, self.pose_rule, self.finger_region))
+        return not self.obstacles and all(
+            rule is None for rule in (self.surface, self.pose_rule, self.finger_region)
+        )
 
     def allows_push(self, push: Push) -> bool:
         """Whether `push_rule` lets a push be chosen."""
@@ -86,10 +100,14 @@ class PushConstraints:
     def allow_pose(self, obj: GridObject, pose: ArrayLike) -> tuple[bool, bool]:
         """Whether all cells are far enough from the table's edge at a pose (3,), and whether an obstacle is there."""
         q = np.asarray(pose, dtype=np.float64)
-        body = shapely.polygons(transform(q[None], np.array(make_body(obj).exterior.coords)[:-1]))[0]
+        body = shapely.polygons(transform(q[None], np.array(make_body(obj).exterior.coords)[:-1]))[
+            0
+        ]
         on_table, blocked = True, False
         if self.surface is not None:
-            on_table = bool(shapely.covers(self.surface.polygon.buffer(-self.edge_margin + SLACK), body))
+            on_table = bool(
+                shapely.covers(self.surface.polygon.buffer(-self.edge_margin + SLACK), body)
+            )
         if self.obstacles:
             blocked = float(shapely.distance(shapely.union_all(list(self.obstacles)), body)) < (
                 self.obstacle_margin - SLACK
@@ -105,7 +123,9 @@ class PushChecker:
         body: union of outline and cells, body frame.
     """
 
-    def __init__(self, constraints: PushConstraints, obj: GridObject, pose: Array, radius: float) -> None:
+    def __init__(
+        self, constraints: PushConstraints, obj: GridObject, pose: Array, radius: float
+    ) -> None:
         self.constraints, self.body = constraints, make_body(obj)
         self._vertices = np.array(self.body.exterior.coords)[:-1]
         surface = constraints.surface
@@ -130,7 +150,9 @@ class PushChecker:
         if constraints.obstacles:
             union = shapely.union_all(list(constraints.obstacles))
             room = float(shapely.distance(union, self.place(pose[None])[0]))
-            self._blocked = union.buffer(max(min(constraints.obstacle_margin, room) - SLACK, -SLACK))
+            self._blocked = union.buffer(
+                max(min(constraints.obstacle_margin, room) - SLACK, -SLACK)
+            )
             self._finger_blocked = union.buffer(constraints.obstacle_margin + radius)
             shapely.prepare(self._blocked)
             shapely.prepare(self._finger_blocked)
@@ -152,7 +174,10 @@ class PushChecker:
 
     def overlaps_obstacle(self, pose: Array) -> bool:
         """Whether the body at a pose (3,) overlaps an obstacle."""
-        return any(obstacle.intersects(self.place(pose[None])[0]) for obstacle in self.constraints.obstacles)
+        return any(
+            obstacle.intersects(self.place(pose[None])[0])
+            for obstacle in self.constraints.obstacles
+        )
 
     @property
     def has_obstacles(self) -> bool:
@@ -169,7 +194,10 @@ class PushChecker:
         if self.constraints.surface is not None:
             box = np.array(self.constraints.surface.polygon.bounds)
             return box[:2], box[2:]
-        corners = [points, *(np.array(obstacle.bounds).reshape(2, 2) for obstacle in self.constraints.obstacles)]
+        corners = [
+            points,
+            *(np.array(obstacle.bounds).reshape(2, 2) for obstacle in self.constraints.obstacles),
+        ]
         points = np.concatenate(corners)
         return points.min(axis=0) - room, points.max(axis=0) + room
 
@@ -197,7 +225,9 @@ class PushChecker:
         if self.constraints.is_free:
             return len(tip)
         step = max(float(np.linalg.norm(np.diff(tip, axis=0), axis=1).mean()), SLACK)
-        rows = np.unique(np.append(np.arange(0, len(tip), max(1, int(CHECK_EVERY / step))), len(tip) - 1))
+        rows = np.unique(
+            np.append(np.arange(0, len(tip), max(1, int(CHECK_EVERY / step))), len(tip) - 1)
+        )
         allowed = self.allows_finger(tip[rows]) & self.allows_poses(poses[rows])
         if allowed.all():
             return len(tip)
@@ -211,7 +241,11 @@ def make_body(obj: GridObject) -> Polygon:
     if cached is None:
         half = obj.cell_size / 2
         x, y = obj.p_BC.T
-        union = shapely.union_all([obj.outline, *shapely.box(x - half, y - half, x + half, y + half)])
-        cached = Polygon(max(getattr(union, "geoms", [union]), key=lambda piece: piece.area).exterior)
+        union = shapely.union_all(
+            [obj.outline, *shapely.box(x - half, y - half, x + half, y + half)]
+        )
+        cached = Polygon(
+            max(getattr(union, "geoms", [union]), key=lambda piece: piece.area).exterior
+        )
         obj.__dict__["_swept_body"] = cached
     return cached

@@ -1,6 +1,7 @@
 """A world to push an object in that the project's own simulator moves, and the driver that steps a closed loop in it.
 
-The loop is the one that a controller in a station steps; here nothing passes between two observations but a push.
+The loop is the one that a controller in a station steps; here nothing passes between two
+observations but a push.
 """
 
 from collections.abc import Callable
@@ -49,8 +50,8 @@ class PushWorld(Protocol):
 class SimulatedWorld:
     """An object with hidden masses and frictions on a table, moved by `simulate`.
 
-    The support presses as if there were no edge: an object that hangs over rubs like one that does not. It falls where
-    its center of mass leaves the convex hull of what lies on the table.
+    The support presses as if there were no edge: an object that hangs over rubs like one that does
+    not. It falls where its center of mass leaves the convex hull of what lies on the table.
 
     Attributes:
         obj: the object.
@@ -86,8 +87,16 @@ class SimulatedWorld:
             PlanningError: a number is out of range.
         """
         if not (position_std >= 0 and angle_std >= 0 and observations >= 1):
-            raise PlanningError("position_std and angle_std must be >= 0, and observations at least 1")
-        self.obj, self.hidden, self.surface, self.fallen, self.pushes = obj, hidden, surface, False, 0
+            raise PlanningError(
+                "position_std and angle_std must be >= 0, and observations at least 1"
+            )
+        self.obj, self.hidden, self.surface, self.fallen, self.pushes = (
+            obj,
+            hidden,
+            surface,
+            False,
+            0,
+        )
         self.true_pose = np.array(pose, dtype=np.float64)
         self._observations = observations
         self._std = np.array([position_std, position_std, angle_std])
@@ -103,7 +112,9 @@ class SimulatedWorld:
 
     def observe(self, pose: Array | None = None) -> Array:
         """A pose (3,) with noise, m and rad; the present one where None."""
-        seen: Array = (self.true_pose if pose is None else pose) + self._std * self._rng.standard_normal(3)
+        seen: Array = (
+            self.true_pose if pose is None else pose
+        ) + self._std * self._rng.standard_normal(3)
         return seen
 
     def execute(self, push: Push) -> ObservedPush:
@@ -111,7 +122,9 @@ class SimulatedWorld:
         times, begin = make_path_times(push, REGIME), self._seen
         poses, fell = self._move(push, times)
         steps = len(poses) - 1
-        rows = np.unique(np.rint(np.linspace(0, steps, min(self._observations, steps) + 1)).astype(int))[1:]
+        rows = np.unique(
+            np.rint(np.linspace(0, steps, min(self._observations, steps) + 1)).astype(int)
+        )[1:]
         self.fallen, self.true_pose = self.fallen or fell, poses[-1].copy()
         seen = np.array([self.observe(pose) for pose in poses[rows]]).reshape(-1, 3)
         self._seen = seen[-1] if len(seen) else self.observe()
@@ -133,15 +146,22 @@ class SimulatedWorld:
         assert self.surface is not None
         table = self.surface.polygon
         points = transform(pose[None], self._body)[0]
-        if shapely.contains_xy(table, points[:, 0], points[:, 1]).all() and table.convex_hull.equals(table):
+        if shapely.contains_xy(
+            table, points[:, 0], points[:, 1]
+        ).all() and table.convex_hull.equals(table):
             return True
         lying = shapely.intersection(table, shapely.Polygon(points))
         center = Point(transform(pose[None], self._center_of_mass[None])[0, 0])
-        return bool(MultiPoint(shapely.get_coordinates(lying)).convex_hull.covers(center)) if lying.area > 0 else False
+        return (
+            bool(MultiPoint(shapely.get_coordinates(lying)).convex_hull.covers(center))
+            if lying.area > 0
+            else False
+        )
 
 
 Learn = Callable[[GridObject, PushLog, Identification | None], Identification | None]
-"""From an object, the pushes so far and what was learned before to what is learned; None where that is nothing yet."""
+"""From an object, the pushes so far and what was learned before to what is learned; None where that
+is nothing yet."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +175,9 @@ class Learner:
         """The pushes that are learned from."""
         return log.subset([i for i, seen in enumerate(log) if len(seen.t_observed)][-self.memory :])
 
-    def __call__(self, obj: GridObject, log: PushLog, before: Identification | None) -> Identification | None:
+    def __call__(
+        self, obj: GridObject, log: PushLog, before: Identification | None
+    ) -> Identification | None:
         """What the pushes say; `before` where there is nothing new to learn from."""
         chosen = self.select(log)
         if not len(chosen) or chosen[-1] is not log[-1]:
@@ -169,7 +191,9 @@ class LoopRun(Generic[L]):
 
     state: L  # the last one
     log: PushLog = field(default_factory=lambda: PushLog(()))  # the pushes that were made
-    identification: Identification | None = None  # what was learned from them; None where that is nothing
+    identification: Identification | None = (
+        None  # what was learned from them; None where that is nothing
+    )
     planning_seconds: float = 0.0  # wall-clock time of the loop's steps
     learning_seconds: float = 0.0  # wall-clock time
 
@@ -192,7 +216,8 @@ def run_loop(
         learn: learns after every push; None never.
         goal: (3,) that the loop is shown; none where None.
         surface: the table, as whoever learns knows it; None where pushes keep clear of its edge.
-        progress: called after every push with the state that asked for it, what was seen, and whether it taught.
+        progress: called after every push with the state that asked for it, what was seen, and
+            whether it taught.
     """
     run = LoopRun(loop.begin(), PushLog((), table=None if surface is None else surface.corners))
     time, target = 0.0, UNSEEN if goal is None else goal
@@ -201,9 +226,13 @@ def run_loop(
         pose, before = world.pose, run.state.push_id
         robot = PushStatus(command_id=before)
         begin = perf_counter()
-        shown = Observation(time, UNSEEN if pose is None else pose, robot, run.log, run.identification, goal=target)
+        shown = Observation(
+            time, UNSEEN if pose is None else pose, robot, run.log, run.identification, goal=target
+        )
         state = loop.step(run.state, shown)
-        run = replace(run, state=state, planning_seconds=run.planning_seconds + perf_counter() - begin)
+        run = replace(
+            run, state=state, planning_seconds=run.planning_seconds + perf_counter() - begin
+        )
         if state.push is None or state.push_id == before:
             continue
         seen = world.execute(state.push)

@@ -1,14 +1,14 @@
 """The support surface: the table's top as a polygon in the plane z = 0, world frame W.
 
-A round table is the regular polygon inscribed in its circle, so that nothing counts as supported beyond its edge.
-Signed distances are positive inside:
+A round table is the regular polygon inscribed in its circle, so that nothing counts as supported
+beyond its edge. Signed distances are positive inside:
 
     d(p) = +- min over edges |p - edge|
 
 `find_supported`: which cells are on the table.
 
-The same as `SupportSurface.contains` of the cells' centers, but quicker: of a convex table only those edges are looked
-at that the object reaches, at any of the poses.
+The same as `SupportSurface.contains` of the cells' centers, but quicker: of a convex table only
+those edges are looked at that the object reaches, at any of the poses.
 """
 
 from collections.abc import Sequence
@@ -28,12 +28,14 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush
 
 ROUND_SIDES = 120
-"""Sides of the polygon that stands for a round table; the edge is then off by R (1 - cos(pi/120)) = R/2900."""
+"""Sides of the polygon that stands for a round table; the edge is then off by R (1 - cos(pi/120)) =
+R/2900."""
 
 FIT_ANGLES = 48  # directions in which a body is tried on a table, over a full turn
 
 STRAIGHT = 1e-9
-"""m², cross product of two edges above which a corner turned the wrong way makes a table concave."""
+"""m², cross product of two edges above which a corner turned the wrong way makes a table
+concave."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,20 +46,30 @@ class SupportSurface:
         polygon: its edge, world frame, m; counterclockwise, without holes.
 
     Raises:
-        PlanningError: the polygon crosses itself, is empty or has holes, or a corner is too far away for numbers.
+        PlanningError: the polygon crosses itself, is empty or has holes, or a corner is too far
+            away for numbers.
     """
 
     polygon: Polygon
 
     def __post_init__(self) -> None:
         polygon = self.polygon
-        if not isinstance(polygon, Polygon) or polygon.is_empty or not polygon.is_valid or polygon.area <= 0:
-            raise PlanningError("table: expected a simple polygon with an area, that does not cross itself")
+        if (
+            not isinstance(polygon, Polygon)
+            or polygon.is_empty
+            or not polygon.is_valid
+            or polygon.area <= 0
+        ):
+            raise PlanningError(
+                "table: expected a simple polygon with an area, that does not cross itself"
+            )
         if polygon.interiors:
             raise PlanningError("table: has holes; expected a polygon without")
         farthest = max(map(abs, polygon.bounds))
         if farthest > MAX_NUMBER:
-            raise PlanningError(f"table: a corner is at {farthest:g} m; expected at most {MAX_NUMBER:g} m")
+            raise PlanningError(
+                f"table: a corner is at {farthest:g} m; expected at most {MAX_NUMBER:g} m"
+            )
         object.__setattr__(self, "polygon", orient(polygon))
 
     @classmethod
@@ -70,7 +82,9 @@ class SupportSurface:
         x, y = check_vector(PlanningError, "table: center", center, 2, "m")
         width, height = check_vector(PlanningError, "table: size", size, 2, "m")
         if width <= 0 or height <= 0:
-            raise PlanningError(f"table: size is ({width:g}, {height:g}); expected positive sides (m)")
+            raise PlanningError(
+                f"table: size is ({width:g}, {height:g}); expected positive sides (m)"
+            )
         return cls(shapely.box(x - width / 2, y - height / 2, x + width / 2, y + height / 2))
 
     @classmethod
@@ -89,8 +103,15 @@ class SupportSurface:
     def from_polygon(cls, points: ArrayLike | Sequence[Sequence[float]]) -> "SupportSurface":
         """A polygon by its corners (k, 2) in either turning, m. Raises PlanningError where it is no simple polygon."""
         corners = np.array(points, dtype=np.float64)
-        if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(corners).all():
-            raise PlanningError(f"table: points of shape {corners.shape}; expected (k, 2) finite numbers, k >= 3 (m)")
+        if (
+            corners.ndim != 2
+            or corners.shape[1] != 2
+            or len(corners) < 3
+            or not np.isfinite(corners).all()
+        ):
+            raise PlanningError(
+                f"table: points of shape {corners.shape}; expected (k, 2) finite numbers, k >= 3 (m)"
+            )
         return cls(Polygon(corners))
 
     @cached_property
@@ -137,7 +158,8 @@ class SupportSurface:
     def contains(self, points: ArrayLike, margin: float = 0.0) -> NDArray[np.bool_]:
         """Whether points (..., 2) are on the table, at least `margin` (m) inside its edge, or so far out if negative.
 
-        Beyond the corners of a convex table a negative margin reaches as far as the edges' lines, set off, do.
+        Beyond the corners of a convex table a negative margin reaches as far as the edges' lines,
+        set off, do.
         """
         p = np.asarray(points, dtype=np.float64)
         if self.is_convex:
@@ -153,7 +175,9 @@ class SupportSurface:
         along = np.roll(self.corners, -1, axis=0) - self.corners
         share = ((flat[:, None] - self.corners) * along).sum(axis=2) / self.edge_lengths**2
         feet = self.corners + np.clip(share, 0.0, 1.0)[..., None] * along
-        distance = np.sqrt(((feet - flat[:, None]) ** 2).sum(axis=2).min(axis=1)).reshape(p.shape[:-1])
+        distance = np.sqrt(((feet - flat[:, None]) ** 2).sum(axis=2).min(axis=1)).reshape(
+            p.shape[:-1]
+        )
         return np.where(self.contains(p), distance, -distance)
 
     def cell_distances(self, obj: GridObject, pose: ArrayLike) -> Array:
@@ -171,7 +195,9 @@ class SupportSurface:
         gaps = self.edge_offsets - centers @ self.edge_normals.T - half * across[..., None, :]
         return np.asarray(gaps.min(axis=-1))
 
-    def contains_cells(self, obj: GridObject, pose: ArrayLike, margin: float = 0.0) -> bool | NDArray[np.bool_]:
+    def contains_cells(
+        self, obj: GridObject, pose: ArrayLike, margin: float = 0.0
+    ) -> bool | NDArray[np.bool_]:
         """Whether every cell's square is on the table, at least `margin` (m) inside the edge, at poses (..., 3)."""
         inside = self.cell_distances(obj, pose).min(axis=-1) >= margin
         return bool(inside) if np.ndim(inside) == 0 else np.asarray(inside)
@@ -179,14 +205,17 @@ class SupportSurface:
     def fits(self, body: ArrayLike) -> bool:
         """Whether a convex body of corners (V, 2), m, can lie on the table, turned in some direction.
 
-        In each of `FIT_ANGLES` directions: whether the edges' half-planes, moved in by how far the body reaches across
-        them, have a point in common. Of a concave table the convex hull is tried.
+        In each of `FIT_ANGLES` directions: whether the edges' half-planes, moved in by how far the
+        body reaches across them, have a point in common. Of a concave table the convex hull is
+        tried.
         """
         table = self if self.is_convex else SupportSurface(self.polygon.convex_hull)
         offsets = table.edge_offsets
         for angle in 2 * np.pi * np.arange(FIT_ANGLES) / FIT_ANGLES:
             turned = rotate(angle, body)
-            if _have_common_point(table.edge_normals, offsets - (turned @ table.edge_normals.T).max(axis=0)):
+            if _have_common_point(
+                table.edge_normals, offsets - (turned @ table.edge_normals.T).max(axis=0)
+            ):
                 return True
         return False
 
@@ -194,14 +223,18 @@ class SupportSurface:
 def _have_common_point(normals: Array, offsets: Array) -> bool:
     """Whether half-planes n.p <= offset (m) have a point in common: whether n.p + t <= offset with some t >= 0."""
     A = np.column_stack([normals, np.ones(len(normals))])
-    best = linprog([0.0, 0.0, -1.0], A_ub=A, b_ub=offsets, bounds=[(None, None), (None, None), (None, None)])
+    best = linprog(
+        [0.0, 0.0, -1.0], A_ub=A, b_ub=offsets, bounds=[(None, None), (None, None), (None, None)]
+    )
     return bool(best.status == 0 and -best.fun >= 0)
 
 
 ROUND_OFF = 1e-9  # m
 
 
-def find_supported(obj: GridObject, poses: ArrayLike, surface: SupportSurface, inset: float = 0.0) -> NDArray[np.bool_]:
+def find_supported(
+    obj: GridObject, poses: ArrayLike, surface: SupportSurface, inset: float = 0.0
+) -> NDArray[np.bool_]:
     """Whether cells' centers are on the table, at least `inset` (m) inside its edge, at poses (..., 3): (..., n)."""
     q = np.asarray(poses, dtype=np.float64)
     if not surface.is_convex:

@@ -1,8 +1,8 @@
 """Whether a push log can be true of an object: units, frames, and poses that no push can lead to.
 
-Bounds are those of a rigid body that slides on dry friction, taken generously. A pusher that travels s moves the
-centroid by no more than about s and turns the body by no more than s / (2 rho), rho the radius of gyration; a body that
-is let go at speed v slides on for v^2 / (2 mu g).
+Bounds are those of a rigid body that slides on dry friction, taken generously. A pusher that
+travels s moves the centroid by no more than about s and turns the body by no more than s / (2 rho),
+rho the radius of gyration; a body that is let go at speed v slides on for v^2 / (2 mu g).
 """
 
 import warnings
@@ -22,7 +22,8 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 TRAVEL_FACTOR = 2.0
-"""Times the pusher's path that the centroid, or a point at the radius of gyration as the body turns, may move."""
+"""Times the pusher's path that the centroid, or a point at the radius of gyration as the body
+turns, may move."""
 
 SPEED_FACTOR = 2.0  # times the pusher's mean speed at which it may let go of the object
 NOISE_SHARE = 0.25  # of the object's diameter, by which a pose may be off besides
@@ -32,13 +33,16 @@ MAX_TABLE = 100.0  # of a table's side, where it is not doubted, m
 MAX_FIRST_ANGLE = 4 * np.pi  # of an object at a push's beginning, where it is not doubted, rad
 
 GAP, GAP_SHARE = 0.005, 0.05
-"""A pusher this far off the outline, m plus this share of the object's diameter, is not where the log says."""
+"""A pusher this far off the outline, m plus this share of the object's diameter, is not where the
+log says."""
 
 MANY, FEW = 0.5, 0.2
-"""Shares of a log's pushes: so many out of place make it doubtful, so few leave a reading of its units standing."""
+"""Shares of a log's pushes: so many out of place make it doubtful, so few leave a reading of its
+units standing."""
 
 MIN_PUSH = 1e-3
-"""Of a push's length, m, at the median of a log: shorter ones are no sign that its lengths are in millimeters."""
+"""Of a push's length, m, at the median of a log: shorter ones are no sign that its lengths are in
+millimeters."""
 
 MM = 1e-3  # meters in a millimeter
 
@@ -51,8 +55,8 @@ class Finding(NamedTuple):
     message: str  # push, column, what is wrong and the likely cause, in one line
     certain: bool  # whether it cannot be true; otherwise it may be
     about_first: bool
-    """Whether what a prediction begins with is in doubt (the units, the pusher's path, the first pose) rather than what
-    was seen later, which only learning needs."""
+    """Whether what a prediction begins with is in doubt (the units, the pusher's path, the first
+    pose) rather than what was seen later, which only learning needs."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,9 @@ class _Units:
 AS_SAID = _Units(1.0, 1.0, 1.0, "")
 DEGREES = _Units(1.0, 1.0, np.pi / 180, IN_DEGREES)
 TIP_MM = _Units(MM, 1.0, 1.0, "tip_x, tip_y: in millimeters? expected m, as object_x, object_y are")
-PLACE_MM = _Units(1.0, MM, 1.0, "object_x, object_y: in millimeters? expected m, as tip_x, tip_y are")
+PLACE_MM = _Units(
+    1.0, MM, 1.0, "object_x, object_y: in millimeters? expected m, as tip_x, tip_y are"
+)
 ALL_MM = _Units(MM, MM, 1.0, "tip_x, tip_y, object_x, object_y: in millimeters? expected m")
 
 
@@ -76,12 +82,13 @@ def check_plausible(obj: GridObject, log: PushLog, *, learning: bool) -> None:
     """Refuses a log that cannot be true of an object, and warns of one that hardly can.
 
     Args:
-        learning: whether later poses are learned from, so that an impossible one spoils the result; where pushes
-            are only to be predicted, it is warned of.
+        learning: whether later poses are learned from, so that an impossible one spoils the result;
+            where pushes are only to be predicted, it is warned of.
 
     Raises:
-        PushLogError: lengths or angles are in other units, a pusher is faster than any, or, where it is to be
-            learned from, a pose that the push cannot have led to. The message names push, column and likely cause.
+        PushLogError: lengths or angles are in other units, a pusher is faster than any, or, where
+            it is to be learned from, a pose that the push cannot have led to. The message names
+            push, column and likely cause.
 
     Warns:
         PushLogWarning: what may be true, but hardly is.
@@ -142,10 +149,18 @@ def _choose_reading(obj: GridObject, log: PushLog, wrong: float) -> _Units | Non
         return DEGREES
     if wrong < MANY:
         return None
-    away = np.abs(poses[:, :2]).max() > GAP  # where every push begins at 0, the object's places fit any unit
+    away = (
+        np.abs(poses[:, :2]).max() > GAP
+    )  # where every push begins at 0, the object's places fit any unit
     length = np.median([seen.push.length for seen in log])
-    readings = [units for units in ((TIP_MM, PLACE_MM, ALL_MM) if away else (ALL_MM,)) if units.tip * length > MIN_PUSH]
-    return next((units for units in readings if _are_misplaced(obj, log, units).mean() <= FEW), None)
+    readings = [
+        units
+        for units in ((TIP_MM, PLACE_MM, ALL_MM) if away else (ALL_MM,))
+        if units.tip * length > MIN_PUSH
+    ]
+    return next(
+        (units for units in readings if _are_misplaced(obj, log, units).mean() <= FEW), None
+    )
 
 
 def _find_fast_pushers(obj: GridObject, log: PushLog) -> Iterator[str]:
@@ -169,7 +184,9 @@ def _find_gone_off_table(obj: GridObject, log: PushLog) -> Iterator[str]:
         yield _describe_off_table(obj, seen, int(rows[0])) + ": did it fall, or a lost track?"
 
 
-def _find_off_table(obj: GridObject, log: PushLog) -> Iterator[tuple[ObservedPush, NDArray[np.intp]]]:
+def _find_off_table(
+    obj: GridObject, log: PushLog
+) -> Iterator[tuple[ObservedPush, NDArray[np.intp]]]:
     """The pushes with poses at which no cell's center is on the log's table, and which poses, the first being 0."""
     if log.table is None:
         return
@@ -197,7 +214,9 @@ def _describe_off_table(obj: GridObject, seen: ObservedPush, row: int) -> str:
 
 def _find_jumps(obj: GridObject, log: PushLog) -> Iterator[str]:
     for seen in log:
-        centroids = np.vstack([obj.cells_at(seen.pose).mean(axis=0), obj.cells_at(seen.poses_observed).mean(axis=1)])
+        centroids = np.vstack(
+            [obj.cells_at(seen.pose).mean(axis=0), obj.cells_at(seen.poses_observed).mean(axis=1)]
+        )
         moved = centroids - centroids[0]
         far = np.linalg.norm(moved, axis=1)
         k = int(np.argmax(far))
@@ -237,7 +256,9 @@ def _find_large_objects(obj: GridObject, log: PushLog) -> Iterator[str]:
 def _find_large_angles(obj: GridObject, log: PushLog) -> Iterator[str]:
     for seen in log:
         if abs(seen.pose[2]) > MAX_FIRST_ANGLE:
-            yield (f"push {seen.name!r}, column {IN_DEGREES}; the object lies at {seen.pose[2]:.4g}")
+            yield (
+                f"push {seen.name!r}, column {IN_DEGREES}; the object lies at {seen.pose[2]:.4g}"
+            )
 
 
 def _find_large_tables(obj: GridObject, log: PushLog) -> Iterator[str]:
@@ -256,7 +277,8 @@ KINDS = (
     (_find_large_angles, False, True),
     (_find_large_tables, False, True),
 )
-"""What finds what is wrong, whether it is certain, and whether it is about what a prediction begins with."""
+"""What finds what is wrong, whether it is certain, and whether it is about what a prediction begins
+with."""
 
 
 def _calc_reach(obj: GridObject, seen: ObservedPush) -> float:

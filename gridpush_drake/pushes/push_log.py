@@ -1,13 +1,14 @@
 """Observed pushes: the tip's path, the object's poses and, where it was measured, the force.
 
-Positions are in the world frame W, in m; angles in rad; times in s from the push's own beginning; forces, N,
-are the pusher's on the object.
+Positions are in the world frame W, in m; angles in rad; times in s from the push's own beginning;
+forces, N, are the pusher's on the object.
 
-A push log is one tidy CSV file: a row a sample. Its columns: push (any text, rows of one push together), t, tip_x,
-tip_y (the disc's center), object_x, object_y, object_theta (on a push's first row, and wherever else it was observed;
-empty elsewhere) and, where they are known, force_x, force_y on the object, overhang: 1 while a part of the object hung
-over the table's edge, 0 or empty otherwise (one such row marks the push), and table: its top in W as well-known text,
-POLYGON ((x y, x y, ...)), once in the file. Times are counted from each push's first row.
+A push log is one tidy CSV file: a row a sample. Its columns: push (any text, rows of one push
+together), t, tip_x, tip_y (the disc's center), object_x, object_y, object_theta (on a push's first
+row, and wherever else it was observed; empty elsewhere) and, where they are known, force_x, force_y
+on the object, overhang: 1 while a part of the object hung over the table's edge, 0 or empty
+otherwise (one such row marks the push), and table: its top in W as well-known text, POLYGON ((x y,
+x y, ...)), once in the file. Times are counted from each push's first row.
 """
 
 import csv
@@ -48,7 +49,9 @@ WHAT = "a push log (CSV)"
 UNITS = {"t": "s", "object_theta": "rad", "force_x": "N", "force_y": "N"}
 """Unit of each column; m where not listed."""
 
-SUGGESTION_CUTOFF = 0.5  # similarity (0 to 1) from which a known column is suggested for an unknown one
+SUGGESTION_CUTOFF = (
+    0.5  # similarity (0 to 1) from which a known column is suggested for an unknown one
+)
 MAX_SHOWN = 60  # characters of a refused value that a message repeats
 MIN_TIME_STEP = 1e-9  # s between two rows of a push
 
@@ -61,11 +64,11 @@ class ObservedPush(Frozen):
         name: what to call it; any text without blanks at its ends.
         push: the disc's motion.
         pose: (3,) q_W = (x, y, theta) of the object at the push's beginning, m and rad.
-        t_observed: (K,) times of the later observations, s, strictly increasing, in (0, push.duration]; K is
-            0 only where a push is to be predicted.
+        t_observed: (K,) times of the later observations, s, strictly increasing, in (0,
+            push.duration]; K is 0 only where a push is to be predicted.
         poses_observed: (K, 3) q_W at those times, theta continuous (see `nearest_turn`).
-        force_t: (F,) times of the force samples, s, strictly increasing, in [0, push.duration]; None where
-            the force was not measured.
+        force_t: (F,) times of the force samples, s, strictly increasing, in [0, push.duration];
+            None where the force was not measured.
         force: (F, 2) force on the object in W, N; None where it was not measured.
         overhang: whether a part of the object hung over the table's edge.
 
@@ -84,15 +87,21 @@ class ObservedPush(Frozen):
 
     def __post_init__(self) -> None:
         if not self.name or self.name != self.name.strip():
-            raise PushLogError(f"push {self.name!r}: its name must not be empty nor have blanks at its ends")
+            raise PushLogError(
+                f"push {self.name!r}: its name must not be empty nor have blanks at its ends"
+            )
         t_observed = self._array("t_observed", self.t_observed, (-1,))
         self._array("pose", self.pose, (3,))
         self._array("poses_observed", self.poses_observed, (len(t_observed), 3))
         self._check_times("t_observed", t_observed)
         if len(t_observed) and t_observed[0] <= 0:
-            raise PushLogError(f"push {self.name!r}: t_observed[0] is {t_observed[0]} s; expected times > 0")
+            raise PushLogError(
+                f"push {self.name!r}: t_observed[0] is {t_observed[0]} s; expected times > 0"
+            )
         if (self.force_t is None) != (self.force is None):
-            raise PushLogError(f"push {self.name!r}: force_t and force come together, or not at all")
+            raise PushLogError(
+                f"push {self.name!r}: force_t and force come together, or not at all"
+            )
         if self.force_t is not None and self.force is not None:
             force_t = self._array("force_t", self.force_t, (-1,))
             self._array("force", self.force, (len(force_t), 2))
@@ -102,8 +111,12 @@ class ObservedPush(Frozen):
         array = np.array(value, dtype=np.float64)
         if array.size == 0 and 0 in shape:
             array = array.reshape(shape)
-        if array.ndim != len(shape) or any(n not in (-1, m) for n, m in zip(shape, array.shape, strict=True)):
-            raise PushLogError(f"push {self.name!r}: {name} has shape {array.shape}; expected {shape}")
+        if array.ndim != len(shape) or any(
+            n not in (-1, m) for n, m in zip(shape, array.shape, strict=True)
+        ):
+            raise PushLogError(
+                f"push {self.name!r}: {name} has shape {array.shape}; expected {shape}"
+            )
         if not np.isfinite(array).all():
             raise PushLogError(f"push {self.name!r}: {name} must hold finite numbers")
         array.setflags(write=False)
@@ -123,7 +136,9 @@ class ObservedPush(Frozen):
     def final_pose(self) -> NDArray[np.float64]:
         """(3,) q_W at the last observation. Raises PushLogError where there is none after the first."""
         if not len(self.poses_observed):
-            raise PushLogError(f"push {self.name!r}: the object was not observed after the push's beginning")
+            raise PushLogError(
+                f"push {self.name!r}: the object was not observed after the push's beginning"
+            )
         return self.poses_observed[-1]
 
 
@@ -134,9 +149,11 @@ class PushLog(Frozen):
     Attributes:
         pushes: the pushes.
         source: where they came from, such as a file's name.
-        radius_given: whether the pusher's radius was given with the pushes; where it was not, they carry
-            DEFAULT_PUSHER_RADIUS, and whoever knows the object's file replaces it (`with_radius`).
-        table: (K, 2) corners in W of the table's top, counterclockwise, m; None where its edge is far or unknown.
+        radius_given: whether the pusher's radius was given with the pushes; where it was not, they
+            carry DEFAULT_PUSHER_RADIUS, and whoever knows the object's file replaces it
+            (`with_radius`).
+        table: (K, 2) corners in W of the table's top, counterclockwise, m; None where its edge is
+            far or unknown.
     """
 
     pushes: tuple[ObservedPush, ...]
@@ -148,7 +165,12 @@ class PushLog(Frozen):
         object.__setattr__(self, "pushes", tuple(self.pushes))
         if self.table is not None:
             corners = np.array(self.table, dtype=np.float64)
-            if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3 or not np.isfinite(corners).all():
+            if (
+                corners.ndim != 2
+                or corners.shape[1] != 2
+                or len(corners) < 3
+                or not np.isfinite(corners).all()
+            ):
                 raise PushLogError(
                     f"table: corners of shape {corners.shape}; expected (K, 2) finite numbers, K >= 3 (m)"
                 )
@@ -156,7 +178,9 @@ class PushLog(Frozen):
             object.__setattr__(self, "table", corners)
 
     @classmethod
-    def read_csv(cls, path: Path | str, radius: float | None = None, *, require_final: bool = True) -> "PushLog":
+    def read_csv(
+        cls, path: Path | str, radius: float | None = None, *, require_final: bool = True
+    ) -> "PushLog":
         """Reads a push log; `docs/howto/own_pushes.md` has the columns.
 
         Args:
@@ -164,8 +188,8 @@ class PushLog(Frozen):
             require_final: whether every push must have an observation after its first row.
 
         Raises:
-            PushLogError: the file cannot be read or breaks the form; the message names the file, the line,
-                the column and the expected form.
+            PushLogError: the file cannot be read or breaks the form; the message names the file,
+                the line, the column and the expected form.
             PushError: the radius is not positive.
         """
         return _read_push_csv(Path(path), radius, require_final)
@@ -191,7 +215,9 @@ class PushLog(Frozen):
     @overload
     def __getitem__(self, index: slice | Sequence[int] | NDArray[np.integer]) -> "PushLog": ...
 
-    def __getitem__(self, index: int | slice | Sequence[int] | NDArray[np.integer]) -> "ObservedPush | PushLog":
+    def __getitem__(
+        self, index: int | slice | Sequence[int] | NDArray[np.integer]
+    ) -> "ObservedPush | PushLog":
         if isinstance(index, slice):
             return replace(self, pushes=self.pushes[index])
         if isinstance(index, (int, np.integer)):
@@ -226,11 +252,15 @@ class PushLog(Frozen):
     @property
     def overhanging(self) -> "PushLog":
         """The pushes that no model can explain: those over the edge of a table that is not known."""
-        return self.subset([i for i, seen in enumerate(self) if seen.overhang and self.table is None])
+        return self.subset(
+            [i for i, seen in enumerate(self) if seen.overhang and self.table is None]
+        )
 
     def with_radius(self, radius: float) -> "PushLog":
         """The same pushes made by a disc of `radius`, m. Raises PushError where it is not positive."""
-        pushes = tuple(replace(seen, push=replace(seen.push, radius=radius)) for seen in self.pushes)
+        pushes = tuple(
+            replace(seen, push=replace(seen.push, radius=radius)) for seen in self.pushes
+        )
         return replace(self, pushes=pushes, radius_given=True)
 
 
@@ -255,7 +285,10 @@ def _read_push_csv(path: Path, radius: float | None, require_final: bool) -> Pus
     seen: dict[str, int] = {}
     pushes = []
     table: NDArray[np.float64] | None = None
-    read = (_parse_row(path, line, cells) for line, cells in read_table(path, WHAT, REQUIRED, _check_header))
+    read = (
+        _parse_row(path, line, cells)
+        for line, cells in read_table(path, WHAT, REQUIRED, _check_header)
+    )
     for _, group in groupby(read, lambda row: row.push):
         rows = list(group)
         first = rows[0]
@@ -267,11 +300,19 @@ def _read_push_csv(path: Path, radius: float | None, require_final: bool) -> Pus
         seen[first.push] = first.line
         for row in rows:
             if table is not None and row.table is not None and not np.array_equal(row.table, table):
-                fail(path, row.line, TABLE, "is another one than before; expected one table in a log")
+                fail(
+                    path, row.line, TABLE, "is another one than before; expected one table in a log"
+                )
             table = table if row.table is None else row.table
-        pushes.append(_observed_push(path, rows, DEFAULT_PUSHER_RADIUS if radius is None else radius, require_final))
+        pushes.append(
+            _observed_push(
+                path, rows, DEFAULT_PUSHER_RADIUS if radius is None else radius, require_final
+            )
+        )
     if not pushes:
-        raise PushLogError(f"{path}: holds no push; expected rows below the header {','.join(REQUIRED)}")
+        raise PushLogError(
+            f"{path}: holds no push; expected rows below the header {','.join(REQUIRED)}"
+        )
     return PushLog(tuple(pushes), str(path), radius_given=radius is not None, table=table)
 
 
@@ -282,12 +323,16 @@ def _write_push_csv(log: PushLog, path: Path, force: bool) -> None:
         raise PushLogError(f"{path}: the log to be written holds no push")
     for i, name in enumerate(names):
         if name in names[:i]:
-            raise PushLogError(f"{path}: two pushes of the log are named {name!r}; expected one name a push")
+            raise PushLogError(
+                f"{path}: two pushes of the log are named {name!r}; expected one name a push"
+            )
     with_force = any(seen.force is not None for seen in log)
     with_overhang = any(seen.overhang for seen in log)
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
-    more = [name for name, there in ((OVERHANG, with_overhang), (TABLE, log.table is not None)) if there]
+    more = [
+        name for name, there in ((OVERHANG, with_overhang), (TABLE, log.table is not None)) if there
+    ]
     writer.writerow([*REQUIRED, *(FORCE if with_force else ()), *more])
     text = [] if log.table is None else [_describe_table(log.table)]
     for seen in log:
@@ -300,7 +345,11 @@ def _write_push_csv(log: PushLog, path: Path, force: bool) -> None:
 
 def _describe_table(corners: NDArray[np.float64]) -> str:
     """Corners (K, 2) as well-known text, exact to the last bit."""
-    return "POLYGON ((" + ", ".join(f"{x!r} {y!r}" for x, y in [*corners.tolist(), corners[0].tolist()]) + "))"
+    return (
+        "POLYGON (("
+        + ", ".join(f"{x!r} {y!r}" for x, y in [*corners.tolist(), corners[0].tolist()])
+        + "))"
+    )
 
 
 def _cells(seen: ObservedPush, with_force: bool) -> Iterator[list[str]]:
@@ -319,11 +368,15 @@ def _cells(seen: ObservedPush, with_force: bool) -> Iterator[list[str]]:
 
 
 def read_table(
-    path: Path, what: str, required: Sequence[str], check_header: Callable[[Path, int, list[str]], None]
+    path: Path,
+    what: str,
+    required: Sequence[str],
+    check_header: Callable[[Path, int, list[str]], None],
 ) -> Iterator[tuple[int, dict[str, str]]]:
     """The rows of a CSV file: their lines' numbers, and their cells by column.
 
-    Raises PushLogError: the file cannot be read, is empty or no CSV, or a row is longer or shorter than the header.
+    Raises PushLogError: the file cannot be read, is empty or no CSV, or a row is longer or shorter
+    than the header.
     """
     text = read_text(path, what, PushLogError)
     if "\0" in text:
@@ -383,7 +436,9 @@ def _parse_row(path: Path, line: int, cells: dict[str, str]) -> _Row:
     if flag not in FLAGS:
         fail(path, line, OVERHANG, f"is {flag!r}; expected 0 or 1, or empty")
     table = _table(path, line, cells.get(TABLE, "").strip())
-    return _Row(line, name, _read_number(path, line, "t", cells["t"]), tip, pose, force, FLAGS[flag], table)
+    return _Row(
+        line, name, _read_number(path, line, "t", cells["t"]), tip, pose, force, FLAGS[flag], table
+    )
 
 
 def _table(path: Path, line: int, cell: str) -> NDArray[np.float64] | None:
@@ -396,16 +451,16 @@ def _table(path: Path, line: int, cell: str) -> NDArray[np.float64] | None:
     except shapely.GEOSException:
         polygon, usable = None, False
     if not isinstance(polygon, shapely.Polygon) or polygon.interiors or not usable:
-        form = (
-            "expected POLYGON ((x y, x y, ..., x y)) in m that ends where it begins and does not cross itself, no hole"
-        )
+        form = "expected POLYGON ((x y, x y, ..., x y)) in m that ends where it begins and does not cross itself, no hole"
         fail(path, line, TABLE, f"is {cell[:MAX_SHOWN]!r}; {form}")
     return np.asarray(orient(polygon).exterior.coords)[:-1, :2]
 
 
 def _read_number(path: Path, line: int, column: str, cell: str) -> float:
     group = next((columns for columns in (POSE, FORCE) if column in columns), None)
-    form = f"a finite number ({UNITS.get(column, 'm')})" + (f", or {', '.join(group)} empty" if group else "")
+    form = f"a finite number ({UNITS.get(column, 'm')})" + (
+        f", or {', '.join(group)} empty" if group else ""
+    )
     return read_number(path, line, column, cell, form)
 
 
@@ -416,20 +471,34 @@ def read_number(path: Path, line: int, column: str, cell: str, form: str) -> flo
     except ValueError:
         value = math.nan
     if not math.isfinite(value) or abs(value) > MAX_NUMBER or "_" in cell:
-        limit = f", at most {MAX_NUMBER:g}" if math.isfinite(value) and abs(value) > MAX_NUMBER else ""
+        limit = (
+            f", at most {MAX_NUMBER:g}" if math.isfinite(value) and abs(value) > MAX_NUMBER else ""
+        )
         fail(path, line, column, f"is {cell.strip()[:MAX_SHOWN]!r}; expected {form}{limit}")
     return value
 
 
-def _observed_push(path: Path, rows: list[_Row], radius: float, require_final: bool) -> ObservedPush:
+def _observed_push(
+    path: Path, rows: list[_Row], radius: float, require_final: bool
+) -> ObservedPush:
     first = rows[0]
     if first.pose is None:
-        fail(path, first.line, POSE[0], f"is empty; expected a pose on push {first.push!r}'s first row")
+        fail(
+            path,
+            first.line,
+            POSE[0],
+            f"is empty; expected a pose on push {first.push!r}'s first row",
+        )
     if len(rows) == 1:
         fail(path, first.line, "push", f"push {first.push!r} has one row; expected at least two")
     for before, row in pairwise(rows):
         if row.t - before.t < MIN_TIME_STEP:
-            fail(path, row.line, "t", f"is {row.t!r} after {before.t!r}; expected times (s) that increase")
+            fail(
+                path,
+                row.line,
+                "t",
+                f"is {row.t!r} after {before.t!r}; expected times (s) that increase",
+            )
     seen = [row for row in rows[1:] if row.pose is not None]
     if require_final and not seen:
         fail(

@@ -1,16 +1,18 @@
 """A stream of observations cut into pushes: where each begins and ends, and its entry in a push log.
 
-A push is going on while the tip is down (below `engaged_below`) and moves over the table; it is over when the tip has
-stopped and then lifts, moves on, or simply stands. The object moves only when pushed, so that what is observed between
-two pushes is one pose, many times.
+A push is going on while the tip is down (below `engaged_below`) and moves over the table; it is
+over when the tip has stopped and then lifts, moves on, or simply stands. The object moves only when
+pushed, so that what is observed between two pushes is one pose, many times.
 
-    waiting --- down and moving ---> moving --- slow, or lifted ---> settling --- lifted, `settle` over ---> waiting
-                                       ^  (shorter stops than `pause`) |  moving again: the next push
-                                       +-------------------------------+
+    waiting --- down and moving ---> moving --- slow, or lifted ---> settling --- lifted, `settle`
+    over ---> waiting
+                                       ^  (shorter stops than `pause`) |  moving again: the next
+                                       push +-------------------------------+
 
-Of a push's entry, the first pose is the mean of the observations of the object at rest before it, the last one that of
-those after it; between them a few single observations are kept, evenly spread along the tip's path. That path is as
-measured, without the samples that straight lines between the others replace to within `path_tolerance`.
+Of a push's entry, the first pose is the mean of the observations of the object at rest before it,
+the last one that of those after it; between them a few single observations are kept, evenly spread
+along the tip's path. That path is as measured, without the samples that straight lines between the
+others replace to within `path_tolerance`.
 """
 
 from dataclasses import dataclass, replace
@@ -47,8 +49,8 @@ class SegmenterOptions:
         engaged_below: height of the tip's center below which it can touch the object, m.
         moving_above: horizontal speed from which on the tip moves, m/s.
         pause: a shorter stop does not end a push, s.
-        settle_lifted: after lifting, a push is not over sooner than this after its stop, s: its last pose is to be
-            observed several times.
+        settle_lifted: after lifting, a push is not over sooner than this after its stop, s: its
+            last pose is to be observed several times.
         settle: so long after the stop a push is over though the tip stays down, s.
         lift: the tip is lifted when it rises by this from its lowest place in the push, m.
         rest_window: longest time for which poses at rest are kept, s.
@@ -83,12 +85,16 @@ class SegmenterState:
     """What the segmenter remembers."""
 
     rest: tuple[Sample, ...] = ()  # observations of the object since it last came to rest
-    path: tuple[Sample, ...] = ()  # the present push while the tip is down; empty where there is none
+    path: tuple[
+        Sample, ...
+    ] = ()  # the present push while the tip is down; empty where there is none
     after: tuple[Sample, ...] = ()  # from its stop on, lifted or not; empty while it moves
     lifted: bool = False  # whether it has ended by lifting
 
 
-def advance(state: SegmenterState, sample: Sample, options: SegmenterOptions) -> tuple[SegmenterState, Episode | None]:
+def advance(
+    state: SegmenterState, sample: Sample, options: SegmenterOptions
+) -> tuple[SegmenterState, Episode | None]:
     """Takes in one sample, later than all before: the state after it, and the episode that it ends, if any.
 
     It is passed over where the tip is not known.
@@ -107,7 +113,10 @@ def advance(state: SegmenterState, sample: Sample, options: SegmenterOptions) ->
     if moving and not lifted:
         return replace(state, path=(*state.path, sample), after=()), None
     state = replace(
-        state, lifted=lifted, after=(*state.after, sample), path=state.path if lifted else (*state.path, sample)
+        state,
+        lifted=lifted,
+        after=(*state.after, sample),
+        path=state.path if lifted else (*state.path, sample),
     )
     if stopped_for >= (options.settle_lifted if lifted else options.settle):
         return SegmenterState(rest=state.after), Episode(state.rest, state.path, state.after)
@@ -141,9 +150,13 @@ class RecordOptions:
     min_distance: float = 0.005  # of the tip; less is no push, m
     reach: float = 0.005  # a tip that never came closer to the object than its radius and this did not push it, m
     path_tolerance: float = 5e-5  # by which the thinned path may differ from the measured one, m
-    still: float = 5e-5  # the tip has not yet, or no longer, moved within this of its first, or last, place, m
+    still: float = (
+        5e-5  # the tip has not yet, or no longer, moved within this of its first, or last, place, m
+    )
     coast: float = 0.1  # how long the object may slide on after the tip's stop, s
-    rest_tolerance: float = 0.003  # observations further than this from where the object rests are not of that rest, m
+    rest_tolerance: float = (
+        0.003  # observations further than this from where the object rests are not of that rest, m
+    )
     rest_angle_tolerance: float = 0.03  # likewise, rad
     pose_delay: float = 0.0  # how old a pose is when it is read, s
 
@@ -158,7 +171,8 @@ def make_observed_push(
 ) -> ObservedPush | None:
     """Makes the log's entry for a tip of `radius`, m.
 
-    None where the tip hardly moved or never came near the object, or where that was not seen both before and after.
+    None where the tip hardly moved or never came near the object, or where that was not seen both
+    before and after.
     """
     pose = calc_rest_pose(episode.before, options)
     t, xy = _trim(episode.path, options.still)
@@ -179,7 +193,9 @@ def make_observed_push(
         return None
     times = np.array([time for time, _ in seen])
     t, xy = thin_path(t, xy, times, options.path_tolerance)
-    return ObservedPush(name, Push.along(t - t[0], xy, radius), pose, times - t[0], _continue_turns(pose, seen))
+    return ObservedPush(
+        name, Push.along(t - t[0], xy, radius), pose, times - t[0], _continue_turns(pose, seen)
+    )
 
 
 def find_begin(episode: Episode, options: RecordOptions) -> float:
@@ -187,11 +203,14 @@ def find_begin(episode: Episode, options: RecordOptions) -> float:
     return float(_trim(episode.path, options.still)[0][0])
 
 
-def calc_rest_pose(observations: tuple[Sample, ...] | list[Sample], options: RecordOptions) -> Array | None:
+def calc_rest_pose(
+    observations: tuple[Sample, ...] | list[Sample], options: RecordOptions
+) -> Array | None:
     """Mean of the latest observations of one pose; None where the object was not seen.
 
-    Starting from the last one, all within the tolerance of the last few's median count, up to the first two in a row
-    that do not: before them the object lay elsewhere. A single one is an outlier.
+    Starting from the last one, all within the tolerance of the last few's median count, up to the
+    first two in a row that do not: before them the object lay elsewhere. A single one is an
+    outlier.
     """
     poses = np.array([seen.pose for seen in observations if np.isfinite(seen.pose).all()])
     if not len(poses):
@@ -253,7 +272,12 @@ def _add_coast(episode: Episode, t: Array, xy: Array, coast: float) -> tuple[flo
 
 
 def _choose_observations(
-    path: tuple[Sample, ...], t: Array, traveled: Array, end: float, options: RecordOptions, up_to_end: bool
+    path: tuple[Sample, ...],
+    t: Array,
+    traveled: Array,
+    end: float,
+    options: RecordOptions,
+    up_to_end: bool,
 ) -> list[tuple[float, Array]]:
     """Times and poses of the observations nearest to even shares of the tip's path, `traveled` (K,) m by t (K,) s."""
     seen = [
@@ -266,7 +290,9 @@ def _choose_observations(
         return []
     traveled_then = np.interp([time for time, _ in seen], t, traveled)
     wanted = traveled[-1] * np.arange(1, options.observations + up_to_end) / options.observations
-    return [seen[i] for i in sorted({int(np.argmin(np.abs(traveled_then - share))) for share in wanted})]
+    return [
+        seen[i] for i in sorted({int(np.argmin(np.abs(traveled_then - share))) for share in wanted})
+    ]
 
 
 def _snap(time: float, t: Array) -> float:

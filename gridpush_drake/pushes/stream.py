@@ -1,9 +1,9 @@
 """A continuous stream of the tip's and the object's poses: its CSV form, and the pushes in it.
 
-A stream is one CSV file, a row a sample, SI units and radians, world frame. Its columns: t; tip_x, tip_y (the center of
-the pusher's disc); optionally tip_z, its height above the table, 0 where it is not there, and tip_vx, tip_vy, tip_vz,
-its velocity, found from its places where it is not there; object_x, object_y, object_theta. The tip's cells, or the
-object's, are empty where it was not seen.
+A stream is one CSV file, a row a sample, SI units and radians, world frame. Its columns: t; tip_x,
+tip_y (the center of the pusher's disc); optionally tip_z, its height above the table, 0 where it is
+not there, and tip_vx, tip_vy, tip_vz, its velocity, found from its places where it is not there;
+object_x, object_y, object_theta. The tip's cells, or the object's, are empty where it was not seen.
 """
 
 import csv
@@ -21,7 +21,14 @@ from gridpush_drake.errors import PushLogError
 from gridpush_drake.files import write_whole
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.pushes.push_log import POSE, ObservedPush, PushLog, fail, read_number, read_table
+from gridpush_drake.pushes.push_log import (
+    POSE,
+    ObservedPush,
+    PushLog,
+    fail,
+    read_number,
+    read_table,
+)
 from gridpush_drake.pushes.segmentation import (
     UNUSABLE,
     RecordOptions,
@@ -51,7 +58,9 @@ class Recording:
 
     log: PushLog  # the pushes
     begins: tuple[float, ...] = ()  # when in the stream each began, s
-    unusable: tuple[str, ...] = ()  # why motions that may have been pushes could not be written down
+    unusable: tuple[
+        str, ...
+    ] = ()  # why motions that may have been pushes could not be written down
     unfinished: bool = False  # whether the stream ended within a push, which is left out
 
 
@@ -73,7 +82,12 @@ def record_pushes(
         source: where the stream came from.
     """
     segmenter, record = segmenter or SegmenterOptions(), record or RecordOptions()
-    state, pushes, begins, unusable = SegmenterState(), list[ObservedPush](), list[float](), list[str]()
+    state, pushes, begins, unusable = (
+        SegmenterState(),
+        list[ObservedPush](),
+        list[float](),
+        list[str](),
+    )
     for sample in samples:
         state, episode = advance(state, sample, segmenter)
         if episode is None:
@@ -81,20 +95,27 @@ def record_pushes(
         try:
             observed = make_observed_push(episode, obj, radius, name_push(len(pushes)), record)
         except UNUSABLE as error:
-            unusable.append(f"the motion at {episode.path[0].t:g} s could not be written down: {error}")
+            unusable.append(
+                f"the motion at {episode.path[0].t:g} s could not be written down: {error}"
+            )
             continue
         if observed is not None:
             pushes.append(observed)
             begins.append(find_begin(episode, record))
         elif calc_rest_pose(episode.before, record) is None:
-            unusable.append(f"before the motion at {episode.path[0].t:g} s the object was not seen at rest")
-    return Recording(PushLog(tuple(pushes), source), tuple(begins), tuple(unusable), bool(state.path))
+            unusable.append(
+                f"before the motion at {episode.path[0].t:g} s the object was not seen at rest"
+            )
+    return Recording(
+        PushLog(tuple(pushes), source), tuple(begins), tuple(unusable), bool(state.path)
+    )
 
 
 def calc_velocities(t: Array, places: Array, window: float = VELOCITY_WINDOW) -> Array:
     """Finds velocities (K, d), m/s, by straight lines through the places within half a window (s) of each.
 
-    NaN where fewer than two places are known within it; rows of `places` (K, d), m, that are not finite are not known.
+    NaN where fewer than two places are known within it; rows of `places` (K, d), m, that are not
+    finite are not known.
     """
     known = np.asarray(np.isfinite(places).all(axis=1))
     weight = known.astype(float)
@@ -103,7 +124,10 @@ def calc_velocities(t: Array, places: Array, window: float = VELOCITY_WINDOW) ->
     p = (p - origin) * weight[:, None]
     half = window / 2
     first, last = np.searchsorted(t, t - half, "left"), np.searchsorted(t, t + half, "right")
-    first, last = np.minimum(first, np.maximum(np.arange(len(t)) - 1, 0)), np.maximum(last, np.arange(len(t)) + 1)
+    first, last = (
+        np.minimum(first, np.maximum(np.arange(len(t)) - 1, 0)),
+        np.maximum(last, np.arange(len(t)) + 1),
+    )
 
     def total(values: Array) -> Array:
         sums = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
@@ -114,7 +138,9 @@ def calc_velocities(t: Array, places: Array, window: float = VELOCITY_WINDOW) ->
     sp, stp = total(p), total(p * time[:, None])
     n = np.maximum(n, 1.0)
     spread = stt - st**2 / n
-    enough: NDArray[np.bool_] = np.greater(spread, np.finfo(float).eps * np.maximum(stt, 1.0) * len(t))
+    enough: NDArray[np.bool_] = np.greater(
+        spread, np.finfo(float).eps * np.maximum(stt, 1.0) * len(t)
+    )
     velocity: Array = (stp - st[:, None] * sp / n[:, None]) / np.where(enough, spread, 1.0)[:, None]
     velocity[~known | ~enough] = np.nan
     return velocity
@@ -133,7 +159,8 @@ MIN_OBSERVATIONS = 5  # of a push whose delay can be estimated
 LAST_SHARE = 0.2  # of a push's path, at its end, on which the object moves with the tip
 
 END_VARIANCE = 9.0
-"""Of a parabola's value at the end of its N points, in variances of one of them by N; that of the rest is small."""
+"""Of a parabola's value at the end of its N points, in variances of one of them by N; that of the
+rest is small."""
 
 MAD_TO_STD = 1.4826  # standard deviation by median absolute deviation, of normal errors
 
@@ -156,23 +183,32 @@ def estimate_delay(
 ) -> Delay | None:
     """Estimates how late the object's poses are in a stream, from its standing still when the tip stops.
 
-    Over the last part of a push the pose is q(t) = q_end + b d + c d^2, d = s(t - delay) - s_end, s the tip's path: the
-    delay, b and c that fit it best. Of all pushes the median counts: in some the tip slides off before it stops. As the
-    poses at rest are chosen by the delay, the pushes are written down once more with what was found.
+    Over the last part of a push the pose is q(t) = q_end + b d + c d^2, d = s(t - delay) - s_end, s
+    the tip's path: the delay, b and c that fit it best. Of all pushes the median counts: in some
+    the tip slides off before it stops. As the poses at rest are chosen by the delay, the pushes are
+    written down once more with what was found.
 
-    The arguments are those of `record_pushes`; delays are beyond `record.pose_delay`. None where poses are too few.
+    The arguments are those of `record_pushes`; delays are beyond `record.pose_delay`. None where
+    poses are too few.
     """
     record = replace(record or RecordOptions(), observations=DELAY_OBSERVATIONS)
     start, found, errors = record.pose_delay, list[float](), list[float]()
     for _ in range(DELAY_ROUNDS):
         log = record_pushes(samples, obj, radius, segmenter, record).log
-        fits = [fit for seen in log if (fit := _fit_delay(seen, obj.radius_of_gyration)) is not None]
+        fits = [
+            fit for seen in log if (fit := _fit_delay(seen, obj.radius_of_gyration)) is not None
+        ]
         if not fits:
             return None
-        found, errors = [value + record.pose_delay - start for value, _ in fits], [std for _, std in fits]
+        found, errors = (
+            [value + record.pose_delay - start for value, _ in fits],
+            [std for _, std in fits],
+        )
         record = replace(record, pose_delay=start + float(np.median(found)))
     median = float(np.median(found))
-    spread = max(MAD_TO_STD * float(np.median(np.abs(np.array(found) - median))), float(np.median(errors)))
+    spread = max(
+        MAD_TO_STD * float(np.median(np.abs(np.array(found) - median))), float(np.median(errors))
+    )
     return Delay(median, spread * math.sqrt(math.pi / 2 / len(found)), len(found))
 
 
@@ -192,7 +228,9 @@ def _fit_delay(seen: ObservedPush, rho: float) -> tuple[float, float] | None:
         factors = np.asarray(np.linalg.lstsq(basis, moved, rcond=None)[0], dtype=np.float64)
         return float(np.linalg.norm(moved - basis @ factors)), factors
 
-    best = minimize_scalar(lambda delay: fit(delay)[0], bounds=(-DELAY_RANGE, DELAY_RANGE), method="bounded").x
+    best = minimize_scalar(
+        lambda delay: fit(delay)[0], bounds=(-DELAY_RANGE, DELAY_RANGE), method="bounded"
+    ).x
     misfit, factors = fit(best)
     duration = seen.t_observed[late][-1] - seen.t_observed[late][0]
     speed = float(np.linalg.norm(factors[0])) * LAST_SHARE / duration
@@ -212,7 +250,10 @@ def write_stream_csv(samples: Sequence[Sample], path: Path | str, force: bool = 
     for sample in samples:
         row = [repr(float(sample.t))]
         for numbers in ((*sample.tip, *sample.velocity), sample.pose):
-            row += [repr(float(number)) if all(map(math.isfinite, numbers)) else "" for number in numbers]
+            row += [
+                repr(float(number)) if all(map(math.isfinite, numbers)) else ""
+                for number in numbers
+            ]
         writer.writerow(row)
     write_whole(path, buffer.getvalue(), force)
 
@@ -220,7 +261,8 @@ def write_stream_csv(samples: Sequence[Sample], path: Path | str, force: bool = 
 def read_stream_csv(path: Path | str) -> list[Sample]:
     """Reads a stream.
 
-    Raises PushLogError: the file cannot be read or breaks the form; the message names file, line, column and form.
+    Raises PushLogError: the file cannot be read or breaks the form; the message names file, line,
+    column and form.
     """
     path = Path(path)
     t, groups = list[float](), list[list[list[float]]]()
@@ -253,7 +295,9 @@ def _read_time(path: Path, line: int, cell: str, before: list[float]) -> float:
     return time
 
 
-def _read_group(path: Path, line: int, row: dict[str, str], columns: tuple[str, ...]) -> list[float]:
+def _read_group(
+    path: Path, line: int, row: dict[str, str], columns: tuple[str, ...]
+) -> list[float]:
     """The numbers of columns that are empty together; 0 for a column that the file does not have."""
     there = [name for name in columns if name in row]
     if not any(row[name].strip() for name in there):

@@ -16,7 +16,8 @@ PHOTOGRAPH_HEIGHT, TRACK_HEIGHT = 3.9, 2.2
 """Inches."""
 
 BAND = 2.0
-"""Standard deviations that the band about zero is wide, either way: 95 % of the errors belong into it."""
+"""Standard deviations that the band about zero is wide, either way: 95 % of the errors belong into
+it."""
 
 CLIP, SHOWN = 3.0, 95
 """What is drawn: so many times the percentile of the errors."""
@@ -27,9 +28,11 @@ class Sight:
     """What the camera saw in a run.
 
     Attributes:
-        picture: (height, width, 3) uint8, of the photograph what is near the object, with the outline found.
+        picture: (height, width, 3) uint8, of the photograph what is near the object, with the
+            outline found.
         t: (K,) times, s.
-        errors: (K, 3) poses tracked less the true ones, (x, y, theta), m and rad; NaN where the object was not seen.
+        errors: (K, 3) poses tracked less the true ones, (x, y, theta), m and rad; NaN where the
+            object was not seen.
         std: (K, 3) as the tracker says, m and rad.
     """
 

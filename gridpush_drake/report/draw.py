@@ -1,7 +1,7 @@
 """What all figures are drawn with: an object's cells and outline, pushes, tables, panels, legends, scale bars, files.
 
-Only matplotlib's objects are used (`make_grid` gives a Figure on an Agg canvas), never pyplot, so that nothing
-global changes and drawing works in any thread and without a display.
+Only matplotlib's objects are used (`make_grid` gives a Figure on an Agg canvas), never pyplot, so
+that nothing global changes and drawing works in any thread and without a display.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,8 @@ MM = 1e3
 """Millimeters in a meter."""
 
 INK, PALE, FAINT, TABLE = "#2b2f36", "#dfe5ec", "#a9b0b8", "#f3efe6"
-"""Outlines and text; cells without a value; where things began, and whatever stays in the background; a table's top."""
+"""Outlines and text; cells without a value; where things began, and whatever stays in the
+background; a table's top."""
 
 PART_COLORS = ("#7fa7c9", "#e3b778", "#8fbf9f", "#c99bb8", "#b3a6d9", "#a9a9a3")
 """Parts in order of their labels, over again after the last."""
@@ -47,7 +48,8 @@ FONT = 9
 """Size of text, points."""
 
 MARGIN, FRAME_SHARE, SCALE_DROP = 0.04, 0.03, 0.05
-"""In an object's larger side: room about it with axes and without, and how far below it the scale bar is."""
+"""In an object's larger side: room about it with axes and without, and how far below it the scale
+bar is."""
 
 BAR_SHARE, BAR_GAP = 0.04, 0.03
 """Width of a color bar and its distance, in widths of the axes."""
@@ -110,13 +112,17 @@ def draw_cells(
     Raises:
         ObjectError: `values` is not one number per cell.
     """
-    cells = PolyCollection(_squares(obj, pose), edgecolors="white", linewidths=CELL_LINE, alpha=alpha)
+    cells = PolyCollection(
+        _squares(obj, pose), edgecolors="white", linewidths=CELL_LINE, alpha=alpha
+    )
     if values is None:
         cells.set_facecolor(PALE)
     else:
         numbers = np.asarray(values, dtype=np.float64)
         if numbers.shape != (obj.n,):
-            raise ObjectError(f"{obj.name}: values of shape {numbers.shape}; expected ({obj.n},), one for each cell")
+            raise ObjectError(
+                f"{obj.name}: values of shape {numbers.shape}; expected ({obj.n},), one for each cell"
+            )
         cells.set_array(numbers)
         cells.set_cmap(colormaps[cmap])
         cells.set_clim(*(limits or (float(np.nanmin(numbers)), float(np.nanmax(numbers)))))
@@ -133,7 +139,10 @@ def draw_parts(ax: Axes, obj: GridObject) -> PolyCollection:
     labels, index, counts = np.unique(obj.labels, return_inverse=True, return_counts=True)
     colors = [PART_COLORS[i % len(PART_COLORS)] for i in range(len(labels))]
     cells = PolyCollection(
-        _squares(obj, np.zeros(3)), facecolors=[colors[i] for i in index], edgecolors="white", linewidths=CELL_LINE
+        _squares(obj, np.zeros(3)),
+        facecolors=[colors[i] for i in index],
+        edgecolors="white",
+        linewidths=CELL_LINE,
     )
     ax.add_collection(cells)
     draw_outline(ax, obj)
@@ -142,7 +151,9 @@ def draw_parts(ax: Axes, obj: GridObject) -> PolyCollection:
         Patch(facecolor=color, label=f"part {part}: {count} cell{'' if count == 1 else 's'}")
         for part, count, color in zip(labels, counts, colors, strict=True)
     ]
-    ax.legend(handles=handles, fontsize=FONT, frameon=False, loc="upper left", bbox_to_anchor=(1, 1))
+    ax.legend(
+        handles=handles, fontsize=FONT, frameon=False, loc="upper left", bbox_to_anchor=(1, 1)
+    )
     return cells
 
 
@@ -157,7 +168,10 @@ def draw_outline(
 ) -> PathPatch:
     """Draws the outline with its holes, world frame, m, at a pose (x, y, theta) X_WB, m and rad; gives the outline."""
     outline = orient(obj.outline)
-    rings = [transform(pose, np.array(ring.coords)[:, :2]) for ring in (outline.exterior, *outline.interiors)]
+    rings = [
+        transform(pose, np.array(ring.coords)[:, :2])
+        for ring in (outline.exterior, *outline.interiors)
+    ]
     path = Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))
     patch = PathPatch(
         path, facecolor="none", edgecolor=color, linewidth=OUTLINE_LINE, linestyle=linestyle, alpha=alpha,
@@ -198,7 +212,9 @@ def _frame(ax: Axes) -> None:
 
 def draw_table(ax: Axes, corners: ArrayLike) -> None:
     """Draws a table's top by its corners (k, 2), m."""
-    ax.add_patch(Polygon(np.asarray(corners), facecolor=TABLE, edgecolor=FAINT, linewidth=1.0, zorder=0))
+    ax.add_patch(
+        Polygon(np.asarray(corners), facecolor=TABLE, edgecolor=FAINT, linewidth=1.0, zorder=0)
+    )
 
 
 def draw_arrow(ax: Axes, start: ArrayLike, end: ArrayLike, color: str) -> None:
@@ -280,7 +296,14 @@ def add_scale_bar(ax: Axes, obj: GridObject) -> None:
     below = y0 - obj.cell_size / 2 - SCALE_DROP * max(x1 - x0, y1 - y0)
     ax.plot([x0, x0 + length], [below, below], color=INK, linewidth=2, solid_capstyle="butt")
     words = f" {length * 100:g} cm" if length >= CENTIMETER else f" {length * MM:g} mm"
-    ax.annotate(words, (x0 + length, below), va="center", fontsize=FONT - 1, color=INK, annotation_clip=False)
+    ax.annotate(
+        words,
+        (x0 + length, below),
+        va="center",
+        fontsize=FONT - 1,
+        color=INK,
+        annotation_clip=False,
+    )
 
 
 def calc_round_length(longest: float) -> float:

@@ -66,7 +66,8 @@ MAX_OVERLAY_HEIGHT = 3.2
 """Of each of them, inches."""
 
 MAX_DUMBBELLS, LINE_HEIGHT = 32, 0.22
-"""Pushes compared line by line (above this, as a scatter of points), and the height of each, inches."""
+"""Pushes compared line by line (above this, as a scatter of points), and the height of each,
+inches."""
 
 
 def draw_object_parts(obj: GridObject) -> Figure:
@@ -88,8 +89,14 @@ def draw_pushes(result: Identification, log: PushLog, held_out: PushLog | None =
     ax = axes[0, 0]
     draw_cells(ax, obj)
     names = {*result.unused_pushes, *(outlier.push for outlier in result.outliers if outlier.whole)}
-    used, left_out = ([seen for seen in log if (seen.name in names) == out] for out in (False, True))
-    kinds = ((used, LEARNED, "learned from"), (left_out, FAINT, "left out"), (held_out or (), BEFORE, "held out"))
+    used, left_out = (
+        [seen for seen in log if (seen.name in names) == out] for out in (False, True)
+    )
+    kinds = (
+        (used, LEARNED, "learned from"),
+        (left_out, FAINT, "left out"),
+        (held_out or (), BEFORE, "held out"),
+    )
     for pushes, color, label in kinds:
         for i, seen in enumerate(pushes):
             _draw_arrow(ax, transform_back(seen.pose, seen.push.xy), color, None if i else label)
@@ -109,7 +116,9 @@ def draw_loss(history: Sequence[HistoryEntry], before: float | None = None) -> F
     ax.step(simulations, loss, where="post", color=LEARNED, linewidth=1.6, label="best so far")
     ax.plot(simulations, loss, ".", color=LEARNED, markersize=4)
     if before is not None and np.isfinite(before):
-        ax.axhline(before * MM, color=BEFORE, linewidth=1.2, linestyle="dashed", label="uniform friction")
+        ax.axhline(
+            before * MM, color=BEFORE, linewidth=1.2, linestyle="dashed", label="uniform friction"
+        )
     ax.set_ylim(bottom=0)
     tidy(ax, "simulated pushes", "mean cell error, mm")
     ax.legend(fontsize=FONT, frameon=False)
@@ -119,14 +128,27 @@ def draw_loss(history: Sequence[HistoryEntry], before: float | None = None) -> F
 def draw_learning(errors: Sequence[float], noise_floor: float | None = None) -> Figure:
     """Draws how the error of held-out predictions falls with the pushes learned from.
 
-    `errors` are their mean cell errors, m, before the first push and after each; `noise_floor` is the error that the
-    true parameters leave, where it is known.
+    `errors` are their mean cell errors, m, before the first push and after each; `noise_floor` is
+    the error that the true parameters leave, where it is known.
     """
     figure, ax = make_chart(6.5, 2.9)
-    ax.plot(np.arange(len(errors)), np.array(errors) * MM, "o-", color=LEARNED, markersize=5, linewidth=1.6)
+    ax.plot(
+        np.arange(len(errors)),
+        np.array(errors) * MM,
+        "o-",
+        color=LEARNED,
+        markersize=5,
+        linewidth=1.6,
+    )
     ax.axhline(errors[0] * MM, color=BEFORE, linewidth=1.2, linestyle="dashed", label="even object")
     if noise_floor is not None:
-        ax.axhline(noise_floor * MM, color=FAINT, linewidth=1.2, linestyle="dashed", label="true masses and frictions")
+        ax.axhline(
+            noise_floor * MM,
+            color=FAINT,
+            linewidth=1.2,
+            linestyle="dashed",
+            label="true masses and frictions",
+        )
     ax.set_xticks(np.arange(len(errors)))
     ax.set_ylim(bottom=0)
     tidy(ax, "pushes learned from", "mean cell error, mm")
@@ -154,8 +176,9 @@ def _draw_arrow(ax: Axes, path: Array, color: str, label: str | None) -> None:
 def draw_learned_maps(result: Identification, truth: CellParameters | None = None) -> Figure:
     """Draws the load and the mass that would go with it beside their standard deviations, and the truth if known.
 
-    The load is a cell's share of the support's friction in units of the even share, so 1 everywhere where it is even.
-    What was learned is drawn full, what is the prior's faint; a row for the load and one for mass.
+    The load is a cell's share of the support's friction in units of the even share, so 1 everywhere
+    where it is even. What was learned is drawn full, what is the prior's faint; a row for the load
+    and one for mass.
     """
     obj, known = result.obj, result.identifiability
     friction = known.relative_friction * obj.n
@@ -177,7 +200,15 @@ def draw_learned_maps(result: Identification, truth: CellParameters | None = Non
         if true is not None:
             _draw_map(columns.pop(0), obj, true, f"{name}: truth", unit, limits)
         _draw_map(columns[0], obj, estimate, f"{name}: learned", unit, limits, alpha=shown)
-        _draw_map(columns[1], obj, spread, "standard deviation", unit, _limits(spread, zero=True), SPREAD_MAP)
+        _draw_map(
+            columns[1],
+            obj,
+            spread,
+            "standard deviation",
+            unit,
+            _limits(spread, zero=True),
+            SPREAD_MAP,
+        )
     add_scale_bar(axes[-1, 0], obj)
     return figure
 
@@ -186,7 +217,15 @@ def draw_unknown_maps(result: Identification) -> Figure:
     """Draws how much of each cell the pushes told, and the smallest and greatest mass it may have."""
     obj, known = result.obj, result.identifiability
     figure, axes = make_panels(obj, 1, 3)
-    _draw_map(axes[0, 0], obj, known.learned_share * 100, "learned from the pushes", "%", (0, 100), SHARE_MAP)
+    _draw_map(
+        axes[0, 0],
+        obj,
+        known.learned_share * 100,
+        "learned from the pushes",
+        "%",
+        (0, 100),
+        SHARE_MAP,
+    )
     greatest = np.where(np.isfinite(known.mass_max), known.mass_max, np.nan) * GRAM
     limits = _limits(known.mass_min * GRAM, greatest)
     _draw_map(axes[0, 1], obj, known.mass_min * GRAM, "smallest possible mass", "g a cell", limits)
@@ -194,7 +233,9 @@ def draw_unknown_maps(result: Identification) -> Figure:
     low, high = known.center_of_mass_box
     for ax in axes[0, 1:] if np.isfinite(known.center_of_mass_box).all() else ():
         for color, width in (("white", 3.0), (LEARNED, 1.5)):
-            ax.add_patch(Rectangle(low, *(high - low), fill=False, edgecolor=color, linewidth=width))
+            ax.add_patch(
+                Rectangle(low, *(high - low), fill=False, edgecolor=color, linewidth=width)
+            )
     add_scale_bar(axes[0, 0], obj)
     return figure
 
@@ -250,17 +291,33 @@ def draw_overlays(obj: GridObject, outcomes: Sequence[Outcome]) -> Figure:
     chosen = outcomes[:MAX_OVERLAYS]
     columns = min(OVERLAY_COLUMNS, max(len(chosen), 1))
     rows = max(1, -(-len(chosen) // columns))
-    figure, axes = make_grid(rows, columns, PAGE_WIDTH, min(PAGE_WIDTH / columns, MAX_OVERLAY_HEIGHT) + 0.2)
+    figure, axes = make_grid(
+        rows, columns, PAGE_WIDTH, min(PAGE_WIDTH / columns, MAX_OVERLAY_HEIGHT) + 0.2
+    )
     for ax in axes.flat[len(chosen) :]:
         ax.set_axis_off()
     for ax, outcome in zip(axes.flat, chosen, strict=False):
         _draw_overlay(ax, obj, outcome)
-    drawn = {"before the push": FAINT, "observed": INK, "uniform friction": BEFORE, "learned": LEARNED}
+    drawn = {
+        "before the push": FAINT,
+        "observed": INK,
+        "uniform friction": BEFORE,
+        "learned": LEARNED,
+    }
     handles = [
-        Line2D([], [], color=color, linestyle="dashed" if color == FAINT else "solid", linewidth=1.6, label=label)
+        Line2D(
+            [],
+            [],
+            color=color,
+            linestyle="dashed" if color == FAINT else "solid",
+            linewidth=1.6,
+            label=label,
+        )
         for label, color in drawn.items()
     ]
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=FONT)
+    figure.legend(
+        handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=FONT
+    )
     return figure
 
 
@@ -274,7 +331,10 @@ def _draw_overlay(ax: Axes, obj: GridObject, outcome: Outcome) -> None:
     ax.plot(*seen.push.xy[-1], marker="o", markersize=4, color=FAINT)
     ax.autoscale_view()
     kind = ", held out" if outcome.held_out else ""
-    hide_axes(ax, f"{seen.name}{kind}\n{outcome.error_before * MM:.1f} → {outcome.error_after * MM:.1f} mm")
+    hide_axes(
+        ax,
+        f"{seen.name}{kind}\n{outcome.error_before * MM:.1f} → {outcome.error_after * MM:.1f} mm",
+    )
 
 
 def draw_errors(outcomes: Sequence[Outcome]) -> Figure:
@@ -284,12 +344,16 @@ def draw_errors(outcomes: Sequence[Outcome]) -> Figure:
 
 def _draw_dumbbells(outcomes: Sequence[Outcome]) -> Figure:
     figure, ax = make_chart(6.5, LINE_HEIGHT * len(outcomes) + 0.9)
-    before, after = MM * np.array([(outcome.error_before, outcome.error_after) for outcome in outcomes]).T
+    before, after = (
+        MM * np.array([(outcome.error_before, outcome.error_after) for outcome in outcomes]).T
+    )
     places = np.arange(len(outcomes))[::-1]
     ax.hlines(places, before, after, color=FAINT, linewidth=1.2)
     ax.plot(before, places, "o", color=BEFORE, markersize=5, label="uniform friction")
     ax.plot(after, places, "o", color=LEARNED, markersize=5, label="learned")
-    names = [f"{outcome.seen.name}{' (held out)' if outcome.held_out else ''}" for outcome in outcomes]
+    names = [
+        f"{outcome.seen.name}{' (held out)' if outcome.held_out else ''}" for outcome in outcomes
+    ]
     ax.set_yticks(places, names)
     ax.set_xlim(left=0)
     ax.set_ylim(-0.7, len(outcomes) - 0.3)
@@ -300,11 +364,18 @@ def _draw_dumbbells(outcomes: Sequence[Outcome]) -> Figure:
 
 def _draw_scatter(outcomes: Sequence[Outcome]) -> Figure:
     figure, ax = make_chart(5.0, 4.6)
-    before, after = MM * np.array([(outcome.error_before, outcome.error_after) for outcome in outcomes]).T
+    before, after = (
+        MM * np.array([(outcome.error_before, outcome.error_after) for outcome in outcomes]).T
+    )
     held_out = np.array([outcome.held_out for outcome in outcomes])
-    for which, color, label in ((~held_out, LEARNED, "learned from"), (held_out, BEFORE, "held out")):
+    for which, color, label in (
+        (~held_out, LEARNED, "learned from"),
+        (held_out, BEFORE, "held out"),
+    ):
         if which.any():
-            ax.plot(before[which], after[which], "o", color=color, markersize=4, alpha=0.7, label=label)
+            ax.plot(
+                before[which], after[which], "o", color=color, markersize=4, alpha=0.7, label=label
+            )
     top = 1.05 * float(max(before.max(), after.max()))
     ax.plot([0, top], [0, top], color=FAINT, linestyle="dashed", linewidth=1)
     ax.set_xlim(0, top)

@@ -67,7 +67,11 @@ def list_numbers(result: Identification, truth: CellParameters | None = None) ->
             _point(params.center_of_mass(obj)),
             told(lambda true: _point(true.center_of_mass(obj))),
         ),
-        ("center of mass, possible", f"x {_range(low[0], high[0])}, y {_range(low[1], high[1])}", ""),
+        (
+            "center of mass, possible",
+            f"x {_range(low[0], high[0])}, y {_range(low[1], high[1])}",
+            "",
+        ),
         (
             "contact friction",
             f"{params.contact_friction:.2f} ± {result.std.contact_friction:.2f}",
@@ -83,20 +87,33 @@ def list_numbers(result: Identification, truth: CellParameters | None = None) ->
     if result.force is not None:
         friction, std = result.force.friction, result.force.friction * result.force.relative_std
         true_friction = told(lambda true: f"{GRAVITY * float(true.mass @ true.friction):.2f} N")
-        rows.append(("friction with the table, of the measured forces", f"{friction:.2f} ± {std:.2f} N", true_friction))
+        rows.append(
+            (
+                "friction with the table, of the measured forces",
+                f"{friction:.2f} ± {std:.2f} N",
+                true_friction,
+            )
+        )
     return rows
 
 
 def _describe_mass_source(result: Identification) -> str:
     if result.obj.prior.total_mass:
         return ""
-    return ", assumed" if result.force is None else ", of the measured forces and the friction that was supposed"
+    return (
+        ", assumed"
+        if result.force is None
+        else ", of the measured forces and the friction that was supposed"
+    )
 
 
 def describe_making(result: Identification, log: PushLog, version: str) -> list[tuple[str, str]]:
     """How the model was made."""
     return [
-        ("object", f"{result.obj.name}, {result.obj.n} cells of {result.obj.cell_size * MM:.1f} mm"),
+        (
+            "object",
+            f"{result.obj.name}, {result.obj.n} cells of {result.obj.cell_size * MM:.1f} mm",
+        ),
         ("pushes", log.source or "given in memory"),
         ("method", result.method),
         ("physics", result.regime.replace("_", "-")),
@@ -124,7 +141,9 @@ def _point(point: np.ndarray, spread: np.ndarray | None = None) -> str:
 
 
 def _range(low: float, high: float) -> str:
-    return f"{low * MM:.0f} to {high * MM:.0f} mm" if np.isfinite([low, high]).all() else "not bounded"
+    return (
+        f"{low * MM:.0f} to {high * MM:.0f} mm" if np.isfinite([low, high]).all() else "not bounded"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,8 +208,8 @@ def make_report(
         log: the pushes it was learned from.
         held_out: pushes it never saw, with their final poses.
         truth: what the object's cells really are, where that is known.
-        learning: mean cell error of the held-out pushes, m, before the first push and after each; None where nobody
-            followed it.
+        learning: mean cell error of the held-out pushes, m, before the first push and after each;
+            None where nobody followed it.
         summary: what a robot did with the object; None where it only looked.
         sight: what its camera saw; None where it was told the object and its poses.
 
@@ -199,7 +218,9 @@ def make_report(
     """
     obj = identification.obj
     used = remove_outliers(log, identification.outliers)
-    used = used.subset([i for i, seen in enumerate(used) if seen.name not in identification.unused_pushes])
+    used = used.subset(
+        [i for i, seen in enumerate(used) if seen.name not in identification.unused_pushes]
+    )
     training = _compare(identification, used, held_out=False)
     fresh = _compare(identification, held_out, held_out=True) if held_out else None
     compared = [training, *([fresh] if fresh else [])]
@@ -207,7 +228,9 @@ def make_report(
     outcomes = [outcome for comparison in reversed(compared) for outcome in comparison.outcomes]
     known = truth is not None and held_out is not None and learning
     floor = calc_mean_cell_error(obj, truth, held_out, identification.regime) if known else None  # type: ignore[arg-type]
-    text = files("gridpush_drake.report").joinpath("templates", TEMPLATE).read_text(encoding="utf-8")
+    text = (
+        files("gridpush_drake.report").joinpath("templates", TEMPLATE).read_text(encoding="utf-8")
+    )
     return Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True).from_string(
         text
     ).render(
@@ -262,9 +285,18 @@ def _draw_figures(
 def _compare(result: Identification, log: PushLog, held_out: bool) -> _Comparison:
     run = partial(predict, result.obj, log=log, regime=result.regime)
     before, after = run(params=CellParameters.uniform(result.obj)), run(params=result.params)
-    errors = zip(*(calc_final_errors(result.obj, poses, log) for poses in (before, after)), strict=True)
+    errors = zip(
+        *(calc_final_errors(result.obj, poses, log) for poses in (before, after)), strict=True
+    )
     outcomes = [
-        Outcome(seen, first.at_observations[-1], second.at_observations[-1], one.cell, other.cell, held_out)
+        Outcome(
+            seen,
+            first.at_observations[-1],
+            second.at_observations[-1],
+            one.cell,
+            other.cell,
+            held_out,
+        )
         for seen, first, second, (one, other) in zip(log, before, after, errors, strict=True)
         if one is not None and other is not None
     ]
@@ -285,10 +317,12 @@ def _make_headline(result: Identification, judged: _Comparison) -> str:
             f"{after * MM:.1f} mm on average."
         )
     count = len(result.push_names)
-    spent = "The search ended early, at its budget. " if result.status == IdentificationStatus.BUDGET_SPENT else ""
-    learned = (
-        f"{spent}After {count} push{'es' if count != 1 else ''}, the model predicts where {which} leave the {name}"
+    spent = (
+        "The search ended early, at its budget. "
+        if result.status == IdentificationStatus.BUDGET_SPENT
+        else ""
     )
+    learned = f"{spent}After {count} push{'es' if count != 1 else ''}, the model predicts where {which} leave the {name}"
     if after > (1 - SIMILAR) * before:
         return (
             f"{learned} to {after * MM:.1f} mm on average, about as well as assuming an even object "
@@ -306,7 +340,10 @@ def _list_facts(
     if held_out:
         facts.append(("pushes held out", str(len(held_out))))
     if np.isfinite(after):
-        facts += [("error, even object", f"{before * MM:.1f} mm"), ("error, learned", f"{after * MM:.1f} mm")]
+        facts += [
+            ("error, even object", f"{before * MM:.1f} mm"),
+            ("error, learned", f"{after * MM:.1f} mm"),
+        ]
     return facts
 
 

@@ -57,12 +57,19 @@ JAW_LENGTH, JAW_WIDTH = 0.08, 0.02
 
 
 def draw_plan(
-    obj: GridObject, plan: PushPlan, surface: SupportSurface | None = None, obstacles: Sequence[Shape] = ()
+    obj: GridObject,
+    plan: PushPlan,
+    surface: SupportSurface | None = None,
+    obstacles: Sequence[Shape] = (),
 ) -> Figure:
     """Draws a plan's pushes; without any, start and goal alone. The table is without end where it is None."""
     poses, pushes = plan.poses, [planned.push for planned in plan.pushes]
     shapes = [np.array(obstacle.exterior.coords)[:, :2] for obstacle in obstacles]
-    points = [obj.cells_at(np.array([*poses, plan.goal])).reshape(-1, 2), *(push.xy for push in pushes), *shapes]
+    points = [
+        obj.cells_at(np.array([*poses, plan.goal])).reshape(-1, 2),
+        *(push.xy for push in pushes),
+        *shapes,
+    ]
     if surface is not None:
         points.append(surface.corners)
     width, height = np.ptp(np.concatenate(points), axis=0) + 2 * ROOM
@@ -73,7 +80,9 @@ def draw_plan(
     frame_points(ax, points, ROOM)
     count = f"{len(pushes)} push{'' if len(pushes) == 1 else 'es'}"
     words = plan.status.replace("_", " ")
-    ax.set_title(f"{obj.name}: {words}, {count}, {plan.error * MM:.1f} mm left", fontsize=FONT, color=INK)
+    ax.set_title(
+        f"{obj.name}: {words}, {count}, {plan.error * MM:.1f} mm left", fontsize=FONT, color=INK
+    )
     return figure
 
 
@@ -91,21 +100,30 @@ def draw_push_run(
 
     Args:
         obj: the object.
-        poses: (3,) where it was seen at rest, X_WB, m and rad: before the first push, and after each.
+        poses: (3,) where it was seen at rest, X_WB, m and rad: before the first push, and after
+            each.
         pushes: as they were made; as many as poses, less one.
         goal: (3,) where it should lie.
         surface: the table; None for one without end.
-        expected: of each push, the mean cell error to the goal that was expected after it, m; empty for unknown.
+        expected: of each push, the mean cell error to the goal that was expected after it, m; empty
+            for unknown.
         tolerance: mean cell error at which the goal counts as reached, m; None is not drawn.
 
     Returns:
         The figure.
     """
     figure, axes = make_grid(1, 2, PAGE_WIDTH, PANEL_HEIGHT)
-    rest, aim = np.array([np.asarray(pose, dtype=np.float64) for pose in poses]), np.asarray(goal, dtype=np.float64)
+    rest, aim = (
+        np.array([np.asarray(pose, dtype=np.float64) for pose in poses]),
+        np.asarray(goal, dtype=np.float64),
+    )
     ax = axes[0, 0]
     _draw_pushes(ax, obj, rest, pushes, aim, surface, "at the end")
-    frame_points(ax, [obj.cells_at(np.vstack([rest, aim])).reshape(-1, 2), *(push.xy for push in pushes)], ROOM)
+    frame_points(
+        ax,
+        [obj.cells_at(np.vstack([rest, aim])).reshape(-1, 2), *(push.xy for push in pushes)],
+        ROOM,
+    )
     ax.set_title("The path to the goal", fontsize=FONT, color=INK)
     _draw_errors(axes[0, 1], np.atleast_1d(calc_goal_error(obj, rest, aim)), expected, tolerance)
     return figure
@@ -137,7 +155,9 @@ def _draw_pushes(
     add_legend_below(ax, handles, 3)
 
 
-def _draw_outlines(ax: Axes, obj: GridObject, poses: Sequence[Array] | Array, surface: SupportSurface | None) -> None:
+def _draw_outlines(
+    ax: Axes, obj: GridObject, poses: Sequence[Array] | Array, surface: SupportSurface | None
+) -> None:
     """The table, and the object's outline at all its poses but the last: the first one dashed, the others faint."""
     if surface is not None:
         draw_table(ax, surface.corners)
@@ -150,18 +170,27 @@ def _draw_push(ax: Axes, push: Push, count: int) -> None:
     """An arrow along the push, the finger where it began, and the push's number in it."""
     begin, end = push.xy[0], push.xy[-1]
     draw_arrow(ax, begin, end, LEARNED)
-    ax.add_patch(Circle((begin[0], begin[1]), push.radius, facecolor="white", edgecolor=LEARNED, zorder=6))
+    ax.add_patch(
+        Circle((begin[0], begin[1]), push.radius, facecolor="white", edgecolor=LEARNED, zorder=6)
+    )
     ax.text(
         float(begin[0]), float(begin[1]), str(count), color=LEARNED, fontsize=FONT - 2, ha="center",
         va="center_baseline", fontweight="bold", zorder=7,
     )  # fmt: skip
 
 
-def _draw_errors(ax: Axes, errors: Array, expected: Sequence[float], tolerance: float | None) -> None:
+def _draw_errors(
+    ax: Axes, errors: Array, expected: Sequence[float], tolerance: float | None
+) -> None:
     ax.plot(np.arange(len(errors)), MM * errors, color=LEARNED, marker="o", zorder=3)
     handles = [Line2D([], [], color=LEARNED, marker="o", label="seen")]
     if len(expected):
-        marks: dict[str, Any] = {"color": BEFORE, "marker": "D", "markerfacecolor": "white", "linestyle": "none"}
+        marks: dict[str, Any] = {
+            "color": BEFORE,
+            "marker": "D",
+            "markerfacecolor": "white",
+            "linestyle": "none",
+        }
         ax.plot(np.arange(1, len(expected) + 1), MM * np.asarray(expected), zorder=4, **marks)
         handles.append(Line2D([], [], label="expected", **marks))
     if tolerance is not None:
@@ -192,12 +221,16 @@ def draw_slide(planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGras
         draw_tips(ax, plan.poke, BEFORE)
     frame_points(ax, [planner.surface.corners], CLOSE_UP)
     count = len(plan.pushes)
-    ax.set_title(f"{plan.status}: {count} push{'' if count == 1 else 'es'}", fontsize=FONT, color=INK)
+    ax.set_title(
+        f"{plan.status}: {count} push{'' if count == 1 else 'es'}", fontsize=FONT, color=INK
+    )
     _draw_goal(axes[0, 1], planner, masses, plan)
     return figure
 
 
-def _draw_goal(ax: Axes, planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGraspPlan) -> None:
+def _draw_goal(
+    ax: Axes, planner: PreGraspPlanner, masses: PlausibleMassSet, plan: PreGraspPlan
+) -> None:
     goal = plan.goal
     if goal is None:
         ax.set_axis_off()
@@ -212,7 +245,9 @@ def _draw_goal(ax: Axes, planner: PreGraspPlanner, masses: PlausibleMassSet, pla
         (goal.part.footprint, GRASP, "gripper"),
     )
     handles = _draw_areas(ax, goal.pose, areas)
-    frame_points(ax, [transform(goal.pose, np.asarray(planner.obj.outline.exterior.coords)[:, :2])], CLOSE_UP)
+    frame_points(
+        ax, [transform(goal.pose, np.asarray(planner.obj.outline.exterior.coords)[:, :2])], CLOSE_UP
+    )
     ax.legend(handles=handles, fontsize=FONT - 1, frameon=False, loc="upper left")
     flat = isinstance(goal.part, FlatPart)
     how = "taken by the rim" if flat else f"{goal.part.width * MM:.0f} mm between the jaws"
@@ -264,7 +299,11 @@ def draw_pre_grasp(
     draw_cells(ax, obj, pose=poses[-1])
     for push in pushes:
         draw_arrow(ax, push.start, push.end, BEFORE if push.poke else LEARNED)
-    frame_points(ax, [*(obj.cells_at(pose) for pose in poses), *(np.array([p.start, p.end]) for p in pushes)], CLOSE_UP)
+    frame_points(
+        ax,
+        [*(obj.cells_at(pose) for pose in poses), *(np.array([p.start, p.end]) for p in pushes)],
+        CLOSE_UP,
+    )
     handles = [
         Line2D([], [], color=INK, linestyle="dashed", label="start"),
         Line2D([], [], color=BEFORE, marker=">", label="pokes"),
@@ -290,12 +329,24 @@ def _draw_end(
     hull = calc_support_polygon(obj, pose, surface, SUPPORT_INSET)
     possible = masses.center_of_mass_polygon
     handles = _draw_areas(
-        ax, pose, ((hull, HOLDS, "what holds it"), (possible, BEFORE, "where its center of mass may be"))
+        ax,
+        pose,
+        ((hull, HOLDS, "what holds it"), (possible, BEFORE, "where its center of mass may be")),
     )
     if truth is not None:
         (at,) = transform(pose, truth.center_of_mass(obj)[None])
-        ax.plot(*at, marker="x", color=INK, markersize=7, markeredgewidth=1.8, linestyle="none", zorder=6)
-        handles.append(Line2D([], [], color=INK, marker="x", linestyle="none", label="where it truly is"))
+        ax.plot(
+            *at,
+            marker="x",
+            color=INK,
+            markersize=7,
+            markeredgewidth=1.8,
+            linestyle="none",
+            zorder=6,
+        )
+        handles.append(
+            Line2D([], [], color=INK, marker="x", linestyle="none", label="where it truly is")
+        )
     points = [obj.cells_at(pose)]
     if grasp is not None:
         jaw = _make_jaw(grasp)
@@ -305,14 +356,21 @@ def _draw_end(
         points.append(jaw)
     frame_points(ax, points, CLOSE_UP)
     add_legend_below(ax, handles, 2)
-    ax.set_title("Where it was grasped" if grasp is not None else "Where it lay at the end", fontsize=FONT, color=INK)
+    ax.set_title(
+        "Where it was grasped" if grasp is not None else "Where it lay at the end",
+        fontsize=FONT,
+        color=INK,
+    )
 
 
 def _make_jaw(grasp: GraspDrawn) -> Array:
     """(4, 2) corners of the fingers seen from above, their tips a little beyond the grasp point."""
     along = make_direction(grasp.approach)
     across = np.array([-along[1], along[0]]) * JAW_WIDTH / 2
-    tip, root = grasp.point + JAW_WIDTH * 0.75 * along, grasp.point - (JAW_LENGTH - JAW_WIDTH) * along
+    tip, root = (
+        grasp.point + JAW_WIDTH * 0.75 * along,
+        grasp.point - (JAW_LENGTH - JAW_WIDTH) * along,
+    )
     return np.array([tip + across, tip - across, root - across, root + across])
 
 
@@ -321,6 +379,10 @@ def _draw_areas(ax: Axes, pose: Array, areas: Sequence[tuple[Array, str, str]]) 
     handles = []
     for p_BP, color, label in areas:
         if len(p_BP):
-            ax.add_patch(Polygon(transform(pose, p_BP), facecolor=f"{color}33", edgecolor=color, linewidth=1.4))
+            ax.add_patch(
+                Polygon(
+                    transform(pose, p_BP), facecolor=f"{color}33", edgecolor=color, linewidth=1.4
+                )
+            )
             handles.append(Line2D([], [], color=color, label=label))
     return handles

@@ -1,18 +1,21 @@
 """How the arm comes to a posture, whether it can follow a path, and what moves it along one.
 
-Posture: of all in which the finger's tip is somewhere, the one that is nearest to the nominal posture. With q the joint
-angles, J(q) the tip's Jacobian (rotation above translation) and e the pose's error, one step of
+Posture: of all in which the finger's tip is somewhere, the one that is nearest to the nominal
+posture. With q the joint angles, J(q) the tip's Jacobian (rotation above translation) and e the
+pose's error, one step of
 
     dq = J+ e + (I - J+ J)(q_nominal - q) = J+ (e - J (q_nominal - q)) + q_nominal - q
 
-moves the tip where it should be and, in the null space, as near to q_nominal as possible. Drake's differential inverse
-kinematics with joint centering, which moves the arm by way of its driver, has the same fixed point: what is found here
-is what the moving arm does. The tool points down; its turn about the vertical (yaw) is zero at `R_WP_DOWN`. An arm of
-fewer than six joints, such as a gantry, need not be able to turn its tool, only to keep it pointing down.
+moves the tip where it should be and, in the null space, as near to q_nominal as possible. Drake's
+differential inverse kinematics with joint centering, which moves the arm by way of its driver, has
+the same fixed point: what is found here is what the moving arm does. The tool points down; its turn
+about the vertical (yaw) is zero at `R_WP_DOWN`. An arm of fewer than six joints, such as a gantry,
+need not be able to turn its tool, only to keep it pointing down.
 
-Path: followed in steps before the arm goes. Measured on 30 pushes' paths, of which 19 can be followed: this search
-takes 8 ms a path; Drake's differential inverse kinematics in its place 11 ms, and takes joints at their limits for
-arrived (7 paths of 10 instead of 6); Drake's `InverseKinematics` by SNOPT 510 ms, and misses a quarter of the postures.
+Path: followed in steps before the arm goes. Measured on 30 pushes' paths, of which 19 can be
+followed: this search takes 8 ms a path; Drake's differential inverse kinematics in its place 11 ms,
+and takes joints at their limits for arrived (7 paths of 10 instead of 6); Drake's
+`InverseKinematics` by SNOPT 510 ms, and misses a quarter of the postures.
 """
 
 from functools import lru_cache
@@ -28,7 +31,13 @@ from pydrake.multibody.inverse_kinematics import (
     DifferentialInverseKinematicsParameters,
 )
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Frame, JacobianWrtVariable, ModelInstanceIndex, PdControllerGains, PrismaticJoint
+from pydrake.multibody.tree import (
+    Frame,
+    JacobianWrtVariable,
+    ModelInstanceIndex,
+    PdControllerGains,
+    PrismaticJoint,
+)
 from pydrake.systems.controllers import InverseDynamics
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
 from pydrake.systems.primitives import (
@@ -73,18 +82,31 @@ class ArmPosture:
         """Takes the plant that `MakeControlPlant` makes of a robot."""
         self._plant = control_plant
         self._context = control_plant.CreateDefaultContext()
-        self._lock = RLock()  # of the Context: planning may go on beside the Diagram (`systems.worker`)
-        self._tip, self._world = control_plant.GetFrameByName(robot.finger.tip_frame), control_plant.world_frame()
-        self.lower, self.upper = control_plant.GetPositionLowerLimits(), control_plant.GetPositionUpperLimits()
+        self._lock = (
+            RLock()
+        )  # of the Context: planning may go on beside the Diagram (`systems.worker`)
+        self._tip, self._world = (
+            control_plant.GetFrameByName(robot.finger.tip_frame),
+            control_plant.world_frame(),
+        )
+        self.lower, self.upper = (
+            control_plant.GetPositionLowerLimits(),
+            control_plant.GetPositionUpperLimits(),
+        )
         self.speed = control_plant.GetVelocityUpperLimits()
         joints = (control_plant.get_joint(index) for index in control_plant.GetJointIndices())
-        self._slides = {joint.position_start() for joint in joints if joint.type_name() == PrismaticJoint.kTypeName}
+        self._slides = {
+            joint.position_start()
+            for joint in joints
+            if joint.type_name() == PrismaticJoint.kTypeName
+        }
 
     def describe_speed(self, k: int, speed: float) -> str:
         """Says that joint k, counted from 0, would have to move at a speed, rad/s or m/s."""
         slides = k in self._slides
-        return f"joint {k + 1} of the arm would have to {'slide' if slides else 'turn'} at {speed:.2f} " + (
-            "m/s" if slides else "rad/s"
+        return (
+            f"joint {k + 1} of the arm would have to {'slide' if slides else 'turn'} at {speed:.2f} "
+            + ("m/s" if slides else "rad/s")
         )
 
     def calc_tip_pose(self, q: Array) -> RigidTransform:
@@ -176,7 +198,8 @@ STEP = 0.02
 """m along the path, between the postures searched."""
 
 STEPS_PER_POSTURE = 8
-"""Newton's, at most, from one posture to the next; three or four are enough where the arm is not stretched."""
+"""Newton's, at most, from one posture to the next; three or four are enough where the arm is not
+stretched."""
 
 ARRIVED = 1e-5
 """m and rad, of a posture that is reached."""
@@ -191,8 +214,8 @@ REGION_STEP = 0.025
 class ArmReach:
     """Leads the arm along a path in steps and says what stops it.
 
-    It is what a `PushExecutor` and a `GraspExecutor` take as `reach`. The postures are those of `ArmPosture`, to which
-    the moving arm is drawn.
+    It is what a `PushExecutor` and a `GraspExecutor` take as `reach`. The postures are those of
+    `ArmPosture`, to which the moving arm is drawn.
     """
 
     def __init__(
@@ -214,27 +237,36 @@ class ArmReach:
         self._p_WN = self._posture.calc_tip_pose(self._nominal).translation()
         self._lower, self._upper = self._posture.lower + margin, self._posture.upper - margin
         self._speed = share * self._posture.speed
-        self._lead = lru_cache(LEADS)(self._find_postures)  # a path is asked about at several speeds
+        self._lead = lru_cache(LEADS)(
+            self._find_postures
+        )  # a path is asked about at several speeds
 
-    def __call__(self, path: ArrayLike, speeds: ArrayLike, yaws: ArrayLike | None = None) -> str | None:
+    def __call__(
+        self, path: ArrayLike, speeds: ArrayLike, yaws: ArrayLike | None = None
+    ) -> str | None:
         """None where the tip can go along `path`, else a sentence that says why not.
 
         Args:
             path: (k, 3) corners p_WP of the tip's path, m.
-            speeds: (k - 1,) greatest on its pieces, m/s; of the path that `tool_motion` measures where the tool turns.
+            speeds: (k - 1,) greatest on its pieces, m/s; of the path that `tool_motion` measures
+                where the tool turns.
             yaws: (k,) of the tool at the corners, rad; None where it does not turn.
         """
         corners = np.array(path, float)
         turns = np.zeros(len(corners)) if yaws is None else np.asarray(yaws, float)
         corners = np.column_stack([corners, turns])
         q, reason = self._follow(self._nominal, np.append(self._p_WN, 0.0), corners[0], None)
-        for start, end, speed in zip(corners[:-1], corners[1:], np.asarray(speeds, float), strict=True):
+        for start, end, speed in zip(
+            corners[:-1], corners[1:], np.asarray(speeds, float), strict=True
+        ):
             if reason is not None:
                 break
             q, reason = self._follow(q, start, end, float(speed))
         return reason
 
-    def find_region(self, bounds: ArrayLike, height: float, step: float = REGION_STEP) -> BaseGeometry:
+    def find_region(
+        self, bounds: ArrayLike, height: float, step: float = REGION_STEP
+    ) -> BaseGeometry:
         """Finds where the tip can be, led from the start's posture from place to place.
 
         Args:
@@ -243,11 +275,16 @@ class ArmReach:
             step: between places, m.
 
         Returns:
-            The squares of that side about the places that are reached, within the bounds, W, m; it may be empty.
+            The squares of that side about the places that are reached, within the bounds, W, m; it
+            may be empty.
         """
         x0, y0, x1, y1 = np.asarray(bounds, float).tolist()
         xs, ys = (np.arange(low + step / 2, high, step) for low, high in ((x0, x1), (y0, y1)))
-        places = {(i, j): np.array([x, y, height, 0.0]) for i, x in enumerate(xs) for j, y in enumerate(ys)}
+        places = {
+            (i, j): np.array([x, y, height, 0.0])
+            for i, x in enumerate(xs)
+            for j, y in enumerate(ys)
+        }
         reached: dict[tuple[int, int], Array] = {}
         home = np.append(self._p_WN, 0.0)
         for first in sorted(places, key=lambda at: float(np.linalg.norm(places[at] - home))):
@@ -264,10 +301,14 @@ class ArmReach:
                     if reason is None:
                         reached[near] = q
                         front.append(near)
-        squares = [shapely.Point(places[at][:2]).buffer(step / 2, cap_style="square") for at in reached]
+        squares = [
+            shapely.Point(places[at][:2]).buffer(step / 2, cap_style="square") for at in reached
+        ]
         return shapely.union_all(squares) & shapely.box(x0, y0, x1, y1)
 
-    def _follow(self, q: Array, start: Array, end: Array, speed: float | None) -> tuple[Array, str | None]:
+    def _follow(
+        self, q: Array, start: Array, end: Array, speed: float | None
+    ) -> tuple[Array, str | None]:
         """Leads the arm from posture q, tip and yaw at `start` (4,), to `end`; returns its last posture and stop."""
         postures, reason = self._lead(tuple(q), tuple(start), tuple(end))
         if speed is not None and len(postures) > 1:
@@ -278,7 +319,9 @@ class ArmReach:
                 i = int(too_fast[0])
                 k = int(shares[i].argmax())
                 where = _describe_place(start, end, (i + 1) / count)
-                return postures[i + 1], f"{self._posture.describe_speed(k, shares[i, k] * self._speed[k])} at {where}"
+                return postures[
+                    i + 1
+                ], f"{self._posture.describe_speed(k, shares[i, k] * self._speed[k])} at {where}"
         return postures[-1], reason
 
     def _find_postures(
@@ -296,18 +339,24 @@ class ArmReach:
                 if error < ARRIVED:
                     break
             if not error < ARRIVED:
-                return np.array(postures), f"the arm does not reach {_describe_place(first, last, i / count)}"
+                return np.array(
+                    postures
+                ), f"the arm does not reach {_describe_place(first, last, i / count)}"
             stopped = np.flatnonzero((posture < self._lower) | (posture > self._upper))
             if stopped.size:
                 where = _describe_place(first, last, i / count)
-                return np.array(postures), f"joint {stopped[0] + 1} of the arm would come to its limit at {where}"
+                return np.array(
+                    postures
+                ), f"joint {stopped[0] + 1} of the arm would come to its limit at {where}"
             postures.append(posture)
         return np.array(postures), None
 
 
 def _measure(start: Array, end: Array) -> tuple[float, int]:
     """Length of a straight piece of a path, m, a turn counted at TURNING_RADIUS, and its number of steps."""
-    length = float(np.hypot(np.linalg.norm(end[:3] - start[:3]), TURNING_RADIUS * (end[3] - start[3])))
+    length = float(
+        np.hypot(np.linalg.norm(end[:3] - start[:3]), TURNING_RADIUS * (end[3] - start[3]))
+    )
     return length, int(np.ceil(length / STEP))
 
 
@@ -342,7 +391,11 @@ def MakeControlPlant(robot: Robot, X_WB: RigidTransform | None = None) -> Multib
 
 
 def AddArmDriver(
-    builder: DiagramBuilder, plant: MultibodyPlant, robot: Robot, arm: ModelInstanceIndex, control_plant: MultibodyPlant
+    builder: DiagramBuilder,
+    plant: MultibodyPlant,
+    robot: Robot,
+    arm: ModelInstanceIndex,
+    control_plant: MultibodyPlant,
 ) -> System:
     """Adds what stands between the joint positions wanted and the joints, as the robot's measures say.
 
@@ -354,7 +407,8 @@ def AddArmDriver(
         control_plant: as `MakeControlPlant` makes it.
 
     Returns:
-        The driver; whichever it is, its output ports are those of Drake's `SimIiwaDriver`, `DRIVER_OUTPUTS`.
+        The driver; whichever it is, its output ports are those of Drake's `SimIiwaDriver`,
+        `DRIVER_OUTPUTS`.
     """
     SharedPointerSystem.AddToBuilder(builder, control_plant)
     control = robot.arm.control
@@ -375,7 +429,8 @@ def AddArmKinematics(
     Args:
         builder: to add it to.
         robot: the robot.
-        control_plant: as `MakeControlPlant` makes it; it must outlive the builder's Diagram, see `AddArmDriver`.
+        control_plant: as `MakeControlPlant` makes it; it must outlive the builder's Diagram, see
+            `AddArmDriver`.
         q_nominal: (n,) the posture that the arm is drawn to, rad.
     """
     kinematics: DifferentialInverseKinematicsIntegrator = builder.AddNamedSystem(
@@ -416,11 +471,18 @@ def _AddServoDriver(
 ) -> Diagram:
     """Adds what asks the joints' servos for positions, and compensates gravity; connects it to the plant."""
     n, inner = plant.num_positions(arm), DiagramBuilder()
-    wanted = inner.AddNamedSystem("wanted", StateInterpolatorWithDiscreteDerivative(n, period, True))
-    gravity = InverseDynamics(control_plant, InverseDynamics.InverseDynamicsMode.kGravityCompensation)
+    wanted = inner.AddNamedSystem(
+        "wanted", StateInterpolatorWithDiscreteDerivative(n, period, True)
+    )
+    gravity = InverseDynamics(
+        control_plant, InverseDynamics.InverseDynamicsMode.kGravityCompensation
+    )
     gravity = inner.AddNamedSystem("gravity", gravity)
     parts = inner.AddNamedSystem("parts", Demultiplexer([n, n]))
-    passed = [inner.AddNamedSystem(f"passed_{k}", PassThrough(size)) for k, size in enumerate((n, 2 * n, n, n))]
+    passed = [
+        inner.AddNamedSystem(f"passed_{k}", PassThrough(size))
+        for k, size in enumerate((n, 2 * n, n, n))
+    ]
     position, state, torque, external = passed
     inner.ExportInput(position.get_input_port(), "position")
     inner.ConnectInput("position", wanted.get_input_port())
@@ -458,8 +520,13 @@ def _make_parameters(
     parameters.set_nominal_joint_position(q_nominal)
     parameters.set_joint_centering_gain(control.centering_gain * np.eye(n))
     lower, upper = control_plant.GetPositionLowerLimits(), control_plant.GetPositionUpperLimits()
-    parameters.set_joint_position_limits((lower + control.limit_margin, upper - control.limit_margin))
-    slowest, fastest = control_plant.GetVelocityLowerLimits(), control_plant.GetVelocityUpperLimits()
+    parameters.set_joint_position_limits(
+        (lower + control.limit_margin, upper - control.limit_margin)
+    )
+    slowest, fastest = (
+        control_plant.GetVelocityLowerLimits(),
+        control_plant.GetVelocityUpperLimits(),
+    )
     parameters.set_joint_velocity_limits((slowest, fastest))
     if n < SPATIAL:
         J = ArmPosture(control_plant, robot).calc_jacobian(q_nominal)

@@ -1,8 +1,9 @@
 """The station's cameras: an ideal one, or one of color and depth, rendered, through which the robot sees all it knows.
 
-With a color and depth camera (`camera.kind: rgbd` in the scenario) the robot is told neither outline nor height:
-`find_object` takes a photograph of the scene at its beginning, and what the detector makes of it is the robot's object.
-Its body frame F is chosen then; the plant's object is given in it, so that poses mean the same on both sides.
+With a color and depth camera (`camera.kind: rgbd` in the scenario) the robot is told neither
+outline nor height: `find_object` takes a photograph of the scene at its beginning, and what the
+detector makes of it is the robot's object. Its body frame F is chosen then; the plant's object is
+given in it, so that poses mean the same on both sides.
 """
 
 import ctypes
@@ -59,7 +60,8 @@ OBJECT_COLOR = (0.42, 0.13, 0.11, 1.0)
 """Of the plant's object in the camera's pictures: red, green, blue and opacity."""
 
 LIVE = TrackerOptions(search_period=0.5)
-"""Of a tracker that keeps up with its camera, also while the gripper holds the object and there is nothing to find."""
+"""Of a tracker that keeps up with its camera, also while the gripper holds the object and there is
+nothing to find."""
 
 
 def check_renderer() -> None:
@@ -87,7 +89,9 @@ def make_camera(config: CameraConfig) -> Camera:
 
 def calc_pose_age(config: CameraConfig) -> float:
     """How old a pose is when the identifier reads it, s: it sees the picture before the one being taken, or older."""
-    pictures = 1.0 if config.kind == "ideal" else max(1.0, np.ceil(config.rgbd.output_delay * config.rate))
+    pictures = (
+        1.0 if config.kind == "ideal" else max(1.0, np.ceil(config.rgbd.output_delay * config.rate))
+    )
     return float(pictures / config.rate)
 
 
@@ -96,7 +100,9 @@ def AddIdealCamera(
 ) -> PlanarPoseSensor:
     """Adds what sees an object in a plant by its pose, with noise by a seed, and connects it to the plant."""
     noise = {"position_noise": config.position_noise, "angle_noise": config.angle_noise}
-    sensor = PlanarPoseSensor(part.body_index, period=1 / config.rate, **noise, lowest=LOST_BELOW, seed=seed)
+    sensor = PlanarPoseSensor(
+        part.body_index, period=1 / config.rate, **noise, lowest=LOST_BELOW, seed=seed
+    )
     builder.AddNamedSystem(name, sensor)
     builder.Connect(part.plant.get_body_poses_output_port(), sensor.GetInputPort("body_poses"))
     return sensor
@@ -105,10 +111,14 @@ def AddIdealCamera(
 def AddSeenVisual(plant: MultibodyPlant, scene_graph: SceneGraph, part: GridObjectInPlant) -> None:
     """Gives the plant's object a color and a height that cameras see, and Meshcat does not; before Finalize."""
     file = MemoryFile(
-        make_outline_mesh(part.obj.outline, part.height, normals=True), ".obj", f"{part.obj.name}_seen.obj"
+        make_outline_mesh(part.obj.outline, part.height, normals=True),
+        ".obj",
+        f"{part.obj.name}_seen.obj",
     )
     mesh = Mesh(InMemoryMesh(mesh_file=file))
-    geometry = plant.RegisterVisualGeometry(part.body, RigidTransform(), mesh, "seen", np.array(OBJECT_COLOR))
+    geometry = plant.RegisterVisualGeometry(
+        part.body, RigidTransform(), mesh, "seen", np.array(OBJECT_COLOR)
+    )
     scene_graph.RemoveRole(plant.get_source_id(), geometry, Role.kIllustration)
 
 
@@ -161,7 +171,9 @@ def AddRgbdCamera(
     scene_graph.AddRenderer(RENDERER, MakeRenderEngineVtk(params))
     sensor = builder.AddNamedSystem(
         "rgbd_sensor",
-        RgbdSensor(scene_graph.world_frame_id(), drake.X_PB.GetDeterministicValue(), *drake.MakeCameras()),
+        RgbdSensor(
+            scene_graph.world_frame_id(), drake.X_PB.GetDeterministicValue(), *drake.MakeCameras()
+        ),
     )
     noise = builder.AddNamedSystem(
         "rgbd_noise",
@@ -184,7 +196,9 @@ def AddRgbdCamera(
 
 def _find_labels(plant: MultibodyPlant, part: GridObjectInPlant | None) -> tuple[int, ...]:
     """Of all bodies but the table's and the object's: a MultibodyPlant labels what it renders with a body's index."""
-    seen = {plant.GetModelInstanceByName(TABLE)} | (set() if part is None else {part.model_instance})
+    seen = {plant.GetModelInstanceByName(TABLE)} | (
+        set() if part is None else {part.model_instance}
+    )
     bodies = map(BodyIndex, range(1, plant.num_bodies()))
     return tuple(int(body) for body in bodies if plant.get_body(body).model_instance() not in seen)
 
@@ -214,7 +228,9 @@ def AddPoseEstimator(
 class StationCamera:
     """What a station's run sets in its camera, of either kind."""
 
-    def __init__(self, source: PlanarPoseSensor | ObjectPoseEstimator, noise: RgbdNoise | None = None) -> None:
+    def __init__(
+        self, source: PlanarPoseSensor | ObjectPoseEstimator, noise: RgbdNoise | None = None
+    ) -> None:
         """Takes what tells the poses, and what spoils the pictures; where there are none, the poses are spoilt."""
         self.source, self._noise = source, noise
 
@@ -249,7 +265,10 @@ class FoundObject:
 
 
 def find_object(
-    scenario: PushScenario, true_obj: GridObject, builder: DiagramBuilder, scene: "PhotographedScene"
+    scenario: PushScenario,
+    true_obj: GridObject,
+    builder: DiagramBuilder,
+    scene: "PhotographedScene",
 ) -> FoundObject:
     """Photographs the scene at its beginning and finds the object in it.
 
@@ -281,7 +300,11 @@ def find_object(
 
 
 def AddDetector(
-    builder: DiagramBuilder, camera: RgbdCamera, scenario: PushScenario, table_top: BaseGeometry, told: GridObject
+    builder: DiagramBuilder,
+    camera: RgbdCamera,
+    scenario: PushScenario,
+    table_top: BaseGeometry,
+    told: GridObject,
 ) -> ObjectDetector:
     """Adds what finds the object in the camera's pictures; name and prior are those of the one that is told."""
     detector = builder.AddNamedSystem(

@@ -1,6 +1,7 @@
 """What the station has where its scene has a gripper: what grasps, what moves the gripper, and their ports.
 
-`GraspClearance`: whether a grasp from the side keeps clear of the table: the gripper reaches in below the table's top.
+`GraspClearance`: whether a grasp from the side keeps clear of the table: the gripper reaches in
+below the table's top.
 
 Ports of a Diagram's parts, exported under a common prefix.
 """
@@ -20,7 +21,11 @@ from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
 from gridpush_drake.station.arm import ArmReach
 from gridpush_drake.station.robot import COUPLING, GripperMeasures
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.systems.grasp_executor import CONTROLLER_STIFFNESS, GraspExecutor, GraspTrajectoryOptions
+from gridpush_drake.systems.grasp_executor import (
+    CONTROLLER_STIFFNESS,
+    GraspExecutor,
+    GraspTrajectoryOptions,
+)
 from gridpush_drake.systems.messages import GraspCommand
 from gridpush_drake.systems.push_executor import PushExecutor
 from gridpush_drake.systems.pusher_gate import PusherGate
@@ -37,7 +42,8 @@ class GraspClearance:
         table_top: the table's, a polygon in W, m.
         style: of the executor.
         gripper: its measures.
-        clearance: least between table and gripper, m; a little less than what grasps are planned with.
+        clearance: least between table and gripper, m; a little less than what grasps are planned
+            with.
     """
 
     table_top: BaseGeometry
@@ -53,16 +59,26 @@ class GraspClearance:
         u = command.heading
         v = np.array([-u[1], u[0]])
         for back, front, width in lanes:
-            far, near = command.p_WG[:2] - (back + self.style.standoff) * u, command.p_WG[:2] - front * u
+            far, near = (
+                command.p_WG[:2] - (back + self.style.standoff) * u,
+                command.p_WG[:2] - front * u,
+            )
             lane = shapely.Polygon(
-                [far - width / 2 * v, near - width / 2 * v, near + width / 2 * v, far + width / 2 * v]
+                [
+                    far - width / 2 * v,
+                    near - width / 2 * v,
+                    near + width / 2 * v,
+                    far + width / 2 * v,
+                ]
             )
             if lane.distance(self.table_top) < self.clearance:
                 return f"the gripper would hit the table on its way to ({command.x:.3f}, {command.y:.3f}) m"
         return None
 
 
-def ExportOutputs(builder: DiagramBuilder, system: System, prefix: str, ports: Sequence[str]) -> None:
+def ExportOutputs(
+    builder: DiagramBuilder, system: System, prefix: str, ports: Sequence[str]
+) -> None:
     """Exports output ports of a system, each as `prefix.port`."""
     for port in ports:
         builder.ExportOutput(system.GetOutputPort(port), f"{prefix}.{port}")
@@ -107,7 +123,8 @@ def AddGraspExecutor(
         The executor of grasps, whose `tip_pose` is the tool's.
     """
     grasping: GraspExecutor = builder.AddNamedSystem(
-        "grasp_executor", GraspExecutor(reach, style, GraspClearance(table_top, style, measures.make_side_gripper()))
+        "grasp_executor",
+        GraspExecutor(reach, style, GraspClearance(table_top, style, measures.make_side_gripper())),
     )
     builder.Connect(executor.GetOutputPort("tip_pose"), grasping.GetInputPort("push_tip_pose"))
     builder.Connect(executor.GetOutputPort("status"), grasping.GetInputPort("push_status"))
@@ -116,7 +133,10 @@ def AddGraspExecutor(
 
 
 def AddGripperController(
-    builder: DiagramBuilder, plant: MultibodyPlant, gripper: ModelInstanceIndex, measures: GripperMeasures
+    builder: DiagramBuilder,
+    plant: MultibodyPlant,
+    gripper: ModelInstanceIndex,
+    measures: GripperMeasures,
 ) -> SchunkWsgPositionController:
     """Adds what moves a plant's gripper to the opening, m, and with the force, N, on its input ports."""
     damping = DAMPING * float(np.sqrt(measures.coupling / COUPLING))
@@ -127,11 +147,15 @@ def AddGripperController(
         ),
     )
     builder.Connect(plant.get_state_output_port(gripper), controller.get_state_input_port())
-    builder.Connect(controller.get_generalized_force_output_port(), plant.get_actuation_input_port(gripper))
+    builder.Connect(
+        controller.get_generalized_force_output_port(), plant.get_actuation_input_port(gripper)
+    )
     return controller
 
 
-def AddPusherGate(builder: DiagramBuilder, pusher_state: OutputPort, grasping: GraspExecutor) -> PusherGate:
+def AddPusherGate(
+    builder: DiagramBuilder, pusher_state: OutputPort, grasping: GraspExecutor
+) -> PusherGate:
     """Keeps the tip's motions in a grasp from being taken for pushes."""
     gate: PusherGate = builder.AddNamedSystem("pusher_gate", PusherGate())
     builder.Connect(pusher_state, gate.GetInputPort("pusher_state"))

@@ -11,20 +11,31 @@ from gridpush_drake.station.others import leave_out
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.station import MakeFingerRegion, Station, StationMaker
-from gridpush_drake.station.task import ADVANCE, GO_ON, Judgment, StationTask, TaskRecord, TaskStatus, Waiting
+from gridpush_drake.station.task import (
+    ADVANCE,
+    GO_ON,
+    Judgment,
+    StationTask,
+    TaskRecord,
+    TaskStatus,
+    Waiting,
+)
 from gridpush_drake.systems.messages import PushStatus
 from gridpush_drake.systems.poke_policy import PokePolicy, PokeRegion, RandomPokeOptions
 
 FINISHED, OBJECT_LOST, STUCK = TaskStatus.FINISHED, TaskStatus.OBJECT_LOST, TaskStatus.STUCK
 
 EDGE_MARGIN = 0.03
-"""Between the object and the table's edge or another object, where pokes are meant to leave it, m."""
+"""Between the object and the table's edge or another object, where pokes are meant to leave it,
+m."""
 
 MIDDLE_MARGIN = 0.09
-"""Between the object's centroid and the limits of where the finger can be, for the finger to get around it, m."""
+"""Between the object's centroid and the limits of where the finger can be, for the finger to get
+around it, m."""
 
 LOST_AFTER, HIDDEN_AFTER = 0.5, 5.0
-"""Simulated without the object being seen, after which it has left the table, s; and where the arm may hide it."""
+"""Simulated without the object being seen, after which it has left the table, s; and where the arm
+may hide it."""
 
 LEARNING_TIME = 10.0
 """For the last push to be learned from, where that goes on beside the Diagram, s."""
@@ -77,11 +88,17 @@ class PokeJudge:
         if status.executed > self.executed:
             self.executed, self.refused = status.executed, status.refused
         if waiting.unseen > self.lost_after:
-            return OBJECT_LOST, f"The object left the table during push {status.executed + (not status.ready)}."
+            return (
+                OBJECT_LOST,
+                f"The object left the table during push {status.executed + (not status.ready)}.",
+            )
         if status.executed >= self.pushes:
             return FINISHED, f"All {self.pushes} pushes were carried out."
         if status.refused - self.refused >= REFUSALS:
-            return STUCK, f"The last {REFUSALS} pushes were refused; the last one because {status.reason}."
+            return (
+                STUCK,
+                f"The last {REFUSALS} pushes were refused; the last one because {status.reason}.",
+            )
         if waiting.idle > IdentifyTask.timeout:
             return STUCK, (
                 f"No push was found for {IdentifyTask.timeout:g} s: from where the object lies, the finger reaches no "
@@ -97,7 +114,10 @@ class IdentifyTask(StationTask[IdentifyTaskRecord]):
     timeout = 10.0
 
     def __init__(
-        self, scenario: PushScenario, meshcat: Meshcat | None = None, make_station: StationMaker = MakePushStation
+        self,
+        scenario: PushScenario,
+        meshcat: Meshcat | None = None,
+        make_station: StationMaker = MakePushStation,
     ) -> None:
         """Makes the Diagram.
 
@@ -138,7 +158,11 @@ class IdentifyTask(StationTask[IdentifyTaskRecord]):
     def judge(self, record: IdentifyTaskRecord, waiting: Waiting) -> Judgment:
         """Status and message; an experiment is over once its pushes were learned from."""
         judgment = self._judge.judge(self.read("executor.status"), waiting)
-        return GO_ON if judgment[0] == FINISHED and not self._has_learned(record.duration) else judgment
+        return (
+            GO_ON
+            if judgment[0] == FINISHED and not self._has_learned(record.duration)
+            else judgment
+        )
 
     def _has_learned(self, time: float) -> bool:
         """Whether the last push to learn from was learned from, or will not be."""

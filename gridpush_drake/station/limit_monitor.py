@@ -33,7 +33,8 @@ class LimitReport:
         position_share: furthest that a joint was from the middle of its range.
         velocity_share: fastest that a joint turned.
         torque_share: greatest torque that a joint was asked for.
-        tracking_error: furthest that the tip was from where it should be at the time, during pushes, m.
+        tracking_error: furthest that the tip was from where it should be at the time, during
+            pushes, m.
         strayed: the same of those pushes, by their command, in which it was more than STRAYED.
         touched: pairs of bodies that should not have touched and did.
     """
@@ -48,7 +49,10 @@ class LimitReport:
     @property
     def ok(self) -> bool:
         """Whether all limits were kept and nothing was touched but the object, by the tip or a grasp."""
-        return max(self.position_share, self.velocity_share, self.torque_share) <= 1.0 and not self.touched
+        return (
+            max(self.position_share, self.velocity_share, self.torque_share) <= 1.0
+            and not self.touched
+        )
 
     def explain_strayed(self) -> str:
         """Names the pushes in which the tip strayed, in a sentence; empty where there are none."""
@@ -87,7 +91,10 @@ class LimitMonitor:
         self._middle, self._half = (lower + upper) / 2, (upper - lower) / 2
         self._speed = np.array([joint.velocity_upper_limits()[0] for joint in joints])
         self._torque = np.array(
-            [plant.get_joint_actuator(index).effort_limit() for index in plant.GetJointActuatorIndices(arm)]
+            [
+                plant.get_joint_actuator(index).effort_limit()
+                for index in plant.GetJointActuatorIndices(arm)
+            ]
         )
         self._speaks_of_contacts = station.HasOutputPort("contact_results")
         if self._speaks_of_contacts:
@@ -101,7 +108,10 @@ class LimitMonitor:
         fingers = () if robot.gripper is None else robot.gripper.fingers
         self._fingers = {plant.GetBodyByName(name, gripper).index() for name in fingers}
         inspector = station.scene_graph.model_inspector()
-        self._table = {plant.GetBodyFromFrameId(inspector.GetFrameId(geometry)).index() for geometry in station.table}
+        self._table = {
+            plant.GetBodyFromFrameId(inspector.GetFrameId(geometry)).index()
+            for geometry in station.table
+        }
 
     def __call__(self, root_context: Context) -> EventStatus:
         """Observes, where it is time to."""
@@ -123,8 +133,12 @@ class LimitMonitor:
         seen.position_share = share(
             seen.position_share, read(f"{self._arm}.position_measured") - self._middle, self._half
         )
-        seen.velocity_share = share(seen.velocity_share, read(f"{self._arm}.velocity_estimated"), self._speed)
-        seen.torque_share = share(seen.torque_share, read(f"{self._arm}.torque_commanded"), self._torque)
+        seen.velocity_share = share(
+            seen.velocity_share, read(f"{self._arm}.velocity_estimated"), self._speed
+        )
+        seen.torque_share = share(
+            seen.torque_share, read(f"{self._arm}.torque_commanded"), self._torque
+        )
         push = read("executor.status")
         if push.phase == PushPhase.PUSHING:
             gap = read("executor.tip_pose").translation() - read("pusher.state")[:3]
@@ -143,7 +157,9 @@ class LimitMonitor:
 
     def _judge(self, plant: MultibodyPlant, a: int, b: int, allowed: set[int]) -> None:
         pair = {a, b}
-        if (self._object in pair and pair & allowed) or (pair & self._others and pair & self._table):
+        if (self._object in pair and pair & allowed) or (
+            pair & self._others and pair & self._table
+        ):
             return
         first, second = sorted(plant.get_body(index).name() for index in pair)
         self.limit_report.touched.add((first, second))

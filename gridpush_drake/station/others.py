@@ -1,9 +1,10 @@
 """Other objects on the table, beside the one that is pushed and learned: a scenario's `others`.
 
-Each is a free body with cells, contact spheres and sides of its own, weighs and rubs as it is drawn from the seed, and
-is seen by a camera of its own (`other_0.pose`, `other_1.pose`, ...). Nobody learns it. Pushes keep clear of where it
-lies at the beginning, the finger by `MakeFingerRegion`, the object as the task has it. A color and depth camera has it
-in its pictures, and takes what it covers for unseen, as with the robot.
+Each is a free body with cells, contact spheres and sides of its own, weighs and rubs as it is drawn
+from the seed, and is seen by a camera of its own (`other_0.pose`, `other_1.pose`, ...). Nobody
+learns it. Pushes keep clear of where it lies at the beginning, the finger by `MakeFingerRegion`,
+the object as the task has it. A color and depth camera has it in its pictures, and takes what it
+covers for unseen, as with the robot.
 """
 
 from collections.abc import Sequence
@@ -18,7 +19,11 @@ from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.geometry.se2 import transform_shape
-from gridpush_drake.multibody.grid_object import AddGridObject, ApplyGridObjectFilters, GridObjectInPlant
+from gridpush_drake.multibody.grid_object import (
+    AddGridObject,
+    ApplyGridObjectFilters,
+    GridObjectInPlant,
+)
 from gridpush_drake.multibody.ground_truth import SetGridObjectParameters, SetGridObjectPose
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.station.camera import AddIdealCamera, AddSeenVisual
@@ -42,7 +47,9 @@ class OtherObject:
     part: GridObjectInPlant
 
 
-def draw_other_truth(scenario: PushScenario, part: GridObjectInPlant, number: int, seed: int) -> CellParameters:
+def draw_other_truth(
+    scenario: PushScenario, part: GridObjectInPlant, number: int, seed: int
+) -> CellParameters:
     """Draws what the other object of a number, from 0, weighs and how it rubs; another draw than any other object's."""
     ranges = scenario.truth.model_copy(update={"parts": []})
     own = int(np.random.SeedSequence((seed, number)).generate_state(1)[0])
@@ -58,10 +65,19 @@ def AddOthers(
 ) -> tuple[OtherObject, ...]:
     """Adds a scenario's other objects to a plant, before Finalize; they stand on the table and touch one another."""
     others = []
-    for number, (config, obj) in enumerate(zip(scenario.others, load_others(scenario), strict=True)):
+    for number, (config, obj) in enumerate(
+        zip(scenario.others, load_others(scenario), strict=True)
+    ):
         name = f"other_{number}"
         part = AddGridObject(
-            plant, scene_graph, obj, CellParameters.uniform(obj), "free", table=table, height=config.height, name=name
+            plant,
+            scene_graph,
+            obj,
+            CellParameters.uniform(obj),
+            "free",
+            table=table,
+            height=config.height,
+            name=name,
         )
         x, y, theta = config.pose
         if scenario.camera.kind == "rgbd":
@@ -105,7 +121,9 @@ def SetOthersStart(
 
 def place_others(others: Sequence[OtherObject]) -> tuple[Polygon, ...]:
     """Where they lie at the beginning, polygons in W, m; without their holes."""
-    return tuple(Polygon(transform_shape(other.pose, other.part.obj.outline).exterior) for other in others)
+    return tuple(
+        Polygon(transform_shape(other.pose, other.part.obj.outline).exterior) for other in others
+    )
 
 
 def leave_out(region: BaseGeometry, others: Sequence[OtherObject], distance: float) -> BaseGeometry:

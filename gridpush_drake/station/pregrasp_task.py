@@ -1,7 +1,7 @@
 """The whole story: poke an unknown object, learn it, slide it to the table's edge, grasp what hangs over, lift it.
 
-`GraspFinder` says how, and where on the table's edge, the station's gripper can take the object; `PreGraspRecord` what
-came of exploring, sliding and grasping.
+`GraspFinder` says how, and where on the table's edge, the station's gripper can take the object;
+`PreGraspRecord` what came of exploring, sliding and grasping.
 """
 
 from dataclasses import dataclass, replace
@@ -20,14 +20,24 @@ from gridpush_drake.planning.contact.trial import ContactOptions
 from gridpush_drake.planning.pregrasp.exploration import PokeOptions
 from gridpush_drake.planning.pregrasp.goals import ArmLimits, GoalOptions, PreGraspGoal
 from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart, PadLimit, find_held_grasps
-from gridpush_drake.planning.pregrasp.planner import ACCEPTED_SHARE, PreGraspOptions, PreGraspPlanner
+from gridpush_drake.planning.pregrasp.planner import (
+    ACCEPTED_SHARE,
+    PreGraspOptions,
+    PreGraspPlanner,
+)
 from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp, check_thickness, choose_varied
 from gridpush_drake.planning.pregrasp.slides import SlideOptions
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface, stayed_supported
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.station import Learning, MakeFingerRegion, Station, StationMaker, make_surface
+from gridpush_drake.station.station import (
+    Learning,
+    MakeFingerRegion,
+    Station,
+    StationMaker,
+    make_surface,
+)
 from gridpush_drake.station.task import (
     GO_ON,
     ControlledRecord,
@@ -43,7 +53,8 @@ EDGE_STEP = 0.03
 """m along the edge, between places that the gripper is tried at."""
 
 EDGE_SPARE = 0.002
-"""m between the gripper's tips and the edge, beyond their least clearance, where places of the edge are tried."""
+"""m between the gripper's tips and the edge, beyond their least clearance, where places of the edge
+are tried."""
 
 GRASPS_TRIED = 16
 """Of those found at a pose, all different, that the arm is asked about."""
@@ -65,13 +76,18 @@ class GraspFinder:
     surface: SupportSurface
     pads: PadLimit
 
-    def find_grasp(self, pose: Array, aim: Array, masses: PlausibleMassSet, at_worst: bool) -> SideGrasp | None:
+    def find_grasp(
+        self, pose: Array, aim: Array, masses: PlausibleMassSet, at_worst: bool
+    ) -> SideGrasp | None:
         """How the gripper takes the object at `pose` (3,), as near `aim` (2,), body frame, as it can.
 
-        Its pads hold the object, `at_worst` whichever of the masses it has, otherwise as they are estimated.
+        Its pads hold the object, `at_worst` whichever of the masses it has, otherwise as they are
+        estimated.
         """
         height = self.station.scenario.object_height
-        found = find_held_grasps(self.obj, pose, self.surface, self.pads, aim, height, masses, at_worst)
+        found = find_held_grasps(
+            self.obj, pose, self.surface, self.pads, aim, height, masses, at_worst
+        )
         for grasp in choose_varied(found, GRASPS_TRIED):
             if self._is_reached(grasp.p_WG, grasp.approach):
                 return grasp
@@ -79,7 +95,10 @@ class GraspFinder:
 
     def can_grasp(self, goal: PreGraspGoal, masses: PlausibleMassSet) -> bool:
         """Whether the object can be taken at a goal, and held: by its rim whichever of some masses it has."""
-        return self.find_grasp(goal.pose, goal.part.p_BG, masses, isinstance(goal.part, FlatPart)) is not None
+        return (
+            self.find_grasp(goal.pose, goal.part.p_BG, masses, isinstance(goal.part, FlatPart))
+            is not None
+        )
 
     def find_edge(self) -> BaseGeometry:
         """Where on the edge the gripper can take something, coming straight in. Raises StationError for nowhere."""
@@ -90,13 +109,17 @@ class GraspFinder:
             if self._is_reached(point + out * normal, atan2(-normal[1], -normal[0])):
                 places.append(shapely.Point(point).buffer(EDGE_STEP))
         if not places:
-            raise StationError("the gripper reaches no place of the table's edge; expected a table beside the robot")
+            raise StationError(
+                "the gripper reaches no place of the table's edge; expected a table beside the robot"
+            )
         return shapely.union_all(places)
 
     def _is_reached(self, p_WG: Array, approach: float) -> bool:
         """Whether the arm can grasp at a point (2,), m, with the fingers pointing along `approach`, rad."""
         scenario, (x, y) = self.station.scenario, p_WG.tolist()
-        command = GraspCommand(1, x, y, scenario.object_height / 2, approach, scenario.pregrasp.lift)
+        command = GraspCommand(
+            1, x, y, scenario.object_height / 2, approach, scenario.pregrasp.lift
+        )
         return self.station.FindGraspObstacle(command) is None
 
 
@@ -105,7 +128,8 @@ class PreGraspRecord(ControlledRecord[PreGraspStatus]):
     """What came of a run: "held", "not_lifted", "dropped", "failed", "lost", "stuck" or "interrupted".
 
     Attributes:
-        raised: how far the object's lowest point was above the table at the end, m; NaN where nobody knows.
+        raised: how far the object's lowest point was above the table at the end, m; NaN where
+            nobody knows.
     """
 
     raised: float = float("nan")
@@ -115,7 +139,8 @@ HELD, DROPPED, FAILED = TaskStatus.HELD, TaskStatus.DROPPED, TaskStatus.FAILED
 LOST, STUCK, NOT_LIFTED = TaskStatus.LOST, TaskStatus.STUCK, TaskStatus.NOT_LIFTED
 
 CLEARANCE = 0.006
-"""Between finger and object where a push begins, m: it comes down beside an object seen to about a millimeter."""
+"""Between finger and object where a push begins, m: it comes down beside an object seen to about a
+millimeter."""
 
 LIFTED_SHARE = 0.7
 """Of the lift, that the object's lowest point must truly have been raised by to count as held."""
@@ -134,7 +159,10 @@ class PreGraspTask(StationTask[PreGraspRecord]):
     timeout = 60.0
 
     def __init__(
-        self, scenario: PushScenario, meshcat: Meshcat | None = None, make_station: StationMaker = MakePushStation
+        self,
+        scenario: PushScenario,
+        meshcat: Meshcat | None = None,
+        make_station: StationMaker = MakePushStation,
     ) -> None:
         """Makes the Diagram.
 
@@ -144,10 +172,11 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             make_station: of a scenario; a simulated one by default.
 
         Raises:
-            ScenarioError: the scenario makes no sense, has other objects, or its scene has no gripper.
+            ScenarioError: the scenario makes no sense, has other objects, or its scene has no
+                gripper.
             StationError: see `MakePushStation`.
-            PlanningError: the object is too thick for the gripper, its pads fit nowhere on it, or the table is smaller
-                than it.
+            PlanningError: the object is too thick for the gripper, its pads fit nowhere on it, or
+                the table is smaller than it.
         """
         builder = DiagramBuilder()
         self.station: Station = builder.AddSystem(
@@ -155,9 +184,13 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         )
         station = self.station
         if station.others:
-            raise ScenarioError("others: the slide to the table's edge knows of none; expected an empty list")
+            raise ScenarioError(
+                "others: the slide to the table's edge knows of none; expected an empty list"
+            )
         if station.robot.gripper is None:
-            raise ScenarioError("directives: there is no model gripper; expected a scene that can grasp")
+            raise ScenarioError(
+                "directives: there is no model gripper; expected a scene that can grasp"
+            )
         self.surface = make_surface(station.table_top)
         self.obj = station.obj
         measures = station.robot.gripper
@@ -165,7 +198,9 @@ class PreGraspTask(StationTask[PreGraspRecord]):
         check_thickness(self.obj, scenario.object_height, gripper)
         pads = PadLimit.of_object(self.obj, gripper, force)
         self._finder = GraspFinder(station, self.obj, self.surface, pads)
-        self.planner = PreGraspPlanner(self.obj, self.surface, make_options(station, pads), limits=self._make_limits())
+        self.planner = PreGraspPlanner(
+            self.obj, self.surface, make_options(station, pads), limits=self._make_limits()
+        )
         self.controller = builder.AddNamedSystem("controller", self._make_controller())
         super().__init__(builder, station, self.controller, meshcat)
 
@@ -188,8 +223,14 @@ class PreGraspTask(StationTask[PreGraspRecord]):
             if not self.simulated:
                 return HELD, "The gripper lifted the object and holds it."
             if record.raised >= LIFTED_SHARE * self.station.scenario.pregrasp.lift:
-                return HELD, f"The object was lifted and held, {1e3 * record.raised:.0f} mm above the table."
-            return NOT_LIFTED, f"The gripper closed and went up, but the object did not: {1e3 * record.raised:.0f} mm."
+                return (
+                    HELD,
+                    f"The object was lifted and held, {1e3 * record.raised:.0f} mm above the table.",
+                )
+            return (
+                NOT_LIFTED,
+                f"The gripper closed and went up, but the object did not: {1e3 * record.raised:.0f} mm.",
+            )
         if status.mode == PreGraspMode.FAILED:
             return FAILED, status.reason
         at_rest = self.read("executor.status").ready and self.read("grasp.status").ready
@@ -201,10 +242,14 @@ class PreGraspTask(StationTask[PreGraspRecord]):
 
     def finish(self, record: PreGraspRecord) -> None:
         """Says of each push whether a part hung over the edge; what was seen counts until the object is grasped."""
-        grasped = next((step.time for step in record.steps if step.status.mode == PreGraspMode.GRASPING), np.inf)
+        grasped = next(
+            (step.time for step in record.steps if step.status.mode == PreGraspMode.GRASPING),
+            np.inf,
+        )
         record.sight = record.sight and record.sight.until(grasped)
         pushes = tuple(
-            replace(seen, overhang=not stayed_supported(self.obj, seen, self.surface)) for seen in record.log
+            replace(seen, overhang=not stayed_supported(self.obj, seen, self.surface))
+            for seen in record.log
         )
         record.log = replace(record.log, pushes=pushes)
 
@@ -239,9 +284,15 @@ class PreGraspTask(StationTask[PreGraspRecord]):
 def make_options(station: Station, pads: PadLimit) -> PreGraspOptions:
     """The planner's options, by a station's scenario and robot and what its gripper's pads can hold."""
     scenario = station.scenario
-    pregrasp, radius, speed = scenario.pregrasp, station.robot.finger.tip_radius, scenario.pokes.speed
+    pregrasp, radius, speed = (
+        scenario.pregrasp,
+        station.robot.finger.tip_radius,
+        scenario.pokes.speed,
+    )
     slide = SlideOptions()
-    contact: ContactOptions = replace(slide.contact, radius=radius, speed=speed, clearance=CLEARANCE)
+    contact: ContactOptions = replace(
+        slide.contact, radius=radius, speed=speed, clearance=CLEARANCE
+    )
     return PreGraspOptions(
         goal=GoalOptions(margin=pregrasp.margin),
         slide=replace(slide, margin=ACCEPTED_SHARE * pregrasp.margin, contact=contact),

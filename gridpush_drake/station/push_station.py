@@ -1,7 +1,8 @@
 """`MakePushStation`: table, object, robot with a finger, camera, executor and identifier in one Diagram.
 
-The station knows the object's outline. What its cells weigh and how they rub, the truth, goes to the plant alone;
-everything else in the station sees the object through its camera, and the finger's tip through the joints.
+The station knows the object's outline. What its cells weigh and how they rub, the truth, goes to
+the plant alone; everything else in the station sees the object through its camera, and the finger's
+tip through the joints.
 """
 
 from dataclasses import dataclass
@@ -9,14 +10,25 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-from pydrake.geometry import GeometryId, Meshcat, MeshcatVisualizer, MeshcatVisualizerParams, Role, SceneGraph
+from pydrake.geometry import (
+    GeometryId,
+    Meshcat,
+    MeshcatVisualizer,
+    MeshcatVisualizerParams,
+    Role,
+    SceneGraph,
+)
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
 from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.multibody.contact_material import TABLE, FindTableOutline, SetPartner
 from gridpush_drake.multibody.grid_object import AddGridObject, Base, GridObjectInPlant
-from gridpush_drake.multibody.ground_truth import SetGridObjectParameters, SetGridObjectPose, resample_parameters
+from gridpush_drake.multibody.ground_truth import (
+    SetGridObjectParameters,
+    SetGridObjectPose,
+    resample_parameters,
+)
 from gridpush_drake.multibody.meshcat_server import KeepToItsThread
 from gridpush_drake.multibody.parser import AddVisualMeshes, MakeParser, find_drake_models
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
@@ -46,7 +58,14 @@ from gridpush_drake.station.grasping import AddGripperController, ExportOutputs
 from gridpush_drake.station.others import AddOtherCameras, AddOthers, SetOthersStart
 from gridpush_drake.station.robot import GetRobotInPlant, Robot, RobotInPlant, find_robot
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.scene import AddScene, CalcBasePose, CalcHome, MakeSupport, MakeTruth, check_scenario
+from gridpush_drake.station.scene import (
+    AddScene,
+    CalcBasePose,
+    CalcHome,
+    MakeSupport,
+    MakeTruth,
+    check_scenario,
+)
 from gridpush_drake.station.station import (
     POSE_LOG,
     AddRobotControl,
@@ -96,12 +115,16 @@ def AddSensors(
         if found is None
         else _add_rgbd_camera(builder, scene_graph, scenario, part, found),
         builder.AddNamedSystem("ground_truth_sensor", ground_truth),
-        builder.AddNamedSystem("tip_sensor", PusherStateSensor(plant.GetBodyByName(robot.finger.tip_frame).index())),
+        builder.AddNamedSystem(
+            "tip_sensor", PusherStateSensor(plant.GetBodyByName(robot.finger.tip_frame).index())
+        ),
     )
     tip = sensors.tip
     for sensor in (sensors.ground_truth, tip):
         builder.Connect(plant.get_body_poses_output_port(), sensor.GetInputPort("body_poses"))
-    builder.Connect(plant.get_body_spatial_velocities_output_port(), tip.GetInputPort("body_spatial_velocities"))
+    builder.Connect(
+        plant.get_body_spatial_velocities_output_port(), tip.GetInputPort("body_spatial_velocities")
+    )
     return sensors
 
 
@@ -121,7 +144,8 @@ def AddStationScene(
 ) -> tuple[RobotInPlant, tuple[GeometryId, ...]]:
     """Adds what the directives say; returns the robot and the table's collision geometries."""
     AddScene(MakeParser(plant), scenario)
-    # a plant's own GetCollisionGeometriesForBody gives ids that keep it alive, unseen by the garbage collector
+    # a plant's own GetCollisionGeometriesForBody gives ids that keep it alive, unseen by the
+    # garbage collector
     inspector = scene_graph.model_inspector()
     table = tuple(
         geometry
@@ -143,9 +167,13 @@ def TakePhotograph(scenario: PushScenario, true_obj: GridObject) -> FoundObject:
     instances, table = AddStationScene(plant, scene_graph, scenario, robot)
     truth = MakeTruth(true_obj, scenario.truth, scenario.seed)
     height, base = scenario.object_height, cast(Base, scenario.base)
-    part = AddGridObject(plant, scene_graph, true_obj, truth, base, table=table, height=height, visual=False)
+    part = AddGridObject(
+        plant, scene_graph, true_obj, truth, base, table=table, height=height, visual=False
+    )
     AddSeenVisual(plant, scene_graph, part)
-    others = [(other.part, other.pose) for other in AddOthers(plant, scene_graph, scenario, table, part)]
+    others = [
+        (other.part, other.pose) for other in AddOthers(plant, scene_graph, scenario, table, part)
+    ]
     plant.Finalize()
     control_plant = MakeControlPlant(robot, CalcBasePose(plant, robot))
     q_start = CalcStartPosture(control_plant, robot, CalcHome(plant, robot))
@@ -181,7 +209,9 @@ class World:
         """The plant."""
         return self.setting.plant
 
-    def SetStart(self, diagram: Diagram, root_context: Context, seed: int | None) -> CellParameters | None:
+    def SetStart(
+        self, diagram: Diagram, root_context: Context, seed: int | None
+    ) -> CellParameters | None:
         """Puts arm and object where the scenario has them, at rest.
 
         Args:
@@ -201,12 +231,17 @@ class World:
             return None
         truth = MakeTruth(self.true_obj, scenario.truth, seed)
         support = MakeSupport(self.true_obj, truth, scenario, seed)
-        SetGridObjectParameters(plant, self.scene_graph, root_context, self.object_in_plant, truth, support)
+        SetGridObjectParameters(
+            plant, self.scene_graph, root_context, self.object_in_plant, truth, support
+        )
         return resample_parameters(self.true_obj, truth, self.setting.obj)
 
 
 def AddWorld(
-    builder: DiagramBuilder, scenario: PushScenario, show_object: bool = True, drake_models: Path | None = None
+    builder: DiagramBuilder,
+    scenario: PushScenario,
+    show_object: bool = True,
+    drake_models: Path | None = None,
 ) -> World:
     """Adds the plant with all that a scenario has, finalised.
 
@@ -249,7 +284,10 @@ def AddWorld(
     others = AddOthers(plant, scene_graph, scenario, table, object_in_plant)
     if found is not None:
         AddSeenVisual(plant, scene_graph, object_in_plant)
-        seen = {"object_pose": found.pose.tolist(), "object_height": obj.height or scenario.object_height}
+        seen = {
+            "object_pose": found.pose.tolist(),
+            "object_height": obj.height or scenario.object_height,
+        }
         scenario = scenario.model_copy(update=seen)
     if drake_models is not None:
         AddVisualMeshes(plant, scene_graph, drake_models)
@@ -277,7 +315,8 @@ class PushStation(Station):
         - other_0.pose
         - ...
 
-    - ``object.pose_true``: (3,) as it is, for display and judgment; the three after: the plant's own.
+    - ``object.pose_true``: (3,) as it is, for display and judgment; the three after: the plant's
+      own.
     - ``other_0.pose`` and so on: (3,) of each of the scenario's other objects, as ``object.pose``.
 
     Attributes:
@@ -304,7 +343,11 @@ class PushStation(Station):
         super().__init__(builder, world.setting, control, world.truth)
         self._world, self._camera, self._other_cameras = world, camera, other_cameras
         self._kinematics, self._true_parameters = control.kinematics, true_parameters
-        self.scene_graph, self.object_in_plant, self.table = world.scene_graph, world.object_in_plant, world.table
+        self.scene_graph, self.object_in_plant, self.table = (
+            world.scene_graph,
+            world.object_in_plant,
+            world.table,
+        )
         self.robot_in_plant, self.gripper = world.robot_in_plant, world.robot_in_plant.gripper
         self._meshcat = meshcat  # the visualizer in C++ keeps only the server, and `KeepToItsThread` asks for this
 
@@ -313,7 +356,8 @@ class PushStation(Station):
 
         Args:
             root_context: of the station, or of the Diagram it is part of.
-            seed: of the hidden truth and the camera's noise, instead of the scenario's: one Diagram serves many runs.
+            seed: of the hidden truth and the camera's noise, instead of the scenario's: one Diagram
+                serves many runs.
         """
         truth = self._world.SetStart(self, root_context, seed)
         kinematics_context = self._kinematics.GetMyMutableContextFromRoot(root_context)
@@ -366,20 +410,22 @@ def MakePushStation(
 ) -> PushStation:
     """Makes the station.
 
-    Building one takes far longer than to begin anew: for many runs build it once, and give every run a fresh Context
-    (`CreateDefaultContext`, then `SetStart`), or `Simulator.reset_context` with one. All that differs between two runs
-    is in the Context; two runs of one station may be interleaved. A station that nobody holds any more is freed by
-    Python's garbage collector (`gc.collect()`) but for 1 MB or less that stays with Drake. Whoever keeps a `RigidBody`,
-    a `Joint`, a `Frame` or the ids of `GetCollisionGeometriesForBody` of its plant as a part of the station, or of what
-    it is connected to, keeps all of it for good: keep their indices instead.
+    Building one takes far longer than to begin anew: for many runs build it once, and give every
+    run a fresh Context (`CreateDefaultContext`, then `SetStart`), or `Simulator.reset_context` with
+    one. All that differs between two runs is in the Context; two runs of one station may be
+    interleaved. A station that nobody holds any more is freed by Python's garbage collector
+    (`gc.collect()`) but for 1 MB or less that stays with Drake. Whoever keeps a `RigidBody`, a
+    `Joint`, a `Frame` or the ids of `GetCollisionGeometriesForBody` of its plant as a part of the
+    station, or of what it is connected to, keeps all of it for good: keep their indices instead.
 
     Args:
         scenario: what stands where.
         meshcat: to show it in; None for none.
-        show_object: whether the object's plain outline is shown; not where its estimate is drawn in its place.
+        show_object: whether the object's plain outline is shown; not where its estimate is drawn in
+            its place.
         learning: what is learned from; the first `scenario.pokes.count` pushes by default.
-        name: of the station in a Diagram, and of what is shown in Meshcat; stations in one Diagram have names of their
-            own.
+        name: of the station in a Diagram, and of what is shown in Meshcat; stations in one Diagram
+            have names of their own.
 
     Returns:
         The station. Call its `SetStart` on each new Context.
@@ -389,11 +435,15 @@ def MakePushStation(
         StationError: the arm cannot take the posture in which it begins.
     """
     builder = DiagramBuilder()
-    world = AddWorld(builder, scenario, show_object, find_drake_models() if meshcat is not None else None)
+    world = AddWorld(
+        builder, scenario, show_object, find_drake_models() if meshcat is not None else None
+    )
     setting, plant, arm = world.setting, world.plant, world.robot_in_plant.arm
     scenario, gripper, found = setting.scenario, world.robot_in_plant.gripper, setting.found
     driver = AddArmDriver(builder, plant, setting.robot, arm, setting.control_plant)
-    sensors = AddSensors(builder, world.scene_graph, scenario, setting.robot, world.object_in_plant, found)
+    sensors = AddSensors(
+        builder, world.scene_graph, scenario, setting.robot, world.object_in_plant, found
+    )
     camera, true_pose = sensors.camera.source, sensors.ground_truth.GetOutputPort("object_pose")
     other_cameras = AddOtherCameras(builder, scenario, setting.others)
     true_parameters = builder.AddNamedSystem("truth", TrueParameters(world.truth))
@@ -404,14 +454,23 @@ def MakePushStation(
         sensors.tip.GetOutputPort("pusher_state"),
         camera.GetOutputPort("object_pose"),
         None if gripper is None else plant.get_state_output_port(gripper),
-        None if found is None else {TRUE_LOG: true_pose, COVARIANCE_LOG: camera.GetOutputPort("covariance")},
+        None
+        if found is None
+        else {TRUE_LOG: true_pose, COVARIANCE_LOG: camera.GetOutputPort("covariance")},
     )
-    builder.Connect(control.kinematics.GetOutputPort("joint_positions"), driver.GetInputPort("position"))
+    builder.Connect(
+        control.kinematics.GetOutputPort("joint_positions"), driver.GetInputPort("position")
+    )
     if control.grasping is not None:
         assert setting.robot.gripper is not None
         hand = AddGripperController(builder, plant, gripper, setting.robot.gripper)
-        builder.Connect(control.grasping.GetOutputPort("gripper_position"), hand.get_desired_position_input_port())
-        builder.Connect(control.grasping.GetOutputPort("gripper_force_limit"), hand.get_force_limit_input_port())
+        builder.Connect(
+            control.grasping.GetOutputPort("gripper_position"),
+            hand.get_desired_position_input_port(),
+        )
+        builder.Connect(
+            control.grasping.GetOutputPort("gripper_force_limit"), hand.get_force_limit_input_port()
+        )
     if meshcat is not None:
         AddMeshcat(builder, world.scene_graph, meshcat, name)
     if found is not None:
@@ -421,7 +480,9 @@ def MakePushStation(
     builder.ExportOutput(plant.get_body_poses_output_port(), "body_poses")
     builder.ExportOutput(plant.get_contact_results_output_port(), "contact_results")
     builder.ExportOutput(world.scene_graph.get_query_output_port(), "query_object")
-    station = PushStation(builder, world, control, sensors.camera, other_cameras, true_parameters, meshcat)
+    station = PushStation(
+        builder, world, control, sensors.camera, other_cameras, true_parameters, meshcat
+    )
     station.set_name(name)
     return station
 

@@ -20,7 +20,13 @@ from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.station.others import place_others
 from gridpush_drake.station.push_station import MakePushStation
 from gridpush_drake.station.scenario import PushScenario
-from gridpush_drake.station.station import Learning, MakeFingerRegion, Station, StationMaker, make_surface
+from gridpush_drake.station.station import (
+    Learning,
+    MakeFingerRegion,
+    Station,
+    StationMaker,
+    make_surface,
+)
 from gridpush_drake.station.task import (
     GO_ON,
     ControlledRecord,
@@ -40,7 +46,8 @@ class PushTaskRecord(ControlledRecord[ContactPointStatus]):
     Attributes:
         goal: (3,) where it should lie, X_WB, m and rad.
         tolerance: mean cell error at which the goal counts as reached, m.
-        pose: (3,) where the object truly lay at the end, X_WB, m and rad; NaN where it had fallen. A real one: as seen.
+        pose: (3,) where the object truly lay at the end, X_WB, m and rad; NaN where it had fallen.
+            A real one: as seen.
         error: mean cell error to the goal there, m.
     """
 
@@ -65,7 +72,12 @@ class PushTaskRecord(ControlledRecord[ContactPointStatus]):
         return [step.status.expected_error for step in self.steps if step.push is not None]
 
 
-REACHED, FAILED, LOST, STUCK = TaskStatus.REACHED, TaskStatus.FAILED, TaskStatus.LOST, TaskStatus.STUCK
+REACHED, FAILED, LOST, STUCK = (
+    TaskStatus.REACHED,
+    TaskStatus.FAILED,
+    TaskStatus.LOST,
+    TaskStatus.STUCK,
+)
 
 EDGE_MARGIN = 0.03
 """Between the object and the table's edge, m."""
@@ -94,7 +106,10 @@ class PushTask(StationTask[PushTaskRecord]):
     timeout = 15.0
 
     def __init__(
-        self, scenario: PushScenario, meshcat: Meshcat | None = None, make_station: StationMaker = MakePushStation
+        self,
+        scenario: PushScenario,
+        meshcat: Meshcat | None = None,
+        make_station: StationMaker = MakePushStation,
     ) -> None:
         """Makes the Diagram.
 
@@ -108,13 +123,17 @@ class PushTask(StationTask[PushTaskRecord]):
             StationError: see `MakePushStation`.
         """
         builder = DiagramBuilder()
-        station = builder.AddSystem(make_station(scenario, meshcat, show_object=False, learning=Learning()))
+        station = builder.AddSystem(
+            make_station(scenario, meshcat, show_object=False, learning=Learning())
+        )
         self.surface = make_surface(station.table_top)
         goal = builder.AddNamedSystem("goal", ConstantVectorSource(np.array(scenario.goal.pose)))
         self.controller = builder.AddNamedSystem(
             "controller",
             ContactPointController(
-                station.obj, make_rules(station, self.surface), answer_delay=scenario.simulation.answer_delay
+                station.obj,
+                make_rules(station, self.surface),
+                answer_delay=scenario.simulation.answer_delay,
             ),
         )
         builder.Connect(goal.get_output_port(), self.controller.GetInputPort("goal_pose"))
@@ -126,7 +145,9 @@ class PushTask(StationTask[PushTaskRecord]):
         """An empty record."""
         station, goal = self.station, self.station.scenario.goal
         begin = ContactPointStatus()
-        return PushTaskRecord(station.obj, station.truth, self.surface, begin, np.array(goal.pose), goal.tolerance)
+        return PushTaskRecord(
+            station.obj, station.truth, self.surface, begin, np.array(goal.pose), goal.tolerance
+        )
 
     def note(self, record: PushTaskRecord, time: float) -> bool:
         """Writes down where the object is and what the controller says."""
@@ -163,9 +184,14 @@ def make_rules(station: Station, surface: SupportSurface) -> GoalRules:
         push_rule=lambda push: station.FindObstacle(PushCommand.from_push(1, push)) is None,
     )
     contact = ContactOptions(
-        station.robot.finger.tip_radius, clearance, scenario.pokes.speed, (clearance + MIN_PUSH, MAX_PUSH)
+        station.robot.finger.tip_radius,
+        clearance,
+        scenario.pokes.speed,
+        (clearance + MIN_PUSH, MAX_PUSH),
     )
-    return GoalRules(constraints, contact, tolerance=scenario.goal.tolerance, max_pushes=scenario.goal.max_pushes)
+    return GoalRules(
+        constraints, contact, tolerance=scenario.goal.tolerance, max_pushes=scenario.goal.max_pushes
+    )
 
 
 def AddGoal(meshcat: Meshcat, obj: GridObject, pose: Array | list[float], height: float) -> None:

@@ -1,16 +1,19 @@
 """`Robot`: which of a scene's models are arm, finger and gripper, and their measures, which stand beside the models.
 
-An arm's model has a `robot.yaml` in its folder, a finger's a `finger.yaml`, a gripper's a `gripper.yaml`. So a scene
-says which robot there is by the models it adds, and another robot is another folder: nothing here or anywhere else
-in the station knows a robot's measures or the names of its frames.
+An arm's model has a `robot.yaml` in its folder, a finger's a `finger.yaml`, a gripper's a
+`gripper.yaml`. So a scene says which robot there is by the models it adds, and another robot is
+another folder: nothing here or anywhere else in the station knows a robot's measures or the names
+of its frames.
 
-How far an arm reaches is found by its inverse kinematics (`station.arm`). Where shoulder, elbow and wrist lie on one
-line when it is stretched, as an iiwa's do, a formula says it at once. While the tool points down the wrist stands over
-the finger's tip; from the shoulder it is as far as the elbow lets it be:
+How far an arm reaches is found by its inverse kinematics (`station.arm`). Where shoulder, elbow and
+wrist lie on one line when it is stretched, as an iiwa's do, a formula says it at once. While the
+tool points down the wrist stands over the finger's tip; from the shoulder it is as far as the elbow
+lets it be:
 
     d^2 = a^2 + b^2 + 2 a b cos(q4),   |q4| <= elbow_limit
 
-with upper arm a and forearm b. At a given height of the tip its distance from the robot's axis lies between two radii.
+with upper arm a and forearm b. At a given height of the tip its distance from the robot's axis lies
+between two radii.
 """
 
 from collections.abc import Sequence
@@ -101,11 +104,12 @@ class ControlMeasures(_Measures):
     """How the arm is moved. What is said in rad is in m for joints that slide.
 
     Attributes:
-        driver: what stands between the wanted joint positions and the joints. "iiwa": Drake's `SimIiwaDriver`, inverse
-            dynamics and torques (it drives any arm); "position": each joint's own servo, with gravity compensated.
+        driver: what stands between the wanted joint positions and the joints. "iiwa": Drake's
+            `SimIiwaDriver`, inverse dynamics and torques (it drives any arm); "position": each
+            joint's own servo, with gravity compensated.
         period: of the inverse kinematics, s.
-        stiffness: kp of an iiwa's inverse dynamics controller, critically damped, 1/s²; of a joint's servo, N m/rad, or
-            N/m; one number for all joints, or one for each.
+        stiffness: kp of an iiwa's inverse dynamics controller, critically damped, 1/s²; of a
+            joint's servo, N m/rad, or N/m; one number for all joints, or one for each.
         damping: of a joint's servo, N m s/rad or N s/m, likewise; None for an iiwa.
         centering_gain: of the pull to the nominal posture in the null space, 1/s.
         limit_margin: kept from the joints' limits by the inverse kinematics, rad.
@@ -141,21 +145,29 @@ class ArmMeasures(_Measures):
     Attributes:
         base_frame: of the body that stands in the world.
         flange_frame: carries the tool.
-        home: (3,) p_WP of the tip at the beginning, x and y from the robot's base, z from the table's top, m.
-        posture: where the search for the posture at home begins, about as it will be, rad, or m where a joint slides.
-        reach: how far the arm gets, where a formula says it; null for the inverse kinematics to find out.
+        home: (3,) p_WP of the tip at the beginning, x and y from the robot's base, z from the
+            table's top, m.
+        posture: where the search for the posture at home begins, about as it will be, rad, or m
+            where a joint slides.
+        reach: how far the arm gets, where a formula says it; null for the inverse kinematics to
+            find out.
         control: how it is moved.
-        messages: what its driver speaks over LCM, see `station.lcm.robot_messages`; null where nobody knows.
+        messages: what its driver speaks over LCM, see `station.lcm.robot_messages`; null where
+            nobody knows.
         scenes: that have it, to name the robot instead of a scene; null for none.
     """
 
     base_frame: Name
     flange_frame: Name
-    home: Annotated[Numbers, Field(min_length=3, max_length=3, description="a point [x, y, z], in m")]
+    home: Annotated[
+        Numbers, Field(min_length=3, max_length=3, description="a point [x, y, z], in m")
+    ]
     posture: Annotated[Numbers, Field(min_length=1, description="joint positions, in rad or m")]
     reach: ReachMeasures | None = None
     control: ControlMeasures
-    messages: Annotated[Literal["iiwa", "panda"] | None, Field(description="iiwa, panda or null")] = None
+    messages: Annotated[
+        Literal["iiwa", "panda"] | None, Field(description="iiwa, panda or null")
+    ] = None
     scenes: SceneFiles | None = None
 
 
@@ -163,7 +175,8 @@ class FingerMeasures(_Measures):
     """A finger's `finger.yaml`.
 
     Attributes:
-        tip_frame: of the body that is the sphere at the finger's tip, at its center, z along the finger.
+        tip_frame: of the body that is the sphere at the finger's tip, at its center, z along the
+            finger.
         tip_radius: of that sphere, m.
     """
 
@@ -189,7 +202,9 @@ class GripperMeasures(_Measures):
 
     mount_frame: Name
     grasp_frame: Name
-    fingers: Annotated[tuple[str, ...], Strict(False), Field(min_length=2, description="names of bodies")]
+    fingers: Annotated[
+        tuple[str, ...], Strict(False), Field(min_length=2, description="names of bodies")
+    ]
     max_force: Positive = 80.0
     closing_speed: Positive = 0.15
     coupling: Positive = COUPLING
@@ -217,7 +232,9 @@ M = TypeVar("M", bound=_Measures)
 
 def read_measures(path: Path, schema: type[M]) -> M:
     """Reads a robot.yaml, finger.yaml or gripper.yaml. Raises ScenarioError by file, field and expected form."""
-    return check_mapping(path, read_mapping(path, f"{path.stem} measures", ScenarioError), schema, ScenarioError)
+    return check_mapping(
+        path, read_mapping(path, f"{path.stem} measures", ScenarioError), schema, ScenarioError
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,7 +248,8 @@ class Robot:
         arm_model: name of the arm's model in the scene.
         finger_model: of the finger's.
         gripper_model: of the gripper's; empty where there is none.
-        directives: those of the scene that add the arm and all that it carries, in the scene's order.
+        directives: those of the scene that add the arm and all that it carries, in the scene's
+            order.
     """
 
     arm: ArmMeasures
@@ -268,14 +286,20 @@ def find_robot(directives: Sequence[ModelDirective]) -> Robot:
         The robot.
 
     Raises:
-        ScenarioError: a directive cannot be carried out, there is no arm with a finger, there are several, or a file of
-            measures is not what it should be.
+        ScenarioError: a directive cannot be carried out, there is no arm with a finger, there are
+            several, or a file of measures is not what it should be.
     """
     package_map = PackageMap()
     AddModelsPackage(package_map)
     try:
-        flat = FlattenModelDirectives(ModelDirectives(directives=list(directives)), package_map).directives
-        folders = {d.add_model.name: Path(package_map.ResolveUrl(d.add_model.file)).parent for d in flat if d.add_model}
+        flat = FlattenModelDirectives(
+            ModelDirectives(directives=list(directives)), package_map
+        ).directives
+        folders = {
+            d.add_model.name: Path(package_map.ResolveUrl(d.add_model.file)).parent
+            for d in flat
+            if d.add_model
+        }
     except (RuntimeError, ValueError) as error:
         raise ScenarioError(f"directives: {' '.join(str(error).split())}") from error
     arm_model, arm = _find_measures(folders, "robot.yaml", ArmMeasures)
@@ -292,8 +316,13 @@ def find_robot(directives: Sequence[ModelDirective]) -> Robot:
 
 def list_robots(*, grasping: bool = False) -> list[str]:
     """Names of the robots that come with the package, or of those of them that can grasp."""
-    found = {path.parent.name: read_measures(path, ArmMeasures).scenes for path in _find_shipped().glob("*/robot.yaml")}
-    return sorted(name for name, scenes in found.items() if scenes and (scenes.grasp or not grasping))
+    found = {
+        path.parent.name: read_measures(path, ArmMeasures).scenes
+        for path in _find_shipped().glob("*/robot.yaml")
+    }
+    return sorted(
+        name for name, scenes in found.items() if scenes and (scenes.grasp or not grasping)
+    )
 
 
 def make_robot_directives(robot: str, *, grasping: bool | None) -> list[ModelDirective]:
@@ -307,7 +336,8 @@ def make_robot_directives(robot: str, *, grasping: bool | None) -> list[ModelDir
         The directives.
 
     Raises:
-        ScenarioError: there is no such robot, its robot.yaml is not what it should be, or names no such scene.
+        ScenarioError: there is no such robot, its robot.yaml is not what it should be, or names no
+            such scene.
     """
     path = Path(robot)
     shipped = _find_shipped() / path.name / "robot.yaml"
@@ -340,14 +370,18 @@ def _find_shipped() -> Path:
 def _find_measures(folders: dict[str, Path], file: str, schema: type[M]) -> tuple[str, M | None]:
     found = [(name, folder / file) for name, folder in folders.items() if is_file(folder / file)]
     if len(found) > 1:
-        raise ScenarioError(f"directives: {' and '.join(name for name, _ in found)} each have a {file}; expected one")
+        raise ScenarioError(
+            f"directives: {' and '.join(name for name, _ in found)} each have a {file}; expected one"
+        )
     return (found[0][0], read_measures(found[0][1], schema)) if found else ("", None)
 
 
 def _list_carried(flat: Sequence[ModelDirective], arm_model: str) -> tuple[ModelDirective, ...]:
     """The directives of the arm's model and of all that is welded to it."""
     carried = {arm_model}
-    welds = [(_model_of(d.add_weld.parent), _model_of(d.add_weld.child)) for d in flat if d.add_weld]
+    welds = [
+        (_model_of(d.add_weld.parent), _model_of(d.add_weld.child)) for d in flat if d.add_weld
+    ]
     for _ in welds:
         carried |= {child for parent, child in welds if parent in carried}
 
@@ -374,12 +408,21 @@ def GetRobotInPlant(plant: MultibodyPlant, robot: Robot) -> RobotInPlant:
     wanted = [(robot.arm_model, robot.arm.base_frame), (robot.arm_model, robot.arm.flange_frame)]
     wanted += [(robot.finger_model, robot.finger.tip_frame)]
     if robot.gripper is not None:
-        wanted += [(robot.gripper_model, name) for name in (robot.gripper.mount_frame, robot.gripper.grasp_frame)]
+        wanted += [
+            (robot.gripper_model, name)
+            for name in (robot.gripper.mount_frame, robot.gripper.grasp_frame)
+        ]
     for model, frame in wanted:
         if not plant.HasFrameNamed(frame, plant.GetModelInstanceByName(model)):
-            raise ScenarioError(f"directives: there is no frame {model}::{frame}, which the measures of {model} name")
+            raise ScenarioError(
+                f"directives: there is no frame {model}::{frame}, which the measures of {model} name"
+            )
     arm, finger = map(plant.GetModelInstanceByName, (robot.arm_model, robot.finger_model))
-    return RobotInPlant(arm, finger, plant.GetModelInstanceByName(robot.gripper_model) if robot.gripper_model else None)
+    return RobotInPlant(
+        arm,
+        finger,
+        plant.GetModelInstanceByName(robot.gripper_model) if robot.gripper_model else None,
+    )
 
 
 def list_moving_joints(plant: MultibodyPlant, instance: ModelInstanceIndex) -> list[Joint]:
@@ -392,8 +435,9 @@ def check_robot(plant: MultibodyPlant, robot: Robot) -> None:
     """Checks a robot's joints in a finalised plant.
 
     Raises:
-        ScenarioError: a body or frame that the measures name is not there, the arm's joints are not as many as they say
-            or have no limits or motors, or the gripper does not open as it should.
+        ScenarioError: a body or frame that the measures name is not there, the arm's joints are not
+            as many as they say or have no limits or motors, or the gripper does not open as it
+            should.
     """
     instances = GetRobotInPlant(plant, robot)
     _check_joints(plant, robot, instances.arm)
@@ -410,7 +454,11 @@ def _check_joints(plant: MultibodyPlant, robot: Robot, arm: ModelInstanceIndex) 
             f"directives: control.damping in the robot.yaml of {model} is missing; expected {GAINS}, as its driver is "
             "position"
         )
-    one_each = {"posture": measures.posture, "stiffness": control.stiffness, "damping": control.damping or ()}
+    one_each = {
+        "posture": measures.posture,
+        "stiffness": control.stiffness,
+        "damping": control.damping or (),
+    }
     for name, numbers in one_each.items():
         if len(numbers) != len(joints) and (name == "posture" or len(numbers) > 1):
             raise ScenarioError(
@@ -418,13 +466,20 @@ def _check_joints(plant: MultibodyPlant, robot: Robot, arm: ModelInstanceIndex) 
                 f"expected {len(joints)}, one for each joint: {names}"
             )
     for joint in joints:
-        limits = [joint.position_lower_limits(), joint.position_upper_limits(), joint.velocity_upper_limits()]
+        limits = [
+            joint.position_lower_limits(),
+            joint.position_upper_limits(),
+            joint.velocity_upper_limits(),
+        ]
         if joint.num_positions() > 1 or not np.isfinite(limits).all():
             raise ScenarioError(
                 f"directives: joint {joint.name()} of {model} has no limits; expected its model to limit position and "
                 "velocity"
             )
-    motors = [plant.get_joint_actuator(index).joint().name() for index in plant.GetJointActuatorIndices(arm)]
+    motors = [
+        plant.get_joint_actuator(index).joint().name()
+        for index in plant.GetJointActuatorIndices(arm)
+    ]
     if motors != [joint.name() for joint in joints]:
         raise ScenarioError(
             f"directives: joints of {model} with a motor are {', '.join(motors) or 'none'}; expected transmissions for "
@@ -445,10 +500,13 @@ def _check_gripper(plant: MultibodyPlant, robot: Robot, gripper: ModelInstanceIn
         )
 
 
-def AddRobot(plant: MultibodyPlant, robot: Robot, X_WB: RigidTransform | None = None) -> RobotInPlant:
+def AddRobot(
+    plant: MultibodyPlant, robot: Robot, X_WB: RigidTransform | None = None
+) -> RobotInPlant:
     """Adds a robot alone, and nothing else of its scene, to a plant. Call it before Finalize.
 
-    A gripper is rigid, so that the plant has the arm's positions only; it has its mount and grasp frames.
+    A gripper is rigid, so that the plant has the arm's positions only; it has its mount and grasp
+    frames.
 
     Args:
         plant: to add it to.
@@ -461,7 +519,11 @@ def AddRobot(plant: MultibodyPlant, robot: Robot, X_WB: RigidTransform | None = 
     kept = [d for d in robot.directives if not _is_of_gripper(d, robot)]
     ProcessModelDirectives(ModelDirectives(directives=kept), MakeParser(plant))
     arm = plant.GetModelInstanceByName(robot.arm_model)
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(robot.arm.base_frame, arm), X_WB or RigidTransform())
+    plant.WeldFrames(
+        plant.world_frame(),
+        plant.GetFrameByName(robot.arm.base_frame, arm),
+        X_WB or RigidTransform(),
+    )
     if robot.gripper is not None:
         _AddRigidGripper(plant, robot, robot.gripper)
     return GetRobotInPlant(plant, robot)
@@ -479,7 +541,10 @@ def _AddRigidGripper(plant: MultibodyPlant, robot: Robot, measures: GripperMeasu
     (model,) = (d.add_model for d in own if d.add_model)
     (gripper,) = MakeParser(whole).AddModelsFromUrl(model.file)
     whole.Finalize()
-    context, base = whole.CreateDefaultContext(), whole.GetFrameByName(measures.mount_frame, gripper).body()
+    context, base = (
+        whole.CreateDefaultContext(),
+        whole.GetFrameByName(measures.mount_frame, gripper).body(),
+    )
     inertia = whole.CalcSpatialInertia(context, base.body_frame(), whole.GetBodyIndices(gripper))
     instance = plant.AddModelInstance(robot.gripper_model)
     rigid = plant.AddRigidBody(base.name(), instance, inertia)
@@ -493,4 +558,6 @@ def _AddRigidGripper(plant: MultibodyPlant, robot: Robot, measures: GripperMeasu
 
 def _Weld(plant: MultibodyPlant, weld: AddWeld) -> None:
     X_PC = RigidTransform() if weld.X_PC is None else weld.X_PC.GetDeterministicValue()
-    plant.WeldFrames(GetScopedFrameByName(plant, weld.parent), GetScopedFrameByName(plant, weld.child), X_PC)
+    plant.WeldFrames(
+        GetScopedFrameByName(plant, weld.parent), GetScopedFrameByName(plant, weld.child), X_PC
+    )

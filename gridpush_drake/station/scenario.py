@@ -1,8 +1,9 @@
 """`PushScenario`: all that a station is made from, as one YAML document with a default for every field.
 
-Lengths are in m, angles in rad, times in s, masses in kg. Poses (x, y, theta) are the object's body frame B in the
-world frame W, whose plane z = 0 is the top of the table. Each field's description is what a message says it should
-hold. Whether a scenario makes sense as a whole is `station.scene.check_scenario`'s to say.
+Lengths are in m, angles in rad, times in s, masses in kg. Poses (x, y, theta) are the object's body
+frame B in the world frame W, whose plane z = 0 is the top of the table. Each field's description is
+what a message says it should hold. Whether a scenario makes sense as a whole is
+`station.scene.check_scenario`'s to say.
 """
 
 from collections.abc import Mapping
@@ -29,9 +30,22 @@ from pydrake.systems.sensors import CameraConfig as DrakeCameraConfig
 
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.files import is_file, read_text, write_whole
-from gridpush_drake.multibody.ground_truth import CELL_MASS_RANGE, CONTACT_FRICTION_RANGE, FRICTION_RANGE, Support
+from gridpush_drake.multibody.ground_truth import (
+    CELL_MASS_RANGE,
+    CONTACT_FRICTION_RANGE,
+    FRICTION_RANGE,
+    Support,
+)
 from gridpush_drake.station.robot import make_robot_directives
-from gridpush_drake.yaml_file import MAX_YAML_SIZE, NOT_YAML, check_yaml, explain, list_expected, shorten, suggest
+from gridpush_drake.yaml_file import (
+    MAX_YAML_SIZE,
+    NOT_YAML,
+    check_yaml,
+    explain,
+    list_expected,
+    shorten,
+    suggest,
+)
 
 CURRENT_VERSION = 1
 """Of the schema; a scenario of another one is refused."""
@@ -47,7 +61,8 @@ MAX_COUNT = 10_000
 MAX_SEED = 2**63 - 1
 
 MIN_POKE = 0.01
-"""Least path of a push that explores, m: as far as it must move the object to be made (`RandomPokeOptions`)."""
+"""Least path of a push that explores, m: as far as it must move the object to be made
+(`RandomPokeOptions`)."""
 
 ROBOT = "robot"
 """Key of a file that names a robot instead of its scene."""
@@ -77,11 +92,15 @@ MAX_DELAY = 60.0
 
 
 def _positive(unit: str, low: float = MIN_SIZE, high: float = MAX_SIZE) -> Any:
-    return Field(ge=low, le=high, description=f"a positive number, in {unit}, from {low:g} to {high:g}")
+    return Field(
+        ge=low, le=high, description=f"a positive number, in {unit}, from {low:g} to {high:g}"
+    )
 
 
 def _not_negative(unit: str) -> Any:
-    return Field(ge=0, le=MAX_SIZE, description=f"a number, 0 or more, in {unit}, at most {MAX_SIZE:g}")
+    return Field(
+        ge=0, le=MAX_SIZE, description=f"a number, 0 or more, in {unit}, at most {MAX_SIZE:g}"
+    )
 
 
 def _count(low: int, high: int = MAX_COUNT) -> Any:
@@ -120,7 +139,9 @@ RANGE = f"[least, greatest], positive, from {MIN_SIZE:g} to {MAX_SIZE:g}"
 
 Pose = Annotated[
     list[Number],
-    Field(min_length=3, max_length=3, description=f"[x, y, theta], in m and rad, at most {MAX_SIZE:g}"),
+    Field(
+        min_length=3, max_length=3, description=f"[x, y, theta], in m and rad, at most {MAX_SIZE:g}"
+    ),
     _is_within(-MAX_SIZE, MAX_SIZE),
 ]
 
@@ -143,7 +164,9 @@ Positive = Annotated[Number, Field(ge=MIN_SIZE, le=MAX_SIZE)]
 class _Config(BaseModel):
     """A part of a scenario; it can be changed, and is checked again by whoever takes it."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, revalidate_instances="always")
+    model_config = ConfigDict(
+        extra="forbid", strict=True, allow_inf_nan=False, revalidate_instances="always"
+    )
 
 
 class FingerConfig(_Config):
@@ -181,9 +204,10 @@ class PokeConfig(_Config):
     ] = [0.06, 0.10]
     test_distance: Annotated[Number, _positive("m", low=MIN_POKE)] = 0.10
     speed: Annotated[Number, _positive("m/s", low=1e-4)] = 0.03
-    slant: Annotated[Number, Field(ge=0, lt=radians(90), description="an angle from 0 to less than pi / 2, in rad")] = (
-        radians(30)
-    )
+    slant: Annotated[
+        Number,
+        Field(ge=0, lt=radians(90), description="an angle from 0 to less than pi / 2, in rad"),
+    ] = radians(30)
     clearance: Annotated[Number, _not_negative("m")] = 0.008
 
 
@@ -205,7 +229,8 @@ class PreGraspConfig(_Config):
     """How the object is slid to the table's edge and grasped there.
 
     Attributes:
-        margin: least distance of the center of mass, at its worst, from where the object would tip, m.
+        margin: least distance of the center of mass, at its worst, from where the object would tip,
+            m.
         min_pokes: made in any case before it slides.
         max_pokes: made before giving up.
         max_slides: made before giving up.
@@ -233,11 +258,15 @@ RGBD: dict[str, Any] = {
     "clipping_far": 5.0,
     "z_near": 0.1,
     "z_far": 5.0,
-    "X_PB": {"translation": [0.6, -0.38, 1.0], "rotation": {"deg": [-162.768, 0.0, 1.848], "_tag": "!Rpy"}},
+    "X_PB": {
+        "translation": [0.6, -0.38, 1.0],
+        "rotation": {"deg": [-162.768, 0.0, 1.848], "_tag": "!Rpy"},
+    },
     "background": {"rgba": [0.30, 0.31, 0.33, 1.0]},
     "output_delay": 0.0,
 }
-"""What the camera is where a scenario does not say it: beside the table, looking down on it aslant."""
+"""What the camera is where a scenario does not say it: beside the table, looking down on it
+aslant."""
 
 RENAMED_RGBD = {
     "fov_y": "is Drake's focal now; expected focal: !FovDegrees {y: DEGREES}",
@@ -253,7 +282,8 @@ RENAMED_RGBD = {
 """What became of keys of old, and where Drake's CameraConfig has what stands elsewhere."""
 
 RGBD_KEYS = (*RGBD, "center_x", "center_y", "X_BC", "X_BD")
-"""Keys of Drake's CameraConfig that say something here: the renderer is the station's, and all images are taken."""
+"""Keys of Drake's CameraConfig that say something here: the renderer is the station's, and all
+images are taken."""
 
 MIN_SIDE, MAX_SIDE = 64, 4096
 """Of a picture, pixels."""
@@ -269,18 +299,26 @@ def _read_rgbd(data: Any) -> DrakeCameraConfig:
     _check_keys(data, DrakeCameraConfig, place)
     for key in data:
         if key not in RGBD_KEYS:
-            raise ScenarioError(f"{place}.{key}: says nothing here; expected one of {', '.join(RGBD_KEYS)}")
+            raise ScenarioError(
+                f"{place}.{key}: says nothing here; expected one of {', '.join(RGBD_KEYS)}"
+            )
     try:
-        config: DrakeCameraConfig = yaml_load_typed(schema=DrakeCameraConfig, data=dump_tagged(RGBD | data))
+        config: DrakeCameraConfig = yaml_load_typed(
+            schema=DrakeCameraConfig, data=dump_tagged(RGBD | data)
+        )
         config.MakeCameras()
     except REFUSALS as error:
         raise ScenarioError(f"{place}: {' '.join(str(error).split())}") from error
     for name in ("width", "height"):
         if not MIN_SIDE <= getattr(config, name) <= MAX_SIDE:
             side = getattr(config, name)
-            raise ScenarioError(f"{place}.{name} is {side}; expected {MIN_SIDE} to {MAX_SIDE} pixels")
+            raise ScenarioError(
+                f"{place}.{name} is {side}; expected {MIN_SIDE} to {MAX_SIDE} pixels"
+            )
     if not 0 <= config.output_delay <= MAX_DELAY:
-        raise ScenarioError(f"{place}.output_delay is {config.output_delay}; expected 0 to {MAX_DELAY:g} s")
+        raise ScenarioError(
+            f"{place}.output_delay is {config.output_delay}; expected 0 to {MAX_DELAY:g} s"
+        )
     return config
 
 
@@ -293,24 +331,27 @@ def _dump_rgbd(config: DrakeCameraConfig) -> dict[str, Any]:
 CameraKind = Literal["ideal", "rgbd"]
 
 RGBD_RATE = 10.0
-"""Pictures a second that `CameraConfig.use` leaves an rgbd camera at most, Hz: each takes long to render."""
+"""Pictures a second that `CameraConfig.use` leaves an rgbd camera at most, Hz: each takes long to
+render."""
 
 
 class CameraConfig(_Config):
     """What sees the object's pose. Its noise is drawn from the scenario's seed.
 
     Attributes:
-        kind: "ideal": the pose as it is, with noise; "rgbd": pictures are rendered, the robot finds the object in the
-            first one and its pose in all.
+        kind: "ideal": the pose as it is, with noise; "rgbd": pictures are rendered, the robot finds
+            the object in the first one and its pose in all.
         rate: poses a second, Hz.
         position_noise: standard deviation per axis, m; of an ideal one.
         angle_noise: standard deviation, rad; of an ideal one.
-        depth_noise: standard deviation of depth at a distance of 1 m, m; it grows with the distance squared.
+        depth_noise: standard deviation of depth at a distance of 1 m, m; it grows with the distance
+            squared.
         depth_edge: jump of depth between neighbors, m, at which depth is not measured.
         color_noise: standard deviation of a color's value, of 255.
         exposure_noise: standard deviation of a picture's exposure, a share.
-        rgbd: the color and depth camera, as Drake's CameraConfig, of which RGBD_KEYS are read; `output_delay` is the
-            time from a picture to its pose. `gridpush object --camera` reads the same.
+        rgbd: the color and depth camera, as Drake's CameraConfig, of which RGBD_KEYS are read;
+            `output_delay` is the time from a picture to its pose. `gridpush object --camera` reads
+            the same.
     """
 
     kind: Annotated[CameraKind, Field(description="one of ideal, rgbd")] = "ideal"
@@ -344,7 +385,9 @@ class PartTruth(_Config):
     """
 
     label: Annotated[int, _count(1)] = 1
-    cell_mass: Annotated[Positive | None, Field(description="a positive number, in kg, or null")] = None
+    cell_mass: Annotated[
+        Positive | None, Field(description="a positive number, in kg, or null")
+    ] = None
     friction: Annotated[Positive | None, Field(description="a positive number, or null")] = None
 
 
@@ -355,10 +398,12 @@ class TruthConfig(_Config):
         cell_mass: [least, greatest] of a cell, relative: all are scaled to the object's total mass.
         friction: [least, greatest] of a cell against the table.
         contact_friction: [least, greatest] of the finger against the object.
-        friction_by_part: whether each part has a friction of its own; else one draw does for all. Slow pushes cannot
-            tell a heavy part from a rough one: where both vary, the center of mass cannot be learned.
-        support: how a free object stands. "own_weight": each cell bears its own, as the model supposes;
-            "foundation": on an evenly compliant bottom; "three_feet": on three feet at places drawn from the seed.
+        friction_by_part: whether each part has a friction of its own; else one draw does for all.
+            Slow pushes cannot tell a heavy part from a rough one: where both vary, the center of
+            mass cannot be learned.
+        support: how a free object stands. "own_weight": each cell bears its own, as the model
+            supposes; "foundation": on an evenly compliant bottom; "three_feet": on three feet at
+            places drawn from the seed.
         parts: given instead of drawn; masses given here are not scaled.
     """
 
@@ -366,7 +411,9 @@ class TruthConfig(_Config):
     friction: Annotated[Range, Field(description=RANGE)] = list(FRICTION_RANGE)
     contact_friction: Annotated[Range, Field(description=RANGE)] = list(CONTACT_FRICTION_RANGE)
     friction_by_part: Annotated[bool, Field(description="true or false")] = False
-    support: Annotated[Support, Field(description=f"one of {', '.join(get_args(Support))}")] = "own_weight"
+    support: Annotated[Support, Field(description=f"one of {', '.join(get_args(Support))}")] = (
+        "own_weight"
+    )
     parts: Annotated[list[PartTruth], Field(description="a list of parts, each with a label")] = []
 
 
@@ -376,14 +423,17 @@ class SimulationConfig(_Config):
     Attributes:
         time_step: of the plant, s.
         stiction_tolerance: speed below which the plant takes contacts for sticking, m/s.
-        answer_delay: simulated, after which what takes long, learning and planning, is answered, s: 0 in the same
-            update, while the Diagram waits; otherwise beside the Diagram, which waits only when the delay is over, so
-            that a run is the same every time. null for real time: outputs hold until the answer comes.
+        answer_delay: simulated, after which what takes long, learning and planning, is answered, s:
+            0 in the same update, while the Diagram waits; otherwise beside the Diagram, which waits
+            only when the delay is over, so that a run is the same every time. null for real time:
+            outputs hold until the answer comes.
     """
 
     time_step: Annotated[Number, _positive("s", low=1e-5, high=0.1)] = 0.002
     stiction_tolerance: Annotated[Number, _positive("m/s", low=1e-9)] = 1e-4
-    answer_delay: Annotated[Delay | None, Field(description="a number of seconds, 0 or more, or null")] = 0.0
+    answer_delay: Annotated[
+        Delay | None, Field(description="a number of seconds, 0 or more, or null")
+    ] = 0.0
 
 
 class SafetyConfig(_Config):
@@ -391,9 +441,11 @@ class SafetyConfig(_Config):
 
     Attributes:
         status_age: greatest age of what the robot says of itself, s.
-        command_age: greatest age of a command, after which a twin brings the arm to rest, s; see `CommandRamp`.
+        command_age: greatest age of a command, after which a twin brings the arm to rest, s; see
+            `CommandRamp`.
         acceleration: greatest of a joint, rad/s² (m/s² where it slides).
-        torque_share: greatest torque on a joint from outside, as a share of what the joint can give.
+        torque_share: greatest torque on a joint from outside, as a share of what the joint can
+            give.
         force: greatest on the finger's tip, N.
         pose_jump: farthest that the object may be seen to move at once, m.
         pose_turn: likewise, rad.
@@ -426,7 +478,10 @@ def _read_directives(data: Any) -> Any:
     """Makes Drake's model directives of YAML data; what already is one, or is no list, stays."""
     if not isinstance(data, list):
         return data
-    return [item if isinstance(item, ModelDirective) else _read_directive(item, at) for at, item in enumerate(data)]
+    return [
+        item if isinstance(item, ModelDirective) else _read_directive(item, at)
+        for at, item in enumerate(data)
+    ]
 
 
 def _read_directive(data: Any, at: int) -> ModelDirective:
@@ -465,7 +520,9 @@ class OtherConfig(_Config):
         height: its thickness, m.
     """
 
-    object: Annotated[str, Field(pattern=r"\S", description="the name of a shipped object or of an object file")]
+    object: Annotated[
+        str, Field(pattern=r"\S", description="the name of a shipped object or of an object file")
+    ]
     pose: Pose
     height: Annotated[Number, _positive("m")] = 0.03
 
@@ -477,11 +534,13 @@ class PushScenario(_Config):
         version: of the schema.
         object: name of a shipped object, or an object file, relative to the scenario's own file.
         object_pose: [x, y, theta] of B in W at the beginning, m and rad.
-        object_height: thickness of the object, m; of another object (`use_object`) that which its file says.
-        object_friction: [least, greatest] friction of any of its cells against the table, as it is known beforehand,
-            beside what the object's file says: what both allow holds. The narrower, the better the pushes show where
-            the mass is. null where the file says it all.
-        base: "free": it can tip and be lifted; "planar": it slides and turns only, each cell's load being exact.
+        object_height: thickness of the object, m; of another object (`use_object`) that which its
+            file says.
+        object_friction: [least, greatest] friction of any of its cells against the table, as it is
+            known beforehand, beside what the object's file says: what both allow holds. The
+            narrower, the better the pushes show where the mass is. null where the file says it all.
+        base: "free": it can tip and be lifted; "planar": it slides and turns only, each cell's load
+            being exact.
         finger: that pushes.
         pokes: how it pushes.
         camera: what sees the object.
@@ -489,21 +548,22 @@ class PushScenario(_Config):
         simulation: of the world.
         workspace: of the finger's tip.
         goal: where to push the object to, where that is the task.
-        pregrasp: how to slide it to the edge and grasp it, where that is the task; the scene has a `gripper`.
+        pregrasp: how to slide it to the edge and grasp it, where that is the task; the scene has a
+            `gripper`.
         safety: what stops the arm, where it is a real one.
         others: further objects on the table, which pushes keep clear of, see `station.others`.
         seed: of everything random.
-        directives: what stands in the scene besides the object, as Drake's model directives: a robot with a finger,
-            see `station.robot`, and a model `table`.
+        directives: what stands in the scene besides the object, as Drake's model directives: a
+            robot with a finger, see `station.robot`, and a model `table`.
 
     Raises:
         ScenarioError: a field is unknown, or holds what will not do.
     """
 
     version: Annotated[int, Field(description="a whole number")] = CURRENT_VERSION
-    object: Annotated[str, Field(pattern=r"\S", description="the name of a shipped object or of an object file")] = (
-        "claw_hammer"
-    )
+    object: Annotated[
+        str, Field(pattern=r"\S", description="the name of a shipped object or of an object file")
+    ] = "claw_hammer"
     object_pose: Pose = [0.6, 0.0, 0.0]
     object_height: Annotated[Number, _positive("m")] = 0.03
     object_friction: Annotated[Range | None, Field(description=f"{RANGE}, or null")] = None
@@ -517,12 +577,16 @@ class PushScenario(_Config):
     goal: GoalConfig = GoalConfig()
     pregrasp: PreGraspConfig = PreGraspConfig()
     safety: SafetyConfig = SafetyConfig()
-    others: Annotated[list[OtherConfig], Field(description="a list of objects, each with a pose")] = []
+    others: Annotated[
+        list[OtherConfig], Field(description="a list of objects, each with a pose")
+    ] = []
     seed: Annotated[int, _count(0, MAX_SEED)] = 0
     directives: Annotated[
         list[InstanceOf[ModelDirective]],
         BeforeValidator(_read_directives),
-        Field(default_factory=_default_directives, description="a list of Drake's model directives"),
+        Field(
+            default_factory=_default_directives, description="a list of Drake's model directives"
+        ),
     ]
 
     def __init__(self, **fields: Any) -> None:
@@ -550,20 +614,24 @@ def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushSce
     """Reads a scenario, or one of several in a file.
 
     Args:
-        path: the YAML file. Instead of `directives` it may have `robot`, the name of one that comes with the package or
-            the folder of a robot.yaml, for the scene that it names, to grasp in where it can.
-        child_name: key of the document's root under which the scenario stands; the root itself where None.
+        path: the YAML file. Instead of `directives` it may have `robot`, the name of one that comes
+            with the package or the folder of a robot.yaml, for the scene that it names, to grasp in
+            where it can.
+        child_name: key of the document's root under which the scenario stands; the root itself
+            where None.
 
     Returns:
-        The scenario. What the file does not say is as `PushScenario` has it; an object file it names is looked up
-        beside it and named in full.
+        The scenario. What the file does not say is as `PushScenario` has it; an object file it
+        names is looked up beside it and named in full.
 
     Raises:
-        ScenarioError: the file cannot be read, is of another schema, has an unknown key or a value that will not do;
-            the message names the file, the field and the expected form.
+        ScenarioError: the file cannot be read, is of another schema, has an unknown key or a value
+            that will not do; the message names the file, the field and the expected form.
     """
     path = Path(path)
-    return parse_scenario(path, read_text(path, WHAT, ScenarioError, MAX_YAML_SIZE), child_name=child_name)
+    return parse_scenario(
+        path, read_text(path, WHAT, ScenarioError, MAX_YAML_SIZE), child_name=child_name
+    )
 
 
 def parse_scenario(path: Path, text: str, *, child_name: str | None = None) -> PushScenario:
@@ -609,7 +677,12 @@ def format_scenario(scenario: PushScenario) -> str:
     scenario.check()
     fields = scenario.model_dump(exclude={"directives"})
     text = yaml.dump(
-        fields, Dumper=_TaggedDumper, sort_keys=False, default_flow_style=None, allow_unicode=True, width=LINE_LENGTH
+        fields,
+        Dumper=_TaggedDumper,
+        sort_keys=False,
+        default_flow_style=None,
+        allow_unicode=True,
+        width=LINE_LENGTH,
     )
     directives = ModelDirectives(directives=scenario.directives)
     return text + str(yaml_dump_typed(directives, schema=ModelDirectives))
@@ -621,7 +694,9 @@ class _TaggedDumper(yaml.SafeDumper):
 
 def _represent_mapping(dumper: yaml.SafeDumper, data: dict[str, Any]) -> yaml.Node:
     tag = data.get("_tag", yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG)
-    return dumper.represent_mapping(tag, {key: value for key, value in data.items() if key != "_tag"})
+    return dumper.represent_mapping(
+        tag, {key: value for key, value in data.items() if key != "_tag"}
+    )
 
 
 _TaggedDumper.add_representer(dict, _represent_mapping)
@@ -636,7 +711,9 @@ def _parse(path: Path, text: str) -> dict[str, Any]:
     if data is None:
         raise ScenarioError(f"{path}: is empty; expected {WHAT}")
     if not isinstance(data, dict):
-        raise ScenarioError(f"{path}: is {shorten(data)} at its top level; expected {WHAT}: `key: value` lines")
+        raise ScenarioError(
+            f"{path}: is {shorten(data)} at its top level; expected {WHAT}: `key: value` lines"
+        )
     for key in data:
         if not isinstance(key, str):
             raise ScenarioError(f"{path}: {key}: unknown key; expected {WHAT}")
@@ -647,11 +724,15 @@ def _name_robot(path: Path, data: dict[str, Any]) -> dict[str, Any]:
     """The scene of the robot that the data names, in its place."""
     robot = data[ROBOT]
     if not isinstance(robot, str) or not robot.strip():
-        raise ScenarioError(f"{ROBOT} is {shorten(robot)}; expected a robot's name, or the folder of a robot.yaml")
+        raise ScenarioError(
+            f"{ROBOT} is {shorten(robot)}; expected a robot's name, or the folder of a robot.yaml"
+        )
     if "directives" in data:
         raise ScenarioError(f"{ROBOT} and directives are both given; expected one of them")
     beside = path.parent / robot
-    directives = make_robot_directives(str(beside) if is_file(beside / "robot.yaml") else robot, grasping=None)
+    directives = make_robot_directives(
+        str(beside) if is_file(beside / "robot.yaml") else robot, grasping=None
+    )
     return {key: value for key, value in data.items() if key != ROBOT} | {"directives": directives}
 
 
@@ -666,4 +747,6 @@ def _pick_child(path: Path, data: dict[str, Any], name: str) -> Any:
 def _check_version(version: Any) -> None:
     if isinstance(version, int) and version != CURRENT_VERSION:
         age = "an older" if version < CURRENT_VERSION else "a newer"
-        raise ScenarioError(f"version is {version}, {age} schema; this release reads version {CURRENT_VERSION}")
+        raise ScenarioError(
+            f"version is {version}, {age} schema; this release reads version {CURRENT_VERSION}"
+        )

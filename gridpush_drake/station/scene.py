@@ -12,7 +12,12 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 from pydrake.geometry import SceneGraph, SceneGraphInspector, Sphere
 from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import ModelDirectives, ModelInstanceInfo, Parser, ProcessModelDirectives
+from pydrake.multibody.parsing import (
+    ModelDirectives,
+    ModelInstanceInfo,
+    Parser,
+    ProcessModelDirectives,
+)
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 from shapely.geometry.base import BaseGeometry
@@ -34,15 +39,18 @@ from gridpush_drake.station.scenario import PushScenario, TruthConfig
 def load_object(scenario: PushScenario) -> GridObject:
     """Reads the scenario's object; a file goes before a shipped object of the same name.
 
-    The bounds of its friction, `prior.friction_min` and `friction_max`, are those that its file and the scenario's
-    `object_friction` both allow; the prior coefficient is the file's, or the nearest bound.
+    The bounds of its friction, `prior.friction_min` and `friction_max`, are those that its file and
+    the scenario's `object_friction` both allow; the prior coefficient is the file's, or the nearest
+    bound.
 
     Raises:
-        ScenarioError: there is none, its file is not what it should be, where the message suggests the nearest name; or
-            scenario and file allow no common friction.
+        ScenarioError: there is none, its file is not what it should be, where the message suggests
+            the nearest name; or scenario and file allow no common friction.
     """
     obj = _read_object(scenario.object, "object")
-    return obj if scenario.object_friction is None else _bound_friction(obj, *scenario.object_friction)
+    return (
+        obj if scenario.object_friction is None else _bound_friction(obj, *scenario.object_friction)
+    )
 
 
 def use_object(scenario: PushScenario, name: str) -> None:
@@ -57,13 +65,18 @@ def use_object(scenario: PushScenario, name: str) -> None:
 
 def load_others(scenario: PushScenario) -> list[GridObject]:
     """Reads the scenario's other objects. Raises ScenarioError as `load_object` does."""
-    return [_read_object(other.object, f"others[{at}].object") for at, other in enumerate(scenario.others)]
+    return [
+        _read_object(other.object, f"others[{at}].object")
+        for at, other in enumerate(scenario.others)
+    ]
 
 
 def _read_object(name: str, field: str) -> GridObject:
     path = Path(name)
     try:
-        return GridObject.from_yaml(path if path.suffix or is_file(path) else find_shipped_object(name))
+        return GridObject.from_yaml(
+            path if path.suffix or is_file(path) else find_shipped_object(name)
+        )
     except ObjectError as error:
         raise ScenarioError(f"{field}: {error}") from error
 
@@ -77,7 +90,9 @@ def _bound_friction(obj: GridObject, least: float, greatest: float) -> GridObjec
             f"{prior.friction_min:g} to {prior.friction_max:g}"
         )
     friction = min(max(prior.friction, low), high)
-    return replace(obj, prior=replace(prior, friction=friction, friction_min=low, friction_max=high))
+    return replace(
+        obj, prior=replace(prior, friction=friction, friction_min=low, friction_max=high)
+    )
 
 
 def AddScene(parser: Parser, scenario: PushScenario) -> list[ModelInstanceInfo]:
@@ -115,9 +130,10 @@ def check_scenario(scenario: PushScenario, source: Path | None = None) -> Robot:
     """Checks that a scenario can be built and makes sense; returns its robot.
 
     Raises:
-        ScenarioError: a value will not do; the object is unknown, larger than the table, or does not lie on it; the
-            finger cannot clear the object; the workspace or the object is out of the arm's reach; a directive cannot be
-            carried out. The message names the file, `source`, where there is one, the field and the expected form.
+        ScenarioError: a value will not do; the object is unknown, larger than the table, or does
+            not lie on it; the finger cannot clear the object; the workspace or the object is out of
+            the arm's reach; a directive cannot be carried out. The message names the file,
+            `source`, where there is one, the field and the expected form.
     """
     try:
         return _check_scenario(scenario)
@@ -142,7 +158,9 @@ def _check_scenario(scenario: PushScenario) -> Robot:
     return robot
 
 
-def CalcTipReach(plant: MultibodyPlant, robot: Robot, tip_height: float) -> tuple[NDArray[np.float64], float, float]:
+def CalcTipReach(
+    plant: MultibodyPlant, robot: Robot, tip_height: float
+) -> tuple[NDArray[np.float64], float, float]:
     """Calculates where the tip can be while the tool points down.
 
     Args:
@@ -151,13 +169,18 @@ def CalcTipReach(plant: MultibodyPlant, robot: Robot, tip_height: float) -> tupl
         tip_height: of the tip's center, z in W, m.
 
     Returns:
-        The robot's axis (2,) in W, and the least and greatest distance from it, m, see `ReachMeasures.calc_ring`.
+        The robot's axis (2,) in W, and the least and greatest distance from it, m, see
+        `ReachMeasures.calc_ring`.
     """
     context = plant.CreateDefaultContext()
-    flange, tip = (plant.GetFrameByName(name) for name in (robot.arm.flange_frame, robot.finger.tip_frame))
+    flange, tip = (
+        plant.GetFrameByName(name) for name in (robot.arm.flange_frame, robot.finger.tip_frame)
+    )
     p_WR = CalcBasePose(plant, robot).translation()
     if robot.arm.reach is None:
-        raise ScenarioError(f"directives: the robot.yaml of {robot.arm_model} has no reach; expected one")
+        raise ScenarioError(
+            f"directives: the robot.yaml of {robot.arm_model} has no reach; expected one"
+        )
     length = tip.CalcPose(context, flange).translation()[2]
     return p_WR[:2].copy(), *robot.arm.reach.calc_ring(length, tip_height - p_WR[2])
 
@@ -188,7 +211,9 @@ def _check_truth(scenario: PushScenario, obj: GridObject) -> None:
     labels = [part.label for part in scenario.truth.parts]
     for at, label in enumerate(labels):
         if label in labels[:at]:
-            raise ScenarioError(f"truth.parts[{at}].label is {label} once more; expected each part once")
+            raise ScenarioError(
+                f"truth.parts[{at}].label is {label} once more; expected each part once"
+            )
     truth = MakeTruth(obj, scenario.truth, scenario.seed)
     support = MakeSupport(obj, truth, scenario, scenario.seed)
     if support is not None and scenario.base != "free":
@@ -219,11 +244,15 @@ def _check_others(scenario: PushScenario, obj: GridObject, table: BaseGeometry) 
         outline = transform_shape(config.pose, other.outline)
         for name, before in lying:
             if before.intersects(outline):
-                raise ScenarioError(f"{field} is {config.pose}: there the object lies in that of {name}; expected room")
+                raise ScenarioError(
+                    f"{field} is {config.pose}: there the object lies in that of {name}; expected room"
+                )
         lying.append((field, outline))
 
 
-def _check_on_table(fields: tuple[str, str], obj: GridObject, pose: list[float], table: BaseGeometry) -> None:
+def _check_on_table(
+    fields: tuple[str, str], obj: GridObject, pose: list[float], table: BaseGeometry
+) -> None:
     """Of the `fields` a message names the first where the object is too large, the second where it is misplaced."""
     if table.covers(transform_shape(pose, obj.outline)):
         return
@@ -248,10 +277,14 @@ def _check_on_table(fields: tuple[str, str], obj: GridObject, pose: list[float],
 def _check_tip(robot: Robot, plant: MultibodyPlant, inspector: SceneGraphInspector) -> None:
     model, tip = robot.finger_model, robot.finger.tip_frame
     body = plant.GetBodyByName(tip, plant.GetModelInstanceByName(model))
-    shapes = [inspector.GetShape(geometry) for geometry in plant.GetCollisionGeometriesForBody(body)]
+    shapes = [
+        inspector.GetShape(geometry) for geometry in plant.GetCollisionGeometriesForBody(body)
+    ]
     radii = [shape.radius() for shape in shapes if isinstance(shape, Sphere)]
     if len(radii) != 1 or len(shapes) != 1:
-        raise ScenarioError(f"directives: body {model}::{tip} must have one sphere, and nothing else, to touch with")
+        raise ScenarioError(
+            f"directives: body {model}::{tip} must have one sphere, and nothing else, to touch with"
+        )
     if abs(radii[0] - robot.finger.tip_radius) > TIP_TOLERANCE:
         raise ScenarioError(
             f"finger.yaml: tip_radius is {robot.finger.tip_radius:g} m; "
@@ -264,9 +297,14 @@ def _check_reach(scenario: PushScenario, plant: MultibodyPlant, robot: Robot) ->
     box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
     if robot.arm.reach is not None:
         p_WR, least, greatest = CalcTipReach(plant, robot, scenario.finger.push_height)
-        reach, axis = f"between {least:.2f} and {greatest:.2f} m from the robot's axis", shapely.Point(p_WR)
+        reach, axis = (
+            f"between {least:.2f} and {greatest:.2f} m from the robot's axis",
+            shapely.Point(p_WR),
+        )
         if box.distance(axis) >= greatest or box.hausdorff_distance(axis) <= least:
-            raise ScenarioError(f"workspace is out of the arm's reach; expected a box with points {reach}")
+            raise ScenarioError(
+                f"workspace is out of the arm's reach; expected a box with points {reach}"
+            )
     x, y = scenario.object_pose[:2]
     if not box.covers(shapely.Point(x, y)):
         raise ScenarioError(
@@ -279,7 +317,9 @@ WORKSPACE_STEP = 0.1
 """m, between places of the workspace that an arm is asked about."""
 
 
-def _check_home(scenario: PushScenario, plant: MultibodyPlant, robot: Robot, box: BaseGeometry) -> None:
+def _check_home(
+    scenario: PushScenario, plant: MultibodyPlant, robot: Robot, box: BaseGeometry
+) -> None:
     """That the arm reaches its home and, where no formula says it, the workspace from there."""
     X_WR, home = CalcBasePose(plant, robot), CalcHome(plant, robot)
     control_plant, base = MakeControlPlant(robot, X_WR), _describe_point(X_WR.translation())

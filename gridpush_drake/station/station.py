@@ -1,8 +1,8 @@
 """`Station`: what tasks need of a robot with an object on a table, simulated or real; and what commands the robot.
 
-`AddRobotControl` puts into a Diagram all that knows nothing of whether the robot is real: the executors of pushes and
-grasps, the inverse kinematics and the identifier. What it asks for is where the tip and the object are; what it gives
-is where the arm's joints and the gripper should be.
+`AddRobotControl` puts into a Diagram all that knows nothing of whether the robot is real: the
+executors of pushes and grasps, the inverse kinematics and the identifier. What it asks for is where
+the tip and the object are; what it gives is where the arm's joints and the gripper should be.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,12 @@ from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.segmentation import RecordOptions, Sample
 from gridpush_drake.pushes.stream import make_samples
 from gridpush_drake.report.camera_figure import Sight
-from gridpush_drake.station.arm import AddArmKinematics, ArmReach, CalcStartPosture, MakeControlPlant
+from gridpush_drake.station.arm import (
+    AddArmKinematics,
+    ArmReach,
+    CalcStartPosture,
+    MakeControlPlant,
+)
 from gridpush_drake.station.camera import FoundObject, calc_pose_age
 from gridpush_drake.station.grasping import (
     AddGraspExecutor,
@@ -126,14 +131,18 @@ def LoadPushedObject(scenario: PushScenario, robot: Robot | None = None) -> Grid
     """
     obj, finger = load_object(scenario), (robot or find_robot(scenario.directives)).finger
     height = scenario.finger.push_height if scenario.base == "free" else None
-    return replace(obj, prior=replace(obj.prior, pusher_radius=finger.tip_radius, push_height=height))
+    return replace(
+        obj, prior=replace(obj.prior, pusher_radius=finger.tip_radius, push_height=height)
+    )
 
 
 def make_style(scenario: PushScenario, robot: Robot) -> PushTrajectoryOptions:
     """How the scenario's finger pushes."""
     finger = scenario.finger
     return PushTrajectoryOptions(
-        travel_height=finger.travel_height, push_height=finger.push_height, tip_radius=robot.finger.tip_radius
+        travel_height=finger.travel_height,
+        push_height=finger.push_height,
+        tip_radius=robot.finger.tip_radius,
     )
 
 
@@ -142,7 +151,8 @@ class Setting:
     """What is known of a robot and what is before it, whether it is simulated or real.
 
     Attributes:
-        scenario: what it was made from; with a color and depth camera, pose and height of the object are as seen.
+        scenario: what it was made from; with a color and depth camera, pose and height of the
+            object are as seen.
         obj: the object, as the robot knows it.
         found: it in the photograph; None where the robot is told the object.
         others: further objects on the table.
@@ -176,16 +186,21 @@ def MakeSetting(
     table_top: BaseGeometry,
 ) -> Setting:
     """Makes a setting, with the arm at its home; see `Setting`. Raises StationError where it does not get there."""
-    home, control_plant = CalcHome(plant, robot), MakeControlPlant(robot, CalcBasePose(plant, robot))
+    home, control_plant = (
+        CalcHome(plant, robot),
+        MakeControlPlant(robot, CalcBasePose(plant, robot)),
+    )
     q_start = CalcStartPosture(control_plant, robot, home)
-    return Setting(scenario, obj, found, others, plant, control_plant, robot, table_top, home, q_start)
+    return Setting(
+        scenario, obj, found, others, plant, control_plant, robot, table_top, home, q_start
+    )
 
 
 def find_lookouts(setting: Setting) -> Array:
     """Where the tip goes (3, 3), p_WP, m, while the arm may hide the object from a camera.
 
-    They are its home and, as high, the two corners of the workspace that are nearest to the robot's base: of what lies
-    behind one of them, seen from the camera, another shows something.
+    They are its home and, as high, the two corners of the workspace that are nearest to the robot's
+    base: of what lies behind one of them, seen from the camera, another shows something.
     """
     workspace, (_, _, z) = setting.scenario.workspace, setting.home
     p_WR = CalcBasePose(setting.plant, setting.robot).translation()
@@ -248,8 +263,12 @@ def AddRobotControl(
     )
     grasping, seen = None, pusher_state
     if robot.gripper is not None and gripper_state is not None:
-        grasp_style = make_grasp_trajectory_options(scenario, control_plant, robot.gripper, robot.finger.tip_frame)
-        grasping = AddGraspExecutor(builder, robot.gripper, executor, reach, setting.table_top, grasp_style)
+        grasp_style = make_grasp_trajectory_options(
+            scenario, control_plant, robot.gripper, robot.finger.tip_frame
+        )
+        grasping = AddGraspExecutor(
+            builder, robot.gripper, executor, reach, setting.table_top, grasp_style
+        )
         builder.Connect(gripper_state, grasping.GetInputPort("gripper_state"))
         ExportGrasping(builder, gripper_state, grasping)
         seen = AddPusherGate(builder, pusher_state, grasping).GetOutputPort("pusher_state")
@@ -258,7 +277,11 @@ def AddRobotControl(
     for consumer in (executor, identifier):
         builder.Connect(object_pose, consumer.GetInputPort("object_pose"))
     builder.Connect(seen, identifier.GetInputPort("pusher_state"))
-    AddLogs(builder, {PUSHER_LOG: seen, POSE_LOG: object_pose} | (logged or {}), 1 / scenario.camera.rate)
+    AddLogs(
+        builder,
+        {PUSHER_LOG: seen, POSE_LOG: object_pose} | (logged or {}),
+        1 / scenario.camera.rate,
+    )
     builder.ExportInput(executor.GetInputPort("push_command"), "push_command")
     ExportOutputs(builder, executor, "executor", ("status",))
     ExportOutputs(builder, desired, "executor", ("tip_pose",))
@@ -269,7 +292,8 @@ def AddRobotControl(
 
 
 StationMaker = Callable[..., "Station"]
-"""Makes a station of a scenario, a Meshcat or None, and `show_object` and `learning` by name; see `MakePushStation`."""
+"""Makes a station of a scenario, a Meshcat or None, and `show_object` and `learning` by name; see
+`MakePushStation`."""
 
 
 class Station(Diagram):
@@ -295,25 +319,32 @@ class Station(Diagram):
         - gripper.state
 
     - ``push_command``: (6,) see `PushCommand`.
-    - ``executor.status``: abstract `PushStatus`; ``executor.tip_pose``: abstract `RigidTransform`, X_WP desired.
+    - ``executor.status``: abstract `PushStatus`; ``executor.tip_pose``: abstract `RigidTransform`,
+      X_WP desired.
     - ``pusher.state``: (6,) p_WP, m, and v_WP, m/s, of the tip's center, from the joints.
     - ``object.pose``: (3,) as the camera sees it, m and rad.
     - ``estimate.*``: see `GridIdentifier`; ``iiwa.*``: see Drake's `SimIiwaDriver`.
       Another arm's ports have the name that the scene gives to its model: ``panda.*``.
-    - Where the scene has a gripper: ``grasp_command``: (6,) see `GraspCommand`, need not be connected;
-      ``grasp.status``: abstract `GraspStatus`; ``gripper.state``: (4,) the fingers' positions, left and right, m, and
-      velocities, m/s. ``executor.tip_pose`` is then what push and grasp executor together desire.
+    - Where the scene has a gripper: ``grasp_command``: (6,) see `GraspCommand`, need not be
+      connected; ``grasp.status``: abstract `GraspStatus`; ``gripper.state``: (4,) the fingers'
+      positions, left and right, m, and velocities, m/s. ``executor.tip_pose`` is then what push and
+      grasp executor together desire.
 
     Attributes:
         scenario, obj, found, others, plant, robot, table_top, home: see `Setting`.
-        truth: what the object really weighs and how it rubs in a fresh Context; None where nobody knows.
+        truth: what the object really weighs and how it rubs in a fresh Context; None where nobody
+            knows.
         style: how the executor pushes.
     """
 
     __slots__ = NO_SLOTS
 
     def __init__(
-        self, builder: DiagramBuilder, setting: Setting, control: RobotControl, truth: CellParameters | None
+        self,
+        builder: DiagramBuilder,
+        setting: Setting,
+        control: RobotControl,
+        truth: CellParameters | None,
     ) -> None:
         """Takes over a builder's systems."""
         super().__init__()
@@ -367,7 +398,9 @@ class Station(Diagram):
         """What a color and depth camera saw in a Context, and how far off that was; None where nobody knows."""
         return None
 
-    def _find_log(self, root_context: Context, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _find_log(
+        self, root_context: Context, name: str
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Times (K,), s, and values (K, d). The logs are no attributes: they would keep the station alive for good."""
         log = self.GetSubsystemByName(name).FindLog(root_context)
         return log.sample_times(), log.data().T
@@ -385,8 +418,8 @@ def MakeFingerRegion(station: Station, inset: float = 0.0) -> BaseGeometry:
         inset: least distance from the region's edge, m.
 
     Returns:
-        The region, W, m: where the arm reaches, and in it the workspace, without the places where the tip would touch
-        another object; it may be empty.
+        The region, W, m: where the arm reaches, and in it the workspace, without the places where
+        the tip would touch another object; it may be empty.
     """
     workspace, height = station.scenario.workspace, station.scenario.finger.push_height
     box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1])
@@ -400,5 +433,7 @@ def MakeFingerRegion(station: Station, inset: float = 0.0) -> BaseGeometry:
 
 def MakeRing(axis: NDArray[np.float64], least: float, greatest: float) -> shapely.Polygon:
     """The places about the robot's axis (2,) between two distances, m."""
-    outer, inner = (shapely.Point(axis).buffer(radius, RING_SEGMENTS) for radius in (greatest, least))
+    outer, inner = (
+        shapely.Point(axis).buffer(radius, RING_SEGMENTS) for radius in (greatest, least)
+    )
     return outer - inner

@@ -1,7 +1,8 @@
 """`StationTask`: what all tasks in the station share.
 
-A task is a Diagram of a station and a system that commands it. A run makes a fresh Context, puts everything where it
-begins, and goes on in short steps: after each the task writes down what is new, and its judge says whether it is over.
+A task is a Diagram of a station and a system that commands it. A run makes a fresh Context, puts
+everything where it begins, and goes on in short steps: after each the task writes down what is new,
+and its judge says whether it is over.
 """
 
 from collections.abc import Callable
@@ -80,13 +81,15 @@ SHOWN = ("mass", "friction", "contact_friction", "center_of_mass", "center_of_ma
 
 
 CAMERA_SHARE = 0.82
-"""Distance of Meshcat's camera from what it looks at, in diagonals of the table and the robot's base."""
+"""Distance of Meshcat's camera from what it looks at, in diagonals of the table and the robot's
+base."""
 
 CAMERA_HEIGHT = 0.17
 """Of what it looks at above the table, m: a third of the arm."""
 
 CAMERA_AZIMUTH, CAMERA_ELEVATION = 0.75, 0.5
-"""Where it stands, rad: opposite the robot, to its left, beyond the edge that things are slid to."""
+"""Where it stands, rad: opposite the robot, to its left, beyond the edge that things are slid
+to."""
 
 
 @dataclass
@@ -187,7 +190,8 @@ class Drive(Protocol):
 class StationTask(Generic[R]):
     """A station with what commands it; to be run once or many times.
 
-    A kind of task overrides `make_record`, `note`, `judge` and, where it needs to, `prepare` and `finish`.
+    A kind of task overrides `make_record`, `note`, `judge` and, where it needs to, `prepare` and
+    `finish`.
 
     Attributes:
         station: the station.
@@ -204,13 +208,16 @@ class StationTask(Generic[R]):
     timeout: ClassVar[float]
     """Simulated without anything new, after which the task is stuck, s."""
 
-    def __init__(self, builder: DiagramBuilder, station: Station, controller: System, meshcat: Meshcat | None) -> None:
+    def __init__(
+        self, builder: DiagramBuilder, station: Station, controller: System, meshcat: Meshcat | None
+    ) -> None:
         """Connects a station with what commands it, and builds the Diagram.
 
         Args:
             builder: both are in it, and whatever else the Diagram has.
             station: the station.
-            controller: its input ports named in `SOURCES` and its output ports named in `COMMANDS` are connected.
+            controller: its input ports named in `SOURCES` and its output ports named in `COMMANDS`
+                are connected.
             meshcat: to show the estimate in; None for none.
         """
         ports = map(controller.get_input_port, range(controller.num_input_ports()))
@@ -291,7 +298,9 @@ class StationTask(Generic[R]):
         self.finish(record)
         untouched = self.read("estimate.identification").unused_pushes
         remarks = [f"Nothing was touched in {', '.join(untouched)}."] if untouched else []
-        record.message = " ".join(filter(None, [record.message, record.limit_report.explain_strayed(), *remarks]))
+        record.message = " ".join(
+            filter(None, [record.message, record.limit_report.explain_strayed(), *remarks])
+        )
         return record
 
     def begin(self, seed: int | None = None, drive: Drive | None = None) -> None:
@@ -320,7 +329,9 @@ class StationTask(Generic[R]):
     def read(self, port: str, system: System | None = None) -> Any:
         """What an output port shows at present: of the station, or of another `system` of the Diagram."""
         system = system or self.station
-        return system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(self.simulator.get_context()))
+        return system.GetOutputPort(port).Eval(
+            system.GetMyContextFromRoot(self.simulator.get_context())
+        )
 
     def note_step(self, record: ControlledRecord[Any], time: float) -> bool:
         """Writes down what the controller says, where that is new; returns whether it is."""
@@ -360,16 +371,22 @@ class StationTask(Generic[R]):
         found = self.read("estimate.identification")
         if found.push_names and (not record.estimates or found is not record.estimates[-1]):
             record.estimates.append(found)
-        hidden = self.station.found is not None and not self.read("executor.status").ready  # by the arm at work
+        hidden = (
+            self.station.found is not None and not self.read("executor.status").ready
+        )  # by the arm at work
         if hidden or np.isfinite(self.read("object.pose")).all():
             self._last_seen = time
         if self.note(record, time):
             self._last_new = time
-        record.status, record.message = self.judge(record, Waiting(time - self._last_seen, time - self._last_new))
+        record.status, record.message = self.judge(
+            record, Waiting(time - self._last_seen, time - self._last_new)
+        )
         guard = self.read(GUARD_STATUS) if self.station.HasOutputPort(GUARD_STATUS) else None
         if guard is not None and guard.mode == GuardMode.HOLDING:
             record.status = TaskStatus.INTERRUPTED if guard.by_user else TaskStatus.STOPPED
-            record.message = f"The arm was stopped at {guard.since:.2f} s and is held: {guard.reason}."
+            record.message = (
+                f"The arm was stopped at {guard.since:.2f} s and is held: {guard.reason}."
+            )
 
 
 def AddEstimateVisualizer(
@@ -382,8 +399,12 @@ def AddEstimateVisualizer(
         EstimateVisualizer(station.obj, meshcat, height=part.height, body=int(part.body.index())),
     )
     builder.Connect(station.GetOutputPort("body_poses"), visualizer.GetInputPort("body_poses"))
-    builder.Connect(station.GetOutputPort("object.pose_true"), visualizer.GetInputPort("object_pose"))
+    builder.Connect(
+        station.GetOutputPort("object.pose_true"), visualizer.GetInputPort("object_pose")
+    )
     for port in SHOWN:
         builder.Connect(station.GetOutputPort(f"estimate.{port}"), visualizer.GetInputPort(port))
-    builder.Connect(controller.GetOutputPort("push_command"), visualizer.GetInputPort("push_command"))
+    builder.Connect(
+        controller.GetOutputPort("push_command"), visualizer.GetInputPort("push_command")
+    )
     return visualizer

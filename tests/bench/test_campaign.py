@@ -47,7 +47,14 @@ def make_campaign(folder=Path("out")):
             replace(HELD, seed=1, pokes=6, center_of_mass_error=0.004, duration=80.0),
             replace(HELD, seed=2, status="failed", message="No safe way.", outcome=GAVE_UP),
             Episode("a b/brick.yaml", 0, REFUSED, "brick: too thick", GAVE_UP),
-            replace(HELD, object="a b/brick.yaml", seed=7, status="dropped", message="It fell.", outcome=DROPPED),
+            replace(
+                HELD,
+                object="a b/brick.yaml",
+                seed=7,
+                status="dropped",
+                message="It fell.",
+                outcome=DROPPED,
+            ),
         ],
     )
 
@@ -74,8 +81,16 @@ def test_what_the_gripper_did_not_raise_is_not_dropped():
     left = replace(HELD, seed=3, status="not_lifted", message="It stayed.", outcome=NOT_LIFTED)
     table = replace(campaign, episodes=[*campaign.episodes, left]).tabulate()
     row = dict(zip(table.columns, table.rows[-1], strict=True))
-    assert [row[end].split()[0] for end in ("held", "dropped", "not lifted", "gave up")] == ["2", "1", "1", "2"]
-    assert " not lifted: the gripper closed and went up, and the object stayed. gave up: anything" in table.notes[0]
+    assert [row[end].split()[0] for end in ("held", "dropped", "not lifted", "gave up")] == [
+        "2",
+        "1",
+        "1",
+        "2",
+    ]
+    assert (
+        " not lifted: the gripper closed and went up, and the object stayed. gave up: anything"
+        in table.notes[0]
+    )
 
 
 def test_intervals_hold_what_they_say():
@@ -143,12 +158,19 @@ class Instead:
                 raise KeyboardInterrupt
             self.asked.append((job.object, job.seed))
             yield None
-            yield i, replace(HELD, object=job.object, seed=job.seed, outcome="held" if job.seed else GAVE_UP)
+            yield (
+                i,
+                replace(
+                    HELD, object=job.object, seed=job.seed, outcome="held" if job.seed else GAVE_UP
+                ),
+            )
 
 
 def run_instead(folder, seeds, executor, objects=("pliers", "toolbox"), scenario=None, force=False):
     scenario = scenario or PushScenario()
-    results = open_results(folder / "episodes.jsonl", "campaign", describe_settings("pregrasp", scenario), force)
+    results = open_results(
+        folder / "episodes.jsonl", "campaign", describe_settings("pregrasp", scenario), force
+    )
     execution = Execution(results=results, executor=executor)
     return run("pregrasp", scenario, dict.fromkeys(objects, ""), seeds, folder, execution)
 
@@ -160,7 +182,11 @@ def test_episodes_that_are_there_are_not_run_again(tmp_path):
     assert first.asked == [("pliers", 0), ("toolbox", 0), ("pliers", 1)]
     head, *lines = (tmp_path / "episodes.jsonl").read_text().splitlines()
     assert json.loads(head)["settings"]["scenario.pregrasp.force"] == 80.0
-    assert [json.loads(line)["result"]["object"] for line in lines] == ["pliers", "toolbox", "pliers"]
+    assert [json.loads(line)["result"]["object"] for line in lines] == [
+        "pliers",
+        "toolbox",
+        "pliers",
+    ]
     second = Instead()
     campaign = run_instead(tmp_path, range(3), second)
     assert second.asked == [("toolbox", 1), ("pliers", 2), ("toolbox", 2)]
@@ -186,7 +212,9 @@ def test_what_ends_every_worker_is_named_when_the_rest_is_done(tmp_path):
             yield from super().run(function, jobs[1:])
             raise LostJobsError([jobs[0][0]], "exit code -9")
 
-    with pytest.raises(GridPushError, match="pliers, seed 0: ended 3 workers without an answer, exit code -9"):
+    with pytest.raises(
+        GridPushError, match="pliers, seed 0: ended 3 workers without an answer, exit code -9"
+    ):
         run_instead(tmp_path, range(2), Losing())
     assert len((tmp_path / "episodes.jsonl").read_text().splitlines()) == 4
 
@@ -287,7 +315,9 @@ def test_goes_on_after_a_killed_worker_and_an_interrupt(local_campaign):
 def test_a_replay_is_the_episode_again(local_campaign, capsys):
     _, line, *_ = (local_campaign / "out" / "episodes.jsonl").read_text().splitlines()
     episode = Episode(**json.loads(line)["result"])
-    words = shlex.split(Campaign("identify", local_campaign / "out", [episode]).make_replay(episode))
+    words = shlex.split(
+        Campaign("identify", local_campaign / "out", [episode]).make_replay(episode)
+    )
     outcome = run_gridpush(capsys, *words[1:], "--json")
     assert outcome.code == 0, outcome.err
     summary = json.loads(outcome.out)
@@ -303,10 +333,21 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_table(local_campaign, tmp_
     pytest.importorskip("distributed", reason="distributed is not installed")
     dask, told = [sys.executable, "-m", "dask"], tmp_path / "scheduler.json"
     at_home = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", told]
-    each = ["--scheduler-file", told, "--no-nanny", "--nthreads", "1", "--no-dashboard", "--host", "127.0.0.1"]
+    each = [
+        "--scheduler-file",
+        told,
+        "--no-nanny",
+        "--nthreads",
+        "1",
+        "--no-dashboard",
+        "--host",
+        "127.0.0.1",
+    ]
     commands = [[*dask, "scheduler", *at_home], [*dask, "worker", *each], [*dask, "worker", *each]]
     with (tmp_path / "log").open("wb") as log:
-        cluster = [subprocess.Popen(command, stdout=log, stderr=log, cwd=tmp_path) for command in commands]
+        cluster = [
+            subprocess.Popen(command, stdout=log, stderr=log, cwd=tmp_path) for command in commands
+        ]
     try:
         wait_for(told.exists, cluster[0])
         process = start_campaign(tmp_path, "--dask", json.loads(told.read_text())["address"])

@@ -15,13 +15,42 @@ HELD = Episode("pliers", 0, "held", "It was lifted.", "held", 6, 4, 2, 0.1, 0.00
 def test_the_table_counts_what_happened():
     scores = [
         HELD,
-        replace(HELD, seed=1, pokes=6, raised=0.09, center_of_mass_error=0.004, duration=80.0, wall=50.0),
-        replace(HELD, seed=2, status="failed", message="No safe way.", outcome=GAVE_UP, pokes=8, slides=5, wall=10.0),
-        replace(HELD, object="toolbox", status="dropped", message="It fell.", outcome=DROPPED, raised=-0.7, slides=1),
-        replace(HELD, object="toolbox", seed=1, status="stuck", message="Nothing.", outcome=GAVE_UP, duration=61.0),
+        replace(
+            HELD, seed=1, pokes=6, raised=0.09, center_of_mass_error=0.004, duration=80.0, wall=50.0
+        ),
+        replace(
+            HELD,
+            seed=2,
+            status="failed",
+            message="No safe way.",
+            outcome=GAVE_UP,
+            pokes=8,
+            slides=5,
+            wall=10.0,
+        ),
+        replace(
+            HELD,
+            object="toolbox",
+            status="dropped",
+            message="It fell.",
+            outcome=DROPPED,
+            raised=-0.7,
+            slides=1,
+        ),
+        replace(
+            HELD,
+            object="toolbox",
+            seed=1,
+            status="stuck",
+            message="Nothing.",
+            outcome=GAVE_UP,
+            duration=61.0,
+        ),
     ]
     scores[2] = replace(scores[2], raised=0.0)
-    scores[-1] = replace(scores[-1], pokes=0, slides=0, center_of_mass_error=None, raised=0.0, wall=40.0)
+    scores[-1] = replace(
+        scores[-1], pokes=0, slides=0, center_of_mass_error=None, raised=0.0, wall=40.0
+    )
     table = tabulate(scores, ["pliers", "toolbox"])
     rows = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
     assert [row["object"] for row in rows] == ["pliers", "toolbox", "all"]

@@ -20,8 +20,8 @@ from gridpush_drake.bench.pregrasp.world import Outcome
 from gridpush_drake.errors import GridPushError, OutputError
 
 STARTED_WITHIN, ENDED_WITHIN = 240.0, 6.0
-"""s: kernels may have to be compiled before the workers start; the end takes 2 s on a machine that has nothing else to
-do."""
+"""s: kernels may have to be compiled before the workers start; the end takes 2 s on a machine that
+has nothing else to do."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,9 @@ def test_a_job_that_ends_every_worker_is_named_when_the_others_are_done(tmp_path
         return f"job {job.number}"
 
     results = open_results(tmp_path / "kept.jsonl", "leaving", {})
-    with pytest.raises(GridPushError, match="job -7: ended 3 workers without an answer, exit code 7"):
+    with pytest.raises(
+        GridPushError, match="job -7: ended 3 workers without an answer, exit code 7"
+    ):
         run_jobs(leave_some, make_jobs(tmp_path, [-7, 2, 3]), told, Execution(1, None, results))
     assert len(open_results(tmp_path / "kept.jsonl", "leaving", {}).lines) == 2
 
@@ -108,7 +110,9 @@ def test_finished_jobs_are_not_run_again(tmp_path):
     path, jobs, prepared = tmp_path / "kept.jsonl", make_jobs(tmp_path, [-1, 1, 2]), []
 
     def execution():
-        return Execution(0, None, open_results(path, "doubling", {"seed": 0}), lambda: prepared.append(True))
+        return Execution(
+            0, None, open_results(path, "doubling", {"seed": 0}), lambda: prepared.append(True)
+        )
 
     run_jobs(double, jobs[1:2], describe, execution())
     with pytest.raises(GridPushError, match="positive"):
@@ -130,14 +134,22 @@ def test_a_line_that_was_cut_off_is_dropped(tmp_path):
     path.write_bytes(whole[:-9])
     results = open_results(path, "doubling", {})
     assert len(results.lines) == 1
-    assert run_jobs(double, jobs, describe, Execution(0, None, results)) == [[Found(6, 0.1)], [Found(8, 0.1)]]
+    assert run_jobs(double, jobs, describe, Execution(0, None, results)) == [
+        [Found(6, 0.1)],
+        [Found(8, 0.1)],
+    ]
     assert path.read_bytes() == whole
     assert (tmp_path / "runs").read_text().split() == ["3", "4", "4"]
 
 
 def test_other_settings_are_refused_or_begun_anew(tmp_path, monkeypatch):
     path, jobs = tmp_path / "kept.jsonl", make_jobs(tmp_path, [3])
-    run_jobs(double, jobs, describe, Execution(0, None, open_results(path, "doubling", {"seed": 0, "sets": 2})))
+    run_jobs(
+        double,
+        jobs,
+        describe,
+        Execution(0, None, open_results(path, "doubling", {"seed": 0, "sets": 2})),
+    )
     for bench, settings, says in (
         ("doubling", {"seed": 1, "sets": 2}, r"seed 0, now 1\); pass --force"),
         ("halving", {"seed": 0, "sets": 2}, 'bench "doubling", now "halving"'),
@@ -185,11 +197,19 @@ TRACE = Trace(3, nan, 1.5)
         (planning.run_job, [Run("a", "true", True, False, 3, "reached", nan, 0.1, 99, 1.0, 0.0)]),
         (real.run_job, [real.Score("a", 0, "poses", 5, (0.1, 0.2), (nan, 0.3))]),
         (pregrasp.run_job, SlideScore("a", "learned", Outcome(True, False, 3, 2, "held"))),
-        (pregrasp.run_job, ExplorationScore("a", "both directions", 0.02, TRACE, replace(TRACE, pokes=21))),
-        (campaign.run_episode, campaign.Episode("a", 0, "held", "", "held", 5, 3, 2, nan, None, 30.0, 12.5)),
+        (
+            pregrasp.run_job,
+            ExplorationScore("a", "both directions", 0.02, TRACE, replace(TRACE, pokes=21)),
+        ),
+        (
+            campaign.run_episode,
+            campaign.Episode("a", 0, "held", "", "held", 5, 3, 2, nan, None, 30.0, 12.5),
+        ),
         (
             drake.run_job,
-            drake.StationScore("a", 0, "finished", 8, 4, (0.1, 0.2, nan), (0.1, 0.2), 0.1, 0.5, 0, 9.0),
+            drake.StationScore(
+                "a", 0, "finished", 8, 4, (0.1, 0.2, nan), (0.1, 0.2), 0.1, 0.5, 0, 9.0
+            ),
         ),
         (plant.run_job, [plant.PlantScore("a", "free", 0, "none", 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)]),
     ],
@@ -218,7 +238,9 @@ def test_a_signal_ends_everything(tmp_path, number, group, code):
     process = start_bench(tmp_path)
     try:
         deadline = time.monotonic() + STARTED_WITHIN
-        while len(find_group(process.pid)) < 4 and time.monotonic() < deadline:  # two workers, resource tracker
+        while (
+            len(find_group(process.pid)) < 4 and time.monotonic() < deadline
+        ):  # two workers, resource tracker
             assert process.poll() is None
             time.sleep(0.1)
         time.sleep(3.0)
@@ -281,10 +303,18 @@ def find_group(group):
 def test_settings_are_in_the_first_line(tmp_path):
     path = tmp_path / "kept.jsonl"
     settings = {"seed": 0, "data": tmp_path, "objects": ["a"]}
-    run_jobs(double, make_jobs(tmp_path, [3]), describe, Execution(0, None, open_results(path, "doubling", settings)))
+    run_jobs(
+        double,
+        make_jobs(tmp_path, [3]),
+        describe,
+        Execution(0, None, open_results(path, "doubling", settings)),
+    )
     first, line = map(json.loads, path.read_text().splitlines())
     assert first["settings"] == {"seed": 0, "data": str(tmp_path), "objects": ["a"]}
-    assert line == {"job": ["Job", {"number": 3, "folder": str(tmp_path)}], "result": [{"double": 6, "share": 0.1}]}
+    assert line == {
+        "job": ["Job", {"number": 3, "folder": str(tmp_path)}],
+        "result": [{"double": 6, "share": 0.1}],
+    }
 
 
 def test_a_name_given_twice_is_refused_as_its_runs_would_count_twice():

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from shapely import LineString
 
-from gridpush_drake.bench.truth.sets import KINDS, draw_masses, make_body, make_set, read_set, write_set
+from gridpush_drake.bench.truth.sets import (
+    KINDS,
+    draw_masses,
+    make_body,
+    make_set,
+    read_set,
+    write_set,
+)
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import GRAVITY, simulate
 from gridpush_drake.errors import GridPushError
@@ -36,7 +43,9 @@ def calc_shift(world, push):
     world.push(push)
     theta = world.read_pose()[2]
     loads = world.read_loads()
-    center = world.body.feet.T @ loads / loads.sum() - world.body.params.center_of_mass(world.body.obj)
+    center = world.body.feet.T @ loads / loads.sum() - world.body.params.center_of_mass(
+        world.body.obj
+    )
     ahead = np.asarray(push.velocity) / np.linalg.norm(push.velocity)
     return float(ahead @ rotate(theta, center))
 
@@ -50,7 +59,9 @@ def test_loads_at_rest_are_in_equilibrium(kind):
     center = world.foot_loads @ feet / world.foot_loads.sum()
     world.put((0, 0, 0))
     leaning = BODY_HEIGHT / 2 * world.read_tilt()  # the center of mass is above the feet
-    np.testing.assert_allclose(center, params.center_of_mass(world.body.obj), atol=1.01 * leaning + 1e-7)
+    np.testing.assert_allclose(
+        center, params.center_of_mass(world.body.obj), atol=1.01 * leaning + 1e-7
+    )
     bearing = int((world.foot_loads > 1e-3 * weight).sum())
     expected = {"vertices": range(3, 8), "three_feet": [3], "foundation": range(20, 126)}
     assert bearing in expected.get(kind, [world.body.obj.n])
@@ -100,13 +111,20 @@ def test_a_force_below_friction_moves_nothing():
 
 
 def test_a_set_is_reproducible_and_written_whole(tmp_path):
-    made, again = (make_set("three_feet", "claw_hammer", 1, training=1, held_out=1) for _ in range(2))
+    made, again = (
+        make_set("three_feet", "claw_hammer", 1, training=1, held_out=1) for _ in range(2)
+    )
     assert made.training[0].name == "push_1"
     np.testing.assert_array_equal(made.held_out[0].final_pose, again.held_out[0].final_pose)
     write_set(made, tmp_path / "set")
     read = read_set(tmp_path / "set")
     assert (read.obj.labels == 1).all()
-    assert (read.kind, read.name, read.seed, read.push_height) == ("three_feet", "claw_hammer", 1, BODY_HEIGHT / 2)
+    assert (read.kind, read.name, read.seed, read.push_height) == (
+        "three_feet",
+        "claw_hammer",
+        1,
+        BODY_HEIGHT / 2,
+    )
     np.testing.assert_array_equal(read.held_out[0].final_pose, made.held_out[0].final_pose)
     np.testing.assert_array_equal(read.loads, made.loads)
     np.testing.assert_array_equal(read.center_of_mass, made.center_of_mass)

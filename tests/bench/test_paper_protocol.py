@@ -37,7 +37,10 @@ def made_folder(tmp_path):
     mask[35:50, 20:80] = 2
     (tmp_path / "ell_label.pgm").write_bytes(b"P5 %d %d 255\n" % (COLUMNS, ROWS) + mask.tobytes())
     pushes = list(range(10))
-    splits = {str(n): [{"train": pushes[i : i + n], "test": pushes[i + n :]} for i in range(2)] for n in (1, 5)}
+    splits = {
+        str(n): [{"train": pushes[i : i + n], "test": pushes[i + n :]} for i in range(2)]
+        for n in (1, 5)
+    }
     content = {
         "masses_by_label": {"ell": [[1.0, 3.0], [4.0, 0.5]]},
         "splits": splits,
@@ -98,7 +101,9 @@ def test_ten_pushes_of_shipped_objects_are_as_many_millimeters_apart(name):
         apart = np.diff([push.start[0] for push in half])
         np.testing.assert_allclose(apart, 1e-3 * (width // 5), rtol=0.01)
     case = make_case(make_protocol(), name, mass_set=3)
-    assert [seen.push.start.tolist() for seen in case.log] == [push.start.tolist() for push in pushes]
+    assert [seen.push.start.tolist() for seen in case.log] == [
+        push.start.tolist() for push in pushes
+    ]
     motions = [simulate(obj, CellParameters.uniform(obj), push) for push in pushes]
     assert max(abs(motion.gaps[0]) for motion in motions) < 1e-12
 
@@ -111,7 +116,9 @@ def test_ten_pushes_touch_at_their_start(name):
     for side, half in ((1, starts[:5]), (-1, starts[5:])):
         assert (side * half[:, 1] > 0).all()
         np.testing.assert_allclose(np.diff(half[:, 0], n=2), 0, atol=1e-12)
-        assert np.ptp(half[:, 0]) == pytest.approx(0.8 * np.ptp(case.obj.outline.exterior.xy[0]), rel=0.02)
+        assert np.ptp(half[:, 0]) == pytest.approx(
+            0.8 * np.ptp(case.obj.outline.exterior.xy[0]), rel=0.02
+        )
     for i, seen in enumerate(case.log):
         np.testing.assert_allclose(seen.push.velocity, [0, -SPEED if i < 5 else SPEED])
         assert seen.push.duration == DURATION
@@ -133,7 +140,9 @@ def test_mass_sets_differ(made_folder):
 
 
 def test_says_where_the_data_should_be(tmp_path):
-    with pytest.raises(GridPushError, match=r"nowhere.*is no folder; expected a clone of GitHub changkyu/rss2020"):
+    with pytest.raises(
+        GridPushError, match=r"nowhere.*is no folder; expected a clone of GitHub changkyu/rss2020"
+    ):
         make_protocol(tmp_path / "nowhere")
     with pytest.raises(GridPushError, match=r"holds no mask; expected files NAME_label\.pgm"):
         make_protocol(tmp_path)
@@ -179,7 +188,10 @@ def test_a_small_run(made_folder, tmp_path):
     assert [row[-1] for row in by_method.rows] == [0, 20, 20]
     assert by_budget.columns == ("method", "at most 5", "at most 7", "at most 20")
     assert figure.read_bytes().startswith(b"\x89PNG")
-    assert told == [("", 0, 2), *((f"ell, mass set {i}, 5 training pushes", i + 1, 2) for i in range(2))]
+    assert told == [
+        ("", 0, 2),
+        *((f"ell, mass set {i}, 5 training pushes", i + 1, 2) for i in range(2)),
+    ]
     with pytest.raises(OutputError, match="exists"):
         paper.run(made_folder, 1, methods=methods, figure=figure)
 
@@ -191,8 +203,15 @@ def test_refuses_an_unknown_kind_of_figure(made_folder, tmp_path):
 
 @pytest.mark.slow
 def test_workers_do_not_matter(made_folder):
-    options = {"mass_sets": 2, "objects": ["ell"], "methods": ("paper", "weighted_sampling"), "budget": 50}
-    one, two = (paper.run(made_folder, execution=Execution(workers=count), **options) for count in (0, 2))
+    options = {
+        "mass_sets": 2,
+        "objects": ["ell"],
+        "methods": ("paper", "weighted_sampling"),
+        "budget": 50,
+    }
+    one, two = (
+        paper.run(made_folder, execution=Execution(workers=count), **options) for count in (0, 2)
+    )
     assert one == two
 
 
@@ -202,7 +221,12 @@ def make_scores():
         replace(one, name=name, mass_set=mass_set, training=training, method=method, error=error)
         for training in (1, 5)
         for method, base in (("default", 0.001), ("uniform prior", 0.01))
-        for name, mass_set, error in (("a", 0, base), ("a", 1, 3 * base), ("b", 0, 5 * base), ("b", 1, 7 * base))
+        for name, mass_set, error in (
+            ("a", 0, base),
+            ("a", 1, 3 * base),
+            ("b", 0, 5 * base),
+            ("b", 1, 7 * base),
+        )
     ]
 
 
@@ -210,7 +234,13 @@ def test_tables_of_scores():
     scores = make_scores()
     table = paper.tabulate_methods(scores, ["a", "b"], ["uniform prior", "default"], 5, 100)
     shown = [table.format(value) for value in table.rows[1]]
-    assert shown == ["default", "2.00 (1.00 to 3.00)", "6.00 (5.00 to 7.00)", "4.00 (3.00 to 5.00)", "80"]
+    assert shown == [
+        "default",
+        "2.00 (1.00 to 3.00)",
+        "6.00 (5.00 to 7.00)",
+        "4.00 (3.00 to 5.00)",
+        "80",
+    ]
     mean = table.to_dict()["rows"][1][3]
     assert mean == pytest.approx({"mean": 4.0, "low": 3.0, "high": 5.0})
     table = paper.tabulate_training(scores, ["a", "b"], "default", 100)
@@ -223,6 +253,8 @@ def test_interval():
     values = rng.normal(3.0, 1.0, 200)
     interval = paper.calc_interval(values)
     assert interval.mean == pytest.approx(values.mean())
-    assert interval.high - interval.low == pytest.approx(2 * 1.96 * values.std() / np.sqrt(200), rel=0.05)
+    assert interval.high - interval.low == pytest.approx(
+        2 * 1.96 * values.std() / np.sqrt(200), rel=0.05
+    )
     assert paper.calc_interval([2.0]).mean == 2.0
     assert np.isnan(paper.calc_interval([2.0]).low)

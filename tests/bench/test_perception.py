@@ -50,7 +50,9 @@ def test_a_tag_is_tracked():
 def test_tables():
     photos = tabulate_photos([PhotoScore("a", (0.9, 0.8, 0.7)), PhotoScore("b", (1.0, 0.6, 0.5))])
     assert photos.rows[-1][1:] == pytest.approx((0.95, 0.7, 0.6))
-    outlines = tabulate_outlines([OutlineScore("a", [1e-3, float("nan"), 3e-3], [0.01, -0.02], [1e-3, 0.0])])
+    outlines = tabulate_outlines(
+        [OutlineScore("a", [1e-3, float("nan"), 3e-3], [0.01, -0.02], [1e-3, 0.0])]
+    )
     assert outlines.rows[0] == pytest.approx(("a", 3, 1, 2.0, 3.0, -0.5, 2.0, 1.0))
     sure, errors = (1e-3, 1e-3, 1e-2), [(1e-3, 0.0, 0.0), (-1e-3, 0.0, 0.03)]
     (row, _) = tabulate_tracks([TrackScore("a", 5, 1, errors, [sure, sure])]).rows

@@ -24,7 +24,11 @@ def masks():
 @pytest.mark.parametrize("seed", [None, 0, 1, 2])
 def test_every_object_may_lie_where_the_protocol_says(seed):
     """Of the public data (None) as of those drawn by seed."""
-    protocol = make_planning_protocol(shared_data("masks")) if seed is None else make_planning_protocol(seed=seed)
+    protocol = (
+        make_planning_protocol(shared_data("masks"))
+        if seed is None
+        else make_planning_protocol(seed=seed)
+    )
     assert protocol.pairs.shape == (10, 2, 3)
     assert len(list_objects(protocol)) == len(list_shipped_objects()) + (5 if seed is None else 0)
     for name in list_objects(protocol):
@@ -36,7 +40,9 @@ def test_every_object_may_lie_where_the_protocol_says(seed):
 
 @pytest.mark.slow
 def test_decisions_are_near_the_exhaustive_search_s(masks):
-    (table,) = run(masks, objects=["snack"], quick=True, parts=("contact",), execution=Execution(workers=0))
+    (table,) = run(
+        masks, objects=["snack"], quick=True, parts=("contact",), execution=Execution(workers=0)
+    )
     assert [row[0] for row in table.rows] == ["snack", "all"]
     row = dict(zip(table.columns, table.rows[0], strict=True))
     assert row["decisions"] == 3
@@ -66,7 +72,9 @@ def test_what_is_drawn_depends_on_the_seed():
 
 
 def test_runs_without_data():
-    (table,) = run(objects=["pliers"], quick=True, parts=("contact",), execution=Execution(workers=0))
+    (table,) = run(
+        objects=["pliers"], quick=True, parts=("contact",), execution=Execution(workers=0)
+    )
     assert [row[0] for row in table.rows] == ["pliers", "all"]
     assert dict(zip(table.columns, table.rows[0], strict=True))["decisions"] == 3
 

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from gridpush_drake.bench.jobs import Execution
-from gridpush_drake.bench.plant import OBJECTS, PlantJob, PlantPusher, calc_scores, draw_push, make_table, run_job
+from gridpush_drake.bench.plant import (
+    OBJECTS,
+    PlantJob,
+    PlantPusher,
+    calc_scores,
+    draw_push,
+    make_table,
+    run_job,
+)
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
 from gridpush_drake.errors import ObjectError, PushError
@@ -53,7 +61,10 @@ def test_a_free_object_pushed_low_moves_as_the_model_has_it(obj, params):
     push = Push.on_outline(obj, 0.02, 0.3, 0.03, radius=0.01, speed=0.05)
     expected = simulate(obj, params, push, dt=2e-3, spin="none").final_pose
     low, high = (
-        np.abs(PlantPusher(obj, params, 0.01, "free", push_height=z).push(params, push).poses[-1] - expected)
+        np.abs(
+            PlantPusher(obj, params, 0.01, "free", push_height=z).push(params, push).poses[-1]
+            - expected
+        )
         for z in (5e-4, 0.02)
     )
     assert np.linalg.norm(low[:2]) < 2e-4 and low[2] < np.radians(0.2)
@@ -65,7 +76,10 @@ def test_tables_and_names():
         calc_scores(("spanner",), 1)
     scores = run_job(PlantJob("toolbox", "planar", (4,)))
     table = make_table(scores)
-    assert [row[:4] for row in table.rows] == [["toolbox", "planar", "none", 1], ["toolbox", "planar", "coupled", 1]]
+    assert [row[:4] for row in table.rows] == [
+        ["toolbox", "planar", "none", 1],
+        ["toolbox", "planar", "coupled", 1],
+    ]
     assert scores[0].position < MAX_POSITION
 
 

@@ -28,7 +28,11 @@ def test_hidden_parameters_stay_within_what_is_told(monkeypatch):
     obj = load_bench_object("pliers", pregrasp.FRICTION_RANGE)
     truths = [pregrasp.make_truth(obj, i) for i in range(5)]
     low, high = pregrasp.FRICTION_RANGE
-    assert (obj.prior.friction_min, obj.prior.friction_max, obj.prior.total_mass) == (low, high, None)
+    assert (obj.prior.friction_min, obj.prior.friction_max, obj.prior.total_mass) == (
+        low,
+        high,
+        None,
+    )
     assert all((low <= truth.friction).all() and (truth.friction <= high).all() for truth in truths)
     assert len({round(float(truth.mass[0]), 6) for truth in truths}) == 5
     again = pregrasp.make_truth(obj, 3)
@@ -44,7 +48,9 @@ def test_tables_take_turns():
 def test_the_world_drops_what_is_pushed_off():
     obj = load_bench_object("toothpaste_tube", pregrasp.FRICTION_RANGE)
     rng = np.random.default_rng(0)
-    world = EdgeWorld(obj, pregrasp.make_truth(obj, 0), make_table(0), np.array([0.3, 0.0, 0.0]), rng)
+    world = EdgeWorld(
+        obj, pregrasp.make_truth(obj, 0), make_table(0), np.array([0.3, 0.0, 0.0]), rng
+    )
     assert np.abs(world.pose - world.true_pose).max() < 0.02
     assert not world.execute(Push((0.19, 0.0), (0.03, 0.0), 1.0, 0.008)).overhang
     assert not world.fallen
@@ -66,8 +72,12 @@ def test_a_body_in_mujoco_moves_alike_and_drops():
     obj = load_bench_object("toothpaste_tube", pregrasp.FRICTION_RANGE)
     truth = pregrasp.make_truth(obj, 0)
     rng = np.random.default_rng(0)
-    body = MujocoWorld(obj, truth, pregrasp.RECTANGLE, np.array([0.3, 0.0, 0.0]), rng, "half_height")
-    model = EdgeWorld(obj, replace(truth, push_height=0.015), make_table(0), np.array([0.3, 0.0, 0.0]), rng)
+    body = MujocoWorld(
+        obj, truth, pregrasp.RECTANGLE, np.array([0.3, 0.0, 0.0]), rng, "half_height"
+    )
+    model = EdgeWorld(
+        obj, replace(truth, push_height=0.015), make_table(0), np.array([0.3, 0.0, 0.0]), rng
+    )
     push = Push((0.19, 0.01), (0.03, 0.0), 1.5, 0.008)
     assert not body.execute(push).overhang
     model.execute(push)
@@ -91,7 +101,9 @@ def test_a_light_end_over_the_edge_rests_there_and_is_not_flung_up():
     obj, mass_set = load_bench_object("claw_hammer", (0.2, 0.6)), 8
     rng = np.random.default_rng([0, mass_set])
     rng.uniform(size=3)
-    body = MujocoWorld(obj, pregrasp.make_truth(obj, mass_set), pregrasp.RECTANGLE, np.zeros(3), rng, "three_feet")
+    body = MujocoWorld(
+        obj, pregrasp.make_truth(obj, mass_set), pregrasp.RECTANGLE, np.zeros(3), rng, "three_feet"
+    )
     world = body._truth
     world.put((0.14976997, -0.19900505, -3.48661867))
     motion = world.push(Push((0.07897363, -0.16276592), (-0.01204642, -0.02747515), 5.0, 0.008))
@@ -103,7 +115,9 @@ def test_a_light_end_over_the_edge_rests_there_and_is_not_flung_up():
 @pytest.mark.slow
 def test_truths_are_measured_beside_each_other():
     pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
-    truths, by_object = pregrasp.run(["toolbox"], 1, 1, truths=["three_feet", "lcp"], execution=Execution(workers=0))
+    truths, by_object = pregrasp.run(
+        ["toolbox"], 1, 1, truths=["three_feet", "lcp"], execution=Execution(workers=0)
+    )
     assert [row[:2] for row in truths.rows] == [["three_feet", 1], ["lcp", 1]]
     assert [row[2] for row in truths.rows] == ["100 (21-100)"] * 2
     assert [row[3] for row in truths.rows] == ["0 (0-79)"] * 2
@@ -114,7 +128,9 @@ def test_truths_are_measured_beside_each_other():
 @pytest.mark.slow
 def test_materials_are_measured_by_what_is_told(monkeypatch):
     monkeypatch.setattr(pregrasp, "TOLD", {"0.2 to 0.8": (0.2, 0.8)})
-    table, _ = pregrasp.run(["toolbox"], 1, 1, experiment=pregrasp.MATERIALS, execution=Execution(workers=0))
+    table, _ = pregrasp.run(
+        ["toolbox"], 1, 1, experiment=pregrasp.MATERIALS, execution=Execution(workers=0)
+    )
     assert table.rows[0][:2] == ["0.2 to 0.8", 1]
     assert table.rows[0][3] == "0 (0-79)"
 
@@ -130,13 +146,23 @@ def test_one_part_is_of_rubber():
 
 def test_bounds_that_hold_contain_the_center_and_tip_nothing():
     table = pregrasp.run(
-        ["pliers"], 2, 1, experiment=pregrasp.BOUNDS, friction=(0.3, 0.4), execution=Execution(workers=0)
+        ["pliers"],
+        2,
+        1,
+        experiment=pregrasp.BOUNDS,
+        friction=(0.3, 0.4),
+        execution=Execution(workers=0),
     )[0]
     rows = {row[0]: row[1:] for row in table.rows}
     assert rows["0.3 to 0.4, drawn"] == [2, "100 (34-100)", "0 (0-66)", 0, 0.0]
     assert rows["0.2 to 0.8, rubber"][2:] == ["0 (0-66)", 0, 0.0]
     assert rows["0.3 to 0.4, rubber"][3] == 2
-    assert rows["0.3 to 0.4, rubber"][4] > rows["0.25 to 0.5, rubber"][4] > rows["0.2 to 0.6, rubber"][4] > 1.0
+    assert (
+        rows["0.3 to 0.4, rubber"][4]
+        > rows["0.25 to 0.5, rubber"][4]
+        > rows["0.2 to 0.6, rubber"][4]
+        > 1.0
+    )
     assert len(table.split(80)) == 1
 
 
@@ -147,8 +173,14 @@ def test_noise_is_as_large_as_it_says():
 
 
 def test_the_table_counts_what_happened():
-    outcomes = [Outcome(True, False, 3, 2, ""), Outcome(False, True, 1, 1, ""), Outcome(False, False, 5, 0, "")]
-    table = tabulate_slides([SlideScore("pliers", "learned", outcome) for outcome in outcomes], ["learned"])
+    outcomes = [
+        Outcome(True, False, 3, 2, ""),
+        Outcome(False, True, 1, 1, ""),
+        Outcome(False, False, 5, 0, ""),
+    ]
+    table = tabulate_slides(
+        [SlideScore("pliers", "learned", outcome) for outcome in outcomes], ["learned"]
+    )
     assert tuple(table.rows[0]) == ("learned", 3, pytest.approx(100 / 3), 1, 1, 3.0, 1.0)
 
 

@@ -46,7 +46,9 @@ def test_held_out_pushes_do_not_depend_on_the_training_count() -> None:
 def test_missing_data_are_a_clear_error(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("12\nno pushes\n")
     for folder in (tmp_path, tmp_path / "none"):
-        with pytest.raises(GridPushError, match=r"expected push logs as of GitHub robinzhoucmu/MLab_EXP") as caught:
+        with pytest.raises(
+            GridPushError, match=r"expected push logs as of GitHub robinzhoucmu/MLab_EXP"
+        ) as caught:
             run(folder)
         assert str(caught.value).startswith(str(folder))
 
@@ -63,14 +65,22 @@ def test_arguments_go_with_the_data(tmp_path: Path) -> None:
 def test_finds_logs_wherever_a_clone_has_them() -> None:
     logs = find_push_logs(shared_data(), 50)
     assert {path.stem for kind, path in logs if kind == "cmu"} == {*FEET_SETS, "hardboard_patch"}
-    assert {path.stem for kind, path in logs if kind == "mit"} == {"abs_hex", "abs_rect1", "plywood_rect3"}
+    assert {path.stem for kind, path in logs if kind == "mit"} == {
+        "abs_hex",
+        "abs_rect1",
+        "plywood_rect3",
+    }
     with pytest.raises(GridPushError, match="holds no push log"):
         find_push_logs(shared_data("cmu_pushes"), 51)
 
 
 def test_names_of_logs_differ() -> None:
     paths = [Path("/d", *parts) for parts in (("a", "x.mat"), ("b", "x.mat"), ("b", "y.mat"))]
-    assert [name for name, _, _ in name_logs([("mit", path) for path in paths])] == ["a/x", "b/x", "y"]
+    assert [name for name, _, _ in name_logs([("mit", path) for path in paths])] == [
+        "a/x",
+        "b/x",
+        "y",
+    ]
 
 
 def test_simulated_pushes_stand_in_and_say_so() -> None:
@@ -78,7 +88,11 @@ def test_simulated_pushes_stand_in_and_say_so() -> None:
     assert "Simulated stand-in" in table.title
     assert table.columns[0] == "object, simulated"
     assert any("Nothing here is real" in note for note in table.notes)
-    assert [row[:3] for row in table.rows] == [["pliers", UNIFORM, 0], ["pliers", POSES, 5], ["pliers", POSES, 25]]
+    assert [row[:3] for row in table.rows] == [
+        ["pliers", UNIFORM, 0],
+        ["pliers", POSES, 5],
+        ["pliers", POSES, 25],
+    ]
     uniform, five, many = (row[3].mean for row in table.rows)
     assert many < five < uniform
 
@@ -86,7 +100,8 @@ def test_simulated_pushes_stand_in_and_say_so() -> None:
 def test_a_simulated_log_is_a_seeds_own() -> None:
     path = find_shipped_object("pliers")
     first, again, other = (
-        np.array([seen.final_pose for seen in simulate_log.__wrapped__(path, 0, number)[0]]) for number in (0, 0, 1)
+        np.array([seen.final_pose for seen in simulate_log.__wrapped__(path, 0, number)[0]])
+        for number in (0, 0, 1)
     )
     np.testing.assert_array_equal(first, again)
     assert np.abs(first - other).max() > 0.01
@@ -106,7 +121,10 @@ def test_real_pushes_are_predicted_as_well_as_promised() -> None:
         for name in FEET_SETS:
             uniform = calc_split_means(alike, [name], UNIFORM, 0).mean()
             for model in (POSES, CENTER):
-                assert calc_split_means(alike, [name], model, count).mean() - uniform <= MAX_ABOVE_UNIFORM
+                assert (
+                    calc_split_means(alike, [name], model, count).mean() - uniform
+                    <= MAX_ABOVE_UNIFORM
+                )
 
 
 @pytest.mark.slow

@@ -36,7 +36,9 @@ def test_mujoco_pushes_as_we_do():
 @pytest.mark.slow
 def test_the_command(capsys, tmp_path):
     out = tmp_path / "speed.md"
-    outcome = run_gridpush(capsys, "bench", "speed", "--repetitions", "3", "--no-mujoco", "--out", out, "--json")
+    outcome = run_gridpush(
+        capsys, "bench", "speed", "--repetitions", "3", "--no-mujoco", "--out", out, "--json"
+    )
     assert outcome.code == 0, outcome.err
     assert len(json.loads(outcome.out)["tables"]) == 4
     assert out.read_text().startswith("### One push")

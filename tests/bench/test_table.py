@@ -14,7 +14,12 @@ from gridpush_drake.bench.table import Mean, Table
 from gridpush_drake.identification.learning import METHODS
 from gridpush_drake.objects.object_file import list_shipped_objects
 
-TABLE = Table("One push", ("what", "ms", "runs"), [["plain", 0.41234, 50], ["beside", 1344.8, None]], ["On one core."])
+TABLE = Table(
+    "One push",
+    ("what", "ms", "runs"),
+    [["plain", 0.41234, 50], ["beside", 1344.8, None]],
+    ["On one core."],
+)
 
 
 def test_as_json():
@@ -101,10 +106,15 @@ def make_planning_tables():
         for name, method in product(NAMES, ("gradient", "finite_difference", "exhaustive"))
     ]
     runs = [
-        planning.Run(name, mode, False, True, 25, "too many pushes", ERROR, ERROR, 1234, 1234.5, 123.4)
+        planning.Run(
+            name, mode, False, True, 25, "too many pushes", ERROR, ERROR, 1234, 1234.5, 123.4
+        )
         for name, mode in product(NAMES, modes)
     ]
-    return [planning.tabulate_decisions(decisions, NAMES), planning.tabulate_runs(runs, NAMES, modes, 25)]
+    return [
+        planning.tabulate_decisions(decisions, NAMES),
+        planning.tabulate_runs(runs, NAMES, modes, 25),
+    ]
 
 
 def make_real_tables():
@@ -124,13 +134,18 @@ def make_real_tables():
 def make_pregrasp_tables():
     methods = ("learned, wide friction", "unbounded")
     slides = [
-        pregrasp.SlideScore(name, method, Outcome(True, False, 13, 12, "")) for name, method in product(NAMES, methods)
+        pregrasp.SlideScore(name, method, Outcome(True, False, 13, 12, ""))
+        for name, method in product(NAMES, methods)
     ]
     trace = Trace(21, ERROR, 1.0)
     pokes = [
-        ExplorationScore(name, aim, distance, trace, trace) for name, aim, distance in product(NAMES, AIMS, DISTANCES)
+        ExplorationScore(name, aim, distance, trace, trace)
+        for name, aim, distance in product(NAMES, AIMS, DISTANCES)
     ]
-    grasps = [Episode(name, 0, "dropped", "It fell.", "dropped", 5, 3, 2, 0.1, 0.2, 123.4, 234.5) for name in NAMES]
+    grasps = [
+        Episode(name, 0, "dropped", "It fell.", "dropped", 5, 3, 2, 0.1, 0.2, 123.4, 234.5)
+        for name in NAMES
+    ]
     return [
         pregrasp.tabulate_slides(slides, methods),
         pregrasp.tabulate_objects(slides, NAMES, methods[0]),
@@ -142,7 +157,9 @@ def make_pregrasp_tables():
 
 def make_drake_tables():
     stations = [
-        drake.StationScore(name, 0, "finished", 8, 4, (ERROR,) * 3, (ERROR,) * 2, ERROR, 0.5, 0, 123.4)
+        drake.StationScore(
+            name, 0, "finished", 8, 4, (ERROR,) * 3, (ERROR,) * 2, ERROR, 0.5, 0, 123.4
+        )
         for name in NAMES
     ]
     plants = [
@@ -154,7 +171,13 @@ def make_drake_tables():
 
 @pytest.mark.parametrize(
     "make",
-    [make_paper_tables, make_planning_tables, make_real_tables, make_pregrasp_tables, make_drake_tables],
+    [
+        make_paper_tables,
+        make_planning_tables,
+        make_real_tables,
+        make_pregrasp_tables,
+        make_drake_tables,
+    ],
 )
 def test_a_terminal_of_80_columns_shows_all_of_every_table(make):
     for table in make():
@@ -167,8 +190,12 @@ def check_shown_whole(table):
     assert max(map(len, shown.splitlines())) <= 80
     assert "…" not in shown
     parts = table.split(80)
-    assert [i for part in parts for i in part if i >= table.keys] == list(range(table.keys, len(table.columns)))
-    assert read_cells(shown) == [[table.format(row[i]) for i in part] for part in parts for row in table.rows]
+    assert [i for part in parts for i in part if i >= table.keys] == list(
+        range(table.keys, len(table.columns))
+    )
+    assert read_cells(shown) == [
+        [table.format(row[i]) for i in part] for part in parts for row in table.rows
+    ]
 
 
 def test_a_wide_table_is_shown_in_parts_with_its_keys():
@@ -181,7 +208,9 @@ def test_a_wide_table_is_shown_in_parts_with_its_keys():
 
 def test_a_sentence_wider_than_the_terminal_is_broken_between_words():
     sentence = "learned 100 % (0 % dropped); uniform 92 % (8 % dropped); unbounded 92 % (8 % dropped); true 100 %"
-    table = Table("Wide", ("figure", "here"), [["mass_maps", sentence], ["pregrasp", "28 simulations"]])
+    table = Table(
+        "Wide", ("figure", "here"), [["mass_maps", sentence], ["pregrasp", "28 simulations"]]
+    )
     shown = show(table, 60)
     assert max(map(len, shown.splitlines())) <= 60
     cells = read_cells(shown)

@@ -31,12 +31,24 @@ pytest.importorskip("mujoco", reason="MuJoCo is in the extra `bench`")
 def folder(tmp_path_factory):
     """A folder with one set of five pushes."""
     path = tmp_path_factory.mktemp("sets")
-    write_set(make_set("three_feet", "spray_bottle", 0, training=3, held_out=2), path / "three_feet" / "spray_bottle_0")
+    write_set(
+        make_set("three_feet", "spray_bottle", 0, training=3, held_out=2),
+        path / "three_feet" / "spray_bottle_0",
+    )
     return path
 
 
 def test_learns_from_a_set_that_is_there(folder, capsys):
-    arguments = ("--kind", "three_feet", "--objects", "spray_bottle", "--sets", "1", "--pushes", "3")
+    arguments = (
+        "--kind",
+        "three_feet",
+        "--objects",
+        "spray_bottle",
+        "--sets",
+        "1",
+        "--pushes",
+        "3",
+    )
     done = run_gridpush(
         capsys, "bench", "truth", *arguments, "--out", folder, "--workers", "1", "--results",
         folder / "results.jsonl", "--json",
@@ -54,7 +66,9 @@ def test_learns_from_a_set_that_is_there(folder, capsys):
 def test_the_region_is_the_covariances(folder):
     made = truth.read_set(folder / "three_feet" / "spray_bottle_0")
     found = identify(made.obj, made.training)
-    wide = replace(found, posterior=replace(found.posterior, covariance=4 * found.posterior.covariance))
+    wide = replace(
+        found, posterior=replace(found.posterior, covariance=4 * found.posterior.covariance)
+    )
     center, covariance = calc_center_of_mass(found)
     chi_square, radius = calc_center_region(found, center + [np.sqrt(covariance[0, 0]), 0.0])
     assert chi_square >= 1.0
@@ -63,12 +77,19 @@ def test_the_region_is_the_covariances(folder):
 
 def test_the_table_counts_what_happened():
     scores = [
-        TruthScore("vertices", "a", seed, LEARNED, 5, error, error / 2, error < 0.0015, within, error)
+        TruthScore(
+            "vertices", "a", seed, LEARNED, 5, error, error / 2, error < 0.0015, within, error
+        )
         for seed, error, within in ((0, 0.001, 1.0), (1, 0.002, 0.5), (2, 0.006, 0.6))
     ]
     (row,) = tabulate(scores).rows
     assert row[:4] == ["vertices", "5 pushes", 3, pytest.approx(3.0)]
-    assert row[6:] == [pytest.approx(1.5), pytest.approx(100 / 3), pytest.approx(2.0), pytest.approx(70.0)]
+    assert row[6:] == [
+        pytest.approx(1.5),
+        pytest.approx(100 / 3),
+        pytest.approx(2.0),
+        pytest.approx(70.0),
+    ]
 
 
 @pytest.mark.parametrize(

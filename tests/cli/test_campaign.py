@@ -64,17 +64,43 @@ def test_refuses_bad_input(refuses, scenario, tmp_path, more, says):
 def test_refuses_a_scenario_that_makes_no_sense(refuses, scenario, tmp_path):
     scenario.write_text(SCENARIO + "object_pose: [2.0, 0.0, 0.0]\n")
     refuses("campaign", scenario, "--seeds", "0:3", "--out", tmp_path / "out", says=["object_pose"])
-    refuses("campaign", tmp_path / "none.yaml", "--seeds", "0:3", "--out", tmp_path / "out", says=["none.yaml"])
+    refuses(
+        "campaign",
+        tmp_path / "none.yaml",
+        "--seeds",
+        "0:3",
+        "--out",
+        tmp_path / "out",
+        says=["none.yaml"],
+    )
 
 
 def test_refuses_a_folder_of_another_campaign(refuses, scenario, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     (out / "scenario.yaml").write_text("object: toolbox\n")
-    refuses("campaign", scenario, "--seeds", "0:3", "--out", out, says=["differs from the scenario given", "--force"])
+    refuses(
+        "campaign",
+        scenario,
+        "--seeds",
+        "0:3",
+        "--out",
+        out,
+        says=["differs from the scenario given", "--force"],
+    )
     (out / "scenario.yaml").unlink()
-    (out / "episodes.jsonl").write_text('{"bench": "campaign", "program": "1", "settings": {"task": "push"}}\n')
-    refuses("campaign", scenario, "--seeds", "0:3", "--out", out, says=["other settings", '"push", now "pregrasp"'])
+    (out / "episodes.jsonl").write_text(
+        '{"bench": "campaign", "program": "1", "settings": {"task": "push"}}\n'
+    )
+    refuses(
+        "campaign",
+        scenario,
+        "--seeds",
+        "0:3",
+        "--out",
+        out,
+        says=["other settings", '"push", now "pregrasp"'],
+    )
 
 
 @pytest.mark.slow

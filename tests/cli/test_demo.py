@@ -49,14 +49,26 @@ def write_scenario(folder, object_name="open_book", count=2, test_count=1):
 def test_learns_and_reports(gridpush, tmp_path):
     out = tmp_path / "demo"
     outcome = gridpush(
-        "demo", "--task", "identify", "--scenario", write_scenario(tmp_path), "--out", out, "--port", "0", "--json"
+        "demo",
+        "--task",
+        "identify",
+        "--scenario",
+        write_scenario(tmp_path),
+        "--out",
+        out,
+        "--port",
+        "0",
+        "--json",
     )
     assert outcome.code == 0, outcome.err
     assert sorted(path.name for path in out.iterdir()) == sorted(TASKS["identify"].files)
     summary = json.loads(outcome.out)
     assert (summary["status"], summary["pushes"], summary["held_out"]) == ("finished", 2, 1)
     assert summary["limit_report"]["touched"] == []
-    assert max(summary["limit_report"][f"{what}_share"] for what in ("position", "velocity", "torque")) <= 1
+    assert (
+        max(summary["limit_report"][f"{what}_share"] for what in ("position", "velocity", "torque"))
+        <= 1
+    )
     assert looks_like_recording(out / "recording.html")
     assert "Push by push" in (out / "report.html").read_text()
     assert yaml.safe_load((out / "truth.yaml").read_text())["object"] == "open_book"
@@ -68,7 +80,9 @@ def test_learns_and_reports(gridpush, tmp_path):
     offline = tmp_path / "offline.yaml"
     again = gridpush("identify", out / "object.yaml", out / "pushes.csv", "--out", offline)
     assert again.code == 0, again.err
-    np.testing.assert_array_equal(read_model(offline).params.mass, read_model(out / "model.yaml").params.mass)
+    np.testing.assert_array_equal(
+        read_model(offline).params.mass, read_model(out / "model.yaml").params.mass
+    )
     held_out = PushLog.read_csv(out / "held_out.csv")
     assert len(held_out) == 1
 
@@ -88,7 +102,9 @@ def check_recorded_again(gridpush, out, path, pushes, table):
     )  # fmt: skip
     assert outcome.code == 0, outcome.err
     log, of_demo = PushLog.read_csv(path), PushLog.read_csv(out / "pushes.csv")
-    np.testing.assert_allclose(sorted(log.table.tolist()), sorted(of_demo.table.tolist()), atol=1e-9)
+    np.testing.assert_allclose(
+        sorted(log.table.tolist()), sorted(of_demo.table.tolist()), atol=1e-9
+    )
     for one, other in zip(log, pushes, strict=True):
         assert (one.name, one.overhang) == (other.name, other.overhang)
         for name in ("pose", "t_observed", "poses_observed"):
@@ -103,7 +119,9 @@ def check_recording(out, duration, tmp_path):
     At first the region of possible centers veils most cells, so each picture is measured by itself.
     """
     model = read_model(out / "model.yaml")
-    even = CellColors().calc_colors(CellParameters.uniform(model.obj).mass, model.params.friction)[0]
+    even = CellColors().calc_colors(CellParameters.uniform(model.obj).mass, model.params.friction)[
+        0
+    ]
     learned = CellColors().calc_colors(model.params.mass, model.params.friction)
     off = np.linalg.norm(learned - even, axis=1)
     others = np.unique(learned[off > off.max() / 2].round(1), axis=0)
@@ -146,15 +164,30 @@ def test_refuses_an_unknown_object(refuses, tmp_path):
         ("version: 0\n", ["version", "older"]),
         ("objekt: claw_hammer\n", ["objekt", "object"]),
         ("object_pose: [2.0, 0.0, 0.0]\n", ["object_pose", "table"]),
-        ("finger: {push_height: 0}\n", ["finger.push_height is 0", "expected a positive number, in m"]),
-        ("finger: {push_height: 0.05}\n", ["finger.push_height is 0.05 m", "at most the object's height"]),
+        (
+            "finger: {push_height: 0}\n",
+            ["finger.push_height is 0", "expected a positive number, in m"],
+        ),
+        (
+            "finger: {push_height: 0.05}\n",
+            ["finger.push_height is 0.05 m", "at most the object's height"],
+        ),
         ("workspace: {x: [2.0, 3.0]}\n", ["workspace", "reach"]),
     ],
 )
 def test_refuses_a_scenario_that_makes_no_sense(refuses, tmp_path, text, says):
     path = tmp_path / "bad.yaml"
     path.write_text(text)
-    refuses("demo", "--task", "identify", "--scenario", path, "--out", tmp_path / "demo", says=[path, *says])
+    refuses(
+        "demo",
+        "--task",
+        "identify",
+        "--scenario",
+        path,
+        "--out",
+        tmp_path / "demo",
+        says=[path, *says],
+    )
 
 
 @pytest.mark.parametrize(
@@ -169,7 +202,9 @@ def test_refuses_a_robot_that_it_cannot_have(refuses, tmp_path, arguments, says)
 
 
 def test_refuses_an_unknown_camera(refuses, tmp_path):
-    refuses("demo", "--camera", "lidar", "--out", tmp_path / "demo", says=["--camera", "lidar", "rgbd"])
+    refuses(
+        "demo", "--camera", "lidar", "--out", tmp_path / "demo", says=["--camera", "lidar", "rgbd"]
+    )
 
 
 @pytest.mark.parametrize("task", list(TaskName))
@@ -203,7 +238,9 @@ def test_the_camera_that_it_takes(gridpush, tmp_path, monkeypatch, task, more, r
 
 def test_refuses_an_object_larger_than_the_table(refuses, tmp_path):
     door = tmp_path / "door.yaml"
-    door.write_text("name: door\noutline: [[-1, -0.4], [1, -0.4], [1, 0.4], [-1, 0.4]]\nmax_cells: 60\n")
+    door.write_text(
+        "name: door\noutline: [[-1, -0.4], [1, -0.4], [1, 0.4], [-1, 0.4]]\nmax_cells: 60\n"
+    )
     refuses(
         "demo",
         "--task",
@@ -218,7 +255,9 @@ def test_refuses_an_object_larger_than_the_table(refuses, tmp_path):
 
 def test_takes_the_height_that_the_object_s_file_says(refuses, tmp_path):
     post = tmp_path / "post.yaml"
-    post.write_text("name: post\noutline: [[0, 0], [0.05, 0], [0.05, 0.05], [0, 0.05]]\nmax_cells: 9\nheight: 0.3\n")
+    post.write_text(
+        "name: post\noutline: [[0, 0], [0.05, 0], [0.05, 0.05], [0, 0.05]]\nmax_cells: 9\nheight: 0.3\n"
+    )
     says = ["finger.travel_height", "more than the object's height", "0.308 m"]
     refuses("demo", "--task", "identify", "--object", post, "--out", tmp_path / "demo", says=says)
 
@@ -227,7 +266,9 @@ def test_refuses_a_port_in_use(gridpush, tmp_path):
     server = StartMeshcatServer(0)
     with socket.socket() as probe:
         assert probe.connect_ex(("localhost", server.port())) == 0
-    outcome = gridpush("demo", "--task", "identify", "--out", tmp_path / "demo", "--port", str(server.port()))
+    outcome = gridpush(
+        "demo", "--task", "identify", "--out", tmp_path / "demo", "--port", str(server.port())
+    )
     assert outcome.code == 2
     assert str(server.port()) in outcome.err
     assert "in use" in outcome.err
@@ -289,14 +330,19 @@ def test_pokes_slides_and_lifts_as_readme_says(gridpush, tmp_path, monkeypatch):
     assert summary["pokes"] >= 3
     assert summary["slides"] >= 1
     assert summary["limit_report"]["touched"] == []
-    assert max(summary["limit_report"][f"{what}_share"] for what in ("position", "velocity", "torque")) <= 1
+    assert (
+        max(summary["limit_report"][f"{what}_share"] for what in ("position", "velocity", "torque"))
+        <= 1
+    )
     out = tmp_path / "gridpush_demo"
     assert read_scenario(out / "scenario.yaml").camera.kind == "rgbd"
     assert sorted(path.name for path in out.iterdir()) == sorted(TASKS["pregrasp"].files)
     assert "What the robot did" in (out / "report.html").read_text()
     check_same_offline(gridpush, out, tmp_path)
     log = PushLog.read_csv(out / "pushes.csv")
-    check_recorded_again(gridpush, out, tmp_path / "recorded.csv", log, "rectangle:0.8x1.2@0.6,-0.45")
+    check_recorded_again(
+        gridpush, out, tmp_path / "recorded.csv", log, "rectangle:0.8x1.2@0.6,-0.45"
+    )
 
 
 def check_same_offline(gridpush, out, tmp_path):

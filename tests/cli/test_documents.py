@@ -49,7 +49,9 @@ EVERYWHERE = {"--help"}
 STAND_INS = {"lab", "yours"}
 """Names of importers that the reader writes."""
 
-pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="a wheel's tests have no docs beside them")
+pytestmark = pytest.mark.skipif(
+    not DOCS.is_dir(), reason="a wheel's tests have no docs beside them"
+)
 
 
 def find_blocks(name, language):
@@ -65,7 +67,9 @@ EXAMPLES = [
 
 def find_commands(text):
     """All command lines of `gridpush` in a page, each once: indented, or in backticks."""
-    lines = re.findall(r"^    (gridpush [^#\n]*)", text, re.MULTILINE) + re.findall(r"`(gridpush [^`\n]*)`", text)
+    lines = re.findall(r"^    (gridpush [^#\n]*)", text, re.MULTILINE) + re.findall(
+        r"`(gridpush [^`\n]*)`", text
+    )
     return sorted({line.strip() for line in lines})
 
 
@@ -85,19 +89,31 @@ def test_the_python_type_checks(tmp_path):
         files[-1].write_text(example.values[1])
     assert len(files) >= 3
     settings = ROOT / "pyproject.toml"
-    out, err, code = mypy.run([*map(str, files), f"--config-file={settings}", "--follow-imports=silent", "--strict"])
+    out, err, code = mypy.run(
+        [*map(str, files), f"--config-file={settings}", "--follow-imports=silent", "--strict"]
+    )
     assert code == 0, out + err
 
 
 @pytest.mark.parametrize("name", sorted(name for name, text in TEXTS.items() if "import" in text))
 def test_the_python_names_public_things_only(name):
-    blocks = re.findall(r"```(?:python|\{code-cell\}|\{code-block\} python).*?\n(.*?)```", TEXTS[name], re.DOTALL)
-    code = "\n".join(block for block in blocks if not block.startswith('"""'))  # which is a file within the package
-    ours = re.findall(r"^ *from gridpush_drake([\w.]*) import (?:\(([^)]*)\)|([^\n]*))", code, re.MULTILINE)
+    blocks = re.findall(
+        r"```(?:python|\{code-cell\}|\{code-block\} python).*?\n(.*?)```", TEXTS[name], re.DOTALL
+    )
+    code = "\n".join(
+        block for block in blocks if not block.startswith('"""')
+    )  # which is a file within the package
+    ours = re.findall(
+        r"^ *from gridpush_drake([\w.]*) import (?:\(([^)]*)\)|([^\n]*))", code, re.MULTILINE
+    )
     for module, many, few in ours:
         package = import_module(f"gridpush_drake{module}")
-        names = {part.strip() for part in (many or few).replace("\n", " ").split(",") if part.strip()}
-        public = set(getattr(package, "__all__", ())) or {n for n in vars(package) if n.endswith(("Error", "Warning"))}
+        names = {
+            part.strip() for part in (many or few).replace("\n", " ").split(",") if part.strip()
+        }
+        public = set(getattr(package, "__all__", ())) or {
+            n for n in vars(package) if n.endswith(("Error", "Warning"))
+        }
         assert names <= public, f"gridpush_drake{module}: {names - public}"
 
 
@@ -105,7 +121,9 @@ def run_fragment(number, monkeypatch):
     """The names that a fragment of `docs/extending.md` defines: a file to be put beside those of the package."""
     fragment = find_blocks("docs/extending.md", r"\{code-block\} python")[number]
     module = ModuleType(f"fragment_{number}")
-    monkeypatch.setitem(sys.modules, module.__name__, module)  # where a dataclass looks for its annotations
+    monkeypatch.setitem(
+        sys.modules, module.__name__, module
+    )  # where a dataclass looks for its annotations
     exec(compile(fragment, "docs/extending.md", "exec"), vars(module))
     return vars(module)
 
@@ -113,7 +131,12 @@ def run_fragment(number, monkeypatch):
 def test_the_friction_law_is_one(monkeypatch):
     law = run_fragment(0, monkeypatch)["RIBBED"]
     rng = np.random.default_rng(0)
-    cells, k, xi, eps = rng.normal(size=(2, 9)), rng.uniform(0.1, 1.0, 9), np.array([0.1, -0.2, 0.3]), 1e-2
+    cells, k, xi, eps = (
+        rng.normal(size=(2, 9)),
+        rng.uniform(0.1, 1.0, 9),
+        np.array([0.1, -0.2, 0.3]),
+        1e-2,
+    )
 
     def dissipation(xi, k=k):
         return law.calc_dissipation.py_func(law.make(k, 0.1, "coupled"), cells, eps, xi)
@@ -134,7 +157,9 @@ def test_the_friction_law_is_one(monkeypatch):
 def test_the_importer_is_one(tmp_path, block, monkeypatch):
     importer = run_fragment(2, monkeypatch)["LabImporter"]
     tracks = tmp_path / "tracks.txt"
-    tracks.write_text("0 -90 0 0 0 0\n500 -80 0 0 0 0\n1000 -70 0 8 0 1\n\n0 -60 0 8 0 1\n900 -50 0 17 0 2\n")
+    tracks.write_text(
+        "0 -90 0 0 0 0\n500 -80 0 0 0 0\n1000 -70 0 8 0 1\n\n0 -60 0 8 0 1\n900 -50 0 17 0 2\n"
+    )
     log, obj = importer(GridObject.from_yaml(block)).read(tracks)
     assert obj.name and [len(push.t_observed) for push in log] == [2, 1]
     np.testing.assert_allclose(log[0].final_pose, [0.008, 0.0, np.radians(1)])
@@ -161,7 +186,9 @@ def test_the_method_is_one(monkeypatch):
 def test_two_objects_are_a_scenario():
     scene = yaml.safe_load(find_blocks("docs/extending.md", "yaml")[2])
     scenario = PushScenario(**scene)
-    assert scenario.object in list_shipped_objects() and [other.object for other in scenario.others] == ["pliers"]
+    assert scenario.object in list_shipped_objects() and [
+        other.object for other in scenario.others
+    ] == ["pliers"]
 
 
 def test_every_block_is_tried_somewhere():
@@ -177,7 +204,10 @@ def test_every_block_is_tried_somewhere():
             "docs/extending.md",
             "{code-block} python",
         ): 6,  # a law, its entry, an importer, its entry, a second identifier, a method
-        ("docs/extending.md", "yaml"): 3,  # a robot and its scene (tests/station/test_robot.py), two objects
+        (
+            "docs/extending.md",
+            "yaml",
+        ): 3,  # a robot and its scene (tests/station/test_robot.py), two objects
         ("docs/howto/own_object.md", "yaml"): 1,
         ("docs/howto/own_pushes.md", "csv"): 1,
     }
@@ -189,7 +219,14 @@ def test_there_are_seven_notebooks():
 
 def test_the_object_and_the_pushes_can_be_read(tmp_path):
     text = find_blocks("docs/howto/own_object.md", "yaml")[0]
-    assert set(yaml.safe_load(text)) >= {"name", "outline", "parts", "total_mass", "center_of_mass", "pusher"}
+    assert set(yaml.safe_load(text)) >= {
+        "name",
+        "outline",
+        "parts",
+        "total_mass",
+        "center_of_mass",
+        "pusher",
+    }
     (tmp_path / "object.yaml").write_text(text)
     obj = GridObject.from_yaml(tmp_path / "object.yaml")
     assert set(obj.labels) == {1, 2}
@@ -205,7 +242,9 @@ def test_every_column_and_object_is_named():
         assert f"`{shipped}`" in TEXTS["docs/first_steps.md"]
 
 
-@pytest.mark.parametrize("name", sorted(name for name, text in TEXTS.items() if find_commands(text)))
+@pytest.mark.parametrize(
+    "name", sorted(name for name, text in TEXTS.items() if find_commands(text))
+)
 def test_the_commands_are_the_commands(name):
     for line in find_commands(TEXTS[name]):
         command, words = typer.main.get_command(app), line.split()[1:]
@@ -216,7 +255,11 @@ def test_the_commands_are_the_commands(name):
                 words = []
             else:
                 command, words = found, words[1:]
-        options = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
+        options = {
+            option
+            for parameter in command.params
+            for option in (*parameter.opts, *parameter.secondary_opts)
+        }
         used = {word.partition("=")[0] for word in words if re.match(r"--?[a-z]", word)}
         assert used <= options | EVERYWHERE, f"{line}: {used - options}"
 
@@ -241,12 +284,17 @@ def test_named_files_are_there(name):
 
 def test_every_part_of_a_file_is_explained():
     """The scenario's and the robot's: what stands on the page is there, and all of it stands there."""
-    named = re.findall(r"^\.\. autoclass:: ([\w.]+)\.(\w+)$", TEXTS["docs/reference/files.md"], re.MULTILINE)
+    named = re.findall(
+        r"^\.\. autoclass:: ([\w.]+)\.(\w+)$", TEXTS["docs/reference/files.md"], re.MULTILINE
+    )
     schemas = {
         (module, name)
         for module in sorted({module for module, _ in named})
         for name, thing in vars(import_module(module)).items()
-        if isinstance(thing, type) and issubclass(thing, BaseModel) and thing.__module__ == module and name[0] != "_"
+        if isinstance(thing, type)
+        and issubclass(thing, BaseModel)
+        and thing.__module__ == module
+        and name[0] != "_"
     }
     assert set(named) == schemas - {("gridpush_drake.station.scenario", "PushScenario")}
 

@@ -20,7 +20,9 @@ def test_writes_a_learned_model_that_drake_loads(gridpush, model, tmp_path):
 
 def test_writes_an_object_held_to_the_plane(gridpush, tmp_path):
     out = tmp_path / "book.sdf"
-    document = json.loads(gridpush("export", "open_book", out, "--base", "planar", "--height", "0.05", "--json").out)
+    document = json.loads(
+        gridpush("export", "open_book", out, "--base", "planar", "--height", "0.05", "--json").out
+    )
     assert document["base"] == "planar"
     assert document["total_mass"] == pytest.approx(0.92)
     plant, _ = parse_sdf(out)
@@ -56,7 +58,9 @@ def test_the_format_follows_the_name_or_is_given(gridpush, tmp_path, name, given
     assert document["format"] in ("urdf", "mjcf")
     text = out.read_text()
     assert text.startswith(begins)
-    assert text.count("friction") >= document["cells"] or text.count("mu_static") >= document["cells"]
+    assert (
+        text.count("friction") >= document["cells"] or text.count("mu_static") >= document["cells"]
+    )
 
 
 def test_replaces_a_file_only_when_told(gridpush, refuses, block, tmp_path):
@@ -70,8 +74,15 @@ def test_replaces_a_file_only_when_told(gridpush, refuses, block, tmp_path):
 
 def test_refuses_what_makes_no_sense(refuses, block, tmp_path):
     out = tmp_path / "block.sdf"
-    refuses("export", block, tmp_path / "block.usd", says=["OUT", "block.usd", ".sdf", ".urdf", ".xml", "--format"])
-    refuses("export", block, tmp_path / "block.xml", "--base", "planar", says=["base", "planar", "mjcf"])
+    refuses(
+        "export",
+        block,
+        tmp_path / "block.usd",
+        says=["OUT", "block.usd", ".sdf", ".urdf", ".xml", "--format"],
+    )
+    refuses(
+        "export", block, tmp_path / "block.xml", "--base", "planar", says=["base", "planar", "mjcf"]
+    )
     refuses("export", block, tmp_path / "missing" / "block.sdf", says=["missing", "does not exist"])
     refuses("export", block, out, "--height", "0", says=["height"])
     refuses("export", block, out, "--base", "flying", says=["flying"])

@@ -15,7 +15,10 @@ from gridpush_drake.pushes.push_log import PushLog
 from tests.helpers.command_line import run_gridpush
 from tests.helpers.pictures import calc_outline_error, make_camera, paint, paint_tag
 
-L_SHAPE = np.array([[0, 0], [0.14, 0], [0.14, 0.04], [0.05, 0.04], [0.05, 0.12], [0, 0.12]]) - [0.05, 0.04]
+L_SHAPE = np.array([[0, 0], [0.14, 0], [0.14, 0.04], [0.05, 0.04], [0.05, 0.12], [0, 0.12]]) - [
+    0.05,
+    0.04,
+]
 POSE, HEIGHT, BROWN = np.array([0.02, 0.01, 0.3]), 0.03, (150, 120, 80)
 TAG_SIZE = 0.03
 RADIUS = 0.005
@@ -43,7 +46,15 @@ def square(pose, size, z):
 def test_object_from_a_photograph(capsys, folder):
     out = folder / "object.yaml"
     arguments = ("--depth", folder / "depth.png", "--camera", folder / "camera.yaml", "--out", out)
-    done = run_gridpush(capsys, "object", folder / "photo.png", *arguments, "--picture", folder / "seen.png", "--json")
+    done = run_gridpush(
+        capsys,
+        "object",
+        folder / "photo.png",
+        *arguments,
+        "--picture",
+        folder / "seen.png",
+        "--json",
+    )
     assert done.code == 0, done.err
     told = json.loads(done.out)
     obj, seen = GridObject.from_yaml(out), read_object_file(out).seen
@@ -91,12 +102,28 @@ def test_a_tag_on_the_object_is_aligned_once_and_then_tells_its_pose(capsys, fol
     camera = ("--camera", folder / "camera.yaml")
     size = ("--height", HEIGHT, "--tag-size", TAG_SIZE)
     done = run_gridpush(
-        capsys, "object", folder / "video" / "000.png", *camera, "--out", folder / "o.yaml", "--tag", 4, *size
+        capsys,
+        "object",
+        folder / "video" / "000.png",
+        *camera,
+        "--out",
+        folder / "o.yaml",
+        "--tag",
+        4,
+        *size,
     )
     assert done.code == 0, done.err
     seen = read_object_file(folder / "o.yaml").seen
     assert seen.tag.id == 4
-    tracked = ("track", folder / "video", *camera, "--object", folder / "o.yaml", "--tip", folder / "tip.csv")
+    tracked = (
+        "track",
+        folder / "video",
+        *camera,
+        "--object",
+        folder / "o.yaml",
+        "--tip",
+        folder / "tip.csv",
+    )
     done = run_gridpush(capsys, *tracked, "--by", "tag", "--out", folder / "pushes.csv")
     assert done.code == 0, done.err
     (push,) = PushLog.read_csv(folder / "pushes.csv")
@@ -105,7 +132,15 @@ def test_a_tag_on_the_object_is_aligned_once_and_then_tells_its_pose(capsys, fol
     assert np.hypot(*(moved - (poses[-1] - poses[0]))[:2]) < 3e-4
     assert abs(moved[2]) < np.radians(0.3)
     absent = run_gridpush(
-        capsys, "object", folder / "photo.png", *camera, "--out", folder / "p.yaml", "--tag", 5, *size
+        capsys,
+        "object",
+        folder / "photo.png",
+        *camera,
+        "--out",
+        folder / "p.yaml",
+        "--tag",
+        5,
+        *size,
     )
     assert absent.code == 2
     assert "tag 5 is not in view; there are: none" in absent.err
@@ -126,7 +161,9 @@ def test_object_says_what_is_wrong_and_shows_it(capsys, folder):
     ]
     for read in ("photo.png", "camera.yaml", "depth.png"):
         files = ("--camera", folder / "camera.yaml", "--depth", folder / "depth.png")
-        done = run_gridpush(capsys, "object", folder / "photo.png", *files, "--out", folder / read, "--force")
+        done = run_gridpush(
+            capsys, "object", folder / "photo.png", *files, "--out", folder / read, "--force"
+        )
         assert done.code == 2
         assert f"{read}: is read, too" in done.err
     for (photo, camera), message in cases:
@@ -143,9 +180,14 @@ def test_object_says_what_is_wrong_and_shows_it(capsys, folder):
 
 def test_calibrate_prints_a_board_and_finds_the_camera(capsys, tmp_path):
     board, true = TagBoard(3, 4, 0.04, 0.012), make_camera(distance=0.55, rpy=(176, 3, 20))
-    done = run_gridpush(capsys, "calibrate", "--print", tmp_path / "board.pdf", "--board", "3x4:0.04", "--json")
+    done = run_gridpush(
+        capsys, "calibrate", "--print", tmp_path / "board.pdf", "--board", "3x4:0.04", "--json"
+    )
     assert done.code == 0, done.err
-    assert json.loads(done.out) == {"extent": list(board.extent), "written": str(tmp_path / "board.pdf")}
+    assert json.loads(done.out) == {
+        "extent": list(board.extent),
+        "written": str(tmp_path / "board.pdf"),
+    }
     assert (tmp_path / "board.pdf").read_bytes().startswith(b"%PDF")
     color = paint(true, [], depth=False).color
     for number, corners in board.corners.items():
@@ -153,12 +195,20 @@ def test_calibrate_prints_a_board_and_finds_the_camera(capsys, tmp_path):
     save(tmp_path / "photo.png", color)
     Camera(640, 480, true.K, []).write(tmp_path / "plain.yaml")
     arguments = ("--camera", tmp_path / "plain.yaml", "--out", tmp_path / "camera.yaml")
-    done = run_gridpush(capsys, "calibrate", tmp_path / "photo.png", "--board", "3x4:0.04", *arguments)
+    done = run_gridpush(
+        capsys, "calibrate", tmp_path / "photo.png", "--board", "3x4:0.04", *arguments
+    )
     assert done.code == 0, done.err
     np.testing.assert_allclose(Camera.read(tmp_path / "camera.yaml").center, true.center, atol=2e-3)
     for extra, message in [
-        ((tmp_path / "photo.png", "--board", "3by4"), "--board: is '3by4'; expected COLUMNSxROWS:SIZE"),
-        ((tmp_path / "photo.png", "--board", "2x2:0.04:0.01:300"), "0 of the board's tags (300 to 303) are in view"),
+        (
+            (tmp_path / "photo.png", "--board", "3by4"),
+            "--board: is '3by4'; expected COLUMNSxROWS:SIZE",
+        ),
+        (
+            (tmp_path / "photo.png", "--board", "2x2:0.04:0.01:300"),
+            "0 of the board's tags (300 to 303) are in view",
+        ),
         ((), "expected either a photograph, or --print"),
         (("--print", tmp_path / "board.png"), "board.png'; expected a PDF file's name"),
     ]:
@@ -181,9 +231,13 @@ def write_video(folder, with_tags):
     (folder / "video").mkdir()
     t, tips, poses = make_push()
     for k in range(len(t)):
-        color = paint(make_camera(), [(L_SHAPE, poses[k], HEIGHT, BROWN)], seed=k, depth=False).color
+        color = paint(
+            make_camera(), [(L_SHAPE, poses[k], HEIGHT, BROWN)], seed=k, depth=False
+        ).color
         if with_tags:
-            color = paint_tag(color, make_camera(), 9, square([*tips[k] - [0.06, 0], 0], TAG_SIZE, 0.04), k)
+            color = paint_tag(
+                color, make_camera(), 9, square([*tips[k] - [0.06, 0], 0], TAG_SIZE, 0.04), k
+            )
         save(folder / "video" / f"{k:03d}.png", color)
     lines = "".join(f"{k:03d},{time}\n" for k, time in enumerate(t))
     (folder / "video" / "times.csv").write_text("name,t\n" + lines)
@@ -197,7 +251,15 @@ def write_video(folder, with_tags):
 @pytest.mark.parametrize("with_tags", [False, True], ids=["csv", "tag"])
 def test_track_writes_the_pushes_of_a_folder_of_images(capsys, folder, with_tags):
     _, tips, poses = write_video(folder, with_tags)
-    by_tag = ("tag:9", "--tip-offset", "0.06,0,-0.035", "--tag-size", TAG_SIZE, "--tag-height", 0.04)
+    by_tag = (
+        "tag:9",
+        "--tip-offset",
+        "0.06,0,-0.035",
+        "--tag-size",
+        TAG_SIZE,
+        "--tag-height",
+        0.04,
+    )
     tip = by_tag if with_tags else (folder / "tip.csv",)
     done = run_gridpush(
         capsys, "track", folder / "video", "--camera", folder / "camera.yaml", "--object", folder / "object.yaml",
@@ -244,19 +306,31 @@ def test_track_names_the_file_or_option_that_is_wrong(capsys, folder):
     Camera(640, 480, make_camera().K, []).write(folder / "unplaced.yaml")
     (folder / "still.csv").write_text("t,tip_x,tip_y\n0,-0.3,0\n9,-0.3,0\n")
     for options, message in [
-        (("--camera", folder / "unplaced.yaml"), "unplaced.yaml: X_WC is not known; `gridpush calibrate` finds it"),
+        (
+            ("--camera", folder / "unplaced.yaml"),
+            "unplaced.yaml: X_WC is not known; `gridpush calibrate` finds it",
+        ),
         (("--object", "claw_hammer"), "video: no object of this outline is in view"),
         (("--height", "30"), "video: height is 30.0; expected 0 to 0.7 m, where the camera is"),
-        (("--tip", "tag:9", "--tag-height", "40"), "--tag-height: is 40; expected 0 to 0.7 m, where the camera is"),
+        (
+            ("--tip", "tag:9", "--tag-height", "40"),
+            "--tag-height: is 40; expected 0 to 0.7 m, where the camera is",
+        ),
         (("--tip", "tag:9", "--tag-height", "nan"), "--tag-height: is nan; expected 0 to 0.7 m"),
         (
             ("--tip", folder / "still.csv"),
             "video: holds no whole push: the tip never moved the object while it was below 0.05 m; the object was seen",
         ),
     ]:
-        given = {"--camera": folder / "camera.yaml", "--object": folder / "object.yaml", "--tip": folder / "tip.csv"}
+        given = {
+            "--camera": folder / "camera.yaml",
+            "--object": folder / "object.yaml",
+            "--tip": folder / "tip.csv",
+        }
         given |= dict(zip(options[::2], options[1::2], strict=True))
         words = [word for pair in given.items() for word in pair]
-        done = run_gridpush(capsys, "track", folder / "video", *words, "--out", folder / "pushes.csv")
+        done = run_gridpush(
+            capsys, "track", folder / "video", *words, "--out", folder / "pushes.csv"
+        )
         assert done.code == 2, options
         assert message in done.err

@@ -58,15 +58,33 @@ def test_refuses_to_replace_a_file_before_it_begins(refuses, block, pushes, tmp_
 
 def test_refuses_one_file_for_two_outputs(refuses, block, pushes, tmp_path):
     same = tmp_path / "out.html"
-    refuses("identify", block, pushes, "--out", same, "--report", same, says=[same, "written twice"])
+    refuses(
+        "identify", block, pushes, "--out", same, "--report", same, says=[same, "written twice"]
+    )
 
 
 def test_refuses_a_budget_that_it_would_not_keep(refuses, block, pushes, tmp_path):
-    refuses("identify", block, pushes, "--out", tmp_path / "learned.yaml", "--budget", "5", says=["--budget"])
+    refuses(
+        "identify",
+        block,
+        pushes,
+        "--out",
+        tmp_path / "learned.yaml",
+        "--budget",
+        "5",
+        says=["--budget"],
+    )
 
 
 def test_refuses_a_model_in_place_of_an_object(refuses, model, pushes, tmp_path):
-    refuses("identify", model, pushes, "--out", tmp_path / "learned.yaml", says=[model, "is a learned model"])
+    refuses(
+        "identify",
+        model,
+        pushes,
+        "--out",
+        tmp_path / "learned.yaml",
+        says=[model, "is a learned model"],
+    )
 
 
 def test_doubts_a_model_that_explains_too_little(gridpush, block, pushes, tmp_path):
@@ -75,11 +93,14 @@ def test_doubts_a_model_that_explains_too_little(gridpush, block, pushes, tmp_pa
     assert json.loads(right.out)["doubt"] is None
     log = PushLog.read_csv(pushes)
     mirrored = [
-        replace(seen, poses_observed=seen.pose + (seen.poses_observed - seen.pose) * [1, 1, -1]) for seen in log
+        replace(seen, poses_observed=seen.pose + (seen.poses_observed - seen.pose) * [1, 1, -1])
+        for seen in log
     ]
     pushes.unlink()
     replace(log, pushes=tuple(mirrored)).write_csv(pushes)
-    outcome = gridpush("identify", block, pushes, "--out", tmp_path / "wrong.yaml", "--report", tmp_path / "r.html")
+    outcome = gridpush(
+        "identify", block, pushes, "--out", tmp_path / "wrong.yaml", "--report", tmp_path / "r.html"
+    )
     assert outcome.code == 0, outcome.err
     for text in (outcome.out, (tmp_path / "r.html").read_text()):
         assert "explains these pushes poorly" in text
@@ -141,7 +162,14 @@ def test_pushes_over_the_edge_are_left_out_bit_for_bit(gridpush, block, pushes, 
     log[[2, 3]].write_csv(tmp_path / "fewer.csv")
 
     def learn(name, *options):
-        outcome = gridpush("identify", block, tmp_path / f"{name}.csv", "--out", tmp_path / f"{name}.yaml", *options)
+        outcome = gridpush(
+            "identify",
+            block,
+            tmp_path / f"{name}.csv",
+            "--out",
+            tmp_path / f"{name}.yaml",
+            *options,
+        )
         assert outcome.code == 0, outcome.err
         return outcome.out, (tmp_path / f"{name}.yaml").read_text()
 
@@ -170,15 +198,23 @@ def test_refuses_a_table_that_the_object_is_not_on(command, refuses, block, push
         ),
         ("POLYGON ((-1 -1, 1 -1, 1 1, -1 1))", ["line 2", "column table", "ends where it begins"]),
     ):
-        log.write_text("\n".join([f"{header},table", f'{first},"{table}"', *(f"{row}," for row in rest)]))
+        log.write_text(
+            "\n".join([f"{header},table", f'{first},"{table}"', *(f"{row}," for row in rest)])
+        )
         refuses(command, block, log, "--out", tmp_path / "out", says=[log, *says])
 
 
-@pytest.mark.parametrize(("height", "says"), [("0", "positive number, in meters"), ("9", "expected less than")])
-def test_refuses_a_pusher_of_no_height_or_too_high(height, says, gridpush, refuses, block, pushes, tmp_path):
+@pytest.mark.parametrize(
+    ("height", "says"), [("0", "positive number, in meters"), ("9", "expected less than")]
+)
+def test_refuses_a_pusher_of_no_height_or_too_high(
+    height, says, gridpush, refuses, block, pushes, tmp_path
+):
     high = tmp_path / "high.yaml"
     document = yaml.safe_load(block.read_text())
-    high.write_text(yaml.safe_dump(document | {"pusher": {"radius": 0.005, "height": float(height)}}))
+    high.write_text(
+        yaml.safe_dump(document | {"pusher": {"radius": 0.005, "height": float(height)}})
+    )
     says = [high, f"pusher.height is {height}", says]
     for arguments in (
         ("identify", high, pushes, "--out", tmp_path / "out"),
@@ -194,7 +230,10 @@ def test_refuses_what_cannot_be_true(refuses, block, tmp_path):
     log = tmp_path / "log.csv"
     header = "push,t,tip_x,tip_y,object_x,object_y,object_theta\n"
     for rows, says in (
-        ("a,0,-0.02,0.034,0,0,0\na,1,-0.02,0.024,9.9,0,0\n", ["push 'a'", "object_x", "moves 9.9 m", "lost track"]),
+        (
+            "a,0,-0.02,0.034,0,0,0\na,1,-0.02,0.024,9.9,0,0\n",
+            ["push 'a'", "object_x", "moves 9.9 m", "lost track"],
+        ),
         ("a,0,-20,34,10,0,0\na,1,-20,24,10,-5,0\n", ["push 'a'", "tip_x", "in millimeters?"]),
         ("a,0,1,1,0,0,0\na,1,1,1.1,0,0,0\n", ["no push touches block", "'a'"]),
     ):

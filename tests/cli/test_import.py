@@ -15,7 +15,10 @@ def test_cmu_pushes(gridpush, tmp_path):
     outcome = gridpush("import", "cmu", source, "--out-dir", tmp_path / "new", "--json")
     assert outcome.code == 0, outcome.err
     assert json.loads(outcome.out)["pushes"] == 50
-    log, obj = PushLog.read_csv(tmp_path / "new" / "pushes.csv"), GridObject.from_yaml(tmp_path / "new" / "object.yaml")
+    log, obj = (
+        PushLog.read_csv(tmp_path / "new" / "pushes.csv"),
+        GridObject.from_yaml(tmp_path / "new" / "object.yaml"),
+    )
     assert len(log) == 50
     assert obj.n == triangle_block().n
     assert obj.prior.pusher_radius == 0.0005

@@ -33,7 +33,11 @@ def test_a_paragraph_of_help_is_one_line_of_the_docstring():
     """The help breaks its lines where the docstring does, so none breaks within a sentence."""
     groups = [app, *(group.typer_instance for group in app.registered_groups)]
     commands = [command for group in groups for command in group.registered_commands]
-    paragraphs = [text for each in commands for text in (each.help or inspect.getdoc(each.callback)).split("\n\n")]
+    paragraphs = [
+        text
+        for each in commands
+        for text in (each.help or inspect.getdoc(each.callback)).split("\n\n")
+    ]
     assert [text for text in paragraphs if "\n" in text] == []
 
 
@@ -59,8 +63,23 @@ def test_prints_its_version(gridpush):
         (("pull",), ["pull"]),
         (("show", "claw_hammer"), ["--out"]),
         (("show", "claw_hammer", "--out", "a.png", "--color"), ["--color"]),
-        (("identify", "a.yaml", "b.csv", "--out", "m.yaml", "--method", "guess"), ["--method", "guess"]),
-        (("simulate", "claw_hammer", "--start", "0,0", "--velocity", "0,1", "--duration", "long"), ["--duration"]),
+        (
+            ("identify", "a.yaml", "b.csv", "--out", "m.yaml", "--method", "guess"),
+            ["--method", "guess"],
+        ),
+        (
+            (
+                "simulate",
+                "claw_hammer",
+                "--start",
+                "0,0",
+                "--velocity",
+                "0,1",
+                "--duration",
+                "long",
+            ),
+            ["--duration"],
+        ),
     ],
 )
 def test_says_in_one_line_what_is_wrong_with_its_arguments(refuses, args, says):
@@ -79,12 +98,18 @@ def test_completes_in_the_shell(tmp_path):
         from_bash = ["bash", "-c", '"$@"; exit $?', "bash"]
         command = [*from_bash, sys.executable, "-m", "gridpush_drake.cli.main", *args]
         environment = os.environ | {"HOME": str(tmp_path)} | settings
-        return subprocess.run(command, check=True, capture_output=True, text=True, env=environment).stdout
+        return subprocess.run(
+            command, check=True, capture_output=True, text=True, env=environment
+        ).stdout
 
     assert "complete -o default -F _gridpush_completion gridpush" in run("--show-completion")
     run("--install-completion")
     assert "_gridpush_completion" in (tmp_path / ".bash_completions/gridpush.sh").read_text()
-    asked = {"_GRIDPUSH_COMPLETE": "complete_bash", "COMP_WORDS": "gridpush ident", "COMP_CWORD": "1"}
+    asked = {
+        "_GRIDPUSH_COMPLETE": "complete_bash",
+        "COMP_WORDS": "gridpush ident",
+        "COMP_CWORD": "1",
+    }
     assert run(**asked).split() == ["identify"]
 
 
@@ -92,7 +117,9 @@ def test_completes_in_the_shell(tmp_path):
 def test_imports_nothing_heavy(module):
     heavy = ("numpy", "numba", "scipy", "matplotlib", "shapely", "jinja2", "pydantic", "pydrake")
     code = f"import sys, {module}; print(*[name for name in {heavy} if name in sys.modules])"
-    printed = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    printed = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True
+    ).stdout
     assert set(printed.split()) <= {"pydantic"}  # Typer's own
 
 
@@ -126,7 +153,8 @@ sys.argv[1:] = ["--version"]
 from gridpush_drake.cli.main import main
 main()
 """
-"""Sends a signal while the interpreter shuts down, and another once its signal handlers are gone."""
+"""Sends a signal while the interpreter shuts down, and another once its signal handlers are
+gone."""
 
 
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")

@@ -26,7 +26,9 @@ def test_writes_a_plan_that_can_be_followed(gridpush, block, tmp_path):
     pose = plan["start"]
     for step in plan["pushes"]:
         push = Push(step["start"], step["velocity"], step["duration"], plan["pusher_radius"])
-        pose = simulate(obj, CellParameters.uniform(obj), push, pose, regime="quasi_static").final_pose
+        pose = simulate(
+            obj, CellParameters.uniform(obj), push, pose, regime="quasi_static"
+        ).final_pose
         np.testing.assert_allclose(pose, step["pose"], atol=1e-5)
     assert plan["pushes"][-1]["error"] == plan["error"] <= 0.005
     with Image.open(picture) as image:
@@ -44,7 +46,9 @@ def test_prints_one_json_document(gridpush, model):
 
 def test_goes_round_an_obstacle(gridpush, block):
     obstacle = ("--obstacle", "rectangle:0.03x0.1@0.1,0", "--obstacle", "round:0.02@0.1,-0.1")
-    outcome = gridpush("plan", block, "--goal", "0.25,0,0", *obstacle, "--tolerance", "0.01", "--json")
+    outcome = gridpush(
+        "plan", block, "--goal", "0.25,0,0", *obstacle, "--tolerance", "0.01", "--json"
+    )
     document = json.loads(outcome.out)
     assert document["status"] == "reached"
     assert max(abs(push["pose"][1]) for push in document["pushes"]) > 0.05
@@ -52,7 +56,17 @@ def test_goes_round_an_obstacle(gridpush, block):
 
 def test_says_that_there_is_no_path(gridpush, block, tmp_path):
     out = tmp_path / "plan.yaml"
-    outcome = gridpush("plan", block, "--goal", "0.25,0,0", *TABLE, "--obstacle", "rectangle:0.02x1@0.12,0", "-o", out)
+    outcome = gridpush(
+        "plan",
+        block,
+        "--goal",
+        "0.25,0,0",
+        *TABLE,
+        "--obstacle",
+        "rectangle:0.02x1@0.12,0",
+        "-o",
+        out,
+    )
     assert outcome.code == 1
     assert "no_path" in outcome.out
     assert yaml.safe_load(out.read_text())["pushes"] == []
@@ -63,7 +77,10 @@ def test_says_that_there_is_no_path(gridpush, block, tmp_path):
     [
         (("--goal", "0.1,0.1"), ["--goal", "x,y,theta"]),
         (("--goal", "2,0,0", *TABLE), ["--goal", "goal_off_table"]),
-        (("--goal", "2,0,0", *TABLE, "--overhang", "5"), ["--goal", "goal_off_table", "expected x,y,theta (m, rad)"]),
+        (
+            ("--goal", "2,0,0", *TABLE, "--overhang", "5"),
+            ["--goal", "goal_off_table", "expected x,y,theta (m, rad)"],
+        ),
         ((*GOAL, *TABLE, "--overhang", "nan"), ["--overhang", "expected a finite number (m)"]),
         ((*GOAL, "--table", "rectangle:0.8x0.001"), ["--goal", "goal_off_table", "on the table"]),
         (("--goal", "0.3,0,0", "--obstacle", "round:0.05@0.3,0"), ["--goal", "goal_blocked"]),
@@ -79,7 +96,10 @@ def test_says_that_there_is_no_path(gridpush, block, tmp_path):
         ((*GOAL, "--radius", "1e300"), ["radius is 1e+300", "at most 1e+12 (m)"]),
         ((*GOAL, "--speed", "1e300"), ["speed is 1e+300", "at most 1e+12 (m/s)"]),
         ((*GOAL, "--table", "round:1e300"), ["--table: radius is 1e+300", "at most 1e+12 (m)"]),
-        ((*GOAL, "--table", "polygon:0,0;1e300,0;0,1"), ["--table: a corner is at 1e+300 m", "at most 1e+12 m"]),
+        (
+            (*GOAL, "--table", "polygon:0,0;1e300,0;0,1"),
+            ["--table: a corner is at 1e+300 m", "at most 1e+12 m"],
+        ),
         ((*GOAL, "--obstacle", "round:1e200@0.3,0"), ["--obstacle: radius is 1e+200"]),
     ],
 )

@@ -24,7 +24,8 @@ def test_predicts_final_poses_and_prints_errors(gridpush, model, pushes, tmp_pat
     assert rows[0] == ["push", "x", "y", "theta"]
     assert [row[0] for row in rows[1:]] == [seen.name for seen in log]
     np.testing.assert_array_equal(
-        np.array([row[1:] for row in rows[1:]], dtype=float), [prediction.poses[-1] for prediction in expected]
+        np.array([row[1:] for row in rows[1:]], dtype=float),
+        [prediction.poses[-1] for prediction in expected],
     )
 
 
@@ -34,7 +35,15 @@ def test_replaces_no_file_that_it_reads(refuses, model, block, pushes, tmp_path,
     (tmp_path / "link.csv").symlink_to(pushes)
     before = pushes.read_bytes(), source.read_bytes()
     for out in (pushes, source, tmp_path / "link.csv"):
-        refuses(command, source, pushes, "--out", out, "--force", says=[out, "is read, too; expected another file"])
+        refuses(
+            command,
+            source,
+            pushes,
+            "--out",
+            out,
+            "--force",
+            says=[out, "is read, too; expected another file"],
+        )
     assert (pushes.read_bytes(), source.read_bytes()) == before
 
 
@@ -46,7 +55,9 @@ def test_predicts_with_an_objects_prior_and_says_so(gridpush, block, pushes, tmp
 
 def test_says_which_radius_it_takes(gridpush, block, pushes, tmp_path):
     plain = GridObject.from_yaml(block)
-    replace(plain, prior=replace(plain.prior, pusher_radius=None)).write_yaml(tmp_path / "plain.yaml")
+    replace(plain, prior=replace(plain.prior, pusher_radius=None)).write_yaml(
+        tmp_path / "plain.yaml"
+    )
     said = [
         gridpush("predict", path, pushes, "--out", tmp_path / f"{path.stem}.csv").err
         for path in (block, tmp_path / "plain.yaml")
@@ -58,22 +69,33 @@ def test_prints_one_json_document(gridpush, model, pushes, tmp_path):
     outcome = gridpush("predict", model, pushes, "--out", tmp_path / "predicted.csv", "--json")
     document = json.loads(outcome.out)
     assert document["model"] == "learned"
-    assert [error["name"].split(",")[0] for error in document["errors"]] == ["position", "angle", "cell", "combined"]
+    assert [error["name"].split(",")[0] for error in document["errors"]] == [
+        "position",
+        "angle",
+        "cell",
+        "combined",
+    ]
     assert all(error["pushes"] == 5 for error in document["errors"])
     assert [error["unit"] for error in document["errors"]] == ["mm", "deg", "mm", "mm"]
     spread = document["spread_by_push"]
-    assert [push["push"] for push in spread] == [push["push"] for push in document["errors_by_push"]]
+    assert [push["push"] for push in spread] == [
+        push["push"] for push in document["errors_by_push"]
+    ]
     pairs = zip(spread, document["errors_by_push"], strict=True)
     within = sum(expected["cell_90_mm"] >= error["cell_mm"] for expected, error in pairs)
     assert document["within_interval"] == [within, 5]
-    assert all(push[key] > 0 for push in spread for key in ("x_std_mm", "y_std_mm", "theta_std_deg"))
+    assert all(
+        push[key] > 0 for push in spread for key in ("x_std_mm", "y_std_mm", "theta_std_deg")
+    )
 
 
 def test_errors_of_each_push_and_their_summary_say_their_units(gridpush, model, pushes, tmp_path):
     outcome = gridpush("predict", model, pushes, "--out", tmp_path / "predicted.csv", "--json")
     document = json.loads(outcome.out)
     learned, log = read_model(model), PushLog.read_csv(pushes)
-    expected = calc_final_errors(learned.obj, predict(learned.obj, learned.params, log.with_radius(0.004)), log)
+    expected = calc_final_errors(
+        learned.obj, predict(learned.obj, learned.params, log.with_radius(0.004)), log
+    )
     by_push = document["errors_by_push"]
     assert [error["push"] for error in by_push] == [seen.name for seen in log]
     rho = learned.obj.radius_of_gyration
@@ -101,7 +123,9 @@ def test_final_poses_need_not_be_known(gridpush, model, tmp_path):
     assert outcome.code == 0, outcome.err
     assert "never touches the object in: far" in outcome.out
     assert "rror" not in outcome.out
-    document = json.loads(gridpush("predict", model, path, "--out", tmp_path / "p.csv", "--json").out)
+    document = json.loads(
+        gridpush("predict", model, path, "--out", tmp_path / "p.csv", "--json").out
+    )
     assert (document["errors"], document["untouched"]) == ([], ["far"])
     assert [(error["push"], error["cell_mm"]) for error in document["errors_by_push"]] == [
         ("near", None),
@@ -113,10 +137,22 @@ def test_final_poses_need_not_be_known(gridpush, model, tmp_path):
     ("header", "row", "says"),
     [
         ("push,t,tip_x,tip_y,object_x,object_y", "a,0,0,0,0,0", ["object_theta", "is missing"]),
-        ("push,t,tip_x,tip_y,object_x,object_y,theta", "a,0,0,0,0,0,0", ["object_theta", "rename 'theta'"]),
-        ("push,t,tip_x,tip_y,object_x,object_y,object_theta", "a,0,nought,0,0,0,0", ["tip_x", "nought"]),
+        (
+            "push,t,tip_x,tip_y,object_x,object_y,theta",
+            "a,0,0,0,0,0,0",
+            ["object_theta", "rename 'theta'"],
+        ),
+        (
+            "push,t,tip_x,tip_y,object_x,object_y,object_theta",
+            "a,0,nought,0,0,0,0",
+            ["tip_x", "nought"],
+        ),
         ("push,t,tip_x,tip_y,object_x,object_y,object_theta", "a,0,nan,0,0,0,0", ["tip_x"]),
-        ("push,t,tip_x,tip_y,object_x,object_y,object_theta", "a,0,0,0,0,0,0\na,0,0,0,,,", ["t", "line 3"]),
+        (
+            "push,t,tip_x,tip_y,object_x,object_y,object_theta",
+            "a,0,0,0,0,0,0\na,0,0,0,,,",
+            ["t", "line 3"],
+        ),
         ("push,t,tip_x,tip_y,object_x,object_y,object_theta", "", ["holds no push"]),
     ],
 )
@@ -134,13 +170,24 @@ def test_refuses_an_empty_log(refuses, model, tmp_path):
 
 def test_refuses_a_broken_model(refuses, model, pushes, tmp_path):
     model.write_text(model.read_text().replace("seed: 0", "seed: zero", 1))
-    refuses("predict", model, pushes, "--out", tmp_path / "predicted.csv", says=[model, "seed", "integer"])
+    refuses(
+        "predict",
+        model,
+        pushes,
+        "--out",
+        tmp_path / "predicted.csv",
+        says=[model, "seed", "integer"],
+    )
 
 
 def test_leaves_out_pushes_over_the_edge(gridpush, model, pushes, tmp_path):
     log = PushLog.read_csv(pushes)
-    PushLog(tuple(replace(seen, overhang=i == 0) for i, seen in enumerate(log))).write_csv(tmp_path / "marked.csv")
-    outcome = gridpush("predict", model, tmp_path / "marked.csv", "--out", tmp_path / "predicted.csv")
+    PushLog(tuple(replace(seen, overhang=i == 0) for i, seen in enumerate(log))).write_csv(
+        tmp_path / "marked.csv"
+    )
+    outcome = gridpush(
+        "predict", model, tmp_path / "marked.csv", "--out", tmp_path / "predicted.csv"
+    )
     assert "left out 1 push, as the object hung over the table's edge: push_1" in outcome.out
     assert "Errors of 4 final poses" in outcome.out
     assert "push_1" not in (tmp_path / "predicted.csv").read_text()
@@ -148,8 +195,17 @@ def test_leaves_out_pushes_over_the_edge(gridpush, model, pushes, tmp_path):
 
 def test_refuses_a_log_in_which_nothing_touches(refuses, model, tmp_path):
     path = tmp_path / "far.csv"
-    path.write_text("push,t,tip_x,tip_y,object_x,object_y,object_theta\nfar,0,1,1,0,0,0\nfar,1,1,2,,,\n")
-    refuses("predict", model, path, "--out", tmp_path / "p.csv", says=[path, "no push touches", "'far'", "1.35 m"])
+    path.write_text(
+        "push,t,tip_x,tip_y,object_x,object_y,object_theta\nfar,0,1,1,0,0,0\nfar,1,1,2,,,\n"
+    )
+    refuses(
+        "predict",
+        model,
+        path,
+        "--out",
+        tmp_path / "p.csv",
+        says=[path, "no push touches", "'far'", "1.35 m"],
+    )
 
 
 def test_warns_in_one_line_of_a_pose_that_jumps(gridpush, model, tmp_path):
@@ -159,5 +215,7 @@ def test_warns_in_one_line_of_a_pose_that_jumps(gridpush, model, tmp_path):
     )
     outcome = gridpush("predict", model, path, "--out", tmp_path / "predicted.csv")
     assert outcome.code == 0
-    assert outcome.err.startswith(f"gridpush: warning: {path}: push 'a', column object_x: the object moves 9.9 m")
+    assert outcome.err.startswith(
+        f"gridpush: warning: {path}: push 'a', column object_x: the object moves 9.9 m"
+    )
     assert outcome.err.count("\n") == 1

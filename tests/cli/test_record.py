@@ -44,24 +44,42 @@ def test_writes_the_pushes_of_a_stream(gridpush, script, stream, thing, tmp_path
 
 
 def test_says_what_the_delay_is_and_what_hangs_over(gridpush, script, stream, thing, tmp_path):
-    late = [now._replace(pose=old.pose) for now, old in zip(script.samples[3:], script.samples[:-3], strict=True)]
+    late = [
+        now._replace(pose=old.pose)
+        for now, old in zip(script.samples[3:], script.samples[:-3], strict=True)
+    ]
     write_stream_csv(late, stream, force=True)
     x = script.truth[-1][0] + 0.02
     table = f"polygon:-1,-1;{x},-1;{x},1;-1,1"
-    outcome = gridpush("record", stream, "--object", thing, "--out", tmp_path / "a.csv", "--table", table)
+    outcome = gridpush(
+        "record", stream, "--object", thing, "--out", tmp_path / "a.csv", "--table", table
+    )
     assert outcome.code == 0, outcome.err
     said = float(outcome.out.split("poses are ")[1].split(" +-")[0])
     assert said == pytest.approx(3e3 * PERIOD, abs=30)
     flags = [seen.overhang for seen in PushLog.read_csv(tmp_path / "a.csv")]
     assert flags[-1] and not flags[0]
-    outcome = gridpush("record", stream, "--object", thing, "--out", tmp_path / "b.csv", "--pose-delay", 3 * PERIOD)
+    outcome = gridpush(
+        "record", stream, "--object", thing, "--out", tmp_path / "b.csv", "--pose-delay", 3 * PERIOD
+    )
     assert float(outcome.out.split("poses are ")[1].split(" +-")[0]) == pytest.approx(0, abs=30)
 
 
 def test_refuses_a_stream_in_degrees(refuses, script, stream, thing, tmp_path):
-    turned = [sample._replace(pose=(*sample.pose[:2], np.degrees(sample.pose[2]))) for sample in script.samples]
+    turned = [
+        sample._replace(pose=(*sample.pose[:2], np.degrees(sample.pose[2])))
+        for sample in script.samples
+    ]
     write_stream_csv(turned, stream, force=True)
-    refuses("record", stream, "--object", thing, "--out", tmp_path / "pushes.csv", says=[stream, "in degrees"])
+    refuses(
+        "record",
+        stream,
+        "--object",
+        thing,
+        "--out",
+        tmp_path / "pushes.csv",
+        says=[stream, "in degrees"],
+    )
 
 
 def test_doubts_a_stream_in_millimeters(refuses, script, stream, thing, tmp_path):
@@ -79,7 +97,11 @@ def test_doubts_a_stream_in_millimeters(refuses, script, stream, thing, tmp_path
 
 
 def test_says_why_there_is_no_push(refuses, script, stream, thing, tmp_path):
-    moving = [i for i, sample in enumerate(script.samples) if sample.tip[2] < 0.05 and abs(sample.velocity[0]) > 0.01]
+    moving = [
+        i
+        for i, sample in enumerate(script.samples)
+        if sample.tip[2] < 0.05 and abs(sample.velocity[0]) > 0.01
+    ]
     command = ("record", stream, "--object", thing, "--out", tmp_path / "pushes.csv")
     write_stream_csv(script.samples[: moving[0] + 5], stream, force=True)
     refuses(*command, says=[stream, "it ends within a push"])
@@ -87,10 +109,14 @@ def test_says_why_there_is_no_push(refuses, script, stream, thing, tmp_path):
 
 def test_names_a_push_of_what_was_not_seen_at_rest(gridpush, script, stream, thing, tmp_path):
     first = next(
-        i for i, sample in enumerate(script.samples) if sample.tip[2] < 0.05 and np.hypot(*sample.velocity[:2]) > 0.01
+        i
+        for i, sample in enumerate(script.samples)
+        if sample.tip[2] < 0.05 and np.hypot(*sample.velocity[:2]) > 0.01
     )
     write_stream_csv(script.samples[first + 2 :], stream, force=True)
-    outcome = gridpush("record", stream, "--object", thing, "--out", tmp_path / "pushes.csv", "--json")
+    outcome = gridpush(
+        "record", stream, "--object", thing, "--out", tmp_path / "pushes.csv", "--json"
+    )
     found = json.loads(outcome.out)
     assert found["pushes"] == 3
     assert "was not seen at rest" in found["unusable"][0]
@@ -98,12 +124,41 @@ def test_names_a_push_of_what_was_not_seen_at_rest(gridpush, script, stream, thi
 
 def test_refuses(refuses, stream, thing, tmp_path):
     out = tmp_path / "pushes.csv"
-    refuses("record", stream, "--object", "claw_hamer", "--out", out, says=["claw_hamer", "claw_hammer"])
-    refuses("record", tmp_path / "none.csv", "--object", thing, "--out", out, says=["none.csv"])
-    refuses("record", stream, "--object", thing, "--out", out, "--pose-delay", "nan", says=["--pose-delay"])
     refuses(
-        "record", stream, "--object", thing, "--out", out, "--engaged-below", "0.001", says=[stream, "holds no push"]
+        "record", stream, "--object", "claw_hamer", "--out", out, says=["claw_hamer", "claw_hammer"]
+    )
+    refuses("record", tmp_path / "none.csv", "--object", thing, "--out", out, says=["none.csv"])
+    refuses(
+        "record",
+        stream,
+        "--object",
+        thing,
+        "--out",
+        out,
+        "--pose-delay",
+        "nan",
+        says=["--pose-delay"],
+    )
+    refuses(
+        "record",
+        stream,
+        "--object",
+        thing,
+        "--out",
+        out,
+        "--engaged-below",
+        "0.001",
+        says=[stream, "holds no push"],
     )
     refuses("record", stream, "--object", thing, "--out", stream, says=[stream, "--force"])
     for read in (stream, thing):
-        refuses("record", stream, "--object", thing, "--out", read, "--force", says=[read, "is read, too"])
+        refuses(
+            "record",
+            stream,
+            "--object",
+            thing,
+            "--out",
+            read,
+            "--force",
+            says=[read, "is read, too"],
+        )

@@ -12,14 +12,21 @@ MIN_SPEED = 0.02
 
 @pytest.mark.parametrize("command", ["twin", "tracker", "robot"])
 def test_says_in_one_line_what_is_wrong(refuses, command, tmp_path):
-    refuses(command, "--lcm", "nonsense", says=["--lcm: 'nonsense'", "expected udpm://ADDRESS:PORT"])
+    refuses(
+        command, "--lcm", "nonsense", says=["--lcm: 'nonsense'", "expected udpm://ADDRESS:PORT"]
+    )
     refuses(command, "--scenario", tmp_path / "missing.yaml", says=["missing.yaml"])
     refuses(command, "--object", "hamer", says=["hamer", "hammer"])
 
 
 def test_by_pictures_the_robot_must_be_told_which_object_the_tracker_follows(refuses, tmp_path):
     (tmp_path / "seen.yaml").write_text(SEEN_SCENARIO)
-    refuses("robot", "--scenario", tmp_path / "seen.yaml", says=["--object: missing", "gridpush tracker"])
+    refuses(
+        "robot",
+        "--scenario",
+        tmp_path / "seen.yaml",
+        says=["--object: missing", "gridpush tracker"],
+    )
 
 
 def check_stop(story):
@@ -61,14 +68,18 @@ def test_two_processes_and_the_robot_is_lost(tmp_path):
     told = tell("lose_twin", tmp_path)
     alone = told["alone"]
     assert alone["code"] == 2
-    assert alone["err"].startswith("gridpush: error: the robot sends no status on IIWA_STATUS within 5 s")
+    assert alone["err"].startswith(
+        "gridpush: error: the robot sends no status on IIWA_STATUS within 5 s"
+    )
     assert alone["err"].count("\n") == 1
     robot = told["robot"]
     assert robot["code"] == 1, robot["err"]
     assert "the robot has sent no status for" in robot["summary"]["message"]
     assert "guard holding: the robot has sent no status for" in robot["log"]
     assert "The arm was stopped at" in robot["err"]
-    assert told["commands_for"] < STOPS_WITHIN  # then none: the robot's driver brings the arm to rest
+    assert (
+        told["commands_for"] < STOPS_WITHIN
+    )  # then none: the robot's driver brings the arm to rest
     assert told["largest_step"] < 0.01
     looked = told["looked"]
     assert looked["code"] == 0, looked["err"]

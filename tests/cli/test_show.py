@@ -30,7 +30,13 @@ def test_replaces_a_picture_only_when_told(gridpush, refuses, block, tmp_path):
 
 
 def test_refuses_a_folder_that_cannot_be_written(refuses, block, tmp_path):
-    refuses("show", block, "--out", tmp_path / "missing" / "picture.png", says=["missing", "does not exist"])
+    refuses(
+        "show",
+        block,
+        "--out",
+        tmp_path / "missing" / "picture.png",
+        says=["missing", "does not exist"],
+    )
     refuses("show", block, "--out", block / "picture.png", says=["picture.png", "does not exist"])
     refuses("show", block, "--out", "/proc/picture.png", says=["/proc/picture.png", "cannot write"])
     refuses("show", block, "--out", tmp_path, says=[tmp_path, "is a folder"])
@@ -79,7 +85,10 @@ def test_says_that_a_mask_may_be_inverted(gridpush, tmp_path):
     path.write_text("mask: {image: inverted.png, meters_per_pixel: 0.001}\n")
     outcome = gridpush("show", path, "--out", tmp_path / "picture.png")
     assert outcome.code == 0
-    assert outcome.err.startswith("gridpush: warning: ") and "inverted.png: is the mask inverted?" in outcome.err
+    assert (
+        outcome.err.startswith("gridpush: warning: ")
+        and "inverted.png: is the mask inverted?" in outcome.err
+    )
     assert outcome.err.count("\n") == 1
 
 
@@ -88,13 +97,27 @@ def test_refuses_a_file_that_is_not_there(refuses, tmp_path):
 
 
 def test_a_picture_s_name_ends_as_its_form_does(refuses, tmp_path):
-    refuses("show", "claw_hammer", "--out", tmp_path / "hammer.pdf", says=["--out", "hammer.pdf", "ends with .png"])
-    refuses("view", "claw_hammer", "--out", tmp_path / "hammer.txt", says=["--out", "hammer.txt", "ends with .html"])
+    refuses(
+        "show",
+        "claw_hammer",
+        "--out",
+        tmp_path / "hammer.pdf",
+        says=["--out", "hammer.pdf", "ends with .png"],
+    )
+    refuses(
+        "view",
+        "claw_hammer",
+        "--out",
+        tmp_path / "hammer.txt",
+        says=["--out", "hammer.txt", "ends with .html"],
+    )
     assert not list(tmp_path.iterdir())
 
 
 def test_one_of_a_kind_is_said_so(gridpush, tmp_path):
     cell = tmp_path / "cell.yaml"
-    cell.write_text("name: cell\noutline: [[0, 0], [0.05, 0], [0.05, 0.05], [0, 0.05]]\nmax_cells: 1\n")
+    cell.write_text(
+        "name: cell\noutline: [[0, 0], [0.05, 0], [0.05, 0.05], [0, 0.05]]\nmax_cells: 1\n"
+    )
     out = gridpush("show", cell, "--out", tmp_path / "cell.png").out
     assert "1 cell of 50.0 mm, 1 part\n" in out

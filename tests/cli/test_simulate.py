@@ -20,7 +20,11 @@ def test_moves_an_object_and_says_where_to(gridpush, block):
 def test_prints_one_json_document(gridpush, block):
     outcome = gridpush("simulate", block, *PUSH, "--regime", "quasi_static", "--json")
     document = json.loads(outcome.out)
-    assert (document["status"], document["regime"], document["written"]) == ("ok", "quasi_static", [])
+    assert (document["status"], document["regime"], document["written"]) == (
+        "ok",
+        "quasi_static",
+        [],
+    )
     assert document["final_pose"][1] > 0.001
     assert outcome.err == ""
 
@@ -41,7 +45,12 @@ def test_writes_a_log_that_can_be_read(gridpush, block, tmp_path):
 
 
 def test_knows_the_shipped_objects_and_models(gridpush, model):
-    assert gridpush("simulate", "claw_hammer", "--start=0,-0.05", "--velocity", "0,0.05", "--duration", "1").code == 0
+    assert (
+        gridpush(
+            "simulate", "claw_hammer", "--start=0,-0.05", "--velocity", "0,0.05", "--duration", "1"
+        ).code
+        == 0
+    )
     outcome = gridpush("simulate", model, *PUSH)
     assert "quasi_static" in outcome.out
 
@@ -54,7 +63,9 @@ def test_random_masses_follow_their_seed(gridpush, block):
 
 
 def test_a_push_that_misses_is_no_error(gridpush, block):
-    outcome = gridpush("simulate", block, "--start", "1,1", "--velocity", "0.1,0", "--duration", "1")
+    outcome = gridpush(
+        "simulate", block, "--start", "1,1", "--velocity", "0.1,0", "--duration", "1"
+    )
     assert outcome.code == 0
     assert "no_contact" in outcome.out
 

@@ -10,7 +10,9 @@ from PIL import Image
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 
 TABLE = ("--table", "rectangle:0.6x0.5@0.4,0.1")
-SURE = PhysicalPrior(friction=0.3, friction_min=0.29, friction_max=0.31, center_of_mass=(-0.05, 0.0))
+SURE = PhysicalPrior(
+    friction=0.3, friction_min=0.29, friction_max=0.31, center_of_mass=(-0.05, 0.0)
+)
 
 
 @pytest.fixture
@@ -42,7 +44,9 @@ def test_a_tray_is_taken_by_its_rim_where_the_pads_hold_it(gridpush, refuses, tm
     square, tray = shapely.box(-0.08, -0.08, 0.08, 0.08), tmp_path / "tray.yaml"
 
     def write(**known):
-        prior = PhysicalPrior(friction=0.3, friction_min=0.29, friction_max=0.31, center_of_mass=(0.0, 0.0), **known)
+        prior = PhysicalPrior(
+            friction=0.3, friction_min=0.29, friction_max=0.31, center_of_mass=(0.0, 0.0), **known
+        )
         obj = GridObject.from_outline(square, max_cells=16, name="tray", prior=prior)
         replace(obj, height=0.02).write_yaml(tray, force=True)
 
@@ -54,14 +58,33 @@ def test_a_tray_is_taken_by_its_rim_where_the_pads_hold_it(gridpush, refuses, tm
     document = json.loads(outcome.out)
     grasp = document["goal"]["grasp"]
     assert document["graspable_parts"] == 0 < document["rim_parts"] and grasp["by"] == "rim"
-    at, inward = np.array(grasp["at"]), np.array([np.cos(grasp["approach"]), np.sin(grasp["approach"])])
+    at, inward = (
+        np.array(grasp["at"]),
+        np.array([np.cos(grasp["approach"]), np.sin(grasp["approach"])]),
+    )
     assert not shapely.box(-0.25, -0.25, 0.25, 0.25).contains(shapely.Point(at))
-    assert shapely.Point(at).distance(shapely.box(-0.25, -0.25, 0.25, 0.25)) < 0.05 and inward @ at < 0
+    assert (
+        shapely.Point(at).distance(shapely.box(-0.25, -0.25, 0.25, 0.25)) < 0.05 and inward @ at < 0
+    )
     write(total_mass=3.0)
     outcome = gridpush(*slide, "--opening", "0.1", "--pad-force", 80)
     assert outcome.code == 1 and "the pads cannot hold it" in outcome.out
-    refuses(*slide, "--opening", "0.03", "--pad-force", 80, says=["tray", "0.02 m thick", "expected at most"])
-    refuses(*slide, "--opening", "0.1", "--pad-force", 0, says=["force is 0", "expected a positive number"])
+    refuses(
+        *slide,
+        "--opening",
+        "0.03",
+        "--pad-force",
+        80,
+        says=["tray", "0.02 m thick", "expected at most"],
+    )
+    refuses(
+        *slide,
+        "--opening",
+        "0.1",
+        "--pad-force",
+        0,
+        says=["force is 0", "expected a positive number"],
+    )
 
 
 def test_one_json_document_tells_what_a_poke_is_worth(gridpush):
@@ -79,12 +102,18 @@ def test_one_json_document_tells_what_a_poke_is_worth(gridpush):
     ("arguments", "says"),
     [
         (("open_book", "--table", "round:0.4"), ["open_book", "no graspable part"]),
-        (("claw_hammer", "--table", "rectangle:0.2x0.2@0,0"), ["table", "smaller than claw_hammer"]),
+        (
+            ("claw_hammer", "--table", "rectangle:0.2x0.2@0,0"),
+            ["table", "smaller than claw_hammer"],
+        ),
         (("claw_hammer", "--table", "triangle:1"), ["--table", "rectangle:WxH@x,y"]),
         (("claw_hammer", "--table", "round:0.4@0"), ["--table", "round:R@x,y"]),
         (("claw_hammer", "--table", "round:-1"), ["table", "radius"]),
         (("claw_hammer", "--table", "polygon:0,0;1,1;1,0;0,1"), ["table", "cross itself"]),
-        (("claw_hammer", "--table", "rectangle:1e300x1"), ["--table: size is", "at most 1e+12 (m)"]),
+        (
+            ("claw_hammer", "--table", "rectangle:1e300x1"),
+            ["--table: size is", "at most 1e+12 (m)"],
+        ),
         (("claw_hammer", *TABLE, "--opening", "0"), ["gripper", "opening"]),
         (("claw_hammer", *TABLE, "--depth", "-0.1"), ["gripper", "depth"]),
         (("claw_hammer", *TABLE, "--margin", "-0.1"), ["margin"]),

@@ -23,7 +23,11 @@ def test_writes_a_page_of_a_model_or_an_object(gridpush, model, block, tmp_path,
     outcome = gridpush("view", {"model": model, "object": block}[kind], "--out", out, "--json")
     assert outcome.code == 0, outcome.err
     document = json.loads(outcome.out)
-    assert (document["kind"], document["object"], document["written"]) == (kind, "block", [str(out)])
+    assert (document["kind"], document["object"], document["written"]) == (
+        kind,
+        "block",
+        [str(out)],
+    )
     assert looks_like_recording(out)
 
 
@@ -45,9 +49,13 @@ def test_replays_the_pushes_of_an_object_without_a_model(gridpush, pushes, block
 
 
 def test_replays_the_pushes_that_are_named(gridpush, pushes, model, tmp_path):
-    names = json.loads(gridpush("view", pushes, "--out", tmp_path / "all.html", "--json").out)["pushes"]
+    names = json.loads(gridpush("view", pushes, "--out", tmp_path / "all.html", "--json").out)[
+        "pushes"
+    ]
     chosen = ["--push", names[3], "--push", names[1]]
-    document = json.loads(gridpush("view", pushes, *chosen, "--out", tmp_path / "page.html", "--json").out)
+    document = json.loads(
+        gridpush("view", pushes, *chosen, "--out", tmp_path / "page.html", "--json").out
+    )
     assert document["pushes"] == [names[1], names[3]]
 
 
@@ -88,7 +96,11 @@ def test_prints_where_a_recording_is(gridpush, model, tmp_path):
     assert outcome.code == 0
     assert recording.as_uri() in outcome.out
     document = json.loads(gridpush("view", recording, "--no-open", "--json").out)
-    assert (document["kind"], document["url"], document["opened"]) == ("recording", recording.as_uri(), False)
+    assert (document["kind"], document["url"], document["opened"]) == (
+        "recording",
+        recording.as_uri(),
+        False,
+    )
 
 
 def test_refuses_what_is_not_a_recording(refuses, tmp_path):
@@ -117,7 +129,9 @@ def test_serves_until_it_is_interrupted(model):
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background jobs ignore it
+        preexec_fn=lambda: signal.signal(
+            signal.SIGINT, signal.SIG_DFL
+        ),  # a shell's background jobs ignore it
     ) as process:
         printed = b"".join(iter(process.stdout.readline, b"}\n")) + b"}"
         with urlopen(json.loads(printed)["url"]) as page:
@@ -142,12 +156,18 @@ def test_a_model_s_page_shows_its_cells_in_their_colors(gridpush, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_replay_shows_the_prediction_where_there_is_a_model(gridpush, pushes, block, model, tmp_path):
+def test_a_replay_shows_the_prediction_where_there_is_a_model(
+    gridpush, pushes, block, model, tmp_path
+):
     require_chromium()
     seen = []
     for what in (("--model", model), ("--object", block)):
         out = tmp_path / "page.html"
         assert gridpush("view", pushes, *what, "--out", out, "--force").code == 0
-        seen.append(find_pixels(take_picture(freeze_recording(out, 1.0, tmp_path / "still.html")), PLAN).sum())
+        seen.append(
+            find_pixels(
+                take_picture(freeze_recording(out, 1.0, tmp_path / "still.html")), PLAN
+            ).sum()
+        )
     assert seen[1] > 0  # the push's arrow
     assert seen[0] > seen[1] + 300  # and the ghost

@@ -12,7 +12,8 @@ from tests.helpers.shapes import SHAPES, make_shape
 REGIMES = ["inertial", "quasi_static"]
 
 SENSITIVE = 30.0
-"""m/m: a push that magnifies a shift of its start more, by the exact Jacobian, is unrepeatable: 20 µm make 0.5 mm."""
+"""m/m: a push that magnifies a shift of its start more, by the exact Jacobian, is unrepeatable: 20
+µm make 0.5 mm."""
 
 
 def calc_cell_error(obj, pose, other):
@@ -38,7 +39,9 @@ def measure(shape, regime, count, seed=1):
         two = simulate(obj, params, push, times=refine(times), regime=regime)
         assert one.status == two.status == "ok"
         error = calc_cell_error(obj, one.final_pose, two.final_pose)
-        rows.append((1e3 * error, 1e3 * max(one.penetration, two.penetration), calc_sensitivity(obj, one)))
+        rows.append(
+            (1e3 * error, 1e3 * max(one.penetration, two.penetration), calc_sensitivity(obj, one))
+        )
     return np.array(rows)
 
 
@@ -69,12 +72,14 @@ def test_halving_the_default_step_and_overlap(shape, regime):
 def test_halving_the_default_step_and_overlap_over_many_pushes(shape, regime):
     """What exceeds 0.5 mm begins where a contact comes or goes within a step, and grows with the push's instability.
 
-    With inertia a frictional impact adds to it, above all that of a second contact: Moreau's time stepping spreads it
-    over two steps, and what sticks and slides in them depends on where in the step it falls. Its effect is of the order
-    of v²/(2 mu g), 1 mm at 0.1 m/s, whatever the step.
+    With inertia a frictional impact adds to it, above all that of a second contact: Moreau's time
+    stepping spreads it over two steps, and what sticks and slides in them depends on where in the
+    step it falls. Its effect is of the order of v²/(2 mu g), 1 mm at 0.1 m/s, whatever the step.
     """
     error, wild = check(shape, regime, 300)
-    print(f"  above 0.5 mm: {(error > 0.5).sum()} of 300, of which sensitive {(error[wild] > 0.5).sum()}")
+    print(
+        f"  above 0.5 mm: {(error > 0.5).sum()} of 300, of which sensitive {(error[wild] > 0.5).sum()}"
+    )
     assert np.quantile(error, 0.98) < 0.5
     assert (error[~wild] > 0.5).mean() < (0.005 if regime == "quasi_static" else 0.015)
 
@@ -85,7 +90,13 @@ def test_quasi_static_error_falls_with_the_square_of_the_step():
     params = CellParameters.uniform(obj, 1.0, 0.4, 0.2)
     push = Push((-0.055, 0.02), (0.05, 0.0), 2.0, 0.005)
     poses = [
-        simulate(obj, params, push, times=make_path_times(push, "quasi_static", step), regime="quasi_static").final_pose
+        simulate(
+            obj,
+            params,
+            push,
+            times=make_path_times(push, "quasi_static", step),
+            regime="quasi_static",
+        ).final_pose
         for step in (0.004, 0.002, 0.001, 0.00003125)
     ]
     errors = [calc_cell_error(obj, pose, poses[-1]) for pose in poses[:-1]]
@@ -99,7 +110,11 @@ def make_crooked_path(rng, obj):
     """A push of 0.1 m along five pieces: times, s, places, m, and radius, m."""
     straight = make_random_push(rng, obj, length=0.1)
     t = np.linspace(0.0, straight.duration, 6)
-    return t, straight.tip_at(t) + np.vstack([np.zeros(2), rng.normal(0.0, 0.002, (5, 2))]), straight.radius
+    return (
+        t,
+        straight.tip_at(t) + np.vstack([np.zeros(2), rng.normal(0.0, 0.002, (5, 2))]),
+        straight.radius,
+    )
 
 
 @pytest.mark.parametrize("changed", ["speed", "pause"])
@@ -109,7 +124,9 @@ def test_time_does_not_matter_to_a_quasi_static_push(changed):
     for _ in range(10):
         params, (t, xy, radius) = make_random_contents(rng, obj), make_crooked_path(rng, obj)
         if changed == "speed":
-            push = Push.along(np.append(0.0, np.cumsum(np.diff(t) * 10 ** rng.uniform(-1, 1, 5))), xy, radius)
+            push = Push.along(
+                np.append(0.0, np.cumsum(np.diff(t) * 10 ** rng.uniform(-1, 1, 5))), xy, radius
+            )
         else:
             push = Push.along([*t[:4], *(t[3:] + 5.0)], xy[[0, 1, 2, 3, 3, 4, 5]], radius)
         even = simulate(obj, params, Push.along(t, xy, radius), regime="quasi_static")
@@ -140,7 +157,9 @@ def test_an_overlap_is_undone_by_a_pusher_that_only_rests():
     obj, overlap = make_shape("square", 9), 1e-4
     rest = [obj.outline.bounds[0] - 0.01 + overlap, 0.0]
     push = Push.along([0.0, 1.0, 2.0], [rest, rest, [0.05, 0.0]], 0.01)
-    motion = simulate(obj, CellParameters.uniform(obj), push, times=[0.0, 0.2, 0.5], regime="quasi_static")
+    motion = simulate(
+        obj, CellParameters.uniform(obj), push, times=[0.0, 0.2, 0.5], regime="quasi_static"
+    )
     np.testing.assert_allclose(motion.final_pose, [overlap, 0.0, 0.0], rtol=0, atol=1e-12)
 
 
@@ -156,7 +175,9 @@ def test_wanted_times_just_after_a_step_change_nothing(regime, share):
         wanted = np.sort(times[cut] + share * np.diff(times)[cut])
         both = make_times_with(push, wanted, regime)
         assert np.isin(wanted, both).all()
-        one, two = (simulate(obj, params, push, times=each, regime=regime) for each in (times, both))
+        one, two = (
+            simulate(obj, params, push, times=each, regime=regime) for each in (times, both)
+        )
         assert calc_cell_error(obj, one.final_pose, two.final_pose) < 1e-4
 
 
@@ -169,7 +190,9 @@ def test_samples_that_all_but_coincide_change_nothing(regime, gap):
         params, (t, xy, radius) = make_random_contents(rng, obj), make_crooked_path(rng, obj)
         t = t / 2
         twice = np.sort(np.concatenate([t, t[[0, 3]] + gap, t[-1:] - gap]))
-        path = np.vstack([xy[[0]], xy[:4], xy[[3]], xy[4:], xy[[-1]]]) + rng.normal(0.0, 1e-5, (9, 2))
+        path = np.vstack([xy[[0]], xy[:4], xy[[3]], xy[4:], xy[[-1]]]) + rng.normal(
+            0.0, 1e-5, (9, 2)
+        )
         push = Push.along(twice, path, radius)
         one = simulate(obj, params, Push.along(t, xy, radius), regime=regime)
         for times in (None, make_times_with(push, twice[1:], regime)):

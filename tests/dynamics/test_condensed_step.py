@@ -50,7 +50,9 @@ def take_step(step, **options):
 
 def make_steps(case, count=40):
     for seed in range(count):
-        step = make_random_step(seed, n=int(np.random.default_rng(seed).integers(1, 41)), **CASES[case])
+        step = make_random_step(
+            seed, n=int(np.random.default_rng(seed).integers(1, 41)), **CASES[case]
+        )
         yield replace(step, params=replace(step.params, patch_ratio=(1.0, 0.1, 0.0)[seed % 3]))
 
 
@@ -59,12 +61,17 @@ def test_lagged_step_is_the_paper_s_lcp(case):
     worst, residual, rests, partial = 0.0, 0.0, 0, 0
     for step in make_steps(case):
         solution = solve_as_qp(step.make_lcp())
-        worst = max(worst, calc_disagreement(step, take_step(step, friction="lagged"), solution.xdot))
+        worst = max(
+            worst, calc_disagreement(step, take_step(step, friction="lagged"), solution.xdot)
+        )
         residual = max(residual, solution.residuals.worst)
         sticks = (solution.lam_f > 0) & (solution.lam_f < (1 - 1e-9) * step.make_lcp().bound)
         rests += np.abs(solution.xdot).max() < 1e-9
         partial += bool(sticks.any() and np.abs(solution.xdot).max() > 1e-6)
-    print(f"{case}: cells' velocities within {worst:.1e} m/s, KKT residual of the QP {residual:.1e}", end="; ")
+    print(
+        f"{case}: cells' velocities within {worst:.1e} m/s, KKT residual of the QP {residual:.1e}",
+        end="; ",
+    )
     print(f"{rests} stay at rest, {partial} stick in part")
     assert worst < AGREEMENT
     assert residual < 1e-11
@@ -90,7 +97,9 @@ def test_moby_s_lcp_agrees_with_the_qp_and_the_condensed_step(case):
 def test_isotropic_step_is_the_cone_program_s(case, spin):
     worst = 0.0
     for step in make_steps(case):
-        nu = solve_isotropic_socp(step.obj, step.params, step.q, step.nu, step.T.T @ step.F, DT, spin=spin)
+        nu = solve_isotropic_socp(
+            step.obj, step.params, step.q, step.nu, step.T.T @ step.F, DT, spin=spin
+        )
         worst = max(worst, calc_disagreement(step, take_step(step, spin=spin), step.T @ nu))
     print(f"{case}, {spin}: within {worst:.1e} m/s")
     assert worst < AGREEMENT
@@ -126,7 +135,9 @@ def test_quasi_static_push_is_the_limit_of_slow_inertial_ones():
             times = np.linspace(0, push.duration, 801)
             limit = simulate(obj, params, push, times=times, regime="quasi_static").final_pose
             pose = simulate(obj, params, push, times=times).final_pose
-            distances.append(np.linalg.norm(obj.cells_at(pose) - obj.cells_at(limit), axis=1).mean())
+            distances.append(
+                np.linalg.norm(obj.cells_at(pose) - obj.cells_at(limit), axis=1).mean()
+            )
         print(shape, distances)
         assert distances[0] > 1e-6
         assert distances[1] < 0.03 * distances[0]

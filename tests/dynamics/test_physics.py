@@ -18,14 +18,18 @@ NO_PUSH = {"point": (0.0, 0.0), "force": (0.0, 0.0)}
 
 
 def slide(obj, params, nu, duration, dt, pose=(0.0, 0.0, 0.0), **options):
-    return simulate(obj, params, ForcePush(**NO_PUSH, duration=duration), pose, dt, velocity=nu, **options)
+    return simulate(
+        obj, params, ForcePush(**NO_PUSH, duration=duration), pose, dt, velocity=nu, **options
+    )
 
 
 def make_disc(max_cells=1200, radius=0.05):
     return GridObject.from_outline(regular_polygon(radius, 360), max_cells=max_cells, name="disc")
 
 
-@pytest.mark.parametrize("outline", [regular_polygon(0.05), rectangle(0.1, 0.1)], ids=["disc", "square"])
+@pytest.mark.parametrize(
+    "outline", [regular_polygon(0.05), rectangle(0.1, 0.1)], ids=["disc", "square"]
+)
 def test_sliding_body_stops_after_v2_over_2_mu_g(outline):
     """Coulomb: the deceleration is mu g, so the way is v²/(2 mu g), in any direction, whatever the shape.
 
@@ -116,14 +120,17 @@ def calc_energy(obj, params, result):
 def test_energy_never_rises_without_a_push(friction, spin):
     """The implicit step minimizes a convex function of which dissipation is a part.
 
-    With lagged directions a body at rest trembles at some 1e-7 m/s: the ramp's tail magnifies the stiction tolerance.
+    With lagged directions a body at rest trembles at some 1e-7 m/s: the ramp's tail magnifies the
+    stiction tolerance.
     """
     for seed in range(20):
         rng = np.random.default_rng(seed)
         obj = make_random_object(rng, int(rng.integers(1, 30)))
         params = make_random_contents(rng, obj)
         nu = rng.normal(size=3) * (0.3, 0.3, 5.0)
-        result = slide(obj, params, nu, 1.0, 0.005, make_random_pose(rng), friction=friction, spin=spin)
+        result = slide(
+            obj, params, nu, 1.0, 0.005, make_random_pose(rng), friction=friction, spin=spin
+        )
         energy = calc_energy(obj, params, result)
         assert result.status == "ok"
         tremble = params.total_mass * 1e-12 if friction == "lagged" else 0.0
@@ -156,7 +163,11 @@ def test_below_the_limit_of_an_eccentric_force_a_body_does_not_creep(share, move
     def starts(force):
         f = force * direction
         wrench = np.array([*f, point[0] * f[1] - point[1] * f[0]])
-        return np.abs(solve_isotropic_socp(obj, params, np.zeros(3), np.zeros(3), wrench, 0.01, spin="coupled")).max()
+        return np.abs(
+            solve_isotropic_socp(
+                obj, params, np.zeros(3), np.zeros(3), wrench, 0.01, spin="coupled"
+            )
+        ).max()
 
     low, high = 0.0, G * params.total_mass
     for _ in range(40):
@@ -181,7 +192,9 @@ def test_turning_and_shifting_object_and_push_together_changes_nothing(regime):
         turned = Push(X[:2] + R @ push.start, R @ push.velocity, push.duration, push.radius)
         nu = np.array([0.01, 0.02, 0.3]) if regime == "inertial" else np.zeros(3)
         one = simulate(obj, params, push, regime=regime, velocity=nu).poses
-        other = simulate(obj, params, turned, X, regime=regime, velocity=[*(R @ nu[:2]), nu[2]]).poses
+        other = simulate(
+            obj, params, turned, X, regime=regime, velocity=[*(R @ nu[:2]), nu[2]]
+        ).poses
         moved = np.column_stack([X[:2] + one[:, :2] @ R.T, one[:, 2] + X[2]])
         worst = max(worst, np.abs(other - moved).max())
     print(f"{regime}: frames agree within {worst:.1e}")
@@ -197,7 +210,9 @@ def test_moving_the_body_frame_s_origin_changes_nothing(regime):
         obj, d = make_shape(shape, 30), np.array([0.13, -0.21])
         params, pose = make_random_contents(rng, obj), make_random_pose(rng)
         push = make_random_push(rng, obj, pose, length=0.05)
-        shifted = GridObject("shifted", obj.p_BC + d, obj.cell_size, obj.labels, translate(obj.outline, *d))
+        shifted = GridObject(
+            "shifted", obj.p_BC + d, obj.cell_size, obj.labels, translate(obj.outline, *d)
+        )
         c, s = np.cos(pose[2]), np.sin(pose[2])
         there = np.array([*(pose[:2] - np.array([[c, -s], [s, c]]) @ d), pose[2]])
         one = simulate(obj, params, push, pose, regime=regime)
@@ -211,7 +226,9 @@ def test_moving_the_body_frame_s_origin_changes_nothing(regime):
 def test_one_cell_spins_against_the_friction_of_its_patch(patch):
     """I dw/dt = -mu m g c s, with s the patch's side and I = m a²/6 the cell's; on a point it spins for ever."""
     side, w, duration, dt = 0.02, 30.0, 0.01, 1e-5
-    obj = GridObject("cell", np.zeros((1, 2)), side, np.ones(1, int), Polygon(rectangle(side, side)))
+    obj = GridObject(
+        "cell", np.zeros((1, 2)), side, np.ones(1, int), Polygon(rectangle(side, side))
+    )
     params = CellParameters(np.array([0.1]), np.array([0.4]), patch_ratio=patch)
     for spin in ("coupled", "separate"):
         after = slide(obj, params, (0.0, 0.0, w), duration, dt, spin=spin).velocities[-1, 2]

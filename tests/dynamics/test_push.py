@@ -103,9 +103,13 @@ def test_push_on_an_outline():
     np.testing.assert_allclose(push.velocity, [-0.05, 0.0], atol=1e-15)
     np.testing.assert_allclose(push.start_tangent, [0.0, 1.0], atol=1e-15)
     assert push.duration == pytest.approx(2.0)
-    turned = Push.on_outline(obj, 0.03, 0.5, 0.1, radius=0.01, duration=2.0, pose=pose, clearance=0.002)
+    turned = Push.on_outline(
+        obj, 0.03, 0.5, 0.1, radius=0.01, duration=2.0, pose=pose, clearance=0.002
+    )
     np.testing.assert_allclose(turned.velocity, 0.05 * np.array([-np.cos(0.5), -np.sin(0.5)]))
-    again = Push.on_outline(obj, 0.43, 0.5, 0.1, radius=0.01, duration=2.0, pose=pose, clearance=0.002)
+    again = Push.on_outline(
+        obj, 0.43, 0.5, 0.1, radius=0.01, duration=2.0, pose=pose, clearance=0.002
+    )
     np.testing.assert_allclose(again.start, turned.start)
 
 
@@ -113,9 +117,14 @@ def test_push_on_an_outline():
 def test_start_moves_along_its_tangent(shape):
     obj, pose, step = make_shape(shape, 20), (0.1, 0.2, 0.7), 1e-7
     for s in np.linspace(0.003, obj.edges.perimeter, 23)[:-1]:
-        one, other = (Push.on_outline(obj, s + d, 0.1, 0.1, radius=0.004, speed=0.1, pose=pose) for d in (0.0, step))
+        one, other = (
+            Push.on_outline(obj, s + d, 0.1, 0.1, radius=0.004, speed=0.1, pose=pose)
+            for d in (0.0, step)
+        )
         np.testing.assert_allclose((other.start - one.start) / step, one.start_tangent, atol=1e-6)
-        body = np.array([[np.cos(0.7), np.sin(0.7)], [-np.sin(0.7), np.cos(0.7)]]) @ (one.start - pose[:2])
+        body = np.array([[np.cos(0.7), np.sin(0.7)], [-np.sin(0.7), np.cos(0.7)]]) @ (
+            one.start - pose[:2]
+        )
         if shape != "claw_hammer":
             assert obj.outline.distance(Point(body)) == pytest.approx(0.004)
 

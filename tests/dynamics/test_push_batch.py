@@ -11,7 +11,9 @@ from gridpush_drake.errors import SimulationError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-OBJ = GridObject.from_outline([[-0.05, -0.02], [0.05, -0.02], [0.05, 0.02], [-0.05, 0.03]], max_cells=24)
+OBJ = GridObject.from_outline(
+    [[-0.05, -0.02], [0.05, -0.02], [0.05, 0.02], [-0.05, 0.03]], max_cells=24
+)
 TABLE = np.array([[-1.0, -1.0], [0.14, -1.0], [0.14, 1.0], [-1.0, 1.0]])
 """Its right edge is near some pushes and far from others."""
 
@@ -42,7 +44,9 @@ def simulate_one(params: CellParameters, one: BatchPush, regime: Regime) -> Moti
 @pytest.mark.parametrize("table", [None, TABLE], ids=["endless", "edge"])
 @pytest.mark.parametrize("height", [0.0, 0.01])
 @pytest.mark.parametrize("regime", ["quasi_static", "inertial"])
-def test_a_batch_is_its_pushes_one_by_one_bit_for_bit(regime: Regime, height: float, table: np.ndarray | None) -> None:
+def test_a_batch_is_its_pushes_one_by_one_bit_for_bit(
+    regime: Regime, height: float, table: np.ndarray | None
+) -> None:
     params = replace(CellParameters.random(OBJ, seed=2), push_height=height)
     pushes = make_pushes(regime, table)
     batch = PushBatch(OBJ, pushes, regime)
@@ -55,7 +59,9 @@ def test_a_batch_is_its_pushes_one_by_one_bit_for_bit(regime: Regime, height: fl
             rows = slice(batch.offsets[i], batch.offsets[i + 1])
             assert np.array_equal(poses[rows], motion.poses[one.rows])
             named = motion.jacobian
-            expected = np.concatenate([named.mass, named.contact_friction[..., None], named.start], axis=2)
+            expected = np.concatenate(
+                [named.mass, named.contact_friction[..., None], named.start], axis=2
+            )
             assert np.array_equal(J[rows], expected)
             assert touched[i] == (motion.status != MotionStatus.NO_CONTACT)
     assert touched.tolist() == [True] * 5 + [False]

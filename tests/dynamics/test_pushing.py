@@ -25,9 +25,10 @@ REGIMES = ["inertial", "quasi_static"]
 def test_uniform_rod_pushed_at_its_end_turns_about_l_over_root_2(cells):
     """A rod of length L pushed across its end turns about the point at distance a from that end: a = L/sqrt2.
 
-    With the pressure uniform, friction k per length points against the motion, so it changes sign at a. The force at
-    the end balances it, F = k (a - (L - a)); moments about the end, where the force has none:
-    0 = k (a²/2 - (L² - a²)/2), so a² = L²/2. (Lynch and Mason 1996; Goyal, Ruina, Papadopoulos 1991.)
+    With the pressure uniform, friction k per length points against the motion, so it changes sign
+    at a. The force at the end balances it, F = k (a - (L - a)); moments about the end, where the
+    force has none: 0 = k (a²/2 - (L² - a²)/2), so a² = L²/2. (Lynch and Mason 1996; Goyal, Ruina,
+    Papadopoulos 1991.)
     """
     length, width, radius = 0.3, 0.003, 1e-4
     obj = GridObject.from_outline(rectangle(length, width), max_cells=cells, name="rod")
@@ -36,7 +37,9 @@ def test_uniform_rod_pushed_at_its_end_turns_about_l_over_root_2(cells):
     result = simulate(obj, params, push, times=[0.0, 0.01, 0.02], regime="quasi_static")
     _, vy, w = result.velocities[1]
     a = length / 2 + vy / w
-    print(f"{obj.n} cells: turns about {a / length:.6f} L from the end, {a / length * np.sqrt(2) - 1:+.1e} off")
+    print(
+        f"{obj.n} cells: turns about {a / length:.6f} L from the end, {a / length * np.sqrt(2) - 1:+.1e} off"
+    )
     assert abs(a * np.sqrt(2) / length - 1) < 1e-3
 
 
@@ -44,12 +47,17 @@ def test_uniform_rod_pushed_at_its_end_turns_about_l_over_root_2(cells):
 def test_push_through_the_center_of_friction_does_not_turn(regime):
     """In translation all cells' friction is parallel, with its resultant through sum k p / sum k (Mason 1986).
 
-    Quasi-static: any mass and friction. Inertial: mass and friction symmetric about the line of the push.
+    Quasi-static: any mass and friction. Inertial: mass and friction symmetric about the line of the
+    push.
     """
     for seed, shape in enumerate(["square", "bar", "triangle", "l_bracket"]):
         rng = np.random.default_rng(seed)
         obj = make_shape(shape, 60)
-        params = make_random_contents(rng, obj) if regime == "quasi_static" else CellParameters.uniform(obj, 1.0, 0.4)
+        params = (
+            make_random_contents(rng, obj)
+            if regime == "quasi_static"
+            else CellParameters.uniform(obj, 1.0, 0.4)
+        )
         if regime == "inertial" and shape not in ("square", "bar"):
             continue
         center = params.relative_friction() @ obj.p_BC
@@ -68,7 +76,9 @@ def test_quasi_static_motion_knows_only_shares_of_friction():
         obj = make_shape(shape, 40)
         params, push = make_random_contents(rng, obj), make_random_push(rng, obj, length=0.1)
         scaled = CellParameters(3.7 * params.mass, 0.21 * params.friction, params.contact_friction)
-        swapped = CellParameters(params.mass * params.friction, np.ones(obj.n), params.contact_friction)
+        swapped = CellParameters(
+            params.mass * params.friction, np.ones(obj.n), params.contact_friction
+        )
         faster = Push(push.start, 8 * push.velocity, push.duration / 8, push.radius)
         times = make_path_times(push)
         one = simulate(obj, params, push, times=times, regime="quasi_static").poses
@@ -102,7 +112,9 @@ def test_disc_in_a_notch_translates_the_block(regime):
     assert (result.modes[-50:] != SEPARATE).all()
     np.testing.assert_allclose(result.poses[-1, 0] - result.poses[-51, 0], 0.02 * 0.5, atol=1e-8)
     forces = result.contact_forces[-50:]
-    np.testing.assert_allclose(forces.sum(axis=1), np.tile([mu * mass * G, 0.0], (50, 1)), rtol=1e-6, atol=1e-5)
+    np.testing.assert_allclose(
+        forces.sum(axis=1), np.tile([mu * mass * G, 0.0], (50, 1)), rtol=1e-6, atol=1e-5
+    )
     # the notch's sides are at 45°
     points = result.contact_points[-50:]
     normal = np.stack([np.ones((50, 2)), np.sign(points[:, :, 1])], axis=2) / np.sqrt(2)
@@ -121,7 +133,9 @@ def test_disc_in_the_ring_of_a_wrench_drags_it(regime):
     assert result.status == "ok"
     assert result.penetration < 1e-4
     assert obj.outline.distance(hole) > 0.011
-    ring = obj.cells_at(result.poses)[:, np.linalg.norm(obj.p_BC - [-0.1, 0.0], axis=1) < 0.03].mean(axis=1)
+    ring = obj.cells_at(result.poses)[
+        :, np.linalg.norm(obj.p_BC - [-0.1, 0.0], axis=1) < 0.03
+    ].mean(axis=1)
     assert np.linalg.norm(ring[-1] - result.tip[-1]) < 0.01
     assert result.final_pose[1] > 0.05
     # dragged, the shaft turns towards the line of motion behind the tip
@@ -132,7 +146,8 @@ def walk_contacts(obj, params, push, regime, ahead=0.0):
     """Every contact of a push whose steps look at the body where they begin, so that its law can be read off exactly.
 
     Yields:
-        step, contact, mode, lam_n, lam_t, slip, closing speed; and the support's force and moment with the contacts'.
+        step, contact, mode, lam_n, lam_t, slip, closing speed; and the support's force and moment
+        with the contacts'.
     """
     inertial = regime == "inertial"
     times = make_path_times(push, regime)
@@ -140,7 +155,16 @@ def walk_contacts(obj, params, push, regime, ahead=0.0):
     method = Method(inertial, "isotropic", "coupled", ahead, 1e-9, 1e-7)
     load = Load(tip, push.length, push.radius, np.zeros((steps, 3)), np.zeros(2))
     run = run_kernel(
-        obj, params, G, method, np.zeros(3), np.zeros(3), dts, load, np.full(steps + 1, -1), np.empty((0, 3, 0))
+        obj,
+        params,
+        G,
+        method,
+        np.zeros(3),
+        np.zeros(3),
+        dts,
+        load,
+        np.full(steps + 1, -1),
+        np.empty((0, 3, 0)),
     )
     edges = obj.edges
     kernel_edges = Edges(*edges.start.T.copy(), *edges.end.T.copy(), np.array(edges.previous))
@@ -162,7 +186,10 @@ def walk_contacts(obj, params, push, regime, ahead=0.0):
             u, w = run.twists[t, :2], run.twists[t, 2]
             relative = u + w * np.array([-p[1], p[0]]) - v_tip
             touching.append((p, f))
-            yield "contact", (mode, f @ normal, f @ tangent, relative @ tangent, np.linalg.norm(v_tip))
+            yield (
+                "contact",
+                (mode, f @ normal, f @ tangent, relative @ tangent, np.linalg.norm(v_tip)),
+            )
         yield "balance", (run.twists[t], touching)
 
 
@@ -184,17 +211,26 @@ def test_coulomb_s_law_holds_at_every_contact_and_the_forces_balance_the_support
                 if mode == STICK:
                     assert abs(slip) <= 3e-6 * speed
                 else:
-                    assert lam_t == pytest.approx(mu * lam_n if mode == SLIDE_PLUS else -mu * lam_n, abs=1e-9 * k.sum())
-                    assert lam_t * slip <= 1e-6 * k.sum() * speed  # friction on the object opposes its slip
+                    assert lam_t == pytest.approx(
+                        mu * lam_n if mode == SLIDE_PLUS else -mu * lam_n, abs=1e-9 * k.sum()
+                    )
+                    assert (
+                        lam_t * slip <= 1e-6 * k.sum() * speed
+                    )  # friction on the object opposes its slip
             elif regime == "quasi_static" and values[1]:
                 (ux, uy, w), touching = values
                 kappa2 = (SPIN_ARM * obj.cell_size) ** 2
                 vx, vy = ux - w * y, uy + w * x
                 s = np.sqrt(vx**2 + vy**2 + kappa2 * w**2)
-                support = np.array([k @ (vx / s), k @ (vy / s), k @ ((x * vy - y * vx + kappa2 * w) / s)])
+                support = np.array(
+                    [k @ (vx / s), k @ (vy / s), k @ ((x * vy - y * vx + kappa2 * w) / s)]
+                )
                 contact = sum(np.array([*f, cross(p, f)]) for p, f in touching)
                 forces = k.sum() + sum(np.abs(f).sum() for _, f in touching)
-                worst = max(worst, np.abs((contact - support) / [1, 1, obj.radius_of_gyration]).max() / forces)
+                worst = max(
+                    worst,
+                    np.abs((contact - support) / [1, 1, obj.radius_of_gyration]).max() / forces,
+                )
     print(f"{regime}: modes {counts}; imbalance at most {worst:.1e} of the forces")
     assert min(counts.values()) > 50
     assert worst < 1e-6
@@ -210,14 +246,18 @@ def test_contact_forces_of_a_push_balance_friction_and_momentum():
     pushed = np.abs(result.contact_forces).sum(axis=(1, 2)) > 0
     gained = mass * np.diff(result.velocities[:, 0])
     friction = np.where(result.velocities[1:, 0] > 1e-6, -mu * mass * G, 0.0) * 0.001
-    np.testing.assert_allclose((result.contact_forces[:, 0, 0] * 0.001 + friction)[pushed], gained[pushed], atol=1e-9)
+    np.testing.assert_allclose(
+        (result.contact_forces[:, 0, 0] * 0.001 + friction)[pushed], gained[pushed], atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("regime", REGIMES)
 def test_a_push_that_never_touches_is_flagged(regime):
     obj = make_shape("square", 25)
     params = CellParameters.uniform(obj, 1.0, 0.3)
-    result = simulate(obj, params, Push((0.2, 0.0), (0.0, 0.1), 1.0, 0.005), regime=regime, gradients=True)
+    result = simulate(
+        obj, params, Push((0.2, 0.0), (0.0, 0.1), 1.0, 0.005), regime=regime, gradients=True
+    )
     assert result.status == "no_contact"
     np.testing.assert_array_equal(result.poses, 0)
     np.testing.assert_array_equal(result.contact_forces, 0)
@@ -248,17 +288,28 @@ def test_a_fast_push_that_starts_overlapped_does_not_throw_the_object(depth):
     touching = Push.on_outline(obj, 0.1, 0.3, 0.1, radius=0.008, duration=0.4, clearance=0.0)
     way = touching.xy[-1] - touching.xy[0]
     velocity = way / touching.duration
-    push = Push(touching.xy[0] + depth * way / np.linalg.norm(way), velocity, touching.duration, touching.radius)
-    coarse, fine = (simulate(obj, params, push, dt=dt, gradients=dt > 0.001) for dt in (0.004, 0.0005))
+    push = Push(
+        touching.xy[0] + depth * way / np.linalg.norm(way),
+        velocity,
+        touching.duration,
+        touching.radius,
+    )
+    coarse, fine = (
+        simulate(obj, params, push, dt=dt, gradients=dt > 0.001) for dt in (0.004, 0.0005)
+    )
 
     def measure_distance(one, other):
-        return np.linalg.norm(obj.cells_at(one.final_pose) - obj.cells_at(other.final_pose), axis=1).max()
+        return np.linalg.norm(
+            obj.cells_at(one.final_pose) - obj.cells_at(other.final_pose), axis=1
+        ).max()
 
     assert measure_distance(coarse, fine) < 1e-4
     assert measure_distance(fine, simulate(obj, params, touching)) < 1.5 * depth
     assert fine.gaps[-1] > -1e-4
 
     def end(place):
-        return simulate(obj, params, Push(place, velocity, touching.duration, touching.radius), dt=0.004).final_pose
+        return simulate(
+            obj, params, Push(place, velocity, touching.duration, touching.radius), dt=0.004
+        ).final_pose
 
     check_jacobian(end, push.xy[0], coarse.jacobian.start[-1], step=1e-6, rtol=1e-4, atol=1e-6)

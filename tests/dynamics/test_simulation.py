@@ -78,7 +78,9 @@ def test_quasi_static_regime_needs_friction(obj):
     with pytest.raises(SimulationError, match="friction"):
         simulate(obj, smooth, PUSH, regime="quasi_static")
     with pytest.raises(SimulationError, match="friction"):
-        simulate(obj, CellParameters.uniform(obj, 1.0, 0.3), PUSH, regime="quasi_static", gravity=0.0)
+        simulate(
+            obj, CellParameters.uniform(obj, 1.0, 0.3), PUSH, regime="quasi_static", gravity=0.0
+        )
     assert simulate(obj, smooth, PUSH).status == "ok"
 
 
@@ -115,7 +117,11 @@ def test_gradients_leave_the_motion_alone(obj, params, gradients):
 
 
 def test_default_steps_are_short_in_time_and_in_way(obj, params):
-    for push in (PUSH, Push(PUSH.start, (0.01, 0.0), 1.0, 0.01), Push(PUSH.start, (1.0, 0.0), 0.2, 0.01)):
+    for push in (
+        PUSH,
+        Push(PUSH.start, (0.01, 0.0), 1.0, 0.01),
+        Push(PUSH.start, (1.0, 0.0), 0.2, 0.01),
+    ):
         result = simulate(obj, params, push)
         assert np.diff(result.times).max() <= 0.01 * (1 + 1e-9)
         assert np.linalg.norm(np.diff(result.tip, axis=0), axis=1).max() <= 0.001 * (1 + 1e-9)
@@ -185,9 +191,18 @@ def test_two_times_that_are_one_are_refused_where_there_is_inertia():
     obj = make_shape("square", 9)
     push = Push((-0.1, 0.0), (0.1, 0.0), 1.0, 0.01)
     times = [0.0, 0.5, np.nextafter(0.5, 1.0), 1.0]
-    with pytest.raises(SimulationError, match="two are all but the same; expected steps of at least 1e-09 s"):
+    with pytest.raises(
+        SimulationError, match="two are all but the same; expected steps of at least 1e-09 s"
+    ):
         simulate(obj, CellParameters.uniform(obj), push, times=times)
-    assert len(simulate(obj, CellParameters.uniform(obj), push, times=times, regime="quasi_static").poses) == 4
+    assert (
+        len(
+            simulate(
+                obj, CellParameters.uniform(obj), push, times=times, regime="quasi_static"
+            ).poses
+        )
+        == 4
+    )
 
 
 @pytest.mark.parametrize("workers", [0, float("nan")])
@@ -200,10 +215,13 @@ def test_a_batch_needs_a_worker(workers):
 def test_batch_is_the_loop_whatever_the_workers():
     obj, params, pushes, poses = make_batch(12)
     loop = [
-        simulate(obj, *job, regime="quasi_static", gradients=True) for job in zip(params, pushes, poses, strict=True)
+        simulate(obj, *job, regime="quasi_static", gradients=True)
+        for job in zip(params, pushes, poses, strict=True)
     ]
     for workers in (1, 2, 5, None):
-        batch = simulate_batch(obj, params, pushes, poses, workers=workers, regime="quasi_static", gradients=True)
+        batch = simulate_batch(
+            obj, params, pushes, poses, workers=workers, regime="quasi_static", gradients=True
+        )
         for one, other in zip(loop, batch, strict=True):
             np.testing.assert_array_equal(one.poses, other.poses)
             np.testing.assert_array_equal(one.jacobian.mass, other.jacobian.mass)
@@ -215,7 +233,10 @@ def test_batch_of_one_push_with_many_parameters_and_the_other_way_round():
     for batch, jobs in (
         (simulate_batch(obj, params, pushes[0]), [(p, pushes[0], np.zeros(3)) for p in params]),
         (simulate_batch(obj, params[0], pushes), [(params[0], p, np.zeros(3)) for p in pushes]),
-        (simulate_batch(obj, params[0], pushes[0], poses), [(params[0], pushes[0], q) for q in poses]),
+        (
+            simulate_batch(obj, params[0], pushes[0], poses),
+            [(params[0], pushes[0], q) for q in poses],
+        ),
         (simulate_batch(obj, params[0], pushes[0]), [(params[0], pushes[0], np.zeros(3))]),
         (simulate_batch(obj, [], pushes[0]), []),
     ):
@@ -245,10 +266,18 @@ def test_kernel_is_compiled_once_whatever_the_caller_s_arrays():
         params = CellParameters.uniform(body, 1.0, 0.3)
         for push in (PUSH, FORCE, Push.along([0, 1], [[0, 0.2], [0, 0.1]], 0.01)):
             for gradients in (False, True, "paper"):
-                simulate(body, pickle.loads(pickle.dumps(params)), push, np.zeros(6)[::2], gradients=gradients)
+                simulate(
+                    body,
+                    pickle.loads(pickle.dumps(params)),
+                    push,
+                    np.zeros(6)[::2],
+                    gradients=gradients,
+                )
                 simulate(body, params, push, times=np.linspace(0, 1, 9)[::2], gradients=gradients)
     calc_step(obj, CellParameters.uniform(obj), (0, 0, 0), [0, 0, 1], (1, 2, 3), 0.01)
-    isotropic = [signature for signature in rollout.signatures if signature[0].instance_class is Isotropic]
+    isotropic = [
+        signature for signature in rollout.signatures if signature[0].instance_class is Isotropic
+    ]
     assert len(isotropic) == len(fill_paper_gradient.signatures) == 1
 
 
@@ -285,7 +314,9 @@ def test_the_number_of_edges_and_split_edges_change_nothing(obj, params):
 
 
 def test_make_path_times_keeps_samples_when_inertial_and_cuts_evenly_by_length_when_quasi_static():
-    push = Push.along([0.0, 1.0, 3.0, 4.0], [[0, 0], [0.0105, 0], [0.0105, 0], [0.0105, 0.02]], 0.005)
+    push = Push.along(
+        [0.0, 1.0, 3.0, 4.0], [[0, 0], [0.0105, 0], [0.0105, 0], [0.0105, 0.02]], 0.005
+    )
     times = make_path_times(push)
     assert set(push.t) <= set(times)
     assert np.diff(times).max() <= 0.01 + 1e-12

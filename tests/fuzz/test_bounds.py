@@ -65,7 +65,10 @@ MERGES = "a0: &a0 {x: 1}\n" + "".join(
         (MERGES, "more than 500000 keys and values, its aliases written out"),
         ("a: &a [*a]\n", "alias stands within what it names"),
         ("a: &a {b: *a}\n", "alias stands within what it names"),
-        ("a: " + ":1" * 5 + "1:1" * 2000 + "\n", "a number has .* characters; expected at most 400"),
+        (
+            "a: " + ":1" * 5 + "1:1" * 2000 + "\n",
+            "a number has .* characters; expected at most 400",
+        ),
         ("a: " + "9" * 5000 + "\n", "a number has 5000 characters; expected at most 400"),
     ],
     ids=["aliases", "merges", "list in itself", "mapping in itself", "base 60", "digits"],
@@ -81,7 +84,9 @@ def test_yaml_bombs(tmp_path, reader, text, message):
 def test_yaml_runs_no_code(tmp_path, reader):
     path, made = tmp_path / "code.yaml", tmp_path / "made"
     for tag in ("object/apply:os.mkdir", "object/new:os.mkdir", "name:os.mkdir", "module:os"):
-        path.write_text(f"name: !!python/{tag} [{made}]\nobject: !!python/{tag} [{made}]\n" + OUTLINE)
+        path.write_text(
+            f"name: !!python/{tag} [{made}]\nobject: !!python/{tag} [{made}]\n" + OUTLINE
+        )
         with pytest.raises(GridPushError, match=r"code\.yaml"):
             reader(path)
     assert not made.exists()
@@ -121,7 +126,9 @@ def test_names_that_no_file_has_are_not_written(tmp_path):
 def test_large_files(tmp_path):
     with (tmp_path / "large.csv").open("wb") as file:
         file.truncate(2**36)
-    with pytest.raises(GridPushError, match=r"large\.csv: has 65536 MB, more than 64 MB; expected a push log"):
+    with pytest.raises(
+        GridPushError, match=r"large\.csv: has 65536 MB, more than 64 MB; expected a push log"
+    ):
         PushLog.read_csv(tmp_path / "large.csv")
     with pytest.raises(ObjectError, match="has more than 0 MB"):
         read_bytes("/proc/self/status", "little", ObjectError, max_size=10)
@@ -140,9 +147,18 @@ def test_headers_without_end(tmp_path, filler):
 def test_numbers_that_are_too_many(tmp_path):
     path = tmp_path / "object.yaml"
     for line, message in (
-        ("max_cells: 10000000", "max_cells is 10000000; expected a whole number, 1 or more, at most 10000"),
-        (f"cells: {{size: 0.1, centers: [[0, 0]], labels: [{10**30}]}}", r"labels\[0\] is 10+; expected"),
-        (f"parts: [{{label: {10**30}, outline: [[0, 0], [1, 0], [0, 1]]}}]", r"parts\[0\]\.label is 10+; expected"),
+        (
+            "max_cells: 10000000",
+            "max_cells is 10000000; expected a whole number, 1 or more, at most 10000",
+        ),
+        (
+            f"cells: {{size: 0.1, centers: [[0, 0]], labels: [{10**30}]}}",
+            r"labels\[0\] is 10+; expected",
+        ),
+        (
+            f"parts: [{{label: {10**30}, outline: [[0, 0], [1, 0], [0, 1]]}}]",
+            r"parts\[0\]\.label is 10+; expected",
+        ),
     ):
         path.write_text(f"{OUTLINE}{line}\n")
         with pytest.raises(ObjectError, match=message):
@@ -172,12 +188,21 @@ def test_pushes_of_too_many_steps(push, options):
 def test_push_that_leaves_all_numbers():
     with pytest.raises(PushError, match="end, start"):
         Push((0, 0), (1e12, 0), 1e12, 0.01)
-    with pytest.raises(PushError, match=r"velocity is .*; expected two finite numbers, at most 1e\+12"):
+    with pytest.raises(
+        PushError, match=r"velocity is .*; expected two finite numbers, at most 1e\+12"
+    ):
         Push((0, 0), (1e300, 0), 1e300, 0.01)
     for radius, duration, name in ((1e300, 1.0, "radius"), (0.01, 1e300, "duration")):
-        with pytest.raises(PushError, match=rf"{name} is 1e\+300; expected a positive number, at most 1e\+12"):
+        with pytest.raises(
+            PushError, match=rf"{name} is 1e\+300; expected a positive number, at most 1e\+12"
+        ):
             Push((0, 0), (0.1, 0), duration, radius)
-    for times, places in (((0, 1), (0, 1e300)), ((0, 1e300), (0, 1)), ((0, 1), (0, np.nan)), ((0, np.nan), (0, 1))):
+    for times, places in (
+        ((0, 1), (0, 1e300)),
+        ((0, 1e300), (0, 1)),
+        ((0, 1), (0, np.nan)),
+        ((0, np.nan), (0, 1)),
+    ):
         with pytest.raises(PushError, match=r"t and xy must be finite numbers, at most 1e\+12"):
             Push.along(times, np.column_stack([places, places]), 0.01)
 
@@ -206,12 +231,17 @@ def test_scenarios_without_end(tmp_path, text, message):
 
 def test_masses_that_drake_takes_for_unphysical():
     obj = make_block()
-    with pytest.raises(ParameterError, match=r"block: mass or height: cells of .* kg, 0\.\d+ m wide, make no inertia"):
+    with pytest.raises(
+        ParameterError,
+        match=r"block: mass or height: cells of .* kg, 0\.\d+ m wide, make no inertia",
+    ):
         make_sdf(obj, CellParameters.uniform(obj), height=1e300)
 
 
 def test_plans_for_objects_without_end():
-    table = make_distance_table(GridObject.from_outline([[-900, -300], [900, -300], [900, 300], [-900, 300]]), 0.01)
+    table = make_distance_table(
+        GridObject.from_outline([[-900, -300], [900, -300], [900, 300], [-900, 300]]), 0.01
+    )
     assert max(table.values.shape) <= MAX_TABLE_NODES + 2
     np.testing.assert_allclose(table.lookup(np.array([[0.0, 290.0]]))[0], -10.0, atol=table.step)
 
@@ -220,14 +250,18 @@ def test_a_small_file_that_is_large_unpacked(tmp_path):
     path = tmp_path / "rect1.mat"
     savemat(path, {"record_all": np.zeros(3 * 2**20)}, do_compression=True)
     assert path.stat().st_size < 2**16
-    with pytest.raises(PushLogError, match=r"rect1\.mat: has more than 16 MB, unpacked; expected a MATLAB v5 file"):
+    with pytest.raises(
+        PushLogError, match=r"rect1\.mat: has more than 16 MB, unpacked; expected a MATLAB v5 file"
+    ):
         MitImporter().read(path)
 
 
 def test_bags_that_are_no_files(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", Path("/dev/zero")):
-        with pytest.raises(PushLogError, match="is a pipe or a device, not a file; expected a ROS bag"):
+        with pytest.raises(
+            PushLogError, match="is a pipe or a device, not a file; expected a ROS bag"
+        ):
             BagImporter(make_block(), "/object", "/tip").read(path)
 
 

@@ -70,7 +70,9 @@ b,5,0.02,-0.034,0,0,-0.2,0,0
 b,6,0.02,-0.01,0.001,0.02,0.1,,
 """
 
-PLAIN_PGM = b"P2 # a mask\n8 6\n255\n" + b"\n".join([b"0 0 0 0 0 0 0 0", *[b"0 1 1 1 2 2 2 0"] * 4, b"0 0 0 0 0 0 0 0"])
+PLAIN_PGM = b"P2 # a mask\n8 6\n255\n" + b"\n".join(
+    [b"0 0 0 0 0 0 0 0", *[b"0 1 1 1 2 2 2 0"] * 4, b"0 0 0 0 0 0 0 0"]
+)
 RAW_PGM = b"P5\n8 6 255\n" + bytes([0] * 8 + [0, 1, 1, 1, 2, 2, 2, 0] * 4 + [0] * 8)
 
 
@@ -168,7 +170,11 @@ def test_push_logs(place, block, text):
 @few(150)
 @given(text=broken(PLAIN_PGM) | broken(RAW_PGM) | broken(make_png()))
 def test_masks(place, text):
-    survives(place / "mask.pgm", text, lambda path: GridObject.from_mask(path, meters_per_pixel=0.01, max_cells=20))
+    survives(
+        place / "mask.pgm",
+        text,
+        lambda path: GridObject.from_mask(path, meters_per_pixel=0.01, max_cells=20),
+    )
 
 
 @few(100)

@@ -31,7 +31,9 @@ def test_agrees_with_scipy_s_motions_in_space(q, r):
     product = in_space(q) * in_space(r)
     found = compose(q, r)
     np.testing.assert_allclose(found[:2], product.translation[:2], atol=1e-14)
-    np.testing.assert_allclose(make_rotation(found[2]), product.rotation.as_matrix()[:2, :2], atol=1e-14)
+    np.testing.assert_allclose(
+        make_rotation(found[2]), product.rotation.as_matrix()[:2, :2], atol=1e-14
+    )
     np.testing.assert_allclose(compose(invert(q), q), np.zeros(3), atol=1e-14)
     np.testing.assert_allclose(transform_back(q, transform(q, POINTS)), POINTS, atol=1e-14)
 
@@ -43,7 +45,9 @@ def test_leading_dimensions_broadcast():
         np.testing.assert_array_equal(points, transform(q, POINTS))
     np.testing.assert_array_equal(compose(POSES, OTHERS)[2], compose(POSES[2], OTHERS[2]))
     np.testing.assert_allclose(rotate(POSES[:, 2], [1.0, 0.0]), make_direction(POSES[:, 2]), atol=0)
-    np.testing.assert_allclose(make_rotation(POSES[:, 2])[..., 0], make_direction(POSES[:, 2]), atol=0)
+    np.testing.assert_allclose(
+        make_rotation(POSES[:, 2])[..., 0], make_direction(POSES[:, 2]), atol=0
+    )
 
 
 def test_wrapped_angles_point_the_same_way():

@@ -34,7 +34,8 @@ def test_gymnasium_finds_no_fault(name, camera):
 @pytest.mark.parametrize("name", NAMES)
 def test_stable_baselines_finds_no_fault(name):
     checker = pytest.importorskip(
-        "stable_baselines3.common.env_checker", reason="stable-baselines3 is not installed: it brings 1 GB of torch"
+        "stable_baselines3.common.env_checker",
+        reason="stable-baselines3 is not installed: it brings 1 GB of torch",
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -46,9 +47,13 @@ def test_a_vector_environment_is_single_ones_bit_for_bit(name):
     """Through the ends of episodes, whatever the threads."""
     count, seed, options = 3, 11, {"max_pushes": 3}
     path = f"gridpush/{name}-v0"
-    many = gymnasium.make_vec(path, count, vectorization_mode="vector_entry_point", workers=2, **options)
+    many = gymnasium.make_vec(
+        path, count, vectorization_mode="vector_entry_point", workers=2, **options
+    )
     assert isinstance(many, PushVectorEnvironment)
-    singles = [gymnasium.make(path, disable_env_checker=True, **options).unwrapped for _ in range(count)]
+    singles = [
+        gymnasium.make(path, disable_env_checker=True, **options).unwrapped for _ in range(count)
+    ]
     seen, _ = many.reset(seed=seed)
     firsts = [single.reset(seed=seed + i)[0] for i, single in enumerate(singles)]
     _assert_same(seen, firsts)
@@ -86,7 +91,11 @@ def _assert_same(seen, singles):
 
 
 def test_an_action_is_that_push_and_the_push_that_action():
-    shape, rng, pose = load_shape("claw_hammer"), np.random.default_rng(0), np.array([0.1, -0.2, 0.7])
+    shape, rng, pose = (
+        load_shape("claw_hammer"),
+        np.random.default_rng(0),
+        np.array([0.1, -0.2, 0.7]),
+    )
     for action in rng.uniform(-0.99, 0.99, (50, 3)):
         push = shape.make_push(action, pose)
         np.testing.assert_allclose(shape.find_action(push, pose), action, atol=1e-5)
@@ -100,10 +109,17 @@ def test_a_push_moves_the_object_as_the_model_says():
     before, action = env.episode, np.array([0.3, 0.1, 0.5], dtype=np.float32)
     after, reward, *_ = env.step(action)
     push = before.shape.make_push(action, before.true_pose)
-    motion = simulate(before.shape.obj, before.hidden, push, before.true_pose, regime="quasi_static")
-    np.testing.assert_allclose(env.episode.true_pose, motion.final_pose, atol=2e-4)  # steps twice as long
+    motion = simulate(
+        before.shape.obj, before.hidden, push, before.true_pose, regime="quasi_static"
+    )
+    np.testing.assert_allclose(
+        env.episode.true_pose, motion.final_pose, atol=2e-4
+    )  # steps twice as long
     np.testing.assert_allclose(after["pose"][:2], motion.final_pose[:2], atol=2e-4)
-    errors = [float(calc_goal_error(before.shape.obj, e.true_pose, before.goal)) for e in (before, env.episode)]
+    errors = [
+        float(calc_goal_error(before.shape.obj, e.true_pose, before.goal))
+        for e in (before, env.episode)
+    ]
     assert info["score"] == errors[0]
     assert reward == pytest.approx(PER_METER * (errors[0] - errors[1]))
     moved = motion.final_pose - before.true_pose
@@ -126,14 +142,19 @@ def test_the_goal_is_won_where_the_object_lies_at_it():
 def test_an_object_pushed_on_and_on_falls_and_the_episode_ends():
     env = PushEnvironment("SlideToEdge", objects=["toothpaste_tube"], max_pushes=40)
     env.reset(seed=1)
-    part, endless = env.episode.shape.grasp_parts[0], 5.0 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    part, endless = (
+        env.episode.shape.grasp_parts[0],
+        5.0 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]),
+    )
     object.__setattr__(env.episode, "parts", (replace(part, footprint=endless),))
     shape, ended = env.episode.shape, False
     while not ended:
         before, theta = env.episode, env.episode.pose[2]
         # the place whose inward normal points along the world's x axis, in line with the middle
         normals = shape.outline[:, 2] * np.cos(theta) - shape.outline[:, 3] * np.sin(theta)
-        place = int(np.argmax(normals - 5 * np.abs(shape.outline[:, :2] @ [np.sin(theta), np.cos(theta)])))
+        place = int(
+            np.argmax(normals - 5 * np.abs(shape.outline[:, :2] @ [np.sin(theta), np.cos(theta)]))
+        )
         action = np.array([2 * place / PLACES - 1, 0.0, 1.0], dtype=np.float32)
         _, reward, ended, cut_off, info = env.step(action)
         assert not cut_off
@@ -141,7 +162,9 @@ def test_an_object_pushed_on_and_on_falls_and_the_episode_ends():
     assert after.fallen
     assert not info["is_success"]
     assert after.pushes[-1].overhang
-    assert calc_loads(shape.obj, after.hidden, before.true_pose, env.game.surface.corners) is not None
+    assert (
+        calc_loads(shape.obj, after.hidden, before.true_pose, env.game.surface.corners) is not None
+    )
     assert calc_loads(shape.obj, after.hidden, after.true_pose, env.game.surface.corners) is None
     assert reward == pytest.approx(10 * (after.score - before.score) - 1)
 
@@ -153,7 +176,9 @@ def test_pokes_lessen_the_held_out_error():
         _, info = env.reset(seed=seed)
         rng, first, total = np.random.default_rng(seed), info["score"], 0.0
         for _ in range(8):
-            seen, reward, terminated, cut_off, info = env.step(rng.uniform(-1, 1, 3).astype(np.float32))
+            seen, reward, terminated, cut_off, info = env.step(
+                rng.uniform(-1, 1, 3).astype(np.float32)
+            )
             total += reward
         assert cut_off
         assert not terminated

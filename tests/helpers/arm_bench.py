@@ -10,7 +10,13 @@ from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from gridpush_drake.station.arm import AddArmDriver, AddArmKinematics, ArmReach, CalcStartPosture, MakeControlPlant
+from gridpush_drake.station.arm import (
+    AddArmDriver,
+    AddArmKinematics,
+    ArmReach,
+    CalcStartPosture,
+    MakeControlPlant,
+)
 from gridpush_drake.station.robot import AddRobot, find_robot
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.systems.messages import PushCommand
@@ -66,11 +72,15 @@ class ArmBench:
         self.plant.SetDefaultPositions(self.arm.arm, self.q_start)
         self.driver = AddArmDriver(builder, self.plant, ROBOT, self.arm.arm, self.control_plant)
         self.kinematics = AddArmKinematics(builder, ROBOT, self.control_plant, self.q_start)
-        builder.Connect(self.kinematics.GetOutputPort("joint_positions"), self.driver.GetInputPort("position"))
+        builder.Connect(
+            self.kinematics.GetOutputPort("joint_positions"), self.driver.GetInputPort("position")
+        )
         self.executor = builder.AddNamedSystem(
             "executor", PushExecutor(HOME, reach=self.reach if reach else None, style=style)
         )
-        builder.Connect(self.executor.GetOutputPort("tip_pose"), self.kinematics.GetInputPort("X_AE_desired"))
+        builder.Connect(
+            self.executor.GetOutputPort("tip_pose"), self.kinematics.GetInputPort("X_AE_desired")
+        )
         builder.ExportInput(self.executor.GetInputPort("push_command"), "push_command")
         self.diagram = builder.Build()
         self.simulator = Simulator(self.diagram)
@@ -81,7 +91,9 @@ class ArmBench:
         context = self.simulator.get_mutable_context()
         context.SetTime(0.0)
         self.diagram.SetDefaultContext(context)
-        self.kinematics.SetPositions(self.kinematics.GetMyMutableContextFromRoot(context), self.q_start)
+        self.kinematics.SetPositions(
+            self.kinematics.GetMyMutableContextFromRoot(context), self.q_start
+        )
         self.command(PushCommand())
         self.simulator.Initialize()
 
@@ -106,7 +118,9 @@ class ArmBench:
     def push(self, command: PushCommand, every: float = 0.005) -> Record:
         """Carries a command out to the end, or lets it be refused."""
         self.command(command)
-        return self.record(every, lambda status: status.command_id == command.command_id and status.ready)
+        return self.record(
+            every, lambda status: status.command_id == command.command_id and status.ready
+        )
 
     def _note(self, record: Record) -> None:
         root = self.simulator.get_context()
@@ -115,32 +129,45 @@ class ArmBench:
         X_WP = self.plant.GetFrameByName(ROBOT.finger.tip_frame).CalcPoseInWorld(plant_context)
         record.time.append(root.get_time())
         record.phase.append(self.status.phase)
-        record.desired.append(self.executor.GetOutputPort("tip_pose").Eval(executor_context).translation().copy())
+        record.desired.append(
+            self.executor.GetOutputPort("tip_pose").Eval(executor_context).translation().copy()
+        )
         record.tip.append(X_WP.translation().copy())
         record.down.append(X_WP.rotation().matrix()[:, 2].copy())
         record.q.append(self.plant.GetPositions(plant_context, self.arm.arm))
         record.v.append(self.plant.GetVelocities(plant_context, self.arm.arm))
-        record.torque.append(self.plant.get_net_actuation_output_port(self.arm.arm).Eval(plant_context))
+        record.torque.append(
+            self.plant.get_net_actuation_output_port(self.arm.arm).Eval(plant_context)
+        )
         results = self.plant.get_contact_results_output_port().Eval(plant_context)
         for i in range(results.num_point_pair_contacts()):
             info = results.point_pair_contact_info(i)
-            names = (self.plant.get_body(info.bodyA_index()).name(), self.plant.get_body(info.bodyB_index()).name())
+            names = (
+                self.plant.get_body(info.bodyA_index()).name(),
+                self.plant.get_body(info.bodyB_index()).name(),
+            )
             record.contacts.add(tuple(sorted(names)))
 
 
 def add_table(plant: MultibodyPlant) -> None:
     """A box whose top is z = 0, in front of the arm's foot."""
     X_WT = RigidTransform([0.2 + TABLE_SIZE[0] / 2, 0.0, -TABLE_SIZE[2] / 2])
-    plant.RegisterCollisionGeometry(plant.world_body(), X_WT, Box(*TABLE_SIZE), "table", CoulombFriction(1.0, 1.0))
+    plant.RegisterCollisionGeometry(
+        plant.world_body(), X_WT, Box(*TABLE_SIZE), "table", CoulombFriction(1.0, 1.0)
+    )
 
 
-def add_box(plant: MultibodyPlant, mass: float = 1.0, friction: float = 0.3, p_WB=(0.6, 0.0)) -> None:
+def add_box(
+    plant: MultibodyPlant, mass: float = 1.0, friction: float = 0.3, p_WB=(0.6, 0.0)
+) -> None:
     """A box on four round feet, so that it slides and does not rock; `friction` is that of the pair with the table."""
     a, b, height, foot = 0.1, 0.2, 0.05, 0.005
     inertia = SpatialInertia.SolidBoxWithMass(mass, a, b, height)
     body = plant.AddRigidBody("box", plant.AddModelInstance("box"), inertia)
     own = CoulombFriction(friction / (2.0 - friction), friction / (2.0 - friction))
-    plant.RegisterCollisionGeometry(body, RigidTransform(), Box(a, b, height - 2 * foot), "side", own)
+    plant.RegisterCollisionGeometry(
+        body, RigidTransform(), Box(a, b, height - 2 * foot), "side", own
+    )
     for x in (-a / 2 + foot, a / 2 - foot):
         for y in (-b / 2 + foot, b / 2 - foot):
             X_BF = RigidTransform([x, y, -height / 2 + foot])

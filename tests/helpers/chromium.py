@@ -25,8 +25,12 @@ LONGEST = 120.0
 POLL = 100
 """How often a recording is held still, ms of the page's clock."""
 
-FILM_INPUT = np.array([[0.59719, 0.35458, 0.04823], [0.076, 0.90834, 0.01566], [0.0284, 0.13383, 0.83777]])
-FILM_OUTPUT = np.array([[1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07602]])
+FILM_INPUT = np.array(
+    [[0.59719, 0.35458, 0.04823], [0.076, 0.90834, 0.01566], [0.0284, 0.13383, 0.83777]]
+)
+FILM_OUTPUT = np.array(
+    [[1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07602]]
+)
 FILM_CURVE = (0.0245786, 0.000090537, 0.983729, 0.432951, 0.238081)
 FILM_EXPOSURE, FILM_WHITE = 0.6, 0.99
 """Of the film curve in three.js, `ACESFilmicToneMapping`; it never reaches white."""
@@ -56,7 +60,11 @@ def require_chromium() -> str:
 
 
 def take_picture(
-    page: str | Path, out: Path | None = None, *, size: tuple[int, int] = SIZE, virtual_time: int = VIRTUAL_TIME
+    page: str | Path,
+    out: Path | None = None,
+    *,
+    size: tuple[int, int] = SIZE,
+    virtual_time: int = VIRTUAL_TIME,
 ) -> NDArray[np.uint8]:
     """Draws a page in headless chromium; skips the test where there is none.
 
@@ -98,7 +106,8 @@ def freeze_recording(recording: Path, time: float, out: Path) -> Path:
     Returns:
         `out`.
     """
-    # The page reads its scene bit by bit after it was loaded, so the animation is there at some later time only.
+    # The page reads its scene bit by bit after it was loaded, so the animation is there at some
+    # later time only.
     still = f"setInterval(() => {{ viewer.animator.pause(); viewer.animator.seek({float(time)!r}); }}, {POLL});"
     head, body, tail = recording.read_text(encoding="utf-8").rpartition("</body>")
     alone = "<style>#phase, #legend { display: none; }</style>"
@@ -109,18 +118,22 @@ def freeze_recording(recording: Path, time: float, out: Path) -> Path:
 def find_pixels(picture: NDArray[np.uint8], color: ArrayLike) -> NDArray[np.bool_]:
     """Finds a surface's color c in a picture of a Meshcat page, however it is lit.
 
-    White light l makes a surface send out l c + g (1, 1, 1), with g its gloss. So what stays is the hue, the direction
-    of the part across white, in linear light; and that the color is about as saturated as it was.
+    White light l makes a surface send out l c + g (1, 1, 1), with g its gloss. So what stays is the
+    hue, the direction of the part across white, in linear light; and that the color is about as
+    saturated as it was.
 
     Args:
         picture: (height, width, 3) sRGB.
         color: (3,) c, sRGB, 0 to 1.
 
     Returns:
-        (height, width) where the picture has the hue to within HUE_TOLERANCE, at least MIN_SATURATION of the
-        saturation, and more than MIN_LIGHT.
+        (height, width) where the picture has the hue to within HUE_TOLERANCE, at least
+        MIN_SATURATION of the saturation, and more than MIN_LIGHT.
     """
-    light, wanted = undo_tone_mapping(to_linear(picture / 255.0)), to_linear(np.asarray(color, dtype=np.float64))
+    light, wanted = (
+        undo_tone_mapping(to_linear(picture / 255.0)),
+        to_linear(np.asarray(color, dtype=np.float64)),
+    )
     hue, saturation = _split(light)
     wanted_hue, wanted_saturation = _split(wanted)
     near = hue @ wanted_hue > np.cos(HUE_TOLERANCE)

@@ -6,24 +6,30 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 STENCILS = {2: ((1, 1 / 2),), 4: ((1, 2 / 3), (2, -1 / 12))}
-"""Central differences by order: (offset k, weight a_k) of f'(x) = sum_k a_k (f(x + k h) - f(x - k h)) / h."""
+"""Central differences by order: (offset k, weight a_k) of f'(x) = sum_k a_k (f(x + k h) - f(x - k
+h)) / h."""
 
 X_FLOOR = 1e-3
 """Least |x_j| that a step is scaled to, as a share of the largest |x|."""
 
 
 def calc_finite_difference(
-    function: Callable[[NDArray[np.float64]], ArrayLike], x: ArrayLike, *, step: float = 1e-6, order: int = 2
+    function: Callable[[NDArray[np.float64]], ArrayLike],
+    x: ArrayLike,
+    *,
+    step: float = 1e-6,
+    order: int = 2,
 ) -> NDArray[np.float64]:
     """Differentiates `function` by central differences.
 
     Args:
-        function: from an array of x's shape to an array (or number) of any shape; never sees its argument changed
-            afterwards.
+        function: from an array of x's shape to an array (or number) of any shape; never sees its
+            argument changed afterwards.
         x: where; any shape.
-        step: relative step: coordinate j moves by step * max(|x_j|, X_FLOOR max|x|), by `step` itself at x = 0.
-        order: 2 or 4 (Richardson's extrapolation of the steps h and 2h; with a larger step, 1e-3 say, it is
-            the more accurate).
+        step: relative step: coordinate j moves by step * max(|x_j|, X_FLOOR max|x|), by `step`
+            itself at x = 0.
+        order: 2 or 4 (Richardson's extrapolation of the steps h and 2h; with a larger step, 1e-3
+            say, it is the more accurate).
 
     Returns:
         The Jacobian, of shape f.shape + x.shape.
@@ -38,7 +44,9 @@ def calc_finite_difference(
             up, down = x.copy(), x.copy()
             up[index] += offset * h[index]
             down[index] -= offset * h[index]
-            difference = np.array(function(up), dtype=np.float64) - np.array(function(down), dtype=np.float64)
+            difference = np.array(function(up), dtype=np.float64) - np.array(
+                function(down), dtype=np.float64
+            )
             column = column + weight * difference * (2 * offset) / (up[index] - down[index])
         columns.append(column)
     columns = np.stack(columns, axis=-1)
@@ -57,8 +65,9 @@ def check_jacobian(
 ) -> None:
     """Compares `jacobian` with central differences of `function` at x.
 
-    An entry may be off by atol + rtol * (the largest entry of its column): the derivatives by one parameter are
-    measured by their largest, since differences cannot resolve an entry that is much smaller than its neighbors.
+    An entry may be off by atol + rtol * (the largest entry of its column): the derivatives by one
+    parameter are measured by their largest, since differences cannot resolve an entry that is much
+    smaller than its neighbors.
 
     Args:
         function: from an array of x's shape to an array (or number).
@@ -74,8 +83,12 @@ def check_jacobian(
     """
     x, jacobian = np.asarray(x, dtype=np.float64), np.asarray(jacobian, dtype=np.float64)
     expected = calc_finite_difference(function, x, step=step, order=order)
-    assert jacobian.shape == expected.shape, f"jacobian has shape {jacobian.shape}; expected {expected.shape}"
-    assert np.isfinite(jacobian).all(), f"jacobian has {np.sum(~np.isfinite(jacobian))} entries that are not finite"
+    assert jacobian.shape == expected.shape, (
+        f"jacobian has shape {jacobian.shape}; expected {expected.shape}"
+    )
+    assert np.isfinite(jacobian).all(), (
+        f"jacobian has {np.sum(~np.isfinite(jacobian))} entries that are not finite"
+    )
     f_axes = tuple(range(expected.ndim - x.ndim))
     largest = np.maximum(np.abs(expected), np.abs(jacobian)).max(axis=f_axes, keepdims=True)
     error, allowed = np.abs(jacobian - expected), atol + rtol * largest + np.finfo(float).tiny

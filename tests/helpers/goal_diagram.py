@@ -35,7 +35,9 @@ class Cover(LeafSystem):
     def _calc_pose(self, context: Context, output: Any) -> None:
         begin, end = context.get_numeric_parameter(0).value()
         hidden = begin <= context.get_time() < end
-        output.SetFromVector(np.full(3, np.nan) if hidden else self.GetInputPort("pose").Eval(context))
+        output.SetFromVector(
+            np.full(3, np.nan) if hidden else self.GetInputPort("pose").Eval(context)
+        )
 
 
 def _vector(values: list[float]) -> Any:
@@ -64,7 +66,9 @@ class Run(NamedTuple):
         return np.array(self.read(self.world, "pose"))
 
     def read(self, system: Any, port: str) -> Any:
-        return system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(self.simulator.get_context()))
+        return system.GetOutputPort(port).Eval(
+            system.GetMyContextFromRoot(self.simulator.get_context())
+        )
 
     def context(self, system: Any) -> Context:
         return system.GetMyMutableContextFromRoot(self.simulator.get_mutable_context())
@@ -90,8 +94,14 @@ def make_run(
     """Makes it; the object begins at the origin. `learning` is the most pushes learned from."""
     builder = DiagramBuilder()
     world = builder.AddSystem(GridLcpSystem(obj, truth, pusher_radius=rules.contact.radius))
-    finger, camera = builder.AddSystem(IdealFinger()), builder.AddSystem(Camera(5e-4, np.radians(0.2)))
-    cover, source = builder.AddSystem(Cover()), builder.AddSystem(ConstantVectorSource(np.array(goal, float)))
+    finger, camera = (
+        builder.AddSystem(IdealFinger()),
+        builder.AddSystem(Camera(5e-4, np.radians(0.2))),
+    )
+    cover, source = (
+        builder.AddSystem(Cover()),
+        builder.AddSystem(ConstantVectorSource(np.array(goal, float))),
+    )
     identifier = builder.AddSystem(
         GridIdentifier(
             obj, engaged_below=OBJECT_HEIGHT, pusher_radius=rules.contact.radius, max_learning_pushes=learning,
@@ -109,7 +119,11 @@ def make_run(
         (finger, "pusher_state", [(identifier, "pusher_state")]),
         (world, "pose", [(camera, "pose")]),
         (camera, "object_pose", [(cover, "pose")]),
-        (cover, "object_pose", [(executor, "object_pose"), (controller, "object_pose"), (identifier, "object_pose")]),
+        (
+            cover,
+            "object_pose",
+            [(executor, "object_pose"), (controller, "object_pose"), (identifier, "object_pose")],
+        ),
         (identifier, "identification", [(controller, "identification")]),
         (identifier, "push_log", [(controller, "push_log")]),
     ):

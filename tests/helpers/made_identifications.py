@@ -15,7 +15,9 @@ HEAD = [[0.02, -0.03], [0.06, -0.03], [0.06, 0.03], [0.02, 0.03]]
 def make_block(max_cells: int = 18) -> GridObject:
     """A 120 x 60 mm block of two parts, the second heavier."""
     prior = PhysicalPrior(total_mass=1.2, pusher_radius=0.004)
-    return GridObject.from_outline(OUTLINE, parts={2: HEAD}, max_cells=max_cells, name="block", prior=prior)
+    return GridObject.from_outline(
+        OUTLINE, parts={2: HEAD}, max_cells=max_cells, name="block", prior=prior
+    )
 
 
 def make_identification(obj: GridObject | None = None, seed: int = 0) -> Identification:

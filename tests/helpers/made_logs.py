@@ -40,7 +40,9 @@ def make_pushed_block(max_cells: int = 8) -> PushedBlock:
         Push(np.array([0.04, -gap]), np.array([0.0, 0.05]), 1.0, RADIUS),
         Push(np.array([0.06 + RADIUS, 0.015]), np.array([-0.05, 0.0]), 1.0, RADIUS),
     ]
-    return PushedBlock(obj, truth, PushLog(tuple(_observe(obj, truth, i, push) for i, push in enumerate(pushes))))
+    return PushedBlock(
+        obj, truth, PushLog(tuple(_observe(obj, truth, i, push) for i, push in enumerate(pushes)))
+    )
 
 
 def _observe(obj: GridObject, truth: CellParameters, i: int, push: Push) -> ObservedPush:

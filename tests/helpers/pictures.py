@@ -15,7 +15,9 @@ SHIFT = 4
 """Bits of a fraction in cv2's drawing."""
 
 
-def make_camera(width=640, height=480, focal=600.0, distance=0.7, rpy=(180, 0, 0), at=(0.0, 0.0), distortion=()):
+def make_camera(
+    width=640, height=480, focal=600.0, distance=0.7, rpy=(180, 0, 0), at=(0.0, 0.0), distortion=()
+):
     X_WC = np.eye(4)
     X_WC[:3, :3] = Rotation.from_euler("xyz", rpy, degrees=True).as_matrix()
     X_WC[:3, 3] = [*at, distance]
@@ -23,7 +25,17 @@ def make_camera(width=640, height=480, focal=600.0, distance=0.7, rpy=(180, 0, 0
     return Camera(width, height, K, distortion, X_WC)
 
 
-def paint(camera, prisms, seed=0, t=0.0, table=(170, 168, 160), noise=2.0, depth=True, shade=0.25, shadow=0.0):
+def paint(
+    camera,
+    prisms,
+    seed=0,
+    t=0.0,
+    table=(170, 168, 160),
+    noise=2.0,
+    depth=True,
+    shade=0.25,
+    shadow=0.0,
+):
     """A frame of prisms (outline (k, 2) in B, pose (3,), height, color), the lowest first."""
     rng = np.random.default_rng(seed)
     h, w = camera.height, camera.width
@@ -54,7 +66,9 @@ def cover(camera, outline, pose, height, shift=(0.0, 0.0), bottom=True):
     fine = np.zeros((camera.height * FINE, camera.width * FINE), np.uint8)
     levels = np.linspace(0, height, 2) if bottom else [height]
     rings = [
-        (camera.undistorted.project(np.column_stack([p_W, np.full(len(p_W), z)])) + 0.5) * FINE - 0.5 for z in levels
+        (camera.undistorted.project(np.column_stack([p_W, np.full(len(p_W), z)])) + 0.5) * FINE
+        - 0.5
+        for z in levels
     ]
     polygons = list(rings)
     if bottom:
@@ -85,7 +99,9 @@ def paint_tag(color, camera, number, corners, seed=0):
     """The photograph with an AprilTag 36h11 whose corners (4, 3) are in W, and white about it."""
     family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     side = 8 * TAG_PIXELS
-    tag = np.pad(cv2.aruco.generateImageMarker(family, number, side), TAG_PIXELS, constant_values=255)
+    tag = np.pad(
+        cv2.aruco.generateImageMarker(family, number, side), TAG_PIXELS, constant_values=255
+    )
     middle = corners.mean(axis=0)
     low, high = -0.5, side + 2 * TAG_PIXELS - 0.5
     square = np.array([[low, low], [high, low], [high, high], [low, high]])
@@ -102,12 +118,18 @@ def paint_tag(color, camera, number, corners, seed=0):
         for dy in fine:
             pixels = np.stack([columns[part] + dx, rows[part] + dy], -1).astype(float)
             p_W = camera.cast(pixels, float(middle[2]))
-            places = cv2.perspectiveTransform(p_W.reshape(1, -1, 2), to_tag.astype(float)).reshape(p_W.shape)
-            values = cv2.remap(tag, places.astype(np.float32), None, cv2.INTER_LINEAR, borderValue=0)
+            places = cv2.perspectiveTransform(p_W.reshape(1, -1, 2), to_tag.astype(float)).reshape(
+                p_W.shape
+            )
+            values = cv2.remap(
+                tag, places.astype(np.float32), None, cv2.INTER_LINEAR, borderValue=0
+            )
             inside = ((places > low) & (places < high)).all(axis=-1)
             total[part] += values * inside
             weight[part] += inside
     share = (weight / FINE**2)[..., None]
     shade = 0.85 * total / np.maximum(weight, 1) + 15
     noise = 2.0 * np.random.default_rng((seed, number)).standard_normal(shade.shape)
-    return np.clip(share * (shade + noise)[..., None] + (1 - share) * color, 0, 255).astype(np.uint8)
+    return np.clip(share * (shade + noise)[..., None] + (1 - share) * color, 0, 255).astype(
+        np.uint8
+    )

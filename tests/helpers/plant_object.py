@@ -62,10 +62,16 @@ class Scene:
         return forces
 
 
-def add_table(plant: MultibodyPlant, size: tuple[float, float] = (4.0, 4.0), x: float = 0.0) -> GeometryId:
+def add_table(
+    plant: MultibodyPlant, size: tuple[float, float] = (4.0, 4.0), x: float = 0.0
+) -> GeometryId:
     """A table of `size` whose middle is at (x, 0), top at z = 0."""
     return plant.RegisterCollisionGeometry(
-        plant.world_body(), RigidTransform([x, 0, -0.05]), Box(*size, 0.1), "table", MakePartnerProperties()
+        plant.world_body(),
+        RigidTransform([x, 0, -0.05]),
+        Box(*size, 0.1),
+        "table",
+        MakePartnerProperties(),
     )
 
 

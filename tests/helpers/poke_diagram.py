@@ -52,7 +52,9 @@ class IdealFinger(LeafSystem):
 class Camera(LeafSystem):
     """Samples a pose with seeded noise."""
 
-    def __init__(self, position_noise: float, angle_noise: float, period: float = DEFAULT_PERIOD) -> None:
+    def __init__(
+        self, position_noise: float, angle_noise: float, period: float = DEFAULT_PERIOD
+    ) -> None:
         super().__init__()
         self._std = np.array([position_noise, position_noise, angle_noise])
         self.DeclareVectorInputPort("pose", 3)
@@ -114,7 +116,9 @@ def make_poke_diagram(
     finger, camera = builder.AddSystem(IdealFinger()), builder.AddSystem(Camera(*noise))
     options = {"record": RecordOptions(pose_delay=DEFAULT_PERIOD), **options}
     identifier = builder.AddSystem(
-        GridIdentifier(obj, engaged_below=OBJECT_HEIGHT, pusher_radius=style.tip_radius, seed=seed, **options)
+        GridIdentifier(
+            obj, engaged_below=OBJECT_HEIGHT, pusher_radius=style.tip_radius, seed=seed, **options
+        )
     )
     policy = builder.AddSystem(PokePolicy(obj, REGION, seed, pokes, style))
     executor = builder.AddSystem(PushExecutor((0.0, 0.0, 0.2), obj.outline))
@@ -125,7 +129,11 @@ def make_poke_diagram(
         (finger, "planar_state", [(world, "pusher_state")]),
         (finger, "pusher_state", [(identifier, "pusher_state")]),
         (world, "pose", [(camera, "pose")]),
-        (camera, "object_pose", [(executor, "object_pose"), (policy, "object_pose"), (identifier, "object_pose")]),
+        (
+            camera,
+            "object_pose",
+            [(executor, "object_pose"), (policy, "object_pose"), (identifier, "object_pose")],
+        ),
     ):
         start = source.GetOutputPort(port)
         if spoiled and port in ("planar_state", "pusher_state", "object_pose"):

@@ -14,8 +14,8 @@ from tests.helpers.shapes import make_shape
 STEPS = 30
 
 GEOMETRY, PARAMETERS = (1e-6, 1e-7), (1e-4, 1e-5, 1e-6)
-"""Relative steps of the differences, tried in turn: a long one may reach over a corner of the outline, where the second
-derivative jumps, and a short one is lost in round-off."""
+"""Relative steps of the differences, tried in turn: a long one may reach over a corner of the
+outline, where the second derivative jumps, and a short one is lost in round-off."""
 
 ROUND_OFF = 1e-12
 """m and rad, of a simulated pose."""
@@ -44,11 +44,18 @@ class PushCase:
         }
         c, s = np.cos(turn), np.sin(turn)
         length = np.linalg.norm(np.diff(self.path, axis=0), axis=1).sum()
-        xy = values["start"] + (1 + stretch / length) * (self.path - self.path[0]) @ np.array([[c, s], [-s, c]])
-        contact_friction, push_height = float(values["contact_friction"]), float(values["push_height"])
+        xy = values["start"] + (1 + stretch / length) * (self.path - self.path[0]) @ np.array(
+            [[c, s], [-s, c]]
+        )
+        contact_friction, push_height = (
+            float(values["contact_friction"]),
+            float(values["push_height"]),
+        )
         params = CellParameters(values["mass"], values["friction"], contact_friction, push_height)
         push = Push.along(self.t, xy, self.radius)
-        result = simulate(self.obj, params, push, values["pose"], gradients=gradients, **self.options)
+        result = simulate(
+            self.obj, params, push, values["pose"], gradients=gradients, **self.options
+        )
         if not gradients:
             self.switched |= bool((result.modes != self.result.modes).any())
         return result
@@ -56,7 +63,11 @@ class PushCase:
     def blocks(self):
         """Name, value and Jacobian of everything, and the keyword by which `run` varies it."""
         J = self.result.jacobian
-        shifted = [] if J.push_height is None else [("push_height", np.array(self.params.push_height), J.push_height)]
+        shifted = (
+            []
+            if J.push_height is None
+            else [("push_height", np.array(self.params.push_height), J.push_height)]
+        )
         return [
             *shifted,
             ("mass", self.params.mass, J.mass),
@@ -77,7 +88,11 @@ def check_case(case, shape, seed):
             continue  # the block is zero to the accuracy of the solution: a stuck contact ignores its friction
         case.switched = False
         failures = []
-        for step in PARAMETERS if name in ("mass", "friction", "contact_friction", "push_height") else GEOMETRY:
+        for step in (
+            PARAMETERS
+            if name in ("mass", "friction", "contact_friction", "push_height")
+            else GEOMETRY
+        ):
             size = max(np.abs(value).max(), 0.1 if name in ("turn", "stretch") else 0.0)
             floor = ROUND_OFF / (step * size) + 1e-6 * np.abs(jacobian).max()
             try:
@@ -136,4 +151,6 @@ def make_notch_case(seed, regime):
     way = np.outer(np.linspace(0, 0.03, 5), [np.cos(angle), np.sin(angle)])
     c, s = np.cos(pose[2]), np.sin(pose[2])
     path = pose[:2] + (start + way) @ np.array([[c, s], [-s, c]])
-    return PushCase(obj, params, pose, Push.along(np.linspace(0, 0.3, 5), path, radius), regime=regime)
+    return PushCase(
+        obj, params, pose, Push.along(np.linspace(0, 0.3, 5), path, radius), regime=regime
+    )

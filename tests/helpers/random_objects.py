@@ -10,7 +10,9 @@ from gridpush_drake.objects.parameters import CellParameters
 NEIGHBORS = ((1, 0), (-1, 0), (0, 1), (0, -1))
 
 
-def make_random_object(rng: np.random.Generator, n: int = 12, cell_size: float = 0.02) -> GridObject:
+def make_random_object(
+    rng: np.random.Generator, n: int = 12, cell_size: float = 0.02
+) -> GridObject:
     """Grows n connected square cells (side m); the body frame's origin lies off their centroid."""
     cells = [(0, 0)]
     while len(cells) < n:
@@ -40,6 +42,8 @@ def make_random_pose(rng: np.random.Generator) -> NDArray[np.float64]:
     return rng.uniform((-0.5, -0.5, -np.pi), (0.5, 0.5, np.pi))
 
 
-def make_random_twist(rng: np.random.Generator, speed: float = 0.3, yaw_rate: float = 3.0) -> NDArray[np.float64]:
+def make_random_twist(
+    rng: np.random.Generator, speed: float = 0.3, yaw_rate: float = 3.0
+) -> NDArray[np.float64]:
     """nu = (vx, vy, w) of the body frame's origin, m/s and rad/s, each within +-(speed, speed, yaw_rate)."""
     return rng.uniform(-1, 1, 3) * (speed, speed, yaw_rate)

@@ -7,7 +7,11 @@ import shapely
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.reference.maximal_lcp import MaximalLcp, make_maximal_lcp, twist_to_cells
+from gridpush_drake.dynamics.reference.maximal_lcp import (
+    MaximalLcp,
+    make_maximal_lcp,
+    twist_to_cells,
+)
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.random_objects import (
@@ -35,14 +39,27 @@ class RandomStep:
     def T(self) -> NDArray[np.float64]:
         return twist_to_cells(self.obj, self.q)
 
-    def make_lcp(self, params: CellParameters | None = None, *, spanning_tree: bool = True) -> MaximalLcp:
+    def make_lcp(
+        self, params: CellParameters | None = None, *, spanning_tree: bool = True
+    ) -> MaximalLcp:
         return make_maximal_lcp(
-            self.obj, params or self.params, self.q, self.T @ self.nu, self.F, DT, spanning_tree=spanning_tree
+            self.obj,
+            params or self.params,
+            self.q,
+            self.T @ self.nu,
+            self.F,
+            DT,
+            spanning_tree=spanning_tree,
         )
 
 
 def make_random_step(
-    seed: int, *, n: int | None = None, speed: float = 1.0, force: float = 0.5, friction_range=(0.1, 0.8)
+    seed: int,
+    *,
+    n: int | None = None,
+    speed: float = 1.0,
+    force: float = 0.5,
+    friction_range=(0.1, 0.8),
 ) -> RandomStep:
     """Speeds are multiples of 0.3 m/s; the force, on one cell, is a multiple of the object's weight."""
     rng = np.random.default_rng(seed)
@@ -53,12 +70,21 @@ def make_random_step(
     i = 3 * rng.integers(obj.n)
     angle = rng.uniform(-np.pi, np.pi)
     weight = 9.81 * params.total_mass
-    F[i : i + 3] = force * weight * np.array([0.1 * obj.cell_size * rng.normal(), np.cos(angle), np.sin(angle)])
+    F[i : i + 3] = (
+        force
+        * weight
+        * np.array([0.1 * obj.cell_size * rng.normal(), np.cos(angle), np.sin(angle)])
+    )
     return RandomStep(obj, params, q, nu, F)
 
 
 def make_random_push(
-    rng: np.random.Generator, obj: GridObject, pose=(0.0, 0.0, 0.0), *, length: float = 0.2, speeds=(0.01, 0.05, 0.1)
+    rng: np.random.Generator,
+    obj: GridObject,
+    pose=(0.0, 0.0, 0.0),
+    *,
+    length: float = 0.2,
+    speeds=(0.01, 0.05, 0.1),
 ) -> Push:
     """A straight push that starts 1 µm clear of the outline, within 1 rad of its normal; three radii as users have."""
     radius = rng.choice([0.0005, 0.005, 0.015])
@@ -75,7 +101,9 @@ def make_random_push(
 
 def make_random_contents(rng: np.random.Generator, obj: GridObject) -> CellParameters:
     """Masses of 5 to 50 g a cell, friction 0.2 to 0.6, contact friction 0.1 to 0.6."""
-    return CellParameters(rng.uniform(0.005, 0.05, obj.n), rng.uniform(0.2, 0.6, obj.n), rng.uniform(0.1, 0.6))
+    return CellParameters(
+        rng.uniform(0.005, 0.05, obj.n), rng.uniform(0.2, 0.6, obj.n), rng.uniform(0.1, 0.6)
+    )
 
 
 def refine(times: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -45,7 +45,11 @@ def write_bag(folder: Path, form: str, topics: Sequence[Topic]) -> Path:
     ros1 = form == "bag"
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     if ros1:  # which does not count tf2_msgs among its common interfaces
-        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+        store.register(
+            get_types_from_msg(
+                "geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"
+            )
+        )
     path = folder / "pushes.bag" if ros1 else folder / f"pushes_{form}"
     plugin = StoragePlugin.MCAP if form == "mcap" else StoragePlugin.SQLITE3
     serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
@@ -71,15 +75,23 @@ def make_message(types: dict, topic: Topic, t: float, values: np.ndarray, ros1: 
     vector = make("geometry_msgs/Vector3", *map(float, values[:3]))
     if topic.kind == "WrenchStamped":
         still = make("geometry_msgs/Vector3", 0.0, 0.0, 0.0)
-        return make("geometry_msgs/WrenchStamped", header, make("geometry_msgs/Wrench", vector, still))
+        return make(
+            "geometry_msgs/WrenchStamped", header, make("geometry_msgs/Wrench", vector, still)
+        )
     turn = Rotation.from_euler("xyz", values[3:]).as_quat()
     quaternion = make("geometry_msgs/Quaternion", *map(float, turn))
-    pose = make("geometry_msgs/Pose", make("geometry_msgs/Point", *map(float, values[:3])), quaternion)
+    pose = make(
+        "geometry_msgs/Pose", make("geometry_msgs/Point", *map(float, values[:3])), quaternion
+    )
     if topic.kind == "PoseStamped":
         return make("geometry_msgs/PoseStamped", header, pose)
     if topic.kind == "Odometry":
         zero = make("geometry_msgs/Vector3", 0.0, 0.0, 0.0)
-        twist = make("geometry_msgs/TwistWithCovariance", make("geometry_msgs/Twist", zero, zero), np.zeros(36))
+        twist = make(
+            "geometry_msgs/TwistWithCovariance",
+            make("geometry_msgs/Twist", zero, zero),
+            np.zeros(36),
+        )
         covered = make("geometry_msgs/PoseWithCovariance", pose, np.zeros(36))
         return make("nav_msgs/Odometry", header, topic.child, covered, twist)
     transform = make("geometry_msgs/Transform", vector, quaternion)

@@ -56,7 +56,9 @@ class Script:
             self._see(velocity)
             if max(before[2], after[2]) < 0.03:
                 push = Push(before[:2], velocity[:2], PERIOD, RADIUS)
-                self.q = simulate(self.obj, self.params, push, self.q, regime="quasi_static").final_pose
+                self.q = simulate(
+                    self.obj, self.params, push, self.q, regime="quasi_static"
+                ).final_pose
             self.p = after
         return self
 
@@ -81,7 +83,9 @@ class Script:
         for sample in self.samples:
             state, episode = advance(state, sample, SEGMENTER)
             if episode is not None:
-                found.append(make_observed_push(episode, self.obj, RADIUS, f"push_{len(found) + 1}", record))
+                found.append(
+                    make_observed_push(episode, self.obj, RADIUS, f"push_{len(found) + 1}", record)
+                )
         return found
 
     def low(self, i: int) -> bool:
@@ -93,5 +97,7 @@ def poke_four_times(script: Script) -> Script:
     """Pushes of 10 cm from the left, each ending in contact."""
     for _ in range(4):
         x, y = script.q[:2].tolist()
-        script.lower(x - 0.06, y + 0.01).wait(0.2).push(x + 0.04, y + 0.01).wait(0.3).lift().wait(1.0)
+        script.lower(x - 0.06, y + 0.01).wait(0.2).push(x + 0.04, y + 0.01).wait(0.3).lift().wait(
+            1.0
+        )
     return script

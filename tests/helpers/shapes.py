@@ -21,13 +21,29 @@ def rectangle(length: float, width: float) -> NDArray[np.float64]:
 def notched_block(side: float = 0.1, depth: float = 0.03, half_width: float = 0.03) -> Polygon:
     """A square with a V-notch in its left side, symmetric about the x axis."""
     h = side / 2
-    return Polygon([(-h, -h), (h, -h), (h, h), (-h, h), (-h, half_width), (-h + depth, 0.0), (-h, -half_width)])
+    return Polygon(
+        [(-h, -h), (h, -h), (h, h), (-h, h), (-h, half_width), (-h + depth, 0.0), (-h, -half_width)]
+    )
 
 
 def claw_hammer() -> Polygon:
     """0.28 m long, the head at +x with its face down and its claw, a V, up."""
-    handle = [(-0.20, -0.012), (0.03, -0.010), (0.03, -0.055), (0.062, -0.055), (0.062, -0.01), (0.064, 0.02)]
-    claw = [(0.080, 0.060), (0.070, 0.066), (0.046, 0.018), (0.022, 0.066), (0.012, 0.060), (0.028, 0.010)]
+    handle = [
+        (-0.20, -0.012),
+        (0.03, -0.010),
+        (0.03, -0.055),
+        (0.062, -0.055),
+        (0.062, -0.01),
+        (0.064, 0.02),
+    ]
+    claw = [
+        (0.080, 0.060),
+        (0.070, 0.066),
+        (0.046, 0.018),
+        (0.022, 0.066),
+        (0.012, 0.060),
+        (0.028, 0.010),
+    ]
     return Polygon([*handle, *claw, (-0.20, 0.012)])
 
 
@@ -43,7 +59,9 @@ def wrench() -> Polygon:
 
 def l_bracket() -> Polygon:
     """Two arms of 0.12 and 0.08 m."""
-    return Polygon([(-0.03, -0.02), (0.09, -0.02), (0.09, 0.01), (0.0, 0.01), (0.0, 0.06), (-0.03, 0.06)])
+    return Polygon(
+        [(-0.03, -0.02), (0.09, -0.02), (0.09, 0.01), (0.0, 0.01), (0.0, 0.06), (-0.03, 0.06)]
+    )
 
 
 def triangle() -> Polygon:

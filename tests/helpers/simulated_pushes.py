@@ -83,13 +83,22 @@ def _try_push(
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
     point, _, normal = obj.edges.at(rng.uniform(0, obj.edges.perimeter))
     p_BP = point + normal * radius
-    turn, length = rng.uniform(-style.slant, style.slant), rng.uniform(style.shortest, style.longest)
+    turn, length = (
+        rng.uniform(-style.slant, style.slant),
+        rng.uniform(style.shortest, style.longest),
+    )
     pose = np.array([*rng.uniform(-0.1, 0.1, 2), rng.uniform(-np.pi, np.pi)])
-    noise = rng.normal(size=(style.samples, 3)) * (style.position_noise, style.position_noise, style.angle_noise)
+    noise = rng.normal(size=(style.samples, 3)) * (
+        style.position_noise,
+        style.position_noise,
+        style.angle_noise,
+    )
     if obj.outline.distance(Point(p_BP)) < (1 - 1e-6) * radius:
         return None
     direction = _rotate(turn + pose[2], -normal)
-    push = Push(pose[:2] + _rotate(pose[2], p_BP), style.speed * direction, length / style.speed, radius)
+    push = Push(
+        pose[:2] + _rotate(pose[2], p_BP), style.speed * direction, length / style.speed, radius
+    )
     motion = simulate(obj, truth, push, pose)
     moved = np.linalg.norm(obj.cells_at(motion.final_pose) - obj.cells_at(pose), axis=1).mean()
     if moved < style.min_motion:

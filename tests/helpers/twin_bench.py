@@ -14,7 +14,12 @@ from gridpush_drake.perception.tracking import TrackedPose
 from gridpush_drake.station.lcm.hardware_link import HardwareLink
 from gridpush_drake.station.lcm.hardware_station import MakeHardwareStation
 from gridpush_drake.station.lcm.picture_tracker import PictureTracker
-from gridpush_drake.station.lcm.robot_messages import ARM_PERIOD, OBJECT_STATUS, PICTURES, find_arm_messages
+from gridpush_drake.station.lcm.robot_messages import (
+    ARM_PERIOD,
+    OBJECT_STATUS,
+    PICTURES,
+    find_arm_messages,
+)
 from gridpush_drake.station.lcm.twin import MakeTwin
 from gridpush_drake.station.lcm.twin_camera import TwinCamera
 from gridpush_drake.station.robot import find_robot
@@ -61,7 +66,9 @@ class TwinBench:
         self.disturb = None
         self.rows.clear()
         self.link.report.events.clear()
-        self.link.report.silences = self.link.report.pauses = 0  # of which only the first ones are written down
+        self.link.report.silences = self.link.report.pauses = (
+            0  # of which only the first ones are written down
+        )
         self._reset()
         while self.link._object.data is None or len(self.rows) < 10:
             self.move()
@@ -79,7 +86,9 @@ class TwinBench:
         self._inside.HandleSubscriptions(0)
         plant, arm = self.twin.world.plant, self.twin.world.robot_in_plant.arm
         context = plant.GetMyContextFromRoot(self.simulator.get_context())
-        self.rows.append((self.time, plant.GetPositions(context, arm), plant.GetVelocities(context, arm)))
+        self.rows.append(
+            (self.time, plant.GetPositions(context, arm), plant.GetVelocities(context, arm))
+        )
 
     def find_stop(self, begin: float, near: float) -> float:
         """How long after `begin`, s, all joints were where they are now, as near as `near`, rad, for good."""
@@ -95,7 +104,11 @@ class TwinBench:
         )
         infos = map(contacts.point_pair_contact_info, range(contacts.num_point_pair_contacts()))
         body = plant.GetBodyByName(tip).index()
-        forces = [info.contact_force() for info in infos if body in (info.bodyA_index(), info.bodyB_index())]
+        forces = [
+            info.contact_force()
+            for info in infos
+            if body in (info.bodyA_index(), info.bodyB_index())
+        ]
         return float(np.linalg.norm(np.sum(forces, axis=0))) if forces else 0.0
 
     def _reset(self) -> None:

@@ -1,7 +1,7 @@
 """Twin, tracker and controller as processes of their own on LCM's UDP, in the network namespace that this is run in.
 
-`run_in_namespace` makes such a namespace and runs this file in it, with the name of a story and a folder; what the
-story came to is one JSON document on standard output.
+`run_in_namespace` makes such a namespace and runs this file in it, with the name of a story and a
+folder; what the story came to is one JSON document on standard output.
 """
 
 import json
@@ -57,13 +57,30 @@ def find_obstacle() -> str | None:
         done = subprocess.run(probe, capture_output=True, text=True, timeout=20, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
         return f"no network namespace can be made here: {error}"
-    return None if done.returncode == 0 else f"no network namespace can be made here: {done.stderr.strip()}"
+    return (
+        None
+        if done.returncode == 0
+        else f"no network namespace can be made here: {done.stderr.strip()}"
+    )
 
 
 def run_in_namespace(story: str, folder: Path) -> dict:
     """Runs a story; returns what it came to."""
-    command = ["unshare", "-rn", "sh", "-c", ENTER, "sh", sys.executable, __file__, story, str(folder)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=3 * PATIENCE, check=False)
+    command = [
+        "unshare",
+        "-rn",
+        "sh",
+        "-c",
+        ENTER,
+        "sh",
+        sys.executable,
+        __file__,
+        story,
+        str(folder),
+    ]
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=3 * PATIENCE, check=False
+    )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
@@ -82,7 +99,11 @@ class Watch:
 
         def take_status(data: bytes) -> None:
             message = lcmt_iiwa_status.decode(data)
-            row = (1e-6 * message.utime, message.joint_position_measured, message.joint_velocity_estimated)
+            row = (
+                1e-6 * message.utime,
+                message.joint_position_measured,
+                message.joint_velocity_estimated,
+            )
             self.statuses.append(row)
 
         def take_command(data: bytes) -> None:
@@ -115,10 +136,14 @@ class Watch:
     def describe_stop(self, fault: float) -> dict:
         """How the arm came to rest after a fault, and stayed there; the twin's seconds."""
         held = np.array(self.statuses[-1][1])
-        away = [row[0] for row in self.statuses if row[0] > fault and np.abs(held - row[1]).max() > NEAR]
+        away = [
+            row[0] for row in self.statuses if row[0] > fault and np.abs(held - row[1]).max() > NEAR
+        ]
         rest = max(away, default=fault)
         return {
-            "speed_before": float(np.abs([row[2] for row in self.statuses if row[0] <= fault][-1]).max()),
+            "speed_before": float(
+                np.abs([row[2] for row in self.statuses if row[0] <= fault][-1]).max()
+            ),
             "stopped_within": rest - fault,
             "held_for": self.statuses[-1][0] - rest,
         }
@@ -137,7 +162,9 @@ def start(command: str, folder: Path, *more: str, rate: float | None = RATE) -> 
 
 
 def start_robot(folder: Path, name: str) -> subprocess.Popen:
-    return start("robot", folder, "--task", "identify", "--go", "--json", "--out", str(folder / name))
+    return start(
+        "robot", folder, "--task", "identify", "--go", "--json", "--out", str(folder / name)
+    )
 
 
 def end(process: subprocess.Popen, name: str, folder: Path) -> dict:
@@ -213,7 +240,16 @@ def see_by_pictures(folder: Path, rate: str = str(SEEING_RATE)) -> dict:
     found = folder / "object.yaml"
     tracker = start("tracker", folder, "--out", str(found), rate=None)
     watch.until(lambda: bool(watch.poses) and found.exists(), "the tracker")
-    more = ["--task", "identify", "--go", "--json", "--object", str(found), "--out", str(folder / "robot")]
+    more = [
+        "--task",
+        "identify",
+        "--go",
+        "--json",
+        "--object",
+        str(found),
+        "--out",
+        str(folder / "robot"),
+    ]
     robot = start("robot", folder, *more, rate=float(rate))
     watch.until(lambda: robot.poll() is not None, "the end")
     told = {"robot": end(robot, "robot", folder), "poses": len(watch.poses)}
@@ -229,7 +265,9 @@ def see_by_pictures(folder: Path, rate: str = str(SEEING_RATE)) -> dict:
 
 def whole_story(folder: Path, *seeds: str) -> list[dict]:
     """Poked, learned, slid, grasped and lifted in real time, for each of some seeds; minutes each, so no test."""
-    (folder / "scenario.yaml").write_text((Path(__file__).parents[2] / "models/scenarios/grasp.yaml").read_text())
+    (folder / "scenario.yaml").write_text(
+        (Path(__file__).parents[2] / "models/scenarios/grasp.yaml").read_text()
+    )
     told = []
     for seed in seeds:
         watch, twin = Watch(), start("twin", folder, "--seed", seed, rate=1.0)
@@ -243,7 +281,9 @@ def whole_story(folder: Path, *seeds: str) -> list[dict]:
     return told
 
 
-STORIES = {story.__name__: story for story in (lose_controller, lose_twin, see_by_pictures, whole_story)}
+STORIES = {
+    story.__name__: story for story in (lose_controller, lose_twin, see_by_pictures, whole_story)
+}
 
 
 def main(story: str, folder: str, *more: str) -> None:

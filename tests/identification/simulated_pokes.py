@@ -33,6 +33,10 @@ def make_pokes(
         times = np.linspace(0, push.duration, observations + 1)
         grid = np.linspace(0, push.duration, 20 * observations + 1)
         simulation = simulate(obj, truth, push, times=grid, regime=regime)
-        poses = simulation.poses[::20][1:] + rng.normal(size=(observations, 3)) * [noise[0], noise[0], noise[1]]
+        poses = simulation.poses[::20][1:] + rng.normal(size=(observations, 3)) * [
+            noise[0],
+            noise[0],
+            noise[1],
+        ]
         pushes.append(ObservedPush(f"poke_{i}", push, np.zeros(3), times[1:], poses))
     return PushLog(tuple(pushes))

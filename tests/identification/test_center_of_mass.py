@@ -15,7 +15,9 @@ def test_covariance_is_that_of_samples_where_the_spread_is_small() -> None:
     obj = make_shape("l_bracket", 20)
     truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.03, 0.2, 0.05), np.full(obj.n, 0.4), 0.35)
     found = identify(obj, make_pokes(obj, truth, 3, 0))
-    small = Posterior(found.posterior.mean, 0.01 * found.posterior.covariance, found.posterior.prior_covariance)
+    small = Posterior(
+        found.posterior.mean, 0.01 * found.posterior.covariance, found.posterior.prior_covariance
+    )
     found = replace(found, posterior=small)
     center, covariance = calc_center_of_mass(found)
     np.testing.assert_allclose(center, found.params.center_of_mass(obj), atol=1e-15)
@@ -41,11 +43,15 @@ def test_frictions_that_differ_move_the_center_of_mass_off_that_of_friction() ->
         alone = np.zeros((obj.n + 1, obj.n + 1))
         alone[i, i] = 1.0
         one = replace(uneven, posterior=replace(uneven.posterior, covariance=alone))
-        np.testing.assert_allclose(calc_center_of_mass(one)[1], np.outer(slope, slope), rtol=1e-4, atol=1e-12)
+        np.testing.assert_allclose(
+            calc_center_of_mass(one)[1], np.outer(slope, slope), rtol=1e-4, atol=1e-12
+        )
     assert np.linalg.eigvalsh(covariance).min() > 0
 
 
-def test_a_center_of_mass_that_is_told_is_where_it_is_told_and_the_center_of_friction_not_far() -> None:
+def test_a_center_of_mass_that_is_told_is_where_it_is_told_and_the_center_of_friction_not_far() -> (
+    None
+):
     obj = make_shape("l_bracket", 80)
     truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.03, 0.2, 0.05), np.full(obj.n, 0.4), 0.35)
     at = truth.center_of_mass(obj)

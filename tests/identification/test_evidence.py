@@ -38,7 +38,11 @@ def learned():
 def calc_slowly(found, log, dz):
     """Independent of `PushEvidence`: pushes simulated one by one, and whole covariance matrices inverted."""
     noise, total, z = NoiseModel(), 0.0, found.posterior.mean + dz
-    params = replace(found.params, mass=np.exp(z[:-1]) / found.params.friction, contact_friction=float(np.exp(z[-1])))
+    params = replace(
+        found.params,
+        mass=np.exp(z[:-1]) / found.params.friction,
+        contact_friction=float(np.exp(z[-1])),
+    )
     centroid, rho = OBJ.p_BC.mean(axis=0), OBJ.radius_of_gyration
     evidence = PushEvidence(found, log)
     inputs = evidence._problem.linearize(found.posterior.mean).by_inputs
@@ -71,7 +75,9 @@ def test_excess_is_that_of_pushes_simulated_one_by_one(learned):
 def test_only_draws_that_the_pushes_contradict_are_drawn_in(learned):
     found, log = learned
     evidence = PushEvidence(found, log)
-    dz = np.random.default_rng(1).normal(0, 1, (40, OBJ.n + 1)) * np.repeat([0.01, 2.0], 20)[:, None]
+    dz = (
+        np.random.default_rng(1).normal(0, 1, (40, OBJ.n + 1)) * np.repeat([0.01, 2.0], 20)[:, None]
+    )
     excess = np.array([evidence.calc_excess(one) for one in dz])
     fine = excess <= evidence.max_excess
     assert 10 < fine.sum() < 30
@@ -88,12 +94,15 @@ def test_the_center_of_mass_of_a_three_footed_object_is_known_the_better_and_no_
     found, log = learned
     truth, evidence = make_three_footed(), PushEvidence(found, log)
     with_pushes, without = (
-        PlausibleMassSet.from_posterior(OBJ, found.posterior, (0.4, 0.4), judge=judge) for judge in (evidence, None)
+        PlausibleMassSet.from_posterior(OBJ, found.posterior, (0.4, 0.4), judge=judge)
+        for judge in (evidence, None)
     )
     angle = 2 * np.pi * np.arange(12) / 12
     directions = np.column_stack([np.cos(angle), np.sin(angle)])
     far, farther = with_pushes.calc_support(directions), without.calc_support(directions)
-    assert (far >= directions @ truth.center_of_mass(OBJ) - 5e-4).all(), "the true center is still within"
+    assert (far >= directions @ truth.center_of_mass(OBJ) - 5e-4).all(), (
+        "the true center is still within"
+    )
     assert far.sum() < 0.9 * farther.sum(), "the region's mean width"
 
 
@@ -106,7 +115,9 @@ def test_what_was_refused_or_not_learned_from_does_not_judge(learned):
     used = select_learned(found, spoilt)
     assert [seen.name for seen in used] == [seen.name for seen in log[:5]]
     evidence = PushEvidence.of_log(found, spoilt)
-    assert evidence.max_excess == pytest.approx(5 * POSE_NUMBERS + 3 * np.sqrt(2 * 5 * POSE_NUMBERS))
+    assert evidence.max_excess == pytest.approx(
+        5 * POSE_NUMBERS + 3 * np.sqrt(2 * 5 * POSE_NUMBERS)
+    )
     assert PushEvidence.of_log(found, PushLog((replace(log[0], name="another"),))) is None
     assert PushEvidence.of_log(found, None) is None
 
@@ -116,6 +127,8 @@ def test_the_judge_has_the_last_word_on_draws(learned):
     evidence = PushEvidence(found, log)
     for sample in found.posterior.draw_parameters(found.params, 8, 3, evidence):
         share = sample.relative_friction() / sample.relative_friction().sum()
-        dz = np.append(np.log(share / found.posterior.calc_share()), np.log(sample.contact_friction))
+        dz = np.append(
+            np.log(share / found.posterior.calc_share()), np.log(sample.contact_friction)
+        )
         dz[-1] -= found.posterior.mean[-1]
         assert evidence.calc_excess(dz) <= 1.01 * evidence.max_excess

@@ -5,7 +5,10 @@ import pytest
 
 from gridpush_drake.dynamics.push import make_path_times
 from gridpush_drake.dynamics.simulation import GRAVITY, simulate
-from gridpush_drake.identification.identifiability import _calc_box_of_known_scale, calc_center_of_mass_box
+from gridpush_drake.identification.identifiability import (
+    _calc_box_of_known_scale,
+    calc_center_of_mass_box,
+)
 from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.model_file import read_model, write_model
 from gridpush_drake.identification.result import Identification
@@ -23,14 +26,18 @@ MASS = 0.8
 
 def make_case(total_mass: float | None = None) -> tuple[GridObject, CellParameters]:
     """An object, one of whose ends is heavier and rougher than supposed."""
-    prior = PhysicalPrior(friction=0.35, friction_min=FRICTION[0], friction_max=FRICTION[1], total_mass=total_mass)
+    prior = PhysicalPrior(
+        friction=0.35, friction_min=FRICTION[0], friction_max=FRICTION[1], total_mass=total_mass
+    )
     obj = GridObject.from_outline(RECTANGLE, max_cells=18, prior=prior)
     heavy = obj.p_BC[:, 0] > 0.02
     mass = np.where(heavy, 4.0, 1.0)
     return obj, CellParameters(MASS * mass / mass.sum(), np.where(heavy, 0.45, 0.4), 0.35)
 
 
-def add_forces(obj: GridObject, truth: CellParameters, log: PushLog, seed: int, backwards: int = 0) -> PushLog:
+def add_forces(
+    obj: GridObject, truth: CellParameters, log: PushLog, seed: int, backwards: int = 0
+) -> PushLog:
     """With forces at 50 Hz: 15 % off from push to push, with noise and an offset of the sensor.
 
     Those of the first `backwards` pushes have the wrong sign.
@@ -41,12 +48,18 @@ def add_forces(obj: GridObject, truth: CellParameters, log: PushLog, seed: int, 
         motion = simulate(obj, truth, seen.push, seen.pose, regime="quasi_static", times=times)
         t = np.arange(0.0, seen.push.duration, 0.02)
         force = motion.contact_forces.sum(axis=1)[np.searchsorted(times, t, side="right") - 1]
-        force = force * np.exp(rng.normal(0, 0.15)) + rng.normal(0, 0.3, force.shape) + rng.normal(0, 0.05, 2)
+        force = (
+            force * np.exp(rng.normal(0, 0.15))
+            + rng.normal(0, 0.3, force.shape)
+            + rng.normal(0, 0.05, 2)
+        )
         pushes.append(replace(seen, force_t=t, force=-force if i < backwards else force))
     return PushLog(tuple(pushes))
 
 
-def learn(seed: int = 0, total_mass: float | None = None, backwards: int = 0, count: int = 6) -> Identification:
+def learn(
+    seed: int = 0, total_mass: float | None = None, backwards: int = 0, count: int = 6
+) -> Identification:
     obj, truth = make_case(total_mass)
     log = make_pokes(obj, truth, count, seed, noise=(3e-4, 3e-3))
     return identify(obj, add_forces(obj, truth, log, seed, backwards))
@@ -68,10 +81,14 @@ def test_an_unknown_mass_is_bounded_and_the_estimate_has_the_forces_scale() -> N
     model = learn(2)
     low, high = model.force.calc_mass_bounds(model.obj)
     assert low < MASS < high and high / low < 3.5
-    assert GRAVITY * model.params.mass @ model.params.friction == pytest.approx(model.force.friction)
+    assert GRAVITY * model.params.mass @ model.params.friction == pytest.approx(
+        model.force.friction
+    )
     assert np.all(model.params.friction == 0.35)
     known = model.identifiability
-    assert known.mass_min.sum() == pytest.approx(low) and known.mass_max.sum() == pytest.approx(high)
+    assert known.mass_min.sum() == pytest.approx(low) and known.mass_max.sum() == pytest.approx(
+        high
+    )
     assert (known.mass_min < truth.mass * 1.5).all() and (known.mass_max > truth.mass / 1.5).all()
     (said,) = [text for text in known.statements if "forces" in text]
     assert f"{model.force.friction:.2f} N" in said and f"weighs {low:.3g} to {high:.3g} kg" in said
@@ -99,7 +116,9 @@ def test_the_box_with_a_free_scale_is_that_without_forces() -> None:
     for seed in range(3):
         share = np.random.default_rng(seed).dirichlet(np.ones(obj.n))
         np.testing.assert_allclose(
-            _calc_box_of_known_scale(share, obj, *FRICTION), calc_center_of_mass_box(share, obj), atol=1e-9
+            _calc_box_of_known_scale(share, obj, *FRICTION),
+            calc_center_of_mass_box(share, obj),
+            atol=1e-9,
         )
 
 
@@ -113,7 +132,9 @@ def test_at_a_bound_of_the_friction_all_cells_are_there_and_the_center_is_known(
 def test_forces_that_point_backwards_are_left_out_or_not_believed_at_all() -> None:
     some = learn(1, backwards=2)
     assert (some.force.pushes, some.force.against) == (4, 2)
-    assert any("Left out are the forces of 2 pushes" in text for text in some.identifiability.statements)
+    assert any(
+        "Left out are the forces of 2 pushes" in text for text in some.identifiability.statements
+    )
     none = learn(1, backwards=6)
     assert none.force is None
     np.testing.assert_array_equal(none.params.mass, learn_without_forces(1).params.mass)
@@ -128,13 +149,17 @@ def test_without_forces_nothing_is_said_of_them() -> None:
     model = learn_without_forces(0)
     assert model.force is None
     assert not any("forces" in text for text in model.identifiability.statements)
-    assert model.identifiability.statements[0].startswith("Not identifiable from these data: the common scale")
+    assert model.identifiability.statements[0].startswith(
+        "Not identifiable from these data: the common scale"
+    )
 
 
 def test_a_mass_that_contradicts_the_forces_is_said_and_kept() -> None:
     model = learn(0, total_mass=10 * MASS)
     assert model.force.calc_mean_friction_bounds(model.obj) is None
-    assert model.params.total_mass == pytest.approx(10 * MASS) and np.all(model.params.friction == 0.35)
+    assert model.params.total_mass == pytest.approx(10 * MASS) and np.all(
+        model.params.friction == 0.35
+    )
     assert "contradicts what was told" in model.identifiability.statements[0]
 
 
@@ -144,11 +169,17 @@ def test_a_model_file_keeps_it(tmp_path) -> None:
     back = read_model(tmp_path / "model.yaml")
     assert back.force == model.force
     assert back.identifiability.statements == model.identifiability.statements
-    np.testing.assert_allclose(back.identifiability.mass_min, model.identifiability.mass_min, rtol=1e-9)
-    np.testing.assert_allclose(back.identifiability.center_of_mass_box, model.identifiability.center_of_mass_box)
+    np.testing.assert_allclose(
+        back.identifiability.mass_min, model.identifiability.mass_min, rtol=1e-9
+    )
+    np.testing.assert_allclose(
+        back.identifiability.center_of_mass_box, model.identifiability.center_of_mass_box
+    )
 
 
-@pytest.mark.parametrize("name", ["hardboard_wide", "hardboard_middle", "hardboard_patch", "plywood_wide"])
+@pytest.mark.parametrize(
+    "name", ["hardboard_wide", "hardboard_middle", "hardboard_patch", "plywood_wide"]
+)
 def test_real_forces_give_a_steel_block_a_likely_friction(name: str) -> None:
     """1.518 kg on hardboard and plywood, whose friction is between 0.2 and 0.5."""
     log, obj = CmuImporter().read(shared_data("cmu_pushes", f"{name}.txt"))

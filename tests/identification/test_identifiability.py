@@ -2,7 +2,10 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from gridpush_drake.identification.identifiability import calc_center_of_mass_box, calc_identifiability
+from gridpush_drake.identification.identifiability import (
+    calc_center_of_mass_box,
+    calc_identifiability,
+)
 from gridpush_drake.identification.posterior import Posterior
 from gridpush_drake.objects.grid_object import GridObject, PhysicalPrior
 from gridpush_drake.objects.parameters import CellParameters
@@ -16,7 +19,8 @@ def make_object() -> GridObject:
 
 
 def calc_box_by_linear_program(share: np.ndarray, obj: GridObject) -> np.ndarray:
-    # Charnes and Cooper: y = m/sum(m), t = 1/sum(m); the extreme of y·p s.t. sum y = 1, k t/mu_max <= y <= k t/mu_min.
+    # Charnes and Cooper: y = m/sum(m), t = 1/sum(m); the extreme of y·p s.t. sum y = 1, k t/mu_max
+    # <= y <= k t/mu_min.
     n, box = obj.n, np.empty((2, 2))
     upper = np.hstack([np.eye(n), -(share / obj.prior.friction_min)[:, None]])
     lower = np.hstack([-np.eye(n), (share / obj.prior.friction_max)[:, None]])
@@ -51,7 +55,9 @@ def test_counts_learned_directions_and_spans_the_rest() -> None:
     params = CellParameters.uniform(obj)
     report = calc_identifiability(obj, params, make_posterior(obj, 5))
     assert report.null_space.shape[1] == obj.n
-    np.testing.assert_allclose(report.null_space @ report.null_space.T, np.eye(len(report.null_space)), atol=1e-9)
+    np.testing.assert_allclose(
+        report.null_space @ report.null_space.T, np.eye(len(report.null_space)), atol=1e-9
+    )
     np.testing.assert_allclose(report.null_space[0], np.full(obj.n, obj.n**-0.5), atol=1e-9)
     # The common scale is no combination of the 13 directions left unknown, so 14 are.
     assert report.learned_directions == obj.n - 14
@@ -61,7 +67,9 @@ def test_counts_learned_directions_and_spans_the_rest() -> None:
 def test_mass_bounds_hold_for_every_agreeing_mass_distribution() -> None:
     obj = make_object()
     share = np.random.default_rng(0).dirichlet(np.ones(obj.n))
-    posterior = Posterior(np.append(np.log(share), 0.0), np.eye(obj.n + 1) * 0.01, np.eye(obj.n + 1))
+    posterior = Posterior(
+        np.append(np.log(share), 0.0), np.eye(obj.n + 1) * 0.01, np.eye(obj.n + 1)
+    )
     params = CellParameters(2.0 * share, np.full(obj.n, 0.4))
     report = calc_identifiability(obj, params, posterior)
     rng = np.random.default_rng(1)

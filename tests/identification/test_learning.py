@@ -26,7 +26,9 @@ HANDLE = [
 
 
 def make_block(max_cells: int = 18) -> GridObject:
-    return GridObject.from_outline(RECTANGLE, max_cells=max_cells, prior=PhysicalPrior(pusher_radius=0.008))
+    return GridObject.from_outline(
+        RECTANGLE, max_cells=max_cells, prior=PhysicalPrior(pusher_radius=0.008)
+    )
 
 
 def make_uneven(obj: GridObject) -> CellParameters:
@@ -36,7 +38,12 @@ def make_uneven(obj: GridObject) -> CellParameters:
 def calc_error(obj: GridObject, params: CellParameters, log: PushLog) -> float:
     made = predict(obj, params, log)
     return float(
-        np.mean([calc_pose_error(obj, p.poses[-1], q.final_pose).cell for p, q in zip(made, log, strict=True)])
+        np.mean(
+            [
+                calc_pose_error(obj, p.poses[-1], q.final_pose).cell
+                for p, q in zip(made, log, strict=True)
+            ]
+        )
     )
 
 
@@ -47,14 +54,22 @@ def test_learns_an_uneven_block_from_noisy_pokes() -> None:
     log = make_pokes(obj, truth, 6, 0, noise=(5e-4, 3.5e-3))
     found = identify(obj, log)
     assert found.status == "learned"
-    assert calc_error(obj, found.params, held_out) < calc_error(obj, CellParameters.uniform(obj), held_out) / 4
+    assert (
+        calc_error(obj, found.params, held_out)
+        < calc_error(obj, CellParameters.uniform(obj), held_out) / 4
+    )
     center = found.identifiability.center_of_friction
     true_center = truth.relative_friction() @ obj.p_BC
     spread = np.sqrt(np.diag(found.identifiability.center_of_friction_covariance))
     assert np.linalg.norm(center - true_center) < 0.005
     assert (np.abs(center - true_center) < 5 * spread + 0.001).all()
-    assert found.history and all(b.loss <= a.loss for a, b in zip(found.history, found.history[1:], strict=False))
-    assert all(b.simulations >= a.simulations for a, b in zip(found.history, found.history[1:], strict=False))
+    assert found.history and all(
+        b.loss <= a.loss for a, b in zip(found.history, found.history[1:], strict=False)
+    )
+    assert all(
+        b.simulations >= a.simulations
+        for a, b in zip(found.history, found.history[1:], strict=False)
+    )
 
 
 def test_default_stands_on_points_and_searches_on_whole_cells() -> None:
@@ -109,7 +124,9 @@ def test_result_carries_spread_and_samples() -> None:
 
 def test_weighed_object_keeps_its_mass() -> None:
     obj = make_block()
-    found = identify(obj, make_pokes(obj, make_uneven(obj), 2, 2), prior=PhysicalPrior(total_mass=2.5))
+    found = identify(
+        obj, make_pokes(obj, make_uneven(obj), 2, 2), prior=PhysicalPrior(total_mass=2.5)
+    )
     assert found.params.total_mass == pytest.approx(2.5)
     assert found.obj.prior.total_mass == 2.5
 
@@ -118,8 +135,12 @@ def test_pushes_that_never_touch_are_left_out_and_named() -> None:
     obj = make_block()
     log = make_pokes(obj, make_uneven(obj), 2, 2)
     miss = log[0]
-    far = type(miss.push)(miss.push.start + 1.0, miss.push.velocity, miss.push.duration, miss.push.radius)
-    missed = ObservedPush("far", far, miss.pose, miss.t_observed, np.zeros_like(miss.poses_observed))
+    far = type(miss.push)(
+        miss.push.start + 1.0, miss.push.velocity, miss.push.duration, miss.push.radius
+    )
+    missed = ObservedPush(
+        "far", far, miss.pose, miss.t_observed, np.zeros_like(miss.poses_observed)
+    )
     found = identify(obj, PushLog((*log.pushes, missed)))
     assert found.unused_pushes == ("far",)
     assert found.push_names == ("poke_0", "poke_1")
@@ -141,7 +162,9 @@ def test_the_paper_s_method_learns_of_an_object_pushed_above_the_table() -> None
     high = replace(obj, prior=replace(obj.prior, pusher_radius=0.005, push_height=0.01))
     found = identify(high, log, method="paper", budget=20)
     assert found.params.push_height == 0.01
-    np.testing.assert_array_equal(found.params.mass, identify(obj, log, method="paper", budget=20).params.mass)
+    np.testing.assert_array_equal(
+        found.params.mass, identify(obj, log, method="paper", budget=20).params.mass
+    )
 
 
 @pytest.mark.parametrize("method", METHODS[1:])
@@ -188,7 +211,9 @@ def test_bad_arguments_are_refused() -> None:
     with pytest.raises(IdentificationError, match="k is -1"):
         describe_prior(obj).samples(-1)
     for amplitudes in ((), (1.0, 0.5), (0.0, 1.0), (1.0, np.inf)):
-        with pytest.raises(IdentificationError, match="expected positive finite numbers that increase"):
+        with pytest.raises(
+            IdentificationError, match="expected positive finite numbers that increase"
+        ):
             MapEnsemble(amplitudes=amplitudes)
     with pytest.raises(IdentificationError, match="no pushes"):
         identify(obj, PushLog(()))
@@ -211,7 +236,9 @@ def test_a_fit_that_has_no_solution_is_an_error_that_asks_about_what_was_told() 
 @pytest.mark.parametrize("patch_ratio", [1.0, 0.1])
 def test_an_object_of_one_cell_has_its_whole_load_there(patch_ratio: float) -> None:
     obj = GridObject.from_outline([[0, 0], [0.05, 0], [0.05, 0.05], [0, 0.05]], max_cells=1)
-    found = identify(obj, make_pokes(obj, replace(CellParameters.uniform(obj), patch_ratio=patch_ratio), 3, 0))
+    found = identify(
+        obj, make_pokes(obj, replace(CellParameters.uniform(obj), patch_ratio=patch_ratio), 3, 0)
+    )
     np.testing.assert_allclose(found.relative_friction, 1.0)
     np.testing.assert_allclose(found.identifiability.center_of_friction, obj.p_BC[0])
 

@@ -74,8 +74,12 @@ def test_the_evidence_of_a_cut_is_that_of_its_dense_covariance(known: int) -> No
     if known:
         found -= calc_cut_evidence(cuts, none, residuals[-known:], J[-known:])
     np.testing.assert_allclose(found, expected, atol=1e-9)
-    prior, _ = choose_parts(obj, np.zeros(obj.n + 1), calc_smooth_covariance(obj), MU_STD, residuals, J, known)[0]
-    np.testing.assert_allclose(prior.factor @ prior.factor.T, make_covariance(obj, cuts[np.argmax(expected)]))
+    prior, _ = choose_parts(
+        obj, np.zeros(obj.n + 1), calc_smooth_covariance(obj), MU_STD, residuals, J, known
+    )[0]
+    np.testing.assert_allclose(
+        prior.factor @ prior.factor.T, make_covariance(obj, cuts[np.argmax(expected)])
+    )
 
 
 @pytest.mark.parametrize("rows", [9, 90])
@@ -90,10 +94,15 @@ def test_each_cut_begins_at_its_linear_optimum_and_no_two_are_alike(rows: int) -
         gradient = precision @ (z - z0) + J.T @ (residuals + J @ (z - z0))
         np.testing.assert_allclose(gradient, 0, atol=1e-6 * np.abs(J.T @ residuals).max())
     within = PART_AMPLITUDE**2 * calc_smooth_covariance(obj)
-    cuts = [np.linalg.eigh((prior.factor @ prior.factor.T)[:-1, :-1] - within)[1][:, -1] for prior, _ in found]
+    cuts = [
+        np.linalg.eigh((prior.factor @ prior.factor.T)[:-1, :-1] - within)[1][:, -1]
+        for prior, _ in found
+    ]
     correlation = np.abs(np.corrcoef(cuts))
     assert correlation[np.triu_indices(PART_FITS, 1)].max() <= ALIKE + 1e-6
-    assert all(prior.share > 0 for prior, _ in found) and sum(prior.share for prior, _ in found) <= 1
+    assert (
+        all(prior.share > 0 for prior, _ in found) and sum(prior.share for prior, _ in found) <= 1
+    )
 
 
 def test_four_pushes_show_two_parts_and_how_they_differ() -> None:

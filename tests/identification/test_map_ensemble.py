@@ -33,35 +33,54 @@ NOISE = (5e-4, 3.5e-3)
 
 def learn(mass_ratio: float, amplitudes: tuple[float, ...] = MapEnsemble().amplitudes):
     obj = make_shape("l_bracket", 20)
-    truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.03, mass_ratio, 1.0), np.full(obj.n, 0.4), 0.35)
-    return identify(obj, make_pokes(obj, truth, 4, 5, noise=NOISE), ensemble=MapEnsemble(amplitudes=amplitudes))
+    truth = CellParameters(
+        np.where(obj.p_BC[:, 0] > 0.03, mass_ratio, 1.0), np.full(obj.n, 0.4), 0.35
+    )
+    return identify(
+        obj, make_pokes(obj, truth, 4, 5, noise=NOISE), ensemble=MapEnsemble(amplitudes=amplitudes)
+    )
 
 
 def test_evidence_chooses_the_amplitude_that_the_pushes_ask_for() -> None:
     even, uneven = learn(1.0), learn(8.0)
     assert even.status == "prior_kept" and uneven.status == "learned"
-    prior_variance = [np.diag(found.posterior.prior_covariance)[:-1].mean() for found in (even, uneven)]
+    prior_variance = [
+        np.diag(found.posterior.prior_covariance)[:-1].mean() for found in (even, uneven)
+    ]
     assert prior_variance[0] < 0.5**2 < prior_variance[1]
 
 
 def test_average_lies_among_its_fits_and_its_spread_covers_theirs() -> None:
     found = learn(4.0)
     fits = np.array([start.z for start in found.starts])
-    assert (found.posterior.mean >= fits.min(axis=0)).all() and (found.posterior.mean <= fits.max(axis=0)).all()
-    alone = [learn(4.0, (amplitude,)).posterior.covariance for amplitude in MapEnsemble().amplitudes]
+    assert (found.posterior.mean >= fits.min(axis=0)).all() and (
+        found.posterior.mean <= fits.max(axis=0)
+    ).all()
+    alone = [
+        learn(4.0, (amplitude,)).posterior.covariance for amplitude in MapEnsemble().amplitudes
+    ]
     assert np.trace(found.posterior.covariance) >= min(np.trace(covariance) for covariance in alone)
 
 
-def test_where_nothing_is_known_the_center_is_held_about_the_centroid_until_pushes_say_otherwise() -> None:
+def test_where_nothing_is_known_the_center_is_held_about_the_centroid_until_pushes_say_otherwise() -> (
+    None
+):
     obj = make_shape("l_bracket", 20)
     truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.03, 50.0, 1.0), np.full(obj.n, 0.4), 0.35)
     centroid, true_center = obj.p_BC.mean(axis=0), truth.mass @ obj.p_BC / truth.total_mass
 
     def find_center(pushes: int, std: float | None):
-        known = None if std is None else CenterOfMass((centroid[0], centroid[1]), std * obj.radius_of_gyration)
+        known = (
+            None
+            if std is None
+            else CenterOfMass((centroid[0], centroid[1]), std * obj.radius_of_gyration)
+        )
         problem = PushProblem(obj, make_pokes(obj, truth, pushes, 5, noise=NOISE), truth)
         z0 = problem.unknowns(CellParameters.uniform(obj))
-        return calc_share(MapEnsemble().fit(problem, z0, 0.3, known, lambda z, linear: None).z) @ obj.p_BC
+        return (
+            calc_share(MapEnsemble().fit(problem, z0, 0.3, known, lambda z, linear: None).z)
+            @ obj.p_BC
+        )
 
     held, alike, free = (find_center(1, std) for std in (None, CENTER_STD, 100.0))
     np.testing.assert_array_equal(held, alike)
@@ -139,7 +158,9 @@ def test_a_rigid_bottom_on_its_corners_is_recognized() -> None:
     truth = CellParameters(mass, np.full(obj.n, 0.4), 0.35)
     on_corners = np.array(obj.p_BC)
     on_corners[cells] = places
-    problem = PushProblem(obj, make_pokes(replace(obj, p_BC=on_corners), truth, 5, 5, noise=NOISE), truth)
+    problem = PushProblem(
+        obj, make_pokes(replace(obj, p_BC=on_corners), truth, 5, 5, noise=NOISE), truth
+    )
     z0 = problem.unknowns(CellParameters.uniform(obj))
     fit = MapEnsemble().fit(problem, z0, 0.3, None, lambda z, linear: None)
     assert fit.best is not None
@@ -165,24 +186,35 @@ def calc_region(obj: GridObject, fit: MapEnsembleFit) -> float:
     return float(np.sqrt(np.linalg.det(F @ fit.covariance @ F.T)))
 
 
-def test_pushes_that_contradict_each_other_widen_what_is_said_and_good_ones_narrow_intervals() -> None:
+def test_pushes_that_contradict_each_other_widen_what_is_said_and_good_ones_narrow_intervals() -> (
+    None
+):
     (obj, agreeing), (_, contradicting) = fit_pokes(False), fit_pokes(True)
     assert agreeing.interval_scale < 0.7 and contradicting.interval_scale == 1.0
     assert calc_region(obj, contradicting) > 2 * calc_region(obj, agreeing)
 
 
-def test_pushes_that_agree_make_surer_of_what_none_shows_but_by_half_as_much(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pushes_that_agree_make_surer_of_what_none_shows_but_by_half_as_much(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     obj, surer = fit_pokes(False)
     monkeypatch.setattr(map_ensemble, "CAUTION", np.inf)
     _, cautious = fit_pokes(False)
     np.testing.assert_array_equal(surer.z, cautious.z)
     assert surer.interval_scale == cautious.interval_scale < 1 / 2
-    assert (2 * surer.interval_scale) ** 2 < calc_region(obj, surer) / calc_region(obj, cautious) < 0.9
+    assert (
+        (2 * surer.interval_scale) ** 2 < calc_region(obj, surer) / calc_region(obj, cautious) < 0.9
+    )
     monkeypatch.setattr(map_ensemble, "CAUTION", 1.0)
     assert calc_region(*fit_pokes(False)) < 0.9 * calc_region(obj, surer)
 
 
 def test_a_push_that_ends_far_off_is_not_explained_away_by_being_sensitive() -> None:
     case = make_case(make_protocol(), "pliers", 4)
-    found, test = identify(case.obj, case.log.subset([1, 2, 3, 8, 6])), case.log.subset([0, 4, 5, 7, 9])
-    assert calc_mean_cell_error(case.obj, found.params, test, found.regime) < 0.005, "26 mm from a poor optimum"
+    found, test = (
+        identify(case.obj, case.log.subset([1, 2, 3, 8, 6])),
+        case.log.subset([0, 4, 5, 7, 9]),
+    )
+    assert calc_mean_cell_error(case.obj, found.params, test, found.regime) < 0.005, (
+        "26 mm from a poor optimum"
+    )

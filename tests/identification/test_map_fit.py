@@ -35,7 +35,12 @@ def test_center_of_mass_residual_has_the_jacobian_it_says() -> None:
     known = CenterOfMass((0.01, -0.002), 0.002, 0.2)
     z = z0 + np.random.default_rng(0).normal(size=len(z0)) * 0.3
     W, _ = known.make_whitening(problem.obj, z)
-    check_jacobian(lambda v: known.linearize(problem.obj, v, W)[0], z, known.linearize(problem.obj, z, W)[1], rtol=1e-6)
+    check_jacobian(
+        lambda v: known.linearize(problem.obj, v, W)[0],
+        z,
+        known.linearize(problem.obj, z, W)[1],
+        rtol=1e-6,
+    )
 
 
 def test_center_of_friction_scatters_about_the_center_of_mass_as_drawn_frictions_make_it() -> None:
@@ -50,13 +55,20 @@ def test_center_of_friction_scatters_about_the_center_of_mass_as_drawn_frictions
     assert spread == pytest.approx(-np.linalg.slogdet(W)[1])
     feet = z0.copy()
     feet[[0, obj.n // 2, obj.n - 1]] += 5.0
-    nearer, farther = (CenterOfMass((0.0, 0.0), 0.001, sigma).make_whitening(obj, at)[1] for at in (z0, feet))
+    nearer, farther = (
+        CenterOfMass((0.0, 0.0), 0.001, sigma).make_whitening(obj, at)[1] for at in (z0, feet)
+    )
     assert nearer < farther
 
 
 def test_frictions_scatter_no_more_than_their_bounds_allow() -> None:
-    told = PhysicalPrior(friction=0.35, friction_min=0.3, friction_max=0.4, center_of_mass=(0.0, 0.01))
-    wide, narrow = CenterOfMass.of_prior(replace(told, friction_max=1.0)), CenterOfMass.of_prior(told)
+    told = PhysicalPrior(
+        friction=0.35, friction_min=0.3, friction_max=0.4, center_of_mass=(0.0, 0.01)
+    )
+    wide, narrow = (
+        CenterOfMass.of_prior(replace(told, friction_max=1.0)),
+        CenterOfMass.of_prior(told),
+    )
     assert wide is not None and narrow is not None
     assert wide.friction_std == FRICTION_STD > narrow.friction_std
     assert narrow.friction_std == pytest.approx(np.log(0.4 / 0.3) / 12**0.5)
@@ -64,13 +76,17 @@ def test_frictions_scatter_no_more_than_their_bounds_allow() -> None:
 
 
 @pytest.mark.parametrize("std", [0.0001, 0.002, 0.02])
-def test_a_center_of_mass_is_no_evidence_for_an_amplitude_where_no_push_was_made(std: float) -> None:
+def test_a_center_of_mass_is_no_evidence_for_an_amplitude_where_no_push_was_made(
+    std: float,
+) -> None:
     problem, _, z0, _ = make_problem(1)
     # One push, whose noise is so large that it says nothing.
     noise = NoiseModel(pose=1e3, tip=1e3, load_shift=1e3, prior_weight=1e9, shift_weight=1e9)
     C = calc_smooth_covariance(problem.obj)
     found = [
-        fit_map(problem, z0, calc_prior_factor(C, a, 0.3), noise, CenterOfMass((0.02, 0.005), std)).log_evidence
+        fit_map(
+            problem, z0, calc_prior_factor(C, a, 0.3), noise, CenterOfMass((0.02, 0.005), std)
+        ).log_evidence
         for a in (0.2, 0.7, 1.5, 3.0)
     ]
     np.testing.assert_allclose(found, found[0], atol=0.1)
@@ -80,7 +96,9 @@ def test_noise_free_pokes_give_the_center_of_friction_back() -> None:
     problem, truth, z0, A = make_problem()
     fit = fit_map(problem, z0, A, NoiseModel())
     found = problem.params(fit.z)
-    error = found.relative_friction() @ problem.obj.p_BC - truth.relative_friction() @ problem.obj.p_BC
+    error = (
+        found.relative_friction() @ problem.obj.p_BC - truth.relative_friction() @ problem.obj.p_BC
+    )
     assert np.linalg.norm(error) < 1e-3
     assert problem.calc_cell_errors(problem.residuals(fit.z)).mean() < 3e-4
     assert found.contact_friction == pytest.approx(truth.contact_friction, rel=0.1)
@@ -90,7 +108,8 @@ def test_evidence_prefers_the_prior_that_can_explain_the_data() -> None:
     problem, _, z0, A = make_problem()
     flat = calc_prior_factor(calc_smooth_covariance(problem.obj), 0.05, 0.3)
     assert (
-        fit_map(problem, z0, A, NoiseModel()).log_evidence > fit_map(problem, z0, flat, NoiseModel()).log_evidence + 5
+        fit_map(problem, z0, A, NoiseModel()).log_evidence
+        > fit_map(problem, z0, flat, NoiseModel()).log_evidence + 5
     )
 
 
@@ -127,11 +146,15 @@ def test_many_observations_of_one_push_count_as_their_square_root() -> None:
     assert calc_effective_count(3 * 16) == pytest.approx(12)
 
 
-def make_stacked(problem: PushProblem, z0: np.ndarray, A: np.ndarray, fit: MapFit, noise: NoiseModel):
+def make_stacked(
+    problem: PushProblem, z0: np.ndarray, A: np.ndarray, fit: MapFit, noise: NoiseModel
+):
     """The problem in u, whole: residuals and Jacobian with the noise dense and weights held as they are at the fit."""
     whitening, weights = [], []
     for inputs, r in zip(fit.linear.by_inputs, fit.linear.residuals, strict=True):
-        whitening.append(np.linalg.inv(np.linalg.cholesky(noise.calc_covariance(inputs, fit.scale))))
+        whitening.append(
+            np.linalg.inv(np.linalg.cholesky(noise.calc_covariance(inputs, fit.scale)))
+        )
         weights.append(np.sqrt(noise.calc_weight(whitening[-1] @ r)))
 
     def evaluate(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -150,11 +173,15 @@ def test_fit_is_that_of_the_whole_problem_solved_densely(count: int) -> None:
     fit = fit_map(problem, z0, A, noise)
     evaluate = make_stacked(problem, z0, A, fit, noise)
     u = np.linalg.solve(A, fit.z - z0)
-    slow = least_squares(lambda v: evaluate(v)[0], u, jac=lambda v: evaluate(v)[1], ftol=1e-12, xtol=1e-12, gtol=None)
+    slow = least_squares(
+        lambda v: evaluate(v)[0], u, jac=lambda v: evaluate(v)[1], ftol=1e-12, xtol=1e-12, gtol=None
+    )
     std = np.sqrt(np.diag(fit.covariance))
     assert (np.abs(z0 + A @ slow.x - fit.z) < 0.1 * std).all()
     J = evaluate(u)[1]
-    np.testing.assert_allclose(fit.covariance, A @ np.linalg.inv(J.T @ J) @ A.T, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        fit.covariance, A @ np.linalg.inv(J.T @ J) @ A.T, rtol=1e-6, atol=1e-9
+    )
 
 
 def test_whitening_is_the_inverse_root_of_the_noise() -> None:
@@ -180,7 +207,9 @@ def test_last_poses_are_judged_by_what_the_other_pushes_say_of_them() -> None:
         H = np.eye(len(z0)) + others.T @ others
         J, r, W = system.slopes[i], system.linear.residuals[i], system.whitenings[i]
         own = weighted[i].T @ (np.sqrt(system.weights[i]) * W.apply(r))
-        e = (r + J @ np.linalg.solve(H, own))[-3:]  # the fit moves on by what the push itself pulled
+        e = (r + J @ np.linalg.solve(H, own))[
+            -3:
+        ]  # the fit moves on by what the push itself pulled
         one = noise.calc_covariance(system.linear.by_inputs[i], system.scale)[-3:, -3:]
         one -= (system.scale.pose * noise.pose) ** 2 * (np.sqrt(K) - 1) * np.eye(3)
         S = one + J[-3:] @ np.linalg.solve(H, J[-3:].T)

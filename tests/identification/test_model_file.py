@@ -40,7 +40,9 @@ def model(tmp_path):
 
 def test_gives_every_number_back(tmp_path):
     outline = shapely.Polygon(OUTLINE, [HOLE])
-    identification = make_identification(GridObject.from_outline(outline, max_cells=60, name="block: with a 'hole'"))
+    identification = make_identification(
+        GridObject.from_outline(outline, max_cells=60, name="block: with a 'hole'")
+    )
     path = tmp_path / "model.yaml"
     write_model(path, identification)
     assert looks_like_model(path)
@@ -59,7 +61,9 @@ def test_keeps_the_noise_that_was_supposed(tmp_path):
 def test_keeps_the_patch_and_takes_the_whole_cell_where_none_is_said(model, tmp_path):
     found = make_identification()
     path = tmp_path / "points.yaml"
-    write_model(path, dataclasses.replace(found, params=dataclasses.replace(found.params, patch_ratio=0.1)))
+    write_model(
+        path, dataclasses.replace(found, params=dataclasses.replace(found.params, patch_ratio=0.1))
+    )
     assert read_model(path).params.patch_ratio == 0.1
     model.write_text(re.sub(r"patch_ratio: .*\n", "", model.read_text()))
     assert_same(read_model(model), found)
@@ -105,7 +109,8 @@ def test_refuses_what_is_not_a_model(model, old, new, messages):
 
 
 @pytest.mark.parametrize(
-    ("content", "message"), [(b"", "is empty"), (b"\x00\xff", "not UTF-8"), (b"[1", "not valid YAML")]
+    ("content", "message"),
+    [(b"", "is empty"), (b"\x00\xff", "not UTF-8"), (b"[1", "not valid YAML")],
 )
 def test_refuses_other_files(tmp_path, content, message):
     path = tmp_path / "model.yaml"
@@ -130,13 +135,21 @@ def test_says_that_there_is_no_file(tmp_path):
         ("  cells:\n", "object.cells.centres", "called centers now"),
         ("\ncells:\n", "cells.p_BC", "called object.cells.centers now"),
         ("\ncells:\n", "cells.labels", "called object.cells.labels now"),
-        ("identifiability:\n", "identifiability.centre_of_friction", "called center_of_friction now"),
+        (
+            "identifiability:\n",
+            "identifiability.centre_of_friction",
+            "called center_of_friction now",
+        ),
         (
             "identifiability:\n",
             "identifiability.centre_of_friction_covariance",
             "called center_of_friction_covariance now",
         ),
-        ("identifiability:\n", "identifiability.centre_of_mass_box", "called center_of_mass_box now"),
+        (
+            "identifiability:\n",
+            "identifiability.centre_of_mass_box",
+            "called center_of_mass_box now",
+        ),
     ],
 )
 def test_an_old_key_is_refused_with_its_new_name(model, line, old, new):

@@ -29,7 +29,9 @@ def make_case(name: str = "square", seed: int = 1, reverse: bool = False) -> tup
     obj = make_shape(name, 40)
     order = np.argsort(obj.p_BC[:, 0])
     heavy = np.isin(np.arange(obj.n), (order if reverse else order[::-1])[: int(0.4 * obj.n)])
-    truth = CellParameters(np.where(heavy, 0.3, 0.06), np.full(obj.n, 0.4), 0.35, patch_ratio=obj.n**-0.5)
+    truth = CellParameters(
+        np.where(heavy, 0.3, 0.06), np.full(obj.n, 0.4), 0.35, patch_ratio=obj.n**-0.5
+    )
     return obj, truth, make_pokes(obj, truth, PUSHES, seed, noise=NOISE, observations=OBSERVATIONS)
 
 
@@ -51,7 +53,9 @@ def spoil(obj, log: PushLog, kind: str) -> tuple[PushLog, dict[str, tuple[int, .
         i = int(rng.integers(OBSERVATIONS))
         poses = seen.poses_observed.copy()
         if kind == "jump":
-            poses[i] += np.append(rng.choice([-1, 1], 2) * rng.uniform(0.03, 0.15, 2), rng.uniform(-3, 3))
+            poses[i] += np.append(
+                rng.choice([-1, 1], 2) * rng.uniform(0.03, 0.15, 2), rng.uniform(-3, 3)
+            )
         else:
             poses[i] = turn(obj, poses[i], np.pi if kind == "flip" else np.pi / 2)
         pushes.append(replace(seen, poses_observed=poses))
@@ -62,7 +66,14 @@ def spoil(obj, log: PushLog, kind: str) -> tuple[PushLog, dict[str, tuple[int, .
 @pytest.fixture(scope="module")
 def clean() -> float:
     """Mean held-out error of the cases, learned from what was really seen."""
-    return float(np.mean([learn_and_judge(*case, case[2])[1] for case in map(make_case, *zip(*CASES, strict=True))]))
+    return float(
+        np.mean(
+            [
+                learn_and_judge(*case, case[2])[1]
+                for case in map(make_case, *zip(*CASES, strict=True))
+            ]
+        )
+    )
 
 
 def learn_and_judge(obj, truth, _, log: PushLog) -> tuple:
@@ -101,10 +112,17 @@ def test_a_push_of_another_object_costs_little_and_is_named(clean: float) -> Non
     for which, (name, seed) in zip(FOREIGN, CASES, strict=True):
         case = make_case(name, seed)
         log, foreign = case[2], make_case(name, seed, reverse=True)[2][which]
-        assert np.linalg.norm(foreign.poses_observed[-1, :2] - log[which].poses_observed[-1, :2]) > 0.005
-        mixed = replace(log, pushes=tuple(foreign if i == which else seen for i, seen in enumerate(log)))
+        assert (
+            np.linalg.norm(foreign.poses_observed[-1, :2] - log[which].poses_observed[-1, :2])
+            > 0.005
+        )
+        mixed = replace(
+            log, pushes=tuple(foreign if i == which else seen for i, seen in enumerate(log))
+        )
         found, error = learn_and_judge(*case, mixed)
-        assert [(outlier.push, outlier.whole) for outlier in found.outliers] == [(log[which].name, True)]
+        assert [(outlier.push, outlier.whole) for outlier in found.outliers] == [
+            (log[which].name, True)
+        ]
         assert log[which].name not in found.push_names
         errors.append(error)
     assert np.mean(errors) <= WORST * clean
@@ -120,9 +138,13 @@ def test_two_of_ten_pushes_of_another_object_are_named_though_loads_that_shift_c
         for one, first in ((truth, seed), (make_case(name, reverse=True)[1], seed + 50))
     )
     bad = sorted(np.random.default_rng(seed).choice(10, 2, replace=False).tolist())
-    mixed = [replace(foreign[i], name=f"foreign_{i}") if i in bad else seen for i, seen in enumerate(log)]
+    mixed = [
+        replace(foreign[i], name=f"foreign_{i}") if i in bad else seen for i, seen in enumerate(log)
+    ]
     found, error = learn_and_judge(obj, truth, log, replace(log, pushes=tuple(mixed)))
-    assert [(outlier.push, outlier.whole) for outlier in found.outliers] == [(f"foreign_{i}", True) for i in bad]
+    assert [(outlier.push, outlier.whole) for outlier in found.outliers] == [
+        (f"foreign_{i}", True) for i in bad
+    ]
     assert error <= WORST * learn_and_judge(obj, truth, log, log)[1]
 
 
@@ -136,9 +158,14 @@ def test_a_small_slip_within_reach_of_the_push_is_found_by_the_fit() -> None:
     obj, _, log = make_case()
     poses = log[2].poses_observed.copy()
     poses[3] += [0.006, -0.006, 0.0]
-    slipped = replace(log, pushes=tuple(replace(s, poses_observed=poses) if i == 2 else s for i, s in enumerate(log)))
+    slipped = replace(
+        log,
+        pushes=tuple(replace(s, poses_observed=poses) if i == 2 else s for i, s in enumerate(log)),
+    )
     assert all(mask.all() for mask in find_jumps(obj, slipped))
-    assert [(outlier.push, outlier.poses) for outlier in identify(obj, slipped).outliers] == [(log[2].name, (4,))]
+    assert [(outlier.push, outlier.poses) for outlier in identify(obj, slipped).outliers] == [
+        (log[2].name, (4,))
+    ]
 
 
 def test_a_push_whose_first_pose_is_wrong_begins_at_the_next() -> None:
@@ -155,7 +182,10 @@ def test_a_push_whose_first_pose_is_wrong_begins_at_the_next() -> None:
 
 def test_a_log_in_which_most_poses_jump_is_left_to_be_judged_as_a_whole() -> None:
     obj, _, log = make_case()
-    far = replace(log, pushes=tuple(replace(s, poses_observed=s.poses_observed * [1e3, 1e3, 1.0]) for s in log))
+    far = replace(
+        log,
+        pushes=tuple(replace(s, poses_observed=s.poses_observed * [1e3, 1e3, 1.0]) for s in log),
+    )
     assert all(mask.all() for mask in find_jumps(obj, far))
 
 

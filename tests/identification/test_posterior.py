@@ -33,7 +33,10 @@ def learn_center(prior):
 def draw_normally(posterior, count, seed):
     """Independent of `Posterior.draw`: plain draws of z, which forget what holds for shares."""
     values, vectors = np.linalg.eigh(posterior.covariance)
-    dz = np.random.default_rng(seed).standard_normal((count, OBJ.n + 1)) @ (vectors * np.sqrt(np.maximum(values, 0))).T
+    dz = (
+        np.random.default_rng(seed).standard_normal((count, OBJ.n + 1))
+        @ (vectors * np.sqrt(np.maximum(values, 0))).T
+    )
     k = np.exp(posterior.mean[:-1] + dz[:, :-1])
     return k / k.sum(axis=1, keepdims=True), np.exp(posterior.mean[-1] + dz[:, -1])
 
@@ -45,7 +48,9 @@ def test_the_center_s_derivatives_agree_with_differences():
         k = np.exp(z[:-1])
         return k @ OBJ.p_BC / k.sum()
 
-    check_jacobian(calc_center, posterior.mean, calc_center_jacobian(posterior.calc_share(), OBJ.p_BC))
+    check_jacobian(
+        calc_center, posterior.mean, calc_center_jacobian(posterior.calc_share(), OBJ.p_BC)
+    )
 
 
 def test_draws_keep_what_the_pushes_showed():

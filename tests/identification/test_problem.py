@@ -15,10 +15,14 @@ from tests.identification.simulated_pokes import make_pokes
 
 
 def make_problem(regime: str) -> PushProblem:
-    obj = GridObject.from_outline([[-0.02, -0.06], [0.03, -0.06], [0.03, 0.04], [-0.02, 0.05]], max_cells=20)
+    obj = GridObject.from_outline(
+        [[-0.02, -0.06], [0.03, -0.06], [0.03, 0.04], [-0.02, 0.05]], max_cells=20
+    )
     truth = CellParameters.random(obj, 1, by="cell", mass_range=(0.02, 0.2))
     log = make_pokes(obj, truth, 3, 2, length=0.03, observations=2, noise=(5e-4, 4e-3))
-    return PushProblem(obj, log, replace(CellParameters.uniform(obj, friction=0.4), patch_ratio=0.2), regime)
+    return PushProblem(
+        obj, log, replace(CellParameters.uniform(obj, friction=0.4), patch_ratio=0.2), regime
+    )
 
 
 @pytest.mark.parametrize("regime", ["quasi_static", "inertial"])
@@ -27,13 +31,17 @@ def test_residuals_have_the_jacobian_they_say(regime: str) -> None:
     z = np.append(np.random.default_rng(0).normal(np.log(0.02), 0.3, problem.obj.n), np.log(0.4))
     linear = problem.linearize(z)
     for i in range(len(problem)):
-        check_jacobian(lambda v, i=i: problem.residuals(v, [i])[0], z, linear.by_z[i], rtol=2e-5, atol=1e-9)
+        check_jacobian(
+            lambda v, i=i: problem.residuals(v, [i])[0], z, linear.by_z[i], rtol=2e-5, atol=1e-9
+        )
 
 
 def test_residual_is_the_root_mean_square_distance_of_points_for_small_turns() -> None:
     problem = make_problem("quasi_static")
     z = problem.unknowns(CellParameters.uniform(problem.obj, contact_friction=0.4))
-    for residual, cell_error in zip(problem.residuals(z), problem.calc_cell_errors(problem.residuals(z)), strict=True):
+    for residual, cell_error in zip(
+        problem.residuals(z), problem.calc_cell_errors(problem.residuals(z)), strict=True
+    ):
         rows = residual.reshape(-1, 3)
         assert np.sqrt((rows**2).sum(axis=1)).mean() == pytest.approx(cell_error, rel=0.2)
 
@@ -44,7 +52,10 @@ def test_cell_errors_agree_with_the_cells_themselves() -> None:
 
     log = PushLog(tuple(push.observed for push in problem._pushes))
     for made, seen, error in zip(
-        predict(problem.obj, problem.params(z), log), log, problem.calc_cell_errors(problem.residuals(z)), strict=True
+        predict(problem.obj, problem.params(z), log),
+        log,
+        problem.calc_cell_errors(problem.residuals(z)),
+        strict=True,
     ):
         pairs = zip(made.at_observations, seen.poses_observed, strict=True)
         expected = np.mean([calc_pose_error(problem.obj, p, q).cell for p, q in pairs])
@@ -58,7 +69,9 @@ def test_a_pose_seen_twice_at_once_counts_twice(regime: str) -> None:
     one = problem.choose([0])
     seen = one._pushes[0].observed
     t = np.sort(np.append(seen.t_observed, seen.t_observed - 1e-6))
-    both = problem.replace_log(PushLog((replace(seen, t_observed=t, poses_observed=seen.poses_observed.repeat(2, 0)),)))
+    both = problem.replace_log(
+        PushLog((replace(seen, t_observed=t, poses_observed=seen.poses_observed.repeat(2, 0)),))
+    )
     expected = one.residuals(z)[0].reshape(-1, 3).repeat(2, axis=0).ravel()
     np.testing.assert_allclose(both.residuals(z)[0], expected, rtol=0, atol=1e-5)
     made = one.linearize(z).by_z[0].reshape(-1, 3, len(z)).repeat(2, axis=0).reshape(-1, len(z))
@@ -84,12 +97,16 @@ def test_unknowns_and_params_are_inverse() -> None:
 def test_loads_elsewhere_in_their_cells_change_motions_and_keep_exact_derivatives() -> None:
     problem = make_problem("quasi_static")
     rng = np.random.default_rng(3)
-    moved = problem.move_cells(problem.obj.p_BC + rng.uniform(-0.003, 0.003, problem.obj.p_BC.shape))
+    moved = problem.move_cells(
+        problem.obj.p_BC + rng.uniform(-0.003, 0.003, problem.obj.p_BC.shape)
+    )
     z = np.append(rng.normal(np.log(0.02), 0.3, problem.obj.n), np.log(0.4))
     assert np.abs(moved.residuals(z)[0] - problem.residuals(z)[0]).max() > 1e-5
     linear = moved.linearize(z)
     for i in range(len(moved)):
-        check_jacobian(lambda v, i=i: moved.residuals(v, [i])[0], z, linear.by_z[i], rtol=2e-5, atol=1e-9)
+        check_jacobian(
+            lambda v, i=i: moved.residuals(v, [i])[0], z, linear.by_z[i], rtol=2e-5, atol=1e-9
+        )
     assert moved.simulations == problem.simulations
 
 
@@ -106,7 +123,8 @@ def test_observations_a_rounding_error_beside_a_step_do_not_matter(regime):
         beside[-1] = np.nextafter(times[-1], 0.0)
         off = replace(seen, t_observed=beside)
         expected, poses = (
-            TimedPush.of(each, regime).simulate(obj, params, regime=regime).poses for each in (seen, off)
+            TimedPush.of(each, regime).simulate(obj, params, regime=regime).poses
+            for each in (seen, off)
         )
         assert len(expected) == len(poses)
         np.testing.assert_allclose(poses, expected, rtol=0, atol=1e-9)

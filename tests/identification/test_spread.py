@@ -28,20 +28,28 @@ NOISE = (5e-4, 3.5e-3)
 def test_quantile_of_the_norm_is_that_of_draws(axes: tuple[float, ...]) -> None:
     root = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0] * axes
     drawn = np.linalg.norm(np.random.default_rng(1).normal(size=(40000, 3)) @ root.T, axis=1)
-    assert calc_norm_quantile(root @ root.T) == pytest.approx(np.quantile(drawn, INTERVAL), rel=0.05)
+    assert calc_norm_quantile(root @ root.T) == pytest.approx(
+        np.quantile(drawn, INTERVAL), rel=0.05
+    )
 
 
 def test_fewer_pushes_make_the_tails_longer_as_students_t_has_them() -> None:
     rng, freedom = np.random.default_rng(2), 9.0
     stretched = np.sqrt(freedom / rng.chisquare(freedom, (40000, 1)))
     drawn = np.linalg.norm(rng.normal(size=(40000, 3)) * stretched, axis=1)
-    assert calc_norm_quantile(np.eye(3), freedom) == pytest.approx(np.quantile(drawn, INTERVAL), rel=0.02)
+    assert calc_norm_quantile(np.eye(3), freedom) == pytest.approx(
+        np.quantile(drawn, INTERVAL), rel=0.02
+    )
     noise = NoiseModel()
     assert noise.calc_freedom(3) < noise.calc_freedom(9) < noise.calc_freedom(0)
-    assert calc_norm_quantile(np.eye(3), noise.calc_freedom(0)) == pytest.approx(calc_norm_quantile(np.eye(3)))
+    assert calc_norm_quantile(np.eye(3), noise.calc_freedom(0)) == pytest.approx(
+        calc_norm_quantile(np.eye(3))
+    )
 
 
-def test_discrepancy_is_one_where_errors_are_as_said_and_follows_them_the_more_pushes_there_are() -> None:
+def test_discrepancy_is_one_where_errors_are_as_said_and_follows_them_the_more_pushes_there_are() -> (
+    None
+):
     noise = NoiseModel()
     assert noise.calc_discrepancy(np.ones(4)) == pytest.approx(1.0)
     few, many = (noise.calc_discrepancy(np.full(count, 4.0)) for count in (2, 200))
@@ -52,13 +60,17 @@ def test_errors_of_held_out_pushes_are_as_large_as_expected() -> None:
     within = []
     for name, seed in (("square", 0), ("l_bracket", 1), ("claw_hammer", 2)):
         obj = make_shape(name, 30)
-        truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.02, 0.3, 0.06), np.full(obj.n, 0.4), 0.35)
+        truth = CellParameters(
+            np.where(obj.p_BC[:, 0] > 0.02, 0.3, 0.06), np.full(obj.n, 0.4), 0.35
+        )
         found = identify(obj, make_pokes(obj, truth, 4, seed, noise=NOISE))
         held_out = make_pokes(obj, truth, 12, 50 + seed, noise=NOISE, observations=1)
         errors = calc_final_errors(obj, predict(obj, found.params, held_out), held_out)
         spreads = predict_spread(found, held_out)
         assert [spread.name for spread in spreads] == [seen.name for seen in held_out]
-        within += [error.cell <= spread.cell_error for error, spread in zip(errors, spreads, strict=True)]
+        within += [
+            error.cell <= spread.cell_error for error, spread in zip(errors, spreads, strict=True)
+        ]
     assert np.mean(within) >= 0.8
 
 
@@ -67,7 +79,9 @@ def test_more_pushes_leave_less_spread() -> None:
     truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.02, 0.3, 0.06), np.full(obj.n, 0.4), 0.35)
     log, held_out = make_pokes(obj, truth, 6, 0, noise=NOISE), make_pokes(obj, truth, 5, 60)
     few, many = (
-        np.mean([spread.cell_error for spread in predict_spread(identify(obj, log[:count]), held_out)])
+        np.mean(
+            [spread.cell_error for spread in predict_spread(identify(obj, log[:count]), held_out)]
+        )
         for count in (1, 6)
     )
     assert many < 0.6 * few
@@ -84,13 +98,26 @@ def test_the_spread_is_that_of_pushes_on_the_same_table() -> None:
     stds = []
     for table in (None, make_table_edge(obj, np.zeros(3), 0.0, 0.17)):
         chosen = replace(log, table=table)
-        assert "tips" not in [prediction.status for prediction in predict(obj, found.params, chosen)]
+        assert "tips" not in [
+            prediction.status for prediction in predict(obj, found.params, chosen)
+        ]
         problem = PushProblem(obj, chosen, found.params, found.regime)
-        ahead, behind = (np.array([problem.residuals(mean + side * axis) for axis in axes]) for side in (1e-6, -1e-6))
+        ahead, behind = (
+            np.array([problem.residuals(mean + side * axis) for axis in axes])
+            for side in (1e-6, -1e-6)
+        )
         covered = (((ahead - behind) / 2e-6) ** 2).sum(axis=0)
-        noise = [np.diag(found.noise.calc_covariance(J, found.noise_scale)) for J in problem.linearize(mean).by_inputs]
+        noise = [
+            np.diag(found.noise.calc_covariance(J, found.noise_scale))
+            for J in problem.linearize(mean).by_inputs
+        ]
         expected = np.sqrt((covered + noise).sum(axis=1)) * found.interval_scale
-        stds.append([spread.std * (1, 1, obj.radius_of_gyration) for spread in predict_spread(found, chosen)])
+        stds.append(
+            [
+                spread.std * (1, 1, obj.radius_of_gyration)
+                for spread in predict_spread(found, chosen)
+            ]
+        )
         np.testing.assert_allclose(np.linalg.norm(stds[-1], axis=1), expected, rtol=0.01)
     assert np.abs(np.divide(*stds) - 1).max() > 0.3
 
@@ -99,7 +126,9 @@ def test_the_noise_that_a_fit_supposed_is_that_of_its_predictions() -> None:
     obj = make_shape("square", 30)
     truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.02, 0.3, 0.06), np.full(obj.n, 0.4), 0.35)
     rough = NoiseModel(pose=0.008)
-    found = identify(obj, make_pokes(obj, truth, 4, 1, noise=NOISE), ensemble=MapEnsemble(noise=rough))
+    found = identify(
+        obj, make_pokes(obj, truth, 4, 1, noise=NOISE), ensemble=MapEnsemble(noise=rough)
+    )
     assert found.noise == rough
     assert found.noise_scale.pose == pytest.approx(found.noise_std / 0.008)
     log = make_pokes(obj, truth, 2, 9, observations=1)

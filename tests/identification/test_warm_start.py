@@ -52,7 +52,9 @@ def test_bad_start_does_no_harm() -> None:
     obj, log = make_case("l_bracket", 3)
     start = identify(obj, log[:3])
     rng = np.random.default_rng(0)
-    astray = tuple(FitStart(fit.z + rng.normal(0, 3, len(fit.z)), NoiseScale()) for fit in start.starts)
+    astray = tuple(
+        FitStart(fit.z + rng.normal(0, 3, len(fit.z)), NoiseScale()) for fit in start.starts
+    )
     cold, warm = identify(obj, log), identify(obj, log, start=replace(start, starts=astray))
     std = np.sqrt(np.diag(cold.posterior.covariance))
     assert (np.abs(warm.posterior.mean - cold.posterior.mean) < 0.3 * std).all()

@@ -19,11 +19,17 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.station.scenario import PushScenario, read_scenario, write_scenario
 from gridpush_drake.station.scene import check_scenario
 
-FILES = sorted(path.relative_to(find_models()).as_posix() for path in find_models().rglob("*") if path.is_file())
+FILES = sorted(
+    path.relative_to(find_models()).as_posix()
+    for path in find_models().rglob("*")
+    if path.is_file()
+)
 SCENES = [file for file in FILES if file.startswith("scenes/")]
 SCENARIOS = [file for file in FILES if file.startswith("scenarios/")]
 OBJECTS = [file for file in FILES if file.startswith("objects/")]
-MEASURES = [file for file in FILES if file.endswith(("/robot.yaml", "/finger.yaml", "/gripper.yaml"))]
+MEASURES = [
+    file for file in FILES if file.endswith(("/robot.yaml", "/finger.yaml", "/gripper.yaml"))
+]
 MODELS = [file for file in FILES if file.endswith((".sdf", ".urdf"))]
 ARMS = ("iiwa", "panda", "gantry")
 ROBOTS = [file for file in MODELS if file.startswith("robots/")]
@@ -63,7 +69,9 @@ def test_every_file_is_of_a_kind_that_is_tested():
 def test_model_is_parsed_without_a_warning_and_needs_no_other_file(file):
     plant, scene_graph, _ = parse(file)
     inspector = scene_graph.model_inspector()
-    shapes = {type(inspector.GetShape(geometry)).__name__ for geometry in inspector.GetAllGeometryIds()}
+    shapes = {
+        type(inspector.GetShape(geometry)).__name__ for geometry in inspector.GetAllGeometryIds()
+    }
     assert plant.num_bodies() > 1
     assert inspector.NumGeometriesWithRole(Role.kIllustration) > 0
     assert not shapes & {"Mesh", "Convex"}
@@ -82,7 +90,10 @@ def test_inertia_is_that_of_a_body_within_the_shapes(file):
         if not mass or not geometries:
             continue
         inertia = body.CalcSpatialInertiaInBodyFrame(context)
-        p_BC, G = inertia.get_com(), inertia.Shift(inertia.get_com()).CopyToFullMatrix6()[:3, :3] / mass
+        p_BC, G = (
+            inertia.get_com(),
+            inertia.Shift(inertia.get_com()).CopyToFullMatrix6()[:3, :3] / mass,
+        )
         reach = max(
             np.linalg.norm(inspector.GetPoseInFrame(geometry).translation() - p_BC)
             + np.linalg.norm(half_size(inspector.GetShape(geometry)))
@@ -127,7 +138,9 @@ def test_collision_shapes_of_an_arm_contain_the_visible_ones(file):
             X_WG = X_WL @ inspector.GetPoseInFrame(visual)
             for p in surface(inspector.GetShape(visual)):
                 near = query.ComputeSignedDistanceToPoint(X_WG @ p)
-                assert min(d.distance for d in near if d.id_G in own) < 1e-6, inspector.GetName(visual)
+                assert min(d.distance for d in near if d.id_G in own) < 1e-6, inspector.GetName(
+                    visual
+                )
                 count += 1
     assert count > (90 if "gantry" in file else 1000)  # a box has its corners only
 
@@ -137,7 +150,9 @@ def test_scene_is_parsed_and_starts_without_contact(file):
     plant, scene_graph, diagram = parse(file)
     context = diagram.CreateDefaultContext()
     query = scene_graph.get_query_output_port().Eval(scene_graph.GetMyContextFromRoot(context))
-    assert [name for name in ARMS if plant.HasModelInstanceNamed(name)] == [file.split("/")[1].split("_")[0]]
+    assert [name for name in ARMS if plant.HasModelInstanceNamed(name)] == [
+        file.split("/")[1].split("_")[0]
+    ]
     assert not query.ComputePointPairPenetration()
 
 
@@ -145,13 +160,20 @@ def test_scene_is_parsed_and_starts_without_contact(file):
 def test_scene_starts_with_the_finger_down_over_the_table(file):
     plant, _, _ = parse(file)
     X_WP = plant.GetFrameByName("finger_tip").CalcPoseInWorld(plant.CreateDefaultContext())
-    assert np.abs(X_WP.rotation().matrix() - RollPitchYaw(0.0, np.pi, 0.0).ToRotationMatrix().matrix()).max() < 1e-9
+    assert (
+        np.abs(
+            X_WP.rotation().matrix() - RollPitchYaw(0.0, np.pi, 0.0).ToRotationMatrix().matrix()
+        ).max()
+        < 1e-9
+    )
     assert np.allclose(X_WP.translation(), [0.5, 0.0, 0.2], atol=0.01)
 
 
 def test_scenes_come_with_and_without_a_gripper():
     able = [file for file in TABLE_SCENES if parse(file)[0].HasModelInstanceNamed("gripper")]
-    assert able == [f"scenes/{name}.dmd.yaml" for name in ("iiwa_grasp", "iiwa_grasp_heavy", "panda_grasp")]
+    assert able == [
+        f"scenes/{name}.dmd.yaml" for name in ("iiwa_grasp", "iiwa_grasp_heavy", "panda_grasp")
+    ]
     assert len(TABLE_SCENES) >= 5
 
 

@@ -5,7 +5,11 @@ import pytest
 from pydrake.geometry import Box, Sphere
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.math import SpatialForce
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, ExternallyAppliedSpatialForce
+from pydrake.multibody.plant import (
+    AddMultibodyPlantSceneGraph,
+    CoulombFriction,
+    ExternallyAppliedSpatialForce,
+)
 from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -37,18 +41,24 @@ class Grip:
         self.max_force = read_gripper(name).max_force
         self.plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.002)
         self.inspector = scene_graph.model_inspector()
-        MakeParser(self.plant).AddModelsFromUrl(f"package://gridpush_drake/grippers/{name}/{name}.sdf")
+        MakeParser(self.plant).AddModelsFromUrl(
+            f"package://gridpush_drake/grippers/{name}/{name}.sdf"
+        )
         self.gripper = self.plant.GetModelInstanceByName("gripper")
         self.plant.WeldFrames(self.plant.world_frame(), self.plant.GetFrameByName("body"), X_WB)
         if bar_mass is not None:
             inertia = SpatialInertia.SolidBoxWithMass(bar_mass, *shape.size())
             self.bar = self.plant.AddRigidBody("bar", self.plant.AddModelInstance("bar"), inertia)
-            self.plant.RegisterCollisionGeometry(self.bar, RigidTransform(), shape, "bar", CoulombFriction(0.5, 0.5))
+            self.plant.RegisterCollisionGeometry(
+                self.bar, RigidTransform(), shape, "bar", CoulombFriction(0.5, 0.5)
+            )
         self.plant.Finalize()
         controller = AddGripperController(builder, self.plant, self.gripper, read_gripper(name))
         self.opening = builder.AddSystem(ConstantVectorSource([0.1]))
         force = builder.AddSystem(ConstantVectorSource([self.max_force]))
-        builder.Connect(self.opening.get_output_port(), controller.get_desired_position_input_port())
+        builder.Connect(
+            self.opening.get_output_port(), controller.get_desired_position_input_port()
+        )
         builder.Connect(force.get_output_port(), controller.get_force_limit_input_port())
         self.simulator = Simulator(builder.Build())
         self.context = self.simulator.get_mutable_context()
@@ -85,14 +95,21 @@ def test_joints_are_those_that_drakes_controller_moves(name):
     assert [joint.child_body().name() for joint in joints] == ["left_finger", "right_finger"]
     assert [joint.position_lower_limit() for joint in joints] == [-0.055, 0.0]
     assert [joint.position_upper_limit() for joint in joints] == [0.0, 0.055]
-    efforts = [plant.get_joint_actuator(index).effort_limit() for index in plant.GetJointActuatorIndices()]
+    efforts = [
+        plant.get_joint_actuator(index).effort_limit() for index in plant.GetJointActuatorIndices()
+    ]
     assert efforts == 2 * [read_gripper(name).max_force]
-    assert [joint.position_start() for joint in joints] == [0, 1]  # the order that Drake's controller reads
+    assert [joint.position_start() for joint in joints] == [
+        0,
+        1,
+    ]  # the order that Drake's controller reads
 
 
 @each_gripper
 def test_it_opens_and_closes_to_what_is_asked(name):
-    grip = Grip(name, X_WB=RigidTransform())  # closing level: gravity does not hold either finger back
+    grip = Grip(
+        name, X_WB=RigidTransform()
+    )  # closing level: gravity does not hold either finger back
     for opening in (0.1, 0.03, 0.0, 0.08):
         grip.move(opening, 1.0)
         assert grip.position == pytest.approx([-opening / 2, opening / 2], abs=1e-4)
@@ -128,16 +145,21 @@ def test_pads_are_where_the_measures_say(name):
                 assert x - sign * shape.radius() == pytest.approx(sign * 0.02, abs=1e-9)
                 corners.append([y, z])
         along, across = np.transpose(corners)
-        assert sorted(along) == pytest.approx(measures.pad_length / 2 * np.array([-1, -1, 1, 1]), abs=1e-9)
+        assert sorted(along) == pytest.approx(
+            measures.pad_length / 2 * np.array([-1, -1, 1, 1]), abs=1e-9
+        )
         assert sorted(across) == pytest.approx(across.max() * np.array([-1, -1, 1, 1]), abs=1e-9)
-        assert 0 <= across.max() - measures.pad_width / 2 + 1e-9 <= 1.1e-3, "the measure is on the safe side"
+        assert 0 <= across.max() - measures.pad_width / 2 + 1e-9 <= 1.1e-3, (
+            "the measure is on the safe side"
+        )
 
 
 @each_gripper
 def test_it_holds_a_bar_that_hangs_out_to_one_side(name):
     """0.7 kg, gripped 8 cm from its middle: it stays between the pads for 3 s and hardly turns.
 
-    The controller's spring between the fingers' middle and the body's, 2000 N/m of the WSG 50, gives way by 2 mm.
+    The controller's spring between the fingers' middle and the body's, 2000 N/m of the WSG 50,
+    gives way by 2 mm.
     """
     grip = Grip(name, bar_mass=0.7)
     p_WG = grip.plant.GetFrameByName("grasp").CalcPoseInWorld(grip.plant_context).translation()
@@ -173,7 +195,9 @@ def calc_tilt(name, mass, d_x, d_y):
         grasp(0.05)
         grasp = grip.hold
     grip.hold(1.0)
-    return np.degrees(np.arccos(grip.bar.EvalPoseInWorld(grip.plant_context).rotation().matrix()[2, 2]))
+    return np.degrees(
+        np.arccos(grip.bar.EvalPoseInWorld(grip.plant_context).rotation().matrix()[2, 2])
+    )
 
 
 @pytest.mark.parametrize(
@@ -190,9 +214,13 @@ def calc_tilt(name, mass, d_x, d_y):
 def test_a_plate_is_held_as_far_as_the_pads_limit_says_and_no_further(name, d_x, d_y):
     measures = read_gripper(name)
     pads = PadLimit(measures.make_side_gripper(), measures.max_force, weight=1.0)
-    (share,) = pads.calc_shares(np.zeros((1, 2)), np.zeros(1), np.array([[d_x, d_y]]))  # of each newton
+    (share,) = pads.calc_shares(
+        np.zeros((1, 2)), np.zeros(1), np.array([[d_x, d_y]])
+    )  # of each newton
     limit = 1.0 / share / 9.81
-    assert calc_tilt(name, 0.95 * limit, d_x, d_y) < 0.5 * measures.max_force / 80.0  # the plate's surface gives way
+    assert (
+        calc_tilt(name, 0.95 * limit, d_x, d_y) < 0.5 * measures.max_force / 80.0
+    )  # the plate's surface gives way
     assert calc_tilt(name, 2.5 * limit, d_x, d_y) > 10.0
 
 

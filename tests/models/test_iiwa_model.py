@@ -12,7 +12,8 @@ from gridpush_drake.multibody.parser import MakeParser
 
 URL = "package://gridpush_drake/robots/iiwa14/iiwa14_primitives.urdf"
 
-# rpy and xyz of a joint in its parent's frame (rad, m), limit (rad), speed (rad/s), effort (N m), gear
+# rpy and xyz of a joint in its parent's frame (rad, m), limit (rad), speed (rad/s), effort (N m),
+# gear
 JOINTS = [
     ((0, 0, 0), (0, 0, 0.1575), 2.96705972839, 1.48352986, 320, 160),
     ((pi / 2, 0, pi), (0, 0, 0.2025), 2.09439510239, 1.48352986, 320, 160),
@@ -90,7 +91,9 @@ def test_names_are_those_of_drake_models(iiwa):
     bodies = [plant.get_body(index).name() for index in plant.GetBodyIndices(iiwa.instance)]
     assert bodies == [f"iiwa_link_{i}" for i in range(8)] + ["iiwa_link_ee_kuka"]
     names = [plant.get_joint(index).name() for index in plant.GetJointIndices(iiwa.instance)]
-    assert [name for name in names if "joint" in name] == [f"iiwa_joint_{k}" for k in range(1, 8)] + ["iiwa_joint_ee"]
+    assert [name for name in names if "joint" in name] == [
+        f"iiwa_joint_{k}" for k in range(1, 8)
+    ] + ["iiwa_joint_ee"]
     assert plant.num_positions(iiwa.instance) == plant.num_actuators(iiwa.instance) == 7
 
 
@@ -106,8 +109,13 @@ def test_masses_and_inertias(iiwa):
 
 def test_limits_damping_and_gears(iiwa):
     plant = iiwa.plant
-    for k, ((*_, limit, speed, effort, gear), rotor) in enumerate(zip(JOINTS, ROTORS, strict=True), 1):
-        joint, actuator = plant.GetJointByName(f"iiwa_joint_{k}"), plant.GetJointActuatorByName(f"iiwa_joint_{k}")
+    for k, ((*_, limit, speed, effort, gear), rotor) in enumerate(
+        zip(JOINTS, ROTORS, strict=True), 1
+    ):
+        joint, actuator = (
+            plant.GetJointByName(f"iiwa_joint_{k}"),
+            plant.GetJointActuatorByName(f"iiwa_joint_{k}"),
+        )
         assert (joint.position_lower_limit(), joint.position_upper_limit()) == (-limit, limit)
         assert (joint.velocity_lower_limit(), joint.velocity_upper_limit()) == (-speed, speed)
         assert joint.default_damping() == 0.5
@@ -120,7 +128,10 @@ def test_forward_kinematics_is_that_of_the_table(iiwa):
         iiwa.plant.SetPositions(iiwa.context, q)
         links = calc_links(q)
         flange = links[-1] @ make_transform(np.eye(3), (0, 0, FLANGE))
-        for name, X in [*((f"iiwa_link_{i}", X) for i, X in enumerate(links)), ("iiwa_link_ee_kuka", flange)]:
+        for name, X in [
+            *((f"iiwa_link_{i}", X) for i, X in enumerate(links)),
+            ("iiwa_link_ee_kuka", flange),
+        ]:
             got = iiwa.plant.GetFrameByName(name).CalcPoseInWorld(iiwa.context).GetAsMatrix4()
             np.testing.assert_allclose(got, X, atol=1e-13, err_msg=name)
 
@@ -147,12 +158,20 @@ def test_mass_matrix_is_that_of_the_table(iiwa):
 def test_every_visible_shape_has_a_color(iiwa):
     inspector = iiwa.scene_graph.model_inspector()
     for i in range(8):
-        for visual in iiwa.plant.GetVisualGeometriesForBody(iiwa.plant.GetBodyByName(f"iiwa_link_{i}")):
-            assert inspector.GetProperties(visual, Role.kIllustration).HasProperty("phong", "diffuse")
+        for visual in iiwa.plant.GetVisualGeometriesForBody(
+            iiwa.plant.GetBodyByName(f"iiwa_link_{i}")
+        ):
+            assert inspector.GetProperties(visual, Role.kIllustration).HasProperty(
+                "phong", "diffuse"
+            )
 
 
-@pytest.mark.parametrize("q", [np.zeros(7), (0, 0.6, 0, -1.75, 0, 1.0, 0), (1, 1, 0.3, -1.9, 0.4, 1.3, -1)])
+@pytest.mark.parametrize(
+    "q", [np.zeros(7), (0, 0.6, 0, -1.75, 0, 1.0, 0), (1, 1, 0.3, -1.9, 0.4, 1.3, -1)]
+)
 def test_arm_does_not_touch_itself_in_sensible_postures(iiwa, q):
     iiwa.plant.SetPositions(iiwa.context, q)
-    query = iiwa.scene_graph.get_query_output_port().Eval(iiwa.scene_graph.GetMyContextFromRoot(iiwa.root))
+    query = iiwa.scene_graph.get_query_output_port().Eval(
+        iiwa.scene_graph.GetMyContextFromRoot(iiwa.root)
+    )
     assert not query.HasCollisions()

@@ -12,7 +12,8 @@ from gridpush_drake.multibody.parser import MakeParser
 URL = "package://gridpush_drake/robots/panda/panda_primitives.urdf"
 HAND = "package://gridpush_drake/grippers/panda_hand/panda_hand.urdf"
 
-# a (m), d (m) and alpha (rad) in Craig's convention; least and greatest position (rad), speed (rad/s), torque (N m)
+# a (m), d (m) and alpha (rad) in Craig's convention; least and greatest position (rad), speed
+# (rad/s), torque (N m)
 JOINTS = [
     (0.0, 0.333, 0.0, -2.8973, 2.8973, 2.175, 87),
     (0.0, 0.0, -pi / 2, -1.7628, 1.7628, 2.175, 87),
@@ -40,7 +41,9 @@ class Model:
         self.context = self.plant.GetMyContextFromRoot(self.root)
 
     def touches_itself(self):
-        query = self.scene_graph.get_query_output_port().Eval(self.scene_graph.GetMyContextFromRoot(self.root))
+        query = self.scene_graph.get_query_output_port().Eval(
+            self.scene_graph.GetMyContextFromRoot(self.root)
+        )
         return query.HasCollisions()
 
 
@@ -54,7 +57,12 @@ def calc_flange(q):
     X = np.eye(4)
     for angle, (a, d, alpha, *_) in zip(q, JOINTS, strict=True):
         c, s, ca, sa = np.cos(angle), np.sin(angle), np.cos(alpha), np.sin(alpha)
-        X = X @ [[c, -s, 0, a], [s * ca, c * ca, -sa, -d * sa], [s * sa, c * sa, ca, d * ca], [0, 0, 0, 1]]
+        X = X @ [
+            [c, -s, 0, a],
+            [s * ca, c * ca, -sa, -d * sa],
+            [s * sa, c * sa, ca, d * ca],
+            [0, 0, 0, 1],
+        ]
     return X @ [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, FLANGE], [0, 0, 0, 1]]
 
 
@@ -62,7 +70,9 @@ def test_kinematics_are_the_published_parameters(panda):
     lower, upper = np.array(JOINTS)[:, 3:5].T
     for q in np.random.default_rng(3).uniform(lower, upper, (20, 7)):
         panda.plant.SetPositions(panda.context, q)
-        got = panda.plant.GetFrameByName("panda_link8").CalcPoseInWorld(panda.context).GetAsMatrix4()
+        got = (
+            panda.plant.GetFrameByName("panda_link8").CalcPoseInWorld(panda.context).GetAsMatrix4()
+        )
         np.testing.assert_allclose(got, calc_flange(q), atol=1e-12)
 
 
@@ -78,7 +88,9 @@ def test_limits_are_the_published_ones_and_names_those_of_drake_models(panda):
     assert plant.CalcTotalMass(panda.context) == pytest.approx(TOTAL_MASS, rel=0.01)
 
 
-@pytest.mark.parametrize("q", [READY, (0, -0.44, 0, -2.29, 0, 1.85, 0.79), (1, 0.5, 0.3, -1.2, 0.4, 2.0, -1)])
+@pytest.mark.parametrize(
+    "q", [READY, (0, -0.44, 0, -2.29, 0, 1.85, 0.79), (1, 0.5, 0.3, -1.2, 0.4, 2.0, -1)]
+)
 def test_arm_does_not_touch_itself_in_sensible_postures(panda, q):
     panda.plant.SetPositions(panda.context, q)
     assert not panda.touches_itself()
@@ -90,11 +102,18 @@ def test_hand_opens_to_8_cm_and_its_pads_meet_when_closed():
     joints = [plant.GetJointByName(f"panda_finger_joint{k}") for k in (1, 2)]
     assert [joint.position_lower_limit() for joint in joints] == [-0.04, 0.0]
     assert [joint.position_upper_limit() for joint in joints] == [0.0, 0.04]
-    assert [joint.position_start() for joint in joints] == [0, 1]  # the order that Drake's controller reads
+    assert [joint.position_start() for joint in joints] == [
+        0,
+        1,
+    ]  # the order that Drake's controller reads
     X_HG = plant.GetFrameByName("panda_hand_tcp").CalcPoseInWorld(hand.context)
     assert X_HG.translation() == pytest.approx([0.0, 0.0, 0.1034])
     query = hand.scene_graph.get_query_output_port()
-    corner = X_HG.translation() + [0.0075, 0.0, 0.008]  # between the spheres at one corner of the pads
+    corner = X_HG.translation() + [
+        0.0075,
+        0.0,
+        0.008,
+    ]  # between the spheres at one corner of the pads
     for opening in (0.0, 0.03, 0.08):
         plant.SetPositions(hand.context, [-opening / 2, opening / 2])
         inspected = query.Eval(hand.scene_graph.GetMyContextFromRoot(hand.root))

@@ -28,7 +28,9 @@ def test_shares_follow_their_logarithm_and_are_cut_at_the_limits():
 def test_mass_and_relative_friction_are_told_apart():
     mass, friction = np.array([1.0, 2.0]), np.array([0.4, 0.1])
     np.testing.assert_allclose(CellColors("mass").calc_values(mass, friction), [2 / 3, 4 / 3])
-    np.testing.assert_allclose(CellColors("relative_friction").calc_values(mass, friction), [4 / 3, 2 / 3])
+    np.testing.assert_allclose(
+        CellColors("relative_friction").calc_values(mass, friction), [4 / 3, 2 / 3]
+    )
     np.testing.assert_allclose(CellColors("friction").calc_values(mass, friction), friction)
 
 

@@ -60,7 +60,9 @@ def test_other_supports_are_set_in_a_context():
     first, second = (sample_ground_truth(obj, seed) for seed in (3, 4))
     scene = make_scene(obj, first, "free")
     support = calc_support(obj, second, "three_feet", 1, 0.012)
-    SetGridObjectParameters(scene.plant, scene.scene_graph, scene.context, scene.handle, second, support)
+    SetGridObjectParameters(
+        scene.plant, scene.scene_graph, scene.context, scene.handle, second, support
+    )
     SetGridObjectPose(scene.plant, scene.plant_context, scene.handle, (0.0, 0.0, 0.0))
     scene.simulator.AdvanceTo(0.5)
     loads = scene.sphere_forces()[:, 2]
@@ -77,7 +79,9 @@ def test_tips_over_the_edge_when_its_center_of_mass_is_beyond(spheres_per_cell, 
     center = params.center_of_mass(obj)[0]
     # spheres carry up to a cell less far than the edge reaches
     for beyond, tips in ((-1.5 * obj.cell_size, False), (1.5 * obj.cell_size, True)):
-        SetGridObjectPose(scene.plant, scene.plant_context, scene.handle, (TABLE_EDGE + beyond - center, 0.0, 0.0))
+        SetGridObjectPose(
+            scene.plant, scene.plant_context, scene.handle, (TABLE_EDGE + beyond - center, 0.0, 0.0)
+        )
         scene.simulator.AdvanceTo(scene.context.get_time() + 0.5)
         assert (scene.tilt() > 0.1) == tips, beyond
         if not tips:
@@ -104,5 +108,7 @@ def test_falls_off_the_table():
     scene = make_scene(obj, params, "free")
     SetGridObjectPose(scene.plant, scene.plant_context, scene.handle, (TABLE_EDGE + 0.1, 0.0, 0.0))
     scene.simulator.AdvanceTo(0.2)
-    height = scene.plant.EvalBodyPoseInWorld(scene.plant_context, scene.handle.body).translation()[2]
+    height = scene.plant.EvalBodyPoseInWorld(scene.plant_context, scene.handle.body).translation()[
+        2
+    ]
     assert height == pytest.approx(-9.81 * 0.2**2 / 2, rel=0.02)

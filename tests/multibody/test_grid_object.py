@@ -12,7 +12,11 @@ from shapely import Point, Polygon, unary_union
 
 from gridpush_drake.bench.plant import PlantPusher
 from gridpush_drake.errors import ObjectError, ParameterError
-from gridpush_drake.multibody.contact_material import MakePartnerProperties, SetPartner, calc_own_friction
+from gridpush_drake.multibody.contact_material import (
+    MakePartnerProperties,
+    SetPartner,
+    calc_own_friction,
+)
 from gridpush_drake.multibody.grid_object import (
     CLEARANCE,
     PROTRUSION,
@@ -80,10 +84,11 @@ def test_slides_to_rest_as_friction_says(obj):
     scene = make_scene(obj, CellParameters(np.full(obj.n, 0.01), np.full(obj.n, mu)))
     SetGridObjectVelocity(scene.plant, scene.plant_context, scene.handle, (speed, 0.0, 0.0))
     scene.simulator.AdvanceTo(0.2)
-    # implicit steps lose speed at their beginning: v - mu g t exactly, the path by half a step's change less
-    assert scene.plant.GetVelocities(scene.plant_context, scene.handle.model_instance)[0] == pytest.approx(
-        speed - mu * GRAVITY * 0.2, rel=1e-5
-    )
+    # implicit steps lose speed at their beginning: v - mu g t exactly, the path by half a step's
+    # change less
+    assert scene.plant.GetVelocities(scene.plant_context, scene.handle.model_instance)[
+        0
+    ] == pytest.approx(speed - mu * GRAVITY * 0.2, rel=1e-5)
     path = speed * 0.2 - mu * GRAVITY * 0.2**2 / 2
     assert scene.pose()[0] == pytest.approx(path, abs=mu * GRAVITY * 0.2 * 1e-3)
     assert np.abs(scene.pose()[1:]).max() < 1e-6
@@ -113,7 +118,9 @@ def test_changed_parameters_move_it_as_if_it_had_been_built_with_them(obj, param
 
     changed = make_scene(obj, params)
     first = slide(changed)
-    SetGridObjectParameters(changed.plant, changed.scene_graph, changed.context, changed.handle, other)
+    SetGridObjectParameters(
+        changed.plant, changed.scene_graph, changed.context, changed.handle, other
+    )
     second = slide(changed)
     np.testing.assert_allclose(second, slide(make_scene(obj, other)), rtol=0, atol=1e-9)
     assert np.abs(second - first).max() > 1e-3
@@ -123,8 +130,12 @@ def test_changed_parameters_move_it_as_if_it_had_been_built_with_them(obj, param
 
 
 def add_ball(plant):
-    ball = plant.AddRigidBody("ball", plant.AddModelInstance("ball"), SpatialInertia.SolidSphereWithMass(1, 0.02))
-    plant.RegisterCollisionGeometry(ball, RigidTransform(), Sphere(0.02), "ball", MakePartnerProperties())
+    ball = plant.AddRigidBody(
+        "ball", plant.AddModelInstance("ball"), SpatialInertia.SolidSphereWithMass(1, 0.02)
+    )
+    plant.RegisterCollisionGeometry(
+        ball, RigidTransform(), Sphere(0.02), "ball", MakePartnerProperties()
+    )
 
 
 def add_ball_and_filter(plant, scene_graph, handle, table):
@@ -132,12 +143,16 @@ def add_ball_and_filter(plant, scene_graph, handle, table):
     ApplyGridObjectFilters(plant, scene_graph, handle, [table])
 
 
-@pytest.mark.parametrize("more", [{"before_object": add_ball}, {"after_object": add_ball_and_filter}])
+@pytest.mark.parametrize(
+    "more", [{"before_object": add_ball}, {"after_object": add_ball_and_filter}]
+)
 def test_spheres_touch_the_table_alone_and_sides_all_but_the_table(obj, params, more):
     scene = make_scene(obj, params, **more)
     inspector = scene.scene_graph.model_inspector()
     (ball,) = scene.plant.GetCollisionGeometriesForBody(scene.plant.GetBodyByName("ball"))
-    assert not any(inspector.CollisionFiltered(sphere, scene.table) for sphere in scene.handle.contact_spheres)
+    assert not any(
+        inspector.CollisionFiltered(sphere, scene.table) for sphere in scene.handle.contact_spheres
+    )
     assert all(inspector.CollisionFiltered(sphere, ball) for sphere in scene.handle.contact_spheres)
     assert all(inspector.CollisionFiltered(side, scene.table) for side in scene.handle.sides)
     assert not any(inspector.CollisionFiltered(side, ball) for side in scene.handle.sides)
@@ -163,11 +178,15 @@ def test_partner_leaves_other_properties_alone(obj, params):
     added = {}
 
     def add_soft_ball(plant):
-        ball = plant.AddRigidBody("ball", plant.AddModelInstance("ball"), SpatialInertia.SolidSphereWithMass(1, 0.02))
+        ball = plant.AddRigidBody(
+            "ball", plant.AddModelInstance("ball"), SpatialInertia.SolidSphereWithMass(1, 0.02)
+        )
         properties = MakePartnerProperties()
         properties.UpdateProperty("material", "point_contact_stiffness", 5.0)
         properties.AddProperty("other", "thing", 3.0)
-        added["id"] = plant.RegisterCollisionGeometry(ball, RigidTransform(), Sphere(0.02), "ball", properties)
+        added["id"] = plant.RegisterCollisionGeometry(
+            ball, RigidTransform(), Sphere(0.02), "ball", properties
+        )
 
     scene = make_scene(obj, params, before_object=add_soft_ball)
     SetPartner(scene.plant, scene.scene_graph, [added["id"]])
@@ -216,7 +235,9 @@ def test_pose_is_set_and_read(obj, params, base):
     np.testing.assert_allclose(scene.pose(), q, atol=1e-12)
     SetGridObjectVelocity(scene.plant, scene.plant_context, scene.handle, (0.1, 0.2, 0.3))
     V = scene.plant.EvalBodySpatialVelocityInWorld(scene.plant_context, scene.handle.body)
-    np.testing.assert_allclose([*V.translational(), *V.rotational()], [0.1, 0.2, 0, 0, 0, 0.3], atol=1e-12)
+    np.testing.assert_allclose(
+        [*V.translational(), *V.rotational()], [0.1, 0.2, 0, 0, 0, 0.3], atol=1e-12
+    )
     Simulator(scene.diagram, scene.diagram.CreateDefaultContext()).AdvanceTo(0.01)
     with pytest.raises(ObjectError, match="three finite numbers"):
         SetGridObjectPose(scene.plant, scene.plant_context, scene.handle, (0.0, np.nan, 0.0))
@@ -254,7 +275,9 @@ def test_a_sphere_touches_the_outline_with_its_depth_and_normal(name):
             continue
         rig.plant.SetPositions(plant_context, rig.pusher, center)
         query = rig.plant.get_geometry_query_input_port().Eval(plant_context)
-        pairs = [pair for pair in query.ComputePointPairPenetration() if tip in (pair.id_A, pair.id_B)]
+        pairs = [
+            pair for pair in query.ComputePointPairPenetration() if tip in (pair.id_A, pair.id_B)
+        ]
         deepest = max(pairs, key=lambda pair: pair.depth)
         # nhat_BA_W points out of B
         found = deepest.nhat_BA_W if deepest.id_A == tip else -deepest.nhat_BA_W
@@ -280,7 +303,9 @@ def test_boxes_lie_within_the_outline(name):
 @pytest.mark.parametrize("name", ["claw_hammer", "toolbox", "square", "wrench"])
 def test_what_comes_down_on_the_object_is_not_let_through(name):
     obj = load(name)
-    covered = unary_union([to_polygon(flat) for flat in (*make_edge_boxes(obj), *make_inner_boxes(obj))])
+    covered = unary_union(
+        [to_polygon(flat) for flat in (*make_edge_boxes(obj), *make_inner_boxes(obj))]
+    )
     gaps = obj.outline.difference(covered)
     # a finger of radius 8 mm would touch a box long before its middle is level with the top
     assert gaps.buffer(-0.004).is_empty
@@ -303,7 +328,10 @@ def test_only_the_sides_and_spheres_collide():
     rig = PlantPusher(obj, CellParameters.uniform(obj), 0.01)
     inspector = rig.scene_graph.model_inspector()
     frame = rig.plant.GetBodyFrameIdOrThrow(rig.handle.body.index())
-    assert set(inspector.GetGeometries(frame, Role.kProximity)) == {*rig.handle.contact_spheres, *rig.handle.sides}
+    assert set(inspector.GetGeometries(frame, Role.kProximity)) == {
+        *rig.handle.contact_spheres,
+        *rig.handle.sides,
+    }
 
 
 OBJ = make_block(12)
@@ -315,12 +343,22 @@ def make_plant(base):
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.001)
     table = plant.RegisterCollisionGeometry(
-        plant.world_body(), RigidTransform([0, 0, -0.05]), Box(4.0, 4.0, 0.1), "table", CoulombFriction(1.0, 1.0)
+        plant.world_body(),
+        RigidTransform([0, 0, -0.05]),
+        Box(4.0, 4.0, 0.1),
+        "table",
+        CoulombFriction(1.0, 1.0),
     )
     SetPartner(plant, scene_graph, [table])
     handles = [
         AddGridObject(
-            plant, scene_graph, OBJ, CellParameters.uniform(OBJ, friction=mu), base, table=[table], name=f"block_{i}"
+            plant,
+            scene_graph,
+            OBJ,
+            CellParameters.uniform(OBJ, friction=mu),
+            base,
+            table=[table],
+            name=f"block_{i}",
         )
         for i, mu in enumerate(FRICTIONS)
     ]
@@ -350,7 +388,10 @@ def test_nothing_is_shared():
     _, plant, scene_graph, handles, table = make_plant("planar")
     first, second = handles
     assert plant.GetBodyByName("block_0").index() == first.body.index() != second.body.index()
-    assert plant.GetFrameByName("block_0_table").index() != plant.GetFrameByName("block_1_table").index()
+    assert (
+        plant.GetFrameByName("block_0_table").index()
+        != plant.GetFrameByName("block_1_table").index()
+    )
     assert not {*first.contact_spheres, *first.sides, *first.visuals} & {
         *second.contact_spheres,
         *second.sides,
@@ -367,4 +408,6 @@ def test_nothing_is_shared():
 def test_a_name_that_is_taken_is_refused():
     _, plant, scene_graph, _, table = make_plant("planar")
     with pytest.raises(ObjectError, match="'block_1'"):
-        AddGridObject(plant, scene_graph, OBJ, CellParameters.uniform(OBJ), table=[table], name="block_1")
+        AddGridObject(
+            plant, scene_graph, OBJ, CellParameters.uniform(OBJ), table=[table], name="block_1"
+        )

@@ -33,7 +33,9 @@ def test_cells_have_their_area_at_the_top_and_four_walls_each():
     side = 0.9 * obj.cell_size
     assert area_at(mesh, HEIGHT) == pytest.approx(obj.n * side**2)
     assert areas(mesh).sum() == pytest.approx(obj.n * (side**2 + 4 * side * HEIGHT))
-    np.testing.assert_allclose(mesh.vertices.reshape(8, obj.n, 3).mean(axis=0)[:, :2], obj.p_BC, atol=1e-15)
+    np.testing.assert_allclose(
+        mesh.vertices.reshape(8, obj.n, 3).mean(axis=0)[:, :2], obj.p_BC, atol=1e-15
+    )
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -46,7 +48,9 @@ def test_an_outline_s_prism_has_its_area_and_its_walls(name):
 
 def test_an_edge_is_as_long_as_the_outline():
     obj = make_shape("wrench")
-    assert areas(make_outline_edge(obj, HEIGHT, 1e-4)).sum() == pytest.approx(1e-4 * obj.outline.length, rel=0.01)
+    assert areas(make_outline_edge(obj, HEIGHT, 1e-4)).sum() == pytest.approx(
+        1e-4 * obj.outline.length, rel=0.01
+    )
 
 
 def test_an_ellipse_has_the_covariance_s_axes():
@@ -63,7 +67,10 @@ def test_an_ellipse_has_the_covariance_s_axes():
 
 def test_an_ellipse_without_width_is_a_line():
     covariance = np.diag([4e-4, 0.0])
-    disc, ring = make_disc(covariance, (0.1, 0.2), HEIGHT), make_ring(covariance, (0.1, 0.2), HEIGHT, 1e-3)
+    disc, ring = (
+        make_disc(covariance, (0.1, 0.2), HEIGHT),
+        make_ring(covariance, (0.1, 0.2), HEIGHT, 1e-3),
+    )
     assert np.ptp(disc.vertices[:, 0]) == pytest.approx(0.04)
     assert np.ptp(disc.vertices[:, 1]) < 1e-4
     assert areas(disc).sum() < areas(ring).sum()

@@ -34,7 +34,9 @@ class Pushed:
         finger = spec.worldbody.add_body(name="finger", gravcomp=1)
         for axis in ((1, 0, 0), (0, 1, 0)):
             finger.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis, armature=1000)
-        finger.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[RADIUS - WALL_RADIUS, 0.1, 0], mass=0.01)
+        finger.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[RADIUS - WALL_RADIUS, 0.1, 0], mass=0.01
+        )
         spec.add_exclude(bodyname1="world", bodyname2="finger")
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
@@ -84,9 +86,13 @@ def test_has_the_masses_and_every_cell_bears_its_own(hammer):
     body = model.body(obj.name)
     assert body.mass[0] == pytest.approx(params.total_mass, rel=1e-9)
     np.testing.assert_allclose(body.ipos[:2], params.center_of_mass(obj), atol=1e-9)
-    flat = params.total_mass * 0.03**2 / 12  # the height's part of the inertia, about the axes in the plane
+    flat = (
+        params.total_mass * 0.03**2 / 12
+    )  # the height's part of the inertia, about the axes in the plane
     assert body.inertia.sum() == pytest.approx(2 * params.inertia(obj) + 2 * flat, rel=1e-9)
-    np.testing.assert_allclose(np.sort(model.pair_friction[:, 0]), np.sort(params.friction), rtol=1e-12)
+    np.testing.assert_allclose(
+        np.sort(model.pair_friction[:, 0]), np.sort(params.friction), rtol=1e-12
+    )
     pushed.settle()
     np.testing.assert_allclose(pushed.read_loads(), params.mass * GRAVITY, rtol=1e-4)
 
@@ -108,7 +114,9 @@ def test_pushes_end_as_the_model_says(tmp_path):
         path = tmp_path / f"{name}.xml"
         WriteMjcf(obj, params, path, False, height=0.03)
         s, _ = find_reachable_outline(obj, RADIUS, CLEARANCE).locate(share)
-        push = Push.on_outline(obj, float(s), angle, 0.06, radius=RADIUS, speed=0.05, clearance=CLEARANCE)
+        push = Push.on_outline(
+            obj, float(s), angle, 0.06, radius=RADIUS, speed=0.05, clearance=CLEARANCE
+        )
         expected = simulate(obj, params, push).final_pose
         difference = Pushed(path).push(push) - expected
         assert np.hypot(*expected[:2]) > 0.01

@@ -22,10 +22,18 @@ from tests.helpers.chromium import require_chromium
 
 def test_captions_follow_the_time():
     phases = read_phases('<script>const phases = [[0.5, "one", "x"], [2.0, "two", "y"]];</script>')
-    assert [find_phase(phases, time) for time in (0.0, 0.6, 1.9, 2.0, 9.0)] == ["one", "one", "one", "two", "two"]
+    assert [find_phase(phases, time) for time in (0.0, 0.6, 1.9, 2.0, 9.0)] == [
+        "one",
+        "one",
+        "one",
+        "two",
+        "two",
+    ]
     assert read_phases("<html></html>") == []
     assert find_phase([], 1.0) == ""
-    plain, written = (np.asarray(add_caption(Image.new("RGB", (60, 20)), words)) for words in ("", "word"))
+    plain, written = (
+        np.asarray(add_caption(Image.new("RGB", (60, 20)), words)) for words in ("", "word")
+    )
     assert plain.shape == (20 + CAPTION, 60, 3)
     assert (plain[20:] == 255).all()
     assert (written[20:] < 128).any()
@@ -60,7 +68,9 @@ def test_a_film_shows_what_moves(tmp_path, ending):
     write_recording(meshcat, page, overlay=Overlay(phases=(Phase(0.0, "Across"),)))
     write_film(page, film, seconds=0.5)
     with Image.open(film) as image:
-        pictures = [np.asarray(frame.convert("RGB")).astype(int) for frame in ImageSequence.Iterator(image)]
+        pictures = [
+            np.asarray(frame.convert("RGB")).astype(int) for frame in ImageSequence.Iterator(image)
+        ]
     assert len(pictures) == round(0.5 * FRAMES_PER_SECOND)
     assert pictures[0].shape == (SIZE[1] + CAPTION, SIZE[0], 3)
     places = []

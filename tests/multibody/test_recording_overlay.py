@@ -8,16 +8,36 @@ import pytest
 from pydrake.geometry import Box
 from pydrake.math import RigidTransform
 
-from gridpush_drake.multibody.meshcat_server import StartMeshcatServer, looks_like_recording, write_recording
-from gridpush_drake.multibody.recording_overlay import ColorScale, Mark, Overlay, Phase, make_overlay_html
-from tests.helpers.chromium import FLAGS, VIRTUAL_TIME, freeze_recording, require_chromium, take_picture
+from gridpush_drake.multibody.meshcat_server import (
+    StartMeshcatServer,
+    looks_like_recording,
+    write_recording,
+)
+from gridpush_drake.multibody.recording_overlay import (
+    ColorScale,
+    Mark,
+    Overlay,
+    Phase,
+    make_overlay_html,
+)
+from tests.helpers.chromium import (
+    FLAGS,
+    VIRTUAL_TIME,
+    freeze_recording,
+    require_chromium,
+    take_picture,
+)
 
 RED, BLUE = "#ff0000", "#0000ff"
 
 OVERLAY = Overlay(
     ColorScale("mass, g", (RED, BLUE), ((0.0, "1"), (1.0, "2"))),
     (Mark("#00ff00", "a <thing>", "line"),),
-    (Phase(0.0, "Looking"), Phase(1.5, "Push 1", "Because </script> it must."), Phase(2.05, "Done")),
+    (
+        Phase(0.0, "Looking"),
+        Phase(1.5, "Push 1", "Because </script> it must."),
+        Phase(2.05, "Done"),
+    ),
 )
 
 
@@ -37,7 +57,12 @@ def recording(tmp_path_factory):
 def read_page(page):
     """What the page holds when its scripts have run, as HTML."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        command = [require_chromium(), *FLAGS, f"--user-data-dir={folder}", f"--virtual-time-budget={VIRTUAL_TIME}"]
+        command = [
+            require_chromium(),
+            *FLAGS,
+            f"--user-data-dir={folder}",
+            f"--virtual-time-budget={VIRTUAL_TIME}",
+        ]
         command += ["--dump-dom", page.resolve().as_uri()]
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 

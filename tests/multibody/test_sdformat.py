@@ -84,9 +84,13 @@ def test_has_the_inertia_and_the_spheres(obj, params, tmp_path):
         if isinstance(inspector.GetShape(geometry), Sphere)
     ]
     p_BS = np.array([inspector.GetPoseInFrame(sphere).translation() for sphere in spheres])
-    np.testing.assert_allclose(p_BS, np.column_stack([obj.p_BC, np.full(obj.n, SPHERE_RADIUS)]), atol=1e-15)
+    np.testing.assert_allclose(
+        p_BS, np.column_stack([obj.p_BC, np.full(obj.n, SPHERE_RADIUS)]), atol=1e-15
+    )
     own = [
-        inspector.GetProximityProperties(sphere).GetProperty("material", "coulomb_friction").dynamic_friction()
+        inspector.GetProximityProperties(sphere)
+        .GetProperty("material", "coulomb_friction")
+        .dynamic_friction()
         for sphere in spheres
     ]
     np.testing.assert_allclose(2 * np.array(own) / (1 + np.array(own)), params.friction, rtol=1e-12)

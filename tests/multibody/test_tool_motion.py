@@ -34,7 +34,10 @@ def test_position_is_the_velocity_s_integral(segment):
     for t in np.linspace(0.0, 1.1 * segment.moving_time, 9):
         way = [
             quad(
-                lambda s, i=i: segment.velocity(s)[i], 0.0, t, points=[segment.ramp, segment.moving_time - segment.ramp]
+                lambda s, i=i: segment.velocity(s)[i],
+                0.0,
+                t,
+                points=[segment.ramp, segment.moving_time - segment.ramp],
             )[0]
             for i in range(3)
         ]
@@ -45,17 +48,24 @@ def test_position_is_the_velocity_s_integral(segment):
 def test_speed_and_acceleration_reach_their_bounds_and_no_more(segment):
     t = np.linspace(-0.1, segment.moving_time + 0.1, 20_001)
     v = np.array([segment.velocity(s) for s in t])
-    speed, acceleration = np.linalg.norm(v, axis=1), np.linalg.norm(np.diff(v, axis=0), axis=1) / (t[1] - t[0])
+    speed, acceleration = (
+        np.linalg.norm(v, axis=1),
+        np.linalg.norm(np.diff(v, axis=0), axis=1) / (t[1] - t[0]),
+    )
     assert speed.max() == pytest.approx(segment.top_speed, rel=1e-6)
     assert segment.top_speed <= segment.speed
     assert acceleration.max() == pytest.approx(segment.acceleration, rel=1e-3)
     jerk = np.abs(np.diff(acceleration)).max() / (t[1] - t[0])
-    assert jerk < 4.1 * segment.acceleration / segment.ramp  # 6 v / T^2 = 4 a / T: the acceleration does not jump
+    assert (
+        jerk < 4.1 * segment.acceleration / segment.ramp
+    )  # 6 v / T^2 = 4 a / T: the acceleration does not jump
 
 
 def test_short_leg_is_slower():
     segment = SEGMENTS[2]
-    assert segment.top_speed == pytest.approx(np.sqrt(2 * segment.acceleration * segment.length / 3))
+    assert segment.top_speed == pytest.approx(
+        np.sqrt(2 * segment.acceleration * segment.length / 3)
+    )
     assert segment.moving_time == pytest.approx(2 * segment.ramp)
 
 
@@ -69,7 +79,10 @@ def test_position_is_the_ramp_s_closed_form():
             (segment.moving_time - t, segment.length - v * T * (u**3 - u**4 / 2)),
         ):
             np.testing.assert_allclose(
-                segment.position(at), np.add(A, s / segment.length * np.subtract(B, A)), rtol=0, atol=1e-12
+                segment.position(at),
+                np.add(A, s / segment.length * np.subtract(B, A)),
+                rtol=0,
+                atol=1e-12,
             )
 
 
@@ -98,7 +111,9 @@ def test_stop_is_the_same_motion_first_and_then_the_soonest_end(segment, share):
         np.testing.assert_allclose(stopped.position(s), segment.position(s), atol=1e-12)
         np.testing.assert_allclose(stopped.velocity(s), segment.velocity(s), atol=1e-12)
     np.testing.assert_allclose(stopped.position(t), segment.position(t), atol=1e-12)
-    assert stopped.moving_time == pytest.approx(min(max(t, segment.ramp) + segment.ramp, segment.moving_time))
+    assert stopped.moving_time == pytest.approx(
+        min(max(t, segment.ramp) + segment.ramp, segment.moving_time)
+    )
     assert stopped.stop_from(t + 0.1 * segment.ramp) == stopped
 
 

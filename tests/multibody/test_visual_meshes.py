@@ -31,7 +31,14 @@ TRIANGLE = {
     ],
     "bufferViews": [{"buffer": 0, "byteLength": 36, "target": 34962}],
     "accessors": [
-        {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0]}
+        {
+            "bufferView": 0,
+            "componentType": 5126,
+            "count": 3,
+            "type": "VEC3",
+            "min": [0, 0, 0],
+            "max": [1, 1, 0],
+        }
     ],
 }
 """A whole glTF file: corners (0, 0, 0), (1, 0, 0), (0, 1, 0)."""
@@ -59,7 +66,10 @@ class Scene:
         """Kinds of a body's shapes."""
         inspector = self.scene_graph.model_inspector()
         frame = self.plant.GetBodyFrameIdOrThrow(self.plant.GetBodyByName(body).index())
-        return [type(inspector.GetShape(geometry)).__name__ for geometry in inspector.GetGeometries(frame, role)]
+        return [
+            type(inspector.GetShape(geometry)).__name__
+            for geometry in inspector.GetGeometries(frame, role)
+        ]
 
     def contact_shapes(self):
         return {body: self.shapes(body, Role.kProximity) for body in MESHES}
@@ -101,7 +111,9 @@ def test_models_that_are_not_there_are_passed_over(drake_models):
 
 
 @pytest.mark.parametrize("before", [None, "package_map", "none"])
-def test_looking_for_them_downloads_nothing_and_leaves_the_environment_alone(before, monkeypatch, tmp_path):
+def test_looking_for_them_downloads_nothing_and_leaves_the_environment_alone(
+    before, monkeypatch, tmp_path
+):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # an empty cache
     monkeypatch.delenv(NETWORK_VARIABLE, raising=False)
     if before is not None:

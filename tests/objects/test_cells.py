@@ -103,7 +103,9 @@ def test_parts_label_the_cells_whose_centers_they_cover():
     parts = {3: rectangle(0.1, 0.2), 2: [[0, 0], [0.2, 0], [0.2, 0.1], [0, 0.1]]}
     obj = GridObject.from_outline(rectangle(0.3, 0.2), parts=parts, max_cells=150)
     x, y = obj.p_BC.T
-    np.testing.assert_array_equal(obj.labels, np.where(x < 0.1, 3, np.where((x < 0.2) & (y < 0.1), 2, 1)))
+    np.testing.assert_array_equal(
+        obj.labels, np.where(x < 0.1, 3, np.where((x < 0.2) & (y < 0.1), 2, 1))
+    )
 
 
 def test_one_cell_is_made_for_whatever_the_shape():
@@ -151,7 +153,11 @@ def test_bad_outlines_are_refused(outline, word):
 
 @pytest.mark.parametrize(
     "parts, word",
-    [({0: TRIANGLE}, "label"), ({1.5: TRIANGLE}, "label"), ({2: [[0, 0], [1, 1], [1, 0], [0, 1]]}, "part 2")],
+    [
+        ({0: TRIANGLE}, "label"),
+        ({1.5: TRIANGLE}, "label"),
+        ({2: [[0, 0], [1, 1], [1, 0], [0, 1]]}, "part 2"),
+    ],
 )
 def test_bad_parts_are_refused(parts, word):
     with pytest.raises(ObjectError, match=word):
@@ -182,7 +188,9 @@ def lattice(mask, size=1.0):
 
 
 def components(pairs, n):
-    return connected_components(coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(n, n)), directed=False)[0]
+    return connected_components(
+        coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(n, n)), directed=False
+    )[0]
 
 
 def test_block_of_cells_has_every_shared_side_once():

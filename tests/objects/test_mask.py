@@ -26,7 +26,9 @@ def save(path, labels, **options):
 
 
 def read(path, labels, max_cells=127, scale=1.0, **options):
-    return GridObject.from_mask(save(path, labels), meters_per_pixel=scale, max_cells=max_cells, **options)
+    return GridObject.from_mask(
+        save(path, labels), meters_per_pixel=scale, max_cells=max_cells, **options
+    )
 
 
 def raster_rectangle(width, height, degrees, side=300):
@@ -109,7 +111,9 @@ def test_holes_are_kept_and_specks_in_the_mask_dropped(tmp_path):
     labels = np.ones((80, 100), np.uint8)
     labels[20:60, 30:70] = 0
     labels[5, 5] = labels[70:72, 90] = 0
-    with pytest.warns(ObjectWarning, match=r"h\.png: is the mask inverted\? .* hole of 1600 pixels"):
+    with pytest.warns(
+        ObjectWarning, match=r"h\.png: is the mask inverted\? .* hole of 1600 pixels"
+    ):
         obj = read(tmp_path / "h.png", labels)
     assert len(obj.outline.interiors) == 1
     assert obj.outline.area == pytest.approx(80 * 100 - 40 * 40, rel=0.005)
@@ -147,7 +151,9 @@ def test_noise_is_traced_at_a_coarser_scale_instead_of_forever(tmp_path):
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 300))
-@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 def test_random_blobs(tmp_path, seed, max_cells):
     noise = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=(70, 90)), 6)
     labels = (noise > np.quantile(noise, 0.6)).astype(np.uint8)
@@ -161,13 +167,17 @@ def test_random_blobs(tmp_path, seed, max_cells):
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.05, 0.8))
-@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 def test_the_largest_of_random_pieces_is_kept(tmp_path, seed, density):
     labels = (np.random.default_rng(seed).random((23, 31)) < density).astype(np.uint8)
     labels[3, 4] = 1
     pixels = np.argwhere(labels)
     i, j = cKDTree(pixels).query_pairs(1.5, output_type="ndarray").T  # along a side or at a corner
-    pieces = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(len(pixels), len(pixels))))[1]
+    pieces = connected_components(
+        coo_array((np.ones(len(i)), (i, j)), shape=(len(pixels), len(pixels)))
+    )[1]
     path = save(tmp_path / "a.png", labels)
     kept = _keep_one_piece(path, read_labels(path), True)
     assert np.count_nonzero(kept) == np.bincount(pieces).max()
@@ -179,10 +189,16 @@ def test_the_largest_of_random_pieces_is_kept(tmp_path, seed, density):
 
 def png(width, height, depth, color, data):
     """A PNG from its parts."""
-    chunks = [(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, color, 0, 0, 0)), (b"IDAT", data), (b"IEND", b"")]
+    chunks = [
+        (b"IHDR", struct.pack(">IIBBBBB", width, height, depth, color, 0, 0, 0)),
+        (b"IDAT", data),
+        (b"IEND", b""),
+    ]
     out = b"\x89PNG\r\n\x1a\n"
     for kind, body in chunks:
-        out += struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        out += (
+            struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        )
     return out
 
 
@@ -203,7 +219,9 @@ def test_png_labels_are_as_stored_whatever_its_depth(tmp_path):
     path = tmp_path / "a.png"
     for kind in (np.uint8, np.uint16):
         np.testing.assert_array_equal(read_labels(save(path, STORED.astype(kind))), STORED)
-    np.testing.assert_array_equal(read_labels(save(path, STORED.astype(np.uint16) * 20000)), STORED * 20000)
+    np.testing.assert_array_equal(
+        read_labels(save(path, STORED.astype(np.uint16) * 20000)), STORED * 20000
+    )
     image = Image.new("P", (3, 2))
     image.putdata(STORED.ravel().tolist())
     image.putpalette([9, 9, 9] * 4)
@@ -269,7 +287,9 @@ def test_empty_mask_is_refused(tmp_path):
 def test_pieces_are_counted_and_the_largest_kept_on_request(tmp_path):
     labels = np.zeros((30, 30), np.uint8)
     labels[2:12, 2:12], labels[20:25, 20:25], labels[28, 3] = 1, 2, 3
-    with pytest.raises(ObjectError, match=r"3 separate pieces \(of 100, 25, 1 pixels\).*--largest-piece"):
+    with pytest.raises(
+        ObjectError, match=r"3 separate pieces \(of 100, 25, 1 pixels\).*--largest-piece"
+    ):
         read(tmp_path / "p.png", labels)
     obj = read(tmp_path / "p.png", labels, 100, largest_piece=True)
     assert obj.n == 100

@@ -57,7 +57,9 @@ def test_mask_is_looked_up_beside_the_file(tmp_path):
     labels = np.zeros((40, 60), np.uint8)
     labels[5:20, 5:30], labels[30:35, 50:55] = 4, 1
     Image.fromarray(labels).save(tmp_path / "m.png")
-    path = written(tmp_path, "mask: {image: m.png, meters_per_pixel: 0.002}\nmax_cells: 60\ntotal_mass: 2\n")
+    path = written(
+        tmp_path, "mask: {image: m.png, meters_per_pixel: 0.002}\nmax_cells: 60\ntotal_mass: 2\n"
+    )
     with pytest.raises(ObjectError, match=r"object\.yaml.*2 separate pieces"):
         GridObject.from_yaml(path)
     obj = GridObject.from_yaml(path, largest_piece=True)
@@ -108,12 +110,30 @@ def test_pieces_of_one_part_may_be_listed_apart(tmp_path):
         (BASE + "contact_friction: {prior: -0.1}\n", r"contact_friction\.prior is -0.1"),
         (BASE + "center_of_mass: {std: 0.1}\n", r"center_of_mass\.at is missing"),
         (BASE + "center_of_mass: {at: [0]}\n", r"center_of_mass\.at"),
-        (BASE + "pusher: {radius: 0.005, height: 0}\n", r"pusher\.height is 0; expected a positive number, in meters"),
-        (BASE + "pusher: {radius: 0.005, height: 3}\n", r"pusher\.height is 3 m; expected less than 1 m"),
-        (BASE + "pusher: {}\n", r"pusher\.radius is missing; expected a positive number, in meters"),
-        (BASE + "parts: [{label: 0, outline: [[0, 0], [1, 0], [0, 1]]}]\n", r"parts\[0\]\.label is 0"),
-        (BASE + "parts: [{label: 1, outline: [[0, 0], [1, 0], [a, 1]]}]\n", r"parts\[0\]\.outline\[2\]\[0\] is 'a'"),
-        (BASE + "parts: [{label: 1, outline: [[0, 0], [1, 0], [2, 0]]}]\n", r"parts\[0\]\.outline encloses no area"),
+        (
+            BASE + "pusher: {radius: 0.005, height: 0}\n",
+            r"pusher\.height is 0; expected a positive number, in meters",
+        ),
+        (
+            BASE + "pusher: {radius: 0.005, height: 3}\n",
+            r"pusher\.height is 3 m; expected less than 1 m",
+        ),
+        (
+            BASE + "pusher: {}\n",
+            r"pusher\.radius is missing; expected a positive number, in meters",
+        ),
+        (
+            BASE + "parts: [{label: 0, outline: [[0, 0], [1, 0], [0, 1]]}]\n",
+            r"parts\[0\]\.label is 0",
+        ),
+        (
+            BASE + "parts: [{label: 1, outline: [[0, 0], [1, 0], [a, 1]]}]\n",
+            r"parts\[0\]\.outline\[2\]\[0\] is 'a'",
+        ),
+        (
+            BASE + "parts: [{label: 1, outline: [[0, 0], [1, 0], [2, 0]]}]\n",
+            r"parts\[0\]\.outline encloses no area",
+        ),
         (BASE + "holes: [[[5, 5], [6, 5], [6, 6]]]\n", "outline is not a simple polygon"),
         (BASE + "mask: {image: a.png, meters_per_pixel: 1}\n", "both of outline and mask"),
         ("name: x\n", "neither of outline and mask"),
@@ -145,7 +165,11 @@ def test_bad_files_are_refused_with_the_place_and_the_expected_form(tmp_path, te
     ("text", "old", "new"),
     [
         (BASE + "centre_of_mass: {at: [0, 0]}\n", "centre_of_mass", "center_of_mass"),
-        ("mask: {image: a.png, metres_per_pixel: 1}\n", "mask.metres_per_pixel", "meters_per_pixel"),
+        (
+            "mask: {image: a.png, metres_per_pixel: 1}\n",
+            "mask.metres_per_pixel",
+            "meters_per_pixel",
+        ),
         (BASE + "cells: {size: 0.1, centres: [[0, 0]]}\n", "cells.centres", "centers"),
     ],
 )
@@ -200,9 +224,18 @@ def test_an_object_is_given_back_bit_for_bit(tmp_path, name):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        (BASE + "cells: {size: 0.01, centers: [[0.05, 0.02]]}\nmax_cells: 3\n", "expected no mask, parts or max_cells"),
-        (BASE + "cells: {size: 0.01, centers: [[0.05, 0.02]], labels: [1, 2]}\n", "has 2 entries; expected 1"),
-        (BASE + "cells: {size: 0, centers: [[0.05, 0.02]]}\n", "cells.size is 0; expected a positive"),
+        (
+            BASE + "cells: {size: 0.01, centers: [[0.05, 0.02]]}\nmax_cells: 3\n",
+            "expected no mask, parts or max_cells",
+        ),
+        (
+            BASE + "cells: {size: 0.01, centers: [[0.05, 0.02]], labels: [1, 2]}\n",
+            "has 2 entries; expected 1",
+        ),
+        (
+            BASE + "cells: {size: 0, centers: [[0.05, 0.02]]}\n",
+            "cells.size is 0; expected a positive",
+        ),
         (BASE + "cells: {size: 0.01, centers: []}\n", "cells.centers"),
     ],
 )
@@ -235,7 +268,9 @@ def test_height_and_where_it_was_seen_are_kept(tmp_path):
     assert GridObject.from_yaml(tmp_path / "tall.yaml").height == 0.04
     plain.write_yaml(tmp_path / "plain.yaml")
     assert GridObject.from_yaml(tmp_path / "plain.yaml").height is None
-    seen = SeenSchema(pixel=(321.5, 200.0), pose=(0.1, 0.2, 0.3), tag=TagSchema(id=3, size=0.03, pose=(0, 0, 1.0)))
+    seen = SeenSchema(
+        pixel=(321.5, 200.0), pose=(0.1, 0.2, 0.3), tag=TagSchema(id=3, size=0.03, pose=(0, 0, 1.0))
+    )
     path = tmp_path / "seen.yaml"
     path.write_text(dump_object("seen", tall.grid, tall.prior, tall.height, seen))
     assert read_object_file(path).seen == seen
@@ -248,13 +283,20 @@ def test_height_and_where_it_was_seen_are_kept(tmp_path):
 
 def test_a_center_of_mass_outside_the_object_is_refused(tmp_path):
     path = tmp_path / "square.yaml"
-    path.write_text("outline: [[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]]\ncenter_of_mass: {at: [0.3, 0.0]}\n")
-    with pytest.raises(ObjectError, match=r"square.yaml.*center_of_mass.at is \[0.3, 0\] m; expected a point within"):
+    path.write_text(
+        "outline: [[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]]\ncenter_of_mass: {at: [0.3, 0.0]}\n"
+    )
+    with pytest.raises(
+        ObjectError,
+        match=r"square.yaml.*center_of_mass.at is \[0.3, 0\] m; expected a point within",
+    ):
         GridObject.from_yaml(path)
 
 
 def test_a_pusher_in_millimeters_is_refused(tmp_path):
     path = tmp_path / "square.yaml"
     path.write_text("outline: [[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]]\npusher: {radius: 5}\n")
-    with pytest.raises(ObjectError, match=r"pusher.radius is 5; expected a positive number, in meters, at most 1"):
+    with pytest.raises(
+        ObjectError, match=r"pusher.radius is 5; expected a positive number, in meters, at most 1"
+    ):
         GridObject.from_yaml(path)

@@ -12,7 +12,9 @@ RIGHT_HALF = [[0.1, 0], [0.2, 0], [0.2, 0.1], [0.1, 0.1]]
 
 
 def bar(**prior):
-    return GridObject.from_outline(SQUARE, parts={2: RIGHT_HALF}, max_cells=50, prior=PhysicalPrior(**prior))
+    return GridObject.from_outline(
+        SQUARE, parts={2: RIGHT_HALF}, max_cells=50, prior=PhysicalPrior(**prior)
+    )
 
 
 def test_uniform_takes_what_is_not_given_from_the_prior():
@@ -38,7 +40,9 @@ def test_mass_properties_by_part():
     obj = bar()
     params = CellParameters.by_part(obj, {1: 0.01, 2: 0.03, 9: 1.0}, friction={1: 0.4, 2: 0.2})
     assert params.total_mass == pytest.approx(25 * 0.04)
-    np.testing.assert_allclose(params.center_of_mass(obj), [0.05 * 0.25 + 0.15 * 0.75, 0.05], atol=1e-12)
+    np.testing.assert_allclose(
+        params.center_of_mass(obj), [0.05 * 0.25 + 0.15 * 0.75, 0.05], atol=1e-12
+    )
     parallel_axes = 0.25 * 0.75 * 0.1**2
     assert params.inertia(obj) == pytest.approx((0.1**2 + 0.1**2) / 12 + parallel_axes)
     np.testing.assert_allclose(params.relative_friction()[obj.labels == 2].sum(), 0.6)
@@ -151,7 +155,13 @@ def test_prior_refuses_values_out_of_range(values):
 
 def test_object_refuses_what_does_not_fit_together():
     obj = bar()
-    good = {"name": "a", "p_BC": obj.p_BC, "cell_size": 0.02, "labels": obj.labels, "outline": obj.outline}
+    good = {
+        "name": "a",
+        "p_BC": obj.p_BC,
+        "cell_size": 0.02,
+        "labels": obj.labels,
+        "outline": obj.outline,
+    }
     GridObject(**good)
     for bad in (
         {"labels": obj.labels[1:]},

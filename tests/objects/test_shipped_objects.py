@@ -56,8 +56,15 @@ def test_object_says_what_is_known_of_it(name):
 
 
 def test_wrench_clamp_and_toolbox_have_a_hole():
-    holes = {name: len(GridObject.from_yaml(find_shipped_object(name)).outline.interiors) for name in NAMES}
-    assert [name for name, count in holes.items() if count] == ["combination_wrench", "spring_clamp", "toolbox"]
+    holes = {
+        name: len(GridObject.from_yaml(find_shipped_object(name)).outline.interiors)
+        for name in NAMES
+    }
+    assert [name for name, count in holes.items() if count] == [
+        "combination_wrench",
+        "spring_clamp",
+        "toolbox",
+    ]
 
 
 def test_unknown_name_is_answered_with_the_nearest_and_all():

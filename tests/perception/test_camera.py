@@ -137,7 +137,9 @@ def test_files_of_ros_and_opencv(tmp_path, text):
 
 def test_drakes_camera_config(tmp_path):
     camera = Camera.read(write(tmp_path, DRAKE))
-    np.testing.assert_allclose(camera.K, [[519.615, 0, 399], [0, 519.615, 299], [0, 0, 1]], atol=1e-3)
+    np.testing.assert_allclose(
+        camera.K, [[519.615, 0, 399], [0, 519.615, 299], [0, 0, 1]], atol=1e-3
+    )
     np.testing.assert_allclose(camera.cast([399, 299]), [0.1, 0.2], atol=1e-12)
     np.testing.assert_allclose(camera.X_WC[:3, 0], [0, 1, 0], atol=1e-12)
 

@@ -15,11 +15,19 @@ from gridpush_drake.errors import (
 )
 from gridpush_drake.geometry.se2 import transform
 from gridpush_drake.perception import Camera, DetectorOptions, detect_object, read_color, read_depth
-from gridpush_drake.perception.foreground import Foreground, fill_holes, find_foreground, refine_boundary
+from gridpush_drake.perception.foreground import (
+    Foreground,
+    fill_holes,
+    find_foreground,
+    refine_boundary,
+)
 from tests.helpers.pictures import calc_outline_error, make_camera, paint
 from tests.helpers.shared_data import shared_data
 
-L_SHAPE = np.array([[0, 0], [0.14, 0], [0.14, 0.04], [0.05, 0.04], [0.05, 0.12], [0, 0.12]]) - [0.05, 0.04]
+L_SHAPE = np.array([[0, 0], [0.14, 0], [0.14, 0.04], [0.05, 0.04], [0.05, 0.12], [0, 0.12]]) - [
+    0.05,
+    0.04,
+]
 BOARD = np.array([[-0.18, -0.13], [0.18, -0.13], [0.18, 0.13], [-0.18, 0.13]])
 POSE, HEIGHT, BROWN = (0.02, 0.01, 0.3), 0.03, (150, 120, 80)
 NAMES = ("hammer", "book", "box", "snack", "windex")
@@ -66,7 +74,10 @@ def test_without_X_WC_depth_gives_the_world():
     middle = found.camera.project([0, 0, 0])
     np.testing.assert_allclose(middle, camera.K[:2, 2], atol=1e-9)
     tilt = np.degrees(
-        np.arccos(found.camera.X_WC[2, 2] * camera.X_WC[2, 2] + found.camera.X_WC[2, :2] @ camera.X_WC[2, :2])
+        np.arccos(
+            found.camera.X_WC[2, 2] * camera.X_WC[2, 2]
+            + found.camera.X_WC[2, :2] @ camera.X_WC[2, :2]
+        )
     )
     assert tilt < 0.3
     with pytest.raises(CameraError, match="X_WC is not known and there is no depth"):
@@ -87,7 +98,10 @@ def test_the_close_up_shows_all_of_the_outline_and_little_else():
     rows, columns = np.nonzero(found.mask)
     longer = max(np.ptp(rows), np.ptp(columns))
     assert max(found.close_up.shape[:2]) == pytest.approx(1.4 * longer, abs=2)
-    drawn = [int((picture == (0, 255, 0)).all(axis=-1).sum()) for picture in (found.close_up, found.picture)]
+    drawn = [
+        int((picture == (0, 255, 0)).all(axis=-1).sum())
+        for picture in (found.close_up, found.picture)
+    ]
     assert drawn[0] == drawn[1] > 100
 
 
@@ -102,7 +116,10 @@ def test_parts_are_told_apart_by_color():
 
 def test_cells_too_small_to_be_counted_are_refused():
     found = detect([(L_SHAPE, POSE, HEIGHT, BROWN)])
-    with pytest.raises(ObjectError, match=r"^plate: cells of 0\.0001 m are .*; expected at most 10000, so of at least"):
+    with pytest.raises(
+        ObjectError,
+        match=r"^plate: cells of 0\.0001 m are .*; expected at most 10000, so of at least",
+    ):
         found.make_grid_object(1e-4, "plate")
 
 
@@ -128,15 +145,21 @@ def test_what_is_wrong_is_said_with_a_picture():
         detect_object(frame.color, 1000 * frame.depth, camera)
     rng = np.random.default_rng(0)
     with pytest.raises(NoTableError):
-        detect_object(frame.color, rng.uniform(0.3, 3.0, frame.depth.shape).astype(np.float32), camera)
+        detect_object(
+            frame.color, rng.uniform(0.3, 3.0, frame.depth.shape).astype(np.float32), camera
+        )
     with pytest.raises(NoTableError, match="shifted by"):
         detect_object(frame.color, frame.depth, camera.with_pose(make_camera(distance=0.9).X_WC))
     for height in (-0.01, 0.8, 30.0, np.inf):
-        with pytest.raises(PerceptionError, match=r"height is .*; expected 0 to 0\.7 m, where the camera is"):
+        with pytest.raises(
+            PerceptionError, match=r"height is .*; expected 0 to 0\.7 m, where the camera is"
+        ):
             detect_object(frame.color, None, camera, DetectorOptions(height=height))
     for above, rpy in ((0.7, (0, 0, 0)), (-0.7, (180, 0, 0))):
         with pytest.raises(NoTableError, match="looks past the table; expected X_WC"):
-            detect_object(frame.color, None, camera.with_pose(make_camera(distance=above, rpy=rpy).X_WC))
+            detect_object(
+                frame.color, None, camera.with_pose(make_camera(distance=above, rpy=rpy).X_WC)
+            )
     with pytest.raises(NoTableError, match="no even color"):
         detect_object(rng.integers(0, 255, frame.color.shape, dtype=np.uint8), None, camera)
 
@@ -177,14 +200,18 @@ def test_real_photographs():
     assert np.mean(list(scores.values())) >= 0.93, scores
 
 
-@pytest.mark.parametrize(("strip", "edge"), [((-60, 7, 3), 54), ((-60, 0, 0), 54), ((-12, 0, 0), 50)])
+@pytest.mark.parametrize(
+    ("strip", "edge"), [((-60, 7, 3), 54), ((-60, 0, 0), 54), ((-12, 0, 0), 50)]
+)
 def test_a_side_in_the_dark_is_object_and_a_shadow_is_table(strip, edge):
     """Four rows below a brown top: too dark for a shadow, or a shadow."""
     difference = np.zeros((90, 120, 3), np.float32)
     difference[20:50, 20:100], difference[50:54, 20:100] = (-30, 22, 25), strip
     top = np.zeros((90, 120), dtype=bool)
     top[20:50, 20:100] = True
-    found = Foreground(top, np.where(top, 5, -3).astype(np.float32), difference, np.ones(3), 0 * difference[..., 0])
+    found = Foreground(
+        top, np.where(top, 5, -3).astype(np.float32), difference, np.ones(3), 0 * difference[..., 0]
+    )
     _, coverage = refine_boundary(top, found)
     assert 20 + coverage[10:80, 60].sum() == pytest.approx(edge, abs=0.4)
 
@@ -207,7 +234,9 @@ def test_a_small_hole_is_drawn_as_wide_as_it_is(rows):
     color[40:80, 30:130] = (110, 35, 30)
     color[60 : 60 + rows, 60:72] = (205, 175, 130)
     rng = np.random.default_rng(0)
-    found = find_foreground((color + 2 * rng.standard_normal(color.shape)).clip(0, 255).astype(np.uint8), None, "color")
+    found = find_foreground(
+        (color + 2 * rng.standard_normal(color.shape)).clip(0, 255).astype(np.uint8), None, "color"
+    )
     mask, coverage = refine_boundary(found.mask, found)
     hole = np.zeros_like(mask)
     hole[60 : 60 + rows, 60:72] = True

@@ -18,7 +18,9 @@ def write_folder(folder, times, depth=True):
         cv2.imwrite(str(folder / f"{k}_color.png"), image[..., ::-1])
         if depth:
             cv2.imwrite(str(folder / f"{k}_depth.png"), np.full((48, 64), 700 + k, np.uint16))
-    (folder / "times.csv").write_text("name,t\n" + "".join(f"{k}_color.png,{t}\n" for k, t in enumerate(times)))
+    (folder / "times.csv").write_text(
+        "name,t\n" + "".join(f"{k}_color.png,{t}\n" for k, t in enumerate(times))
+    )
 
 
 def test_a_folder_of_color_and_depth(tmp_path):

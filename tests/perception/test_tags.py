@@ -4,7 +4,13 @@ import pytest
 
 from gridpush_drake.errors import TagError
 from gridpush_drake.geometry.se2 import compose
-from gridpush_drake.perception import TagBoard, calibrate_pose, detect_tags, find_tag_corners, solve_tag_to_body
+from gridpush_drake.perception import (
+    TagBoard,
+    calibrate_pose,
+    detect_tags,
+    find_tag_corners,
+    solve_tag_to_body,
+)
 from tests.helpers.pictures import make_camera, paint, paint_tag
 
 SIZE, HEIGHT = 0.03, 0.02
@@ -102,6 +108,12 @@ def test_what_is_wrong_with_a_board_is_said():
         calibrate_pose(photograph_board(board, camera), camera, TagBoard(columns=5, rows=4))
     with pytest.raises(TagError, match=r"a board of 171\.5 x 217 m; expected at most 2 m a side"):
         TagBoard(size=35.0, gap=10.5)
-    for wrong in ({"size": float("inf")}, {"columns": 0}, {"size": -1.0}, {"first": 600}, {"columns": 40, "rows": 40}):
+    for wrong in (
+        {"size": float("inf")},
+        {"columns": 0},
+        {"size": -1.0},
+        {"first": 600},
+        {"columns": 40, "rows": 40},
+    ):
         with pytest.raises(TagError):
             TagBoard(**wrong)

@@ -10,9 +10,14 @@ from gridpush_drake.perception import Camera, PoseTracker
 from gridpush_drake.perception.tracking import TrackerOptions, calc_dilution, make_silhouette
 from tests.helpers.pictures import cover, make_camera, paint
 
-L_SHAPE = np.array([[0, 0], [0.14, 0], [0.14, 0.04], [0.05, 0.04], [0.05, 0.12], [0, 0.12]]) - [0.05, 0.04]
+L_SHAPE = np.array([[0, 0], [0.14, 0], [0.14, 0.04], [0.05, 0.04], [0.05, 0.12], [0, 0.12]]) - [
+    0.05,
+    0.04,
+]
 SQUARE = np.array([[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]])
-DISC = 0.06 * np.array([[np.cos(a), np.sin(a)] for a in np.linspace(0, 2 * np.pi, 72, endpoint=False)])
+DISC = 0.06 * np.array(
+    [[np.cos(a), np.sin(a)] for a in np.linspace(0, 2 * np.pi, 72, endpoint=False)]
+)
 ARM = np.array([[-0.03, -0.25], [0.03, -0.25], [0.03, 0.25], [-0.03, 0.25]])
 BAR = np.array([[-0.06, -0.006], [0.06, -0.006], [0.06, 0.006], [-0.06, 0.006]])
 HEIGHT, BROWN, DARK = 0.03, (150, 120, 80), (50, 50, 55)
@@ -31,7 +36,9 @@ def follow(outline, poses, use_depth=True, guess=None):
     state = tracker.start(look(outline, poses[0], depth=use_depth), guess)
     seen = []
     for k, pose in enumerate(poses):
-        state, tracked = tracker.track(state, look(outline, pose, seed=k, depth=use_depth, shadow=0.2))
+        state, tracked = tracker.track(
+            state, look(outline, pose, seed=k, depth=use_depth, shadow=0.2)
+        )
         seen.append(tracked)
     return seen
 
@@ -63,7 +70,9 @@ def test_start_searches_every_angle_and_refuses_another_outline():
 
 
 @pytest.mark.parametrize(("period", "found_after"), [(0.0, 1), (0.25, 3)])
-def test_an_object_that_is_gone_is_searched_for_everywhere_as_often_as_is_asked(period, found_after):
+def test_an_object_that_is_gone_is_searched_for_everywhere_as_often_as_is_asked(
+    period, found_after
+):
     tracker = PoseTracker(L_SHAPE, HEIGHT, make_camera(), TrackerOptions(search_period=period))
     state = tracker.start(look(L_SHAPE, START, t=0.0))
     state, gone = tracker.track(state, look(DISC, [0.5, 0.5, 0.0], t=0.1))
@@ -83,10 +92,16 @@ def test_a_silhouette_is_all_that_the_sides_and_the_top_hide(name):
     (x, y), distance = camera.center[:2], camera.center[2]
     rng = np.random.default_rng(0)
     for _ in range(4):
-        pose, height = [*rng.uniform(-0.3, 0.3, 2), rng.uniform(-np.pi, np.pi)], rng.uniform(0.01, 0.08)
-        placed = affinity.translate(affinity.rotate(outline, pose[2], (0, 0), use_radians=True), pose[0], pose[1])
+        pose, height = (
+            [*rng.uniform(-0.3, 0.3, 2), rng.uniform(-np.pi, np.pi)],
+            rng.uniform(0.01, 0.08),
+        )
+        placed = affinity.translate(
+            affinity.rotate(outline, pose[2], (0, 0), use_radians=True), pose[0], pose[1]
+        )
         slices = [
-            affinity.scale(placed, *2 * [distance / (distance - z)], origin=(x, y)) for z in np.linspace(0, height, 60)
+            affinity.scale(placed, *2 * [distance / (distance - z)], origin=(x, y))
+            for z in np.linspace(0, height, 60)
         ]
         hidden = max(shapely.get_parts(shapely.union_all(slices)), key=lambda piece: piece.area)
         found = make_silhouette(outline, pose, height, camera)
@@ -118,11 +133,15 @@ def test_what_the_arm_covers_widens_the_covariance():
     _, free = tracker.track(before, look(L_SHAPE, START + [0.003, 0, 0], depth=False))
     _, hidden = tracker.track(before, frame, covered)
     assert hidden.seen
-    np.testing.assert_array_less(np.abs(hidden.pose - START - [0.003, 0, 0]), [1e-3, 1e-3, np.radians(0.5)])
+    np.testing.assert_array_less(
+        np.abs(hidden.pose - START - [0.003, 0, 0]), [1e-3, 1e-3, np.radians(0.5)]
+    )
     assert np.linalg.det(hidden.covariance) > 2 * np.linalg.det(free.covariance)
     with_depth = look(L_SHAPE, START + [0.003, 0, 0], arm)
     _, by_height = tracker.track(before, with_depth)
-    np.testing.assert_array_less(np.abs(by_height.pose - START - [0.003, 0, 0]), [1e-3, 1e-3, np.radians(0.5)])
+    np.testing.assert_array_less(
+        np.abs(by_height.pose - START - [0.003, 0, 0]), [1e-3, 1e-3, np.radians(0.5)]
+    )
 
 
 def test_what_covers_too_much_hides_the_object():
@@ -131,13 +150,17 @@ def test_what_covers_too_much_hides_the_object():
     frame = look(L_SHAPE, START)
     covered = np.ones(frame.color.shape[:2], dtype=bool)
     column = round(float(make_camera().project(np.array([[*(START[:2] + 0.02), 0.0]]))[0, 0]))
-    covered[:, column - 22 : column + 22] = False  # two nearly parallel edges tell nothing of the place along them
+    covered[:, column - 22 : column + 22] = (
+        False  # two nearly parallel edges tell nothing of the place along them
+    )
     state, hidden = tracker.track(state, frame, covered)
     assert not hidden.seen
     assert np.isnan(hidden.pose).all()
     state, free = tracker.track(state, look(L_SHAPE, START + [0.003, 0, 0], seed=1))
     assert free.seen
-    np.testing.assert_array_less(np.abs(free.pose - START - [0.003, 0, 0]), [1e-3, 1e-3, np.radians(0.5)])
+    np.testing.assert_array_less(
+        np.abs(free.pose - START - [0.003, 0, 0]), [1e-3, 1e-3, np.radians(0.5)]
+    )
 
 
 def test_from_aslant_the_place_is_less_sure_along_the_view():
@@ -191,11 +214,15 @@ def test_what_hangs_over_the_edge_is_found_again_before_the_floor(floor):
 
 def test_no_edge_of_the_table_and_nothing_that_the_arm_hid_at_first_is_found_for_a_thin_object_that_is_hidden():
     camera, edge = make_camera(), 0.2
-    x, y = np.moveaxis(camera.cast(np.stack(np.meshgrid(np.arange(640), np.arange(480)), axis=-1)), -1, 0)
+    x, y = np.moveaxis(
+        camera.cast(np.stack(np.meshgrid(np.arange(640), np.arange(480)), axis=-1)), -1, 0
+    )
 
     def take(pose=None, arm=False, t=0.0):
         """A table whose light falls off toward the back, and the floor; the arm stands there at first."""
-        frame = paint(camera, [] if pose is None else [(BAR, pose, HEIGHT, BROWN)], seed=int(10 * t), t=t)
+        frame = paint(
+            camera, [] if pose is None else [(BAR, pose, HEIGHT, BROWN)], seed=int(10 * t), t=t
+        )
         shade = np.clip(1.0 - 8.0 * np.clip(y - 0.06, 0, None) ** 1.2, 0.5, 1.0)[..., None]
         frame.color[:] = np.rint(frame.color * shade)
         frame.color[x > edge], frame.depth[x > edge] = DARK, 1.4

@@ -5,7 +5,13 @@ import copy
 import numpy as np
 import pytest
 
-from gridpush_drake.planning.closed_loop import LoopOptions, Observation, PoseFilter, PushPhase, PushStatus
+from gridpush_drake.planning.closed_loop import (
+    LoopOptions,
+    Observation,
+    PoseFilter,
+    PushPhase,
+    PushStatus,
+)
 from gridpush_drake.planning.goal.next_push import GoalRules
 from gridpush_drake.planning.goal.push_to_goal import PushToGoalLoop
 from gridpush_drake.pushes.push_log import PushLog
@@ -36,7 +42,9 @@ def test_no_more_than_the_latest_are_kept():
 def test_what_lies_elsewhere_or_is_turned_begins_another_rest():
     for moved in ((0.005, 0.0, 0.0), (0.0, -0.005, 0.0), (0.0, 0.0, 0.05)):
         assert look([(0.0, 0.0, 0.0), (0.0, 0.0, 0.0), moved]).poses == (moved,)
-    slow = [(0.002 * i, 0.0, 0.0) for i in range(4)]  # each near the one before, but not all of one rest
+    slow = [
+        (0.002 * i, 0.0, 0.0) for i in range(4)
+    ]  # each near the one before, but not all of one rest
     assert look(slow).poses == tuple(slow[1:])
 
 
@@ -113,12 +121,23 @@ def test_refused_pushes_are_not_tried_again_and_given_up(max_refusals):
     stepper, asked = Stepper(observations=1, max_refusals=max_refusals), []
     for number in range(1, max_refusals + 1):
         asked.append(
-            stepper.step(robot=PushStatus(command_id=number - 1, reason="it sulks" if number > 1 else "")).push
+            stepper.step(
+                robot=PushStatus(command_id=number - 1, reason="it sulks" if number > 1 else "")
+            ).push
         )
     state = stepper.step(robot=PushStatus(command_id=max_refusals, reason="it sulks"))
-    assert (state.status.mode, state.status.cause, state.status.refused) == ("failed", "refused", max_refusals)
+    assert (state.status.mode, state.status.cause, state.status.refused) == (
+        "failed",
+        "refused",
+        max_refusals,
+    )
     assert "it sulks" in state.status.reason
     for i, one in enumerate(asked):
         for other in asked[:i]:
-            cosine = one.velocity @ other.velocity / np.linalg.norm(one.velocity) / np.linalg.norm(other.velocity)
+            cosine = (
+                one.velocity
+                @ other.velocity
+                / np.linalg.norm(one.velocity)
+                / np.linalg.norm(other.velocity)
+            )
             assert np.linalg.norm(one.start - other.start) >= 0.01 or cosine <= np.cos(0.2)

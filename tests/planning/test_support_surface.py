@@ -18,14 +18,19 @@ def bar():
 def test_distances_to_a_rectangle_are_known():
     table = SupportSurface.rectangle((1.0, 2.0), (0.8, 0.4))
     points = [(1.0, 2.0), (1.35, 2.0), (1.4, 2.1), (1.5, 2.0), (1.43, 2.24)]
-    np.testing.assert_allclose(table.signed_distances(points), [0.2, 0.05, 0.0, -0.1, -0.05], atol=1e-12)
+    np.testing.assert_allclose(
+        table.signed_distances(points), [0.2, 0.05, 0.0, -0.1, -0.05], atol=1e-12
+    )
 
 
-@pytest.mark.parametrize("table", [SupportSurface.round((0.1, 0.2), 0.4), SupportSurface.from_polygon(L_SHAPE)])
+@pytest.mark.parametrize(
+    "table", [SupportSurface.round((0.1, 0.2), 0.4), SupportSurface.from_polygon(L_SHAPE)]
+)
 def test_distances_agree_with_the_polygon_s(table):
     points = np.random.default_rng(0).uniform(-0.5, 0.9, (200, 2))
     expected = [
-        (1 if table.polygon.contains(shapely.Point(p)) else -1) * table.polygon.exterior.distance(shapely.Point(p))
+        (1 if table.polygon.contains(shapely.Point(p)) else -1)
+        * table.polygon.exterior.distance(shapely.Point(p))
         for p in points
     ]
     np.testing.assert_allclose(table.signed_distances(points), expected, atol=1e-12)
@@ -46,7 +51,9 @@ def test_corners_may_be_given_in_either_turning():
     assert SupportSurface.rectangle((0, 0), (1, 1)).is_convex
 
 
-@pytest.mark.parametrize("table", [SupportSurface.rectangle((0, 0), (0.5, 0.4)), SupportSurface.round((0, 0), 0.25)])
+@pytest.mark.parametrize(
+    "table", [SupportSurface.rectangle((0, 0), (0.5, 0.4)), SupportSurface.round((0, 0), 0.25)]
+)
 def test_a_cell_s_square_is_as_far_inside_as_its_nearest_corner(table, bar):
     rng = np.random.default_rng(1)
     corners = bar.cell_size / 2 * np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])
@@ -97,7 +104,12 @@ def test_a_long_bar_fits_on_a_table_by_its_diagonal_only():
         (lambda: SupportSurface.round((0, 0), -1.0), "radius"),
         (lambda: SupportSurface.from_polygon([(0, 0), (1, 1)]), "k >= 3"),
         (lambda: SupportSurface.from_polygon([(0, 0), (1, 1), (1, 0), (0, 1)]), "cross itself"),
-        (lambda: SupportSurface(shapely.Point(0, 0).buffer(1).difference(shapely.Point(0, 0).buffer(0.5))), "holes"),
+        (
+            lambda: SupportSurface(
+                shapely.Point(0, 0).buffer(1).difference(shapely.Point(0, 0).buffer(0.5))
+            ),
+            "holes",
+        ),
     ],
 )
 def test_refuses_what_is_no_table(make, says):

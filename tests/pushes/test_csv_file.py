@@ -76,7 +76,9 @@ def test_force_is_read_where_it_was_measured(write):
 
 def test_a_push_over_the_edge_is_marked_by_any_of_its_rows(write):
     column = ["overhang", "0", "", "1", "0", " "]
-    log = PushLog.read_csv(write("\n".join(map(",".join, zip(GOOD.splitlines(), column, strict=True)))))
+    log = PushLog.read_csv(
+        write("\n".join(map(",".join, zip(GOOD.splitlines(), column, strict=True))))
+    )
     assert [seen.overhang for seen in log] == [True, False]
     assert [seen.name for seen in log.supported] == ["b"]
     assert [seen.name for seen in log.overhanging] == ["a"]
@@ -150,13 +152,19 @@ def replaced(old, new):
         (HEADER + "\n", ["holds no push"]),
         (b"\x89PNG\r\n\x00\x01", ["not UTF-8 text"]),
         (b"\xff\xfe\xfa", ["not UTF-8 text"]),
-        (replaced("tip_x", "tipx"), ["line 1", "column tip_x", "missing", "rename 'tipx' to 'tip_x'"]),
+        (
+            replaced("tip_x", "tipx"),
+            ["line 1", "column tip_x", "missing", "rename 'tipx' to 'tip_x'"],
+        ),
         (replaced(",tip_y", ""), ["line 1", "column tip_y", "missing"]),
         (replaced("object_theta", "theta"), ["column object_theta", "rename 'theta'"]),
         (replaced("push,", "Push,"), ["column push", "rename 'Push'"]),
         (GOOD.replace(",", ";"), ["line 1", "missing", "comma-separated"]),
         (replaced("tip_y", "tip_x"), ["column tip_x", "twice"]),
-        (FORCED.replace("force_y", "forcey"), ["column forcey", "unknown", "did you mean 'force_y'"]),
+        (
+            FORCED.replace("force_y", "forcey"),
+            ["column forcey", "unknown", "did you mean 'force_y'"],
+        ),
         (FORCED.replace("force_y", "zebra"), ["column zebra", "unknown", "expected"]),
         (
             "\n".join(line.rpartition(",")[0] for line in FORCED.splitlines()),
@@ -180,12 +188,20 @@ def replaced(old, new):
         (replaced("b,5", ",5"), ["line 5", "column push", "empty"]),
         (replaced("a,1,-0.05,0,,,", "a,1,-0.05,0,,"), ["line 3", "6 fields", "7"]),
         (replaced("a,1,-0.05", "a,1,-0,05"), ["line 3", "8 fields", "7"]),
-        (GOOD.replace("theta\n", "theta,overhang\n").replace("0.1\n", "0.1,yes\n"), ["line 2", "7 fields", "8"]),
         (
-            GOOD.replace("\n", ",\n").replace("theta,", "theta,overhang").replace("0,0.1,", "0,0.1,yes"),
+            GOOD.replace("theta\n", "theta,overhang\n").replace("0.1\n", "0.1,yes\n"),
+            ["line 2", "7 fields", "8"],
+        ),
+        (
+            GOOD.replace("\n", ",\n")
+            .replace("theta,", "theta,overhang")
+            .replace("0,0.1,", "0,0.1,yes"),
             ["line 4", "column overhang", "'yes'", "0 or 1"],
         ),
-        (replaced("object_theta", "object_theta,overhangs"), ["overhangs", "did you mean 'overhang'"]),
+        (
+            replaced("object_theta", "object_theta,overhangs"),
+            ["overhangs", "did you mean 'overhang'"],
+        ),
         (replaced("a,1", '"a' + "x" * 140_000 + '",1'), ["line 3", "is not CSV"]),
     ],
 )
@@ -222,13 +238,22 @@ def test_round_trip_bit_for_bit(tmp_path, force):
     back = PushLog.read_csv(tmp_path / "log.csv", 0.004)
     for seen, again in zip(log, back, strict=True):
         assert seen.name == again.name
-        for name in ("pose", "t_observed", "poses_observed", *(("force_t", "force") if force else ())):
+        for name in (
+            "pose",
+            "t_observed",
+            "poses_observed",
+            *(("force_t", "force") if force else ()),
+        ):
             np.testing.assert_array_equal(getattr(seen, name), getattr(again, name))
         np.testing.assert_array_equal(seen.push.t, again.push.t)
         np.testing.assert_array_equal(seen.push.xy, again.push.xy)
         if not force:
             assert again.force is None
-    assert [seen.overhang for seen in back] == [seen.overhang for seen in log] == [False, True, False, True]
+    assert (
+        [seen.overhang for seen in back]
+        == [seen.overhang for seen in log]
+        == [False, True, False, True]
+    )
     back.write_csv(tmp_path / "again.csv")
     assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "log.csv").read_bytes()
 

@@ -5,7 +5,12 @@ import pytest
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PushError, PushLogError
-from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog, nearest_turn
+from gridpush_drake.pushes.push_log import (
+    DEFAULT_PUSHER_RADIUS,
+    ObservedPush,
+    PushLog,
+    nearest_turn,
+)
 
 
 def straight() -> Push:
@@ -113,7 +118,9 @@ def test_a_log_made_in_code_has_its_radius():
 @pytest.mark.parametrize("difference", [-3.1, -0.2, 0.0, 3.1])
 def test_nearest_turn(turns, difference):
     reference = 12.3
-    assert nearest_turn(reference + difference + turns * math.tau, reference) == pytest.approx(reference + difference)
+    assert nearest_turn(reference + difference + turns * math.tau, reference) == pytest.approx(
+        reference + difference
+    )
 
 
 def test_nearest_turn_keeps_a_near_angle_bit_for_bit():

@@ -35,7 +35,9 @@ def misread(log: PushLog, tip: float = 1.0, place: float = 1.0, angle: float = 1
     """The log of one who wrote other units, as a reader of CSV takes it: angles continuous."""
     pushes = []
     for seen in log:
-        pose, poses = (np.array(q) * [place, place, angle] for q in (seen.pose, seen.poses_observed))
+        pose, poses = (
+            np.array(q) * [place, place, angle] for q in (seen.pose, seen.poses_observed)
+        )
         before = pose[2]
         for q in poses:
             before = q[2] = nearest_turn(float(q[2]), before)
@@ -104,7 +106,11 @@ def test_a_pose_that_no_push_leads_to_is_refused_to_learn_from():
             True,
         ),
         ([0, -30.0, 0], "push 'push_2', column object_y: the object moves", True),
-        (log[1].poses_observed[-1] + [0, 0, 6.0], "push 'push_2', column object_theta: the object turns", False),
+        (
+            log[1].poses_observed[-1] + [0, 0, 6.0],
+            "push 'push_2', column object_theta: the object turns",
+            False,
+        ),
     ):
         wrong = changed(log, 1, pose)
         with pytest.warns(PushLogWarning, match=says):
@@ -112,10 +118,16 @@ def test_a_pose_that_no_push_leads_to_is_refused_to_learn_from():
         assert len(found) == 3
         if jumps_back:  # a tracker's jump among good poses: that pose is left out, and named
             learned = identify(obj, wrong)
-            assert [(out.push, out.poses, out.whole) for out in learned.outliers] == [("push_2", (last,), False)]
+            assert [(out.push, out.poses, out.whole) for out in learned.outliers] == [
+                ("push_2", (last,), False)
+            ]
             wrong = PushLog(
                 tuple(
-                    replace(seen, t_observed=seen.t_observed[-1:], poses_observed=seen.poses_observed[-1:])
+                    replace(
+                        seen,
+                        t_observed=seen.t_observed[-1:],
+                        poses_observed=seen.poses_observed[-1:],
+                    )
                     for seen in wrong
                 ),
                 "log.csv",
@@ -129,15 +141,26 @@ def test_a_pose_that_no_push_leads_to_is_refused_to_learn_from():
     [
         [[1, 1], [2, 1], [2, 2], [1, 2]],
         [[-1, -1], [1, -1], [1, -0.999], [-1, -0.999]],
-        [[-1, -1e-4], [1, -1e-4], [1, 1e-4], [-1, 1e-4]],  # its edges cross the object, between the cells' centers
+        [
+            [-1, -1e-4],
+            [1, -1e-4],
+            [1, 1e-4],
+            [-1, 1e-4],
+        ],  # its edges cross the object, between the cells' centers
     ],
 )
 def test_a_table_that_the_object_is_not_on_is_refused(table):
     obj = make_block()
     log = replace(misread(simulated(obj, 2)), table=np.array(table, dtype=float))
-    with pytest.raises(PushLogError, match=r"^log\.csv: push 'push_1', column table: at t = 0 s the object, at \(.*"):
+    with pytest.raises(
+        PushLogError,
+        match=r"^log\.csv: push 'push_1', column table: at t = 0 s the object, at \(.*",
+    ):
         predict(obj, CellParameters.uniform(obj), log)
-    with pytest.raises(PushLogError, match=r"has no cell of block with its center on the table; expected an object on"):
+    with pytest.raises(
+        PushLogError,
+        match=r"has no cell of block with its center on the table; expected an object on",
+    ):
         identify(obj, log)
 
 
@@ -153,7 +176,10 @@ def test_an_object_that_leaves_the_table_is_refused_to_learn_from():
         identify(obj, log)
     with pytest.warns(PushLogWarning, match=says):
         predict(obj, CellParameters.uniform(obj), log)
-    assert find_implausible(obj, replace(log, table=strip + [[0, 0], [0.02, 0], [0.02, 0], [0, 0]])) == []
+    assert (
+        find_implausible(obj, replace(log, table=strip + [[0, 0], [0.02, 0], [0.02, 0], [0, 0]]))
+        == []
+    )
 
 
 def test_fast_pushers_are_refused():
@@ -162,7 +188,10 @@ def test_fast_pushers_are_refused():
     seen = log[0]
     push = Push.along(seen.push.t * 1e-6, seen.push.xy, seen.push.radius)
     fast = PushLog((replace(seen, push=push, t_observed=seen.t_observed * 1e-6), log[1]))
-    with pytest.raises(PushLogError, match=r"push 'push_1', column t: the pusher moves 0\.0\d+ m in .*at most 30 m/s"):
+    with pytest.raises(
+        PushLogError,
+        match=r"push 'push_1', column t: the pusher moves 0\.0\d+ m in .*at most 30 m/s",
+    ):
         predict(obj, CellParameters.uniform(obj), fast)
 
 
@@ -171,15 +200,30 @@ def test_what_may_be_true_is_warned_of():
     log = simulated(obj, 2)
     turned = misread(log)
     turned = PushLog(tuple(replace(seen, pose=seen.pose + [0, 0, 8 * np.pi]) for seen in turned))
-    turned = PushLog(tuple(replace(s, poses_observed=s.poses_observed + [0, 0, 8 * np.pi]) for s in turned))
-    with pytest.warns(PushLogWarning, match=r"object_theta: in degrees\? expected rad; the object lies at 2\d\."):
+    turned = PushLog(
+        tuple(replace(s, poses_observed=s.poses_observed + [0, 0, 8 * np.pi]) for s in turned)
+    )
+    with pytest.warns(
+        PushLogWarning, match=r"object_theta: in degrees\? expected rad; the object lies at 2\d\."
+    ):
         check_plausible(obj, turned, learning=True)
     wide = replace(log, table=1e3 * np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]))
-    with pytest.warns(PushLogWarning, match=r"column table: in millimeters\? expected m, .*; the table spans 1e\+03$"):
+    with pytest.warns(
+        PushLogWarning,
+        match=r"column table: in millimeters\? expected m, .*; the table spans 1e\+03$",
+    ):
         check_plausible(obj, wide, learning=True)
     large = GridObject.from_outline(np.array(obj.outline.exterior.coords) * 1e3, name="large")
-    far = PushLog((ObservedPush("a", Push((-60.0, 0.0), (1.0, 0.0), 1.0, 0.005), np.zeros(3), [], np.empty((0, 3))),))
-    with pytest.warns(PushLogWarning, match=r"large: its outline spans 134 m; in millimeters\? expected m"):
+    far = PushLog(
+        (
+            ObservedPush(
+                "a", Push((-60.0, 0.0), (1.0, 0.0), 1.0, 0.005), np.zeros(3), [], np.empty((0, 3))
+            ),
+        )
+    )
+    with pytest.warns(
+        PushLogWarning, match=r"large: its outline spans 134 m; in millimeters\? expected m"
+    ):
         check_plausible(large, far, learning=False)
     with pytest.raises(PushLogError, match=r"large: its outline spans 134 m; in millimeters\?"):
         check_plausible(large, far, learning=True)
@@ -188,7 +232,9 @@ def test_what_may_be_true_is_warned_of():
 def test_a_log_that_misses_is_explained():
     obj = make_block()
     log = simulated(obj, 2)
-    away = PushLog(tuple(replace(s, push=Push.along(s.push.t, s.push.xy + 0.5, s.push.radius)) for s in log))
+    away = PushLog(
+        tuple(replace(s, push=Push.along(s.push.t, s.push.xy + 0.5, s.push.radius)) for s in log)
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_plausible(obj, away, learning=True)
@@ -197,7 +243,9 @@ def test_a_log_that_misses_is_explained():
 
 def test_a_log_that_misses_is_not_taken_for_millimeters_where_the_body_frame_is_at_a_corner():
     obj = make_block()
-    corner = GridObject.from_outline(np.array(obj.outline.exterior.coords) - obj.outline.bounds[:2], max_cells=20)
+    corner = GridObject.from_outline(
+        np.array(obj.outline.exterior.coords) - obj.outline.bounds[:2], max_cells=20
+    )
     push = Push((0.5, 0.5), (0.0, 0.05), 1.0, 0.005)
     away = PushLog((ObservedPush("a", push, np.zeros(3), [1.0], np.zeros((1, 3))),))
     assert find_implausible(corner, away) == []
@@ -205,8 +253,19 @@ def test_a_log_that_misses_is_not_taken_for_millimeters_where_the_body_frame_is_
 
 def test_degrees_are_named_where_the_body_frame_is_far_from_the_centroid():
     obj = make_block()
-    aside = GridObject.from_outline(np.array(obj.outline.exterior.coords) + 0.3, max_cells=20, name="aside")
+    aside = GridObject.from_outline(
+        np.array(obj.outline.exterior.coords) + 0.3, max_cells=20, name="aside"
+    )
     start = aside.outline.bounds[0] - 0.006, aside.outline.centroid.y
-    seen = ObservedPush("a", Push(start, (0.05, 0.0), 1.0, 0.005), np.zeros(3), [1.0], [[0.03, 0.0, 0.3 * PER_RADIAN]])
-    with pytest.raises(PushLogError, match=r"push 'a', column object_theta: the object turns 17\.2 rad .* in degrees"):
+    seen = ObservedPush(
+        "a",
+        Push(start, (0.05, 0.0), 1.0, 0.005),
+        np.zeros(3),
+        [1.0],
+        [[0.03, 0.0, 0.3 * PER_RADIAN]],
+    )
+    with pytest.raises(
+        PushLogError,
+        match=r"push 'a', column object_theta: the object turns 17\.2 rad .* in degrees",
+    ):
         check_plausible(aside, PushLog((seen,)), learning=True)

@@ -41,7 +41,12 @@ def test_poses_are_matched_with_the_tip_s_place_at_their_time(script):
     script.lower(-0.06, 0.01).push(0.04, 0.01).wait(0.3).lift().wait(1.0)
     (push,) = script.segment()
     motion = simulate(
-        script.obj, script.params, push.push, push.pose, times=np.append(0.0, push.t_observed), regime="quasi_static"
+        script.obj,
+        script.params,
+        push.push,
+        push.pose,
+        times=np.append(0.0, push.t_observed),
+        regime="quasi_static",
     )
     fine = simulate(
         script.obj, script.params, push.push, push.pose, regime="quasi_static",
@@ -57,7 +62,9 @@ def test_old_poses_are_dated_back(script):
     script.lower(-0.06, 0.01).push(0.04, 0.01).wait(0.5).lift().wait(1.0)
     (exact,) = script.segment()
     delayed = [script.samples[0], *script.samples[:-1]]
-    script.samples = [now._replace(pose=old.pose) for now, old in zip(script.samples, delayed, strict=True)]
+    script.samples = [
+        now._replace(pose=old.pose) for now, old in zip(script.samples, delayed, strict=True)
+    ]
     (corrected,) = script.segment(replace(RECORD, pose_delay=PERIOD))
     np.testing.assert_allclose(corrected.t_observed[:-1], exact.t_observed[:-1], atol=1e-9)
     np.testing.assert_allclose(corrected.poses_observed, exact.poses_observed, atol=1e-9)
@@ -106,7 +113,9 @@ def test_brief_touch_and_far_way_are_no_pushes(script):
 
 
 def test_descent_with_a_drift_is_no_push(script):
-    script.move((-0.06, 0.01, HIGH), 0.3).move((-0.055, 0.01, LOW)).push(0.04, 0.01).wait(0.3).lift().wait(1.0)
+    script.move((-0.06, 0.01, HIGH), 0.3).move((-0.055, 0.01, LOW)).push(0.04, 0.01).wait(
+        0.3
+    ).lift().wait(1.0)
     (push,) = script.segment()
     assert push.push.length == pytest.approx(0.095, abs=1e-3)
 
@@ -146,12 +155,17 @@ def test_object_that_was_put_elsewhere_by_hand(script):
     script.q = np.array([0.01, 0.02, 0.3])
     script.wait(0.5)
     script.samples[-4] = script.samples[-4]._replace(pose=(0.5, 0.5, 0.0))
-    assert (np.abs(calc_rest_pose(script.samples, RECORD) - script.q) < 4 * NOISE / np.sqrt(10)).all()
+    assert (
+        np.abs(calc_rest_pose(script.samples, RECORD) - script.q) < 4 * NOISE / np.sqrt(10)
+    ).all()
     assert calc_rest_pose([], RECORD) is None
 
 
 def test_rest_pose_across_the_cut_of_the_angle():
-    looks = [Sample(i, (0.0, 0.0, sign * (np.pi - 0.001)), (0,) * 3, (0,) * 3) for i, sign in enumerate((1, -1) * 3)]
+    looks = [
+        Sample(i, (0.0, 0.0, sign * (np.pi - 0.001)), (0,) * 3, (0,) * 3)
+        for i, sign in enumerate((1, -1) * 3)
+    ]
     assert abs(abs(calc_rest_pose(looks, RECORD)[2]) - np.pi) < 1e-9
 
 

@@ -25,7 +25,12 @@ def script() -> Script:
 def assert_same(one: PushLog, other: PushLog) -> None:
     assert [seen.name for seen in one] == [seen.name for seen in other]
     for a, b in zip(one, other, strict=True):
-        for x, y in ((a.push.t, b.push.t), (a.push.xy, b.push.xy), (a.pose, b.pose), (a.t_observed, b.t_observed)):
+        for x, y in (
+            (a.push.t, b.push.t),
+            (a.push.xy, b.push.xy),
+            (a.pose, b.pose),
+            (a.t_observed, b.t_observed),
+        ):
             np.testing.assert_array_equal(x, y)
         np.testing.assert_array_equal(a.poses_observed, b.poses_observed)
 
@@ -40,7 +45,9 @@ def test_a_stream_survives_its_file_bit_for_bit(script, tmp_path):
     for one, other in zip(samples, back, strict=True):
         tip = Sample(one.t, one.pose, (np.nan,) * 3, (np.nan,) * 3) if np.isnan(one.tip[0]) else one
         np.testing.assert_array_equal(np.hstack(tip), np.hstack(other))
-    assert_same(record_pushes(samples, script.obj, RADIUS).log, record_pushes(back, script.obj, RADIUS).log)
+    assert_same(
+        record_pushes(samples, script.obj, RADIUS).log, record_pushes(back, script.obj, RADIUS).log
+    )
 
 
 def test_what_is_left_out(script):
@@ -48,7 +55,11 @@ def test_what_is_left_out(script):
     whole = record_pushes(script.samples, script.obj, RADIUS)
     assert len(whole.log) == 4 and not whole.unfinished and not whole.unusable
     end = next(i for i, seen in enumerate(script.samples) if seen.t > whole.log[0].push.t[-1] + 12)
-    moving = next(i for i in range(end, len(script.samples)) if script.samples[i].velocity[0] and script.low(i))
+    moving = next(
+        i
+        for i in range(end, len(script.samples))
+        if script.samples[i].velocity[0] and script.low(i)
+    )
     cut = record_pushes(script.samples[: moving + 3], script.obj, RADIUS)
     assert cut.unfinished and 0 < len(cut.log) < 4
     assert_same(cut.log, whole.log[: len(cut.log)])
@@ -59,7 +70,9 @@ def test_velocities_need_not_be_in_the_file(script, tmp_path):
     write_stream_csv(script.samples, path)
     rows = [line.split(",") for line in path.read_text().splitlines()]
     path.write_text("\n".join(",".join(row[:4] + row[7:]) for row in rows))
-    with_them, without = (record_pushes(s, obj, RADIUS).log for s in (script.samples, read_stream_csv(path)))
+    with_them, without = (
+        record_pushes(s, obj, RADIUS).log for s in (script.samples, read_stream_csv(path))
+    )
     assert len(without) == len(with_them) == 4
     for one, other in zip(with_them, without, strict=True):
         np.testing.assert_allclose(one.push.xy[[0, -1]], other.push.xy[[0, -1]], atol=1e-9)
@@ -69,7 +82,9 @@ def test_velocities_need_not_be_in_the_file(script, tmp_path):
 def test_velocities_of_an_uneven_noisy_motion():
     rng = np.random.default_rng(0)
     t = np.cumsum(rng.uniform(0.002, 0.02, 400)) + 1.7e9
-    places = np.column_stack([0.03 * (t - t[0]), np.full(len(t), 2.0)]) + rng.normal(0, 1e-5, (400, 2))
+    places = np.column_stack([0.03 * (t - t[0]), np.full(len(t), 2.0)]) + rng.normal(
+        0, 1e-5, (400, 2)
+    )
     places[100:110] = np.nan
     velocity = calc_velocities(t, places)
     assert np.isnan(velocity[100:110]).all()
@@ -81,12 +96,15 @@ def test_velocities_of_an_uneven_noisy_motion():
 def test_a_delay_is_found(script, late):
     samples = script.samples
     delayed = [
-        now._replace(pose=old.pose) for now, old in zip(samples[late:], samples[: len(samples) - late], strict=True)
+        now._replace(pose=old.pose)
+        for now, old in zip(samples[late:], samples[: len(samples) - late], strict=True)
     ]
     delay = estimate_delay(delayed, script.obj, RADIUS)
     assert delay.pushes == 4 and delay.std < 0.012
     assert abs(delay.value - late * PERIOD) < 3 * delay.std
-    known = estimate_delay(delayed, script.obj, RADIUS, record=RecordOptions(pose_delay=late * PERIOD))
+    known = estimate_delay(
+        delayed, script.obj, RADIUS, record=RecordOptions(pose_delay=late * PERIOD)
+    )
     assert abs(known.value) < 3 * known.std
 
 

@@ -24,7 +24,14 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
-from gridpush_drake.report.draw import calc_round_length, draw_cells, draw_outline, draw_parts, make_grid, to_png
+from gridpush_drake.report.draw import (
+    calc_round_length,
+    draw_cells,
+    draw_outline,
+    draw_parts,
+    make_grid,
+    to_png,
+)
 from gridpush_drake.report.figures import draw_model, draw_motion, draw_object, draw_pushes
 from gridpush_drake.report.plan_figures import (
     CLOSE_UP,
@@ -51,7 +58,9 @@ def make_axes():
 
 
 def bar():
-    return GridObject.from_outline([[0, 0], [0.2, 0], [0.2, 0.1], [0, 0.1]], parts={4: RIGHT_HALF}, max_cells=50)
+    return GridObject.from_outline(
+        [[0, 0], [0.2, 0], [0.2, 0.1], [0, 0.1]], parts={4: RIGHT_HALF}, max_cells=50
+    )
 
 
 def test_cells_are_squares_where_they_are():
@@ -72,7 +81,9 @@ def test_pose_places_cells_and_outline():
     middles = [path.vertices[:4].mean(axis=0) for path in cells.get_paths()]
     np.testing.assert_allclose(middles, obj.cells_at(pose), atol=1e-12)
     low, high = ax.dataLim.min, ax.dataLim.max
-    assert (low < obj.cells_at(pose).min(axis=0)).all() and (high > obj.cells_at(pose).max(axis=0)).all()
+    assert (low < obj.cells_at(pose).min(axis=0)).all() and (
+        high > obj.cells_at(pose).max(axis=0)
+    ).all()
 
 
 def test_values_are_colored_and_labeled():
@@ -125,7 +136,9 @@ def motion():
     return draw_motion(make_block(), Push((-0.1, 0), (0.1, 0), 1.0, 0.01), poses)
 
 
-@pytest.mark.parametrize("draw", [lambda: draw_object(make_block()), lambda: draw_model(make_identification()), motion])
+@pytest.mark.parametrize(
+    "draw", [lambda: draw_object(make_block()), lambda: draw_model(make_identification()), motion]
+)
 def test_is_a_png_with_something_on_it(draw):
     with Image.open(BytesIO(draw())) as image:
         assert image.format == "PNG"
@@ -142,7 +155,9 @@ def test_draws_objects_of_any_size_and_shape(sides):
             assert 100 < image.height < 2000
 
 
-@pytest.mark.parametrize(("longest", "length"), [(0.12, 0.1), (0.1, 0.1), (0.099, 0.05), (0.0021, 0.002), (3.0, 2.0)])
+@pytest.mark.parametrize(
+    ("longest", "length"), [(0.12, 0.1), (0.1, 0.1), (0.099, 0.05), (0.0021, 0.002), (3.0, 2.0)]
+)
 def test_scale_bars_are_round(longest, length):
     assert calc_round_length(longest) == pytest.approx(length)
 
@@ -151,7 +166,13 @@ def draw(obj, poses, grasp=None):
     surface = SupportSurface(shapely.box(-0.5, -0.5, 0.5, 0.0))
     push = PushDrawn(np.array([-0.12, -0.3]), np.array([-0.12, -0.2]), poke=True)
     return draw_pre_grasp(
-        obj, surface, poses, [push], PlausibleMassSet.of_masses(obj, CellParameters.uniform(obj)), None, grasp
+        obj,
+        surface,
+        poses,
+        [push],
+        PlausibleMassSet.of_masses(obj, CellParameters.uniform(obj)),
+        None,
+        grasp,
     )
 
 
@@ -160,7 +181,9 @@ def test_frames_everything_drawn_with_the_same_room_all_round():
     obj = GridObject.from_outline([[0, 0], [0.12, 0], [0.12, 0.06], [0, 0.06]], max_cells=8)
     poses = [np.array([0.0, -0.3, 0.4]), np.array([0.1, -0.2, 0.9]), np.array([0.1, -0.01, 1.5])]
     way, end = draw(obj, poses, GraspDrawn(np.array([0.1, 0.05]), -1.5)).axes
-    points = np.concatenate([*(obj.cells_at(pose) for pose in poses), [[-0.12, -0.3], [-0.12, -0.2]]])
+    points = np.concatenate(
+        [*(obj.cells_at(pose) for pose in poses), [[-0.12, -0.3], [-0.12, -0.2]]]
+    )
     slow = shapely.MultiPoint(points).buffer(CLOSE_UP).bounds
     assert (*way.get_xlim(), *way.get_ylim()) == pytest.approx([slow[0], slow[2], slow[1], slow[3]])
     low, high = end.get_xlim(), end.get_ylim()
@@ -169,11 +192,15 @@ def test_frames_everything_drawn_with_the_same_room_all_round():
     assert high[1] >= cells[3]
 
 
-@pytest.mark.parametrize(("margin", "says"), [(-0.018, "18 mm too little"), (0.012, "12 mm to spare")])
+@pytest.mark.parametrize(
+    ("margin", "says"), [(-0.018, "18 mm too little"), (0.012, "12 mm to spare")]
+)
 def test_the_title_of_a_slides_goal_stays_in_the_picture(margin, says):
     surface = SupportSurface.rectangle((0, 0), (0.8, 0.6))
     planner = SimpleNamespace(
-        obj=make_block(), surface=surface, options=SimpleNamespace(goal=SimpleNamespace(inset=0.005))
+        obj=make_block(),
+        surface=surface,
+        options=SimpleNamespace(goal=SimpleNamespace(inset=0.005)),
     )
     square = np.array([[-0.02, -0.02], [0.02, -0.02], [0.02, 0.02], [-0.02, 0.02]])
     part = SimpleNamespace(footprint=square, width=0.0644)
@@ -191,7 +218,11 @@ def test_the_title_of_a_slides_goal_stays_in_the_picture(margin, says):
 def test_draws_many_poses_quickly():
     obj = GridObject.from_yaml(find_shipped_object("claw_hammer"))
     rng = np.random.default_rng(0)
-    poses = list(np.column_stack([rng.uniform(-0.3, 0.3, (MANY_POSES, 2)) - (0, 0.3), rng.uniform(-3, 3, MANY_POSES)]))
+    poses = list(
+        np.column_stack(
+            [rng.uniform(-0.3, 0.3, (MANY_POSES, 2)) - (0, 0.3), rng.uniform(-3, 3, MANY_POSES)]
+        )
+    )
     begin = perf_counter()
     draw(obj, poses)
     assert perf_counter() - begin < MAX_SECONDS
@@ -201,11 +232,15 @@ def test_draws_many_poses_quickly():
 def test_shows_every_push_and_the_errors(count):
     obj = make_shape("claw_hammer", 20)
     pushes = [Push((-0.1, 0.05 * i), (0.1, 0.0), 1.0, 0.008) for i in range(count)]
-    figure = draw_push_run(obj, POSES[: count + 1], pushes, GOAL, expected=[0.02] * count, tolerance=0.02)
+    figure = draw_push_run(
+        obj, POSES[: count + 1], pushes, GOAL, expected=[0.02] * count, tolerance=0.02
+    )
     way, errors = figure.axes
     circles = [patch for patch in way.patches if isinstance(patch, Circle)]
     assert [circle.center for circle in circles] == [tuple(push.start) for push in pushes]
-    np.testing.assert_allclose(errors.lines[0].get_ydata(), 1e3 * calc_goal_error(obj, POSES[: count + 1], GOAL))
+    np.testing.assert_allclose(
+        errors.lines[0].get_ydata(), 1e3 * calc_goal_error(obj, POSES[: count + 1], GOAL)
+    )
     for push in pushes:
         low, high = way.get_xlim()
         assert low < push.xy[:, 0].min() and push.xy[:, 0].max() < high

@@ -46,7 +46,10 @@ def figures_of(page):
     assert not checker.open
     prefix = "data:image/svg+xml;base64,"
     assert all(source.startswith(prefix) for source in checker.sources)
-    return [ElementTree.fromstring(base64.b64decode(source.removeprefix(prefix))) for source in checker.sources]
+    return [
+        ElementTree.fromstring(base64.b64decode(source.removeprefix(prefix)))
+        for source in checker.sources
+    ]
 
 
 def test_is_one_page_that_needs_nothing_else(experiment):
@@ -54,7 +57,12 @@ def test_is_one_page_that_needs_nothing_else(experiment):
     page = make_report(result, log, held_out, truth)
     assert len(figures_of(page)) == 7
     assert not re.search(r"https?://(?!www\.w3\.org)", page)
-    for text in ("pushes it had never seen", "truth", "2 pushes held out", *result.identifiability.statements):
+    for text in (
+        "pushes it had never seen",
+        "truth",
+        "2 pushes held out",
+        *result.identifiability.statements,
+    ):
         assert text.replace("'", "&#39;") in page
 
 
@@ -83,13 +91,17 @@ def test_needs_neither_truth_nor_held_out_pushes(experiment):
 
 def test_says_that_the_prior_was_kept(experiment):
     result, log, _, _ = experiment
-    assert "no reason to leave" in make_report(replace(result, status=IdentificationStatus.PRIOR_KEPT), log)
+    assert "no reason to leave" in make_report(
+        replace(result, status=IdentificationStatus.PRIOR_KEPT), log
+    )
 
 
 def test_says_that_nothing_was_learned(experiment):
     result, log, _, _ = experiment
     names = tuple(seen.name for seen in log)
-    nothing = replace(result, status=IdentificationStatus.NO_DATA, history=(), push_names=(), unused_pushes=names)
+    nothing = replace(
+        result, status=IdentificationStatus.NO_DATA, history=(), push_names=(), unused_pushes=names
+    )
     page = make_report(nothing, log)
     assert "Nothing was learned" in page
     assert len(figures_of(page)) == 4

@@ -43,7 +43,9 @@ def calc_errors(record, command):
     assert pushing.sum() > 50
     error = (record.array("tip") - record.array("desired"))[pushing]
     along = np.array([np.cos(command.direction), np.sin(command.direction), 0.0])
-    return np.linalg.norm(error, axis=1), np.linalg.norm(error - np.outer(error @ along, along), axis=1)
+    return np.linalg.norm(error, axis=1), np.linalg.norm(
+        error - np.outer(error @ along, along), axis=1
+    )
 
 
 def check_limits(bench, record):
@@ -87,7 +89,9 @@ def test_tip_follows_while_it_pushes_a_box():
     box = bench.plant.GetBodyByName("box")
     context = bench.plant.GetMyContextFromRoot(bench.simulator.get_context())
     p_WB = bench.plant.EvalBodyPoseInWorld(context, box).translation()
-    moved = record.array("tip")[-1, 0] + 0.008 + 0.05 - 0.6  # the tip's radius, half the box, where it was
+    moved = (
+        record.array("tip")[-1, 0] + 0.008 + 0.05 - 0.6
+    )  # the tip's radius, half the box, where it was
     np.testing.assert_allclose(p_WB[:2], [0.6 + moved, 0.0], atol=1e-3)
 
 
@@ -103,7 +107,9 @@ def test_reset_and_reuse_gives_the_same_again(bench):
 def test_arm_begins_where_it_should_and_holds(bench):
     bench.start()
     record = bench.record(0.01, lambda status: bench.simulator.get_context().get_time() > 0.3)
-    np.testing.assert_allclose(record.array("tip"), np.broadcast_to(HOME, (len(record.tip), 3)), atol=1e-5)
+    np.testing.assert_allclose(
+        record.array("tip"), np.broadcast_to(HOME, (len(record.tip), 3)), atol=1e-5
+    )
     assert np.abs(record.array("v")).max() < 1e-4
     np.testing.assert_allclose(record.q[-1], bench.q_start, atol=1e-5)
 
@@ -119,8 +125,15 @@ def test_diagram_outlives_the_caller_s_control_plant():
 
 
 def test_driver_s_ports_are_those_of_drake_s_stations(bench):
-    names = {bench.driver.get_output_port(i).get_name() for i in range(bench.driver.num_output_ports())}
-    assert {"position_commanded", "position_measured", "velocity_estimated", "torque_commanded"} <= names
+    names = {
+        bench.driver.get_output_port(i).get_name() for i in range(bench.driver.num_output_ports())
+    }
+    assert {
+        "position_commanded",
+        "position_measured",
+        "velocity_estimated",
+        "torque_commanded",
+    } <= names
 
 
 def test_start_posture_is_tool_down_at_the_tip(posture):
@@ -155,11 +168,17 @@ def test_reach_says_what_is_wrong(bench):
     speeds = [0.3, 0.15, 0.05, 0.15]
     assert bench.reach(make_way(0.5, 0.1, 0.6, 0.1), speeds) is None
     assert "does not reach" in bench.reach(make_way(0.75, 0.0, 0.9, 0.0), [0.05] * 4)
-    assert "joint 4 of the arm would come to its limit" in bench.reach(make_way(0.45, 0.0, 0.35, 0.0), speeds)
-    assert "would have to turn at" in bench.reach(make_way(0.7, 0.2, 0.75, 0.2), [0.1, 0.1, 0.9, 0.1])
+    assert "joint 4 of the arm would come to its limit" in bench.reach(
+        make_way(0.45, 0.0, 0.35, 0.0), speeds
+    )
+    assert "would have to turn at" in bench.reach(
+        make_way(0.7, 0.2, 0.75, 0.2), [0.1, 0.1, 0.9, 0.1]
+    )
 
 
-@pytest.mark.parametrize(("x", "y", "direction"), [(0.75, 0.0, 0.0), (0.45, 0.0, np.pi)], ids=["stretched", "folded"])
+@pytest.mark.parametrize(
+    ("x", "y", "direction"), [(0.75, 0.0, 0.0), (0.45, 0.0, np.pi)], ids=["stretched", "folded"]
+)
 def test_arm_fails_where_reach_says_so(bench, x, y, direction):
     """Led there all the same, it leaves the line by more than a millimeter."""
     bench.start()
@@ -178,7 +197,9 @@ def test_every_random_push_that_is_not_refused_is_followed():
     rng = np.random.default_rng(5)
     for number in range(1, 41):
         x, y, direction = rng.uniform((0.35, -0.35, -np.pi), (0.75, 0.35, np.pi))
-        command = PushCommand(number, x, y, direction, DISTANCE, float(rng.choice([0.05, 0.1, 0.2])))
+        command = PushCommand(
+            number, x, y, direction, DISTANCE, float(rng.choice([0.05, 0.1, 0.2]))
+        )
         executed = bench.status.executed
         record = bench.push(command)
         if bench.status.executed == executed:

@@ -33,7 +33,9 @@ class Stranger:
     @property
     def pose(self):
         plant = self.station.plant
-        return CalcPlanarPose(plant, plant.GetMyContextFromRoot(self.context), self.station.object_in_plant)
+        return CalcPlanarPose(
+            plant, plant.GetMyContextFromRoot(self.context), self.station.object_in_plant
+        )
 
     def push_direction(self):
         command = PushCommand.from_vector(self.task.read("push_command", self.task.controller))
@@ -41,7 +43,12 @@ class Stranger:
 
     def put(self, pose):
         plant = self.station.plant
-        SetGridObjectPose(plant, plant.GetMyMutableContextFromRoot(self.context), self.station.object_in_plant, pose)
+        SetGridObjectPose(
+            plant,
+            plant.GetMyMutableContextFromRoot(self.context),
+            self.station.object_in_plant,
+            pose,
+        )
 
     def cover(self, covered):
         self.station.CoverCamera(self.context, covered)
@@ -92,7 +99,11 @@ def test_an_object_moved_out_of_sight_and_nudged_in_a_slide_is_lifted_all_the_sa
             covered.append(time)
         if covered and time > covered[0] + 2 * TIMEOUT:
             stranger.cover(False)
-        if status.phase == PushPhase.PUSHING and stranger.mode == PreGraspMode.SLIDING and not nudged:
+        if (
+            status.phase == PushPhase.PUSHING
+            and stranger.mode == PreGraspMode.SLIDING
+            and not nudged
+        ):
             nudged.append(stranger.pose)
             stranger.put(nudged[0] + 0.025 * stranger.push_direction() + (0.0, 0.0, 0.1))
 
@@ -121,7 +132,11 @@ def test_a_slide_in_which_the_object_is_shoved_over_the_edge_is_broken_off():
             return
         context = task.controller.GetMyContextFromRoot(stranger.context)
         monitor = task.controller._get_state(context).monitor
-        far = next(far for far in np.arange(0.0, 0.4, 0.002) if monitor.find_fault(stranger.pose + far * outwards))
+        far = next(
+            far
+            for far in np.arange(0.0, 0.4, 0.002)
+            if monitor.find_fault(stranger.pose + far * outwards)
+        )
         shoved.append(far)
         stranger.put(stranger.pose + (far + 0.002) * outwards)
 
@@ -131,5 +146,8 @@ def test_a_slide_in_which_the_object_is_shoved_over_the_edge_is_broken_off():
     stop = record.steps[modes.index(PreGraspMode.STOPPING)]
     assert "might fall" in stop.status.reason
     assert stop.push is None
-    assert record.steps[modes.index(PreGraspMode.STOPPING) + 1].status.reason == "A push was broken off."
+    assert (
+        record.steps[modes.index(PreGraspMode.STOPPING) + 1].status.reason
+        == "A push was broken off."
+    )
     assert record.status == HELD, record.message

@@ -10,7 +10,11 @@ from scipy import ndimage
 
 from gridpush_drake.errors import ScenarioError, StationError
 from gridpush_drake.geometry.se2 import wrap_angle
-from gridpush_drake.multibody.ground_truth import SetGridObjectPose, resample_parameters, sample_ground_truth
+from gridpush_drake.multibody.ground_truth import (
+    SetGridObjectPose,
+    resample_parameters,
+    sample_ground_truth,
+)
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception import Camera
@@ -20,7 +24,13 @@ from gridpush_drake.station import camera as station_camera
 from gridpush_drake.station.camera import calc_pose_age, make_camera
 from gridpush_drake.station.identify_task import FINISHED, IdentifyTask
 from gridpush_drake.station.push_station import MakePushStation, TakePhotograph
-from gridpush_drake.station.scenario import CameraConfig, PushScenario, format_scenario, parse_scenario, read_scenario
+from gridpush_drake.station.scenario import (
+    CameraConfig,
+    PushScenario,
+    format_scenario,
+    parse_scenario,
+    read_scenario,
+)
 from gridpush_drake.station.station import LoadPushedObject
 from tests.helpers.renderer import require_renderer
 from tests.helpers.shapes import make_shape
@@ -46,10 +56,17 @@ def photograph(renderer):
 
     def keep(*args):
         camera, detector, root = take(*args)
-        images = (camera.noise.GetOutputPort("color_image"), camera.noise.GetOutputPort("depth_image"))
+        images = (
+            camera.noise.GetOutputPort("color_image"),
+            camera.noise.GetOutputPort("depth_image"),
+        )
         ports = (*images, camera.sensor.label_image_output_port())
-        color, depth, labels = (port.Eval(port.get_system().GetMyContextFromRoot(root)).data.copy() for port in ports)
-        taken.append((color[..., :3], depth[..., 0], labels[..., 0], camera, int(args[3].part.body_index)))
+        color, depth, labels = (
+            port.Eval(port.get_system().GetMyContextFromRoot(root)).data.copy() for port in ports
+        )
+        taken.append(
+            (color[..., :3], depth[..., 0], labels[..., 0], camera, int(args[3].part.body_index))
+        )
         return camera, detector, root
 
     with pytest.MonkeyPatch.context() as patch:
@@ -65,14 +82,22 @@ def test_the_camera_is_where_the_pictures_are_taken_from(photograph):
     mask = labels == body
     rows, columns = np.nonzero(mask)
     x, y, _ = scenario.object_pose
-    samples = np.array([[x0, y0] for x0 in np.linspace(-0.2, 0.2, 401) for y0 in np.linspace(-0.1, 0.1, 201)])
+    samples = np.array(
+        [[x0, y0] for x0 in np.linspace(-0.2, 0.2, 401) for y0 in np.linspace(-0.1, 0.1, 201)]
+    )
     inside = shapely.contains_xy(true_obj.outline, samples[:, 0], samples[:, 1])
     top = np.column_stack([samples[inside] + (x, y), np.full(inside.sum(), scenario.object_height)])
     pixels = np.unique(np.round(camera.camera.project(top)).astype(int), axis=0)
     seen = mask[pixels[:, 1], pixels[:, 0]]
     assert seen.mean() > 0.985, "what is on top of the object is seen as the object"
-    shifts = [(mask[pixels[:, 1] + dy, pixels[:, 0] + dx].mean(), (dx, dy)) for dx in (-1, 0, 1) for dy in (-1, 0)]
-    assert max(shifts)[1] == (0, 0), "one pixel up or aside would be worse; below it the sides are seen"
+    shifts = [
+        (mask[pixels[:, 1] + dy, pixels[:, 0] + dx].mean(), (dx, dy))
+        for dx in (-1, 0, 1)
+        for dy in (-1, 0)
+    ]
+    assert max(shifts)[1] == (0, 0), (
+        "one pixel up or aside would be worse; below it the sides are seen"
+    )
     distance = np.linalg.norm(camera.camera.center - (x, y, scenario.object_height))
     assert np.median(depth[rows, columns]) == pytest.approx(distance, rel=0.05)
 
@@ -86,7 +111,9 @@ def test_the_robot_finds_the_object_that_lies_there(photograph):
     assert found.obj.prior == true_obj.prior and found.obj.name == true_obj.name
     assert found.pose[2] == scenario.object_pose[2]
     shift = true_obj.p_BC - found.true_obj.p_BC
-    np.testing.assert_allclose(shift, np.tile(found.pose[:2] - scenario.object_pose[:2], (true_obj.n, 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        shift, np.tile(found.pose[:2] - scenario.object_pose[:2], (true_obj.n, 1)), atol=1e-12
+    )
     assert found.detected.picture.shape == (480, 640, 3)
 
 
@@ -108,7 +135,9 @@ def test_the_arm_goes_out_of_the_way_also_where_it_hides_the_object_from_its_hom
         seen.append(station.GetOutputPort("object.pose").Eval(context))
     assert np.isnan(seen[1]).all()
     off = np.array(seen[-3:]) - pose
-    np.testing.assert_allclose(np.column_stack([off[:, :2], wrap_angle(off[:, 2])]), 0.0, atol=0.003)
+    np.testing.assert_allclose(
+        np.column_stack([off[:, :2], wrap_angle(off[:, 2])]), 0.0, atol=0.003
+    )
 
 
 def test_depth_has_holes_along_the_object_s_edge(photograph):
@@ -144,7 +173,9 @@ def test_the_scenario_s_camera_is_the_file_s(tmp_path):
     for name in ("K", "X_WC", "width", "height"):
         np.testing.assert_array_equal(getattr(seen, name), getattr(read, name))
     intrinsics = scenario.camera.rgbd.MakeCameras()[1].core().intrinsics()
-    np.testing.assert_allclose(intrinsics.intrinsic_matrix()[:2], read.K[:2] + [[0, 0, 0.5], [0, 0, 0.5]])
+    np.testing.assert_allclose(
+        intrinsics.intrinsic_matrix()[:2], read.K[:2] + [[0, 0, 0.5], [0, 0, 0.5]]
+    )
     X_WC = scenario.camera.rgbd.X_PB.GetDeterministicValue().GetAsMatrix4()
     np.testing.assert_allclose(X_WC, read.X_WC, atol=1e-12)
 
@@ -155,7 +186,10 @@ def test_the_scenario_s_camera_is_the_file_s(tmp_path):
         ("fov_y: 0.7", r"camera\.rgbd\.fov_y: is Drake's focal now"),
         ("target: [0, 0, 0]", r"camera\.rgbd\.target: is Drake's X_PB now"),
         ("latency: 0.1", r"camera\.rgbd\.latency: is Drake's output_delay now"),
-        ("depth_noise: 0.1", r"camera\.rgbd\.depth_noise: stands above now; expected camera\.depth_noise"),
+        (
+            "depth_noise: 0.1",
+            r"camera\.rgbd\.depth_noise: stands above now; expected camera\.depth_noise",
+        ),
         ("fps: 10", r"camera\.rgbd\.fps: is not read here; camera\.rate"),
         ("widht: 10", r"camera\.rgbd\.widht: unknown key; did you mean width\?"),
         ("X_PB: {translatoin: [0, 0, 1]}", r"camera\.rgbd\.X_PB\.translatoin: unknown key"),
@@ -223,5 +257,7 @@ def test_the_truth_on_another_grid_keeps_mass_and_center(cells):
     seen = resample_parameters(obj, truth, other)
     assert seen.total_mass == pytest.approx(truth.total_mass)
     np.testing.assert_allclose(seen.center_of_mass(other), truth.center_of_mass(obj), atol=1e-9)
-    assert seen.friction.min() >= truth.friction.min() and seen.friction.max() <= truth.friction.max()
+    assert (
+        seen.friction.min() >= truth.friction.min() and seen.friction.max() <= truth.friction.max()
+    )
     assert resample_parameters(obj, truth, obj) is truth

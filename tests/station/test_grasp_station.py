@@ -64,7 +64,9 @@ class Run:
         """The command for the best grasp by the true center of mass that the arm can carry out."""
         station = self.station
         center = station.truth.center_of_mass(station.obj)
-        found = find_side_grasps(station.obj, self.pose, SupportSurface(station.table_top), aim=center)
+        found = find_side_grasps(
+            station.obj, self.pose, SupportSurface(station.table_top), aim=center
+        )
         for grasp in choose_varied(found, TRIED):
             command = GraspCommand(1, *grasp.p_WG, 0.015, grasp.approach, LIFT)
             if station.FindGraspObstacle(command) is None:
@@ -77,7 +79,9 @@ class Run:
         while self.context.get_time() < limit:
             self.simulator.AdvanceTo(self.context.get_time() + 0.1)
             status = self.read("grasp.status")
-            if status.outcome == "held" or (status.command_id == command.command_id and status.ready):
+            if status.outcome == "held" or (
+                status.command_id == command.command_id and status.ready
+            ):
                 return status
         raise AssertionError(f"not done after {limit} s: {status}")
 
@@ -162,7 +166,8 @@ def test_what_is_out_of_reach_or_in_the_table_is_refused(hammer, command, reason
 def test_much_of_the_edge_is_within_reach_for_grasps_and_all_of_it_for_pushes(hammer):
     places = np.arange(0.2, 0.8, 0.025)
     reached = [
-        hammer.FindGraspObstacle(GraspCommand(1, x, 0.18, 0.015, -np.pi / 2, LIFT)) is None for x in places.tolist()
+        hammer.FindGraspObstacle(GraspCommand(1, x, 0.18, 0.015, -np.pi / 2, LIFT)) is None
+        for x in places.tolist()
     ]
     assert 0.025 * sum(reached) >= 0.35
     for x in places[reached][places[reached] > 0.45].tolist():

@@ -46,25 +46,38 @@ def bench():
 def test_it_has_the_ports_of_the_simulated_station_but_for_what_nobody_knows(bench):
     def list_ports(system):
         inputs = {system.get_input_port(i).get_name() for i in range(system.num_input_ports())}
-        return inputs, {system.get_output_port(i).get_name() for i in range(system.num_output_ports())}
+        return inputs, {
+            system.get_output_port(i).get_name() for i in range(system.num_output_ports())
+        }
 
     simulated, real = list_ports(MakePushStation(make_scenario())), list_ports(bench.task.station)
     assert real[0] - simulated[0] == {"stop"}
     assert real[1] - simulated[1] == {"guard.status", "guard.position", "pusher.force"}
     assert simulated[0] <= real[0]
-    assert simulated[1] - real[1] == {"object.pose_true", "body_poses", "contact_results", "query_object"}
+    assert simulated[1] - real[1] == {
+        "object.pose_true",
+        "body_poses",
+        "contact_results",
+        "query_object",
+    }
 
 
 @pytest.fixture(scope="module")
 def finished(bench):
     """A run in which nothing goes wrong, and what its link reported."""
     bench.begin()
-    return bench.task.run(drive=bench.link), list(bench.link.report.events), dict(bench.link.report.left_out)
+    return (
+        bench.task.run(drive=bench.link),
+        list(bench.link.report.events),
+        dict(bench.link.report.left_out),
+    )
 
 
 def test_a_task_over_lcm_ends_as_in_simulation(bench, finished):
     record, events, left_out = finished
-    assert (record.status, record.truth, len(record.log)) == (TaskStatus.FINISHED, None, 1), record.message
+    assert (record.status, record.truth, len(record.log)) == (TaskStatus.FINISHED, None, 1), (
+        record.message
+    )
     assert record.limit_report.ok
     assert record.limit_report.tracking_error < 0.003  # at 80 mm/s, three periods late
     assert bench.link.report.pauses == 0
@@ -93,7 +106,13 @@ class Fault:
     """Spoils a channel from 0.35 s after a push begins."""
 
     def __init__(self, bench, channel, spoil):
-        self.bench, self.spoil, self.begun, self.since, self.last = bench, spoil, None, bench.time, b""
+        self.bench, self.spoil, self.begun, self.since, self.last = (
+            bench,
+            spoil,
+            None,
+            bench.time,
+            b"",
+        )
         bench.spoil[channel] = self
 
     def __call__(self, time, data):
@@ -143,7 +162,9 @@ def test_a_fault_in_the_middle_of_a_push_stops_the_arm_and_holds_it(bench, chann
     assert record.status == TaskStatus.STOPPED
     assert says in record.message
     assert any(says in text for _, text in bench.link.report.events)
-    speed = max(np.abs(v).max() for time, _, v in bench.rows if 0 < fault.begun - time < STOPS_WITHIN)
+    speed = max(
+        np.abs(v).max() for time, _, v in bench.rows if 0 < fault.begun - time < STOPS_WITHIN
+    )
     assert speed > MIN_SPEED
     for _ in range(100):
         bench.move()
@@ -181,7 +202,9 @@ def test_a_robot_that_pauses_is_waited_for(bench, finished):
 @pytest.mark.slow
 def test_a_blocked_finger_stops_the_arm_which_then_presses_no_more_and_begins_again():
     scenario = make_scenario()
-    scenario.truth.parts = [PartTruth(label=label, cell_mass=20.0) for label in (1, 2)]  # no arm moves that
+    scenario.truth.parts = [
+        PartTruth(label=label, cell_mass=20.0) for label in (1, 2)
+    ]  # no arm moves that
     scenario.safety.torque_share = 1.0
     blocked = TwinBench(scenario, IdentifyTask)
     blocked.begin()
@@ -189,7 +212,11 @@ def test_a_blocked_finger_stops_the_arm_which_then_presses_no_more_and_begins_ag
     assert record.status == TaskStatus.STOPPED
     assert "the force on the finger's tip is " in record.message
     assert "30.0 N are allowed" in record.message
-    noticed = blocked.time - blocked.task.simulator.get_context().get_time() + blocked.task.read("guard.status").since
+    noticed = (
+        blocked.time
+        - blocked.task.simulator.get_context().get_time()
+        + blocked.task.read("guard.status").since
+    )
     for _ in range(100):
         blocked.move()
     stop = blocked.find_stop(noticed, NEAR)
@@ -224,13 +251,19 @@ def test_where_the_controller_dies_the_robot_comes_to_rest_smoothly(name, reques
     for _ in range(100):
         bench.move()
     driver = bench.twin.GetOutputPort("driver.status").Eval(bench.simulator.get_context())
-    assert (driver.mode, driver.reason) == (GuardMode.HOLDING, "no command has come for 10 ms; 10 ms are allowed")
+    assert (driver.mode, driver.reason) == (
+        GuardMode.HOLDING,
+        "no command has come for 10 ms; 10 ms are allowed",
+    )
     speed = np.array([v for time, _, v in bench.rows if time > fault - 0.1])
     stop = bench.find_stop(fault, NEAR)
     print(f"at rest {1e3 * stop:.0f} ms after the last command")
     assert np.abs(speed[:10]).max() > MIN_SPEED
     assert stop < STOPS_WITHIN
-    assert np.abs(np.diff(speed, axis=0)).max() / ARM_PERIOD < 2 * bench.task.station.scenario.safety.acceleration
+    assert (
+        np.abs(np.diff(speed, axis=0)).max() / ARM_PERIOD
+        < 2 * bench.task.station.scenario.safety.acceleration
+    )
 
 
 @pytest.mark.slow
@@ -337,7 +370,9 @@ def test_a_robot_whose_messages_nobody_knows_is_refused():
 def test_a_silent_or_another_robot_is_refused():
     lcm = DrakeLcm("memq://")
     link = HardwareLink(lcm, ROBOT)
-    with pytest.raises(StationError, match=r"the robot sends no status on IIWA_STATUS within 0\.1 s"):
+    with pytest.raises(
+        StationError, match=r"the robot sends no status on IIWA_STATUS within 0\.1 s"
+    ):
         link.wait(patience=0.1)
     message = lcmt_iiwa_status()
     message.utime, message.num_joints = 1, 6
@@ -349,7 +384,8 @@ def test_a_silent_or_another_robot_is_refused():
 
 
 @pytest.mark.parametrize(
-    "url", ["nonsense", "udpm://10.0.0.1:7667", "udpm://239.255.76.67:99999", "udpm://239.1.1.300:1"]
+    "url",
+    ["nonsense", "udpm://10.0.0.1:7667", "udpm://239.255.76.67:99999", "udpm://239.1.1.300:1"],
 )
 def test_a_wrong_url_is_refused(url):
     with pytest.raises(StationError, match="expected udpm://ADDRESS:PORT"):

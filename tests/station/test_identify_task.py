@@ -9,7 +9,13 @@ from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.station.identify_task import FINISHED, OBJECT_LOST, STUCK, IdentifyTask, PokeJudge
+from gridpush_drake.station.identify_task import (
+    FINISHED,
+    OBJECT_LOST,
+    STUCK,
+    IdentifyTask,
+    PokeJudge,
+)
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.task import Waiting
 from gridpush_drake.systems.messages import PushCommand, PushPhase, PushStatus
@@ -70,8 +76,12 @@ def test_ends_when_the_object_leaves_the_table():
     def shove(status, logged):
         """Somebody throws it off the table during the second push."""
         if status.executed == 1 and status.phase == PushPhase.PUSHING:
-            context = station.plant.GetMyMutableContextFromRoot(experiment.simulator.get_mutable_context())
-            station.plant.SetFloatingBaseBodyPoseInWorldFrame(context, station.object_in_plant.body, _beside_table())
+            context = station.plant.GetMyMutableContextFromRoot(
+                experiment.simulator.get_mutable_context()
+            )
+            station.plant.SetFloatingBaseBodyPoseInWorldFrame(
+                context, station.object_in_plant.body, _beside_table()
+            )
 
     record = experiment.run(progress=shove)
     assert record.status == OBJECT_LOST
@@ -122,7 +132,9 @@ def test_an_unknown_object_suggests_the_nearest():
 def test_gives_up_after_many_refusals():
     watch, waiting = PokeJudge(5), Waiting(0.0, 0.1)
     assert watch.judge(PushStatus(), waiting) == ("", "")
-    status, message = watch.judge(PushStatus(command_id=20, refused=20, reason="the arm sulks"), waiting)
+    status, message = watch.judge(
+        PushStatus(command_id=20, refused=20, reason="the arm sulks"), waiting
+    )
     assert status == STUCK
     assert "the arm sulks" in message
 
@@ -131,7 +143,11 @@ def test_gives_up_after_many_refusals():
 def test_commands_are_numbered_anew_in_each_run(short):
     assert PushCommand().command_id == 0
     first, second, _ = short
-    assert [seen.name for seen in first.log] == [seen.name for seen in second.log] == ["push_1", "push_2"]
+    assert (
+        [seen.name for seen in first.log]
+        == [seen.name for seen in second.log]
+        == ["push_1", "push_2"]
+    )
 
 
 def _read_memory():
@@ -139,7 +155,14 @@ def _read_memory():
     status = Path("/proc/self/status")
     if not status.exists():
         pytest.skip("memory is read from /proc")
-    return int(next(line for line in status.read_text().splitlines() if line.startswith("VmRSS")).split()[1]) / 1024
+    return (
+        int(
+            next(
+                line for line in status.read_text().splitlines() if line.startswith("VmRSS")
+            ).split()[1]
+        )
+        / 1024
+    )
 
 
 @pytest.mark.slow
@@ -180,4 +203,6 @@ def test_does_not_end_before_the_last_push_is_learned_from():
     scenario.simulation.answer_delay = 2.0  # the finger has long gone up by then
     record = IdentifyTask(scenario).run()
     assert record.status == FINISHED
-    assert [found.push_names for found in record.estimates] == [tuple(seen.name for seen in record.log)]
+    assert [found.push_names for found in record.estimates] == [
+        tuple(seen.name for seen in record.log)
+    ]

@@ -34,13 +34,17 @@ NOISE = 0.003  # m, beyond that of any picture
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scenario")
-    (folder / "mine.yaml").write_text("name: block\noutline: [[0, 0], [0.06, 0], [0.06, 0.04], [0, 0.04]]\n")
+    (folder / "mine.yaml").write_text(
+        "name: block\noutline: [[0, 0], [0.06, 0], [0.06, 0.04], [0, 0.04]]\n"
+    )
     (folder / "scenario.yaml").write_text(SCENARIO)
     builder = DiagramBuilder()
     station = builder.AddSystem(MakePushStation(read_scenario(folder / "scenario.yaml")))
     # what the block is like is learned by an identifier of its own
     obj, radius = station.others[1].part.obj, station.robot.finger.tip_radius
-    second = builder.AddNamedSystem("second", GridIdentifier(obj, engaged_below=0.02, pusher_radius=radius))
+    second = builder.AddNamedSystem(
+        "second", GridIdentifier(obj, engaged_below=0.02, pusher_radius=radius)
+    )
     builder.Connect(station.GetOutputPort("other_1.pose"), second.GetInputPort("object_pose"))
     builder.Connect(station.GetOutputPort("pusher.state"), second.GetInputPort("pusher_state"))
     return builder.Build(), station
@@ -77,7 +81,9 @@ def test_each_lies_where_the_scenario_has_it_and_is_seen(station, simulator):
         seen = read(station, simulator, f"other_{number}.pose")
         np.testing.assert_allclose(seen, pose, atol=4 * NOISE)
         assert np.abs(seen - pose).max() > 0  # a picture has noise
-    np.testing.assert_allclose(read(station, simulator, "object.pose_true"), (0.6, 0.0, 0.0), atol=1e-4)
+    np.testing.assert_allclose(
+        read(station, simulator, "object.pose_true"), (0.6, 0.0, 0.0), atol=1e-4
+    )
     assert monitor.limit_report.ok, monitor.limit_report
 
 
@@ -88,7 +94,9 @@ def test_each_weighs_and_rubs_as_its_own_seed_says(scene, station):
         station.SetStart(context, seed)
         plant_context = station.plant.GetMyContextFromRoot(context)
         bodies = [station.object_in_plant.body, *(other.part.body for other in station.others)]
-        masses.append([body.CalcSpatialInertiaInBodyFrame(plant_context).get_com()[:2] for body in bodies])
+        masses.append(
+            [body.CalcSpatialInertiaInBodyFrame(plant_context).get_com()[:2] for body in bodies]
+        )
     first, second = np.array(masses)
     assert (np.abs(first - second)[0] > 1e-5).any()
     assert (np.abs(first - second)[1] > 1e-5).any()
@@ -104,7 +112,9 @@ def test_one_that_is_pushed_moves_and_is_learned_and_the_others_stay(scene, stat
         assert context.get_time() < 15.0
     assert read(station, simulator, "other_1.pose")[0] > x + 0.01
     np.testing.assert_allclose(read(station, simulator, "other_0.pose"), POSES[0], atol=4 * NOISE)
-    np.testing.assert_allclose(read(station, simulator, "object.pose_true"), (0.6, 0.0, 0.0), atol=1e-3)
+    np.testing.assert_allclose(
+        read(station, simulator, "object.pose_true"), (0.6, 0.0, 0.0), atol=1e-3
+    )
     second = scene[0].GetSubsystemByName("second")
     assert len(read(second, simulator, "push_log")) == 1
     assert np.ptp(read(second, simulator, "mass")) > 0  # no longer even
@@ -114,13 +124,21 @@ def test_pushes_keep_clear_of_where_they_lie(station):
     region, outlines = MakeFingerRegion(station), place_others(station.others)
     assert region.distance(shapely.union_all(outlines)) > 0.99 * station.robot.finger.tip_radius
     rules = make_rules(station, make_surface(station.table_top))
-    checker = rules.constraints.start_at(station.obj, np.array([0.6, 0.0, 0.0]), rules.contact.radius)
-    assert checker.allows_poses(np.array([[0.6, 0.0, 0.0], [0.6, 0.2, 0.0]])).tolist() == [True, False]
+    checker = rules.constraints.start_at(
+        station.obj, np.array([0.6, 0.0, 0.0]), rules.contact.radius
+    )
+    assert checker.allows_poses(np.array([[0.6, 0.0, 0.0], [0.6, 0.2, 0.0]])).tolist() == [
+        True,
+        False,
+    ]
 
 
 @pytest.mark.slow
 def test_pokes_and_pushes_to_a_goal_leave_them_where_they_are():
-    others = [{"object": "pliers", "pose": list(POSES[0])}, {"object": "toothpaste_tube", "pose": [0.65, -0.25, 0.0]}]
+    others = [
+        {"object": "pliers", "pose": list(POSES[0])},
+        {"object": "toothpaste_tube", "pose": [0.65, -0.25, 0.0]},
+    ]
     scenario = PushScenario(object="claw_hammer", object_pose=[0.6, 0.0, 0.5], others=others)
     scenario.pokes.count, scenario.pokes.test_count, scenario.pokes.speed = 1, 0, 0.06
     scenario.goal.pose = [0.62, -0.03, 0.7]
@@ -129,7 +147,9 @@ def test_pokes_and_pushes_to_a_goal_leave_them_where_they_are():
         assert record.status in (TaskStatus.FINISHED, TaskStatus.REACHED), record.message
         assert record.limit_report.ok, record.limit_report
         for number, other in enumerate(others):
-            np.testing.assert_allclose(task.read(f"other_{number}.pose"), other["pose"], atol=4 * NOISE)
+            np.testing.assert_allclose(
+                task.read(f"other_{number}.pose"), other["pose"], atol=4 * NOISE
+            )
 
 
 @pytest.mark.parametrize(
@@ -143,7 +163,9 @@ def test_pokes_and_pushes_to_a_goal_leave_them_where_they_are():
 )
 def test_what_makes_no_sense_is_refused(fields, says):
     with pytest.raises(ScenarioError, match=says):
-        check_scenario(PushScenario(others=[{"object": "pliers", "pose": [0.6, 0.25, 0.5]} | fields]))
+        check_scenario(
+            PushScenario(others=[{"object": "pliers", "pose": [0.6, 0.25, 0.5]} | fields])
+        )
 
 
 def test_a_slide_to_the_edge_refuses_others():
@@ -156,7 +178,10 @@ def test_a_slide_to_the_edge_refuses_others():
 def test_a_color_and_depth_camera_finds_and_tracks_the_object_among_them():
     """In the photograph and after the object was put beside another one, 12 mm away, it is the object that is seen."""
     require_renderer()
-    others = [{"object": "pliers", "pose": list(POSES[0])}, {"object": "toothpaste_tube", "pose": [0.65, -0.25, 0.0]}]
+    others = [
+        {"object": "pliers", "pose": list(POSES[0])},
+        {"object": "toothpaste_tube", "pose": [0.65, -0.25, 0.0]},
+    ]
     scenario = PushScenario(object="open_book", object_pose=[0.6, 0.0, 0.0], others=others)
     scenario.camera.kind, scenario.camera.rate = "rgbd", 10.0
     station = MakePushStation(scenario)
@@ -171,7 +196,10 @@ def test_a_color_and_depth_camera_finds_and_tracks_the_object_among_them():
     gap = outline.distance(place_others(station.others)[0])
     for time, (x, y) in ((0.15, start[:2]), (0.35, (start[0], start[1] + gap - 0.012))):
         SetGridObjectPose(
-            station.plant, station.plant.GetMyMutableContextFromRoot(context), station.object_in_plant, (x, y, theta)
+            station.plant,
+            station.plant.GetMyMutableContextFromRoot(context),
+            station.object_in_plant,
+            (x, y, theta),
         )
         simulator.AdvanceTo(time)
         assert read(station, simulator, "camera.seen")[0] == 1

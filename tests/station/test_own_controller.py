@@ -89,6 +89,8 @@ def test_the_documented_example_runs():
 def test_the_documented_files_are_there():
     if not DOCS.is_file():
         pytest.skip("a wheel's tests have no docs beside them")
-    named = re.findall(r"`((?:gridpush_drake|systems|models|tests)/[\w/.]+)`", DOCS.read_text(encoding="utf-8"))
+    named = re.findall(
+        r"`((?:gridpush_drake|systems|models|tests)/[\w/.]+)`", DOCS.read_text(encoding="utf-8")
+    )
     assert len(named) > 10
     assert [name for name in named if not (DOCS.parents[1] / name).exists()] == []

@@ -75,15 +75,22 @@ def test_raw_and_compressed_rows_in_every_order_are_read_exactly(method, pad):
         (millimeters.astype(">u2"), MILLIMETERS, True),
     ]
     for (order, pixels), (depth, kind, big) in zip(orders.items(), depths, strict=True):
-        images = [make_image(pixels, order, RGB[1], pad=pad), make_image(depth, *kind, bigendian=big, pad=pad)]
+        images = [
+            make_image(pixels, order, RGB[1], pad=pad),
+            make_image(depth, *kind, bigendian=big, pad=pad),
+        ]
         for image in images:
             image.compression_method = method
             image.data = zlib.compress(image.data) if method else image.data
             image.size = len(image.data)
-        labels = make_image(millimeters.astype("<u2"), lcmt_image.PIXEL_FORMAT_LABEL, lcmt_image.CHANNEL_TYPE_INT16)
+        labels = make_image(
+            millimeters.astype("<u2"), lcmt_image.PIXEL_FORMAT_LABEL, lcmt_image.CHANNEL_TYPE_INT16
+        )
         read = decode_frame(make_message(labels, *images), CAMERA)
         np.testing.assert_array_equal(read.color, frame.color)
-        np.testing.assert_allclose(read.depth, frame.depth, rtol=0, atol=1e-7 if kind is METERS else 0.51e-3)
+        np.testing.assert_allclose(
+            read.depth, frame.depth, rtol=0, atol=1e-7 if kind is METERS else 0.51e-3
+        )
         assert read.t == pytest.approx(frame.t)
 
 
@@ -110,15 +117,24 @@ def test_bad_pictures_are_named():
         ([], "0 color and 0 depth images; expected a color image"),
         ([color(), color()], "2 color"),
         ([color(), depth(), depth()], "2 depth"),
-        ([color(channel_type=lcmt_image.CHANNEL_TYPE_INT16)], "the color image's channel_type is 2"),
-        ([color(), depth(channel_type=lcmt_image.CHANNEL_TYPE_FLOAT64)], "the depth image's channel_type is 7"),
+        (
+            [color(channel_type=lcmt_image.CHANNEL_TYPE_INT16)],
+            "the color image's channel_type is 2",
+        ),
+        (
+            [color(), depth(channel_type=lcmt_image.CHANNEL_TYPE_FLOAT64)],
+            "the depth image's channel_type is 7",
+        ),
         ([color(width=32)], "the color image is 32 x 48 pixels; expected 64 x 48"),
         ([color(data=color().data[:-1])], f"{row * HEIGHT - 1} bytes in rows of {row}"),
         ([color(row_stride=row - 1)], f"rows of {row - 1}; expected 48 rows of at least {row}"),
         ([color(row_stride=-row)], f"rows of -{row}"),
         ([color(compression_method=7)], "compression_method is 7"),
         ([color(compression_method=1)], "not compressed by zlib"),
-        ([color(compression_method=1, data=zlib.compress(bytes(100_000_000)))], f"{row * HEIGHT + 1} bytes"),
+        (
+            [color(compression_method=1, data=zlib.compress(bytes(100_000_000)))],
+            f"{row * HEIGHT + 1} bytes",
+        ),
         ([color(compression_method=2)], "no JPEG file"),
         ([color(compression_method=3, data=huge)], "is 4000 x 3000 pixels; expected 64 x 48"),
         ([color(compression_method=3, data=png[: len(png) // 2])], "PNG file"),

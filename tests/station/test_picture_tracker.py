@@ -87,7 +87,9 @@ def test_what_is_missing_or_amiss_is_said(bench):
     assert unread.startswith(f"{arm.status} is not lcmt_iiwa_status")
     assert other == f"{arm.status} speaks of {joints}"
     assert tracker.find_obstacle().startswith(f"no picture on {PICTURES}")
-    picture = bench._camera.make_message(0.1, bench.twin.GetPositions(bench.simulator.get_context()))
+    picture = bench._camera.make_message(
+        0.1, bench.twin.GetPositions(bench.simulator.get_context())
+    )
     whole = picture.encode()
     lcm.Publish(PICTURES, whole[: len(whole) // 2])
     assert tracker.step() is None

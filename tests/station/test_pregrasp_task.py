@@ -41,8 +41,13 @@ def test_a_toolbox_is_taken_by_its_handle_only_where_the_pads_hold_it_there(heav
     part = min(task.planner.parts, key=lambda part: np.linalg.norm(part.p_BG - along))
     goal = PreGraspGoal(pose, part, 0.0, 0.0, 0.0, np.array([1.0, 0.0]))
     mass = np.where(obj.p_BC[:, 1] > 0.06, heavy_bar, 1.0)
-    masses = UncertainModel.of_parameters(obj, CellParameters(mass * 3.4 / mass.sum(), np.full(obj.n, 0.35))).masses
-    assert any(np.linalg.norm(one.p_BG - part.p_BG) < 0.03 for one in find_side_grasps(obj, pose, task.surface))
+    masses = UncertainModel.of_parameters(
+        obj, CellParameters(mass * 3.4 / mass.sum(), np.full(obj.n, 0.35))
+    ).masses
+    assert any(
+        np.linalg.norm(one.p_BG - part.p_BG) < 0.03
+        for one in find_side_grasps(obj, pose, task.surface)
+    )
     assert task.planner.limits.can_grasp(goal, masses) == taken
 
 

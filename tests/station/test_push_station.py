@@ -44,9 +44,19 @@ def simulator(station):
 
 def test_has_the_ports_it_names(station):
     outputs = {station.get_output_port(i).get_name() for i in range(station.num_output_ports())}
-    assert {f"iiwa.{name}" for name in DRIVER_OUTPUTS} | {f"estimate.{name}" for name in ESTIMATE_OUTPUTS} <= outputs
-    assert {"executor.status", "pusher.state", "object.pose", "object.pose_true", "contact_results"} <= outputs
-    assert [station.get_input_port(i).get_name() for i in range(station.num_input_ports())] == ["push_command"]
+    assert {f"iiwa.{name}" for name in DRIVER_OUTPUTS} | {
+        f"estimate.{name}" for name in ESTIMATE_OUTPUTS
+    } <= outputs
+    assert {
+        "executor.status",
+        "pusher.state",
+        "object.pose",
+        "object.pose_true",
+        "contact_results",
+    } <= outputs
+    assert [station.get_input_port(i).get_name() for i in range(station.num_input_ports())] == [
+        "push_command"
+    ]
 
 
 def test_a_push_moves_the_object_and_is_learned_from(station, simulator):
@@ -57,12 +67,16 @@ def test_a_push_moves_the_object_and_is_learned_from(station, simulator):
     prior = station.GetOutputPort("estimate.mass").Eval(context).copy()
     np.testing.assert_allclose(prior, prior.mean())
     # across the hammer's handle, off its center
-    status = advance_until_idle(simulator, station, PushCommand(1, 0.53, -0.04, np.pi / 2, 0.08, 0.05))
+    status = advance_until_idle(
+        simulator, station, PushCommand(1, 0.53, -0.04, np.pi / 2, 0.08, 0.05)
+    )
     assert (status.executed, status.refused) == (1, 0)
     log = station.GetOutputPort("estimate.push_log").Eval(context)
     assert len(log) == 1
     (seen,) = log
-    moved = np.linalg.norm(station.obj.cells_at(seen.final_pose) - station.obj.cells_at(seen.pose), axis=1)
+    moved = np.linalg.norm(
+        station.obj.cells_at(seen.final_pose) - station.obj.cells_at(seen.pose), axis=1
+    )
     assert moved.mean() > 0.01
     true_pose = station.GetOutputPort("object.pose_true").Eval(context)
     assert np.linalg.norm(seen.final_pose[:2] - true_pose[:2]) < 5e-4
@@ -72,7 +86,9 @@ def test_a_push_moves_the_object_and_is_learned_from(station, simulator):
 
 
 def test_refuses_what_the_arm_cannot_reach(station, simulator):
-    status = advance_until_idle(simulator, station, PushCommand(1, 0.95, 0.3, 0.0, 0.1, 0.03), limit=1.0)
+    status = advance_until_idle(
+        simulator, station, PushCommand(1, 0.95, 0.3, 0.0, 0.1, 0.03), limit=1.0
+    )
     assert (status.executed, status.refused) == (0, 1)
     assert "reach" in status.reason
     assert "reach" in station.FindObstacle(PushCommand(1, 0.95, 0.3, 0.0, 0.1, 0.03))
@@ -81,7 +97,10 @@ def test_refuses_what_the_arm_cannot_reach(station, simulator):
 
 def test_the_truth_goes_to_the_plant_alone(station):
     """Two truths: everything but the plant's own outputs is the same before the first push."""
-    ports = [f"estimate.{name}" for name in ("mass", "friction", "mass_std", "contact_friction", "center_of_mass")]
+    ports = [
+        f"estimate.{name}"
+        for name in ("mass", "friction", "mass_std", "contact_friction", "center_of_mass")
+    ]
     seen = []
     for seed in (0, 1):
         context = station.CreateDefaultContext()
@@ -89,7 +108,9 @@ def test_the_truth_goes_to_the_plant_alone(station):
         body = station.object_in_plant.body
         inertia = body.CalcSpatialInertiaInBodyFrame(station.plant.GetMyContextFromRoot(context))
         truth = MakeTruth(station.obj, station.scenario.truth, seed)
-        np.testing.assert_allclose(inertia.get_com()[:2], truth.center_of_mass(station.obj), atol=1e-12)
+        np.testing.assert_allclose(
+            inertia.get_com()[:2], truth.center_of_mass(station.obj), atol=1e-12
+        )
         seen.append([station.GetOutputPort(port).Eval(context).copy() for port in ports])
     for first, second in zip(*seen, strict=True):
         np.testing.assert_array_equal(first, second)

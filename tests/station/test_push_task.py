@@ -76,7 +76,8 @@ def test_ends_when_the_object_falls_and_when_nobody_waits():
 
 
 @pytest.mark.parametrize(
-    ("goal", "cause"), [([0.6, 0.58, 0.0], "goal_off_table"), ([0.6, -0.5, 0.0], "goal_out_of_reach")]
+    ("goal", "cause"),
+    [([0.6, 0.58, 0.0], "goal_off_table"), ([0.6, -0.5, 0.0], "goal_out_of_reach")],
 )
 def test_says_why_a_goal_is_out_of_the_question(goal, cause):
     scenario = make_scenario(object="pliers")

@@ -15,7 +15,12 @@ from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
 from gridpush_drake.station.arm import ArmReach, CalcStartPosture, MakeControlPlant
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.push_station import MakePushStation
-from gridpush_drake.station.robot import FingerMeasures, find_robot, make_robot_directives, read_measures
+from gridpush_drake.station.robot import (
+    FingerMeasures,
+    find_robot,
+    make_robot_directives,
+    read_measures,
+)
 from gridpush_drake.station.scenario import PushScenario, read_scenario
 from gridpush_drake.station.scene import CalcTipReach, check_scenario
 from gridpush_drake.station.station import MakeRing
@@ -42,12 +47,20 @@ def second_arm(tmp_path):
     measures, directives = read_docs()
     (tmp_path / "robot.yaml").write_text(measures)
     urdf = (find_models() / "robots/iiwa14/iiwa14_primitives.urdf").read_text()
-    urdf = re.sub('<transmission name="iiwa_transmission_3">.*?</transmission>', "", urdf, flags=re.DOTALL)
+    urdf = re.sub(
+        '<transmission name="iiwa_transmission_3">.*?</transmission>', "", urdf, flags=re.DOTALL
+    )
     urdf = urdf.replace('"iiwa_joint_3" type="revolute"', '"iiwa_joint_3" type="fixed"')
-    urdf = urdf.replace("iiwa_link_0", "base").replace("iiwa_link_ee_kuka", "flange").replace("iiwa_", "other_")
+    urdf = (
+        urdf.replace("iiwa_link_0", "base")
+        .replace("iiwa_link_ee_kuka", "flange")
+        .replace("iiwa_", "other_")
+    )
     (tmp_path / "arm.urdf").write_text(urdf)
     directives = directives.replace("file:///home/me/my_arm", tmp_path.as_uri())
-    directives = directives.replace("arm::base}", f"arm::base, X_PC: {{translation: {list(BASE)}}}}}")
+    directives = directives.replace(
+        "arm::base}", f"arm::base, X_PC: {{translation: {list(BASE)}}}}}"
+    )
     (tmp_path / "scene.dmd.yaml").write_text(directives)
     path = tmp_path / "scenario.yaml"
     path.write_text(f"object_pose: [0.65, 0.0, 0.0]\n{directives}")
@@ -91,7 +104,9 @@ def test_a_robot_that_comes_with_the_package_pushes_within_its_limits(name):
     simulator = Simulator(station)
     context = simulator.get_mutable_context()
     station.SetStart(context)
-    assert station.GetOutputPort("pusher.state").Eval(context)[:3] == pytest.approx([0.5, 0.0, 0.2], abs=1e-5)
+    assert station.GetOutputPort("pusher.state").Eval(context)[:3] == pytest.approx(
+        [0.5, 0.0, 0.2], abs=1e-5
+    )
     push = PushCommand(1, 0.6, -0.06, np.pi / 2, 0.07, 0.1)
     station.GetInputPort("push_command").FixValue(context, push.to_vector())
     monitor = LimitMonitor(station)
@@ -121,7 +136,9 @@ def test_a_gantry_reaches_what_its_axes_do_and_says_where_it_does_not():
     home = (0.5, 0.0, 0.2)
     assert reach([home, (0.9, 0.5, 0.2)], [0.3]) is None
     assert "joint 1 of the arm would come to its limit" in reach([home, (1.1, 0.0, 0.2)], [0.3])
-    assert "joint 2 of the arm would have to slide at 0.60 m/s" in reach([home, (0.5, 0.3, 0.2)], [0.6])
+    assert "joint 2 of the arm would have to slide at 0.60 m/s" in reach(
+        [home, (0.5, 0.3, 0.2)], [0.6]
+    )
 
 
 def test_inverse_kinematics_finds_the_ring_that_the_formula_says():
@@ -158,7 +175,9 @@ def test_a_tip_radius_that_is_not_the_models_is_refused(second_arm):
     folder.mkdir()
     (folder / "finger.sdf").write_text((find_models() / "fingers/rod/finger.sdf").read_text())
     (folder / "finger.yaml").write_text("tip_frame: finger_tip\ntip_radius: 0.01")
-    text = second_arm.read_text().replace("package://gridpush_drake/fingers/rod", f"file://{folder}")
+    text = second_arm.read_text().replace(
+        "package://gridpush_drake/fingers/rod", f"file://{folder}"
+    )
     second_arm.write_text(text)
     with pytest.raises(ScenarioError, match=r"tip_radius is 0\.01 m; expected 0\.008 m"):
         check_scenario(read_scenario(second_arm))
@@ -186,17 +205,41 @@ def test_measures_that_will_not_do_are_refused(tmp_path, text, message):
     [
         ("base_frame: base", "base_frame: foot", "there is no frame arm::foot"),
         ("flange_frame: flange", "flange_frame: hand", "there is no frame arm::hand"),
-        ("posture: [0.0, ", "posture: [", "posture in the robot.yaml of arm has 5 numbers; expected 6, one for each"),
-        ("stiffness: [3000.0, ", "stiffness: [", "stiffness in the robot.yaml of arm has 5 numbers; expected 6"),
+        (
+            "posture: [0.0, ",
+            "posture: [",
+            "posture in the robot.yaml of arm has 5 numbers; expected 6, one for each",
+        ),
+        (
+            "stiffness: [3000.0, ",
+            "stiffness: [",
+            "stiffness in the robot.yaml of arm has 5 numbers; expected 6",
+        ),
         (
             "  damping: [120",
             "  # damping: [120",
             "control.damping in the robot.yaml of arm is missing; expected a positive",
         ),
-        ("stiffness: [3000.0, ", "stiffness: [-3000.0, ", "control.stiffness.* is -3000.0; expected a positive number"),
-        ("driver: position", "driver: ur", "control.driver is 'ur'; expected one of iiwa, position"),
-        ("home: [0.5, 0.0, 0.2]", "home: [1.5, 0.0, 0.2]", r"does not reach its home, \(1\.55, -0\.02, 0\.2\) m"),
-        ("robot.yaml", None, "there is no robot; expected a model in whose folder there is a robot"),
+        (
+            "stiffness: [3000.0, ",
+            "stiffness: [-3000.0, ",
+            "control.stiffness.* is -3000.0; expected a positive number",
+        ),
+        (
+            "driver: position",
+            "driver: ur",
+            "control.driver is 'ur'; expected one of iiwa, position",
+        ),
+        (
+            "home: [0.5, 0.0, 0.2]",
+            "home: [1.5, 0.0, 0.2]",
+            r"does not reach its home, \(1\.55, -0\.02, 0\.2\) m",
+        ),
+        (
+            "robot.yaml",
+            None,
+            "there is no robot; expected a model in whose folder there is a robot",
+        ),
     ],
 )
 def test_a_robot_that_is_not_there_is_refused(second_arm, old, new, message):
@@ -213,7 +256,11 @@ def test_a_robot_that_is_not_there_is_refused(second_arm, old, new, message):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (' lower=".*?" upper=".*?"', "", "joint other_joint_1 of arm has no limits; expected its model"),
+        (
+            ' lower=".*?" upper=".*?"',
+            "",
+            "joint other_joint_1 of arm has no limits; expected its model",
+        ),
         (' velocity=".*?"', "", "joint other_joint_1 of arm has no limits; expected its model"),
         (
             '<transmission name="other_transmission_6.*?</transmission>',
@@ -232,17 +279,23 @@ def test_an_arm_whose_joints_will_not_do_is_refused(second_arm, old, new, messag
 def test_a_gripper_that_does_not_open_as_drakes_controller_has_it_is_refused(tmp_path):
     wsg, scene = find_models() / "grippers/wsg_50", find_models() / "scenes/iiwa_grasp.dmd.yaml"
     (tmp_path / "gripper.yaml").write_text((wsg / "gripper.yaml").read_text())
-    (tmp_path / "wsg_50.sdf").write_text((wsg / "wsg_50.sdf").read_text().replace("<upper>0<", "<upper>0.01<"))
+    (tmp_path / "wsg_50.sdf").write_text(
+        (wsg / "wsg_50.sdf").read_text().replace("<upper>0<", "<upper>0.01<")
+    )
     text = scene.read_text().replace("package://gridpush_drake/grippers/wsg_50", tmp_path.as_uri())
     (tmp_path / "scenario.yaml").write_text(f"object_pose: [0.54, -0.06, 0.0]\n{text}")
-    with pytest.raises(ScenarioError, match="gripper gripper does not open by two joints; expected the first"):
+    with pytest.raises(
+        ScenarioError, match="gripper gripper does not open by two joints; expected the first"
+    ):
         check_scenario(read_scenario(tmp_path / "scenario.yaml"))
 
 
 @pytest.mark.parametrize("name", ["gantry", "iiwa14"])
 def test_a_base_from_where_nothing_is_reached_is_refused(name, tmp_path):
     (scene,) = make_robot_directives(name, grasping=False)
-    text = (find_models() / scene.add_directives.file.removeprefix("package://gridpush_drake/")).read_text()
+    text = (
+        find_models() / scene.add_directives.file.removeprefix("package://gridpush_drake/")
+    ).read_text()
     if name == "iiwa14":
         text = (find_models() / "scenes/iiwa_finger.dmd.yaml").read_text()
         table = (find_models() / "scenes/iiwa_push.dmd.yaml").read_text()

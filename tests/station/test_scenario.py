@@ -20,7 +20,13 @@ from gridpush_drake.multibody.parser import MakeParser, find_models
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import list_shipped_objects
 from gridpush_drake.station.robot import find_robot
-from gridpush_drake.station.scenario import PartTruth, PushScenario, TruthConfig, read_scenario, write_scenario
+from gridpush_drake.station.scenario import (
+    PartTruth,
+    PushScenario,
+    TruthConfig,
+    read_scenario,
+    write_scenario,
+)
 from gridpush_drake.station.scene import AddScene, check_scenario, load_object
 from gridpush_drake.station.station import LoadPushedObject
 from tests.helpers.shapes import rectangle
@@ -69,7 +75,9 @@ def test_fields_of_every_kind_are_read(tmp_path):
 def test_what_was_written_is_read_back(tmp_path):
     scenario = PushScenario(object="toolbox", object_pose=[0.5, 1 / 3, pi], base="planar", seed=3)
     scenario.truth.parts = [PartTruth(label=1, cell_mass=0.01)]
-    scenario.directives += [ModelDirective(add_model=AddModel(name="x", file="package://gridpush_drake/x.sdf"))]
+    scenario.directives += [
+        ModelDirective(add_model=AddModel(name="x", file="package://gridpush_drake/x.sdf"))
+    ]
     again = read(tmp_path, text_of(tmp_path, scenario))
     assert again.object_pose == scenario.object_pose
     assert again.truth == scenario.truth
@@ -88,7 +96,9 @@ def test_a_file_is_not_overwritten_unasked(tmp_path):
 def test_a_scenario_that_will_not_do_is_not_written(tmp_path):
     scenario = PushScenario()
     scenario.camera.rate = 0.0
-    with pytest.raises(ScenarioError, match=r"camera\.rate is 0\.0; expected a positive number, in Hz"):
+    with pytest.raises(
+        ScenarioError, match=r"camera\.rate is 0\.0; expected a positive number, in Hz"
+    ):
         write_scenario(tmp_path / "scenario.yaml", scenario)
     assert not list(tmp_path.iterdir())
 
@@ -102,7 +112,9 @@ def test_one_of_several_is_picked_by_its_name(tmp_path):
         read(tmp_path, text, "secnd")
     with pytest.raises(ScenarioError, match="first: unknown key"):
         read(tmp_path, text)
-    with pytest.raises(ScenarioError, match=r"scenario\.yaml, first: sed: unknown key; did you mean seed"):
+    with pytest.raises(
+        ScenarioError, match=r"scenario\.yaml, first: sed: unknown key; did you mean seed"
+    ):
         read(tmp_path, "first: {sed: 1}", "first")
 
 
@@ -125,17 +137,32 @@ def test_an_object_file_is_looked_up_beside_the_scenario(tmp_path, monkeypatch):
             "camera: {rte: 3}",
             r"camera\.rte: unknown key; did you mean rate\? expected one of kind, rate, position_noise",
         ),
-        ("truth: {parts: [{lable: 3}]}", r"truth\.parts\[0\]\.lable: unknown key; did you mean label"),
-        ("directives: [{add_modle: {}}]", r"directives\[0\]\.add_modle: unknown key; did you mean add_model"),
-        ("directives: [{add_model: {fil: x}}]", r"directives\[0\]\.add_model\.fil: unknown key; did you mean file"),
+        (
+            "truth: {parts: [{lable: 3}]}",
+            r"truth\.parts\[0\]\.lable: unknown key; did you mean label",
+        ),
+        (
+            "directives: [{add_modle: {}}]",
+            r"directives\[0\]\.add_modle: unknown key; did you mean add_model",
+        ),
+        (
+            "directives: [{add_model: {fil: x}}]",
+            r"directives\[0\]\.add_model\.fil: unknown key; did you mean file",
+        ),
         ("1: 2", "1: unknown key"),
-        ("finger: {tip_radius: 0.01}", r"finger\.tip_radius: .*tip_radius in finger\.yaml beside the finger's model"),
+        (
+            "finger: {tip_radius: 0.01}",
+            r"finger\.tip_radius: .*tip_radius in finger\.yaml beside the finger's model",
+        ),
         ("camera: {rate: fast}", r"camera\.rate is 'fast'; expected a positive number, in Hz"),
         ("camera: {rate: -1}", r"camera\.rate is -1; expected a positive number, in Hz"),
         ("camera: {rate: .nan}", r"camera\.rate is nan; expected a positive number"),
         ("camera: {rate: true}", r"camera\.rate is True; expected a positive number"),
         ("camera: {rate: [1, 2]}", r"camera\.rate is \[1, 2\]; expected a positive number"),
-        ("camera: {position_noise: -0.1}", r"camera\.position_noise is -0\.1; expected a number, 0 or more, in m"),
+        (
+            "camera: {position_noise: -0.1}",
+            r"camera\.position_noise is -0\.1; expected a number, 0 or more, in m",
+        ),
         ("camera:", "camera is empty; expected `key: value` lines"),
         ("camera: 3", "camera is 3; expected `key: value` lines"),
         ("seed: 1.5", r"seed is 1\.5; expected a whole number, 0 or more"),
@@ -143,18 +170,42 @@ def test_an_object_file_is_looked_up_beside_the_scenario(tmp_path, monkeypatch):
         ("object: 3", "object is 3; expected the name of a shipped object"),
         ("object: ''", "object is ''; expected the name of a shipped object"),
         ("object_pose: [1, 2]", r"object_pose is \[1, 2\]; expected \[x, y, theta\], in m and rad"),
-        ("object_pose: [1, 2, a]", r"object_pose\[2\] is 'a'; expected \[x, y, theta\], in m and rad"),
+        (
+            "object_pose: [1, 2, a]",
+            r"object_pose\[2\] is 'a'; expected \[x, y, theta\], in m and rad",
+        ),
         ("object_pose: 1", r"object_pose is 1; expected \[x, y, theta\]"),
         ("base: loose", "base is 'loose'; expected one of free, planar"),
-        ("pokes: {distance: [0.2, 0.1]}", r"pokes\.distance is \[0\.2, 0\.1\]; expected \[least, greatest\], positive"),
+        (
+            "pokes: {distance: [0.2, 0.1]}",
+            r"pokes\.distance is \[0\.2, 0\.1\]; expected \[least, greatest\], positive",
+        ),
         ("pokes: {slant: 2}", r"pokes\.slant is 2; expected an angle"),
         ("pokes: {count: 0}", r"pokes\.count is 0; expected a whole number, 1 or more"),
-        ("truth: {support: jelly}", r"truth\.support is 'jelly'; expected one of own_weight, foundation, three_feet"),
-        ("truth: {friction: [0, 1]}", r"truth\.friction is \[0, 1\]; expected \[least, greatest\], positive"),
-        ("truth: {parts: [{label: 1, friction: 0}]}", r"truth\.parts\[0\]\.friction is 0; expected a positive"),
-        ("simulation: {answer_delay: -0.1}", r"simulation\.answer_delay is -0.1; expected a number of seconds"),
-        ("simulation: {answer_delay: soon}", r"simulation\.answer_delay is 'soon'; expected a number of seconds"),
-        ("simulation: {time_step: 0}", r"simulation\.time_step is 0; expected a positive number, in s"),
+        (
+            "truth: {support: jelly}",
+            r"truth\.support is 'jelly'; expected one of own_weight, foundation, three_feet",
+        ),
+        (
+            "truth: {friction: [0, 1]}",
+            r"truth\.friction is \[0, 1\]; expected \[least, greatest\], positive",
+        ),
+        (
+            "truth: {parts: [{label: 1, friction: 0}]}",
+            r"truth\.parts\[0\]\.friction is 0; expected a positive",
+        ),
+        (
+            "simulation: {answer_delay: -0.1}",
+            r"simulation\.answer_delay is -0.1; expected a number of seconds",
+        ),
+        (
+            "simulation: {answer_delay: soon}",
+            r"simulation\.answer_delay is 'soon'; expected a number of seconds",
+        ),
+        (
+            "simulation: {time_step: 0}",
+            r"simulation\.time_step is 0; expected a positive number, in s",
+        ),
         ("workspace: {x: [1, 0]}", r"workspace\.x is \[1, 0\]; expected \[least, greatest\]"),
         ("directives: 3", "directives is 3; expected a list"),
         (
@@ -190,7 +241,10 @@ def test_a_robot_stands_for_the_scene_that_it_names(tmp_path):
     for text, message in (
         ("robot: pnda", "robot pnda is not known; did you mean panda"),
         ("robot: 3", "robot is 3; expected a robot's name"),
-        ("robot: panda\ndirectives: []", "robot and directives are both given; expected one of them"),
+        (
+            "robot: panda\ndirectives: []",
+            "robot and directives are both given; expected one of them",
+        ),
     ):
         with pytest.raises(ScenarioError, match=message):
             read(tmp_path, text)
@@ -218,12 +272,24 @@ def directives(*files):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"object": "claw_hamer"}, "object: claw_hamer: no shipped object .*did you mean claw_hammer"),
+        (
+            {"object": "claw_hamer"},
+            "object: claw_hamer: no shipped object .*did you mean claw_hammer",
+        ),
         ({"object": "nowhere.yaml"}, r"object: nowhere\.yaml: cannot be read"),
-        ({"object_pose": [0.3, 0, 0]}, r"object_pose is \[0\.3, 0, 0\]: .*x 0\.2 to 1 m and y -0\.6 to 0\.6 m"),
+        (
+            {"object_pose": [0.3, 0, 0]},
+            r"object_pose is \[0\.3, 0, 0\]: .*x 0\.2 to 1 m and y -0\.6 to 0\.6 m",
+        ),
         ({"object_pose": [3.0, 0, 0]}, "object_pose is .* not wholly on the table"),
-        ({"object_height": 0.01}, r"finger\.push_height is 0\.012 m; expected more than the tip's radius, 0\.008 m"),
-        ({"object_height": 0.2}, r"finger\.travel_height is 0\.12 m; expected more than .*0\.208 m"),
+        (
+            {"object_height": 0.01},
+            r"finger\.push_height is 0\.012 m; expected more than the tip's radius, 0\.008 m",
+        ),
+        (
+            {"object_height": 0.2},
+            r"finger\.travel_height is 0\.12 m; expected more than .*0\.208 m",
+        ),
         ({"base": "fre"}, "base is 'fre'; expected one of free, planar"),
         ({"camera": None}, "camera is empty; expected `key: value` lines"),
         ({"seed": "1"}, "seed is '1'; expected a whole number"),
@@ -242,15 +308,27 @@ def test_a_scenario_that_makes_no_sense_is_refused(changes, message):
 @pytest.mark.parametrize(
     ("place", "value", "message"),
     [
-        ("workspace.x", [0.9, 1.2], r"workspace is out of the arm's reach; .*between 0\.41 and 0\.82 m"),
+        (
+            "workspace.x",
+            [0.9, 1.2],
+            r"workspace is out of the arm's reach; .*between 0\.41 and 0\.82 m",
+        ),
         ("workspace.x", [0.0, 0.1], "workspace does not contain the object's position"),
-        ("workspace.y", [0.1, 0.2], r"workspace does not contain the object's position, \(0\.6, 0\) m"),
+        (
+            "workspace.y",
+            [0.1, 0.2],
+            r"workspace does not contain the object's position, \(0\.6, 0\) m",
+        ),
         (
             "truth.parts",
             [PartTruth(label=9)],
             r"truth\.parts\[0\]\.label is 9; expected a part of claw_hammer: one of 1, 2",
         ),
-        ("truth.parts", [PartTruth(label=1), PartTruth(label=1)], r"truth\.parts\[1\]\.label is 1 once more"),
+        (
+            "truth.parts",
+            [PartTruth(label=1), PartTruth(label=1)],
+            r"truth\.parts\[1\]\.label is 1 once more",
+        ),
         ("truth.friction", [20.0, 30.0], r"truth\.support: claw_hammer: found no three feet"),
     ],
 )
@@ -265,14 +343,17 @@ def test_a_part_of_a_scenario_that_makes_no_sense_is_refused(place, value, messa
 
 def test_only_a_free_object_stands_on_other_than_its_own_weight():
     scenario = PushScenario(base="planar", truth=TruthConfig(support="foundation"))
-    with pytest.raises(ScenarioError, match=r"truth\.support is foundation and base planar; expected base free"):
+    with pytest.raises(
+        ScenarioError, match=r"truth\.support is foundation and base planar; expected base free"
+    ):
         check_scenario(scenario)
 
 
 def test_an_object_that_lies_on_the_table_nowhere_is_larger_than_it(tmp_path):
     large = write_rectangle(tmp_path / "large.yaml", 1.3, 0.9)
     with pytest.raises(
-        ScenarioError, match=r"object: slab, 1\.30 x 0\.90 m, is larger than the table, 0\.80 x 1\.20 m"
+        ScenarioError,
+        match=r"object: slab, 1\.30 x 0\.90 m, is larger than the table, 0\.80 x 1\.20 m",
     ):
         check_scenario(PushScenario(object=large))
     long = write_rectangle(tmp_path / "long.yaml", 1.1, 0.1)  # fits when it is turned
@@ -285,7 +366,10 @@ def test_the_tables_edge_is_where_the_check_has_it():
     """A pose 1 mm inside the edge passes, 1 mm beyond it does not."""
     scenario = PushScenario(object="toolbox", object_pose=[0.6, 0.0, 0.0])
     outline = load_object(scenario).outline
-    for x, passes in ((1.0 - outline.bounds[2] - 1e-3, True), (1.0 - outline.bounds[2] + 1e-3, False)):
+    for x, passes in (
+        (1.0 - outline.bounds[2] - 1e-3, True),
+        (1.0 - outline.bounds[2] + 1e-3, False),
+    ):
         scenario.object_pose = [x, 0.0, 0.0]
         scenario.workspace.x = [0.3, 1.2]
         if passes:
@@ -306,7 +390,9 @@ def test_a_table_may_be_turned_and_moved_and_of_several_pieces():
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.001)
     MakeParser(plant).AddModelsFromString(sdf, "sdf")
     turned = RotationMatrix.MakeZRotation(pi / 2)
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("table"), RigidTransform(turned, [0.5, 0.0, 0.0]))
+    plant.WeldFrames(
+        plant.world_frame(), plant.GetFrameByName("table"), RigidTransform(turned, [0.5, 0.0, 0.0])
+    )
     plant.Finalize()
     outline = FindTableOutline(plant, scene_graph.model_inspector())
     assert outline.geom_type == "Polygon"
@@ -384,4 +470,6 @@ def test_one_friction_range_from_the_scenario_to_the_model(tmp_path):
     model = read_model(tmp_path / "model.yaml")
     for known in (obj, again, model.obj):
         assert (known.prior.friction_min, known.prior.friction_max) == (0.3, 0.4)
-    assert "friction coefficients anywhere from 0.3 to 0.4" in " ".join(model.identifiability.statements)
+    assert "friction coefficients anywhere from 0.3 to 0.4" in " ".join(
+        model.identifiability.statements
+    )

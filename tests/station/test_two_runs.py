@@ -22,7 +22,8 @@ from gridpush_drake.station.scene import MakeTruth
 from gridpush_drake.systems.messages import PushCommand
 
 RUNS = ((1, (0.55, 0.05, 0.3), 0.6), (2, (0.6, -0.05, -0.5), 0.4))
-"""Seed, where the object begins, and how fast it slides along x then, m/s: friction and masses tell at once."""
+"""Seed, where the object begins, and how fast it slides along x then, m/s: friction and masses tell
+at once."""
 
 STEPS, STEP = 6, 0.05
 """Of the simulation, s."""
@@ -66,18 +67,24 @@ class Run:
         station.SetStart(root, seed)
         plant_context = station.plant.GetMyMutableContextFromRoot(root)
         SetGridObjectPose(station.plant, plant_context, station.object_in_plant, pose)
-        SetGridObjectVelocity(station.plant, plant_context, station.object_in_plant, (speed, 0.0, 1.0))
+        SetGridObjectVelocity(
+            station.plant, plant_context, station.object_in_plant, (speed, 0.0, 1.0)
+        )
         own = station.GetMyMutableContextFromRoot(root)
         command = PushCommand(1, pose[0] + 0.3, pose[1], np.pi, 0.1, 0.03)
         station.GetInputPort("push_command").FixValue(own, command.to_vector())
 
     def look(self):
         context = self.station.GetMyContextFromRoot(self.root)
-        state = self.station.plant.GetPositionsAndVelocities(self.station.plant.GetMyContextFromRoot(self.root))
+        state = self.station.plant.GetPositionsAndVelocities(
+            self.station.plant.GetMyContextFromRoot(self.root)
+        )
         ports = ("object.pose", "pusher.state", "iiwa.torque_commanded")
         truth = self.station.GetTruth(self.root)
         shown = [self.station.GetOutputPort(port).Eval(context) for port in ports]
-        self.seen.append(np.concatenate([state, *shown, truth.mass, truth.friction, [truth.contact_friction]]))
+        self.seen.append(
+            np.concatenate([state, *shown, truth.mass, truth.friction, [truth.contact_friction]])
+        )
 
 
 def simulate_alone(station, *start):
@@ -97,7 +104,8 @@ def alone(station):
 def test_two_runs_of_one_station_do_not_meet(station, alone):
     simulators = [Simulator(station, station.CreateDefaultContext()) for _ in RUNS]
     runs = [
-        Run(station, simulator.get_mutable_context(), *start) for simulator, start in zip(simulators, RUNS, strict=True)
+        Run(station, simulator.get_mutable_context(), *start)
+        for simulator, start in zip(simulators, RUNS, strict=True)
     ]
     for step in range(1, STEPS + 1):
         for simulator, run in zip(simulators, runs, strict=True):
@@ -112,7 +120,9 @@ def test_the_truth_is_read_back_from_the_context(station):
     contexts = [station.CreateDefaultContext() for _ in range(3)]
     for context, seed in zip(contexts, (None, 1, 2), strict=True):
         station.SetStart(context, seed)
-    for context, seed in zip([*contexts, contexts[1].Clone()], (station.scenario.seed, 1, 2, 1), strict=True):
+    for context, seed in zip(
+        [*contexts, contexts[1].Clone()], (station.scenario.seed, 1, 2, 1), strict=True
+    ):
         expected = MakeTruth(station.obj, station.scenario.truth, seed)
         np.testing.assert_array_equal(station.GetTruth(context).mass, expected.mass)
         np.testing.assert_array_equal(station.GetTruth(context).friction, expected.friction)
@@ -120,7 +130,9 @@ def test_the_truth_is_read_back_from_the_context(station):
 
 def test_two_stations_stand_in_one_diagram(alone):
     builder = DiagramBuilder()
-    stations = [builder.AddSystem(MakePushStation(make_scenario(), name=name)) for name in ("left", "right")]
+    stations = [
+        builder.AddSystem(MakePushStation(make_scenario(), name=name)) for name in ("left", "right")
+    ]
     simulator = Simulator(builder.Build())
     root = simulator.get_mutable_context()
     runs = [Run(station, root, *start) for station, start in zip(stations, RUNS, strict=True)]
@@ -139,7 +151,9 @@ def test_a_station_that_is_dropped_is_freed():
     station.SetStart(simulator.get_mutable_context())
     simulator.set_monitor(LimitMonitor(station))
     simulator.AdvanceTo(0.02)
-    parts = [ref(part) for part in (experiment, simulator, station, station.plant, station.scene_graph)]
+    parts = [
+        ref(part) for part in (experiment, simulator, station, station.plant, station.scene_graph)
+    ]
     del experiment, simulator, station
     gc.collect()
     assert [part() for part in parts] == [None] * len(parts)
@@ -149,7 +163,17 @@ def test_a_station_that_is_dropped_is_freed():
 def test_a_task_with_a_gripper_that_is_dropped_is_freed():
     task = PreGraspTask(read_scenario(find_models() / "scenarios/grasp.yaml"))
     station = task.station
-    parts = [ref(part) for part in (task, task.simulator, task.controller, station, station.plant, station.scene_graph)]
+    parts = [
+        ref(part)
+        for part in (
+            task,
+            task.simulator,
+            task.controller,
+            station,
+            station.plant,
+            station.scene_graph,
+        )
+    ]
     del task, station
     gc.collect()
     assert [part() for part in parts] == [None] * len(parts)
@@ -159,5 +183,7 @@ def test_a_task_with_a_gripper_that_is_dropped_is_freed():
 def test_a_station_leaves_little_memory_behind():
     if not Path("/proc/self/status").exists():
         pytest.skip("memory is read from /proc")
-    done = subprocess.run([sys.executable, "-c", BUILDS], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", BUILDS], capture_output=True, text=True, check=True
+    )
     assert float(done.stdout) < GROWTH, done.stdout

@@ -4,10 +4,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.systems.analysis import Simulator
 
-from gridpush_drake.systems.arm_guard import BY_SILENCE, ArmGuard, CommandRamp, GuardLimits, GuardMode, brake, follow
+from gridpush_drake.systems.arm_guard import (
+    BY_SILENCE,
+    ArmGuard,
+    CommandRamp,
+    GuardLimits,
+    GuardMode,
+    brake,
+    follow,
+)
 
 PERIOD = 0.005
-LIMITS = GuardLimits(speed=np.array([1.0, 2.0]), acceleration=np.array([10.0, 5.0]), torque=np.array([30.0, 4.0]))
+LIMITS = GuardLimits(
+    speed=np.array([1.0, 2.0]), acceleration=np.array([10.0, 5.0]), torque=np.array([30.0, 4.0])
+)
 BEGIN = np.array([0.3, -0.7])
 POSE = np.array([0.6, 0.1, 0.2])
 
@@ -50,9 +60,14 @@ class Bench:
         """Brings the joints to a velocity, which the command has by then."""
         speed = np.zeros(2)
         for _ in range(count):
-            speed = np.clip(speed + LIMITS.acceleration * PERIOD, -np.abs(velocity), np.abs(velocity))
+            speed = np.clip(
+                speed + LIMITS.acceleration * PERIOD, -np.abs(velocity), np.abs(velocity)
+            )
             desired = self.inputs["position_desired"] + PERIOD * speed * np.sign(velocity)
-            self.step(position_desired=desired, position_measured=self.positions[-1] if self.positions else BEGIN)
+            self.step(
+                position_desired=desired,
+                position_measured=self.positions[-1] if self.positions else BEGIN,
+            )
         np.testing.assert_allclose(self.velocity, velocity, rtol=1e-9)
 
     @property
@@ -62,7 +77,9 @@ class Bench:
     def check_limits(self):
         velocity = np.diff(self.positions, axis=0) / PERIOD
         assert (np.abs(velocity) <= LIMITS.speed * (1 + 1e-9)).all()
-        assert (np.abs(np.diff(velocity, axis=0)) <= LIMITS.acceleration * PERIOD * (1 + 1e-9)).all()
+        assert (
+            np.abs(np.diff(velocity, axis=0)) <= LIMITS.acceleration * PERIOD * (1 + 1e-9)
+        ).all()
 
 
 def check_stopped(bench, says):
@@ -76,7 +93,9 @@ def check_stopped(bench, says):
         assert bench.context.get_time() - noticed < fastest + 2 * PERIOD + 0.1
     held = bench.positions[-1]
     # nothing moves it any more: neither what is wanted, nor that all is well again
-    status = bench.run(20, position_desired=held + 1.0, torque_external=np.zeros(2), object_pose=POSE, stop=[0])
+    status = bench.run(
+        20, position_desired=held + 1.0, torque_external=np.zeros(2), object_pose=POSE, stop=[0]
+    )
     assert (status.mode, says in status.reason, status.since) == (GuardMode.HOLDING, True, noticed)
     np.testing.assert_array_equal(bench.positions[-1], held)
     bench.check_limits()
@@ -113,7 +132,9 @@ def test_what_keeps_the_limits_is_passed_on_as_it_is():
 def test_whatever_is_wanted_the_limits_are_kept_and_rest_is_reached(targets, hold):
     motion, before = [(np.zeros(2), np.zeros(2))], np.zeros(2)
     for target in [*np.repeat(targets, hold, axis=0), *[np.array(targets[-1])] * 1000]:
-        motion.append(follow(*motion[-1], before, target, LIMITS.speed, LIMITS.acceleration, PERIOD))
+        motion.append(
+            follow(*motion[-1], before, target, LIMITS.speed, LIMITS.acceleration, PERIOD)
+        )
         before = target
     q, v = (np.array(part) for part in zip(*motion, strict=True))
     assert (np.abs(v) <= LIMITS.speed * (1 + 1e-9)).all()
@@ -156,7 +177,10 @@ def test_a_blocked_arm_goes_back_to_where_it_was_when_that_was_noticed():
 
 @pytest.mark.parametrize(
     ("pose", "says"),
-    [((0.6, 0.14, 0.2), "jump by 40 mm and 0.00 rad"), ((0.6, 0.1, 0.2 - 0.4), "jump by 0 mm and 0.40 rad")],
+    [
+        ((0.6, 0.14, 0.2), "jump by 40 mm and 0.00 rad"),
+        ((0.6, 0.1, 0.2 - 0.4), "jump by 0 mm and 0.40 rad"),
+    ],
 )
 def test_a_jump_of_the_pose_stops_the_arm(pose, says):
     bench = Bench()
@@ -197,7 +221,9 @@ def test_after_a_pause_of_the_commands_they_begin_at_rest():
     last, now = bench.positions[-1], bench.inputs["time_measured"]
     desired = bench.inputs["position_desired"] + PERIOD * np.array([0.4, -0.3])
     assert bench.step(time_measured=now + 1.0, position_desired=desired).mode == GuardMode.FOLLOWING
-    assert (np.abs(bench.positions[-1] - last) <= LIMITS.acceleration * PERIOD**2 * (1 + 1e-9)).all()
+    assert (
+        np.abs(bench.positions[-1] - last) <= LIMITS.acceleration * PERIOD**2 * (1 + 1e-9)
+    ).all()
 
 
 def test_two_contexts_do_not_meet():
@@ -224,7 +250,9 @@ def test_a_force_on_the_tip_stops_the_arm_and_takes_it_back():
     bench = Bench()
     bench.follow_ramp()
     touched = bench.positions[-1] - [0.002, -0.001]
-    assert bench.step(position_measured=touched, force=[0.0, 18.0, -23.9]).mode == GuardMode.FOLLOWING
+    assert (
+        bench.step(position_measured=touched, force=[0.0, 18.0, -23.9]).mode == GuardMode.FOLLOWING
+    )
     assert bench.step(force=[0.0, 18.0, -24.1]).mode == GuardMode.STOPPING
     bench.step(force=np.zeros(3))
     check_stopped(bench, "the force on the finger's tip is 30.1 N; 30.0 N are allowed")
@@ -253,7 +281,11 @@ class RampBench:
 
     def go(self, count, velocity=(0.4, -0.3)):
         """Commands that speed up to a velocity within the limits."""
-        speed = np.zeros(2) if len(self.positions) < 2 else (self.positions[-1] - self.positions[-2]) / PERIOD
+        speed = (
+            np.zeros(2)
+            if len(self.positions) < 2
+            else (self.positions[-1] - self.positions[-2]) / PERIOD
+        )
         for _ in range(count):
             unit = LIMITS.acceleration * PERIOD
             speed = np.clip(velocity, speed - unit, speed + unit)
@@ -300,6 +332,8 @@ def test_a_ramp_bridges_a_missing_command_and_leaves_out_what_was_overtaken_or_i
         assert bench.step().mode == GuardMode.FOLLOWING
         bench.command(target + PERIOD * np.array([0.4, -0.3]), last + PERIOD)
     bench.step()
-    np.testing.assert_allclose(bench.positions[-1], before + 4 * PERIOD * np.array([0.4, -0.3]), atol=2e-3)
+    np.testing.assert_allclose(
+        bench.positions[-1], before + 4 * PERIOD * np.array([0.4, -0.3]), atol=2e-3
+    )
     bench.go(20)
     np.testing.assert_allclose(bench.positions[-1], bench.target, atol=1e-9)

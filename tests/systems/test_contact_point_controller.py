@@ -25,7 +25,9 @@ OBJ = make_block(12)
 TRUTH = CellParameters.by_part(OBJ, {1: 0.05, 2: 0.2}, 0.4, 0.4)
 TABLE = SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0))
 RULES = GoalRules(
-    PushConstraints(TABLE), ContactOptions(clearance=0.005, speed=0.1, distance_range=(0.008, 0.3)), max_pushes=12
+    PushConstraints(TABLE),
+    ContactOptions(clearance=0.005, speed=0.1, distance_range=(0.008, 0.3)),
+    max_pushes=12,
 )
 GOAL = (0.15, 0.1, 1.0)
 
@@ -53,7 +55,9 @@ def test_reaches_the_goal_learning_nothing_and_says_so():
     executor = run.read(run.executor, "status")
     assert status.pushes == executor.executed == run.read(run.controller, "push_command")[0]
     under_way = [one for one in seen if one.mode == ContactPointMode.PUSHING]
-    assert all(one.expected_pose is not None and one.expected_error < one.error for one in under_way)
+    assert all(
+        one.expected_pose is not None and one.expected_error < one.error for one in under_way
+    )
     assert status.expected_pose is None and status.prediction_error < 0.1
     # nothing more is done once it is there
     run.simulator.AdvanceTo(run.simulator.get_context().get_time() + 2.0)
@@ -85,7 +89,10 @@ def test_another_goal_begins_anew():
     run.go_on_until(lambda status: status.mode == ContactPointMode.PUSHING, 3.0)
     assert run.status.pushes == 0
     status = run.go_on_until(over)
-    assert status.mode == ContactPointMode.REACHED and status.pushes == run.read(run.executor, "status").executed - made
+    assert (
+        status.mode == ContactPointMode.REACHED
+        and status.pushes == run.read(run.executor, "status").executed - made
+    )
     assert calc_goal_error(OBJ, run.pose, there) < RULES.tolerance + 1e-3
     set_goal(run, np.full(3, np.nan))
     run.simulator.AdvanceTo(run.simulator.get_context().get_time() + 0.2)
@@ -129,7 +136,8 @@ def test_the_arms_word_is_heeded():
     run = make_run(OBJ, TRUTH, (0.15, 0.0, 0.2), rules)
     commands = []
     status = run.go_on_until(
-        lambda status: commands.append(run.read(run.controller, "push_command")) or over(status), 60.0
+        lambda status: commands.append(run.read(run.controller, "push_command")) or over(status),
+        60.0,
     )
     assert status.mode == ContactPointMode.REACHED
     made = [PushCommand.from_vector(command) for command in commands if command[0] > 0]
@@ -143,7 +151,9 @@ def test_a_refused_push_is_not_tried_again():
         begin, end = way[-4], way[-3]
         return "the arm sulks" if end[0] - begin[0] > 0.02 else None
 
-    run = make_run(OBJ, TRUTH, (0.15, 0.1, 1.0), RULES, reach=reach, options=LoopOptions(max_refusals=6))
+    run = make_run(
+        OBJ, TRUTH, (0.15, 0.1, 1.0), RULES, reach=reach, options=LoopOptions(max_refusals=6)
+    )
     refused = []
 
     def note(status):
@@ -162,10 +172,20 @@ def test_a_refused_push_is_not_tried_again():
 
 def test_gives_up_when_everything_is_refused():
     run = make_run(
-        OBJ, TRUTH, GOAL, RULES, reach=lambda way, speeds: "the arm sulks", options=LoopOptions(max_refusals=3)
+        OBJ,
+        TRUTH,
+        GOAL,
+        RULES,
+        reach=lambda way, speeds: "the arm sulks",
+        options=LoopOptions(max_refusals=3),
     )
     status = run.go_on_until(over, 10.0)
-    assert (status.mode, status.cause, status.refused, status.pushes) == (ContactPointMode.FAILED, "refused", 3, 0)
+    assert (status.mode, status.cause, status.refused, status.pushes) == (
+        ContactPointMode.FAILED,
+        "refused",
+        3,
+        0,
+    )
     assert "the arm sulks" in status.reason
     # somebody brings the object elsewhere: another attempt
     run.world.SetPose(run.context(run.world), (0.1, 0.1, 0.5))
@@ -189,7 +209,10 @@ def test_an_object_moved_between_pushes_is_pushed_from_where_it_lies():
     assert calc_goal_error(OBJ, run.pose, GOAL) < RULES.tolerance + 1e-3
     # and once more after the end
     run.world.SetPose(run.context(run.world), (0.1, -0.2, 0.0))
-    assert run.go_on_until(lambda status: status.mode == ContactPointMode.PUSHING, 3.0).pushes == status.pushes
+    assert (
+        run.go_on_until(lambda status: status.mode == ContactPointMode.PUSHING, 3.0).pushes
+        == status.pushes
+    )
     assert run.go_on_until(over).mode == ContactPointMode.REACHED
 
 
@@ -230,7 +253,11 @@ def test_a_command_that_was_not_taken_up_is_withdrawn():
 def test_stops_after_the_allowed_pushes():
     run = make_run(OBJ, TRUTH, (0.2, 0.2, 3.0), replace(RULES, max_pushes=1, tolerance=0.002))
     status = run.go_on_until(over)
-    assert (status.mode, status.cause, status.pushes) == (ContactPointMode.FAILED, "too_many_pushes", 1)
+    assert (status.mode, status.cause, status.pushes) == (
+        ContactPointMode.FAILED,
+        "too_many_pushes",
+        1,
+    )
 
 
 def test_bad_numbers_are_refused():

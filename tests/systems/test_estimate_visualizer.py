@@ -53,7 +53,9 @@ def meshcat():
     return server
 
 
-def make_diagram(obj, meshcat: Meshcat, estimates, optional: bool = True, **options) -> tuple[Diagram, object]:
+def make_diagram(
+    obj, meshcat: Meshcat, estimates, optional: bool = True, **options
+) -> tuple[Diagram, object]:
     builder = DiagramBuilder()
     visualizer = builder.AddSystem(EstimateVisualizer(obj, meshcat, height=HEIGHT, **options))
 
@@ -66,14 +68,25 @@ def make_diagram(obj, meshcat: Meshcat, estimates, optional: bool = True, **opti
     feed("mass", changes, [before.mass, after.mass, after.mass])
     feed("friction", changes, [before.friction, after.friction, after.friction])
     feed(
-        "object_pose", [0.0, LEARNED_AT, MOVED_AT, END], [FIRST, FIRST, LAST, LAST], PiecewisePolynomial.FirstOrderHold
+        "object_pose",
+        [0.0, LEARNED_AT, MOVED_AT, END],
+        [FIRST, FIRST, LAST, LAST],
+        PiecewisePolynomial.FirstOrderHold,
     )
     if optional:
         centers = [params.center_of_mass(obj) for params in (before, after, after)]
         feed("center_of_mass", changes, centers)
-        feed("center_of_mass_covariance", changes, [COVARIANCE.ravel(), COVARIANCE.ravel() / 9, COVARIANCE.ravel() / 9])
+        feed(
+            "center_of_mass_covariance",
+            changes,
+            [COVARIANCE.ravel(), COVARIANCE.ravel() / 9, COVARIANCE.ravel() / 9],
+        )
         feed("contact_friction", changes, [[0.5], [0.4], [0.4]])
-        feed("push_command", changes, [PushCommand().to_vector(), COMMAND.to_vector(), COMMAND.to_vector()])
+        feed(
+            "push_command",
+            changes,
+            [PushCommand().to_vector(), COMMAND.to_vector(), COMMAND.to_vector()],
+        )
     return builder.Build(), visualizer
 
 
@@ -155,7 +168,9 @@ def test_an_object_in_the_air_is_drawn_where_its_body_is(obj, meshcat, estimates
 
     def find_rows(height):
         X_WB = RigidTransform(RollPitchYaw(0.0, 0.0, 0.3), [0.5, 0.0, height])
-        visualizer.GetInputPort("body_poses").FixValue(inner, Value[list[RigidTransform]]([RigidTransform(), X_WB]))
+        visualizer.GetInputPort("body_poses").FixValue(
+            inner, Value[list[RigidTransform]]([RigidTransform(), X_WB])
+        )
         diagram.ForcedPublish(context)
         return np.nonzero(find_colors(obj, estimates, take_picture(meshcat.web_url()))[0])[0]
 
@@ -196,7 +211,9 @@ def check_after(obj, estimates, picture):
     even, light, heavy = find_colors(obj, estimates, picture)
     assert min(light.sum(), heavy.sum()) > MIN_SEEN
     assert even.sum() < MIN_SEEN / 10
-    assert np.nonzero(heavy)[1].mean() > np.nonzero(light)[1].mean() + 20  # the heavy end is the right one
+    assert (
+        np.nonzero(heavy)[1].mean() > np.nonzero(light)[1].mean() + 20
+    )  # the heavy end is the right one
 
 
 def test_the_live_page_shows_the_cells_in_the_colors_of_their_estimate(obj, meshcat, estimates):
@@ -229,7 +246,9 @@ def color_of(rgba):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("recorded_from", ["before", "after"])
-def test_the_recording_changes_its_colors_as_the_estimate_improves(obj, meshcat, estimates, tmp_path, recorded_from):
+def test_the_recording_changes_its_colors_as_the_estimate_improves(
+    obj, meshcat, estimates, tmp_path, recorded_from
+):
     """Whether the recording is begun before the Simulator is initialized or after."""
     require_chromium()
     empty = len(meshcat.StaticHtml())
@@ -254,5 +273,7 @@ def test_the_recording_changes_its_colors_as_the_estimate_improves(obj, meshcat,
     check_after(obj, estimates, middle)
     end = take_picture(path, virtual_time=20_000)
     check_after(obj, estimates, end)
-    rows = [np.nonzero(find_colors(obj, estimates, picture)[2])[0].mean() for picture in (middle, end)]
+    rows = [
+        np.nonzero(find_colors(obj, estimates, picture)[2])[0].mean() for picture in (middle, end)
+    ]
     assert rows[1] < rows[0] - 30  # the object moves away from the camera, up in the picture

@@ -6,9 +6,25 @@ from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 
-from gridpush_drake.multibody.tool_motion import TURNING_RADIUS, ToolTrajectorySegment, calc_tool_pose, make_transform
-from gridpush_drake.systems.grasp_executor import GraspExecutor, GraspTrajectoryOptions, calc_tip, calc_yaws
-from gridpush_drake.systems.messages import GraspCommand, GraspPhase, GraspStatus, PushPhase, PushStatus
+from gridpush_drake.multibody.tool_motion import (
+    TURNING_RADIUS,
+    ToolTrajectorySegment,
+    calc_tool_pose,
+    make_transform,
+)
+from gridpush_drake.systems.grasp_executor import (
+    GraspExecutor,
+    GraspTrajectoryOptions,
+    calc_tip,
+    calc_yaws,
+)
+from gridpush_drake.systems.messages import (
+    GraspCommand,
+    GraspPhase,
+    GraspStatus,
+    PushPhase,
+    PushStatus,
+)
 
 REST = (0.5, -0.1, 0.12, 0.0)
 COMMAND = GraspCommand(1, 0.5, 0.18, 0.015, -np.pi / 2, 0.1)
@@ -51,7 +67,9 @@ class Bench:
             lost = self.status.phase == "lifting" and self.poses[-1][2] > self.lost_at
             opening = max(self.openings[-1], 0.0 if lost or not self.width else self.width)
             self.fix("gripper_state", [-opening / 2, opening / 2, 0.0, 0.0])
-            if self.status.outcome == "held" or (self.status.command_id == command.command_id and self.status.ready):
+            if self.status.outcome == "held" or (
+                self.status.command_id == command.command_id and self.status.ready
+            ):
                 return self.status
         raise AssertionError(f"not done after {limit} s: {self.status}")
 
@@ -76,7 +94,9 @@ def test_goes_in_from_beyond_closes_lifts_and_holds():
     assert (status.outcome, status.phase, status.reason) == ("held", "holding", "")
     assert (
         bench.seen()
-        == ["idle", "approaching", "entering", "closing", "lifting", "holding"][bench.phases[0] != "idle" :]
+        == ["idle", "approaching", "entering", "closing", "lifting", "holding"][
+            bench.phases[0] != "idle" :
+        ]
     )
     poses, phases = np.array(bench.poses), np.array(bench.phases)
     X_WP = make_transform(poses[phases == "closing"][-1])
@@ -92,14 +112,19 @@ def test_goes_in_from_beyond_closes_lifts_and_holds():
     assert set(np.array(bench.openings)[phases == "lifting"]) == {STYLE.squeeze}
 
 
-@pytest.mark.parametrize(("options", "outcome"), [({"width": 0.0}, "missed"), ({"lost_at": -0.16}, "slipped")])
+@pytest.mark.parametrize(
+    ("options", "outcome"), [({"width": 0.0}, "missed"), ({"lost_at": -0.16}, "slipped")]
+)
 def test_goes_back_to_the_finger_s_rest_where_it_fails(options, outcome):
     bench = Bench(**options)
     status = bench.run(COMMAND)
     assert (status.outcome, status.phase, status.ready) == (outcome, "idle", True)
     assert "mm" in status.reason
     np.testing.assert_allclose(bench.poses[-1], REST, atol=1e-9)
-    assert bench.seen()[-3:] == ["opening", "retreating", "idle"] or bench.seen()[-2:] == ["opening", "retreating"]
+    assert bench.seen()[-3:] == ["opening", "retreating", "idle"] or bench.seen()[-2:] == [
+        "opening",
+        "retreating",
+    ]
     assert bench.openings[-1] == STYLE.opening
     bench.width, bench.lost_at = THICK, np.inf
     assert bench.run(GraspCommand(2, *COMMAND.to_vector()[1:]), 120.0).outcome == "held"
@@ -113,7 +138,9 @@ def test_pose_speed_and_acceleration_are_continuous():
     acceleration = np.diff(speed, axis=0) / STEP
     assert np.abs(speed).max() < STYLE.travel_speed * 1.01
     assert np.abs(acceleration).max() < STYLE.travel_acceleration * 1.01
-    assert np.abs(np.diff(acceleration, axis=0)).max() < 0.3  # a jump would show as the whole acceleration
+    assert (
+        np.abs(np.diff(acceleration, axis=0)).max() < 0.3
+    )  # a jump would show as the whole acceleration
 
 
 def test_waits_for_the_push_to_end_and_for_a_new_number():
@@ -153,7 +180,9 @@ def test_refuses_what_the_arm_cannot_follow_and_what_is_objected_to():
 
     assert Bench(reach=reach).run(COMMAND).reason == "too far"
     assert {len(way) - len(speeds) for way, speeds, _ in asked} == {1}
-    assert {round(float(yaws[-1]), 6) for *_, yaws in asked} == {round(yaw, 6) for yaw in calc_yaws(COMMAND.approach)}
+    assert {round(float(yaws[-1]), 6) for *_, yaws in asked} == {
+        round(yaw, 6) for yaw in calc_yaws(COMMAND.approach)
+    }
     assert Bench(validator=lambda command: "in the way").run(COMMAND).reason == "in the way"
 
 
@@ -187,7 +216,9 @@ def test_state_is_in_the_context_alone():
     other = Simulator(bench.system, copy)
     for simulator in (bench.simulator, other):
         simulator.AdvanceTo(4.0)
-    poses = [bench.system.GetOutputPort("tip_pose").Eval(context) for context in (bench.context, copy)]
+    poses = [
+        bench.system.GetOutputPort("tip_pose").Eval(context) for context in (bench.context, copy)
+    ]
     assert poses[0].IsExactlyEqualTo(poses[1])
     assert not poses[0].IsNearlyEqualTo(make_transform(REST), 0.05)
 
@@ -197,14 +228,20 @@ def test_yaws_point_the_fingers_along_the_approach(approach):
     for yaw in calc_yaws(approach):
         X_WP = make_transform((*calc_tip(STYLE, COMMAND.p_WG, yaw), yaw))
         np.testing.assert_allclose(X_WP @ np.array(STYLE.p_PG), COMMAND.p_WG, atol=1e-12)
-        np.testing.assert_allclose(X_WP.rotation().matrix()[:2, 0], [np.cos(approach), np.sin(approach)], atol=1e-12)
+        np.testing.assert_allclose(
+            X_WP.rotation().matrix()[:2, 0], [np.cos(approach), np.sin(approach)], atol=1e-12
+        )
 
 
 def test_a_leg_turns_and_moves_with_one_share():
-    leg = ToolTrajectorySegment(GraspPhase.APPROACHING, (0.0, 0.0, 0.1, 0.0), (0.3, 0.0, 0.1, 1.0), 0.2, 1.0)
+    leg = ToolTrajectorySegment(
+        GraspPhase.APPROACHING, (0.0, 0.0, 0.1, 0.0), (0.3, 0.0, 0.1, 1.0), 0.2, 1.0
+    )
     middle = leg.position(leg.duration / 2)
     np.testing.assert_allclose(middle, [0.15, 0.0, 0.1, 0.5], atol=1e-12)
     assert leg.length == pytest.approx(np.hypot(0.3, TURNING_RADIUS))
-    turn = ToolTrajectorySegment(GraspPhase.APPROACHING, (0.0, 0.0, 0.1, 0.0), (0.0, 0.0, 0.1, 1.0), 0.2, 1.0)
+    turn = ToolTrajectorySegment(
+        GraspPhase.APPROACHING, (0.0, 0.0, 0.1, 0.0), (0.0, 0.0, 0.1, 1.0), 0.2, 1.0
+    )
     assert turn.duration > TURNING_RADIUS / 0.2
     assert isinstance(make_transform(turn.position(1.0)), RigidTransform)

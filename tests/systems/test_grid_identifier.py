@@ -51,21 +51,30 @@ class Run:
 @pytest.fixture(scope="module")
 def cold() -> Run:
     obj, truth = make_hammer()
-    return Run(make_poke_diagram(obj, truth, pokes=4, seed=1, style=FAST, warm_start=False)).until(4)
+    return Run(make_poke_diagram(obj, truth, pokes=4, seed=1, style=FAST, warm_start=False)).until(
+        4
+    )
 
 
 def test_learns_what_it_has_never_seen(cold):
     obj, truth = make_hammer()
     held_out = make_pokes(obj, truth, 10, 99, observations=1, length=0.1)
-    found = CellParameters(cold.eval("mass"), cold.eval("friction"), float(cold.eval("contact_friction")[0]))
-    errors = [calc_mean_cell_error(obj, p, held_out, "quasi_static") for p in (CellParameters.uniform(obj), found)]
+    found = CellParameters(
+        cold.eval("mass"), cold.eval("friction"), float(cold.eval("contact_friction")[0])
+    )
+    errors = [
+        calc_mean_cell_error(obj, p, held_out, "quasi_static")
+        for p in (CellParameters.uniform(obj), found)
+    ]
     assert errors[1] < errors[0] / 3 and errors[1] < 0.003, errors
     miss = cold.eval("center_of_mass") - truth.center_of_mass(obj)
     covariance = cold.eval("center_of_mass_covariance").reshape(2, 2)
     assert np.linalg.norm(miss) < 0.006
     assert miss @ np.linalg.solve(covariance, miss) < 13.8, "beyond the 99.9 % ellipse"
     assert 0 < cold.eval("loss")[0] < 0.002
-    assert (cold.eval("mass_std") > 0).all() and cold.eval("mass_std").shape == cold.eval("friction_std").shape
+    assert (cold.eval("mass_std") > 0).all() and cold.eval("mass_std").shape == cold.eval(
+        "friction_std"
+    ).shape
 
 
 def test_is_the_offline_answer_bit_for_bit(cold):
@@ -74,7 +83,9 @@ def test_is_the_offline_answer_bit_for_bit(cold):
     offline = identify(cold.parts.identifier.obj, log, seed=1)
     np.testing.assert_array_equal(cold.eval("mass"), offline.params.mass)
     np.testing.assert_array_equal(cold.eval("mass_std"), offline.std.mass)
-    np.testing.assert_array_equal(cold.eval("identification").posterior.covariance, offline.posterior.covariance)
+    np.testing.assert_array_equal(
+        cold.eval("identification").posterior.covariance, offline.posterior.covariance
+    )
 
 
 def test_csv_gives_the_same_answer(cold, tmp_path):
@@ -90,13 +101,17 @@ def test_csv_gives_the_same_answer(cold, tmp_path):
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     offline = identify(cold.parts.identifier.obj, back, seed=1)
     np.testing.assert_array_equal(cold.eval("mass"), offline.params.mass)
-    np.testing.assert_array_equal(cold.eval("identification").posterior.mean, offline.posterior.mean)
+    np.testing.assert_array_equal(
+        cold.eval("identification").posterior.mean, offline.posterior.mean
+    )
 
 
 def test_log_holds_what_was_to_be_seen(cold):
     """First and last poses are averages of many looks: nearer to the world's than one look is."""
     obj, truth = make_hammer()
-    exact = Run(make_poke_diagram(obj, truth, pokes=1, seed=1, noise=(0.0, 0.0), style=FAST)).until(1)
+    exact = Run(make_poke_diagram(obj, truth, pokes=1, seed=1, noise=(0.0, 0.0), style=FAST)).until(
+        1
+    )
     (seen,) = exact.eval("push_log")
     np.testing.assert_allclose(seen.final_pose, exact.eval("pose", "world"), atol=1e-6)
     np.testing.assert_allclose(seen.pose, 0.0, atol=1e-12)
@@ -106,7 +121,9 @@ def test_log_holds_what_was_to_be_seen(cold):
     assert len(seen.t_observed) == 10
     problem = PushProblem(obj, PushLog((seen,)), truth, "inertial")
     errors = problem.residuals(problem.unknowns(truth))[0].reshape(-1, 3)
-    assert np.abs(errors).max() < 4e-4, "poses belong to the tip's place at their time, with the camera's delay"
+    assert np.abs(errors).max() < 4e-4, (
+        "poses belong to the tip's place at their time, with the camera's delay"
+    )
 
 
 def test_warm_start_ends_at_the_same_answer(cold):
@@ -130,12 +147,16 @@ def test_clone_learns_the_same():
     context = run.parts.identifier.GetMyContextFromRoot(clone.get_context())
     assert run.eval("num_pushes")[0] == 2
     for name in ("mass", "mass_std", "center_of_mass", "loss", "num_pushes"):
-        np.testing.assert_array_equal(run.parts.identifier.GetOutputPort(name).Eval(context), run.eval(name))
+        np.testing.assert_array_equal(
+            run.parts.identifier.GetOutputPort(name).Eval(context), run.eval(name)
+        )
 
 
 def test_later_pushes_are_logged_but_not_learned_from():
     obj, truth = make_hammer(12)
-    run = Run(make_poke_diagram(obj, truth, pokes=2, seed=3, style=FAST, max_learning_pushes=1)).until(1)
+    run = Run(
+        make_poke_diagram(obj, truth, pokes=2, seed=3, style=FAST, max_learning_pushes=1)
+    ).until(1)
     mass = run.eval("mass")
     run.until(2)
     assert run.eval("num_pushes")[0] == 2 and len(run.eval("push_log")) == 2

@@ -22,7 +22,8 @@ from tests.helpers.shapes import make_shape
 DT = 0.01
 RADIUS = 0.008
 EXACT = 1e-12
-"""m, m/s, N and rad by which the two may differ; they differ by round-off of the velocity's frame alone."""
+"""m, m/s, N and rad by which the two may differ; they differ by round-off of the velocity's frame
+alone."""
 
 
 def make_params(obj: GridObject, seed: int) -> CellParameters:
@@ -31,7 +32,9 @@ def make_params(obj: GridObject, seed: int) -> CellParameters:
 
 def make_push(obj: GridObject, arc_length: float, angle: float = 0.3, pose=(0.0, 0.0, 0.0)) -> Push:
     """20 cm in 2 s."""
-    return Push.on_outline(obj, arc_length, angle, 0.2, radius=RADIUS, duration=2.0, pose=pose, clearance=0.003)
+    return Push.on_outline(
+        obj, arc_length, angle, 0.2, radius=RADIUS, duration=2.0, pose=pose, clearance=0.003
+    )
 
 
 class World:
@@ -41,13 +44,17 @@ class World:
         builder = DiagramBuilder()
         self.system = builder.AddSystem(system)
         if trajectory is not None:
-            source = builder.AddSystem(TrajectorySource(trajectory, 1, zero_derivatives_beyond_limits=True))
+            source = builder.AddSystem(
+                TrajectorySource(trajectory, 1, zero_derivatives_beyond_limits=True)
+            )
             builder.Connect(source.get_output_port(), system.GetInputPort("pusher_state"))
         if wrench is not None:
             source = builder.AddSystem(ConstantVectorSource(wrench))
             builder.Connect(source.get_output_port(), system.GetInputPort("applied_wrench"))
         names = ("pose", "velocity", "contact_force")
-        self.logs = {name: LogVectorOutput(system.GetOutputPort(name), builder, system.dt) for name in names}
+        self.logs = {
+            name: LogVectorOutput(system.GetOutputPort(name), builder, system.dt) for name in names
+        }
         self.simulator = Simulator(builder.Build())
         self.root = self.simulator.get_mutable_context()
         self.context = system.GetMyMutableContextFromRoot(self.root)
@@ -70,7 +77,8 @@ def draw_push(obj: GridObject, seed: int) -> Push:
 
 @pytest.mark.parametrize("regime", ["inertial", "quasi_static"])
 @pytest.mark.parametrize(
-    ("name", "seeds"), [("claw_hammer", (0, 1, 2)), ("toolbox", (3, 4)), ("pliers", (8, 18, 25)), ("open_book", (6,))]
+    ("name", "seeds"),
+    [("claw_hammer", (0, 1, 2)), ("toolbox", (3, 4)), ("pliers", (8, 18, 25)), ("open_book", (6,))],
 )
 def test_steps_exactly_as_the_core_does(name, seeds, regime):
     """Jams in the pliers' jaw and a push that is not solved (8) included: there the solver's memory decides."""
@@ -103,7 +111,9 @@ def test_loads_shift_as_in_the_core(regime, falls):
     world = World(system, make_trajectory(push))
     assert system.GetParameters(world.context).push_height == 0.01
     world.simulator.AdvanceTo(push.duration)
-    held = int(np.argmax(core.tips)) + 1 if falls else len(core.poses)  # then no loads balance it, and any will do
+    held = (
+        int(np.argmax(core.tips)) + 1 if falls else len(core.poses)
+    )  # then no loads balance it, and any will do
     np.testing.assert_allclose(world.log("pose")[:held], core.poses[:held], rtol=0, atol=EXACT)
     assert world.eval("tipping_steps")[0] == core.tips.sum()
     assert bool(core.tips.any()) == falls
@@ -117,7 +127,9 @@ def test_wrench_moves_it_as_a_force_moves_the_core():
     force = np.array([3.0, 2.0])
     start, velocity = (0.1, -0.2, 0.4), (0.05, 0.0, 0.3)
     core = simulate(obj, params, ForcePush((0.0, 0.0), force, 0.5), start, DT, velocity=velocity)
-    world = World(GridLcpSystem(obj, params, DT, pose=start, velocity=velocity), wrench=[*force, 0.0])
+    world = World(
+        GridLcpSystem(obj, params, DT, pose=start, velocity=velocity), wrench=[*force, 0.0]
+    )
     world.simulator.AdvanceTo(0.5)
     assert np.linalg.norm(core.final_pose[:2] - start[:2]) > 0.01
     np.testing.assert_allclose(world.log("pose"), core.poses, rtol=0, atol=EXACT)
@@ -128,13 +140,17 @@ def test_moment_turns_it_about_its_center_of_mass():
     params = CellParameters.uniform(obj, 1.0, 0.0)
     world = World(GridLcpSystem(obj, params, DT), wrench=[0.0, 0.0, 0.002])
     world.simulator.AdvanceTo(0.5)
-    np.testing.assert_allclose(world.eval("velocity")[2], 0.002 / params.inertia(obj) * 0.5, rtol=1e-9)
+    np.testing.assert_allclose(
+        world.eval("velocity")[2], 0.002 / params.inertia(obj) * 0.5, rtol=1e-9
+    )
     np.testing.assert_allclose(world.eval("pose")[:2], 0.0, atol=1e-12)
 
 
 def test_slides_to_rest_where_nothing_touches_it():
     obj = make_shape("disc", 40)
-    world = World(GridLcpSystem(obj, CellParameters.uniform(obj, 1.0, 0.4), 0.001, velocity=(0.2, 0.0, 0.0)))
+    world = World(
+        GridLcpSystem(obj, CellParameters.uniform(obj, 1.0, 0.4), 0.001, velocity=(0.2, 0.0, 0.0))
+    )
     world.simulator.AdvanceTo(0.2)
     assert world.eval("pose")[0] == pytest.approx(0.2**2 / (2 * 0.4 * 9.81), abs=0.2 * 0.001)
     np.testing.assert_allclose(world.eval("velocity"), 0.0, atol=1e-7)
@@ -148,7 +164,9 @@ def test_pusher_that_is_nan_is_none():
     state = system.EvalUniquePeriodicDiscreteUpdate(context)
     np.testing.assert_array_equal(state.value(0), np.zeros(6))
     system.GetInputPort("pusher_state").FixValue(context, [-0.058, 0.0, 0.1, 0.0])
-    np.testing.assert_allclose(system.EvalUniquePeriodicDiscreteUpdate(context).value(0)[:3], [0.001, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(
+        system.EvalUniquePeriodicDiscreteUpdate(context).value(0)[:3], [0.001, 0, 0], atol=1e-9
+    )
 
 
 def test_parameters_belong_to_the_context():
@@ -163,20 +181,26 @@ def test_parameters_belong_to_the_context():
         simulator = Simulator(world.simulator.get_system(), root)
         simulator.AdvanceTo(push.duration)
         pose = world.system.GetOutputPort("pose").Eval(world.system.GetMyContextFromRoot(root))
-        np.testing.assert_allclose(pose, simulate(obj, expected, push, dt=DT).final_pose, rtol=0, atol=EXACT)
+        np.testing.assert_allclose(
+            pose, simulate(obj, expected, push, dt=DT).final_pose, rtol=0, atol=EXACT
+        )
 
 
 def test_clone_goes_on_as_the_original_does():
     obj = make_shape("claw_hammer", 60)
     push = make_push(obj, 0.1)
-    world = World(GridLcpSystem(obj, make_params(obj, 2), DT, "quasi_static", RADIUS), make_trajectory(push))
+    world = World(
+        GridLcpSystem(obj, make_params(obj, 2), DT, "quasi_static", RADIUS), make_trajectory(push)
+    )
     world.simulator.AdvanceTo(1.0)
     clone = Simulator(world.simulator.get_system(), world.root.Clone())
     world.simulator.AdvanceTo(2.0)
     clone.AdvanceTo(2.0)
     context = world.system.GetMyContextFromRoot(clone.get_context())
     for name in ("pose", "velocity", "contact_force", "cell_positions"):
-        np.testing.assert_array_equal(world.system.GetOutputPort(name).Eval(context), world.eval(name))
+        np.testing.assert_array_equal(
+            world.system.GetOutputPort(name).Eval(context), world.eval(name)
+        )
 
 
 @pytest.mark.parametrize("height", [0.0, 0.01])
@@ -202,9 +226,13 @@ def test_step_jacobian_is_that_of_the_step(regime, height):
     check_jacobian(lambda v: step(mass=v), params.mass, J.mass[0], **check)
     check_jacobian(lambda v: step(friction=v), params.friction, J.friction[0], **check)
     contact = [params.contact_friction]
-    check_jacobian(lambda v: step(contact_friction=v[0]), contact, J.contact_friction[0][:, None], **check)
+    check_jacobian(
+        lambda v: step(contact_friction=v[0]), contact, J.contact_friction[0][:, None], **check
+    )
     if height:
-        check_jacobian(lambda v: step(push_height=v[0]), [height], J.push_height[0][:, None], **check)
+        check_jacobian(
+            lambda v: step(push_height=v[0]), [height], J.push_height[0][:, None], **check
+        )
     check_jacobian(lambda v: step(pose=v), q, J.pose[0], **check)
     check_jacobian(lambda v: step(start=v), pusher[:2], J.start[0], **check)
 
@@ -234,7 +262,9 @@ def test_pusher_that_speeds_up_is_followed():
     for dt in (0.02, 0.01, 0.005):
         world = World(GridLcpSystem(obj, params, dt, pusher_radius=RADIUS), trajectory)
         world.simulator.AdvanceTo(2.0)
-        errors.append(np.abs(obj.cells_at(world.eval("pose")) - obj.cells_at(fine.final_pose)).max())
+        errors.append(
+            np.abs(obj.cells_at(world.eval("pose")) - obj.cells_at(fine.final_pose)).max()
+        )
     assert errors[1] < 2e-4 and errors[2] < errors[0]
 
 
@@ -255,5 +285,7 @@ def test_bad_arguments_are_refused():
         GridLcpSystem(obj, CellParameters.uniform(make_shape("disc", 20)))
     system = GridLcpSystem(obj)
     with pytest.raises(ParameterError, match="expected 25"):
-        system.SetParameters(system.CreateDefaultContext(), CellParameters.uniform(make_shape("disc", 20)))
+        system.SetParameters(
+            system.CreateDefaultContext(), CellParameters.uniform(make_shape("disc", 20))
+        )
     assert not GridLcpSystem(obj, regime="quasi_static").HasInputPort("applied_wrench")

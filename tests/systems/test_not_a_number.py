@@ -34,7 +34,9 @@ from tests.helpers.poke_diagram import REGION, make_poke_diagram
 
 OBJ = make_block(12)
 TABLE = SupportSurface.rectangle((0.0, 0.0), (1.0, 1.0))
-RULES = GoalRules(PushConstraints(TABLE), ContactOptions(clearance=0.005, speed=0.1, distance_range=(0.008, 0.3)))
+RULES = GoalRules(
+    PushConstraints(TABLE), ContactOptions(clearance=0.005, speed=0.1, distance_range=(0.008, 0.3))
+)
 POSE = np.array([0.01, 0.02, 0.3])
 PUSH = np.array([0.3, 0.0, np.pi, 0.05, 0.05])
 GRASP = np.array([0.5, 0.0, 0.015, np.pi, 0.1])
@@ -68,7 +70,9 @@ SYSTEMS = {
     "identifier": lambda: GridIdentifier(OBJ),
     "policy": lambda: PokePolicy(OBJ, REGION),
     "contact_point": lambda: ContactPointController(OBJ, RULES),
-    "pre_grasp": lambda: PreGraspController(PreGraspPlanner(OBJ, TABLE), lambda pose, aim, masses, at_worst: None),
+    "pre_grasp": lambda: PreGraspController(
+        PreGraspPlanner(OBJ, TABLE), lambda pose, aim, masses, at_worst: None
+    ),
     "push": lambda: PushExecutor((0.5, 0.0, 0.2), OBJ.outline),
     "grasp": GraspExecutor,
     "camera": lambda: PlanarPoseSensor(BodyIndex(1)),
@@ -101,7 +105,11 @@ def find_good(port, count):
     name, number = port.get_name(), 1 + count // 10
     if name.endswith("_command"):
         return np.concatenate([[number], PUSH if name == "push_command" else GRASP])
-    return GOOD[name][: port.size()] if port.get_data_type() == PortDataType.kVectorValued else GOOD.get(name)
+    return (
+        GOOD[name][: port.size()]
+        if port.get_data_type() == PortDataType.kVectorValued
+        else GOOD.get(name)
+    )
 
 
 def simulate(system, seed):
@@ -111,13 +119,20 @@ def simulate(system, seed):
     ports = [system.get_input_port(i) for i in range(system.num_input_ports())]
     for port in ports:
         if find_good(port, 0) is None:
-            message = port.Allocate() if hasattr(port, "Allocate") else system.AllocateInputAbstract(port)
+            message = (
+                port.Allocate() if hasattr(port, "Allocate") else system.AllocateInputAbstract(port)
+            )
             port.FixValue(context, message)
     for count in range(STEPS):
         for port in ports:
             good = find_good(port, count)
             if good is not None:
-                fix(system, context, port.get_name(), spoil(good, rng) if rng.random() < SHARE else good)
+                fix(
+                    system,
+                    context,
+                    port.get_name(),
+                    spoil(good, rng) if rng.random() < SHARE else good,
+                )
         simulator.AdvanceTo((count + 1) * STEP)
         for i in range(system.num_output_ports()):
             system.get_output_port(i).Eval(context)
@@ -172,7 +187,9 @@ def test_a_push_whose_number_is_nan_is_refused_and_does_no_harm():
     assert (done.executed, done.refused) == (1, 1)
     assert tell(bad, 0.1).refused == 2
     again = tell(good, 1.0)
-    assert (again.executed, again.ready, again.reason) == (1, True, ""), "what was done is not done again"
+    assert (again.executed, again.ready, again.reason) == (1, True, ""), (
+        "what was done is not done again"
+    )
 
 
 def test_a_grasp_with_nan_is_refused_and_an_unknown_gripper_is_waited_for():
@@ -190,7 +207,11 @@ def test_a_grasp_with_nan_is_refused_and_an_unknown_gripper_is_waited_for():
         return system.GetOutputPort("status").Eval(context)
 
     status = tell([np.nan, *GRASP], OPEN_GRIPPER, 0.1)
-    assert (status.command_id, status.outcome, status.phase) == (0, GraspOutcome.REFUSED, GraspPhase.IDLE)
+    assert (status.command_id, status.outcome, status.phase) == (
+        0,
+        GraspOutcome.REFUSED,
+        GraspPhase.IDLE,
+    )
     status = tell([1, *GRASP[:2], np.nan, *GRASP[3:]], OPEN_GRIPPER, 0.1)
     assert (status.command_id, status.outcome) == (1, GraspOutcome.REFUSED)
     assert "not finite" in status.reason

@@ -38,7 +38,9 @@ class Run:
             ObjectDetector(CAMERA, naming=NAMING, hidden_by=[ARM], period=PERIOD, **options)
         )
         for name in ("color", "depth", "label"):
-            builder.Connect(self.painter.GetOutputPort(name), self.detector.GetInputPort(f"{name}_image"))
+            builder.Connect(
+                self.painter.GetOutputPort(name), self.detector.GetInputPort(f"{name}_image")
+            )
         self.simulator = Simulator(builder.Build())
         self.root = self.simulator.get_mutable_context()
 
@@ -48,7 +50,9 @@ class Run:
         self.simulator.AdvanceTo(time)
 
     def read(self, port: str, root: Context | None = None):
-        return self.detector.GetOutputPort(port).Eval(self.detector.GetMyContextFromRoot(root or self.root))
+        return self.detector.GetOutputPort(port).Eval(
+            self.detector.GetMyContextFromRoot(root or self.root)
+        )
 
     def pull(self, number: float) -> None:
         own = self.detector.GetMyMutableContextFromRoot(self.root)
@@ -58,13 +62,18 @@ class Run:
         """What `detect_object` makes of the picture of a time."""
         context = self.painter.CreateDefaultContext()
         context.SetTime(time)
-        color, depth = (self.painter.GetOutputPort(name).Eval(context).data for name in ("color", "depth"))
+        color, depth = (
+            self.painter.GetOutputPort(name).Eval(context).data for name in ("color", "depth")
+        )
         return detect_object(color[..., :3].copy(), depth[..., 0].copy(), CAMERA)
 
 
 def same(run: Run, expected) -> None:
     found = run.read("detection").detected
-    assert shapely.equals_exact(found.outline, expected.outline, 0.0) and found.height == expected.height
+    assert (
+        shapely.equals_exact(found.outline, expected.outline, 0.0)
+        and found.height == expected.height
+    )
     np.testing.assert_array_equal(found.mask, expected.mask)
     np.testing.assert_array_equal(run.read("object_pose"), [*expected.X_WB[:2], NAMING.heading])
     np.testing.assert_array_equal(found.X_WB, run.read("object_pose"))
@@ -76,12 +85,18 @@ def test_finds_what_the_function_finds_bit_for_bit_in_the_first_picture():
     assert run.read("found")[0] == 1 and run.read("message") == ""
     same(run, run.detect(0.0))
     obj = run.read("detection").obj
-    assert obj.name == "block" and obj.prior == NAMING.prior and obj.height == pytest.approx(THICKNESS, abs=1e-4)
+    assert (
+        obj.name == "block"
+        and obj.prior == NAMING.prior
+        and obj.height == pytest.approx(THICKNESS, abs=1e-4)
+    )
     assert obj.outline.area == pytest.approx(OUTLINE.area, rel=0.02)
     x, y, _ = calc_pose(0.0)
     middle = np.array(OUTLINE.centroid.coords[0])
     c, s = np.cos(0.2), np.sin(0.2)
-    np.testing.assert_allclose(run.read("object_pose")[:2], [x, y] + np.array([[c, -s], [s, c]]) @ middle, atol=1e-3)
+    np.testing.assert_allclose(
+        run.read("object_pose")[:2], [x, y] + np.array([[c, -s], [s, c]]) @ middle, atol=1e-3
+    )
 
 
 def test_looks_once_or_when_it_is_triggered_or_always():
@@ -101,7 +116,11 @@ def test_looks_once_or_when_it_is_triggered_or_always():
 def test_looks_until_the_arm_is_gone():
     run = Run(arm_until=0.25)
     run.advance(0.15)
-    assert run.read("found")[0] == 0 and run.read("detection").obj is None and run.read("detection").detected is None
+    assert (
+        run.read("found")[0] == 0
+        and run.read("detection").obj is None
+        and run.read("detection").detected is None
+    )
     assert "hides all" in run.read("message") and np.isnan(run.read("object_pose")).all()
     run.advance(0.35)
     assert run.read("found")[0] == 1 and run.read("message") == ""

@@ -17,7 +17,9 @@ from gridpush_drake.systems.object_pose_estimator import ObjectPoseEstimator
 from gridpush_drake.systems.rgbd_noise import RgbdNoise
 
 WIDTH, HEIGHT, FOCAL, ABOVE = 320, 240, 380.0, 0.6
-OUTLINE = shapely.Polygon([[-0.06, -0.03], [0.06, -0.03], [0.06, 0.0], [-0.02, 0.0], [-0.02, 0.04], [-0.06, 0.04]])
+OUTLINE = shapely.Polygon(
+    [[-0.06, -0.03], [0.06, -0.03], [0.06, 0.0], [-0.02, 0.0], [-0.02, 0.04], [-0.06, 0.04]]
+)
 shapely.prepare(OUTLINE)
 THICKNESS, PERIOD, SPEED, TURN = 0.03, 0.1, 0.03, 0.3
 ARM = 7
@@ -51,7 +53,9 @@ class Painter(LeafSystem):
             ("color", ImageRgba8U(WIDTH, HEIGHT)), ("depth", ImageDepth32F(WIDTH, HEIGHT)),
             ("label", ImageLabel16I(WIDTH, HEIGHT)),
         ):  # fmt: skip
-            self.DeclareAbstractOutputPort(name, lambda image=image: Value(image), getattr(self, f"_draw_{name}"))
+            self.DeclareAbstractOutputPort(
+                name, lambda image=image: Value(image), getattr(self, f"_draw_{name}")
+            )
 
     def _draw_color(self, context: Context, output) -> None:
         share, image = find_block(context.get_time())[..., None], ImageRgba8U(WIDTH, HEIGHT)
@@ -76,7 +80,9 @@ class Run:
     def __init__(self, latency: float = 0.0, arm_from: float = np.inf, guess=None) -> None:
         builder = DiagramBuilder()
         painter = builder.AddSystem(Painter(arm_from))
-        noise = builder.AddSystem(RgbdNoise(WIDTH, HEIGHT, PERIOD, depth_noise=0.001, color_noise=2.0))
+        noise = builder.AddSystem(
+            RgbdNoise(WIDTH, HEIGHT, PERIOD, depth_noise=0.001, color_noise=2.0)
+        )
         self.estimator = builder.AddSystem(
             ObjectPoseEstimator(
                 PoseTracker(OUTLINE, THICKNESS, CAMERA),
@@ -90,7 +96,9 @@ class Run:
         )
         for name in ("color", "depth"):
             builder.Connect(painter.GetOutputPort(name), noise.GetInputPort(f"{name}_image"))
-            builder.Connect(noise.GetOutputPort(f"{name}_image"), self.estimator.GetInputPort(f"{name}_image"))
+            builder.Connect(
+                noise.GetOutputPort(f"{name}_image"), self.estimator.GetInputPort(f"{name}_image")
+            )
         builder.Connect(painter.GetOutputPort("label"), self.estimator.GetInputPort("label_image"))
         self.simulator = Simulator(builder.Build())
         self.root = self.simulator.get_mutable_context()
@@ -98,7 +106,9 @@ class Run:
     def at(self, time: float, port: str = "object_pose", root: Context | None = None):
         if root is None:
             self.simulator.AdvanceTo(time)
-        return self.estimator.GetOutputPort(port).Eval(self.estimator.GetMyContextFromRoot(root or self.root))
+        return self.estimator.GetOutputPort(port).Eval(
+            self.estimator.GetMyContextFromRoot(root or self.root)
+        )
 
 
 def check(pose, time: float) -> None:
@@ -113,7 +123,9 @@ def test_follows_the_object_from_the_first_picture_on():
     for time in (0.35, 1.05):
         check(run.at(time), np.floor(time / PERIOD) * PERIOD)
         covariance = run.at(time, "covariance").reshape(3, 3)
-        assert (np.sqrt(np.diag(covariance)) < (2e-3, 2e-3, 0.03)).all() and np.linalg.eigvalsh(covariance)[0] > 0
+        assert (np.sqrt(np.diag(covariance)) < (2e-3, 2e-3, 0.03)).all() and np.linalg.eigvalsh(
+            covariance
+        )[0] > 0
     assert run.at(1.05, "seen")[0] == 1 and run.at(1.05, "message") == ""
 
 

@@ -29,7 +29,9 @@ class Bench:
 
     def read(self, time):
         self.simulator.AdvanceTo(time)
-        return np.array(self.receiver.GetOutputPort("object_pose").Eval(self.simulator.get_context()))
+        return np.array(
+            self.receiver.GetOutputPort("object_pose").Eval(self.simulator.get_context())
+        )
 
 
 def test_a_pose_is_held_until_the_next_message_or_until_it_is_too_old():
@@ -63,7 +65,11 @@ def test_a_pose_is_told_at_its_age_between_the_messages_about_it():
         message = lcmt_planar_manipuland_status()
         if count:
             pose = calc_pose(taken[count - 1])
-            message.utime, message.position, message.theta = round(1e6 * taken[count - 1]), [*pose[:2]], pose[2]
+            message.utime, message.position, message.theta = (
+                round(1e6 * taken[count - 1]),
+                [*pose[:2]],
+                pose[2],
+            )
         receiver.GetInputPort("message").FixValue(context, AbstractValue.Make(message))
         receiver.GetInputPort("time").FixValue(context, [time])
         simulator.AdvanceTo(time)
@@ -77,8 +83,17 @@ def test_a_pose_is_told_at_its_age_between_the_messages_about_it():
 
 
 def test_between_two_poses_of_which_one_is_not_seen_nothing_is():
-    kept = np.array([[-np.inf, *[np.nan] * 3], [1.0, 0.1, 0.2, 0.3], [2.0, 0.2, 0.4, 0.5], [3.0, *[np.nan] * 3]])
-    for time, x in ((0.5, 0.1), (1.0, 0.1), (1.25, 0.125), (2.0, 0.2), (2.5, np.nan), (9.0, np.nan)):
+    kept = np.array(
+        [[-np.inf, *[np.nan] * 3], [1.0, 0.1, 0.2, 0.3], [2.0, 0.2, 0.4, 0.5], [3.0, *[np.nan] * 3]]
+    )
+    for time, x in (
+        (0.5, 0.1),
+        (1.0, 0.1),
+        (1.25, 0.125),
+        (2.0, 0.2),
+        (2.5, np.nan),
+        (9.0, np.nan),
+    ):
         np.testing.assert_allclose(find_pose(kept, time)[0], x, atol=1e-15)
     np.testing.assert_allclose(find_pose(kept[:3], 9.0), [0.2, 0.4, 0.5], atol=1e-15)
 

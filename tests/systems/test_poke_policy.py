@@ -30,8 +30,18 @@ STYLE = RandomPokeOptions()
 POSE = np.array([0.1, -0.05, 0.7])
 
 
-def choose(obj: GridObject, number: int = 1, seed: int = 0, pose=POSE, style=STYLE, region=REGION, **options):
-    return choose_poke(obj, CellParameters.uniform(obj), pose, number, seed, style, region, **options)
+def choose(
+    obj: GridObject,
+    number: int = 1,
+    seed: int = 0,
+    pose=POSE,
+    style=STYLE,
+    region=REGION,
+    **options,
+):
+    return choose_poke(
+        obj, CellParameters.uniform(obj), pose, number, seed, style, region, **options
+    )
 
 
 def place(obj: GridObject, pose) -> Polygon:
@@ -48,7 +58,9 @@ def test_chosen_pushes_fit_and_stay_in_bounds(name):
         assert gap == pytest.approx(STYLE.clearance, rel=1e-4)
         assert command.command_id == number and command.speed == STYLE.speed
         assert STYLE.distance[0] <= command.distance - STYLE.clearance <= STYLE.distance[1]
-        assert REGION.workspace.contains(Point(command.start)) and REGION.workspace.contains(Point(command.end))
+        assert REGION.workspace.contains(Point(command.start)) and REGION.workspace.contains(
+            Point(command.end)
+        )
         last = predict_poke(obj, CellParameters.uniform(obj), POSE, command, STYLE)
         assert REGION.keep_in.contains(place(obj, last))
         moved = np.linalg.norm(obj.cells_at(last) - obj.cells_at(POSE), axis=1).mean()
@@ -73,7 +85,9 @@ def test_pushes_go_inwards_within_the_slant():
         command = draw_poke(obj, np.zeros(3), 1, 0, attempt, STYLE)
         nearest = np.clip(command.start, -0.05, 0.05)
         inward = (nearest - command.start) / np.linalg.norm(nearest - command.start)
-        slants.append(np.arccos(np.clip(inward @ (command.end - command.start) / command.distance, -1, 1)))
+        slants.append(
+            np.arccos(np.clip(inward @ (command.end - command.start) / command.distance, -1, 1))
+        )
     assert max(slants) <= STYLE.slant + 1e-9 and max(slants) > 0.8 * STYLE.slant
 
 
@@ -86,7 +100,13 @@ def test_notch_narrower_than_the_tip_is_left_alone():
         style: [
             command.start
             for attempt in range(300)
-            if fits(obj, np.zeros(3), command := draw_poke(obj, np.zeros(3), 1, 0, attempt, style), style, REGION)
+            if fits(
+                obj,
+                np.zeros(3),
+                command := draw_poke(obj, np.zeros(3), 1, 0, attempt, style),
+                style,
+                REGION,
+            )
         ]
         for style in (STYLE, thin)
     }
@@ -100,7 +120,9 @@ def test_workspace_and_reach_are_kept():
     for number in range(1, 6):
         command, _ = choose(obj, number, pose=np.zeros(3), region=left)
         assert max(command.start[0], command.end[0]) <= 0
-        command, _ = choose(obj, number, pose=np.zeros(3), reach=lambda command: command.start[1] > 0)
+        command, _ = choose(
+            obj, number, pose=np.zeros(3), reach=lambda command: command.start[1] > 0
+        )
         assert command.start[1] > 0
     assert choose(obj, reach=lambda command: False) == (None, STYLE.candidates)
     assert choose(obj, pose=(3.0, 0.0, 0.0))[0] is None, "beyond the workspace"
@@ -187,7 +209,12 @@ def test_executor_takes_the_pushes_and_a_clone_goes_on_alike():
     obj = make_shape("claw_hammer", 12)
     truth = CellParameters.uniform(obj, 1.0, 0.4, 0.3)
     parts = make_poke_diagram(
-        obj, truth, pokes=3, seed=2, max_learning_pushes=0, style=RandomPokeOptions(distance=(0.05, 0.08), speed=0.06)
+        obj,
+        truth,
+        pokes=3,
+        seed=2,
+        max_learning_pushes=0,
+        style=RandomPokeOptions(distance=(0.05, 0.08), speed=0.06),
     )
     simulator = Simulator(parts.diagram)
     simulator.AdvanceTo(6.0)
@@ -195,9 +222,15 @@ def test_executor_takes_the_pushes_and_a_clone_goes_on_alike():
     ends = []
     for run in (simulator, clone):
         run.AdvanceTo(20.0)
-        status = parts.executor.GetOutputPort("status").Eval(parts.executor.GetMyContextFromRoot(run.get_context()))
+        status = parts.executor.GetOutputPort("status").Eval(
+            parts.executor.GetMyContextFromRoot(run.get_context())
+        )
         assert (status.executed, status.refused, status.command_id) == (3, 0, 3)
-        ends.append(parts.world.GetOutputPort("pose").Eval(parts.world.GetMyContextFromRoot(run.get_context())))
+        ends.append(
+            parts.world.GetOutputPort("pose").Eval(
+                parts.world.GetMyContextFromRoot(run.get_context())
+            )
+        )
     np.testing.assert_array_equal(*ends)
     assert REGION.keep_in.contains(place(obj, ends[0]))
 

@@ -17,12 +17,21 @@ from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspLoopOptions
 from gridpush_drake.planning.pregrasp.side_grasp import SideGripper, find_side_grasps
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
-from gridpush_drake.systems.messages import GraspCommand, GraspOutcome, GraspStatus, PushCommand, PushPhase, PushStatus
+from gridpush_drake.systems.messages import (
+    GraspCommand,
+    GraspOutcome,
+    GraspStatus,
+    PushCommand,
+    PushPhase,
+    PushStatus,
+)
 from gridpush_drake.systems.pregrasp_controller import PreGraspController
 
 TABLE = SupportSurface.rectangle((0.0, 0.0), (0.8, 0.6))
 
-BAR = GridObject.from_outline([[-0.12, -0.02], [0.12, -0.02], [0.12, 0.02], [-0.12, 0.02]], max_cells=48)
+BAR = GridObject.from_outline(
+    [[-0.12, -0.02], [0.12, -0.02], [0.12, 0.02], [-0.12, 0.02]], max_cells=48
+)
 BAR = replace(BAR, prior=replace(BAR.prior, friction=0.35, friction_min=0.34, friction_max=0.36))
 
 TRUTH = CellParameters(np.where(BAR.p_BC[:, 0] > 0, 0.03, 0.01), np.full(BAR.n, 0.35), 0.5)
@@ -39,7 +48,9 @@ class Robot:
 
     def __init__(self, pose, **options):
         planner = PreGraspPlanner(BAR, TABLE)
-        self.controller = PreGraspController(planner, self.find_grasp, options=PreGraspLoopOptions(**options))
+        self.controller = PreGraspController(
+            planner, self.find_grasp, options=PreGraspLoopOptions(**options)
+        )
         self.simulator = Simulator(self.controller)
         self.context = self.simulator.get_mutable_context()
         self.log, self.found = PushLog(()), describe_prior(BAR)
@@ -98,7 +109,11 @@ class Robot:
             )
             push = planner.decide(poses[-1], belief, 0).push
             end = simulate(BAR, TRUTH, push, poses[-1], regime="quasi_static").final_pose
-            seen.append(ObservedPush(f"push_{len(seen)}", push, poses[-1], np.array([push.duration]), end[None]))
+            seen.append(
+                ObservedPush(
+                    f"push_{len(seen)}", push, poses[-1], np.array([push.duration]), end[None]
+                )
+            )
             poses.append(end)
         self.log = PushLog(tuple(seen))
         self.found = identify(BAR, self.log, regime="quasi_static")
@@ -228,7 +243,9 @@ def test_refused_pushes_do_not_count_and_are_given_up(learned):
     for number in (1, 2, 3):
         assert robot.wait().mode == "exploring"
         assert (robot.push.command_id, robot.status.pokes) == (number, 1)
-        robot.pushing = PushStatus(command_id=number, refused=number, reason="the arm does not reach it")
+        robot.pushing = PushStatus(
+            command_id=number, refused=number, reason="the arm does not reach it"
+        )
     status = robot.wait()
     assert status.mode == "failed"
     assert "the arm does not reach it" in status.reason

@@ -18,7 +18,9 @@ STYLE = PushTrajectoryOptions()
 class Run:
     """An executor, commands at will, and the desired position as time goes on."""
 
-    def __init__(self, outline=None, reach=None, pose=(0.6, 0.0, 0.0), home=HOME, step=0.005, lookouts=()):
+    def __init__(
+        self, outline=None, reach=None, pose=(0.6, 0.0, 0.0), home=HOME, step=0.005, lookouts=()
+    ):
         self.step = step
         self.executor = PushExecutor(home, outline, reach, STYLE, lookouts)
         self.simulator = Simulator(self.executor)
@@ -84,13 +86,19 @@ def test_position_velocity_and_acceleration_are_continuous(whole):
     assert speed.max() == pytest.approx(STYLE.travel_speed, rel=1e-3)
     assert acceleration.max() < 1.01 * STYLE.travel_acceleration
     # The steepest ramp is that of the slowest motion: 4 a / T with T = 3 v / (2 a).
-    slowest = min(PUSH.speed / STYLE.push_acceleration**2, STYLE.vertical_speed / STYLE.travel_acceleration**2)
+    slowest = min(
+        PUSH.speed / STYLE.push_acceleration**2, STYLE.vertical_speed / STYLE.travel_acceleration**2
+    )
     assert jerk.max() < 1.05 * 8.0 / 3.0 / slowest
 
 
 def test_push_is_straight_level_and_at_the_commanded_speed(whole):
-    pushing = np.array([p for p, phase in zip(whole.p, whole.phases, strict=True) if phase == "pushing"])
-    first = pushing[: np.flatnonzero(np.linalg.norm(np.diff(pushing, axis=0), axis=1) > 0.01)[0] + 1]
+    pushing = np.array(
+        [p for p, phase in zip(whole.p, whole.phases, strict=True) if phase == "pushing"]
+    )
+    first = pushing[
+        : np.flatnonzero(np.linalg.norm(np.diff(pushing, axis=0), axis=1) > 0.01)[0] + 1
+    ]
     np.testing.assert_allclose(first[0, :2], PUSH.start, atol=1e-4)
     np.testing.assert_allclose(first[-1, :2], PUSH.end, atol=1e-6)
     np.testing.assert_allclose(first[:, 2], STYLE.push_height, atol=1e-15)
@@ -127,7 +135,9 @@ def test_where_the_object_is_hidden_the_arm_goes_to_its_lookout():
     run.advance(4.0)
     assert run.status == PushStatus("idle", 1, executed=1)
     np.testing.assert_allclose(run.p[-1], HOME, atol=1e-12)
-    assert np.linalg.norm(np.diff(run.p, axis=0), axis=1).max() < 1.01 * STYLE.travel_speed * run.step
+    assert (
+        np.linalg.norm(np.diff(run.p, axis=0), axis=1).max() < 1.01 * STYLE.travel_speed * run.step
+    )
     run.advance(1.0)
     assert run.status.ready  # there it stays
     run.see((0.6, 0.0, 0.0))
@@ -136,10 +146,17 @@ def test_where_the_object_is_hidden_the_arm_goes_to_its_lookout():
 
 def test_where_it_stays_hidden_the_other_lookouts_are_tried_and_the_arm_rests_at_last():
     aside, away = (0.4, -0.4, 0.2), (0.4, 0.4, 0.2)
-    run = Run(OUTLINE, lambda path, speeds: "no" if path[-1, 1] == aside[1] else None, lookouts=[HOME, aside, away])
+    run = Run(
+        OUTLINE,
+        lambda path, speeds: "no" if path[-1, 1] == aside[1] else None,
+        lookouts=[HOME, aside, away],
+    )
     run.carry_out(PUSH).see(UNSEEN)
     run.advance(15.0)
-    where = [next((i for i, at in enumerate((HOME, aside, away)) if np.allclose(at, p)), None) for p in run.p]
+    where = [
+        next((i for i, at in enumerate((HOME, aside, away)) if np.allclose(at, p)), None)
+        for p in run.p
+    ]
     assert find_order([i for i in where if i is not None]) == [0, 2, 0]
     assert np.linalg.norm(np.subtract(run.p, aside), axis=1).min() > 0.3  # where it cannot go
     assert run.status.ready
@@ -150,7 +167,9 @@ def test_where_it_stays_hidden_the_other_lookouts_are_tried_and_the_arm_rests_at
 
 def test_no_lookout_while_a_grasp_is_under_way_or_without_one():
     run = Run(OUTLINE, lookouts=[HOME]).carry_out(PUSH)
-    run.executor.GetInputPort("grasp_status").FixValue(run.context, AbstractValue.Make(GraspStatus("closing", 1)))
+    run.executor.GetInputPort("grasp_status").FixValue(
+        run.context, AbstractValue.Make(GraspStatus("closing", 1))
+    )
     run.see(UNSEEN)
     run.advance(1.0)
     assert run.status.ready
@@ -181,7 +200,9 @@ def test_command_that_comes_during_a_push_waits():
     run = Run()
     run.give(PUSH)
     run.advance(0.5)
-    run.carry_out(PushCommand(2, 0.7, 0.1, -2.0, 0.06, 0.1)).carry_out(PushCommand(2, 0.7, 0.1, -2.0, 0.06, 0.1))
+    run.carry_out(PushCommand(2, 0.7, 0.1, -2.0, 0.06, 0.1)).carry_out(
+        PushCommand(2, 0.7, 0.1, -2.0, 0.06, 0.1)
+    )
     assert run.status == PushStatus("idle", 2, executed=2)
 
 
@@ -198,7 +219,9 @@ def test_withdrawn_command_is_broken_off_smoothly():
     pushed = np.array(run.p)[np.array(run.phases) == "pushing"]
     way = np.linalg.norm(pushed[-1] - at)
     ramp = 1.5 * PUSH.speed / STYLE.push_acceleration
-    assert way == pytest.approx(PUSH.speed * (ramp / 2 + STYLE.period), abs=1.1 * PUSH.speed * STYLE.period)
+    assert way == pytest.approx(
+        PUSH.speed * (ramp / 2 + STYLE.period), abs=1.1 * PUSH.speed * STYLE.period
+    )
     assert np.linalg.norm(pushed[-1] - pushed[0]) < 0.6 * PUSH.distance
     np.testing.assert_allclose(run.p[-1], [*pushed[-1][:2], STYLE.travel_height], atol=1e-9)
     v = np.diff(np.array(run.p), axis=0) / run.step
@@ -244,7 +267,12 @@ def test_push_is_refused_with_its_reason(change, message):
     if message is None:
         assert run.status == PushStatus("approaching", 1)
         return
-    assert (run.status.phase, run.status.command_id, run.status.refused, run.status.executed) == ("idle", 1, 1, 0)
+    assert (run.status.phase, run.status.command_id, run.status.refused, run.status.executed) == (
+        "idle",
+        1,
+        1,
+        0,
+    )
     with pytest.raises(AssertionError, match=message):
         raise AssertionError(run.status.reason)
     np.testing.assert_array_equal(run.p, np.broadcast_to(HOME, (10, 3)))
@@ -313,10 +341,14 @@ def test_state_is_all_in_the_context():
     clone = run.context.Clone()
     before = run.pose.translation().copy()
     run.advance(2.0)
-    np.testing.assert_array_equal(run.executor.GetOutputPort("tip_pose").Eval(clone).translation(), before)
+    np.testing.assert_array_equal(
+        run.executor.GetOutputPort("tip_pose").Eval(clone).translation(), before
+    )
     other = Simulator(run.executor, clone)
     other.AdvanceTo(run.context.get_time())
-    np.testing.assert_array_equal(run.executor.GetOutputPort("tip_pose").Eval(clone).translation(), run.p[-1])
+    np.testing.assert_array_equal(
+        run.executor.GetOutputPort("tip_pose").Eval(clone).translation(), run.p[-1]
+    )
     assert run.executor.GetOutputPort("status").Eval(clone) == run.status
 
 
@@ -334,5 +366,8 @@ def test_reset_and_reuse_gives_the_same_again():
 def test_outputs_are_not_fed_through():
     executor = PushExecutor(HOME)
     assert not executor.HasAnyDirectFeedthrough()
-    assert [executor.get_input_port(i).get_name() for i in range(2)] == ["push_command", "object_pose"]
+    assert [executor.get_input_port(i).get_name() for i in range(2)] == [
+        "push_command",
+        "object_pose",
+    ]
     assert [executor.get_output_port(i).get_name() for i in range(2)] == ["tip_pose", "status"]

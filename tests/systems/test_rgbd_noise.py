@@ -27,7 +27,9 @@ def make(**options) -> tuple[RgbdNoise, Context]:
 
 def look(noise: RgbdNoise, context: Context, time: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     context.SetTime(time)
-    color, depth = (noise.GetOutputPort(name).Eval(context).data for name in ("color_image", "depth_image"))
+    color, depth = (
+        noise.GetOutputPort(name).Eval(context).data for name in ("color_image", "depth_image")
+    )
     return color[..., :3].astype(float), depth[..., 0].copy()
 
 

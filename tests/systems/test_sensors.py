@@ -25,18 +25,27 @@ def _make(noise=0.0, lowest=-np.inf, gravity=False, seed=3):
     plant.Finalize()
     camera = builder.AddSystem(
         PlanarPoseSensor(
-            body.index(), period=0.05, position_noise=noise, angle_noise=2 * noise, lowest=lowest, seed=seed
+            body.index(),
+            period=0.05,
+            position_noise=noise,
+            angle_noise=2 * noise,
+            lowest=lowest,
+            seed=seed,
         )
     )
     tip = builder.AddSystem(PusherStateSensor(body.index(), np.array([0.2, 0.0, 0.1])))
     builder.Connect(plant.get_body_poses_output_port(), camera.GetInputPort("body_poses"))
     builder.Connect(plant.get_body_poses_output_port(), tip.GetInputPort("body_poses"))
-    builder.Connect(plant.get_body_spatial_velocities_output_port(), tip.GetInputPort("body_spatial_velocities"))
+    builder.Connect(
+        plant.get_body_spatial_velocities_output_port(), tip.GetInputPort("body_spatial_velocities")
+    )
     log = LogVectorOutput(camera.GetOutputPort("object_pose"), builder, 0.05)
     diagram = builder.Build()
     context = diagram.CreateDefaultContext()
     plant_context = plant.GetMyContextFromRoot(context)
-    plant.SetFreeBodyPose(plant_context, body, RigidTransform(RollPitchYaw(0, 0, 1.0), [0.3, 0.1, 0.0]))
+    plant.SetFreeBodyPose(
+        plant_context, body, RigidTransform(RollPitchYaw(0, 0, 1.0), [0.3, 0.1, 0.0])
+    )
     plant.SetFreeBodySpatialVelocity(
         context=plant_context, body=body, V_JpJc=SpatialVelocity([0, 0, SPIN], [SPEED, 0, 0])
     )
@@ -49,7 +58,9 @@ def test_pose_is_that_of_the_body_and_counts_turns():
     simulator.AdvanceTo(6.0)
     seen = log.FindLog(context)
     late = seen.sample_times() > 0.05
-    t = seen.sample_times()[late] - 0.05  # a sample is logged before the picture of its own time is taken
+    t = (
+        seen.sample_times()[late] - 0.05
+    )  # a sample is logged before the picture of its own time is taken
     expected = np.stack([0.3 + SPEED * t, np.full_like(t, 0.1), 1.0 + SPIN * t])
     np.testing.assert_allclose(seen.data()[:, late], expected, atol=SPIN * 2e-3)
     assert seen.data()[2, -1] > 2 * np.pi
@@ -110,7 +121,8 @@ def test_clone_sees_the_same():
     camera = next(system for system in diagram.GetSystems() if isinstance(system, PlanarPoseSensor))
     port = camera.GetOutputPort("object_pose")
     ours, theirs = (
-        port.Eval(camera.GetMyContextFromRoot(root)) for root in (simulator.get_context(), twin.get_context())
+        port.Eval(camera.GetMyContextFromRoot(root))
+        for root in (simulator.get_context(), twin.get_context())
     )
     assert np.array_equal(ours, theirs)
 
@@ -128,4 +140,6 @@ def test_planar_pose_takes_the_nearest_turn(near):
     q = project_pose(RigidTransform(RollPitchYaw(0, 0, 0.5), [1, 2, 3]), near)
     np.testing.assert_allclose(q[:2], [1, 2])
     assert abs(q[2] - near) <= np.pi
-    np.testing.assert_allclose((q[2] - 0.5) / (2 * np.pi), round((q[2] - 0.5) / (2 * np.pi)), atol=1e-12)
+    np.testing.assert_allclose(
+        (q[2] - 0.5) / (2 * np.pi), round((q[2] - 0.5) / (2 * np.pi)), atol=1e-12
+    )

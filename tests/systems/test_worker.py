@@ -36,7 +36,9 @@ LONGEST = 5.0
 
 def make_pokes(**options) -> PokeDiagram:
     obj = make_block()
-    return make_poke_diagram(obj, CellParameters.random(obj, seed=3), pokes=3, seed=1, style=FAST, **options)
+    return make_poke_diagram(
+        obj, CellParameters.random(obj, seed=3), pokes=3, seed=1, style=FAST, **options
+    )
 
 
 def run_until(simulator: Simulator, parts: PokeDiagram, done, longest: float = 60.0) -> None:
@@ -47,7 +49,9 @@ def run_until(simulator: Simulator, parts: PokeDiagram, done, longest: float = 6
 
 
 def read(parts: PokeDiagram, simulator: Simulator, port: str):
-    return parts.identifier.GetOutputPort(port).Eval(parts.identifier.GetMyContextFromRoot(simulator.get_context()))
+    return parts.identifier.GetOutputPort(port).Eval(
+        parts.identifier.GetMyContextFromRoot(simulator.get_context())
+    )
 
 
 def get_state(context):
@@ -127,7 +131,9 @@ def test_in_lockstep_outputs_hold_and_then_are_the_offline_answer_bit_for_bit(la
     simulator = Simulator(parts.diagram)
     run_until(simulator, parts, lambda context: get_state(context).request is not None)
     asked = get_state(parts.identifier.GetMyContextFromRoot(simulator.get_context())).request.time
-    assert read(parts, simulator, "num_pushes")[0] == 1 and np.isnan(read(parts, simulator, "age")[0])
+    assert read(parts, simulator, "num_pushes")[0] == 1 and np.isnan(
+        read(parts, simulator, "age")[0]
+    )
     simulator.AdvanceTo(asked + 0.69)
     assert read(parts, simulator, "identification").push_names == ()
     simulator.AdvanceTo(asked + 0.75)
@@ -154,7 +160,9 @@ def test_in_real_time_the_same_is_learned_from_the_same_log() -> None:
     simulator = Simulator(parts.diagram)
     run_until(simulator, parts, lambda context: len(get_state(context).log) == 3)
     deadline = time.monotonic() + 4 * LONGEST
-    while len(read(parts, simulator, "identification").push_names) < 3 and time.monotonic() < deadline:
+    while (
+        len(read(parts, simulator, "identification").push_names) < 3 and time.monotonic() < deadline
+    ):
         time.sleep(0.01)
         simulator.AdvanceTo(simulator.get_context().get_time() + 0.05)
     offline = identify(parts.identifier.obj, read(parts, simulator, "push_log"), seed=1)
@@ -177,7 +185,10 @@ def test_an_identifier_whose_worker_raises_says_so_and_goes_on(monkeypatch) -> N
     parts = make_pokes(answer_delay=0.2)
     simulator = Simulator(parts.diagram)
     run_until(simulator, parts, lambda context: get_state(context).considered == 1)
-    assert read(parts, simulator, "message") == "Nothing could be learned from push_1: RuntimeError: out of luck."
+    assert (
+        read(parts, simulator, "message")
+        == "Nothing could be learned from push_1: RuntimeError: out of luck."
+    )
     run_until(simulator, parts, lambda context: get_state(context).considered == 2)
     assert read(parts, simulator, "message") == ""
     assert read(parts, simulator, "identification").push_names == ("push_2",)
@@ -208,7 +219,9 @@ def test_a_poke_is_chosen_beside_the_diagram_and_is_the_same() -> None:
         simulator.AdvanceTo(0.3)
     assert read_policy(waited, "push_command")[0] == 1 and read_policy(late, "push_command")[0] == 0
     late.AdvanceTo(0.4)
-    np.testing.assert_array_equal(read_policy(late, "push_command"), read_policy(waited, "push_command"))
+    np.testing.assert_array_equal(
+        read_policy(late, "push_command"), read_policy(waited, "push_command")
+    )
 
 
 def test_a_poke_for_an_object_that_moved_meanwhile_is_passed_over() -> None:
@@ -221,11 +234,17 @@ def test_a_poke_for_an_object_that_moved_meanwhile_is_passed_over() -> None:
     assert read_policy(simulator, "push_command")[0] == 0
     simulator.AdvanceTo(1.0)
     there = make_policy()
-    context = there.get_system().GetSubsystemByName("policy").GetMyMutableContextFromRoot(there.get_mutable_context())
+    context = (
+        there.get_system()
+        .GetSubsystemByName("policy")
+        .GetMyMutableContextFromRoot(there.get_mutable_context())
+    )
     policy = there.get_system().GetSubsystemByName("policy")
     policy.GetInputPort("object_pose").FixValue(context, POSE + [0.03, 0.0, 0.0])
     there.AdvanceTo(0.1)
-    np.testing.assert_array_equal(read_policy(simulator, "push_command"), read_policy(there, "push_command"))
+    np.testing.assert_array_equal(
+        read_policy(simulator, "push_command"), read_policy(there, "push_command")
+    )
 
 
 def test_a_policy_that_cannot_choose_says_so() -> None:
@@ -293,7 +312,9 @@ def test_a_decision_for_an_object_that_went_out_of_sight_is_passed_over() -> Non
     while (state := get_state(run.context(run.controller))).request is None:
         run.simulator.AdvanceTo(run.simulator.get_context().get_time() + 0.05)
     asked = state.request.time
-    run.context(run.cover).get_mutable_numeric_parameter(0).SetFromVector([asked + 0.1, asked + 3.0])
+    run.context(run.cover).get_mutable_numeric_parameter(0).SetFromVector(
+        [asked + 0.1, asked + 3.0]
+    )
     run.simulator.AdvanceTo(asked + 2.9)
     assert run.status.mode == ContactPointMode.LOST and run.status.pushes == 0
     assert run.go_on_until(is_over).mode == ContactPointMode.REACHED
@@ -304,7 +325,9 @@ def test_a_controller_whose_worker_raises_fails_and_says_why() -> None:
         raise RuntimeError("no such arm")
 
     rules = replace(RULES, constraints=replace(RULES.constraints, push_rule=refuse))
-    run = make_run(GOAL_OBJ, CellParameters.uniform(GOAL_OBJ), (0.1, 0.05, 0.6), rules, answer_delay=0.2)
+    run = make_run(
+        GOAL_OBJ, CellParameters.uniform(GOAL_OBJ), (0.1, 0.05, 0.6), rules, answer_delay=0.2
+    )
     status = run.go_on_until(is_over, 5.0)
     assert status.mode == ContactPointMode.FAILED
     assert status.reason == "No decision could be made: RuntimeError: no such arm."

@@ -1,9 +1,10 @@
 """What bounds of the friction decide in pre-grasp sliding, whether they hold or not.
 
-Pushes show each cell's relative friction alone, and bounds of the friction turn it into masses that the object may have
-(`planning.pregrasp.uncertainty`). Here that relative friction is known exactly, so that nothing but the bounds is in
-doubt: is there a goal that is safe for all those masses, and does the object stay put there with its true ones? No
-method that rests on bounds does better. Objects of rubber and steel are told bounds that hold, and others that do not.
+Pushes show each cell's relative friction alone, and bounds of the friction turn it into masses that
+the object may have (`planning.pregrasp.uncertainty`). Here that relative friction is known exactly,
+so that nothing but the bounds is in doubt: is there a goal that is safe for all those masses, and
+does the object stay put there with its true ones? No method that rests on bounds does better.
+Objects of rubber and steel are told bounds that hold, and others that do not.
 """
 
 from collections.abc import Sequence
@@ -25,12 +26,16 @@ from gridpush_drake.planning.support_surface import SupportSurface
 RUBBER, STEEL = 0.8, 0.2
 """Frictions of an object's parts where they are of different materials."""
 
-TOLD = {f"{low:g} to {high:g}": (low, high) for low, high in ((STEEL, RUBBER), (0.2, 0.6), (0.25, 0.5), (0.3, 0.4))}
+TOLD = {
+    f"{low:g} to {high:g}": (low, high)
+    for low, high in ((STEEL, RUBBER), (0.2, 0.6), (0.25, 0.5), (0.3, 0.4))
+}
 """Bounds of the friction that the method is told of such objects; the first ones hold."""
 
 DRAWN = "drawn"
 KNOWN = {f"known, {key}": bounds for key, bounds in TOLD.items()}
-"""Whose relative friction is known: objects whose friction is drawn within what is told, and those of TOLD."""
+"""Whose relative friction is known: objects whose friction is drawn within what is told, and those
+of TOLD."""
 
 
 def draw_materials(obj: GridObject, mass_set: int) -> Array:
@@ -68,7 +73,9 @@ def judge_bounds(
 ) -> BoundsScore:  # fmt: skip
     """Judges the bounds that `obj` has, at the table's middle; `max_arm`, m, is the planner's."""
     friction = truth.relative_friction()[None]
-    masses = PlausibleMassSet(obj, friction / obj.prior.friction_max, friction / obj.prior.friction_min)
+    masses = PlausibleMassSet(
+        obj, friction / obj.prior.friction_max, friction / obj.prior.friction_min
+    )
     centers = masses.center_of_mass_polygon
     outside = float(shapely.Polygon(centers).distance(shapely.Point(truth.center_of_mass(obj))))
     near = [part for part in parts if np.linalg.norm(part.p_BG - masses.middle) <= max_arm]
@@ -76,7 +83,9 @@ def judge_bounds(
     if not goals or goals[0].margin < GoalOptions().margin:
         return BoundsScore(method, False, False, outside)
     true = PlausibleMassSet.of_masses(obj, truth)
-    return BoundsScore(method, True, calc_stability_margin(true, goals[0].pose, surface, 0.0) < 0, outside)
+    return BoundsScore(
+        method, True, calc_stability_margin(true, goals[0].pose, surface, 0.0) < 0, outside
+    )
 
 
 BOUNDS_COLUMNS: dict[str, Column] = {
@@ -91,8 +100,13 @@ BOUNDS_COLUMNS: dict[str, Column] = {
 def tabulate_bounds(scores: Sequence[BoundsScore], friction: tuple[float, float]) -> Table:
     """What the bounds allow, and where they mislead."""
     label = f"{friction[0]:g} to {friction[1]:g}"
-    names = {DRAWN: f"{label}, drawn", **{key: f"{told}, rubber" for key, told in zip(KNOWN, TOLD, strict=True)}}
-    groups = [((name,), [score for score in scores if score.method == key]) for key, name in names.items()]
+    names = {
+        DRAWN: f"{label}, drawn",
+        **{key: f"{told}, rubber" for key, told in zip(KNOWN, TOLD, strict=True)},
+    }
+    groups = [
+        ((name,), [score for score in scores if score.method == key]) for key, name in names.items()
+    ]
     notes = (
         f"Told are bounds of the friction: of what is drawn within them, or of one part of rubber, {RUBBER:g}, with "
         f"others of steel, {STEEL:g}. The relative friction is known exactly.",

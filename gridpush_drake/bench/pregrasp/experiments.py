@@ -2,18 +2,22 @@
 
 Experiments in the quasi-static LCP world with a table's edge (`bench.pregrasp.world`):
 
-    sliding     every object with hidden masses and frictions is explored, slid to the edge and grasped there, by the
+    sliding     every object with hidden masses and frictions is explored, slid to the edge and
+    grasped there, by the
                 method, by the paper's two ablations, and with the true parameters
-    exploring   pokes chosen by design, or at random, until the center of mass's standard deviation is small
-    materials   the method with objects that are partly of rubber and partly of steel, told bounds of the friction that
+    exploring   pokes chosen by design, or at random, until the center of mass's standard deviation
+    is small materials   the method with objects that are partly of rubber and partly of steel, told
+    bounds of the friction that
                 hold, or do not
     bounds      what such bounds allow at best (`bench.pregrasp.bounds`)
 
-and sliding, by the method, under truths that do not obey the model: bodies in MuJoCo, and the LCP world beside them.
+and sliding, by the method, under truths that do not obey the model: bodies in MuJoCo, and the LCP
+world beside them.
 
-The center is wanted in both directions, or, as for a goal at the table's edge, across one line: here along the object's
-longest direction. Both ways choose from the same pokes, all of one length. A long poke tells more, whichever it is, and
-two or three of them are needed in any case: so the shorter the pokes, the more there is to gain by design.
+The center is wanted in both directions, or, as for a goal at the table's edge, across one line:
+here along the object's longest direction. Both ways choose from the same pokes, all of one length.
+A long poke tells more, whichever it is, and two or three of them are needed in any case: so the
+shorter the pokes, the more there is to gain by design.
 """
 
 from collections.abc import Sequence
@@ -61,7 +65,12 @@ from gridpush_drake.identification.learning import identify
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.pregrasp.exploration import PokeOptions, choose_poke, make_center_functional, make_pokes
+from gridpush_drake.planning.pregrasp.exploration import (
+    PokeOptions,
+    choose_poke,
+    make_center_functional,
+    make_pokes,
+)
 from gridpush_drake.planning.pregrasp.grasp_parts import GraspPart, Gripper, find_grasp_parts
 from gridpush_drake.planning.pregrasp.planner import PreGraspOptions, PreGraspPlanner
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
@@ -71,7 +80,15 @@ from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 MASK_OBJECT = "hammer"
 """The paper's own hammer, a mask among the public data."""
 
-OBJECTS = ("claw_hammer", "combination_wrench", "pliers", "spray_bottle", "spring_clamp", "toolbox", "toothpaste_tube")
+OBJECTS = (
+    "claw_hammer",
+    "combination_wrench",
+    "pliers",
+    "spray_bottle",
+    "spring_clamp",
+    "toolbox",
+    "toothpaste_tube",
+)
 """Those of the shipped objects that have a graspable part."""
 
 RECTANGLE, RADIUS, HEXAGON = (0.9, 0.7), 0.45, 0.5
@@ -82,11 +99,15 @@ def find_mask(data: Path) -> Path:
     """Finds the paper's hammer among the public data. Raises GridPushError where it is not there."""
     masks = find_masks(data)
     if MASK_OBJECT not in masks:
-        raise GridPushError(f"{data}: holds no mask of {MASK_OBJECT}; expected {MASK_OBJECT}_label.pgm")
+        raise GridPushError(
+            f"{data}: holds no mask of {MASK_OBJECT}; expected {MASK_OBJECT}_label.pgm"
+        )
     return masks[MASK_OBJECT].resolve()
 
 
-def load_bench_object(name: str, friction_range: tuple[float, float], mask: Path | None = None) -> GridObject:
+def load_bench_object(
+    name: str, friction_range: tuple[float, float], mask: Path | None = None
+) -> GridObject:
     """Loads an object, or its mask, as `know_friction` has it. Raises ObjectError where there is no such object."""
     if mask is not None:
         obj = GridObject.from_mask(mask, meters_per_pixel=PLANNING_METERS_PER_PIXEL, name=name)
@@ -136,7 +157,9 @@ SLIDE_COLUMNS: dict[str, Column] = {
     "runs": len,
     "graspable, %": mean_of("grasped", PERCENT),
     "dropped": count_of("dropped", True),
-    "given up": lambda outcomes: sum(not (outcome.grasped or outcome.dropped) for outcome in outcomes),
+    "given up": lambda outcomes: sum(
+        not (outcome.grasped or outcome.dropped) for outcome in outcomes
+    ),
     "pokes": mean_of("pokes"),
     "slides": mean_of("slides"),
 }
@@ -144,7 +167,10 @@ SLIDE_COLUMNS: dict[str, Column] = {
 
 def tabulate_slides(scores: Sequence[SlideScore], methods: Sequence[str]) -> Table:
     """Successes, drops and refusals by method."""
-    groups = [((method,), [score.outcome for score in scores if score.method == method]) for method in methods]
+    groups = [
+        ((method,), [score.outcome for score in scores if score.method == method])
+        for method in methods
+    ]
     notes = (
         "graspable: a part hangs over the edge far enough, and the object is at rest.",
         "dropped: it fell off the table on the way. given up: no safe way was found, and it is still on the table.",
@@ -152,20 +178,30 @@ def tabulate_slides(scores: Sequence[SlideScore], methods: Sequence[str]) -> Tab
         "uniform: uniform mass, nothing learned; unbounded: the paper's identification, friction without a bound.",
         "pokes, slides: mean number of pushes.",
     )
-    return Table.of("Pre-grasp sliding, hidden masses and frictions", ("method",), groups, SLIDE_COLUMNS, notes)
+    return Table.of(
+        "Pre-grasp sliding, hidden masses and frictions", ("method",), groups, SLIDE_COLUMNS, notes
+    )
 
 
 SHARE_COLUMNS: dict[str, Column] = {
     "runs": len,
-    "reached, %": lambda outcomes: describe_share(sum(each.grasped for each in outcomes), len(outcomes)),
-    "dropped, %": lambda outcomes: describe_share(sum(each.dropped for each in outcomes), len(outcomes)),
+    "reached, %": lambda outcomes: describe_share(
+        sum(each.grasped for each in outcomes), len(outcomes)
+    ),
+    "dropped, %": lambda outcomes: describe_share(
+        sum(each.dropped for each in outcomes), len(outcomes)
+    ),
     "pokes": mean_of("pokes"),
     "slides": mean_of("slides"),
-    "mm to spare": lambda outcomes: MM * calc_mean(each.margin for each in outcomes if each.grasped),
+    "mm to spare": lambda outcomes: (
+        MM * calc_mean(each.margin for each in outcomes if each.grasped)
+    ),
 }
 
 
-def tabulate_shares(scores: Sequence[SlideScore], by: str, keys: Sequence[str], notes: Sequence[str]) -> Table:
+def tabulate_shares(
+    scores: Sequence[SlideScore], by: str, keys: Sequence[str], notes: Sequence[str]
+) -> Table:
     """Successes and drops with their intervals, by truth or by what was told; `keys` are the scores' methods."""
     groups = [((key,), [score.outcome for score in scores if score.method == key]) for key in keys]
     notes = (
@@ -179,7 +215,10 @@ def tabulate_shares(scores: Sequence[SlideScore], by: str, keys: Sequence[str], 
 
 def tabulate_objects(scores: Sequence[SlideScore], objects: Sequence[str], method: str) -> Table:
     """One method's runs by object."""
-    groups = [((name,), [s.outcome for s in scores if (s.method, s.name) == (method, name)]) for name in objects]
+    groups = [
+        ((name,), [s.outcome for s in scores if (s.method, s.name) == (method, name)])
+        for name in objects
+    ]
     return Table.of(f"Pre-grasp sliding by object, {method}", ("object",), groups, SLIDE_COLUMNS)
 
 
@@ -187,8 +226,8 @@ def tabulate_objects(scores: Sequence[SlideScore], objects: Sequence[str], metho
 class Trace:
     """One run: how many pokes were made until the standard deviation was small, `MAX_POKES` + 1 where it never was.
 
-    The final estimate's error is of what is wanted, m; its square in units of its covariance, for each direction
-    wanted, is 1 on average where that is right.
+    The final estimate's error is of what is wanted, m; its square in units of its covariance, for
+    each direction wanted, is 1 on average where that is right.
     """
 
     pokes: int
@@ -214,7 +253,9 @@ EXPLORE_COLUMNS: dict[str, Column] = {
     "ratio": lambda scores: _mean_pokes(scores, "active") / _mean_pokes(scores, "random"),
     "error, mm": lambda scores: MM * float(np.mean([score.active.error for score in scores])),
     "at random, mm": lambda scores: MM * float(np.mean([score.random.error for score in scores])),
-    "within 95 %, %": lambda scores: PERCENT * float(np.mean([_is_within(score) for score in scores])),
+    "within 95 %, %": lambda scores: (
+        PERCENT * float(np.mean([_is_within(score) for score in scores]))
+    ),
 }
 
 
@@ -230,7 +271,10 @@ def tabulate_exploration(scores: Sequence[ExplorationScore]) -> Table:
     """Pokes needed, by design and at random, by their length; and whether the stated spread is right."""
     lengths = sorted({score.distance for score in scores})
     groups = [
-        ((aim, MM * length), [score for score in scores if (score.aim, score.distance) == (aim, length)])
+        (
+            (aim, MM * length),
+            [score for score in scores if (score.aim, score.distance) == (aim, length)],
+        )
         for aim in AIMS
         for length in lengths
     ]
@@ -244,26 +288,40 @@ def tabulate_exploration(scores: Sequence[ExplorationScore]) -> Table:
     return Table.of(title, ("wanted", "poke, mm"), groups, EXPLORE_COLUMNS, notes)
 
 
-def tabulate_exploration_by_object(scores: Sequence[ExplorationScore], objects: Sequence[str]) -> Table:
+def tabulate_exploration_by_object(
+    scores: Sequence[ExplorationScore], objects: Sequence[str]
+) -> Table:
     """The same by object, over all lengths."""
     groups = [
         ((aim, name), [score for score in scores if (score.aim, score.name) == (aim, name)])
         for aim in AIMS
         for name in objects
     ]
-    return Table.of("The same by object, pokes of all lengths", ("wanted", "object"), groups, EXPLORE_COLUMNS)
+    return Table.of(
+        "The same by object, pokes of all lengths", ("wanted", "object"), groups, EXPLORE_COLUMNS
+    )
 
 
 LEARNED, WIDE, TRUE = "learned", "learned, wide friction", "true"
 UNIFORM, UNBOUNDED = "uniform", "unbounded"
 METHODS = (LEARNED, WIDE, TRUE, UNIFORM, UNBOUNDED)
-"""The method; the same where less is known of the friction; the true parameters; uniform mass; the paper's
-identification without a bound on the friction."""
+"""The method; the same where less is known of the friction; the true parameters; uniform mass; the
+paper's identification without a bound on the friction."""
 
-EXPLORING = {f"exploring, {aim}, {1e3 * distance:.0f} mm": (aim, distance) for distance in DISTANCES for aim in AIMS}
+EXPLORING = {
+    f"exploring, {aim}, {1e3 * distance:.0f} mm": (aim, distance)
+    for distance in DISTANCES
+    for aim in AIMS
+}
 """What is wanted of the center of mass, and the pokes' length (m), of each comparison of pokes."""
 
-SLIDING_ONLY, EXPLORING_ONLY, MATERIALS, BOUNDS, ALL = "sliding", "exploring", "materials", "bounds", "all"
+SLIDING_ONLY, EXPLORING_ONLY, MATERIALS, BOUNDS, ALL = (
+    "sliding",
+    "exploring",
+    "materials",
+    "bounds",
+    "all",
+)
 EXPERIMENTS = (ALL, SLIDING_ONLY, EXPLORING_ONLY, MATERIALS, BOUNDS)
 
 LCP = "lcp"
@@ -274,8 +332,9 @@ MASS_SETS, SEEDS = 10, 3
 QUICK_MASS_SETS, QUICK_SEEDS = 2, 1
 
 FRICTION_RANGE = (0.3, 0.4)
-"""What the frictions of an object's parts are drawn from, and what the method knows of them: as in the station, of
-somebody who has seen what object and table are made of (`models/scenarios/grasp.yaml`)."""
+"""What the frictions of an object's parts are drawn from, and what the method knows of them: as in
+the station, of somebody who has seen what object and table are made of
+(`models/scenarios/grasp.yaml`)."""
 
 WIDE_FRICTION_RANGE = (0.25, 0.5)
 """The same where hardly anything is known of them."""
@@ -290,12 +349,14 @@ DEPTH = 0.03
 """m of a part that must hang over: the fingers' depth."""
 
 MAX_ARM = 0.06
-"""m that the grasp may be from where the center of mass is believed: held farther off, the object turns in the gripper.
-Anywhere at the end of a handle, no mass distribution tips the object, and all methods do as well. So near, the object
-must come close to tipping; the true masses still leave a grasp in every case."""
+"""m that the grasp may be from where the center of mass is believed: held farther off, the object
+turns in the gripper. Anywhere at the end of a handle, no mass distribution tips the object, and all
+methods do as well. So near, the object must come close to tipping; the true masses still leave a
+grasp in every case."""
 
 MAX_ARMS = {"toolbox": 0.15}
-"""The same for objects that offer nothing to hold so near to their middle: this one can be taken by its edge only."""
+"""The same for objects that offer nothing to hold so near to their middle: this one can be taken by
+its edge only."""
 
 OFFSET = 0.05
 """m, at most, of the object from the table's middle at the beginning."""
@@ -312,7 +373,8 @@ class Job:
         depth: of the gripper's fingers, m.
         mask: file of the paper's object.
         friction: range of the true frictions, and what is known of them; not by TOLD.
-        truth: of TRUTHS, on a rectangular table; None for the LCP world, pushed at the table's height, on any.
+        truth: of TRUTHS, on a rectangular table; None for the LCP world, pushed at the table's
+            height, on any.
         max_arm: that the grasp may be from where the center of mass is believed, m.
     """
 
@@ -345,13 +407,15 @@ def run(
 ) -> list[Table]:
     """Measures experiments; the arguments are the options of `gridpush bench pregrasp`, and `methods` of METHODS.
 
-    The table takes turns with mass sets and seeds; only QUICK_MASS_SETS and QUICK_SEEDS of them where `quick`. With
-    `truths` (of TRUTHS) there is only sliding, by LEARNED, on rectangular tables, with the same objects, masses and
-    starts under each. What is known of the friction is its range, but for the method WIDE and the materials.
+    The table takes turns with mass sets and seeds; only QUICK_MASS_SETS and QUICK_SEEDS of them
+    where `quick`. With `truths` (of TRUTHS) there is only sliding, by LEARNED, on rectangular
+    tables, with the same objects, masses and starts under each. What is known of the friction is
+    its range, but for the method WIDE and the materials.
 
     Returns:
-        What bounds allow; or slides by method, truth, or bounds told, slides of the first of those by object, and pokes
-        by design and at random, by their length and by object. Pokes are compared with the first seed only.
+        What bounds allow; or slides by method, truth, or bounds told, slides of the first of those
+        by object, and pokes by design and at random, by their length and by object. Pokes are
+        compared with the first seed only.
 
     Raises:
         GridPushError: the data are not there, a name is not known, or a count is not positive.
@@ -369,7 +433,9 @@ def run(
         if count < 1:
             raise GridPushError(f"{what}: {count}; expected at least 1")
     if not 0 < friction[0] <= friction[1] < np.inf:
-        raise GridPushError(f"friction: {friction[0]:g} to {friction[1]:g}; expected 0 < least <= greatest")
+        raise GridPushError(
+            f"friction: {friction[0]:g} to {friction[1]:g}; expected 0 < least <= greatest"
+        )
     if not max_arm > 0:
         raise GridPushError(f"max arm: {max_arm:g} m; expected more than 0")
     if quick:
@@ -377,7 +443,17 @@ def run(
     sliding, exploring = experiment != EXPLORING_ONLY, experiment in (ALL, EXPLORING_ONLY)
     methods = {MATERIALS: tuple(TOLD), BOUNDS: (DRAWN, *KNOWN)}.get(experiment, methods)
     jobs = [
-        Job(name, mass_set, seed + i, method, depth, mask if name == MASK_OBJECT else None, friction, truth, max_arm)
+        Job(
+            name,
+            mass_set,
+            seed + i,
+            method,
+            depth,
+            mask if name == MASK_OBJECT else None,
+            friction,
+            truth,
+            max_arm,
+        )
         for mass_set in range(mass_sets)
         for i in range(seeds)
         for name in objects
@@ -385,19 +461,30 @@ def run(
         for method in (*(methods if sliding else ()), *(EXPLORING if exploring and i == 0 else ()))
     ]
     done = run_jobs(
-        run_job, jobs, lambda job: f"{job.name}, mass set {job.mass_set}, {job.truth or job.method}", execution
+        run_job,
+        jobs,
+        lambda job: f"{job.name}, mass set {job.mass_set}, {job.truth or job.method}",
+        execution,
     )
     if experiment == BOUNDS:
-        return [tabulate_bounds([score for score in done if isinstance(score, BoundsScore)], friction)]
+        return [
+            tabulate_bounds([score for score in done if isinstance(score, BoundsScore)], friction)
+        ]
     slides = [score for score in done if isinstance(score, SlideScore)]
     pokes = [score for score in done if isinstance(score, ExplorationScore)]
     tables = []
     if truths is not None:
         notes = f"The same bodies under each truth; frictions of {friction[0]:g} to {friction[1]:g}, as is told."
-        tables += [tabulate_shares(slides, "truth", truths, (notes,)), tabulate_objects(slides, objects, truths[0])]
+        tables += [
+            tabulate_shares(slides, "truth", truths, (notes,)),
+            tabulate_objects(slides, objects, truths[0]),
+        ]
     elif experiment == MATERIALS:
         notes = f"One part's friction is {RUBBER:g}, the others' {STEEL:g}; other bounds than the first do not hold."
-        tables += [tabulate_shares(slides, "told", methods, (notes,)), tabulate_objects(slides, objects, methods[0])]
+        tables += [
+            tabulate_shares(slides, "told", methods, (notes,)),
+            tabulate_objects(slides, objects, methods[0]),
+        ]
     elif sliding:
         tables += [tabulate_slides(slides, methods), tabulate_objects(slides, objects, methods[0])]
     if exploring:
@@ -478,7 +565,8 @@ def explore(
     wanted = np.eye(2) if aim == BOTH else long[None]
     options = PokeOptions(distance=distance)
     runs = [
-        _poke(obj, alike, wanted, options, active, np.random.default_rng([seed, mass_set])) for active in (True, False)
+        _poke(obj, alike, wanted, options, active, np.random.default_rng([seed, mass_set]))
+        for active in (True, False)
     ]
     return ExplorationScore(name, aim, distance, *runs)
 
@@ -504,8 +592,12 @@ def _poke(
             push = choose_poke(model, pose, pokes, F).push
         else:
             push = pokes[int(rng.integers(len(pokes)))]
-        after = add_pose_noise(simulate(obj, truth, push, pose, regime="quasi_static").final_pose, rng)
-        log.append(ObservedPush(f"poke_{len(log)}", push, pose, np.array([push.duration]), after[None]))
+        after = add_pose_noise(
+            simulate(obj, truth, push, pose, regime="quasi_static").final_pose, rng
+        )
+        log.append(
+            ObservedPush(f"poke_{len(log)}", push, pose, np.array([push.duration]), after[None])
+        )
         pose = after
         seen = PushLog(tuple(log))
         found = identify(obj, seen, regime="quasi_static", start=found)

@@ -1,7 +1,8 @@
 """The worlds of the pre-grasp benchmark: a hidden object on a table with an edge.
 
-The truth is the quasi-static LCP with loads that follow what still lies on the table, or a rigid body in MuJoCo that
-stands as the model does not suppose; poses are seen with noise. The loop is `planning.pregrasp.pregrasp_loop`.
+The truth is the quasi-static LCP with loads that follow what still lies on the table, or a rigid
+body in MuJoCo that stands as the model does not suppose; poses are seen with noise. The loop is
+`planning.pregrasp.pregrasp_loop`.
 """
 
 from dataclasses import dataclass, replace
@@ -37,7 +38,8 @@ from gridpush_drake.planning.support_surface import SupportSurface, find_support
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 LEARNER = Learner(memory=14)
-"""The default method, from the latest pushes: the cost of learning grows with them, and what they tell hardly does."""
+"""The default method, from the latest pushes: the cost of learning grows with them, and what they
+tell hardly does."""
 
 FALLEN = np.radians(10)
 """Tilt from which a body counts as dropped."""
@@ -46,10 +48,12 @@ REST_TIME = 0.5
 """s that a body in MuJoCo is given to come to rest after a push, or to tip."""
 
 PUSH_HEIGHTS = (BODY_HEIGHT / 2, BODY_HEIGHT / 4)
-"""m above the table, of the finger: the second where, pushed at the first, no three feet would bear a body."""
+"""m above the table, of the finger: the second where, pushed at the first, no three feet would bear
+a body."""
 
 TIME_STEP = 5e-4
-"""s of MuJoCo: the poses of bodies that stay on the table are within 0.1 mm of those of half the step."""
+"""s of MuJoCo: the poses of bodies that stay on the table are within 0.1 mm of those of half the
+step."""
 
 ONE_OBSERVATION = PreGraspLoopOptions(observations=1)
 """Nothing moves between two pushes: the object is decided on as it is first seen."""
@@ -66,7 +70,14 @@ class EdgeWorld(SimulatedWorld):
     ) -> None:  # fmt: skip
         """Puts the object down at a pose (3,); `rng` draws the noise."""
         super().__init__(
-            obj, hidden, pose, surface, position_std=POSITION_STD, angle_std=ANGLE_STD, seed=rng, observations=1
+            obj,
+            hidden,
+            pose,
+            surface,
+            position_std=POSITION_STD,
+            angle_std=ANGLE_STD,
+            seed=rng,
+            observations=1,
         )
 
     @property
@@ -118,7 +129,10 @@ class MujocoWorld(EdgeWorld):
         x, y = size[0] / 2, size[1] / 2
         light = replace(hidden, mass=hidden.mass / hidden.total_mass)
         body = replace(_stand(support, obj, light, rng).harden(), time_step=TIME_STEP)
-        known, told = know_height(obj, body.push_height), replace(light, push_height=body.push_height)
+        known, told = (
+            know_height(obj, body.push_height),
+            replace(light, push_height=body.push_height),
+        )
         self._truth = TruthWorld(body, ContactOptions().radius, (-x, -y, x, y))
         self._truth.put(pose)
         super().__init__(known, told, SupportSurface.rectangle((0.0, 0.0), size), pose, rng)
@@ -126,7 +140,9 @@ class MujocoWorld(EdgeWorld):
     def _move(self, push: Push, times: Array) -> tuple[Array, bool]:
         motion = self._truth.push(push)
         self._truth.wait(REST_TIME)
-        poses = np.column_stack([np.interp(times, motion.times, column) for column in motion.poses.T])
+        poses = np.column_stack(
+            [np.interp(times, motion.times, column) for column in motion.poses.T]
+        )
         fell = bool(self._truth.read_tilt() >= FALLEN)
         if (motion.tilt >= FALLEN).any():
             fallen = motion.times[np.argmax(motion.tilt >= FALLEN)]
@@ -143,7 +159,9 @@ class MujocoWorld(EdgeWorld):
         return bool(self._truth.read_tilt() < FALLEN)
 
 
-def _stand(support: str, obj: GridObject, params: CellParameters, rng: np.random.Generator) -> TruthBody:
+def _stand(
+    support: str, obj: GridObject, params: CellParameters, rng: np.random.Generator
+) -> TruthBody:
     """The body, pushed at the first of PUSH_HEIGHTS at which it stands."""
     for height in PUSH_HEIGHTS[:-1]:
         try:
@@ -175,7 +193,10 @@ class Outcome:
 
 
 def run_pregrasp(
-    world: EdgeWorld, planner: PreGraspPlanner, learn: Learn | None = LEARNER, infer: Infer | None = None
+    world: EdgeWorld,
+    planner: PreGraspPlanner,
+    learn: Learn | None = LEARNER,
+    infer: Infer | None = None,
 ) -> Outcome:
     """Runs the task until a part can be grasped, or to its end.
 
@@ -212,7 +233,9 @@ class PaperLearner:
     friction_range: tuple[float, float]
     min_pokes: int
 
-    def learn(self, obj: GridObject, log: PushLog, before: Identification | None) -> Identification | None:
+    def learn(
+        self, obj: GridObject, log: PushLog, before: Identification | None
+    ) -> Identification | None:
         """What the pushes say."""
         chosen = LEARNER.select(log)
         if len(chosen) < self.min_pokes:
@@ -230,7 +253,9 @@ class PaperLearner:
             if found is None:
                 return None
             if len(LEARNER.select(log)) < self.min_pokes:
-                used = log.subset([i for i, seen in enumerate(log) if seen.name in found.push_names])
+                used = log.subset(
+                    [i for i, seen in enumerate(log) if seen.name in found.push_names]
+                )
                 return UncertainModel.of_identification(found, log=used)
             return UncertainModel.of_parameters(obj, found.params)
 

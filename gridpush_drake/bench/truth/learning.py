@@ -1,7 +1,7 @@
 """`gridpush bench truth`: how well bodies are learned that do not obey the model (`bench.truth.sets`).
 
-Each hidden body is learned from the first few of its pushes by the default method, and judged by its held-out pushes,
-its true center of mass, and whether both are where the identification says.
+Each hidden body is learned from the first few of its pushes by the default method, and judged by
+its held-out pushes, its true center of mass, and whether both are where the identification says.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,15 @@ from gridpush_drake.bench.paper import calc_interval
 from gridpush_drake.bench.table import MM, PERCENT, Table, Value
 from gridpush_drake.bench.truth import overhang
 from gridpush_drake.bench.truth.overhang import OVERHANG, TIPPED_BODIES
-from gridpush_drake.bench.truth.sets import KINDS, OUTLINES, TRAINING, TruthSet, make_set, read_set, write_set
+from gridpush_drake.bench.truth.sets import (
+    KINDS,
+    OUTLINES,
+    TRAINING,
+    TruthSet,
+    make_set,
+    read_set,
+    write_set,
+)
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import GridPushError
 from gridpush_drake.geometry.se2 import Array
@@ -34,8 +42,8 @@ COUNTS, QUICK_COUNTS = (3, 5, 8, 18), (5,)
 
 UNIFORM, MASSES, LOADS, LEARNED = "uniform", "true masses", "true loads", "learned"
 SHIFTING = "true loads, shifting"
-"""Models: nothing learned; the masses as loads; the loads at rest, which may shift with the pusher's force and height;
-and what was learned."""
+"""Models: nothing learned; the masses as loads; the loads at rest, which may shift with the
+pusher's force and height; and what was learned."""
 
 CHI_SQUARE = 5.991
 """What 95 % of chi squares of two degrees of freedom stay below."""
@@ -53,7 +61,8 @@ class Job:
         name: of the outline.
         seed: of the body and its pushes.
         counts: pushes to learn from.
-        out: folder of sets, where this one is looked up, and left if it has to be made; None keeps none.
+        out: folder of sets, where this one is looked up, and left if it has to be made; None keeps
+            none.
         anew: whether to make it even so.
     """
 
@@ -78,7 +87,8 @@ class TruthScore:
         error: mean final cell error of the held-out pushes, m.
         center_error: distance from the true center of mass, m.
         covered: whether the true center is within the 95 % region.
-        within: share of the held-out pushes whose final pose is as near to the predicted one as said.
+        within: share of the held-out pushes whose final pose is as near to the predicted one as
+            said.
         region: radius of a circle as large as the 95 % region, m.
     """
 
@@ -116,7 +126,8 @@ def run(
         seed: of the first body; the others' follow.
         execution: how the jobs are run.
         quick: only `QUICK_SETS` bodies and `QUICK_COUNTS` pushes.
-        out: folder of sets, each in KIND/OUTLINE_SEED; those that are there are read, others are made and left there.
+        out: folder of sets, each in KIND/OUTLINE_SEED; those that are there are read, others are
+            made and left there.
         force: whether those that are there are made anew, and replaced.
 
     Returns:
@@ -127,11 +138,18 @@ def run(
         ObjectError: an object is not shipped.
         OutputError: a file exists and may not be replaced, or cannot be written.
     """
-    sets, counts = (min(sets, QUICK_SETS), QUICK_COUNTS) if quick else (sets, tuple(sorted(set(pushes))))
+    sets, counts = (
+        (min(sets, QUICK_SETS), QUICK_COUNTS) if quick else (sets, tuple(sorted(set(pushes))))
+    )
     _check(kinds, sets, counts)
     names = OUTLINES if objects is None else tuple(objects)
     flat = [kind for kind in kinds if kind != OVERHANG]
-    jobs = [Job(kind, name, seed + i, counts, out, force) for kind in flat for i in range(sets) for name in names]
+    jobs = [
+        Job(kind, name, seed + i, counts, out, force)
+        for kind in flat
+        for i in range(sets)
+        for name in names
+    ]
     results = run_jobs(run_job, jobs, lambda job: f"{job.kind}, {job.name} {job.seed}", execution)
     tables = [tabulate([score for scores in results for score in scores])] if flat else []
     if OVERHANG in kinds:
@@ -149,10 +167,14 @@ def run_job(job: Job) -> list[TruthScore]:
         if folder is not None:
             write_set(made, folder, force=job.anew)
     if len(made.training) < job.counts[-1]:
-        raise GridPushError(f"{folder}: holds {len(made.training)} pushes; expected {job.counts[-1]} to learn from")
+        raise GridPushError(
+            f"{folder}: holds {len(made.training)} pushes; expected {job.counts[-1]} to learn from"
+        )
     friction, contact = made.params.friction, made.params.contact_friction
     patch_ratio = MapEnsemble().choose_patch_ratio(made.obj)
-    loads = CellParameters(np.maximum(made.loads, MIN_LOAD), friction, contact, patch_ratio=patch_ratio)
+    loads = CellParameters(
+        np.maximum(made.loads, MIN_LOAD), friction, contact, patch_ratio=patch_ratio
+    )
     known = {UNIFORM: CellParameters.uniform(made.obj), MASSES: made.params, LOADS: loads}
     known[SHIFTING] = replace(loads, push_height=made.push_height)
     scores = [_score(made, model, 0, params) for model, params in known.items()]
@@ -163,13 +185,25 @@ def run_job(job: Job) -> list[TruthScore]:
 
 
 def _score(
-    made: TruthSet, model: str, pushes: int, params: CellParameters, found: Identification | None = None
+    made: TruthSet,
+    model: str,
+    pushes: int,
+    params: CellParameters,
+    found: Identification | None = None,
 ) -> TruthScore:
     regime: Regime = "quasi_static" if found is None else found.regime
     poses = np.array([each.poses[-1] for each in predict(made.obj, params, made.held_out, regime)])
     errors = calc_distances(made.obj, poses, np.array([seen.final_pose for seen in made.held_out]))
     off = params.center_of_mass(made.obj) - made.center_of_mass
-    key = (made.kind, made.name, made.seed, model, pushes, float(errors.mean()), float(np.linalg.norm(off)))
+    key = (
+        made.kind,
+        made.name,
+        made.seed,
+        model,
+        pushes,
+        float(errors.mean()),
+        float(np.linalg.norm(off)),
+    )
     if found is None:
         return TruthScore(*key)
     chi_square, radius = calc_center_region(found, made.center_of_mass)
@@ -202,7 +236,10 @@ def tabulate(scores: Sequence[TruthScore]) -> Table:
     """Sums up scores by kind and model."""
     rows: list[list[Value]] = []
     for kind in dict.fromkeys(score.kind for score in scores):
-        models = sorted({(score.pushes, score.model) for score in scores}, key=lambda each: (each[0], ORDER[each[1]]))
+        models = sorted(
+            {(score.pushes, score.model) for score in scores},
+            key=lambda each: (each[0], ORDER[each[1]]),
+        )
         for pushes, model in models:
             chosen = [s for s in scores if (s.kind, s.model, s.pushes) == (kind, model, pushes)]
             rows.append([kind, model if model != LEARNED else f"{pushes} pushes", *_sum_up(chosen)])
@@ -232,7 +269,9 @@ def _sum_up(scores: Sequence[TruthScore]) -> list[Value]:
     if not covered:
         return [*row, None, None, None]
     region = MM * float(np.median([score.region for score in scores if score.region is not None]))
-    within = PERCENT * float(np.mean([score.within for score in scores if score.within is not None]))
+    within = PERCENT * float(
+        np.mean([score.within for score in scores if score.within is not None])
+    )
     return [*row, PERCENT * float(np.mean(covered)), region, within]
 
 
@@ -241,4 +280,6 @@ def _check(kinds: Sequence[str], sets: int, counts: Sequence[int]) -> None:
     if sets < 1:
         raise GridPushError(f"sets: {sets}; expected at least 1")
     if not counts or not 1 <= counts[0] <= counts[-1] <= TRAINING:
-        raise GridPushError(f"pushes: {', '.join(map(str, counts)) or 'none'}; expected 1 to {TRAINING}")
+        raise GridPushError(
+            f"pushes: {', '.join(map(str, counts)) or 'none'}; expected 1 to {TRAINING}"
+        )

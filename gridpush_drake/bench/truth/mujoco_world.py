@@ -5,12 +5,13 @@ What distinguishes the kinds is where the feet are, how stiff, and how high the 
     own_weight   a foot below each cell, as stiff as the cell is heavy, pushed at the table's height
     half_height  the same, pushed at half the body's height
     foundation   a foot below each cell, all alike: an evenly compliant bottom
-    vertices     rigid feet at the vertices of the outline's hull, uneven by tenths of a millimeter: a few of them bear
-    three_feet   three rigid feet below cells
+    vertices     rigid feet at the vertices of the outline's hull, uneven by tenths of a millimeter:
+    a few of them bear three_feet   three rigid feet below cells
 
-A rigid body whose feet are as stiff as their cells are heavy sinks evenly, so each cell bears its own weight: the
-model's assumption, in a body with six degrees of freedom. Nothing changes that while the pusher's force and friction
-act at one height; pushed above the table, it loads its front and unloads its rear, as does every kind but the first.
+A rigid body whose feet are as stiff as their cells are heavy sinks evenly, so each cell bears its
+own weight: the model's assumption, in a body with six degrees of freedom. Nothing changes that
+while the pusher's force and friction act at one height; pushed above the table, it loads its front
+and unloads its rear, as does every kind but the first.
 
 How MuJoCo's contacts are set is said in `multibody.mjcf`.
 """
@@ -42,15 +43,15 @@ if TYPE_CHECKING:
     import mujoco
 
 RIGID_TIME_STEP, RIGID_SINKAGE = 5e-4, 1e-4
-"""s, of bodies on rigid feet, and m that such a foot sinks under its share of the weight; a compliant bottom sinks by
-SINKAGE."""
+"""s, of bodies on rigid feet, and m that such a foot sinks under its share of the weight; a
+compliant bottom sinks by SINKAGE."""
 
 BODY_HEIGHT = 0.03
 """m, of every object; its mass is spread evenly over it."""
 
 PUSHER_INERTIA, PUSHER_MASS, PUSHER_HALF_LENGTH = 1000.0, 0.01, 0.1
-"""kg that resists a change of the pusher's given speed within a step; kg of what may follow the object up and down, so
-that the pusher does not carry it; and m."""
+"""kg that resists a change of the pusher's given speed within a step; kg of what may follow the
+object up and down, so that the pusher does not carry it; and m."""
 
 PUSHER_SINKAGE = 1e-4
 """m that the pusher would sink into the body's side were it pushed by the body's weight."""
@@ -68,11 +69,13 @@ EDGE_RADIUS = 0.003
 """m, of the rounded edge; its highest line is the edge."""
 
 EDGE_GAP = 5e-4
-"""m of a compliant body's flat bottom above the feet's ends: they alone bear it until it all but tips."""
+"""m of a compliant body's flat bottom above the feet's ends: they alone bear it until it all but
+tips."""
 
 EDGE_SINKAGE, EDGE_TIME_STEP = 5e-5, 2.5e-4
-"""m, of compliant bodies at an edge: the few feet that bear most there sink several times as deep; and s at most of any
-body near one: at twice that, the far end of a light one may swing itself up."""
+"""m, of compliant bodies at an edge: the few feet that bear most there sink several times as deep;
+and s at most of any body near one: at twice that, the far end of a light one may swing itself
+up."""
 
 EDGE_BEARING = 10
 """Places of the bottom by which a weight on the edge is shared out, to say how stiff they are."""
@@ -87,14 +90,16 @@ class TruthBody:
 
     Attributes:
         obj: its outline and cells.
-        params: its cells' masses; friction of each cell, here of the foot nearest to it, and that of the pusher.
+        params: its cells' masses; friction of each cell, here of the foot nearest to it, and that
+            of the pusher.
         feet: (F, 2) where the feet are, body frame, m.
         cell: (F,) the cell that each foot belongs to.
         load: (F,) that makes a foot sink by `sinkage`, N.
         sinkage: m.
         gap: (F,) how much shorter a foot is than the longest, m.
         push_height: of the pusher's contact above the feet's ends, m.
-        bottom: height of the flat bottom, which a table's edge touches, above the longest feet's ends, m.
+        bottom: height of the flat bottom, which a table's edge touches, above the longest feet's
+            ends, m.
         time_step: s.
     """
 
@@ -111,7 +116,11 @@ class TruthBody:
 
     def harden(self) -> "TruthBody":
         """The same body for a table with an edge, where it must not sink far before it tips."""
-        return self if self.sinkage <= EDGE_SINKAGE else replace(self, sinkage=EDGE_SINKAGE, time_step=EDGE_TIME_STEP)
+        return (
+            self
+            if self.sinkage <= EDGE_SINKAGE
+            else replace(self, sinkage=EDGE_SINKAGE, time_step=EDGE_TIME_STEP)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,13 +158,19 @@ class TruthWorld:
         try:
             import mujoco
         except ImportError as error:
-            raise GridPushError("mujoco: is not installed; expected pip install 'gridpush-drake[bench]'") from error
+            raise GridPushError(
+                "mujoco: is not installed; expected pip install 'gridpush-drake[bench]'"
+            ) from error
 
         self.body, self.radius, self._mujoco = body, radius, mujoco
         self._table, self._steps, self._scene, edges = table, 0, 0, _find_edges(table)
         self._rim = np.array(body.obj.outline.convex_hull.exterior.coords)[:-1]
-        scenes = ([], edges) if edges else ([],)  # away from the edges, to look for contacts with them takes most time
-        self._models = [mujoco.MjModel.from_xml_string(_describe(body, radius, table, each)) for each in scenes]
+        scenes = (
+            ([], edges) if edges else ([],)
+        )  # away from the edges, to look for contacts with them takes most time
+        self._models = [
+            mujoco.MjModel.from_xml_string(_describe(body, radius, table, each)) for each in scenes
+        ]
         self._splits = [1, ceil(body.time_step / EDGE_TIME_STEP)]
         for model, split in zip(self._models, self._splits, strict=False):
             model.opt.timestep = body.time_step / split
@@ -168,9 +183,14 @@ class TruthWorld:
         """Finds how the body rests wholly on the table, at x, y: height, tilt, and loads."""
         self._data.qpos[:2] = x, y
         self.wait(SETTLE_TIME)
-        self._rest_quaternion, self._rest_height = self._data.qpos[3:7].copy(), float(self._data.qpos[2])
+        self._rest_quaternion, self._rest_height = (
+            self._data.qpos[3:7].copy(),
+            float(self._data.qpos[2]),
+        )
         self.foot_loads = self.read_loads()
-        self.loads = np.bincount(self.body.cell, self.foot_loads, self.body.obj.n).astype(np.float64)
+        self.loads = np.bincount(self.body.cell, self.foot_loads, self.body.obj.n).astype(
+            np.float64
+        )
 
     def read_loads(self) -> Array:
         """(F,) normal forces of the feet, N."""
@@ -194,7 +214,10 @@ class TruthWorld:
         if self._steps % LOOK_EVERY == 0:
             rim = transform(self.read_pose(), self._rim)
             left, low, right, high = self._table
-            near = min(*(rim - (left, low)).min(axis=0), *((right, high) - rim).min(axis=0)) < NEAR_EDGE
+            near = (
+                min(*(rim - (left, low)).min(axis=0), *((right, high) - rim).min(axis=0))
+                < NEAR_EDGE
+            )
             self._turn_to(len(self._models) - 1 if near else 0)
         self._mujoco.mj_step(self._model, self._data, self._splits[self._scene])
         self._steps += 1
@@ -211,7 +234,9 @@ class TruthWorld:
         x, y, theta = np.asarray(pose, dtype=np.float64)
         data, turned, self._steps = self._data, np.zeros(4), 0
         self._mujoco.mj_resetData(self._model, data)
-        self._mujoco.mju_mulQuat(turned, np.array([np.cos(theta / 2), 0, 0, np.sin(theta / 2)]), self._rest_quaternion)
+        self._mujoco.mju_mulQuat(
+            turned, np.array([np.cos(theta / 2), 0, 0, np.sin(theta / 2)]), self._rest_quaternion
+        )
         data.qpos[:7] = x, y, self._rest_height, *turned
 
     def read_pose(self) -> Array:
@@ -244,7 +269,9 @@ class TruthWorld:
 def _calc_poses(positions: Array) -> Array:
     """(K, 3) q of B in W from (K, 7) positions and quaternions, m and rad."""
     w, x, y, z = positions[:, 3:].T
-    return np.column_stack([positions[:, :2], np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))])
+    return np.column_stack(
+        [positions[:, :2], np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))]
+    )
 
 
 def _calc_tilts(positions: Array) -> Array:
@@ -254,7 +281,8 @@ def _calc_tilts(positions: Array) -> Array:
 
 
 LOOK_EVERY, NEAR_EDGE = 50, 0.01
-"""Steps, and m of the outline inside an edge from where on contacts with the edges are looked for."""
+"""Steps, and m of the outline inside an edge from where on contacts with the edges are looked
+for."""
 
 FAR = (0.0, 50.0)
 """m, where the pusher is while it does not push."""
@@ -335,8 +363,13 @@ def _describe_pairs(body: TruthBody, edges: int) -> str:
     """Feet on the table, the pusher on walls, plates on the table's edges, with their frictions."""
     params = body.params
     feet = [("foot", "table", f"f{i}", mu) for i, mu in enumerate(params.friction[body.cell])]
-    walls = [("wall", "pusher", f"w{i}", params.contact_friction) for i in range(len(body.obj.edges.start))]
-    rims = [("edge", f"e{e}", f"p{i}", mu) for e in range(edges) for i, mu in enumerate(params.friction)]
+    walls = [
+        ("wall", "pusher", f"w{i}", params.contact_friction)
+        for i in range(len(body.obj.edges.start))
+    ]
+    rims = [
+        ("edge", f"e{e}", f"p{i}", mu) for e in range(edges) for i, mu in enumerate(params.friction)
+    ]
     return "".join(
         f'<pair name="{kind}_{a}_{b}" geom1="{a}" geom2="{b}" condim="3" friction="{mu} {mu} 0 0 0"/>'
         for kind, a, b, mu in (*feet, *walls, *rims)
@@ -349,13 +382,17 @@ def _set_contacts(model: "mujoco.MjModel", body: TruthBody) -> None:
     foot, pusher = (float(value) for value in model.body_invweight0[1:, 0])
     names = [model.pair(i).name for i in range(model.npair)]  # MuJoCo sorts them
     feet = [names.index(f"foot_table_f{i}") for i in range(len(body.load))]
-    walls, edges = ([i for i, name in enumerate(names) if name.startswith(kind)] for kind in ("wall", "edge"))
+    walls, edges = (
+        [i for i, name in enumerate(names) if name.startswith(kind)] for kind in ("wall", "edge")
+    )
     _set_springs(model, feet, body.load, body.sinkage, foot)
     _set_springs(model, walls, weight, PUSHER_SINKAGE, foot + pusher)
     _set_springs(model, edges, weight / EDGE_BEARING, body.sinkage, foot)
 
 
-def _set_springs(model: "mujoco.MjModel", rows: list[int], load: Array, sinkage: float, inverse: float) -> None:
+def _set_springs(
+    model: "mujoco.MjModel", rows: list[int], load: Array, sinkage: float, inverse: float
+) -> None:
     """Lets pairs of geoms give way by `sinkage` under a load, see `calc_springs`."""
     springs, slip, impedance = calc_springs(load, sinkage, inverse)
     model.pair_solref[rows], model.pair_solreffriction[rows] = springs, slip

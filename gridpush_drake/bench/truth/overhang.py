@@ -1,7 +1,8 @@
 """Pushes of bodies that hang over a table's edge, in MuJoCo and in Drake's free plant, and the model beside them.
 
-The table is the half-plane x < 0. A body with known masses lies on it with 10 to 45 % of its cells beyond the edge and
-is pushed; and it is pushed towards the edge until it tips, to see on which side of the limit the model does.
+The table is the half-plane x < 0. A body with known masses lies on it with 10 to 45 % of its cells
+beyond the edge and is pushed; and it is pushed towards the edge until it tips, to see on which side
+of the limit the model does.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,7 +18,15 @@ from gridpush_drake.bench.paper import calc_interval
 from gridpush_drake.bench.plant import PUSH_HEIGHT, PlantPusher
 from gridpush_drake.bench.table import MM, Table, Value
 from gridpush_drake.bench.truth.mujoco_world import BODY_HEIGHT, TABLE_HALF, TruthWorld
-from gridpush_drake.bench.truth.sets import CLEARANCE, HALF_HEIGHT, MIN_MOTION, OUTLINES, SLANT, draw_masses, make_body
+from gridpush_drake.bench.truth.sets import (
+    CLEARANCE,
+    HALF_HEIGHT,
+    MIN_MOTION,
+    OUTLINES,
+    SLANT,
+    draw_masses,
+    make_body,
+)
 from gridpush_drake.dynamics.motion import MotionStatus
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
@@ -51,7 +60,8 @@ MAX_TILT = np.radians(2)
 """Of a body that is pushed over the edge."""
 
 TIPPING_TILT = np.radians(6)
-"""From which a body tips: before, its bottom may come to rest on the edge when its last foot has left the table."""
+"""From which a body tips: before, its bottom may come to rest on the edge when its last foot has
+left the table."""
 
 FALLEN = np.radians(10)
 """Tilt from which a body counts as dropped."""
@@ -140,7 +150,11 @@ class TippingScore:
 
 
 def run(
-    objects: Sequence[str] | None, sets: int, seed: int, execution: Execution = QUIET, bodies: int = TIPPED_BODIES
+    objects: Sequence[str] | None,
+    sets: int,
+    seed: int,
+    execution: Execution = QUIET,
+    bodies: int = TIPPED_BODIES,
 ) -> list[Table]:
     """Sets the model beside both worlds.
 
@@ -158,9 +172,16 @@ def run(
         GridPushError: MuJoCo is not installed, or no such push is found.
     """
     names = OUTLINES if objects is None else tuple(objects)
-    pushes = [OverhangJob(world, name, seed + i) for world in WORLDS for i in range(sets) for name in names]
+    pushes = [
+        OverhangJob(world, name, seed + i)
+        for world in WORLDS
+        for i in range(sets)
+        for name in names
+    ]
     limits = [TippingJob(name, seed + i) for i in range(bodies) for name in names]
-    found = run_jobs(run_overhang, pushes, lambda job: f"{job.world}, {job.name} {job.seed}", execution)
+    found = run_jobs(
+        run_overhang, pushes, lambda job: f"{job.world}, {job.name} {job.seed}", execution
+    )
     sides = run_jobs(run_tipping, limits, lambda job: f"tipping, {job.name} {job.seed}", execution)
     return [tabulate_pushes([score for scores in found for score in scores]), tabulate_limit(sides)]
 
@@ -182,11 +203,14 @@ def run_overhang(job: OverhangJob) -> list[OverhangScore]:
             score = _score(job, obj, known, push, *done[0][[0, -1]])
             if SHARE[0] <= score.share <= SHARE[1] and score.moved >= MIN_MOTION:
                 scores.append(score)
-    raise GridPushError(f"{job.name}: {TRIES} random pushes hold only {len(scores)} over the edge that do not tip it")
+    raise GridPushError(
+        f"{job.name}: {TRIES} random pushes hold only {len(scores)} over the edge that do not tip it"
+    )
 
 
 Move = Callable[[Push, Array], tuple[Array, float] | None]
-"""From a push and a pose to the poses (T+1, 3) and the greatest tilt, rad; None where the body does not rest there."""
+"""From a push and a pose to the poses (T+1, 3) and the greatest tilt, rad; None where the body does
+not rest there."""
 
 
 def _make_world(
@@ -224,12 +248,16 @@ def _draw_pose(obj: GridObject, params: CellParameters, rng: np.random.Generator
     return np.array([-edge, 0.0, theta]) if center <= -reach else None
 
 
-def _draw_push(obj: GridObject, pose: Array | None, radius: float, rng: np.random.Generator) -> Push | None:
+def _draw_push(
+    obj: GridObject, pose: Array | None, radius: float, rng: np.random.Generator
+) -> Push | None:
     place, angle = rng.uniform(0, obj.edges.perimeter), rng.uniform(-SLANT, SLANT)
     point, _, normal = obj.edges.at(place)
     if pose is None or obj.outline.distance(Point(point + normal * (radius + CLEARANCE))) < radius:
         return None
-    return Push.on_outline(obj, place, angle, DISTANCE, radius=radius, speed=SPEED, pose=pose, clearance=CLEARANCE)
+    return Push.on_outline(
+        obj, place, angle, DISTANCE, radius=radius, speed=SPEED, pose=pose, clearance=CLEARANCE
+    )
 
 
 def _score(
@@ -272,11 +300,14 @@ def run_tipping(job: TippingJob) -> TippingScore:
             continue
         begin = _put(world, pose)
         told = [
-            simulate(obj, known, each, begin, regime="quasi_static", table=SURFACE.corners) for each in (before, behind)
+            simulate(obj, known, each, begin, regime="quasi_static", table=SURFACE.corners)
+            for each in (before, behind)
         ]
         stayed, tipped = (motion.status == MotionStatus.TIPS for motion in told)
         return TippingScore(job.name, job.seed, stayed, tipped)
-    raise GridPushError(f"{job.name}: none of {TRIES} pushes brings it over the edge as a limit asks for")
+    raise GridPushError(
+        f"{job.name}: none of {TRIES} pushes brings it over the edge as a limit asks for"
+    )
 
 
 def _aim(obj: GridObject, pose: Array, radius: float) -> Push:
@@ -356,4 +387,6 @@ def tabulate_limit(scores: Sequence[TippingScore]) -> Table:
         f"Bodies in MuJoCo, pushed across the edge; the model is asked {TIP_SLACK * MM:g} mm of the pusher's path "
         "before and behind the place where the body begins to tip.",
     )
-    return Table("The limit", ("object", "bodies", "said to stay before", "said to tip behind"), rows, notes)
+    return Table(
+        "The limit", ("object", "bodies", "said to stay before", "said to tip behind"), rows, notes
+    )

@@ -71,7 +71,8 @@ UNEVENNESS = 3e-4
 """m, at most, by which a vertex is higher than others."""
 
 FOOT_HEIGHT = 1e-3
-"""m of rigid feet: what the flat bottom is above the table. It touches only where feet are over the edge."""
+"""m of rigid feet: what the flat bottom is above the table. It touches only where feet are over the
+edge."""
 
 BEARING_FEET = 3
 """By which a rigid body's weight is shared out, to say how stiff its feet are."""
@@ -81,7 +82,9 @@ TRIES = 20000
 OBJECT, PUSHES, HELD_OUT_PUSHES, TRUTH = "object.yaml", "pushes.csv", "heldout.csv", "truth.json"
 """Files of a set."""
 
-WHAT = "a truth (JSON with kind, outline, seed, mass, friction, contact_friction, loads, push_height)"
+WHAT = (
+    "a truth (JSON with kind, outline, seed, mass, friction, contact_friction, loads, push_height)"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +119,9 @@ class TruthSet:
         return self.params.center_of_mass(self.obj)
 
 
-def make_set(kind: str, name: str, seed: int, training: int = TRAINING, held_out: int = HELD_OUT) -> TruthSet:
+def make_set(
+    kind: str, name: str, seed: int, training: int = TRAINING, held_out: int = HELD_OUT
+) -> TruthSet:
     """Draws a hidden body and pushes it.
 
     Args:
@@ -130,14 +135,17 @@ def make_set(kind: str, name: str, seed: int, training: int = TRAINING, held_out
         The set.
 
     Raises:
-        GridPushError: the kind is not known, hardly any push moves the body, or MuJoCo is not installed.
+        GridPushError: the kind is not known, hardly any push moves the body, or MuJoCo is not
+            installed.
         ObjectError: no shipped object has this name.
     """
     rng = np.random.default_rng([seed, crc32(name.encode())])
     obj, params = draw_masses(name, rng)
     body = make_body(kind, obj, params, rng)
     radius = obj.prior.pusher_radius or DEFAULT_PUSHER_RADIUS
-    obj = replace(obj, prior=replace(obj.prior, pusher_radius=radius, push_height=body.push_height or None))
+    obj = replace(
+        obj, prior=replace(obj.prior, pusher_radius=radius, push_height=body.push_height or None)
+    )
     world = TruthWorld(body, radius)
     pushes = [draw_push(world, f"push_{i + 1}", rng) for i in range(training + held_out)]
     logs = (PushLog(tuple(pushes[:training])), PushLog(tuple(pushes[training:])))
@@ -161,7 +169,11 @@ def draw_masses(name: str, rng: np.random.Generator) -> tuple[GridObject, CellPa
 
 
 def make_body(
-    kind: str, obj: GridObject, params: CellParameters, rng: np.random.Generator, height: float = BODY_HEIGHT / 2
+    kind: str,
+    obj: GridObject,
+    params: CellParameters,
+    rng: np.random.Generator,
+    height: float = BODY_HEIGHT / 2,
 ) -> TruthBody:
     """Puts an object of given masses on feet, pushed at a height, m; OWN_WEIGHT at the table's.
 
@@ -172,7 +184,9 @@ def make_body(
     cells, weight = np.arange(obj.n), params.total_mass * GRAVITY
     height = 0.0 if kind == OWN_WEIGHT else height
     if kind in (OWN_WEIGHT, HALF_HEIGHT):
-        return TruthBody(obj, params, obj.p_BC, cells, params.mass * GRAVITY, SINKAGE, np.zeros(obj.n), height)
+        return TruthBody(
+            obj, params, obj.p_BC, cells, params.mass * GRAVITY, SINKAGE, np.zeros(obj.n), height
+        )
     if kind == FOUNDATION:
         even = np.full(obj.n, weight / obj.n)
         return TruthBody(obj, params, obj.p_BC, cells, even, SINKAGE, np.zeros(obj.n), height)
@@ -188,7 +202,16 @@ def make_body(
         raise GridPushError(f"kind: {kind!r}; expected one of {', '.join(KINDS)}")
     load = np.full(len(feet), weight / BEARING_FEET)
     return TruthBody(
-        obj, params, feet, cell, load, RIGID_SINKAGE, gap, height, bottom=FOOT_HEIGHT, time_step=RIGID_TIME_STEP
+        obj,
+        params,
+        feet,
+        cell,
+        load,
+        RIGID_SINKAGE,
+        gap,
+        height,
+        bottom=FOOT_HEIGHT,
+        time_step=RIGID_TIME_STEP,
     )
 
 
@@ -197,7 +220,11 @@ def draw_push(world: TruthWorld, name: str, rng: np.random.Generator) -> Observe
     obj, radius = world.body.obj, world.radius
     for _ in range(TRIES):
         pose = np.array([*rng.uniform(-REACH, REACH, 2), rng.uniform(-np.pi, np.pi)])
-        place, angle, speed = rng.uniform(0, obj.edges.perimeter), rng.uniform(-SLANT, SLANT), rng.uniform(*SPEED_RANGE)
+        place, angle, speed = (
+            rng.uniform(0, obj.edges.perimeter),
+            rng.uniform(-SLANT, SLANT),
+            rng.uniform(*SPEED_RANGE),
+        )
         point, _, normal = obj.edges.at(place)
         if obj.outline.distance(Point(point + normal * (radius + CLEARANCE))) < radius:
             continue
@@ -249,7 +276,10 @@ def read_set(folder: Path) -> TruthSet:
         GridPushError: a file is not there or not of its form.
     """
     obj = GridObject.from_yaml(folder / OBJECT)
-    logs = [PushLog.read_csv(folder / name, obj.prior.pusher_radius) for name in (PUSHES, HELD_OUT_PUSHES)]
+    logs = [
+        PushLog.read_csv(folder / name, obj.prior.pusher_radius)
+        for name in (PUSHES, HELD_OUT_PUSHES)
+    ]
     path = folder / TRUTH
     try:
         truth = json.loads(read_text(path, WHAT, GridPushError))

@@ -40,11 +40,15 @@ class Method(NamedTuple):
     relative_stiction: float
 
 
-def make_method(inertial: bool, friction: str, spin: str, stiction: float, relative_stiction: float) -> Method:
+def make_method(
+    inertial: bool, friction: str, spin: str, stiction: float, relative_stiction: float
+) -> Method:
     """Makes a method; the law decides where its steps look at the body, and replaces a spin model it does not know."""
     law = LAWS[friction]
     ahead = AHEAD if law.looks_ahead else 0.0
-    return Method(inertial, friction, law.choose_spin(spin), ahead, float(stiction), float(relative_stiction))
+    return Method(
+        inertial, friction, law.choose_spin(spin), ahead, float(stiction), float(relative_stiction)
+    )
 
 
 def run_kernel(
@@ -73,8 +77,10 @@ def run_kernel(
         dts: (T,) steps, s, or as `push.measure_steps` has them; the velocities are by the same.
         load: what drives the body.
         row_of_step: (T+1,) row of J that records this step, -1 for none.
-        J: (rows, 3, width) filled, see `forward_sensitivity`; without columns where no derivative is wanted.
-        memory: (MEMORY_SIZE,) of the step before, updated in place; a body that was at rest by default.
+        J: (rows, 3, width) filled, see `forward_sensitivity`; without columns where no derivative
+            is wanted.
+        memory: (MEMORY_SIZE,) of the step before, updated in place; a body that was at rest by
+            default.
         table: (K, 4) edges of the table's top, m, see `Support`; without any it is endless.
 
     Returns:
@@ -87,7 +93,17 @@ def run_kernel(
         np.empty((steps, 2, 2)), np.empty((steps, 2), np.int64), np.empty(steps + 1), np.empty((steps, 2)),
         np.empty(steps, np.bool_), np.empty((steps, 2), np.int64),
     )  # fmt: skip
-    rollout(*prepared, load, q, nu, dts, row_of_step, record, J, make_memory() if memory is None else memory)
+    rollout(
+        *prepared,
+        load,
+        q,
+        nu,
+        dts,
+        row_of_step,
+        record,
+        J,
+        make_memory() if memory is None else memory,
+    )
     return record
 
 
@@ -108,7 +124,9 @@ def run_pushes(
         The poses (rows, 3) that are recorded, and whether the object was touched (P,).
     """
     poses, touched = np.empty((rows, 3)), np.empty(len(pushes.radii), np.bool_)
-    rollout_pushes(*_prepare(obj, params, gravity, method, table), pushes, row_of_step, poses, touched, J)
+    rollout_pushes(
+        *_prepare(obj, params, gravity, method, table), pushes, row_of_step, poses, touched, J
+    )
     return poses, touched
 
 
@@ -121,10 +139,18 @@ def _prepare(
     support = make_support(obj, params, gravity, table)
     k = body.k.copy() if support.active else body.k
     law = LAWS[method.friction].make(k, calc_spin_arm(obj, params), method.spin)
-    return law, body, support, edges, Scheme(method.inertial, method.ahead, method.stiction, method.relative_stiction)
+    return (
+        law,
+        body,
+        support,
+        edges,
+        Scheme(method.inertial, method.ahead, method.stiction, method.relative_stiction),
+    )
 
 
-def _make_body(obj: GridObject, params: CellParameters, gravity: float, inertial: bool, cells: Array) -> Body:
+def _make_body(
+    obj: GridObject, params: CellParameters, gravity: float, inertial: bool, cells: Array
+) -> Body:
     """Collects what the kernels know of the object, as floats: for other numbers Numba would compile them once more."""
     k = params.friction * params.mass * gravity
     mass = com_x = com_y = inertia = 0.0
@@ -132,7 +158,9 @@ def _make_body(obj: GridObject, params: CellParameters, gravity: float, inertial
         com_x, com_y = map(float, params.center_of_mass(obj))
         mass, inertia = float(params.total_mass), float(params.inertia(obj))
     size, friction = float(obj.cell_size), float(params.contact_friction)
-    return Body(cells, k, mass, com_x, com_y, inertia, float(obj.radius_of_gyration), size, friction)
+    return Body(
+        cells, k, mass, com_x, com_y, inertia, float(obj.radius_of_gyration), size, friction
+    )
 
 
 def shifts_loads(params: CellParameters, table: Array | None) -> bool:
@@ -140,7 +168,9 @@ def shifts_loads(params: CellParameters, table: Array | None) -> bool:
     return params.push_height > 0 or table is not None
 
 
-def make_support(obj: GridObject, params: CellParameters, gravity: float, table: Array | None) -> Support:
+def make_support(
+    obj: GridObject, params: CellParameters, gravity: float, table: Array | None
+) -> Support:
     """Collects what the loads depend on; `table` as in `run_kernel`."""
     if not shifts_loads(params, table):
         return Support(
@@ -159,12 +189,16 @@ def calc_reach(obj: GridObject) -> float:
     return _cell_lines(obj)[0]
 
 
-def _cell_lines(obj: GridObject) -> tuple[float, Array, Array, NDArray[np.int64], NDArray[np.int64]]:
+def _cell_lines(
+    obj: GridObject,
+) -> tuple[float, Array, Array, NDArray[np.int64], NDArray[np.int64]]:
     """The cells' reach from B's origin, m, the x and the y that occur, m, and which are each cell's; made once."""
     cached = obj.__dict__.get("_kernel_lines")
     if cached is None:
         reach = float(np.linalg.norm(obj.p_BC, axis=1).max())
-        (xs, column), (ys, row) = (np.unique(obj.p_BC[:, axis], return_inverse=True) for axis in (0, 1))
+        (xs, column), (ys, row) = (
+            np.unique(obj.p_BC[:, axis], return_inverse=True) for axis in (0, 1)
+        )
         cached = obj.__dict__["_kernel_lines"] = reach, xs, ys, column, row
     return cached
 
@@ -177,7 +211,12 @@ def find_rest_loads(
     support = make_support(obj, params, gravity, np.empty((0, 4)) if table is None else table)
     loads = make_loads(support)
     held = find_loads(
-        support, cells, float(obj.cell_size), make_state(q, np.zeros(3), 0.0, 0.0), loads, np.empty(obj.n)
+        support,
+        cells,
+        float(obj.cell_size),
+        make_state(q, np.zeros(3), 0.0, 0.0),
+        loads,
+        np.empty(obj.n),
     )
     return params.total_mass * gravity * params.mass * loads.share if held else None
 
@@ -191,6 +230,9 @@ def _outline_arrays(obj: GridObject) -> tuple[Array, Any]:
     if cached is None:
         edges = obj.edges
         ends = np.array(np.column_stack([edges.start, edges.end]).T, order="C")
-        cached = np.array(obj.p_BC.T, order="C"), Edges(ends[0], ends[1], ends[2], ends[3], np.array(edges.previous))
+        cached = (
+            np.array(obj.p_BC.T, order="C"),
+            Edges(ends[0], ends[1], ends[2], ends[3], np.array(edges.previous)),
+        )
         obj.__dict__["_kernel_arrays"] = cached
     return cached

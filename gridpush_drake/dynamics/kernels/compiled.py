@@ -1,13 +1,15 @@
 """How the kernels are compiled: once a machine, and again whenever the source of any of them changes.
 
-Numba looks only at the file of the function that it caches, not at the files of those it calls; a kernel spread over
-several files could so run with stale parts. And it takes two checkouts of the same sources for different ones. The
-cache here is a folder named by the contents of all files of this package and of the function's own file:
+Numba looks only at the file of the function that it caches, not at the files of those it calls; a
+kernel spread over several files could so run with stale parts. And it takes two checkouts of the
+same sources for different ones. The cache here is a folder named by the contents of all files of
+this package and of the function's own file:
 
     $NUMBA_CACHE_DIR, else $XDG_CACHE_HOME/gridpush_drake, else ~/.cache/gridpush_drake
 
-or, where that cannot be written, beside the bytecode or in the folder for temporary files. A folder that is already
-there is read where it cannot be written. Whoever makes a new one removes those that nobody has used for a month.
+or, where that cannot be written, beside the bytecode or in the folder for temporary files. A folder
+that is already there is read where it cannot be written. Whoever makes a new one removes those that
+nobody has used for a month.
 """
 
 import hashlib
@@ -36,14 +38,17 @@ UNUSED = 30 * 86400.0
 KERNELS = Path(__file__).parent
 
 
-def kernel(*, allocates: bool = True, fast_sums: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def kernel(
+    *, allocates: bool = True, fast_sums: bool = False
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Compiles a function on its first call; without the GIL, with division as in C.
 
     A function whose name begins with an underscore can be called from kernels only.
 
     Args:
-        allocates: whether it makes arrays, or is called with such as nobody else holds. One that does neither need not
-            count references, which costs more than the rest of a small function.
+        allocates: whether it makes arrays, or is called with such as nobody else holds. One that
+            does neither need not count references, which costs more than the rest of a small
+            function.
         fast_sums: whether sums may be reordered and divisions by the same number shared.
 
     Returns:
@@ -92,7 +97,10 @@ def find_cache_folder(source: Path) -> Path:
     given = os.environ.get("NUMBA_CACHE_DIR")
     home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
     folders = [
-        place / name for place in ([Path(given)] if given else [home / "gridpush_drake", KERNELS / "__pycache__"])
+        place / name
+        for place in (
+            [Path(given)] if given else [home / "gridpush_drake", KERNELS / "__pycache__"]
+        )
     ]
     for folder in folders:
         with suppress(OSError):

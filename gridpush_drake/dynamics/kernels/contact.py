@@ -1,7 +1,8 @@
 """Contact of the disc pusher with the object's outline: where, with which normal, at which gap.
 
-All in the body frame. The signed distance from the disc's center t to the outline has a local minimum on an edge, or at
-a convex vertex, for each place the disc can touch; a concave outline has two such places. A contact is a row of
+All in the body frame. The signed distance from the disc's center t to the outline has a local
+minimum on an edge, or at a convex vertex, for each place the disc can touch; a concave outline has
+two such places. A contact is a row of
 
     nx, ny   unit normal N, into the object; the tangent is T = z × N
     cx, cy   the contact point on the outline, m
@@ -74,11 +75,17 @@ def find_contacts(edges, tx, ty, radius, reach, contacts):
             j = previous[i]
             qx, qy = ax[i] - ax[j], ay[i] - ay[j]
             turn = qx * ey - qy * ex
-            convex = turn > _STRAIGHT * length2 or (turn > -_STRAIGHT * length2 and rx * ey > ry * ex)
+            convex = turn > _STRAIGHT * length2 or (
+                turn > -_STRAIGHT * length2 and rx * ey > ry * ex
+            )
             if distance2 < nearest2:
                 nearest2, nearest = distance2, (_CONVEX_VERTEX if convex else _REFLEX_VERTEX)
             # word for word the test of edge j below: where it ends, the vertex begins
-            if distance2 > limit2 or not convex or (tx - ax[j]) * qx + (ty - ay[j]) * qy < qx * qx + qy * qy:
+            if (
+                distance2 > limit2
+                or not convex
+                or (tx - ax[j]) * qx + (ty - ay[j]) * qy < qx * qx + qy * qy
+            ):
                 continue
             distance = sqrt(distance2)
             if distance == 0.0:
@@ -135,8 +142,9 @@ def _is_on_straight(ax, ay, previous, i, ex, ey, tx, ty):
 def look_ahead(edges, tx, ty, dx, dy, radius, reach, contacts, ahead):
     """Finds the contacts of the disc where it will be, but with the gaps from where it is.
 
-    Of the displacement expected only the part along the outline counts: it decides which way the normal will point and
-    where the contact will be, while the part across is for the contact itself to resolve.
+    Of the displacement expected only the part along the outline counts: it decides which way the
+    normal will point and where the contact will be, while the part across is for the contact itself
+    to resolve.
 
     Args:
         edges, tx, ty, radius, reach: as in `find_contacts`.
@@ -154,12 +162,15 @@ def look_ahead(edges, tx, ty, dx, dy, radius, reach, contacts, ahead):
     for c in range(count):
         i = int(ahead[c, FEATURE])
         if ahead[c, BEND] > 0.0:
-            # round a vertex the disc comes from one edge and goes to the other: it must overlap neither
+            # round a vertex the disc comes from one edge and goes to the other: it must overlap
+            # neither
             ahead[c, GAP] = np.inf
             _measure_gap(ax, ay, bx, by, previous[i], tx, ty, radius, ahead, c)
             _measure_gap(ax, ay, bx, by, i, tx, ty, radius, ahead, c)
         else:
-            ahead[c, GAP] = ahead[c, NX] * (ahead[c, CX] - tx) + ahead[c, NY] * (ahead[c, CY] - ty) - radius
+            ahead[c, GAP] = (
+                ahead[c, NX] * (ahead[c, CX] - tx) + ahead[c, NY] * (ahead[c, CY] - ty) - radius
+            )
     return count
 
 

@@ -1,12 +1,13 @@
 """The contact problem of one linearized step: which of its at most two contacts separate, stick or slide.
 
-With the 3x3 Hessian H, the rows J_n, J_t of the contacts and E = J_n^T (+ J_t^T, or + mu J_t^T where it slides), the
-modes that are right solve
+With the 3x3 Hessian H, the rows J_n, J_t of the contacts and E = J_n^T (+ J_t^T, or + mu J_t^T
+where it slides), the modes that are right solve
 
-    [[H, -E], [C, 0]] (xi, lam) = (rhs, what the pusher asks for),    C = J_n of touching, J_t of sticking contacts
+    [[H, -E], [C, 0]] (xi, lam) = (rhs, what the pusher asks for),    C = J_n of touching, J_t of
+    sticking contacts
 
-with lam_n >= 0 where a contact touches, no approach where it does not, |lam_t| <= mu lam_n where it sticks, and slip
-against lam_t where it slides. The last step's modes are tried first, then all.
+with lam_n >= 0 where a contact touches, no approach where it does not, |lam_t| <= mu lam_n where it
+sticks, and slip against lam_t where it slides. The last step's modes are tried first, then all.
 """
 
 from typing import Any, NamedTuple
@@ -115,8 +116,8 @@ def solve_dense(A, B, size, columns):
 def build_contact_system(H, touch, modes, compliance, K):
     """Fills K with [[H, -E], [C, -compliance]] for the contacts that are not separate; returns its size.
 
-    C holds J_n of every touching contact and J_t of every sticking one; E holds J_n (and J_t) of a sticking contact,
-    J_n ± mu J_t of a sliding one.
+    C holds J_n of every touching contact and J_t of every sticking one; E holds J_n (and J_t) of a
+    sticking contact, J_n ± mu J_t of a sliding one.
     """
     contacts, mu = touch.contacts, touch.mu
     for i in range(3):
@@ -136,7 +137,11 @@ def build_contact_system(H, touch, modes, compliance, K):
         elif mode == SLIDE_MINUS:
             slide = -mu
         K[size, 0], K[size, 1], K[size, 2] = nx, ny, n2
-        K[0, size], K[1, size], K[2, size] = -(nx - slide * ny), -(ny + slide * nx), -(n2 + slide * t2)
+        K[0, size], K[1, size], K[2, size] = (
+            -(nx - slide * ny),
+            -(ny + slide * nx),
+            -(n2 + slide * t2),
+        )
         size += 1
         if mode == STICK:
             K[size, 0], K[size, 1], K[size, 2] = -ny, nx, t2
@@ -153,10 +158,11 @@ def build_contact_system(H, touch, modes, compliance, K):
 def relax_jam(contacts, X, columns):
     """Makes the right-hand sides of two sticking contacts consistent, in rows 3 to 6 of X.
 
-    Two contacts that stick ask for four velocities, a rigid body has three: z^T J = 0 with z a pair of opposite forces
-    along the line d between the contacts, so z^T X must vanish too. What gaps leave of it is taken from the tangential
-    rows, the normal ones only where d is normal to the outline: the disc slips a little to close its gaps. Else the
-    two contacts would squeeze the body without bound.
+    Two contacts that stick ask for four velocities, a rigid body has three: z^T J = 0 with z a pair
+    of opposite forces along the line d between the contacts, so z^T X must vanish too. What gaps
+    leave of it is taken from the tangential rows, the normal ones only where d is normal to the
+    outline: the disc slips a little to close its gaps. Else the two contacts would squeeze the body
+    without bound.
     """
     dx, dy = contacts[1, CX] - contacts[0, CX], contacts[1, CY] - contacts[0, CY]
     z0 = contacts[0, NX] * dx + contacts[0, NY] * dy

@@ -1,17 +1,19 @@
 """The derivative of a whole push: columns of variations, carried forward from step to step.
 
-All is seen from the body: s = (R^T dx, dtheta) the variation of the pose, v that of the velocity of the center of mass
-(quasi-static: of B's origin, which is then only what the next step expects) with the yaw rate. The disc's center and
-velocity vary by
+All is seen from the body: s = (R^T dx, dtheta) the variation of the pose, v that of the velocity of
+the center of mass (quasi-static: of B's origin, which is then only what the next step expects) with
+the yaw rate. The disc's center and velocity vary by
 
     dt = -s_xy - s_theta z × t + R^T dtip,     dv_p = -s_theta z × v_p + R^T dv_tip
 
 Columns, n + OTHER in all:
 
-    k_1..k_n | m, cx, cy, I | mu_c | start x, start y, direction, length | x, y, theta at the beginning
+    k_1..k_n | m, cx, cy, I | mu_c | start x, start y, direction, length | x, y, theta at the
+    beginning
 
-Where loads shift (`support_loads`) the cells' columns are those of m_1..m_n, there is one more for h and, where both
-are wanted, n for mu_1..mu_n; and the friction F with the table is carried along, with H2 the first rows of its Hessian:
+Where loads shift (`support_loads`) the cells' columns are those of m_1..m_n, there is one more for
+h and, where both are wanted, n for mu_1..mu_n; and the friction F with the table is carried along,
+with H2 the first rows of its Hessian:
 
     F' = H2 dxi + f
 """
@@ -48,8 +50,8 @@ class Columns(NamedTuple):
     """The variations of every column, and workspace.
 
     Attributes:
-        Q: (9, width) rows 0-2 s, 3-5 v; 6-8 f, the force of each column: cells' and inertia's; where loads shift,
-            9-10 F.
+        Q: (9, width) rows 0-2 s, 3-5 v; 6-8 f, the force of each column: cells' and inertia's;
+            where loads shift, 9-10 F.
         N, Z, B: workspace (6, width), (6, 9), (3, 6).
     """
 
@@ -78,10 +80,13 @@ def start_columns(Q, n, state):
 
 
 @kernel(allocates=False)
-def step_columns(columns, body, inertial, maps, derivative, xi, start, path_length, point, new_x, new_y, H2):
+def step_columns(
+    columns, body, inertial, maps, derivative, xi, start, path_length, point, new_x, new_y, H2
+):
     """Carries every column over one step: (s, v)' = Z (s, v, f) + what acts on a column directly.
 
-        dxi = B (s, v) - Y f + direct;  s' = A s + G dxi + dt p v_w;  v' = L dxi + p v_w,  p = h z × (new velocity)
+        dxi = B (s, v) - Y f + direct;  s' = A s + G dxi + dt p v_w;  v' = L dxi + p v_w,  p = h z ×
+        (new velocity)
 
     Args:
         columns: updated; the cells' f in Q is that of the step.
@@ -131,7 +136,10 @@ def _fill_step_matrix(Z, B, body, inertial, maps, derivative, xi, start, point, 
     fx, fy, hat_x, hat_y = start.fx, start.fy, start.hat_x, start.hat_y
     ca, sa = cos(a), sin(a)
     for i in range(3):
-        momentum_x, momentum_y = mass / dt * (Y[i, 0] - com_y * Y[i, 2]), mass / dt * (Y[i, 1] + com_x * Y[i, 2])
+        momentum_x, momentum_y = (
+            mass / dt * (Y[i, 0] - com_y * Y[i, 2]),
+            mass / dt * (Y[i, 1] + com_x * Y[i, 2]),
+        )
         turned_force = Y[i, 0] * fy - Y[i, 1] * fx - Y[i, 2] * (point[0] * fx + point[1] * fy)
         B[i, 0], B[i, 1] = -E[i, 0], -E[i, 1]
         B[i, 2] = E[i, 0] * ty - E[i, 1] * tx + E[i, 2] * vpy - E[i, 3] * vpx + turned_force
@@ -175,7 +183,8 @@ def _add_inertia_forces(Q, n, body, xi, start):
 def _add_com(Q, n, maps, derivative, xi, start, H2):
     """Adds what the center of mass does directly, and as B's origin is what the expected twist is that of.
 
-    x' = ... + dt R(a) w z × dc + dc - R(w dt) dc, turned into the new body frame; the same for the velocity.
+    x' = ... + dt R(a) w z × dc + dc - R(w dt) dc, turned into the new body frame; the same for the
+    velocity.
     """
     G, L, E = maps.G, maps.L, derivative.E
     dt, w, a, yaw_rate = start.dt, xi[2], start.a, start.yaw_rate
@@ -189,7 +198,9 @@ def _add_com(Q, n, maps, derivative, xi, start, H2):
     Q[4, n + COM_X] += w * cb
     Q[3, n + COM_Y] += -w * cb
     Q[4, n + COM_Y] += w * sb
-    _add_direct(Q, n + COM_X, -yaw_rate * E[0, 5], -yaw_rate * E[1, 5], -yaw_rate * E[2, 5], G, L, H2)
+    _add_direct(
+        Q, n + COM_X, -yaw_rate * E[0, 5], -yaw_rate * E[1, 5], -yaw_rate * E[2, 5], G, L, H2
+    )
     _add_direct(Q, n + COM_Y, yaw_rate * E[0, 4], yaw_rate * E[1, 4], yaw_rate * E[2, 4], G, L, H2)
 
 

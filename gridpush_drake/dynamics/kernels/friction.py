@@ -1,7 +1,7 @@
 """The laws of support friction, and the kernels' calls of them.
 
-A kernel gets a law as a named tuple; its class decides, when the kernel is compiled, which law's functions are called.
-Every law so has a solver of its own, and pays for no other.
+A kernel gets a law as a named tuple; its class decides, when the kernel is compiled, which law's
+functions are called. Every law so has a solver of its own, and pays for no other.
 """
 
 from typing import Any

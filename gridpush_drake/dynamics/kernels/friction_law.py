@@ -1,12 +1,14 @@
 """What a law of support friction is: one object, in one file, with all that the solver asks of it.
 
-With xi = (ux, uy, w) the twist of the body in its own frame and k_i = mu_i m_i g the friction that cell i can carry, a
-law is a dissipation Psi(xi; k), convex in xi, smoothed below the stiction tolerance eps, and its derivatives:
+With xi = (ux, uy, w) the twist of the body in its own frame and k_i = mu_i m_i g the friction that
+cell i can carry, a law is a dissipation Psi(xi; k), convex in xi, smoothed below the stiction
+tolerance eps, and its derivatives:
 
     Psi,    g = dPsi/dxi,    H = d²Psi/dxi²,    f_i = dg/dk_i
 
-A new law is a file like `isotropic_friction` that ends with its `FrictionLaw`, and one entry in `friction.LAWS`. The
-kernels are then compiled for it on its first use, and `tests/dynamics/kernels/test_friction_laws.py` tests it.
+A new law is a file like `isotropic_friction` that ends with its `FrictionLaw`, and one entry in
+`friction.LAWS`. The kernels are then compiled for it on its first use, and
+`tests/dynamics/kernels/test_friction_laws.py` tests it.
 """
 
 from collections.abc import Callable
@@ -33,26 +35,29 @@ def calc_spin_arm(obj: GridObject, params: CellParameters) -> float:
 class FrictionLaw:
     """A law of support friction.
 
-    The functions are kernels, or `make` apart, NumPy; `law` is what `make` made, `cells` (2, n) the cell centers p_BC
-    in m, `xi` (3,) the twist in m/s and rad/s.
+    The functions are kernels, or `make` apart, NumPy; `law` is what `make` made, `cells` (2, n) the
+    cell centers p_BC in m, `xi` (3,) the twist in m/s and rad/s.
 
     Attributes:
         name: the word by which `simulate` knows it.
         data: the class of `law`, a named tuple of arrays and numbers, no other law's.
         make: (k, arm, spin) -> law, of k (n,) in N, arm = `calc_spin_arm` in m, and a spin model.
         renew: (law): takes notice that its k changed.
-        begin_step: (law, cells, com_x, com_y, cell_size, hat, push, known): looks at the motion before the step, (3,)
-            `hat`, and at that which the applied force alone would give from rest, (3,) `push`, both of the center of
-            mass; `known` says whether either tells where the body goes.
+        begin_step: (law, cells, com_x, com_y, cell_size, hat, push, known): looks at the motion
+            before the step, (3,) `hat`, and at that which the applied force alone would give from
+            rest, (3,) `push`, both of the center of mass; `known` says whether either tells where
+            the body goes.
         calc_dissipation: (law, cells, eps, xi) -> Psi, W.
-        add_derivatives: (law, cells, eps, xi, majorize, g, H): adds g (3,) and H (3, 3). With `majorize` H is that of a
-            quadratic which touches Psi at xi from above: slower, but a step with it always descends.
+        add_derivatives: (law, cells, eps, xi, majorize, g, H): adds g (3,) and H (3, 3). With
+            `majorize` H is that of a quadratic which touches Psi at xi from above: slower, but a
+            step with it always descends.
         can_majorize: (law) -> whether there is such a quadratic; `majorize` is asked for only then.
         fill_load_derivatives: (law, cells, eps, xi, f): fills f (3, >= n) with f_i.
         spin_models: those it knows; any other word stands for the first.
         regimes: those it knows.
         gradients: the values of `simulate`'s argument that it knows.
-        looks_ahead: whether a step sees the body halfway through it (the midpoint rule) or where it begins.
+        looks_ahead: whether a step sees the body halfway through it (the midpoint rule) or where it
+            begins.
     """
 
     name: str

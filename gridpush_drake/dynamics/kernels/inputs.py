@@ -92,7 +92,8 @@ class Steps(NamedTuple):
 
     Attributes:
         poses: (T+1, 3), m and rad.
-        twists: (T, 3) of B's origin, in the frame of the step (the body's, turned by ahead dt times the last yaw rate).
+        twists: (T, 3) of B's origin, in the frame of the step (the body's, turned by ahead dt times
+            the last yaw rate).
         velocities: (T+1, 3) of B's origin, m/s and rad/s.
         contact_forces: (T, 2, 2), N.
         contact_points: (T, 2, 2), m.

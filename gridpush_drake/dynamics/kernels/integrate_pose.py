@@ -1,10 +1,11 @@
 """The pose update of one step, x' = x + R d, theta' = theta + w dt, and its derivative.
 
-Quasi-static: d = V(w dt) u dt, the body turns about its instantaneous center (exact for a constant twist).
-Inertial: d = dt R(a) v_com + c - R(w dt) c, the center of mass moves straight (exact for free flight).
+Quasi-static: d = V(w dt) u dt, the body turns about its instantaneous center (exact for a constant
+twist). Inertial: d = dt R(a) v_com + c - R(w dt) c, the center of mass moves straight (exact for
+free flight).
 
-The twist (u, w) is that of the body turned by the angle a, which in the inertial regime is how far it is expected to
-have turned halfway through the step, so that v_com = R(a)^T R^T v_com,W.
+The twist (u, w) is that of the body turned by the angle a, which in the inertial regime is how far
+it is expected to have turned halfway through the step, so that v_com = R(a)^T R^T v_com,W.
 """
 
 from math import cos, sin
@@ -18,8 +19,8 @@ _SMALL_ANGLE = 1e-4
 class PoseMaps(NamedTuple):
     """How variations pass through the displacement of a step, (3, 3) each.
 
-    s' = A s + G dxi for the variation of the pose seen from the body, and v' = L dxi for that of the velocity of the
-    center of mass with the yaw rate, both in the new body frame, at constant a.
+    s' = A s + G dxi for the variation of the pose seen from the body, and v' = L dxi for that of
+    the velocity of the center of mass with the yaw rate, both in the new body frame, at constant a.
     """
 
     A: Any
@@ -40,7 +41,8 @@ def calc_displacement_maps(xi, dt, inertial, a, cx, cy, maps):
         maps: `PoseMaps` out.
 
     Returns:
-        d (two numbers, m, in the old body frame) and the velocity of (cx, cy) (two numbers, m/s, in the new one).
+        d (two numbers, m, in the old body frame) and the velocity of (cx, cy) (two numbers, m/s, in
+        the new one).
     """
     A, G, L = maps
     ux, uy, w = xi[0], xi[1], xi[2]
@@ -71,9 +73,20 @@ def calc_displacement_maps(xi, dt, inertial, a, cx, cy, maps):
             sinc_slope, cosc_slope = (c - sinc) / phi, (s - cosc) / phi
         d0 = dt * (sinc * ux - cosc * uy)
         d1 = dt * (cosc * ux + sinc * uy)
-        g02, g12 = dt * dt * (sinc_slope * ux - cosc_slope * uy), dt * dt * (cosc_slope * ux + sinc_slope * uy)
-        G[0, 0], G[0, 1], G[0, 2] = dt * (c * sinc + s * cosc), dt * (s * sinc - c * cosc), c * g02 + s * g12
-        G[1, 0], G[1, 1], G[1, 2] = dt * (c * cosc - s * sinc), dt * (c * sinc + s * cosc), c * g12 - s * g02
+        g02, g12 = (
+            dt * dt * (sinc_slope * ux - cosc_slope * uy),
+            dt * dt * (cosc_slope * ux + sinc_slope * uy),
+        )
+        G[0, 0], G[0, 1], G[0, 2] = (
+            dt * (c * sinc + s * cosc),
+            dt * (s * sinc - c * cosc),
+            c * g02 + s * g12,
+        )
+        G[1, 0], G[1, 1], G[1, 2] = (
+            dt * (c * cosc - s * sinc),
+            dt * (c * sinc + s * cosc),
+            c * g12 - s * g02,
+        )
         L[0, 0], L[0, 1], L[0, 2] = 1.0, 0.0, 0.0
         L[1, 0], L[1, 1], L[1, 2] = 0.0, 1.0, 0.0
     A[0, 0], A[0, 1], A[0, 2] = c, s, -c * d1 + s * d0

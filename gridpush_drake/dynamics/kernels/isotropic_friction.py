@@ -4,17 +4,20 @@ With v_i = u + w z × p_i the velocity of cell i in the body frame,
 
     Psi(xi) = sum_i k_i s_i + K_spin |w|,      s_i = sqrt(|v_i|² + (kappa w)² + eps²)
 
-* "separate" spin: kappa = 0, K_spin = sum_i k_i c s, and |w| smoothed as sqrt(w² + eps²) with the same number eps.
-  Sliding and spinning of a cell are independent, as in the paper's LCP with its two rows a cell.
-* "coupled" spin (the default): kappa = c s, K_spin = 0. The mean of |v_i + w z × r| over the points r of a square cell
-  is |v_i| where it slides fast and c s |w| where it only spins; s_i has both limits and errs by O(s²) in between,
-  where the sum of the two errs by O(s): a finer grid then changes nothing but the resolution.
+* "separate" spin: kappa = 0, K_spin = sum_i k_i c s, and |w| smoothed as sqrt(w² + eps²) with the
+  same number eps. Sliding and spinning of a cell are independent, as in the paper's LCP with its
+  two rows a cell.
+* "coupled" spin (the default): kappa = c s, K_spin = 0. The mean of |v_i + w z × r| over the points
+  r of a square cell is |v_i| where it slides fast and c s |w| where it only spins; s_i has both
+  limits and errs by O(s²) in between, where the sum of the two errs by O(s): a finer grid then
+  changes nothing but the resolution.
 * "none": kappa = K_spin = 0, point feet.
 
-c = (sqrt 2 + asinh 1)/6 is the mean distance of a unit square's points from its center; eps the stiction tolerance.
-With a_i = d(s_i²/2)/dxi and G_i = da_i/dxi,
+c = (sqrt 2 + asinh 1)/6 is the mean distance of a unit square's points from its center; eps the
+stiction tolerance. With a_i = d(s_i²/2)/dxi and G_i = da_i/dxi,
 
-    dPsi/dxi = sum_i k_i a_i/s_i,      d²Psi/dxi² = sum_i k_i (G_i - a_i a_i^T/s_i²)/s_i,      d²Psi/dxi dk_i = a_i/s_i
+    dPsi/dxi = sum_i k_i a_i/s_i,      d²Psi/dxi² = sum_i k_i (G_i - a_i a_i^T/s_i²)/s_i,
+    d²Psi/dxi dk_i = a_i/s_i
 """
 
 from math import sqrt
@@ -31,7 +34,8 @@ class Isotropic(NamedTuple):
 
     Attributes:
         k: (n,) friction each cell can carry, N.
-        spin: (3,) kappa² (m²), the spin load K_spin (N m) and the spin arm (m) by which k_i enters it.
+        spin: (3,) kappa² (m²), the spin load K_spin (N m) and the spin arm (m) by which k_i enters
+            it.
     """
 
     k: Any
@@ -42,7 +46,14 @@ def make_isotropic(k, arm, spin):
     """Makes the law, see `FrictionLaw`."""
     coupled, separate = spin == "coupled", spin == "separate"
     return Isotropic(
-        k, np.array([arm**2 if coupled else 0.0, k.sum() * arm if separate else 0.0, arm if separate else 0.0])
+        k,
+        np.array(
+            [
+                arm**2 if coupled else 0.0,
+                k.sum() * arm if separate else 0.0,
+                arm if separate else 0.0,
+            ]
+        ),
     )
 
 
@@ -50,10 +61,12 @@ def make_isotropic(k, arm, spin):
 def accumulate_isotropic(px, py, k, kappa2, eps2, ux, uy, w):
     """Sums over the cells what gradient and Hessian of Psi are made of, in one pass.
 
-    With a_i = d(s_i²/2)/dxi, the gradient is sum k_i a_i / s_i and the Hessian sum k_i (G_i - a_i a_i^T / s_i²) / s_i.
+    With a_i = d(s_i²/2)/dxi, the gradient is sum k_i a_i / s_i and the Hessian sum k_i (G_i - a_i
+    a_i^T / s_i²) / s_i.
 
     Returns:
-        A0, Ax, Ay, A2 = sum k_i/s_i (1, px, py, |p|² + kappa²), and B = sum k_i/s_i³ a a^T: xx, xy, xw, yy, yw, ww.
+        A0, Ax, Ay, A2 = sum k_i/s_i (1, px, py, |p|² + kappa²), and B = sum k_i/s_i³ a a^T: xx, xy,
+        xw, yy, yw, ww.
     """
     A0 = Ax = Ay = A2 = 0.0
     Bxx = Bxy = Bxw = Byy = Byw = Bww = 0.0
@@ -84,11 +97,13 @@ def accumulate_isotropic(px, py, k, kappa2, eps2, ux, uy, w):
 def add_isotropic(px, py, k, kappa2, spin_load, eps, xi, majorize, g, H):
     """Adds gradient and Hessian of Psi at `xi` to g (3,) and H (3, 3).
 
-    With `majorize` the Hessian is sum k_i G_i / s_i, the quadratic that touches Psi at xi from above: slower, but a
-    step with it always descends.
+    With `majorize` the Hessian is sum k_i G_i / s_i, the quadratic that touches Psi at xi from
+    above: slower, but a step with it always descends.
     """
     ux, uy, w = xi[0], xi[1], xi[2]
-    A0, Ax, Ay, A2, Bxx, Bxy, Bxw, Byy, Byw, Bww = accumulate_isotropic(px, py, k, kappa2, eps * eps, ux, uy, w)
+    A0, Ax, Ay, A2, Bxx, Bxy, Bxw, Byy, Byw, Bww = accumulate_isotropic(
+        px, py, k, kappa2, eps * eps, ux, uy, w
+    )
     g[0] += ux * A0 - w * Ay
     g[1] += uy * A0 + w * Ax
     g[2] += uy * Ax - ux * Ay + w * A2

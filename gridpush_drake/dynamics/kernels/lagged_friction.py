@@ -1,15 +1,19 @@
 """The paper's lagged friction: directions of the motion before the step (`docs/theory/model.md`, sections 2 and 3).
 
-With d_i the unit direction in which cell i moved before the step, and sigma the sense in which the body turned,
+With d_i the unit direction in which cell i moved before the step, and sigma the sense in which the
+body turned,
 
-    Psi(xi) = sum_i k_i r(d_i·v_i) + K_spin r(sigma w),      r(z) = (z + sqrt(z² + eps²))/2, the smooth max(0, z),
+    Psi(xi) = sum_i k_i r(d_i·v_i) + K_spin r(sigma w),      r(z) = (z + sqrt(z² + eps²))/2, the
+    smooth max(0, z),
 
 and with r' and r'' the slope and curvature of r, and row_i = (d_i, p_i × d_i),
 
-    dPsi/dxi = sum_i k_i r' row_i,      d²Psi/dxi² = sum_i k_i r'' row_i row_i^T,      d²Psi/dxi dk_i = r' row_i
+    dPsi/dxi = sum_i k_i r' row_i,      d²Psi/dxi² = sum_i k_i r'' row_i row_i^T,      d²Psi/dxi
+    dk_i = r' row_i
 
-besides the like of the spin. At rest the directions are those of the motion that the applied force would start; under a
-pusher, whose force is not known beforehand, friction from rest is isotropic. The spin is always "separate".
+besides the like of the spin. At rest the directions are those of the motion that the applied force
+would start; under a pusher, whose force is not known beforehand, friction from rest is isotropic.
+The spin is always "separate".
 """
 
 from math import sqrt
@@ -36,7 +40,8 @@ YAW_RATE_AT_REST = 1e-8
 """rad/s; a cell that turns more slowly has no sense of rotation of its own."""
 
 IMPENDING_AT_REST = 1e-9
-"""Share of the fastest cell's impending speed below which a cell's impending direction is undefined."""
+"""Share of the fastest cell's impending speed below which a cell's impending direction is
+undefined."""
 
 
 class Lagged(NamedTuple):
@@ -102,8 +107,9 @@ def fill_lagged_directions(px, py, cx, cy, velocity, push, cell_size, dx, dy):
 def add_lagged(px, py, k, dx, dy, spin_load, spin_sign, eps, xi, g, H):
     """Adds gradient and Hessian of the paper's lagged dissipation at `xi` to g (3,) and H (3, 3).
 
-    max(0, z) is smoothed as (z + sqrt(z² + eps²))/2, z = d_i·v_i(xi); (dx, dy) are the lagged unit directions d_i in
-    the body frame and spin_sign the sign of the current yaw rate (zero where undefined).
+    max(0, z) is smoothed as (z + sqrt(z² + eps²))/2, z = d_i·v_i(xi); (dx, dy) are the lagged unit
+    directions d_i in the body frame and spin_sign the sign of the current yaw rate (zero where
+    undefined).
     """
     ux, uy, w = xi[0], xi[1], xi[2]
     for i in range(px.shape[0]):
@@ -169,7 +175,9 @@ def _add_derivatives(law, cells, eps, xi, majorize, g, H):
     if law.sense[0] == 0.0:
         add_isotropic(cells[0], cells[1], law.k, law.spin[0], law.spin[1], eps, xi, majorize, g, H)
     else:
-        add_lagged(cells[0], cells[1], law.k, law.dx, law.dy, law.spin[1], law.sense[1], eps, xi, g, H)
+        add_lagged(
+            cells[0], cells[1], law.k, law.dx, law.dy, law.spin[1], law.sense[1], eps, xi, g, H
+        )
 
 
 @kernel(allocates=False)
@@ -182,7 +190,9 @@ def _fill_load_derivatives(law, cells, eps, xi, f):
     if law.sense[0] == 0.0:
         fill_cell_forces(cells[0], cells[1], law.spin, eps * eps, xi, f)
     else:
-        fill_lagged_cell_forces(cells[0], cells[1], law.dx, law.dy, law.spin[2], law.sense[1], eps, xi, f)
+        fill_lagged_cell_forces(
+            cells[0], cells[1], law.dx, law.dy, law.spin[2], law.sense[1], eps, xi, f
+        )
 
 
 LAGGED = FrictionLaw(

@@ -1,11 +1,12 @@
 """A whole push, step by step, and the derivative of every recorded pose with it.
 
-Everything happens in the body frame, where the support friction does not depend on the pose; the disc's center and
-velocity are brought there at each step (`step_start`).
+Everything happens in the body frame, where the support friction does not depend on the pose; the
+disc's center and velocity are brought there at each step (`step_start`).
 
-A step sees the body as it is expected to stand halfway through the step, were it to go on as before: turned by
-h w, and the disc slid along its outline. The midpoint rule makes the motion between changes of the contact mode exact
-to O(dt²) instead of O(dt). With h = 0 the step sees the body as it stands at the beginning, as the paper's LCP does.
+A step sees the body as it is expected to stand halfway through the step, were it to go on as
+before: turned by h w, and the disc slid along its outline. The midpoint rule makes the motion
+between changes of the contact mode exact to O(dt²) instead of O(dt). With h = 0 the step sees the
+body as it stands at the beginning, as the paper's LCP does.
 """
 
 from math import sqrt
@@ -13,8 +14,25 @@ from math import sqrt
 import numpy as np
 
 from gridpush_drake.dynamics.kernels.compiled import kernel
-from gridpush_drake.dynamics.kernels.contact import COLUMNS, CX, CY, GAP, GX, GY, NX, NY, find_contacts, look_ahead
-from gridpush_drake.dynamics.kernels.contact_modes import SEPARATE, Scales, Touch, Unknowns, calc_compliance
+from gridpush_drake.dynamics.kernels.contact import (
+    COLUMNS,
+    CX,
+    CY,
+    GAP,
+    GX,
+    GY,
+    NX,
+    NY,
+    find_contacts,
+    look_ahead,
+)
+from gridpush_drake.dynamics.kernels.contact_modes import (
+    SEPARATE,
+    Scales,
+    Touch,
+    Unknowns,
+    calc_compliance,
+)
 from gridpush_drake.dynamics.kernels.forward_sensitivity import (
     F_ROW,
     OTHER,
@@ -43,12 +61,16 @@ from gridpush_drake.dynamics.kernels.support_loads import (
 
 _TINY_SPEED = 1e-12  # m/s
 _REACH = 2.0  # contacts closer than this many steps' motion are watched
-RECOVERY_SPEED = 0.02  # m/s at which an overlap is undone at most: the body keeps its speed when it is out
+RECOVERY_SPEED = (
+    0.02  # m/s at which an overlap is undone at most: the body keeps its speed when it is out
+)
 _AT_REST = 2.0  # a body slower than so many stiction tolerances rests
 
 
 @kernel()
-def rollout(law, body, support, edges, scheme, load, pose, velocity, dts, row_of_step, record, J, memory):
+def rollout(
+    law, body, support, edges, scheme, load, pose, velocity, dts, row_of_step, record, J, memory
+):
     """Simulates T steps.
 
     Args:
@@ -62,7 +84,8 @@ def rollout(law, body, support, edges, scheme, load, pose, velocity, dts, row_of
         dts: (T,) s.
         row_of_step: (T+1,) row of J that records this step, -1 for none.
         record: `Steps`, filled.
-        J: (rows, 3, width) filled, see `forward_sensitivity`; without columns where no derivative is wanted.
+        J: (rows, 3, width) filled, see `forward_sensitivity`; without columns where no derivative
+            is wanted.
         memory: (MEMORY_SIZE,) of the step before, updated; see `step_memory`.
     """
     n, steps = body.cells.shape[1], dts.shape[0]
@@ -76,7 +99,9 @@ def rollout(law, body, support, edges, scheme, load, pose, velocity, dts, row_of
     found, contacts = np.zeros((2, COLUMNS)), np.zeros((2, COLUMNS))
     work = make_step_work()
     maps = PoseMaps(np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3)))
-    derivative = StepDerivative(np.zeros((7, 7)), np.zeros((3, 3)), np.zeros((3, 7)), np.zeros((3, 8)))
+    derivative = StepDerivative(
+        np.zeros((7, 7)), np.zeros((3, 3)), np.zeros((3, 7)), np.zeros((3, 8))
+    )
     width = J.shape[2]
     columns = Columns(
         np.zeros((F_ROW + 2 if support.active else F_ROW, width)),
@@ -100,7 +125,9 @@ def rollout(law, body, support, edges, scheme, load, pose, velocity, dts, row_of
         pusher_speed = sqrt(start.vpx * start.vpx + start.vpy * start.vpy)
         body_speed = _calc_body_speed(state, body.gyration_radius) if inertial else 0.0
         reach = _REACH * (pusher_speed + body_speed) * dt
-        count, record.gaps[t] = _find_step_contacts(edges, load.radius, scheme.ahead, start, reach, found, contacts)
+        count, record.gaps[t] = _find_step_contacts(
+            edges, load.radius, scheme.ahead, start, reach, found, contacts
+        )
         if inertial:
             _bound_recovery(contacts, count, RECOVERY_SPEED * dt)
         for j in range(count, 2):
@@ -142,7 +169,9 @@ def rollout(law, body, support, edges, scheme, load, pose, velocity, dts, row_of
                 _differentiate_step(touch, scales, unknowns, work, found, start, derivative)
 
         record.statuses[t, 0], record.statuses[t, 1] = status, iterations
-        d0, d1, new_x, new_y = calc_displacement_maps(xi, dt, inertial, start.a, body.com_x, body.com_y, maps)
+        d0, d1, new_x, new_y = calc_displacement_maps(
+            xi, dt, inertial, start.a, body.com_x, body.com_y, maps
+        )
         if differentiate:
             if not support.active:
                 fill_load_derivatives(law, body.cells, eps, xi, columns.Q[6:])
@@ -157,10 +186,18 @@ def rollout(law, body, support, edges, scheme, load, pose, velocity, dts, row_of
             )  # fmt: skip
         forward_x, forward_y = state.c * d0 - state.s * d1, state.s * d0 + state.c * d1
         _record_contacts(
-            record, t, touch, unknowns, start, state.x + scheme.ahead * forward_x, state.y + scheme.ahead * forward_y
+            record,
+            t,
+            touch,
+            unknowns,
+            start,
+            state.x + scheme.ahead * forward_x,
+            state.y + scheme.ahead * forward_y,
         )
         record.twists[t, :] = xi
-        state = advance_state(state, forward_x, forward_y, dt, new_x, new_y, xi[2], body.com_x, body.com_y)
+        state = advance_state(
+            state, forward_x, forward_y, dt, new_x, new_y, xi[2], body.com_x, body.com_y
+        )
         _record_state(record, t + 1, state)
         if differentiate:
             record_columns(J, row_of_step[t + 1], columns.Q, state.c, state.s)
@@ -175,9 +212,11 @@ def rollout_pushes(law, body, support, edges, scheme, pushes, row_of_step, poses
     Args:
         law, body, support, edges, scheme: as of `rollout`.
         pushes: `Pushes`.
-        row_of_step: (S+P,) rows of `poses` and J that record each step's end, and a push's beginning; -1 for none.
+        row_of_step: (S+P,) rows of `poses` and J that record each step's end, and a push's
+            beginning; -1 for none.
         poses: (rows, 3) filled.
-        touched: (P,) filled: whether the disc touched the object, a step was not solved, or the object tipped.
+        touched: (P,) filled: whether the disc touched the object, a step was not solved, or the
+            object tipped.
         J: (rows, 3, width) filled; without columns where no derivative is wanted.
     """
     longest = 0
@@ -192,7 +231,9 @@ def rollout_pushes(law, body, support, edges, scheme, pushes, row_of_step, poses
     for p in range(touched.shape[0]):
         first, last = pushes.first[p], pushes.first[p + 1]
         steps, begin, end = last - first, first + p, last + p + 1
-        load = Load(pushes.tips[begin:end], pushes.path_lengths[p], pushes.radii[p], wrench[:steps], point)
+        load = Load(
+            pushes.tips[begin:end], pushes.path_lengths[p], pushes.radii[p], wrench[:steps], point
+        )
         record = Steps(
             whole.poses[: steps + 1], whole.twists[:steps], whole.velocities[: steps + 1], whole.contact_forces[:steps],
             whole.contact_points[:steps], whole.modes[:steps], whole.gaps[: steps + 1], whole.load_centers[:steps],
@@ -243,7 +284,9 @@ def _find_friction(touch, unknowns, work, loads):
 @kernel(allocates=False)
 def _calc_body_speed(state, arm):
     """The center of mass's speed, and that of what is an arm away from it, m/s."""
-    return sqrt(state.com_vx * state.com_vx + state.com_vy * state.com_vy) + arm * abs(state.yaw_rate)
+    return sqrt(state.com_vx * state.com_vx + state.com_vy * state.com_vy) + arm * abs(
+        state.yaw_rate
+    )
 
 
 @kernel(allocates=False)
@@ -279,7 +322,9 @@ def _calc_closing_speed(touch):
     closing = 0.0
     contacts = touch.contacts
     for j in range(touch.n_contacts):
-        approach = contacts[j, NX] * touch.vpx + contacts[j, NY] * touch.vpy - contacts[j, GAP] / touch.dt
+        approach = (
+            contacts[j, NX] * touch.vpx + contacts[j, NY] * touch.vpy - contacts[j, GAP] / touch.dt
+        )
         closing = max(closing, approach)
     return closing
 
@@ -291,14 +336,28 @@ def _fill_drive(body, inertial, start, point, work, push):
     Returns:
         The speed that it gives in a step, m/s, and the size of the drive, N.
     """
-    mass, com_x, com_y, inertia, arm = body.mass, body.com_x, body.com_y, body.inertia, body.gyration_radius
+    mass, com_x, com_y, inertia, arm = (
+        body.mass,
+        body.com_x,
+        body.com_y,
+        body.inertia,
+        body.gyration_radius,
+    )
     fx, fy, dt, yaw_rate = start.fx, start.fy, start.dt, start.yaw_rate
     H0, drive = work.H0, work.drive
     moment = point[0] * fy - point[1] * fx + start.couple
     if inertial:
         drive[0], drive[1] = mass * start.hat_x / dt + fx, mass * start.hat_y / dt + fy
-        drive[2] = inertia * yaw_rate / dt + mass * (com_x * start.hat_y - com_y * start.hat_x) / dt + moment
-        push[0], push[1], push[2] = fx / mass, fy / mass, (moment - com_x * fy + com_y * fx) / inertia
+        drive[2] = (
+            inertia * yaw_rate / dt
+            + mass * (com_x * start.hat_y - com_y * start.hat_x) / dt
+            + moment
+        )
+        push[0], push[1], push[2] = (
+            fx / mass,
+            fy / mass,
+            (moment - com_x * fy + com_y * fx) / inertia,
+        )
         H0[0, 0] = H0[1, 1] = mass / dt
         H0[0, 2] = H0[2, 0] = -mass * com_y / dt
         H0[1, 2] = H0[2, 1] = mass * com_x / dt
@@ -319,7 +378,11 @@ def _guess(xi, last_xi, moving_steps, start, moves, body):
             last_xi[i] = xi[i]
     elif moves:
         yaw_rate = start.yaw_rate
-        xi[0], xi[1], xi[2] = start.hat_x + yaw_rate * body.com_y, start.hat_y - yaw_rate * body.com_x, yaw_rate
+        xi[0], xi[1], xi[2] = (
+            start.hat_x + yaw_rate * body.com_y,
+            start.hat_y - yaw_rate * body.com_x,
+            yaw_rate,
+        )
     else:
         xi[0], xi[1], xi[2] = start.vpx, start.vpy, 0.0
 
@@ -338,7 +401,13 @@ def _differentiate_step(touch, scales, unknowns, work, found, start, derivative)
 @kernel(allocates=False)
 def _record_contacts(record, t, touch, unknowns, start, x, y):
     """Records modes, forces and points of step t; (x, y) is where B's origin is when the step looks at the body, m."""
-    contacts, modes, lam, step_c, step_s = touch.contacts, unknowns.modes, unknowns.lam, start.step_c, start.step_s
+    contacts, modes, lam, step_c, step_s = (
+        touch.contacts,
+        unknowns.modes,
+        unknowns.lam,
+        start.step_c,
+        start.step_s,
+    )
     forces, points = record.contact_forces, record.contact_points
     for j in range(2):
         record.modes[t, j] = modes[j]
@@ -356,7 +425,10 @@ def _record_state(record, t, state):
     """Records the pose, and the velocity of B's origin in W."""
     c, s, body_x, body_y = state.c, state.s, state.body_x, state.body_y
     record.poses[t, 0], record.poses[t, 1], record.poses[t, 2] = state.x, state.y, state.theta
-    record.velocities[t, 0], record.velocities[t, 1] = c * body_x - s * body_y, s * body_x + c * body_y
+    record.velocities[t, 0], record.velocities[t, 1] = (
+        c * body_x - s * body_y,
+        s * body_x + c * body_y,
+    )
     record.velocities[t, 2] = state.yaw_rate
 
 

@@ -1,17 +1,18 @@
 """One step: support friction against contact, solved together.
 
-In the body frame, with the twist xi = (ux, uy, w), the contact rows J_n = (N, c × N), J_t = (T, c × T) and the pusher's
-velocity v_p, a step finds xi and the contact forces lam = (lam_n, lam_t) of each contact such that
+In the body frame, with the twist xi = (ux, uy, w), the contact rows J_n = (N, c × N), J_t = (T, c ×
+T) and the pusher's velocity v_p, a step finds xi and the contact forces lam = (lam_n, lam_t) of
+each contact such that
 
     H0 xi - drive + grad Psi(xi) - sum_c (J_n^T lam_n + J_t^T lam_t) = 0
     0 <= lam_n ⟂ J_n xi - N·v_p + gap/dt >= 0
     |lam_t| <= mu_c lam_n, opposing the slip J_t xi - T·v_p; no slip inside the cone
 
-H0 = M_B/dt and drive = M_B xi_hat/dt + W in the inertial regime, both zero in the quasi-static one. In the inertial
-regime gap/dt is at least -RECOVERY_SPEED (`rollout`): a body keeps the speed at which an overlap is undone. Newton's
-method on grad Psi leaves a complementarity problem with the 3x3 Hessian H; its modes {separate, stick, slide +,
-slide -} are enumerated, the last step's first. Where Newton stalls, the majorizing Hessian takes over, then
-continuation in the stiction tolerance.
+H0 = M_B/dt and drive = M_B xi_hat/dt + W in the inertial regime, both zero in the quasi-static one.
+In the inertial regime gap/dt is at least -RECOVERY_SPEED (`rollout`): a body keeps the speed at
+which an overlap is undone. Newton's method on grad Psi leaves a complementarity problem with the
+3x3 Hessian H; its modes {separate, stick, slide +, slide -} are enumerated, the last step's first.
+Where Newton stalls, the majorizing Hessian takes over, then continuation in the stiction tolerance.
 """
 
 from math import sqrt
@@ -28,7 +29,9 @@ CONVERGED, NOT_CONVERGED = 0, 1
 
 _NEWTON_LIMIT = 15
 _ITERATION_LIMIT = 40
-_SLOW = 0.5  # a Newton step that leaves more of the residual than this is followed by a majorizing one
+_SLOW = (
+    0.5  # a Newton step that leaves more of the residual than this is followed by a majorizing one
+)
 _FINAL_RESIDUAL = 1e-8  # of the load: one more Newton step squares it
 _MAX_RESIDUAL = 1e-6  # of the load, for a step to count as solved
 _SHARPEN = 0.1  # of the tolerance, in a step of the continuation
@@ -39,7 +42,8 @@ class StepWork(NamedTuple):
     """What a step is solved with.
 
     Attributes:
-        H0, drive: (3, 3), (3,) inertia over dt and what drives the body, N; zero in the quasi-static regime.
+        H0, drive: (3, 3), (3,) inertia over dt and what drives the body, N; zero in the
+            quasi-static regime.
         g, H: (3,), (3, 3) gradient and Hessian, left as last used.
         rhs, scratch, last, before: workspace (3,).
         K, X: workspace (7, 7).
@@ -61,7 +65,9 @@ class StepWork(NamedTuple):
 def make_step_work():
     """Makes it, of zeros."""
     H0, H, K, X = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((7, 7)), np.zeros((7, 7))
-    return StepWork(H0, np.zeros(3), np.zeros(3), H, np.zeros(3), np.zeros(3), K, X, np.zeros(3), np.zeros(3))
+    return StepWork(
+        H0, np.zeros(3), np.zeros(3), H, np.zeros(3), np.zeros(3), K, X, np.zeros(3), np.zeros(3)
+    )
 
 
 @kernel(allocates=False)
@@ -141,9 +147,9 @@ def solve_step(law, cells, touch, scales, eps, unknowns, work):
     status, iterations = _newton(law, cells, touch, scales, eps, unknowns, work, _NEWTON_LIMIT)
     if status == CONVERGED:
         return status, iterations
-    # Continuation: start where friction is smooth on the scale of the motion, and sharpen, by smaller factors where it
-    # fails. Cells that stick at the end move in proportion to the tolerance, so the secant through the last two
-    # solutions predicts the next.
+    # Continuation: start where friction is smooth on the scale of the motion, and sharpen, by
+    # smaller factors where it fails. Cells that stick at the end move in proportion to the
+    # tolerance, so the secant through the last two solutions predicts the next.
     last, before = work.last, work.before
     last[:] = 0.0
     before[:] = 0.0
@@ -152,7 +158,9 @@ def solve_step(law, cells, touch, scales, eps, unknowns, work):
     xi = unknowns.xi
     xi[:] = 0.0
     while True:
-        status, used = _newton(law, cells, touch, scales, tolerance, unknowns, work, _ITERATION_LIMIT)
+        status, used = _newton(
+            law, cells, touch, scales, tolerance, unknowns, work, _ITERATION_LIMIT
+        )
         iterations += used
         if status == CONVERGED:
             if tolerance == eps:

@@ -1,11 +1,12 @@
 """The exact derivative of one converged step, by the implicit function theorem.
 
-Differentiating the step's equations F(xi, lam; z) = 0 at fixed modes gives K d(xi, lam) = -dF, with K as built in
-`contact_modes.build_contact_system`. The contact enters by the disc's center twice: t at the beginning of the step
-gives the gap, and t_m, where the disc is expected halfway through it, the contact's place and directions. In the body
-frame, with alpha = T·dt_m,
+Differentiating the step's equations F(xi, lam; z) = 0 at fixed modes gives K d(xi, lam) = -dF, with
+K as built in `contact_modes.build_contact_system`. The contact enters by the disc's center twice: t
+at the beginning of the step gives the gap, and t_m, where the disc is expected halfway through it,
+the contact's place and directions. In the body frame, with alpha = T·dt_m,
 
-    dN = -bend alpha T,   dT = bend alpha N,   dc = alpha T on an edge, 0 at a vertex,   dgap = -(gx, gy)·dt
+    dN = -bend alpha T,   dT = bend alpha N,   dc = alpha T on an edge, 0 at a vertex,   dgap =
+    -(gx, gy)·dt
 """
 
 from math import cos, sin
@@ -120,8 +121,9 @@ def calc_step_derivative(H, touch, compliance, unknowns, K, X, derivative):
 def calc_input_derivative(first, start, derivative):
     """Differentiates a step by what it is given at its beginning, through the look ahead (`contact.look_ahead`).
 
-    With tdot = v_p - u - w z × t the disc's motion seen from the body that moves with the expected twist (u, w), with
-    N_0 and T_0 the directions of the contact at the beginning, and R(a), a = h w, the turn expected until halfway,
+    With tdot = v_p - u - w z × t the disc's motion seen from the body that moves with the expected
+    twist (u, w), with N_0 and T_0 the directions of the contact at the beginning, and R(a), a = h
+    w, the turn expected until halfway,
 
         t_m = t + h T_0 (T_0·tdot),    v_p,m = R(a)^T v_p,
 

@@ -1,7 +1,7 @@
 """What the solver remembers from step to step, so that a motion can be cut in two without changing it.
 
-A step's guess is the extrapolation of the last two twists, its contact modes are those of the last step. The solution
-does not depend on the guess where it is unique; where two contacts jam it may.
+A step's guess is the extrapolation of the last two twists, its contact modes are those of the last
+step. The solution does not depend on the guess where it is unique; where two contacts jam it may.
 """
 
 import numpy as np
@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from gridpush_drake.dynamics.kernels.compiled import kernel
 
 MEMORY_SIZE = 13
-"""Twist of the last step (3), of the one before (3), contact modes (2), steps moved in a row, up to MOVING (1); the
-loads' tilt (2) and the friction with the table (2), see `support_loads`."""
+"""Twist of the last step (3), of the one before (3), contact modes (2), steps moved in a row, up to
+MOVING (1); the loads' tilt (2) and the friction with the table (2), see `support_loads`."""
 
 MOVING = 2
 """Steps moved in a row from which on the twist is extrapolated."""

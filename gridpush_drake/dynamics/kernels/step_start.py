@@ -1,9 +1,10 @@
 """A step's beginning: how the body moves and what acts on it, seen from the body.
 
-The state is the pose (x, y, theta) of B in W and the velocity: of the center of mass, in the body frame, with the yaw
-rate. In the quasi-static regime B's origin stands for the center of mass, and the velocity tells nothing but how the
-body will probably go on. The frame of a step is the body's, turned by the angle a = h w that it is expected to have
-turned after the time h, when the step looks at it.
+The state is the pose (x, y, theta) of B in W and the velocity: of the center of mass, in the body
+frame, with the yaw rate. In the quasi-static regime B's origin stands for the center of mass, and
+the velocity tells nothing but how the body will probably go on. The frame of a step is the body's,
+turned by the angle a = h w that it is expected to have turned after the time h, when the step looks
+at it.
 """
 
 from math import cos, sin

@@ -1,30 +1,34 @@
 """How the body loads the table: what each cell bears of the weight W, while it is pushed and over a table's edge.
 
-At rest on the table the cells bear N_i0 = m_i g, with their center at the center of mass c. Friction F, which acts at
-the table's height against a force at height h, moves the center that equilibrium asks for; beyond the edge nothing is
-borne (sigma_i, the share of a cell on the table). Of all loads in equilibrium, those nearest to N_i0 sigma_i,
+At rest on the table the cells bear N_i0 = m_i g, with their center at the center of mass c.
+Friction F, which acts at the table's height against a force at height h, moves the center that
+equilibrium asks for; beyond the edge nothing is borne (sigma_i, the share of a cell on the table).
+Of all loads in equilibrium, those nearest to N_i0 sigma_i,
 
-    min_N  sum_i N_i log(N_i / (N_i0 sigma_i))    s.t.  sum N_i = W,    sum N_i p_i = W p*,    p* = c + h F / W
+    min_N  sum_i N_i log(N_i / (N_i0 sigma_i))    s.t.  sum N_i = W,    sum N_i p_i = W p*,    p* =
+    c + h F / W
 
 are an exponential tilt, N_i = W w_i with
 
-    w_i = m_i sigma_i exp(b·p_i) / S,    S = sum_j m_j sigma_j exp(b·p_j),    sum_i w_i p_i + delta(b) = p*
+    w_i = m_i sigma_i exp(b·p_i) / S,    S = sum_j m_j sigma_j exp(b·p_j),    sum_i w_i p_i +
+    delta(b) = p*
 
-where delta, nothing to speak of while a cell s is small against 1/|b|, lets the center come up to the edges of the
-outermost squares, and not only to their middles:
+where delta, nothing to speak of while a cell s is small against 1/|b|, lets the center come up to
+the edges of the outermost squares, and not only to their middles:
 
     delta_a = s/2 phi(b_a s/2),    phi(x) = eps x / sqrt(1 + x²) + (1 - eps) x⁵ / (1 + |x|⁵)
     p_bar = sum_i w_i p_i,    A = sum_i w_i (p_i - p_bar)(p_i - p_bar)^T + diag(s²/4 phi'(b_a s/2))
 
-The left side is the gradient of a convex function of b, so Newton's method finds it. Where p* is outside what bears,
-there is none: the body tips. F is the friction of the step before: in the same step it would be the same but for O(dt).
+The left side is the gradient of a convex function of b, so Newton's method finds it. Where p* is
+outside what bears, there is none: the body tips. F is the friction of the step before: in the same
+step it would be the same but for O(dt).
 
-With k_i = mu_i W w_i what the cell's friction carries, f_i = dg/dk_i and G0 = sum f_i k_i, G1 = sum f_i k_i (p_i -
-p_bar)^T, the friction's force varies at a given twist by
+With k_i = mu_i W w_i what the cell's friction carries, f_i = dg/dk_i and G0 = sum f_i k_i, G1 = sum
+f_i k_i (p_i - p_bar)^T, the friction's force varies at a given twist by
 
     db = A^-1 [dp* - sum_i w_i (p_i - p_bar)(dlog m_i + dlog sigma_i)]
-    df = sum_i f_i k_i (dlog mu_i + dlog m_i + dlog sigma_i) + G0 (dlog W - sum_i w_i (dlog m_i + dlog sigma_i)) + G1 db
-    dp* = dc + h dF / W + F dh / W - (p* - c) dlog W
+    df = sum_i f_i k_i (dlog mu_i + dlog m_i + dlog sigma_i) + G0 (dlog W - sum_i w_i (dlog m_i +
+    dlog sigma_i)) + G1 db dp* = dc + h dF / W + F dh / W - (p* - c) dlog W
 """
 
 from math import exp, sqrt
@@ -54,7 +58,8 @@ class Support(NamedTuple):
         reach: of the cells' centers from B's origin, m.
         xs, ys: the x and the y that occur among the cells, m.
         column, row: (n,) which of them are each cell's.
-        table: (K, 4) edges of the table's top, (ax, ay, bx, by) in W, counterclockwise, m; none where it is endless.
+        table: (K, 4) edges of the table's top, (ax, ay, bx, by) in W, counterclockwise, m; none
+            where it is endless.
     """
 
     active: bool
@@ -129,11 +134,13 @@ def find_loads(support, cells, cell_size, state, loads, k):
         cells: (2, n) cell centers, m.
         cell_size: m.
         state: `State`, where the body is.
-        loads: `Loads`; tilt and friction of the step before in, share, slope, tilt, center, mean and inverse out.
+        loads: `Loads`; tilt and friction of the step before in, share, slope, tilt, center, mean
+            and inverse out.
         k: (n,) out: the friction each cell can carry, N.
 
     Returns:
-        Whether there are such loads: False where the body tips. `k` is then that of the steepest tilt tried.
+        Whether there are such loads: False where the body tips. `k` is then that of the steepest
+        tilt tried.
     """
     n, mass, reach = cells.shape[1], support.mass, support.reach
     share, slope, center = loads.share, loads.slope, loads.center
@@ -228,7 +235,8 @@ def _find_tilt(support, cells, cell_size, loads):
     center, tilt, mean, inverse = loads.center, loads.tilt, loads.mean, loads.inverse
     S = 0.0
     half = cell_size / 2.0
-    # exp of how far from p*, or from the cells where p* is so far beyond them that exp would overflow: w is the same
+    # exp of how far from p*, or from the cells where p* is so far beyond them that exp would
+    # overflow: w is the same
     from_x, from_y = min(max(center[0], -reach), reach), min(max(center[1], -reach), reach)
     for _ in range(_NEWTON_LIMIT):
         b0, b1 = tilt[0], tilt[1]
@@ -278,7 +286,13 @@ def _fill_exponentials(lines, b, origin, values):
 def _sum_moments(support, cells, loads):
     """Sums m_i sigma_i exp(b·p_i), up to a factor, times 1, x, y, x², x y and y², with (x, y) = p_i - p*."""
     mass, column, row = support.mass, support.column, support.row
-    covered, exp_x, exp_y, cx, cy = loads.share, loads.exp_x, loads.exp_y, loads.center[0], loads.center[1]
+    covered, exp_x, exp_y, cx, cy = (
+        loads.share,
+        loads.exp_x,
+        loads.exp_y,
+        loads.center[0],
+        loads.center[1],
+    )
     px, py = cells[0], cells[1]
     S = sx = sy = sxx = sxy = syy = 0.0
     for i in range(px.shape[0]):
@@ -316,7 +330,13 @@ def fill_load_columns(support, cells, loads, k, Q, n_other):
         n_other: columns between those of the masses and h.
     """
     n, mass, mu = cells.shape[1], support.mass, support.friction
-    G0, G1, inverse, mean, center = loads.total, loads.by_tilt, loads.inverse, loads.mean, loads.center
+    G0, G1, inverse, mean, center = (
+        loads.total,
+        loads.by_tilt,
+        loads.inverse,
+        loads.mean,
+        loads.center,
+    )
     by_pose, by_force = loads.by_pose, loads.by_force
     by_pose[:, :] = 0.0
     weight = support.weight
@@ -332,8 +352,14 @@ def fill_load_columns(support, cells, loads, k, Q, n_other):
     # G1 A^-1: the force by the center of the loads
     for j in range(3):
         a, b = G1[j, 0], G1[j, 1]
-        G1[j, 0], G1[j, 1] = a * inverse[0, 0] + b * inverse[1, 0], a * inverse[0, 1] + b * inverse[1, 1]
-        by_force[j, 0], by_force[j, 1] = G1[j, 0] * support.height / weight, G1[j, 1] * support.height / weight
+        G1[j, 0], G1[j, 1] = (
+            a * inverse[0, 0] + b * inverse[1, 0],
+            a * inverse[0, 1] + b * inverse[1, 1],
+        )
+        by_force[j, 0], by_force[j, 1] = (
+            G1[j, 0] * support.height / weight,
+            G1[j, 1] * support.height / weight,
+        )
     for i in range(n if support.table.shape[0] > 0 else 0):
         arm_x, arm_y = cells[0, i] - mean[0], cells[1, i] - mean[1]
         for j in range(3):

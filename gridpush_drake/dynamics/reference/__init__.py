@@ -1,8 +1,8 @@
 """The paper's own forms, slow and independent: what the kernels are tested against, and its gradient.
 
-Song & Boularias, "Learning to Slide Unknown Objects with Differentiable Physics Simulations", RSS 2020: the LCP in
-maximal coordinates, its solvers as an LCP, a QP and a cone program, and the closed-form gradient of one step. The
-names below are imported on first use.
+Song & Boularias, "Learning to Slide Unknown Objects with Differentiable Physics Simulations", RSS
+2020: the LCP in maximal coordinates, its solvers as an LCP, a QP and a cone program, and the
+closed-form gradient of one step. The names below are imported on first use.
 """
 
 import lazy_loader

@@ -1,7 +1,7 @@
 """The step with isotropic Coulomb friction as a second-order cone program: the kernel's slow, independent reference.
 
-Clarabel's solution is good to 1e-7; Newton's method then takes it to round-off, on the subspace in which the norms that
-vanish (what sticks) stay zero.
+Clarabel's solution is good to 1e-7; Newton's method then takes it to round-off, on the subspace in
+which the norms that vanish (what sticks) stay zero.
 """
 
 import clarabel
@@ -32,7 +32,9 @@ def solve_conic(
     """
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = settings.tol_ktratio = CONIC_TOLERANCE
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = settings.tol_ktratio = (
+        CONIC_TOLERANCE
+    )
     solution = clarabel.DefaultSolver(P, q, A, np.zeros(A.shape[0]), cones, settings).solve()
     if str(solution.status) not in USABLE:
         raise SimulationError(f"Clarabel stopped with {solution.status}")
@@ -40,12 +42,15 @@ def solve_conic(
 
 
 ZERO_NORMS = (1e-9, 1e-7, 1e-5)
-"""Relative sizes of |A_i u| in the cone program's solution that are taken for zero, tried in turn."""
+"""Relative sizes of |A_i u| in the cone program's solution that are taken for zero, tried in
+turn."""
 
 SUBSPACE_TOLERANCE = 1e-10
 """Relative singular value below which the subspace of vanishing norms ignores a direction."""
 
-POLISH_DISTANCE = 1e-4  # greatest correction that Newton's method may make to the cone program's solution
+POLISH_DISTANCE = (
+    1e-4  # greatest correction that Newton's method may make to the cone program's solution
+)
 
 MAX_NEWTON_STEPS = 30
 
@@ -64,11 +69,13 @@ def solve_isotropic_socp(
 ) -> NDArray[np.float64]:
     """Takes one implicit step with isotropic Coulomb friction, as a second-order cone program.
 
-        min 1/2 |nu' - nu|²_M_B - dt W·nu' + sum_i b_i |v_i(nu')| + sum_i beta_i |w'|             "separate"
-        min 1/2 |nu' - nu|²_M_B - dt W·nu' + sum_i b_i sqrt(|v_i(nu')|² + (c s w')²)               "coupled"
+        min 1/2 |nu' - nu|²_M_B - dt W·nu' + sum_i b_i |v_i(nu')| + sum_i beta_i |w'|
+        "separate" min 1/2 |nu' - nu|²_M_B - dt W·nu' + sum_i b_i sqrt(|v_i(nu')|² + (c s w')²)
+                 "coupled"
 
-    and the first without its last term, "none". M_B = T^T M T = L L^T; in u = L^T nu' / |L^T nu_free| the first two
-    terms are |u - u_free|² / 2, with u_free of unit length: three unknowns, and one epigraph variable a cone.
+    and the first without its last term, "none". M_B = T^T M T = L L^T; in u = L^T nu' / |L^T
+    nu_free| the first two terms are |u - u_free|² / 2, with u_free of unit length: three unknowns,
+    and one epigraph variable a cone.
 
     Args:
         q: (3,) pose X_WB, m and rad.
@@ -105,7 +112,9 @@ def solve_isotropic_socp(
     return np.linalg.solve(L.T, speed * u)
 
 
-def _minimize_norms(u_free: NDArray[np.float64], cones: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+def _minimize_norms(
+    u_free: NDArray[np.float64], cones: list[NDArray[np.float64]]
+) -> NDArray[np.float64]:
     """Minimizes |u - u_free|²/2 + sum_i |A_i u| over u (3,), as  sum t_i  with  (t_i, A_i u) in second-order cones."""
     k = len(cones)
     P = diags_array(np.concatenate([np.ones(3), np.zeros(k)]))
@@ -125,12 +134,16 @@ def _minimize_norms(u_free: NDArray[np.float64], cones: list[NDArray[np.float64]
 
 
 def _polish(
-    u_free: NDArray[np.float64], cones: list[NDArray[np.float64]], u: NDArray[np.float64], zero: float
+    u_free: NDArray[np.float64],
+    cones: list[NDArray[np.float64]],
+    u: NDArray[np.float64],
+    zero: float,
 ) -> NDArray[np.float64] | None:
     """Newton's method from u, on the subspace B where the norms that vanish at u do; None where it fails."""
     vanish = [np.linalg.norm(A_i @ u) <= zero * np.abs(A_i).max() for A_i in cones]
     held = np.concatenate(
-        [np.zeros((1, 3))] + [A_i / np.abs(A_i).max() for A_i, v in zip(cones, vanish, strict=True) if v]
+        [np.zeros((1, 3))]
+        + [A_i / np.abs(A_i).max() for A_i, v in zip(cones, vanish, strict=True) if v]
     )
     B = null_space(held, rcond=SUBSPACE_TOLERANCE)
     moving = [A_i @ B for A_i, v in zip(cones, vanish, strict=True) if not v]

@@ -1,14 +1,16 @@
 """The paper's LCP in maximal coordinates: n cells with three velocities each (Song & Boularias, RSS 2020, Fig. 2).
 
-Given pose, velocities xdot_t, applied force F, masses and frictions, find xdot, lam_e, lam_f, gamma with
+Given pose, velocities xdot_t, applied force F, masses and frictions, find xdot, lam_e, lam_f, gamma
+with
 
     M (xdot - xdot_t) - dt F - J_e^T lam_e - J_f^T lam_f = 0
     J_e xdot = 0
     rho = J_f xdot + gamma,      0 <= rho ⟂ lam_f >= 0
     xi  = bound - lam_f,         0 <= xi  ⟂ gamma >= 0
 
-Frame W throughout. A cell's velocities are ordered [theta_dot, x_dot, y_dot]. This is the reference form: sparse,
-built once a step, and what the condensed step and the closed-form gradient are tested against.
+Frame W throughout. A cell's velocities are ordered [theta_dot, x_dot, y_dot]. This is the reference
+form: sparse, built once a step, and what the condensed step and the closed-form gradient are tested
+against.
 """
 
 from dataclasses import dataclass
@@ -20,7 +22,11 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
-from gridpush_drake.dynamics.kernels.lagged_friction import IMPENDING_AT_REST, SPEED_AT_REST, YAW_RATE_AT_REST
+from gridpush_drake.dynamics.kernels.lagged_friction import (
+    IMPENDING_AT_REST,
+    SPEED_AT_REST,
+    YAW_RATE_AT_REST,
+)
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -34,9 +40,11 @@ class MaximalLcp:
 
     Attributes:
         M: (3n,) diagonal of the mass matrix, [I_i, m_i, m_i] with I_i = m_i s²/6, kg m² and kg.
-        J_e: (3k, 3n) rigidity of k adjacent pairs: equal yaw rate, equal velocity of the point shared.
+        J_e: (3k, 3n) rigidity of k adjacent pairs: equal yaw rate, equal velocity of the point
+            shared.
         J_f: (2n, 3n) friction directions, n rows for sliding, then n for spinning.
-        bound: (2n,) greatest friction impulses, b_i = mu_i m_i g dt (N s), then beta_i = arm b_i (N m s).
+        bound: (2n,) greatest friction impulses, b_i = mu_i m_i g dt (N s), then beta_i = arm b_i (N
+            m s).
         spin_arm: arm = c s, see `calc_spin_arm`, m.
         xdot: (3n,) velocities before the step, rad/s and m/s.
         F: (3n,) applied torque and force on every cell, N m and N.
@@ -85,19 +93,32 @@ def make_maximal_lcp(
         xdot: (3n,) velocities of the cells, rad/s and m/s.
         F: (3n,) torque and force applied to the cells, N m and N.
         g: gravity, m/s².
-        spanning_tree: keep one tree of the adjacent pairs, or all pairs (redundant rows, the same velocities).
+        spanning_tree: keep one tree of the adjacent pairs, or all pairs (redundant rows, the same
+            velocities).
 
     Raises:
         SimulationError: a shape disagrees, a number is not finite, or dt is not positive.
     """
     q, xdot, F = (np.array(value, dtype=np.float64) for value in (q, xdot, F))
-    if q.shape != (3,) or xdot.shape != (3 * obj.n,) or F.shape != (3 * obj.n,) or params.n != obj.n:
+    if (
+        q.shape != (3,)
+        or xdot.shape != (3 * obj.n,)
+        or F.shape != (3 * obj.n,)
+        or params.n != obj.n
+    ):
         raise SimulationError(
             f"q {q.shape}, xdot {xdot.shape}, F {F.shape}, parameters of {params.n} cells; expected (3,), "
             f"({3 * obj.n},), ({3 * obj.n},) and {obj.n}, as {obj.name} has"
         )
-    if not (np.isfinite(q).all() and np.isfinite(xdot).all() and np.isfinite(F).all() and 0 < dt < np.inf):
-        raise SimulationError(f"dt is {dt!r}; expected a positive number (s), and finite q, xdot and F")
+    if not (
+        np.isfinite(q).all()
+        and np.isfinite(xdot).all()
+        and np.isfinite(F).all()
+        and 0 < dt < np.inf
+    ):
+        raise SimulationError(
+            f"dt is {dt!r}; expected a positive number (s), and finite q, xdot and F"
+        )
     s, m = obj.cell_size, params.mass
     M = np.stack([m * s**2 / 6, m, m], axis=1).ravel()
     b, spin_arm = params.friction * m * g * dt, calc_spin_arm(obj, params)
@@ -160,10 +181,11 @@ def _friction_directions(
 ) -> csr_array:
     """J_f: minus each cell's direction of motion, and minus its sense of rotation.
 
-    A cell at rest takes the impending motion's, and that is the rigid body's, T dt M_B^-1 T^T F, and not the
-    cell's own dt F_i/m_i: the cells cannot part, so the cell that is pushed sets all of them in motion, and with
-    its own direction a cell that nobody pushes would carry no friction at all. Where that is zero too (no force,
-    or the cell is the instantaneous center) nothing is known of the direction and the row is zero: no friction.
+    A cell at rest takes the impending motion's, and that is the rigid body's, T dt M_B^-1 T^T F,
+    and not the cell's own dt F_i/m_i: the cells cannot part, so the cell that is pushed sets all of
+    them in motion, and with its own direction a cell that nobody pushes would carry no friction at
+    all. Where that is zero too (no force, or the cell is the instantaneous center) nothing is known
+    of the direction and the row is zero: no friction.
     """
     n = len(M) // 3
     M_B = T.T @ (M[:, None] * T)
@@ -178,14 +200,20 @@ def _friction_directions(
     cell = np.arange(n)
     rows = np.concatenate([cell, cell, n + cell])
     columns = np.concatenate([3 * cell + 1, 3 * cell + 2, 3 * cell])
-    J_f = csr_array(coo_array((-np.concatenate([v[:, 0], v[:, 1], w]), (rows, columns)), shape=(2 * n, 3 * n)))
+    J_f = csr_array(
+        coo_array((-np.concatenate([v[:, 0], v[:, 1], w]), (rows, columns)), shape=(2 * n, 3 * n))
+    )
     J_f.eliminate_zeros()
     return J_f
 
 
-def _split(xdot: NDArray[np.float64], slow: float, slow_yaw: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _split(
+    xdot: NDArray[np.float64], slow: float, slow_yaw: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Sense of rotation (n,) and unit direction (n, 2) of velocities (n, 3); zero where slower than the tolerances."""
     w, v = xdot[:, 0], xdot[:, 1:]
     speed = np.linalg.norm(v, axis=1, keepdims=True)
     moves = speed > slow
-    return np.where(np.abs(w) > slow_yaw, np.sign(w), 0.0), np.where(moves, v / np.where(moves, speed, 1.0), 0.0)
+    return np.where(np.abs(w) > slow_yaw, np.sign(w), 0.0), np.where(
+        moves, v / np.where(moves, speed, 1.0), 0.0
+    )

@@ -1,19 +1,21 @@
 """Reference solvers of the maximal LCP: as an LCP and as a QP. Both are slow and exact.
 
-The LCP is the KKT system of a convex QP, so its velocities are unique and two unrelated solvers must agree on them:
+The LCP is the KKT system of a convex QP, so its velocities are unique and two unrelated solvers
+must agree on them:
 
-    min 1/2 |xdot - xdot_t|²_M - dt F·xdot + sum_j bound_j max(0, -(J_f xdot)_j)    s.t.  J_e xdot = 0
+    min 1/2 |xdot - xdot_t|²_M - dt F·xdot + sum_j bound_j max(0, -(J_f xdot)_j)    s.t.  J_e xdot =
+    0
 
-They share a dimensionless form, an exact linear solve, and the residuals. With e the largest entry of the momentum
-without friction, y = M^(1/2) xdot / e and lam_f = D(bound) s, the LCP reads
+They share a dimensionless form, an exact linear solve, and the residuals. With e the largest entry
+of the momentum without friction, y = M^(1/2) xdot / e and lam_f = D(bound) s, the LCP reads
 
     y - h + C^T lam - G^T s = 0,    e (h + C^T lam_0) = M^(-1/2) (M xdot_t + dt F),   C h = 0
     C y = 0,                        C = N J_e M^(-1/2), rows of unit length
     0 <= G y + gamma ⟂ s >= 0,      G = D(bound) J_f M^(-1/2) / e
     0 <= 1 - s ⟂ gamma >= 0
 
-(here gamma stands for D(bound) gamma / e²). Rows of J_f that are zero or whose bound is zero carry no friction and
-are left out.
+(here gamma stands for D(bound) gamma / e²). Rows of J_f that are zero or whose bound is zero carry
+no friction and are left out.
 """
 
 from collections.abc import Callable
@@ -29,7 +31,9 @@ from gridpush_drake.dynamics.reference.isotropic_socp import solve_conic, solve_
 from gridpush_drake.dynamics.reference.maximal_lcp import MaximalLcp
 from gridpush_drake.errors import SimulationError
 
-PROXIMAL_WEIGHT = 1e-12  # delta of `project`: makes redundant rows of C harmless; its effect is iterated away
+PROXIMAL_WEIGHT = (
+    1e-12  # delta of `project`: makes redundant rows of C harmless; its effect is iterated away
+)
 
 MAX_REFINEMENTS = 40
 
@@ -55,8 +59,9 @@ class NormalizedLcp:
 class KktResiduals:
     """How well each line of the LCP holds: the largest violation, as a share of the problem's own scale.
 
-    Impulses are measured by P, the largest cell's m |v_t| + dt |F| + bound; velocities by V, the same of the
-    whole body over its mass; moments and yaw rates by P s and V / s, s the cell size; products by P V.
+    Impulses are measured by P, the largest cell's m |v_t| + dt |F| + bound; velocities by V, the
+    same of the whole body over its mass; moments and yaw rates by P s and V / s, s the cell size;
+    products by P V.
     """
 
     momentum: float  # |M (xdot - xdot_t) - dt F - J_e^T lam_e - J_f^T lam_f|
@@ -93,9 +98,9 @@ def project(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Solves y + C^T lam = r, C y = 0: y is r (N,) or (N, j), projected onto the null space of C (k, N).
 
-    The proximal method of multipliers, [[1, C^T], [C, -delta]] [dy; dlam] = residual, repeated down to round-off:
-    one sparse factorization that does not mind redundant rows. Where those leave lam open the result stays
-    next to the lam that it started from, zero where not given.
+    The proximal method of multipliers, [[1, C^T], [C, -delta]] [dy; dlam] = residual, repeated down
+    to round-off: one sparse factorization that does not mind redundant rows. Where those leave lam
+    open the result stays next to the lam that it started from, zero where not given.
     """
     k, N = C.shape
     y = np.zeros_like(r)
@@ -151,7 +156,9 @@ def calc_residuals(
 
 __all__ = ["LcpSolution", "LcpSolver", "solve_as_lcp", "solve_as_qp", "solve_isotropic_socp"]
 
-SIGN_TOLERANCE = 1e-11  # violation of a sign, in the dimensionless LCP, that counts as a wrong active set
+SIGN_TOLERANCE = (
+    1e-11  # violation of a sign, in the dimensionless LCP, that counts as a wrong active set
+)
 MAX_ACTIVE_SETS = 600  # active sets to try before giving up
 
 STICK, SLIDE, REVERSE = 0, 1, 2
@@ -167,7 +174,8 @@ class LcpSolution:
     Attributes:
         xdot: (3n,) velocities after the step, rad/s and m/s; unique.
         lam_e: (3k,) rigidity impulses, N m s and N s.
-        lam_f: (2n,) friction impulses, N s then N m s; where several rows stick they are not unique.
+        lam_f: (2n,) friction impulses, N s then N m s; where several rows stick they are not
+            unique.
         gamma: (2n,) speeds of what slides and spins, m/s then rad/s.
         residuals: how well every line of the LCP holds.
     """
@@ -195,7 +203,9 @@ def solve_as_lcp(lcp: MaximalLcp, lcp_solver: LcpSolver) -> LcpSolution:
     one, zero = np.eye(k), np.zeros((k, k))
     z = np.zeros(0)
     if k:
-        z = lcp_solver(np.block([[G @ P_GT, one], [-one, zero]]), np.concatenate([G @ unit.h, np.ones(k)]))
+        z = lcp_solver(
+            np.block([[G @ P_GT, one], [-one, zero]]), np.concatenate([G @ unit.h, np.ones(k)])
+        )
     y, lam = project(unit.C, unit.h + G.T @ z[:k])
     return _restore(lcp, unit, y, lam, z[:k], z[k:])
 
@@ -203,10 +213,11 @@ def solve_as_lcp(lcp: MaximalLcp, lcp_solver: LcpSolver) -> LcpSolution:
 def solve_as_qp(lcp: MaximalLcp) -> LcpSolution:
     """Solves the convex QP with an interior point method, then the equations of its active set exactly, to round-off.
 
-    Every friction row slides (s = 1), sticks (G y = 0) or is carried backwards (s = 0). The interior point solution
-    tells which; y and the multipliers then solve linear equations, whose signs are verified. Where one is wrong the
-    active set method for the dual (a QP in 0 <= s <= 1) takes over: s goes towards the equations' solution up to the
-    first bound, whose row is held there; when none is in the way the row that moves against its state is released.
+    Every friction row slides (s = 1), sticks (G y = 0) or is carried backwards (s = 0). The
+    interior point solution tells which; y and the multipliers then solve linear equations, whose
+    signs are verified. Where one is wrong the active set method for the dual (a QP in 0 <= s <= 1)
+    takes over: s goes towards the equations' solution up to the first bound, whose row is held
+    there; when none is in the way the row that moves against its state is released.
 
     Raises:
         SimulationError: the interior point method failed, or no active set has the right signs.
@@ -214,7 +225,9 @@ def solve_as_qp(lcp: MaximalLcp) -> LcpSolution:
     unit = normalize(lcp)
     y, lam, s, slack = _interior_point(unit)
     fastest = np.abs(unit.G @ unit.h).max(initial=0.0) or 1.0
-    state = np.where(s < (unit.G @ y + slack) / fastest, REVERSE, np.where(1 - s < slack / fastest, SLIDE, STICK))
+    state = np.where(
+        s < (unit.G @ y + slack) / fastest, REVERSE, np.where(1 - s < slack / fastest, SLIDE, STICK)
+    )
     s = np.clip(s, 0, 1)
     for _ in range(MAX_ACTIVE_SETS):
         y, lam, target = _solve_active_set(unit, state, lam, s)
@@ -229,9 +242,13 @@ def solve_as_qp(lcp: MaximalLcp) -> LcpSolution:
         s, along = target, unit.G @ y
         wrong = np.choose(state, [np.zeros(len(s)), along, -along])
         if not (wrong > SIGN_TOLERANCE * fastest).any():
-            return _restore(lcp, unit, y, lam, s, np.where(state == SLIDE, np.maximum(0, -along), 0.0))
+            return _restore(
+                lcp, unit, y, lam, s, np.where(state == SLIDE, np.maximum(0, -along), 0.0)
+            )
         state[wrong.argmax()] = STICK
-    raise SimulationError(f"the friction QP of {lcp.n} cells found no active set with the right signs")
+    raise SimulationError(
+        f"the friction QP of {lcp.n} cells found no active set with the right signs"
+    )
 
 
 def _restore(
@@ -257,7 +274,9 @@ def _interior_point(
     """Solves for y, lam, s, t:  min 1/2 |y|² - h·y + sum t  s.t.  C y = 0 (lam), t >= 0 (1 - s), t + G y >= 0 (s)."""
     k, N = unit.G.shape
     E, m = unit.C.shape[0], unit.C.shape[0] + k
-    A = block_array([[unit.C, csr_array((E, k))], [csr_array((k, N)), -eye_array(k)], [-unit.G, -eye_array(k)]])
+    A = block_array(
+        [[unit.C, csr_array((E, k))], [csr_array((k, N)), -eye_array(k)], [-unit.G, -eye_array(k)]]
+    )
     P = diags_array(np.concatenate([np.ones(N), np.zeros(k)]))
     x, z = solve_conic(
         csc_array(P),

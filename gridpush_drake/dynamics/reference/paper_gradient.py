@@ -1,24 +1,28 @@
 """The paper's closed-form gradient of one step of the maximal LCP (Song & Boularias, RSS 2020, section V).
 
-The object moves, and pose, xdot_t, F and hence J_e and J_f are constant. Each friction row then either slides,
-lam_f = bound, or is carried backwards, lam_f = 0, or sticks, J_f xdot = 0. With C = [J_e; J_f of sticking rows],
-D_s = 1 for rows that slide and 0 elsewhere, and xdot the velocity after the step, differentiate
+The object moves, and pose, xdot_t, F and hence J_e and J_f are constant. Each friction row then
+either slides, lam_f = bound, or is carried backwards, lam_f = 0, or sticks, J_f xdot = 0. With C =
+[J_e; J_f of sticking rows], D_s = 1 for rows that slide and 0 elsewhere, and xdot the velocity
+after the step, differentiate
 
     M (xdot - xdot_t) - dt F - C^T lam - J_f^T D_s bound = 0,    C xdot = 0:
     M dxdot + dM (xdot - xdot_t) - C^T dlam - J_f^T D_s dbound = 0,    C dxdot = 0.
 
 Solve the first line for dxdot, insert it in the second, and eliminate dlam:
 
-    dxdot = -X11 [dM (xdot - xdot_t) - J_f^T D_s dbound],    X11 = M^-1 - M^-1 C^T (C M^-1 C^T)^-1 C M^-1.
+    dxdot = -X11 [dM (xdot - xdot_t) - J_f^T D_s dbound],    X11 = M^-1 - M^-1 C^T (C M^-1 C^T)^-1 C
+    M^-1.
 
-J_f's rows point against the motion, so more friction slows: -J_f^T is the direction of motion. X11 maps an impulse
-to the velocity that it gives the rigid body, so with xdot = T nu and M_B = T^T M T,
+J_f's rows point against the motion, so more friction slows: -J_f^T is the direction of motion. X11
+maps an impulse to the velocity that it gives the rigid body, so with xdot = T nu and M_B = T^T M T,
 
-    X11 = T X_B T^T,    X_B = M_B^-1  where nothing sticks, else, with J = J_f T of the sticking rows,
+    X11 = T X_B T^T,    X_B = M_B^-1  where nothing sticks, else, with J = J_f T of the sticking
+    rows,
                         X_B = M_B^-1 - M_B^-1 J^T (J M_B^-1 J^T)^+ J M_B^-1.
 
-A cell's mass enters M as (s²/6, 1, 1) dm_i and the bounds as dbound/dm_i = bound/m_i; its friction enters the bounds as
-(m_i g dt, c s m_i g dt) dmu_i. (The paper writes both as one mu diag(M) of 3n numbers; friction has 2n rows.)
+A cell's mass enters M as (s²/6, 1, 1) dm_i and the bounds as dbound/dm_i = bound/m_i; its friction
+enters the bounds as (m_i g dt, c s m_i g dt) dmu_i. (The paper writes both as one mu diag(M) of 3n
+numbers; friction has 2n rows.)
 """
 
 from dataclasses import dataclass
@@ -28,12 +32,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from gridpush_drake.dynamics.kernels.friction_law import calc_spin_arm
 from gridpush_drake.dynamics.kernels.lagged_friction import SPEED_AT_REST, YAW_RATE_AT_REST
-from gridpush_drake.dynamics.reference.maximal_lcp import STANDARD_GRAVITY, MaximalLcp, twist_to_cells
+from gridpush_drake.dynamics.reference.maximal_lcp import (
+    STANDARD_GRAVITY,
+    MaximalLcp,
+    twist_to_cells,
+)
 from gridpush_drake.dynamics.reference.maximal_solvers import LcpSolution
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
-AT_BOUND = 1e-9  # share of the bound within which a friction impulse counts as zero or as at its bound
+AT_BOUND = (
+    1e-9  # share of the bound within which a friction impulse counts as zero or as at its bound
+)
 REDUNDANT = 1e-10  # relative singular value below which rows of C count as redundant
 
 
@@ -50,10 +60,13 @@ class PaperGradient:
     friction: NDArray[np.float64]
 
 
-def calc_x11(lcp: MaximalLcp, solution: LcpSolution, T: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+def calc_x11(
+    lcp: MaximalLcp, solution: LcpSolution, T: NDArray[np.float64] | None = None
+) -> NDArray[np.float64]:
     """X11 (3n, 3n): from impulses on the cells to the velocities that they cause, 1/(kg m²) and 1/kg.
 
-    With T (3n, 3), `twist_to_cells`, by the condensed form T X_B T^T; without it by the paper's formula in J_e, O(n³).
+    With T (3n, 3), `twist_to_cells`, by the condensed form T X_B T^T; without it by the paper's
+    formula in J_e, O(n³).
     """
     if T is not None:
         return T @ _condensed_x11(lcp, solution, T) @ T.T
@@ -68,11 +81,16 @@ def calc_x11(lcp: MaximalLcp, solution: LcpSolution, T: NDArray[np.float64] | No
 
 
 def calc_paper_gradient(
-    lcp: MaximalLcp, solution: LcpSolution, T: NDArray[np.float64] | None = None, *, g: float = STANDARD_GRAVITY
+    lcp: MaximalLcp,
+    solution: LcpSolution,
+    T: NDArray[np.float64] | None = None,
+    *,
+    g: float = STANDARD_GRAVITY,
 ) -> PaperGradient:
     """Differentiates the velocities after a step of a moving object by every cell's mass and friction.
 
-    With T (3n, 3), `twist_to_cells`, by the condensed route in O(n²); without it by the explicit one in O(n³).
+    With T (3n, 3), `twist_to_cells`, by the condensed route in O(n²); without it by the explicit
+    one in O(n³).
     """
     by_mass, by_friction = _impulse_derivatives(lcp, solution, g)
     if T is None:
@@ -93,7 +111,8 @@ def calc_paper_loss_gradient(
     """Differentiates the paper's loss |x_{t+1} - x*_{t+1}|², x_{t+1} = x_t + xdot dt, so dloss/dxdot = 2 dt error.
 
     Args:
-        error: (3n,) x_{t+1} - x*_{t+1} in the cells' order, rad and m; zero where the loss ignores an entry.
+        error: (3n,) x_{t+1} - x*_{t+1} in the cells' order, rad and m; zero where the loss ignores
+            an entry.
         T: as in `calc_paper_gradient`.
 
     Returns:
@@ -122,8 +141,9 @@ def calc_paper_step_jacobian(
         dnu'/dm_i  = -M_B^-1 [T_i^T diag(s²/6, 1, 1) T_i (nu' - nu) + mu_i g dt f_i]
         dnu'/dmu_i = -M_B^-1 m_i g dt f_i,      f_i = (d_i, r_i × d_i + c s sgn w)
 
-    with d_i the direction of cell i before the step, or after it where the cell was at rest (impending motion). A
-    motion that the step reversed has no friction; a body that the step brings to rest stays there, with no derivative.
+    with d_i the direction of cell i before the step, or after it where the cell was at rest
+    (impending motion). A motion that the step reversed has no friction; a body that the step brings
+    to rest stays there, with no derivative.
 
     Args:
         q: (3,) pose X_WB before the step, m and rad.
@@ -153,7 +173,9 @@ def calc_paper_step_jacobian(
     f = np.einsum("nij,ni->jn", cells, np.hstack([sense, d]))
     momentum = np.einsum("nij,ni->jn", cells, inertia * (after - before))
     M_B = T.T @ ((m[:, None] * inertia).ravel()[:, None] * T)
-    dnu = np.linalg.solve(M_B, -np.hstack([momentum + params.friction * g * dt * f, m * g * dt * f]))
+    dnu = np.linalg.solve(
+        M_B, -np.hstack([momentum + params.friction * g * dt * f, m * g * dt * f])
+    )
     return dnu[:, :n], dnu[:, n:]
 
 
@@ -162,7 +184,9 @@ def _sticks(lcp: MaximalLcp, solution: LcpSolution) -> NDArray[np.bool_]:
     return (solution.lam_f > AT_BOUND * lcp.bound) & (solution.lam_f < (1 - AT_BOUND) * lcp.bound)
 
 
-def _condensed_x11(lcp: MaximalLcp, solution: LcpSolution, T: NDArray[np.float64]) -> NDArray[np.float64]:
+def _condensed_x11(
+    lcp: MaximalLcp, solution: LcpSolution, T: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """X_B (3, 3)."""
     X_B = np.asarray(np.linalg.inv(T.T @ (lcp.M[:, None] * T)), dtype=np.float64)
     J = lcp.J_f[_sticks(lcp, solution)] @ T

@@ -1,18 +1,20 @@
 """The paper's closed-form gradient, along a simulated push: each step by itself.
 
-It is what Song & Boularias descend on (RSS 2020, section V): the pose and velocity before the step, the applied and the
-contact forces and the friction directions are held constant, and only the step's own impulses are differentiated. It
-is NOT the derivative of the motion: what a parameter changed in earlier steps, and how the contact answers, is missing.
-That derivative is `gradients=True`. Here it costs half of the simulation itself.
+It is what Song & Boularias descend on (RSS 2020, section V): the pose and velocity before the step,
+the applied and the contact forces and the friction directions are held constant, and only the
+step's own impulses are differentiated. It is NOT the derivative of the motion: what a parameter
+changed in earlier steps, and how the contact answers, is missing. That derivative is
+`gradients=True`. Here it costs half of the simulation itself.
 
 With nu, nu' the twists before and after the step, of the body as the step sees it (`rollout`),
 
     dnu'/dm_i  = -M_B^-1 [T_i^T diag(s²/6, 1, 1) T_i (nu' - nu) + mu_i g dt f_i]
     dnu'/dmu_i = -M_B^-1 m_i g dt f_i,      dq_{t+1} = dt dnu'
 
-and f_i the direction of cell i's motion before the step, or after it where the cell was at rest (impending motion); a
-motion that the step reversed has no friction. A body that the step brings to rest has no derivative, and where separate
-spin friction holds its rotation, M_B^-1 gives way to its projection on translations. `paper_gradient` derives all this.
+and f_i the direction of cell i's motion before the step, or after it where the cell was at rest
+(impending motion); a motion that the step reversed has no friction. A body that the step brings to
+rest has no derivative, and where separate spin friction holds its rotation, M_B^-1 gives way to its
+projection on translations. `paper_gradient` derives all this.
 """
 
 from math import sqrt
@@ -31,7 +33,8 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 
 REST = 1e-5
-"""m/s; a step that leaves less has stopped the body: far above the stiction tolerance, far below any push."""
+"""m/s; a step that leaves less has stopped the body: far above the stiction tolerance, far below
+any push."""
 
 
 def calc_paper_jacobian(
@@ -45,7 +48,8 @@ def calc_paper_jacobian(
 ) -> Jacobian:
     """Differentiates each recorded pose (rows, (R,)) by the step that led to it: the blocks `mass` and `friction`.
 
-    The others are zero, and so is the row of pose 0, which no step led to. The steps `dts` (T,), s, are inertial.
+    The others are zero, and so is the row of pose 0, which no step led to. The steps `dts` (T,), s,
+    are inertial.
     """
     t = np.maximum(rows - 1, 0)
     dt, arm = dts[t], calc_spin_arm(obj, params)
@@ -82,7 +86,8 @@ def fill_paper_gradient(
         cells: (2, n) cell centers p_BC, m.
         mass, friction: (n,) m_i, kg, and mu_i.
         inertia: of a cell about its center over its mass, m².
-        kappa2, spin_arm: the spin model: kappa² (m²) of the coupled one, c s (m) of the separate one; else zero.
+        kappa2, spin_arm: the spin model: kappa² (m²) of the coupled one, c s (m) of the separate
+            one; else zero.
         before, after: (R, 3) twists, in the frames of the steps.
         impulse: (R,) g dt, N s/kg.
         response: (R, 3, 3) from an impulse in that frame to the pose's displacement in W.
@@ -127,15 +132,21 @@ def _twists_before(
 ) -> tuple[Array, Array]:
     """(R, 3) the twists before the steps t, in their frames, and (R,) the frames' angles in W, rad.
 
-    The frame is the body's, turned about its center of mass for the time `until` (s) at the yaw rate before the step.
+    The frame is the body's, turned about its center of mass for the time `until` (s) at the yaw
+    rate before the step.
     """
     cx, cy = params.center_of_mass(obj)
     theta, w = steps.poses[t, 2], steps.velocities[t, 2]
     turn = theta + until * w
     c, s = np.cos(theta), np.sin(theta)
-    com_vx, com_vy = steps.velocities[t, 0] - w * (s * cx + c * cy), steps.velocities[t, 1] + w * (c * cx - s * cy)
+    com_vx, com_vy = (
+        steps.velocities[t, 0] - w * (s * cx + c * cy),
+        steps.velocities[t, 1] + w * (c * cx - s * cy),
+    )
     c, s = np.cos(turn), np.sin(turn)
-    return np.stack([c * com_vx + s * com_vy + w * cy, -s * com_vx + c * com_vy - w * cx, w], axis=1), turn
+    return np.stack(
+        [c * com_vx + s * com_vy + w * cy, -s * com_vx + c * com_vy - w * cx, w], axis=1
+    ), turn
 
 
 def _calc_inertia(obj: GridObject, params: CellParameters) -> Array:

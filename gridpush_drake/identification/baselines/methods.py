@@ -1,7 +1,7 @@
 """The methods that the paper compares with (its section VI.C), and the registry of all searches by name.
 
-All begin at the start, then differ. They see nothing but the loss, at one simulation of every training push a value.
-Lengths are shares of the bounds' width, in the logarithm.
+All begin at the start, then differ. They see nothing but the loss, at one simulation of every
+training push a value. Lengths are shares of the bounds' width, in the logarithm.
 """
 
 from dataclasses import dataclass

@@ -1,19 +1,22 @@
 """The paper's Algorithm 1 (Song & Boularias, RSS 2020): coordinate descent in M and mu by the closed-form gradient.
 
-The loss is the mean over pushes, observed times tau and cells of |x_tau - x*_tau|, predicted and observed places. The
-paper holds x_t and xdot_t constant in each step's derivative; of the chain rule through the steps of the LCP there
-remains the sum of their own terms, each by the closed form of one step (`dynamics.reference.paper_gradient`),
+The loss is the mean over pushes, observed times tau and cells of |x_tau - x*_tau|, predicted and
+observed places. The paper holds x_t and xdot_t constant in each step's derivative; of the chain
+rule through the steps of the LCP there remains the sum of their own terms, each by the closed form
+of one step (`dynamics.reference.paper_gradient`),
 
-    dloss/dM = sum_tau dloss/dq_tau · sum_{t < tau} dq_{t+1}/dM |_{x_t, xdot_t, F constant},    dloss/dmu likewise.
+    dloss/dM = sum_tau dloss/dq_tau · sum_{t < tau} dq_{t+1}/dM |_{x_t, xdot_t, F constant},
+    dloss/dmu likewise.
 
-The loss descended is that of the paper's own model, whatever the regime asked for: inertial, with the friction
-directions of the step before.
+The loss descended is that of the paper's own model, whatever the regime asked for: inertial, with
+the friction directions of the step before.
 
-Steps. The closed form leaves out how a step changes those after it and how the pusher's force answers: it is a good
-direction, of no meaningful length. A step is therefore normalized: the cell whose logarithm it would move most moves by
-a given amount, all others in proportion, then all are clipped to the bounds. A step that does not lower the loss is
-taken back, which costs its simulations, and the next is shorter; one that does is followed by a longer one. M and mu
-take turns, each with its own step.
+Steps. The closed form leaves out how a step changes those after it and how the pusher's force
+answers: it is a good direction, of no meaningful length. A step is therefore normalized: the cell
+whose logarithm it would move most moves by a given amount, all others in proportion, then all are
+clipped to the bounds. A step that does not lower the loss is taken back, which costs its
+simulations, and the next is shorter; one that does is followed by a longer one. M and mu take
+turns, each with its own step.
 """
 
 from dataclasses import dataclass, replace
@@ -84,9 +87,15 @@ def calc_paper_gradient_of_loss(loss: CellLoss, simulations: list[Motion]) -> di
         The gradient by masses and by frictions.
     """
     gradient = {block: np.zeros(loss.obj.n) for block in BLOCKS}
-    for simulation, miss, rows in zip(simulations, loss.misses(simulations), loss.rows, strict=True):
+    for simulation, miss, rows in zip(
+        simulations, loss.misses(simulations), loss.rows, strict=True
+    ):
         by_pose = np.zeros((len(simulation.poses), 3))
-        np.add.at(by_pose, rows, _differentiate_by_pose(loss.obj, simulation.poses[rows], miss) / len(simulations))
+        np.add.at(
+            by_pose,
+            rows,
+            _differentiate_by_pose(loss.obj, simulation.poses[rows], miss) / len(simulations),
+        )
         after = by_pose[::-1].cumsum(axis=0)[::-1]  # a step moves all poses after it
         for block in BLOCKS:
             gradient[block] += np.einsum("tj,tjn->n", after, getattr(simulation.jacobian, block))

@@ -1,7 +1,8 @@
 """What every search shares: bounds, the loss that it lowers, the budget that it may spend, and its result.
 
-A method (`SearchMethod`) works on a `Search`: a loss over points u of the unit cube, one coordinate for each free mass
-and friction, logarithmic between its bounds. `run_search` runs a method on a log.
+A method (`SearchMethod`) works on a `Search`: a loss over points u of the unit cube, one coordinate
+for each free mass and friction, logarithmic between its bounds. `run_search` runs a method on a
+log.
 """
 
 from dataclasses import dataclass, replace
@@ -22,7 +23,8 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 MASS_SPREAD = 50.0
-"""Ratio of the greatest to the least cell mass where nothing else is known: the paper's 5.0 kg to 0.1 kg."""
+"""Ratio of the greatest to the least cell mass where nothing else is known: the paper's 5.0 kg to
+0.1 kg."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,9 @@ class Bounds:
         for name in ("mass", "friction"):
             low, high = getattr(self, name)
             if not 0 < low <= high < np.inf:
-                raise IdentificationError(f"bounds.{name} is {(low, high)!r}; expected 0 < least <= greatest")
+                raise IdentificationError(
+                    f"bounds.{name} is {(low, high)!r}; expected 0 < least <= greatest"
+                )
 
     @classmethod
     def around(cls, obj: GridObject, start: CellParameters) -> "Bounds":
@@ -100,7 +104,8 @@ class SearchStopped(Exception):  # noqa: N818 - a signal from the loss to the se
 class CellLoss:
     """Mean over pushes of the mean distance between predicted and observed cells over the observed times (ADD), m.
 
-    Counts the pushes it simulates, keeps the best parameters and the history, and ends the search by `SearchStopped`.
+    Counts the pushes it simulates, keeps the best parameters and the history, and ends the search
+    by `SearchStopped`.
 
     Attributes:
         simulations: pushes simulated so far.
@@ -138,7 +143,9 @@ class CellLoss:
         """Evaluates the loss, m. Raises SearchStopped once the search is over."""
         return self.evaluate(params, stage, regime=self.regime)[0]
 
-    def evaluate(self, params: CellParameters, stage: str, **options: Any) -> tuple[float, list[Motion]]:
+    def evaluate(
+        self, params: CellParameters, stage: str, **options: Any
+    ) -> tuple[float, list[Motion]]:
         """Evaluates the loss, m, and hands out the simulations.
 
         Args:
@@ -150,13 +157,16 @@ class CellLoss:
             The loss, and the pushes' simulations.
 
         Raises:
-            SearchStopped: another evaluation would exceed the budget, or this one is below the threshold.
+            SearchStopped: another evaluation would exceed the budget, or this one is below the
+                threshold.
         """
         if self.simulations + len(self) > self.budget:
             raise SearchStopped(SearchStatus.BUDGET_SPENT)
         simulations = [push.simulate(self.obj, params, **options) for push in self._pushes]
         self.simulations += len(self)
-        loss = float(np.mean([np.linalg.norm(miss, axis=-1).mean() for miss in self.misses(simulations)]))
+        loss = float(
+            np.mean([np.linalg.norm(miss, axis=-1).mean() for miss in self.misses(simulations)])
+        )
         loss = loss if np.isfinite(loss) else np.inf
         if loss < self.best_loss:
             self.best, self.best_loss = params, loss
@@ -256,10 +266,12 @@ def run_search(
         The result; its loss is never above the start's.
 
     Raises:
-        IdentificationError: the budget does not reach for one simulation of each push, or a push has no observation to
-            compare with.
+        IdentificationError: the budget does not reach for one simulation of each push, or a push
+            has no observation to compare with.
     """
-    loss = CellLoss(obj, log, start, budget=budget, regime=method.regime or regime, progress=progress)
+    loss = CellLoss(
+        obj, log, start, budget=budget, regime=method.regime or regime, progress=progress
+    )
     try:
         status = method.run(Search(loss, start, bounds, seed))
     except SearchStopped as stop:
@@ -269,5 +281,7 @@ def run_search(
 
 def _observed_cells(obj: GridObject, seen: ObservedPush) -> Array:
     if not len(seen.poses_observed):
-        raise IdentificationError(f"push {seen.name!r}: has no observation after its first; expected at least one")
+        raise IdentificationError(
+            f"push {seen.name!r}: has no observation after its first; expected at least one"
+        )
     return obj.cells_at(seen.poses_observed)

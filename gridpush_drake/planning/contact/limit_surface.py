@@ -1,16 +1,20 @@
 """What a push will roughly do, for a great many pushes at once: the ellipsoidal limit surface; and which to begin with.
 
-The support's friction as a whole can resist a force f_max = sum k_i, or a moment m_max = sum k_i |p_i - c| about the
-center of friction c; in between lies about an ellipsoid (Goyal, Ruina & Papadopoulos 1991; Lynch & Mason 1996). With
-lambda = m_max / f_max the quasi-static twist about c that a force f at the point p, relative to c, gives is
+The support's friction as a whole can resist a force f_max = sum k_i, or a moment m_max = sum k_i
+|p_i - c| about the center of friction c; in between lies about an ellipsoid (Goyal, Ruina &
+Papadopoulos 1991; Lynch & Mason 1996). With lambda = m_max / f_max the quasi-static twist about c
+that a force f at the point p, relative to c, gives is
 
-    v ~ f,   w ~ (p x f) / lambda²,   so that the contact moves with   v_p ~ B f,   B = I + p⊥ p⊥^T / lambda²,
+    v ~ f,   w ~ (p x f) / lambda²,   so that the contact moves with   v_p ~ B f,   B = I + p⊥ p⊥^T
+    / lambda²,
 
-with p⊥ = z x p. Where the pusher's velocity u asks for a force f = B^-1 u outside the friction cone, the contact slides
-and f is on the cone's edge. Disc against outline is read from a table of the signed distance to the outline.
+with p⊥ = z x p. Where the pusher's velocity u asks for a force f = B^-1 u outside the friction
+cone, the contact slides and f is on the cone's edge. Disc against outline is read from a table of
+the signed distance to the outline.
 
-This costs no simulation; it only says where simulations are worth their while: `screen` follows all places along the
-reachable outline, with some directions each, and takes the best of them that are not near a better one.
+This costs no simulation; it only says where simulations are worth their while: `screen` follows all
+places along the reachable outline, with some directions each, and takes the best of them that are
+not near a better one.
 """
 
 import heapq
@@ -47,7 +51,12 @@ class DistanceTable:
         cell = np.clip((p - self.corner) / self.step, 0.0, np.array(self.values.shape) - 1.001)
         i, j = cell.astype(int).T
         u, v = cell[:, 0] - i, cell[:, 1] - j
-        a, b, c, d = self.values[i, j], self.values[i + 1, j], self.values[i, j + 1], self.values[i + 1, j + 1]
+        a, b, c, d = (
+            self.values[i, j],
+            self.values[i + 1, j],
+            self.values[i, j + 1],
+            self.values[i + 1, j + 1],
+        )
         value = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
         slope = np.column_stack([(1 - v) * (b - a) + v * (d - c), (1 - u) * (c - a) + u * (d - b)])
         return value, slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-12)
@@ -65,7 +74,9 @@ def make_distance_table(obj: GridObject, radius: float) -> DistanceTable:
     X, Y = np.meshgrid(x, y, indexing="ij")
     distance = shapely.distance(outline.exterior, shapely.points(X, Y))
     return DistanceTable(
-        np.array([x[0], y[0]]), step, np.where(shapely.contains_xy(outline, X, Y), -distance, distance)
+        np.array([x[0], y[0]]),
+        step,
+        np.where(shapely.contains_xy(outline, X, Y), -distance, distance),
     )
 
 
@@ -94,7 +105,9 @@ def predict_roughly(
         p_tip = rotate(-theta, start + h * step * direction - center)
         u = h * rotate(-theta, direction)
         away, outward = table.lookup(p_tip + c)
-        twist = _calc_twist(p_tip - away[:, None] * outward, -outward, u, away - radius, inverse, mu)
+        twist = _calc_twist(
+            p_tip - away[:, None] * outward, -outward, u, away - radius, inverse, mu
+        )
         center = center + rotate(theta + twist[:, 2] / 2, twist[:, :2])
         theta = theta + twist[:, 2]
         poses[step] = np.column_stack([center - rotate(theta, c), theta])
@@ -138,7 +151,8 @@ class Screening:
 def screen(runner: TrialRunner) -> Screening:
     """Ranks pushes from the runner's pose towards its goal.
 
-    At most as many as there are starts; fewer where the rules forbid the others, or they are near one another.
+    At most as many as there are starts; fewer where the rules forbid the others, or they are near
+    one another.
     """
     options = runner.options
     s, piece = runner.reach.spread(runner.reach.length / PLACES)
@@ -148,7 +162,13 @@ def screen(runner: TrialRunner) -> Screening:
     start = runner.reach.point(s, piece) + (options.radius + options.clearance) * normal
     direction = -rotate(angle, normal)
     keep = runner.checker.allows_finger(transform(runner.pose, start))
-    s, piece, angle, start, direction = s[keep], piece[keep], angle[keep], start[keep], direction[keep]
+    s, piece, angle, start, direction = (
+        s[keep],
+        piece[keep],
+        angle[keep],
+        start[keep],
+        direction[keep],
+    )
     if not len(s):
         return Screening(s, piece, angle, np.empty(0))
     longest = runner.distance_range[1]
@@ -178,17 +198,24 @@ def _count_allowed(runner: TrialRunner, poses: Array, start: Array, direction: A
         return steps
     traveled = runner.distance_range[1] * np.arange(1, steps + 1) / steps
     tip = transform(runner.pose, start + traveled[:, None] * direction)
-    fine = runner.checker.allows_finger(tip) & runner.checker.allows_poses(compose(runner.pose, poses))
+    fine = runner.checker.allows_finger(tip) & runner.checker.allows_poses(
+        compose(runner.pose, poses)
+    )
     return steps if fine.all() else int(np.argmin(fine))
 
 
 def _pick_apart(
-    runner: TrialRunner, s: Array, angle: Array, costs: Array, count_allowed: Callable[[int], int], count: int
+    runner: TrialRunner,
+    s: Array,
+    angle: Array,
+    costs: Array,
+    count_allowed: Callable[[int], int],
+    count: int,
 ) -> tuple[NDArray[np.int64], Array]:
     """Indices and costs of the `count` cheapest, each far from the cheaper ones; `costs` (steps, N) after each step, m.
 
-    What a push costs as far as the rules allow it is at least what it costs without them, so that only those pushes are
-    looked up whose turn comes.
+    What a push costs as far as the rules allow it is at least what it costs without them, so that
+    only those pushes are looked up whose turn comes.
     """
     perimeter = runner.reach.perimeter
     queue = [(float(cost), i, False) for i, cost in enumerate(costs.min(axis=0))]

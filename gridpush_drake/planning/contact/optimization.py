@@ -1,19 +1,22 @@
 """Contact-point optimization: where on the outline, in which direction and how far to push.
 
-The cost of a push is the mean distance of the cells' centers at its predicted end from where they are at the goal pose
-(`docs/theory/planning.md`, section 1). There are three ways to search for the cheapest.
+The cost of a push is the mean distance of the cells' centers at its predicted end from where they
+are at the goal pose (`docs/theory/planning.md`, section 1). There are three ways to search for the
+cheapest.
 
 "gradient" minimizes f(s, phi) (see `trial`) by Levenberg-Marquardt steps
 
     (H + lambda diag H) dx = -grad C,   x = (s, phi, d),
 
-from several starts (`limit_surface.screen`). phi is the direction in the body frame: it is held while s runs across a
-vertex, and the angle from the new edge's normal kept within its range. Starts are taken up best first: the one goes on
-whose step promises the lowest cost, and the search ends when no start promises to do better than the best.
+from several starts (`limit_surface.screen`). phi is the direction in the body frame: it is held
+while s runs across a vertex, and the angle from the new edge's normal kept within its range. Starts
+are taken up best first: the one goes on whose step promises the lowest cost, and the search ends
+when no start promises to do better than the best.
 
-"finite_difference" is the paper's: from places spread along the outline it walks along it, and turns, by the sign of
-finite differences, with steps that halve. "exhaustive" tries every place with every direction of a grid, and walks on
-in the same manner from the best of its nodes: the yardstick.
+"finite_difference" is the paper's: from places spread along the outline it walks along it, and
+turns, by the sign of finite differences, with steps that halve. "exhaustive" tries every place with
+every direction of a grid, and walks on in the same manner from the best of its nodes: the
+yardstick.
 """
 
 from collections.abc import Callable
@@ -32,13 +35,20 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.limit_surface import screen
 from gridpush_drake.planning.contact.reachable_outline import find_reachable_outline
-from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush, Trial, TrialRunner, calc_goal_error
+from gridpush_drake.planning.contact.trial import (
+    ContactOptions,
+    PlannedPush,
+    Trial,
+    TrialRunner,
+    calc_goal_error,
+)
 from gridpush_drake.planning.push_constraints import PushConstraints
 
 ContactMethod = Literal["gradient", "finite_difference", "exhaustive"]
 
 REACH_FACTOR = 1.25
-"""The longest push tried is this times the farthest that a cell has to go, unless the range ends before."""
+"""The longest push tried is this times the farthest that a cell has to go, unless the range ends
+before."""
 
 
 class ContactPlanStatus(StrEnum):
@@ -55,13 +65,14 @@ class ContactPlan:
 
     Attributes:
         push: the best push; None where the finger reaches no place, or no push is allowed.
-        candidates: what the search ended with from each of its starts (exhaustive: the best few), best first.
+        candidates: what the search ended with from each of its starts (exhaustive: the best few),
+            best first.
         start_cost: mean cell error before the push, m.
         method: of the search.
         simulations: simulated pushes; one with its Jacobian counts as one.
         seconds: wall-clock time.
-        status: "ok"; "no_improvement" where the best allowed push leaves the object no nearer to the goal;
-            "no_reachable_contact" where there is none.
+        status: "ok"; "no_improvement" where the best allowed push leaves the object no nearer to
+            the goal; "no_reachable_contact" where there is none.
     """
 
     push: PlannedPush | None
@@ -107,16 +118,27 @@ def optimize_contact(
     if method not in METHODS:
         raise PlanningError(f"method is {method!r}; expected one of {', '.join(METHODS)}")
     options = options or ContactOptions()
-    q, aim = check_vector(PlanningError, "pose", pose, 3), check_vector(PlanningError, "goal", goal, 3)
+    q, aim = (
+        check_vector(PlanningError, "pose", pose, 3),
+        check_vector(PlanningError, "goal", goal, 3),
+    )
     runner = make_runner(obj, params, q, aim, constraints, options)
     trials = METHODS[method](runner)[:MAX_CANDIDATES]
     found = tuple(runner.finish(trial, runner.simulations) for trial in trials)
     start_cost = float(calc_goal_error(obj, q, aim))
     status = ContactPlanStatus.NO_REACHABLE_CONTACT
     if found:
-        status = ContactPlanStatus.OK if found[0].cost < start_cost else ContactPlanStatus.NO_IMPROVEMENT
+        status = (
+            ContactPlanStatus.OK if found[0].cost < start_cost else ContactPlanStatus.NO_IMPROVEMENT
+        )
     return ContactPlan(
-        found[0] if found else None, found, start_cost, method, runner.simulations, perf_counter() - begin, status
+        found[0] if found else None,
+        found,
+        start_cost,
+        method,
+        runner.simulations,
+        perf_counter() - begin,
+        status,
     )
 
 
@@ -155,8 +177,9 @@ DIFFERENCE_PLACE, DIFFERENCE_TURN = 0.04, 0.25
 HALVINGS = 4  # after so many the walk ends
 
 REFINEMENTS = 6
-"""Halvings of the exhaustive search's steps from the best nodes of its grid, half the grid's at first: of a long push a
-millimeter along the outline may move the end by centimeters, which no grid resolves."""
+"""Halvings of the exhaustive search's steps from the best nodes of its grid, half the grid's at
+first: of a long push a millimeter along the outline may move the end by centimeters, which no grid
+resolves."""
 
 
 @dataclass(eq=False)
@@ -177,14 +200,18 @@ def search_by_gradient(runner: TrialRunner) -> list[Trial]:
     """Descends from screened starts; one trial a start, best first."""
     beginnings = screen(runner)
     walks, options = [], runner.options
-    for s, piece, angle in zip(beginnings.arc_length, beginnings.piece, beginnings.angle, strict=True):
+    for s, piece, angle in zip(
+        beginnings.arc_length, beginnings.piece, beginnings.angle, strict=True
+    ):
         walk = _Walk(runner.run(float(s), int(piece), float(angle), gradient=True))
         if np.isfinite(walk.trial.cost):
             _plan_step(walk, runner)
             walks.append(walk)
     while walks and runner.simulations < options.budget:
         best = min(walk.trial.cost for walk in walks)
-        walk = min(walks, key=lambda walk: walk.attainable_cost if walk.step is not None else np.inf)
+        walk = min(
+            walks, key=lambda walk: walk.attainable_cost if walk.step is not None else np.inf
+        )
         if walk.step is None or walk.attainable_cost > best - options.min_improvement:
             break
         if any(_has_run_into(walk, other, runner) for other in walks):
@@ -239,13 +266,18 @@ def _advance(walk: _Walk, runner: TrialRunner) -> None:
 def move(runner: TrialRunner, trial: Trial, by: float, turn: float) -> tuple[float, int, float]:
     """Moves a trial by m along the outline, counterclockwise, and turns it by rad, its direction held in the body.
 
-    Returns the nearest reachable arc length, m, its piece, and the angle from the normal there, rad.
+    Returns the nearest reachable arc length, m, its piece, and the angle from the normal there,
+    rad.
     """
     places, pieces = runner.reach.find_nearest(trial.arc_length + by)
     piece = int(pieces)
     old, new = runner.reach.tangent[trial.piece], runner.reach.tangent[piece]
     bend = float(np.arctan2(old[0] * new[1] - old[1] * new[0], old @ new))
-    return float(places), piece, float(np.clip(trial.angle + turn - bend, *runner.options.angle_range))
+    return (
+        float(places),
+        piece,
+        float(np.clip(trial.angle + turn - bend, *runner.options.angle_range)),
+    )
 
 
 def search_by_differences(runner: TrialRunner) -> list[Trial]:
@@ -255,16 +287,27 @@ def search_by_differences(runner: TrialRunner) -> list[Trial]:
     first = np.random.default_rng(options.seed).uniform(0, spacing)
     places, pieces = runner.reach.find_nearest(first + spacing * np.arange(options.starts))
     middle = float(np.mean(options.angle_range))
-    trials = [runner.run(float(s), int(piece), middle) for s, piece in zip(places, pieces, strict=True)]
-    trials = sorted((trial for trial in trials if np.isfinite(trial.cost)), key=lambda trial: trial.cost)
+    trials = [
+        runner.run(float(s), int(piece), middle) for s, piece in zip(places, pieces, strict=True)
+    ]
+    trials = sorted(
+        (trial for trial in trials if np.isfinite(trial.cost)), key=lambda trial: trial.cost
+    )
     first_step = DIFFERENCE_PLACE * runner.reach.perimeter
     for i, trial in enumerate(trials):
-        trials[i] = _walk_along(runner, trial, first_step, DIFFERENCE_TURN, HALVINGS, options.budget)
+        trials[i] = _walk_along(
+            runner, trial, first_step, DIFFERENCE_TURN, HALVINGS, options.budget
+        )
     return sorted(trials, key=lambda trial: trial.cost)
 
 
 def _walk_along(
-    runner: TrialRunner, trial: Trial, place: float, turn: float, halvings: int, budget: float = np.inf
+    runner: TrialRunner,
+    trial: Trial,
+    place: float,
+    turn: float,
+    halvings: int,
+    budget: float = np.inf,
 ) -> Trial:
     """Walks to better neighbors, `place` (m) along the outline or `turn` (rad) away, with steps that halve."""
     for _ in range(halvings):
@@ -293,9 +336,14 @@ def search_exhaustively(runner: TrialRunner) -> list[Trial]:
         for s, piece in zip(places, pieces, strict=True)
         for angle in angles
     ]
-    trials = sorted((trial for trial in trials if np.isfinite(trial.cost)), key=lambda trial: trial.cost)
+    trials = sorted(
+        (trial for trial in trials if np.isfinite(trial.cost)), key=lambda trial: trial.cost
+    )
     turn = float(np.ptp(angles)) / max(options.angles - 1, 1) / 2
-    walked = [_walk_along(runner, trial, spacing / 2, turn, REFINEMENTS) for trial in trials[: options.refined]]
+    walked = [
+        _walk_along(runner, trial, spacing / 2, turn, REFINEMENTS)
+        for trial in trials[: options.refined]
+    ]
     trials[: options.refined] = walked
     return sorted(trials, key=lambda trial: trial.cost)
 

@@ -1,10 +1,11 @@
 """Where on an object's outline a disc can touch it.
 
-A disc of radius r that touches the outline has its center at distance r from the object, nowhere nearer: on the
-boundary of the object grown by r. Of an edge's offset by r, only the pieces on that boundary are reachable: what
-lies within the grown object is in a concavity narrower than the disc, or too near a reflex vertex. In the
-piecewise-linear outline an edge belongs to the normal that it has, so that a vertex is the end of two edges; the arcs
-about convex vertices are left to the ends of the edges beside them.
+A disc of radius r that touches the outline has its center at distance r from the object, nowhere
+nearer: on the boundary of the object grown by r. Of an edge's offset by r, only the pieces on that
+boundary are reachable: what lies within the grown object is in a concavity narrower than the disc,
+or too near a reflex vertex. In the piecewise-linear outline an edge belongs to the normal that it
+has, so that a vertex is the end of two edges; the arcs about convex vertices are left to the ends
+of the edges beside them.
 """
 
 from dataclasses import dataclass
@@ -23,7 +24,8 @@ ARC_SEGMENTS = 64  # chords of a quarter circle, of the grown object
 MIN_PIECE = 1e-5  # m; a reachable piece must be longer, unless its edge is not
 
 END_ROOM = 1e-7
-"""Reachable pieces end this share of the perimeter short of a vertex, where the normal is still the edge's own."""
+"""Reachable pieces end this share of the perimeter short of a vertex, where the normal is still the
+edge's own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +69,9 @@ class ReachableOutline:
         clipped = np.clip(shifted, self.low[:, None], self.high[:, None])
         gap = np.abs(clipped - shifted).min(axis=-1)
         piece = gap.argmin(axis=-1)
-        best = np.take_along_axis(np.abs(clipped - shifted).argmin(axis=-1), piece[..., None], axis=-1)[..., 0]
+        best = np.take_along_axis(
+            np.abs(clipped - shifted).argmin(axis=-1), piece[..., None], axis=-1
+        )[..., 0]
         return np.clip(s[..., 0] + turns[best], self.low[piece], self.high[piece]), piece
 
     def spread(self, spacing: float) -> tuple[Array, NDArray[np.int64]]:
@@ -93,11 +97,14 @@ class ReachableOutline:
 
 
 @lru_cache(maxsize=64)
-def find_reachable_outline(obj: GridObject, radius: float, clearance: float = 0.0) -> ReachableOutline:
+def find_reachable_outline(
+    obj: GridObject, radius: float, clearance: float = 0.0
+) -> ReachableOutline:
     """Finds where a disc of `radius` (m), with a gap of `clearance` (m) that must be free too, can begin to push.
 
     Raises:
-        PlanningError: the radius is not positive, the clearance negative, or there is no reachable place.
+        PlanningError: the radius is not positive, the clearance negative, or there is no reachable
+            place.
     """
     require_positive(PlanningError, unit="m", radius=radius)
     if not (np.isfinite(clearance) and clearance >= 0):
@@ -110,16 +117,26 @@ def find_reachable_outline(obj: GridObject, radius: float, clearance: float = 0.
     normal = np.column_stack([tangent[:, 1], -tangent[:, 0]])
     room = END_ROOM * edges.perimeter
     offset = shapely.linestrings(np.stack([start + reach * normal, end + reach * normal], axis=1))
-    grown = shapely.buffer(shapely.Polygon(obj.outline.exterior), reach - TOUCHING, quad_segs=ARC_SEGMENTS)
+    grown = shapely.buffer(
+        shapely.Polygon(obj.outline.exterior), reach - TOUCHING, quad_segs=ARC_SEGMENTS
+    )
     rows = []
     for i, free in enumerate(shapely.difference(offset, grown)):
         for piece in getattr(free, "geoms", [free]):
             along = (np.array(piece.coords) - offset[i].coords[0]) @ tangent[i]
             if len(along) and np.ptp(along) > min(MIN_PIECE, lengths[i] / 2):
-                rows.append((i, first[i] + max(along.min(), room), first[i] + min(along.max(), lengths[i] - room)))
+                rows.append(
+                    (
+                        i,
+                        first[i] + max(along.min(), room),
+                        first[i] + min(along.max(), lengths[i] - room),
+                    )
+                )
     rows = [row for row in rows if row[2] > row[1]]
     if not rows:
-        raise PlanningError(f"{obj.name}: no place on the outline that a disc of radius {radius} m can touch")
+        raise PlanningError(
+            f"{obj.name}: no place on the outline that a disc of radius {radius} m can touch"
+        )
     edge, low, high = (np.array(column) for column in zip(*rows, strict=True))
     origin = start[edge] - first[edge, None] * tangent[edge]
     return ReachableOutline(low, high, tangent[edge], origin, edges.perimeter)

@@ -1,13 +1,15 @@
 """One simulated push of a contact search: how near it comes to the goal, and where a better one is.
 
-A straight push at one place and in one direction passes through all its shorter selves, so that a single simulation
-tells the best distance too: the cost at (arc length s, direction phi) is that of the best allowed pose of the motion,
+A straight push at one place and in one direction passes through all its shorter selves, so that a
+single simulation tells the best distance too: the cost at (arc length s, direction phi) is that of
+the best allowed pose of the motion,
 
     f(s, phi) = min_d C(q(s, phi, d)),   C(q) = 1/n sum_i |p_i(q) - p_i(goal)|.
 
-With the exact Jacobian dq/d(s, phi, d), from the same simulation, C's gradient is  1/n sum_i r_i^T/|r_i| dp_i/dq dq/dx,
-and  H = 1/n sum_i (dp_i/dx)^T (dp_i/dx) / |r_i|  is the Gauss-Newton matrix of the sum of norms (each norm replaced by
-the parabola that touches it from above). A simulation with its Jacobian counts as one simulation.
+With the exact Jacobian dq/d(s, phi, d), from the same simulation, C's gradient is  1/n sum_i
+r_i^T/|r_i| dp_i/dq dq/dx, and  H = 1/n sum_i (dp_i/dx)^T (dp_i/dx) / |r_i|  is the Gauss-Newton
+matrix of the sum of norms (each norm replaced by the parabola that touches it from above). A
+simulation with its Jacobian counts as one simulation.
 
 A push that was chosen, and what the model expects of it.
 """
@@ -100,10 +102,14 @@ class ContactOptions:
     def __post_init__(self) -> None:
         low, high = self.distance_range
         if not 0 < low <= high < np.inf:
-            raise PlanningError(f"distance_range is {self.distance_range!r}; expected 0 < least <= greatest (m)")
+            raise PlanningError(
+                f"distance_range is {self.distance_range!r}; expected 0 < least <= greatest (m)"
+            )
         low, high = self.angle_range
         if not -np.pi / 2 < low <= high < np.pi / 2:
-            raise PlanningError(f"angle_range is {(low, high)!r}; expected -pi/2 < least <= greatest < pi/2 (rad)")
+            raise PlanningError(
+                f"angle_range is {(low, high)!r}; expected -pi/2 < least <= greatest < pi/2 (rad)"
+            )
         require_positive(PlanningError, unit="m", radius=self.radius)
         require_positive(PlanningError, unit="m/s", speed=self.speed)
         for name in ("starts", "budget", "places", "angles"):
@@ -125,7 +131,9 @@ class Trial:
     distance: float  # m
     pose: Array  # (3,) q_W at its end
     cost: float  # mean cell error to the goal, m; infinite where the push is not allowed
-    slope: Array | None = None  # (3,) of the cost by arc length, direction and distance; None where not asked for
+    slope: Array | None = (
+        None  # (3,) of the cost by arc length, direction and distance; None where not asked for
+    )
     curvature: Array | None = None  # (3, 3) Gauss-Newton matrix of the same
 
 
@@ -171,7 +179,9 @@ class TrialRunner:
         if usable <= first:
             return failed
         best, cost = self._find_nearest(motion.poses, first, usable)
-        trial = Trial(arc_length, piece, angle, float(traveled[best]), motion.poses[best].copy(), cost)
+        trial = Trial(
+            arc_length, piece, angle, float(traveled[best]), motion.poses[best].copy(), cost
+        )
         if not gradient:
             return trial
         row = int(np.argmin(np.abs(record - best)))
@@ -184,7 +194,9 @@ class TrialRunner:
         # A distance that cannot change, for the range or a rule ends here, is no unknown.
         if best in (first, usable - 1):
             slope, curvature = _exclude(slope, curvature, 2)
-        return Trial(arc_length, piece, angle, trial.distance, trial.pose, trial.cost, slope, curvature)
+        return Trial(
+            arc_length, piece, angle, trial.distance, trial.pose, trial.cost, slope, curvature
+        )
 
     def _find_nearest(self, poses: Array, first: int, end: int) -> tuple[int, float]:
         """Index of the pose in [first, end) nearest to the goal, looked for coarsely first, and its cost, m."""
@@ -197,10 +209,14 @@ class TrialRunner:
     def finish(self, trial: Trial, simulations: int) -> PlannedPush:
         """The trial as a planned push."""
         push = self.make_push(trial.arc_length, trial.angle, trial.distance)
-        return PlannedPush(trial.arc_length, trial.angle, trial.distance, push, trial.pose, trial.cost, simulations)
+        return PlannedPush(
+            trial.arc_length, trial.angle, trial.distance, push, trial.pose, trial.cost, simulations
+        )
 
 
-def calc_cost_derivatives(obj: GridObject, pose: Array, goal: Array, dq: Array) -> tuple[Array, Array]:
+def calc_cost_derivatives(
+    obj: GridObject, pose: Array, goal: Array, dq: Array
+) -> tuple[Array, Array]:
     """Gradient (k,) and Gauss-Newton matrix (k, k) of the mean cell error, by dq (3, k), the pose's by k parameters."""
     residual = obj.cells_at(pose) - obj.cells_at(goal)
     length = np.maximum(np.linalg.norm(residual, axis=1), MIN_RESIDUAL)

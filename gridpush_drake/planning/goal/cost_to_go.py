@@ -1,12 +1,14 @@
 """How far an object still has to go, round obstacles and past edges: a cost-to-go over its planar poses.
 
-Where nothing is in between, the cost of a pose is the mean cell error to the goal. Where something is, the poses are
-cut into a lattice (position of the cells' centroid and angle), those that the rules forbid are left out, and the
-shortest paths from the goal found by Dijkstra's algorithm. A step of the lattice is as long as the cells move, about
+Where nothing is in between, the cost of a pose is the mean cell error to the goal. Where something
+is, the poses are cut into a lattice (position of the cells' centroid and angle), those that the
+rules forbid are left out, and the shortest paths from the goal found by Dijkstra's algorithm. A
+step of the lattice is as long as the cells move, about
 
     sqrt(dx² + dy² + rho² dtheta²),   rho the radius of gyration.
 
-The path is a slid object's, not a pushed one's: it says where to go next, and pushes are then searched for.
+The path is a slid object's, not a pushed one's: it says where to go next, and pushes are then
+searched for.
 """
 
 import numpy as np
@@ -18,7 +20,9 @@ from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.push_constraints import PushChecker
 
-LATTICE_STEP = 0.03  # m between positions of the lattice; made wider where MAX_POSITIONS would be exceeded
+LATTICE_STEP = (
+    0.03  # m between positions of the lattice; made wider where MAX_POSITIONS would be exceeded
+)
 
 MAX_POSITIONS = 2500
 TURNS = 24  # angles of the lattice, in a whole turn
@@ -26,7 +30,17 @@ ROOM = 0.25  # m about start, goal and obstacles within which paths are searched
 LINE_STEP = 0.01  # m between poses that are checked along a straight path, as their cells move
 
 NEIGHBORS = np.array(
-    [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, -1, 0), (1, 0, 1), (1, 0, -1), (0, 1, 1), (0, 1, -1)]
+    [
+        (1, 0, 0),
+        (0, 1, 0),
+        (0, 0, 1),
+        (1, 1, 0),
+        (1, -1, 0),
+        (1, 0, 1),
+        (1, 0, -1),
+        (0, 1, 1),
+        (0, 1, -1),
+    ]
 )
 """Half of a lattice pose's neighbors; the others are their mirror images."""
 
@@ -76,7 +90,9 @@ class CostToGo:
         """Whether the object can be moved and turned straight from pose a (3,) to pose b (3,)."""
         turn = float(wrap_angle(b[2] - a[2]))
         radius = float(np.linalg.norm(self.obj.p_BC - self._centroid, axis=1).max())
-        length = float(np.abs(self.obj.cells_at(a) - self.obj.cells_at(b)).max()) + abs(turn) * radius
+        length = (
+            float(np.abs(self.obj.cells_at(a) - self.obj.cells_at(b)).max()) + abs(turn) * radius
+        )
         share = np.linspace(0.0, 1.0, 2 + int(length / LINE_STEP))[:, None]
         center = (1 - share) * self._center(a) + share * self._center(b)
         poses = self._from_center(center, a[2] + share[:, 0] * turn)
@@ -89,10 +105,14 @@ class CostToGo:
         return np.column_stack([center - rotate(theta, self._centroid), theta])
 
     def _build(self, start: Array) -> None:
-        low, high = self.checker.bounds(np.array([self._center(start), self._center(self.goal)]), ROOM)
+        low, high = self.checker.bounds(
+            np.array([self._center(start), self._center(self.goal)]), ROOM
+        )
         step = max(LATTICE_STEP, float(np.sqrt(np.prod(high - low) / MAX_POSITIONS)))
         counts = np.append(np.ceil((high - low) / step).astype(int) + 1, TURNS)
-        index = np.stack(np.meshgrid(*(np.arange(count) for count in counts), indexing="ij"), axis=-1).reshape(-1, 3)
+        index = np.stack(
+            np.meshgrid(*(np.arange(count) for count in counts), indexing="ij"), axis=-1
+        ).reshape(-1, 3)
         self._low, self._step, self._counts = low, step, counts
         self._poses = self._from_center(low + step * index[:, :2], 2 * np.pi / TURNS * index[:, 2])
         self._free = self.checker.allows_geometry(self._poses)
@@ -107,14 +127,20 @@ class CostToGo:
             free = self._free[a] & self._free[b]
             rows.append(a[free])
             columns.append(b[free])
-            length = float(np.hypot(step * np.hypot(hop[0], hop[1]), rho * 2 * np.pi / TURNS * hop[2]))
+            length = float(
+                np.hypot(step * np.hypot(hop[0], hop[1]), rho * 2 * np.pi / TURNS * hop[2])
+            )
             weights.append(np.full(int(free.sum()), length))
         # The goal is one more node, beside the lattice poses that see it.
         last = len(index)
-        near = [node for node in self._near(self.goal) if self.is_clear(self.goal, self._poses[node])]
+        near = [
+            node for node in self._near(self.goal) if self.is_clear(self.goal, self._poses[node])
+        ]
         rows.append(np.full(len(near), last))
         columns.append(np.array(near, dtype=np.int64))
-        weights.append(np.array([calc_goal_error(self.obj, self._poses[node], self.goal) for node in near]))
+        weights.append(
+            np.array([calc_goal_error(self.obj, self._poses[node], self.goal) for node in near])
+        )
         data = (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns)))
         graph = coo_array(data, shape=(last + 1, last + 1)).tocsr()
         cost, before = dijkstra(graph, directed=False, indices=last, return_predecessors=True)
@@ -138,7 +164,9 @@ class CostToGo:
         nodes = [node for node in self._near(pose) if np.isfinite(self._cost[node])]
         if not nodes:
             return -1, np.inf
-        costs = self._cost[nodes] + np.array([calc_goal_error(self.obj, pose, self._poses[node]) for node in nodes])
+        costs = self._cost[nodes] + np.array(
+            [calc_goal_error(self.obj, pose, self._poses[node]) for node in nodes]
+        )
         for i in np.argsort(costs):
             if self.is_clear(pose, self._poses[nodes[i]]):
                 return nodes[i], float(costs[i])

@@ -1,17 +1,21 @@
 """The next push of a sequence: searches over one and two pushes, compared, and cut short where the model may be wrong.
 
-Horizon 1 aims for the goal itself (or, where something is in between, for places along the path). Horizon 2 asks, of
-the best few of these pushes and of pushes towards waypoints, such as the object turned first where it lies, how near a
-second push from their predicted end would come. One push that is good enough is taken; else the first of two that are;
-else the first of the two that come nearest. Where nothing gains, every place is tried with every direction.
+Horizon 1 aims for the goal itself (or, where something is in between, for places along the path).
+Horizon 2 asks, of the best few of these pushes and of pushes towards waypoints, such as the object
+turned first where it lies, how near a second push from their predicted end would come. One push
+that is good enough is taken; else the first of two that are; else the first of the two that come
+nearest. Where nothing gains, every place is tried with every direction.
 
-A push is made only as far as it keeps the rules, with some leeway, not just by the model but by every sample: other
-models that may be the true one. By each of them its own center of friction must also stay over the table. Samples are
-drawn from the posterior; before anything was learned they are objects heavier towards one side,
+A push is made only as far as it keeps the rules, with some leeway, not just by the model but by
+every sample: other models that may be the true one. By each of them its own center of friction must
+also stay over the table. Samples are drawn from the posterior; before anything was learned they are
+objects heavier towards one side,
 
-    k_i ~ exp(a u · (p_i - c) / r),   u all around,   r the farthest cell's distance from the cells' centroid c,
+    k_i ~ exp(a u · (p_i - c) / r),   u all around,   r the farthest cell's distance from the cells'
+    centroid c,
 
-little (a small) and much: where a push turns an object to either side, the worst is often in between.
+little (a small) and much: where a push turns an object to either side, the worst is often in
+between.
 """
 
 from collections.abc import Sequence
@@ -27,7 +31,11 @@ from gridpush_drake.geometry.se2 import Array, make_direction, rotate, transform
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.contact.optimization import ContactMethod, ContactPlan, optimize_contact
+from gridpush_drake.planning.contact.optimization import (
+    ContactMethod,
+    ContactPlan,
+    optimize_contact,
+)
 from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
 from gridpush_drake.planning.push_constraints import PushConstraints
@@ -55,7 +63,10 @@ class RobustnessOptions:
 
 
 def draw_model_samples(
-    obj: GridObject, params: CellParameters, identification: Identification | None, options: RobustnessOptions
+    obj: GridObject,
+    params: CellParameters,
+    identification: Identification | None,
+    options: RobustnessOptions,
 ) -> list[CellParameters]:
     """Other models that may be the true one; `identification` is None where nothing was learned."""
     if identification is not None:
@@ -66,7 +77,11 @@ def draw_model_samples(
     axis = np.linalg.eigh(arm.T @ arm)[1][:, -1]
     turns = np.arctan2(axis[1], axis[0]) + 2 * np.pi * np.arange(options.sides) / options.sides
     slopes = make_direction(turns) @ arm.T / farthest
-    return [replace(params, mass=params.mass * np.exp(tilt * slope)) for tilt in options.tilts for slope in slopes]
+    return [
+        replace(params, mass=params.mass * np.exp(tilt * slope))
+        for tilt in options.tilts
+        for slope in slopes
+    ]
 
 
 @dataclass(eq=False)
@@ -95,16 +110,22 @@ class Robustness:
             return planned
         times = make_path_times(planned.push, self.contact.regime)
         rules = replace(
-            self.constraints, edge_margin=self.constraints.edge_margin - self.options.leeway, pose_rule=None
+            self.constraints,
+            edge_margin=self.constraints.edge_margin - self.options.leeway,
+            pose_rule=None,
         )
         checker = rules.start_at(self.obj, pose, self.contact.radius)
         usable, nominal = len(times), None
         for params in self.models:
-            motion = simulate(self.obj, params, planned.push, pose, times=times, regime=self.contact.regime)
+            motion = simulate(
+                self.obj, params, planned.push, pose, times=times, regime=self.contact.regime
+            )
             self.simulations += 1
             nominal = motion.poses if nominal is None else nominal
             usable = min(
-                usable, checker.count_allowed(motion.tip, motion.poses), self._count_supported(params, motion.poses)
+                usable,
+                checker.count_allowed(motion.tip, motion.poses),
+                self._count_supported(params, motion.poses),
             )
         distance = self.contact.speed * times[usable - 1] if usable else 0.0
         if nominal is None or distance < self.contact.distance_range[0]:
@@ -113,9 +134,15 @@ class Robustness:
             return planned
         whole = planned.push
         push = Push(
-            whole.start, whole.velocity, float(times[usable - 1]), whole.radius, start_tangent=whole.start_tangent
+            whole.start,
+            whole.velocity,
+            float(times[usable - 1]),
+            whole.radius,
+            start_tangent=whole.start_tangent,
         )
-        return replace(planned, distance=float(distance), push=push, pose=nominal[usable - 1].copy())
+        return replace(
+            planned, distance=float(distance), push=push, pose=nominal[usable - 1].copy()
+        )
 
     def _count_supported(self, params: CellParameters, poses: Array) -> int:
         """How many of the poses, from the first on, keep the model's center of friction over the table."""
@@ -144,9 +171,10 @@ class GoalRules:
     Attributes:
         constraints: table, obstacles and further rules.
         contact: what pushes may be chosen from.
-        horizon: pushes to look ahead, 1 or 2; one by default, for the second says little of a model not yet learned. 2
-            is resorted to in any case where one push gains nothing.
-        robustness: how far pushes must be safe though the model may be wrong; None trusts the model.
+        horizon: pushes to look ahead, 1 or 2; one by default, for the second says little of a model
+            not yet learned. 2 is resorted to in any case where one push gains nothing.
+        robustness: how far pushes must be safe though the model may be wrong; None trusts the
+            model.
         tolerance: mean cell error at which the goal counts as reached, m.
         max_pushes: most pushes.
 
@@ -190,7 +218,8 @@ def choose_push(
 ) -> NextPush:
     """Decides on the next push of an object at `pose` (3,), m and rad.
 
-    One that comes as near as the tolerance is good enough. `robustness` cuts pushes short; None makes them as planned.
+    One that comes as near as the tolerance is good enough. `robustness` cuts pushes short; None
+    makes them as planned.
     """
     search = _PushSearch(obj, params, pose, cost_to_go, rules, robustness)
     first = search.find_first("gradient")
@@ -228,10 +257,14 @@ class _PushSearch:
             found += self._take(plan.candidates, BEAM if self.rules.horizon > 1 else 1)
         return sorted(found, key=lambda pair: pair[0])
 
-    def find_second(self, first: list[tuple[float, PlannedPush]]) -> list[tuple[float, float, PlannedPush]]:
+    def find_second(
+        self, first: list[tuple[float, PlannedPush]]
+    ) -> list[tuple[float, float, PlannedPush]]:
         """First pushes, each after the costs that a second push leaves, and that it leaves itself."""
         beam = first[:BEAM]
-        for waypoint in make_waypoints(self.obj, self.pose, self.subgoals[0]) if self.subgoals else []:
+        for waypoint in (
+            make_waypoints(self.obj, self.pose, self.subgoals[0]) if self.subgoals else []
+        ):
             plan = self._search(self.pose, waypoint, self.rules.contact)
             beam += self._take(plan.candidates, 1)
         later = replace(self.rules.contact, starts=SECOND_STARTS, budget=SECOND_BUDGET)
@@ -245,7 +278,9 @@ class _PushSearch:
             found.append((final, cost, push))
         return found
 
-    def _take(self, candidates: Sequence[PlannedPush], count: int) -> list[tuple[float, PlannedPush]]:
+    def _take(
+        self, candidates: Sequence[PlannedPush], count: int
+    ) -> list[tuple[float, PlannedPush]]:
         """The best few candidates that are allowed, as far as they are safe, each after the cost that it leaves."""
         if self.robustness is None:
             allowed = (push for push in candidates if self.rules.constraints.allows_push(push.push))
@@ -253,14 +288,17 @@ class _PushSearch:
         before = self.robustness.simulations
         taken: list[tuple[float, PlannedPush]] = []
         for cost, push in sorted(
-            ((self.cost_to_go.calc_cost(push.pose), push) for push in candidates), key=lambda pair: pair[0]
+            ((self.cost_to_go.calc_cost(push.pose), push) for push in candidates),
+            key=lambda pair: pair[0],
         ):
             # cut short, a push leaves more to go
             if len(taken) >= count and cost >= taken[count - 1][0]:
                 break
             safe = self.robustness.cut(self.pose, push)
             if safe is not None and self.rules.constraints.allows_push(safe.push):
-                taken = sorted([*taken, (self.cost_to_go.calc_cost(safe.pose), safe)], key=lambda pair: pair[0])
+                taken = sorted(
+                    [*taken, (self.cost_to_go.calc_cost(safe.pose), safe)], key=lambda pair: pair[0]
+                )
         self.simulations += self.robustness.simulations - before
         return taken[:count]
 
@@ -282,7 +320,13 @@ class _PushSearch:
         self, pose: Array, goal: Array, options: ContactOptions, method: ContactMethod = "gradient"
     ) -> ContactPlan:
         plan = optimize_contact(
-            self.obj, self.params, pose, goal, method=method, constraints=self.rules.constraints, options=options
+            self.obj,
+            self.params,
+            pose,
+            goal,
+            method=method,
+            constraints=self.rules.constraints,
+            options=options,
         )
         self.simulations += plan.simulations
         return plan

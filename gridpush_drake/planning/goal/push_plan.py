@@ -109,11 +109,18 @@ def plan_pushes(
         PlanningError: an argument is out of range.
     """
     begin = perf_counter()
-    q, aim = check_vector(PlanningError, "pose", pose, 3), check_vector(PlanningError, "goal", goal, 3)
+    q, aim = (
+        check_vector(PlanningError, "pose", pose, 3),
+        check_vector(PlanningError, "goal", goal, 3),
+    )
     pushes: list[PlannedPush] = []
     simulations, start = 0, q
     status = check_ends(obj, q, aim, rules.constraints, rules.contact.radius)
-    cost_to_go = CostToGo(obj, q, aim, rules.constraints.start_at(obj, q, rules.contact.radius)) if not status else None
+    cost_to_go = (
+        CostToGo(obj, q, aim, rules.constraints.start_at(obj, q, rules.contact.radius))
+        if not status
+        else None
+    )
     while status is None and cost_to_go is not None:
         status = find_stop_reason(obj, q, cost_to_go, len(pushes), rules)
         if status is not None:
@@ -156,7 +163,9 @@ def check_ends(
     if checker.overlaps_obstacle(start):
         return PushPlanStatus.START_BLOCKED
     table, blocked = constraints.allow_pose(obj, goal)
-    if not table or (constraints.surface and not find_supported(obj, goal, constraints.surface).any()):
+    if not table or (
+        constraints.surface and not find_supported(obj, goal, constraints.surface).any()
+    ):
         return PushPlanStatus.GOAL_OFF_TABLE
     if blocked:
         return PushPlanStatus.GOAL_BLOCKED
@@ -205,7 +214,9 @@ def describe_plan(plan: PushPlan, name: str, radius: float) -> dict[str, Any]:
     }
 
 
-def write_plan(path: Path | str, plan: PushPlan, name: str, radius: float, force: bool = False) -> None:
+def write_plan(
+    path: Path | str, plan: PushPlan, name: str, radius: float, force: bool = False
+) -> None:
     """Writes a plan. Raises OutputError where the file exists and `force` is not set, or it cannot be written."""
     document = describe_plan(plan, name, radius)
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=LINE_WIDTH)

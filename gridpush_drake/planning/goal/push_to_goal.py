@@ -4,8 +4,9 @@
        |
        +--> reached, failed       until there is another goal, or somebody moves the object
 
-Whenever the robot is ready, the object is observed until it lies still; then `decide_push` says where and how to push,
-by what was learned so far. So an object that slipped, or was moved by somebody, is pushed from where it lies.
+Whenever the robot is ready, the object is observed until it lies still; then `decide_push` says
+where and how to push, by what was learned so far. So an object that slipped, or was moved by
+somebody, is pushed from where it lies.
 """
 
 from collections.abc import Callable
@@ -35,7 +36,13 @@ from gridpush_drake.planning.closed_loop import (
 )
 from gridpush_drake.planning.contact.trial import PlannedPush, calc_goal_error
 from gridpush_drake.planning.goal.cost_to_go import CostToGo
-from gridpush_drake.planning.goal.next_push import GoalRules, NextPush, Robustness, choose_push, draw_model_samples
+from gridpush_drake.planning.goal.next_push import (
+    GoalRules,
+    NextPush,
+    Robustness,
+    choose_push,
+    draw_model_samples,
+)
 from gridpush_drake.planning.goal.push_plan import (
     REASONS,
     PushPlanStatus,
@@ -46,20 +53,28 @@ from gridpush_drake.planning.simulated_world import Learner, PushWorld, run_loop
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 
 ALIKE_WITHIN, ALIKE_TURN = 0.01, 0.2
-"""Pushes that begin nearer to a refused one, m, in a direction less different, rad, are like it, and not tried."""
+"""Pushes that begin nearer to a refused one, m, in a direction less different, rad, are like it,
+and not tried."""
 
 MOVED = 0.01
-"""m, mean cell distance by which somebody must have moved an object for a new attempt after the end."""
+"""m, mean cell distance by which somebody must have moved an object for a new attempt after the
+end."""
 
 
 @dataclass(frozen=True, eq=False)
 class PushDecision:
     """What to do."""
 
-    status: PushPlanStatus | None  # why to end, see `push_plan.REASONS`; None where a push should be made
+    status: (
+        PushPlanStatus | None
+    )  # why to end, see `push_plan.REASONS`; None where a push should be made
     error: float  # mean cell error to the goal now, m
-    chosen: NextPush | None = None  # the next push; None where there should be none, or none was searched for
-    cost_to_go: CostToGo | None = None  # to be given to the next decision; None where it was not needed
+    chosen: NextPush | None = (
+        None  # the next push; None where there should be none, or none was searched for
+    )
+    cost_to_go: CostToGo | None = (
+        None  # to be given to the next decision; None where it was not needed
+    )
 
 
 def decide_push(
@@ -77,7 +92,8 @@ def decide_push(
     Args:
         made: pushes so far.
         identification: that the model comes from; None where nothing was learned.
-        cost_to_go: of the decision before, to the same goal by the same rules; None where there was none.
+        cost_to_go: of the decision before, to the same goal by the same rules; None where there was
+            none.
 
     Raises:
         PlanningError: the finger fits nowhere on the outline.
@@ -86,18 +102,25 @@ def decide_push(
     bad = check_ends(obj, pose, goal, rules.constraints, rules.contact.radius)
     if bad is not None:
         return PushDecision(bad, error)
-    # a lattice made for where the object lay before may not say how to go on from where somebody put it
+    # a lattice made for where the object lay before may not say how to go on from where somebody
+    # put it
     if cost_to_go is None or cost_to_go.direct or not np.isfinite(cost_to_go.calc_cost(pose)):
-        cost_to_go = CostToGo(obj, pose, goal, rules.constraints.start_at(obj, pose, rules.contact.radius))
+        cost_to_go = CostToGo(
+            obj, pose, goal, rules.constraints.start_at(obj, pose, rules.contact.radius)
+        )
     status = find_stop_reason(obj, pose, cost_to_go, made, rules)
     if status is not None:
         return PushDecision(status, error, cost_to_go=cost_to_go)
     robustness = None
     if rules.robustness is not None:
         samples = draw_model_samples(obj, params, identification, rules.robustness)
-        robustness = Robustness(obj, [params, *samples], rules.constraints, rules.contact, rules.robustness)
+        robustness = Robustness(
+            obj, [params, *samples], rules.constraints, rules.contact, rules.robustness
+        )
     chosen = choose_push(obj, params, pose, cost_to_go, rules, robustness)
-    return PushDecision(PushPlanStatus.STUCK if chosen.push is None else None, error, chosen, cost_to_go)
+    return PushDecision(
+        PushPlanStatus.STUCK if chosen.push is None else None, error, chosen, cost_to_go
+    )
 
 
 def forbid(rules: GoalRules, refused: tuple[Push, ...]) -> GoalRules:
@@ -140,17 +163,19 @@ class ContactPointStatus:
     """Where the loop stands.
 
     Attributes:
-        mode: "waiting" for a goal, for the robot, or for the object to be seen at rest; "pushing"; "reached" the goal;
-            "failed"; or "lost" the object out of sight.
+        mode: "waiting" for a goal, for the robot, or for the object to be seen at rest; "pushing";
+            "reached" the goal; "failed"; or "lost" the object out of sight.
         reason: the mode in a sentence.
-        cause: of "reached" or "failed": a key of `planning.goal.push_plan.REASONS`, "refused" or "error"; else empty.
+        cause: of "reached" or "failed": a key of `planning.goal.push_plan.REASONS`, "refused" or
+            "error"; else empty.
         pushes: asked for towards this goal and carried out.
         refused: asked for in a row and refused.
         error: mean cell error to the goal where the object was last seen at rest, m; NaN before.
-        expected_pose: (x, y, theta) in which the push under way is predicted to leave the object, W, m and rad.
+        expected_pose: (x, y, theta) in which the push under way is predicted to leave the object,
+            W, m and rad.
         expected_error: mean cell error to the goal there, m; NaN where no push is under way.
-        prediction_error: mean cell distance of where the last push left the object from where it was predicted to, m;
-            NaN before.
+        prediction_error: mean cell distance of where the last push left the object from where it
+            was predicted to, m; NaN before.
     """
 
     mode: ContactPointMode = ContactPointMode.WAITING
@@ -185,8 +210,9 @@ class PushToGoalState(LoopState):
 class PushToGoalLoop(ClosedLoop[PushToGoalState]):
     """Pushes an object to the goal that it is shown.
 
-    One push at a time is asked for, when the robot is ready and the object lies still. A refused push is not tried
-    again, but another one is chosen. With another goal everything begins anew, after the push under way.
+    One push at a time is asked for, when the robot is ready and the object lies still. A refused
+    push is not tried again, but another one is chosen. With another goal everything begins anew,
+    after the push under way.
 
     Attributes:
         obj: the object.
@@ -233,14 +259,20 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
         if wanted == now.goal and now.begun:
             return now
         reason = "No goal is given." if wanted is None else "Looking at the object."
-        begun = PushToGoalState(begun=True, goal=wanted, push=now.push, push_id=now.push_id, filter=now.filter)
+        begun = PushToGoalState(
+            begun=True, goal=wanted, push=now.push, push_id=now.push_id, filter=now.filter
+        )
         return begun.turn_to(WAITING, reason)
 
     def decide(self, now: PushToGoalState, seen: Observation) -> PushToGoalState:
         """The next push, or the end."""
         pose, goal, found = now.filter.calc_mean(), np.array(now.goal), seen.identification
         if now.status.mode in (ContactPointMode.REACHED, FAILED):
-            since = np.inf if now.decided_at is None else calc_goal_error(self.obj, pose, now.decided_at)
+            since = (
+                np.inf
+                if now.decided_at is None
+                else calc_goal_error(self.obj, pose, now.decided_at)
+            )
             if since < MOVED or now.status.cause == PushPlanStatus.TOO_MANY_PUSHES:
                 return now
             now = replace(now, refused=()).turn_to(WAITING, "Somebody moved the object.", refused=0)
@@ -248,12 +280,16 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
         params = self.params if found is None else found.params
         rules = forbid(self.rules, now.refused)
         try:
-            decision = decide_push(self.obj, pose, goal, now.status.pushes, params, found, rules, now.cost_to_go)
+            decision = decide_push(
+                self.obj, pose, goal, now.status.pushes, params, found, rules, now.cost_to_go
+            )
         except GridPushError as error:
             return now.turn_to(FAILED, f"No push could be planned: {error}.", cause=ERROR)
         chosen = decision.chosen
         now = replace(
-            now, cost_to_go=decision.cost_to_go, simulations=now.simulations + (chosen.simulations if chosen else 0)
+            now,
+            cost_to_go=decision.cost_to_go,
+            simulations=now.simulations + (chosen.simulations if chosen else 0),
         )
         if chosen is not None and chosen.push is not None:
             return self._push(now, decision.error, chosen.push, len(seen.log))
@@ -262,7 +298,9 @@ class PushToGoalLoop(ClosedLoop[PushToGoalState]):
         mode = ContactPointMode.REACHED if cause == PushPlanStatus.REACHED else FAILED
         return now.turn_to(mode, REASONS[cause], cause=cause.value, error=decision.error)
 
-    def _push(self, now: PushToGoalState, error: float, planned: PlannedPush, logged: int) -> PushToGoalState:
+    def _push(
+        self, now: PushToGoalState, error: float, planned: PlannedPush, logged: int
+    ) -> PushToGoalState:
         x, y, theta = planned.pose.tolist()
         expected = float(calc_goal_error(self.obj, planned.pose, np.array(now.goal)))
         return replace(now, planned=planned, logged=logged).ask(
@@ -288,7 +326,8 @@ class PushRun:
     Attributes:
         goal: (3,).
         steps: the rounds, in order.
-        status: "reached", "lost", or why it ended: see `push_plan.REASONS`; "error" where no push could be planned.
+        status: "reached", "lost", or why it ended: see `push_plan.REASONS`; "error" where no push
+            could be planned.
         reason: the same in a sentence.
         error: mean cell error where the object was last seen at rest, m; NaN where it never was.
         params: the last model.
@@ -316,7 +355,8 @@ class PushRun:
 
 
 ONE_OBSERVATION = LoopOptions(observations=1, timeout=0.15)
-"""For a world in which nothing moves between two pushes: the object is decided on as it is first seen."""
+"""For a world in which nothing moves between two pushes: the object is decided on as it is first
+seen."""
 
 
 def push_to_goal(
@@ -345,9 +385,14 @@ def push_to_goal(
     aim, steps = check_vector(PlanningError, "goal", goal, 3), list[PushStep]()
     loop = PushToGoalLoop(obj, rules, params, options)
 
-    def learn(obj: GridObject, log: PushLog, before: Identification | None) -> Identification | None:
+    def learn(
+        obj: GridObject, log: PushLog, before: Identification | None
+    ) -> Identification | None:
         seen = log[-1]
-        reached = len(seen.t_observed) and calc_goal_error(obj, seen.final_pose, aim) <= loop.rules.tolerance
+        reached = (
+            len(seen.t_observed)
+            and calc_goal_error(obj, seen.final_pose, aim) <= loop.rules.tolerance
+        )
         return before if learner is None or reached else learner(obj, log, before)
 
     def note(state: PushToGoalState, seen: ObservedPush, learned: bool) -> None:

@@ -1,15 +1,16 @@
 """Which poke to make next: the one that is expected to tell most about what matters.
 
-What was learned is z = (log k_1 .. log k_n, log mu_c) ~ N(mean, S). A push whose end would be seen as the residual
-r = J z + noise, with J exact from its simulation and noise ~ N(0, R) (`identification.noise.NoiseModel`), leaves
+What was learned is z = (log k_1 .. log k_n, log mu_c) ~ N(mean, S). A push whose end would be seen
+as the residual r = J z + noise, with J exact from its simulation and noise ~ N(0, R)
+(`identification.noise.NoiseModel`), leaves
 
     S' = S - S J^T (J S J^T + R)^-1 J S
 
-whatever will be seen. What matters is linear in z near the mean, f = F z: the center of friction, which is the center
-of mass where all cells rub alike; how far the center of mass can be in one direction, by the friction's bounds; or the
-poses that other pushes are predicted to end in.
-The poke is chosen that makes the largest eigenvalue of F S' F^T least, the variance of what is then known least
-(Bayesian linear design by its worst direction: Chaloner and Verdinelli 1995, section 2;
+whatever will be seen. What matters is linear in z near the mean, f = F z: the center of friction,
+which is the center of mass where all cells rub alike; how far the center of mass can be in one
+direction, by the friction's bounds; or the poses that other pushes are predicted to end in. The
+poke is chosen that makes the largest eigenvalue of F S' F^T least, the variance of what is then
+known least (Bayesian linear design by its worst direction: Chaloner and Verdinelli 1995, section 2;
 `docs/theory/identification.md`, section 7).
 """
 
@@ -46,8 +47,8 @@ class PokeOptions:
         clearance: gap between finger and object at the beginning, m.
         places: along the outline.
         angles: of the motion from the inward normal, rad.
-        min_separation: share of the outline's length that a poke begins away from every poke made before: what the
-            model gets wrong it would get wrong again.
+        min_separation: share of the outline's length that a poke begins away from every poke made
+            before: what the model gets wrong it would get wrong again.
     """
 
     radius: float = DEFAULT_RADIUS
@@ -59,7 +60,9 @@ class PokeOptions:
     min_separation: float = 0.04
 
     def __post_init__(self) -> None:
-        require_positive(PlanningError, "poke: ", radius=self.radius, speed=self.speed, distance=self.distance)
+        require_positive(
+            PlanningError, "poke: ", radius=self.radius, speed=self.speed, distance=self.distance
+        )
         if self.places < 1 or not self.angles:
             raise PlanningError("poke: expected at least one place and one angle")
 
@@ -72,7 +75,9 @@ class PokeChoice:
     index: int  # among those offered
     std: float  # of what matters, in the direction least known, now
     expected_std: float  # the same after the poke
-    expected_stds: Array  # (N,) the same for every poke offered; infinite where it would not touch the object
+    expected_stds: (
+        Array  # (N,) the same for every poke offered; infinite where it would not touch the object
+    )
 
 
 def make_pokes(
@@ -83,7 +88,8 @@ def make_pokes(
 ) -> list[Push]:
     """Makes pokes to choose from: all places, with all angles, that are new, touch the object and break no rule.
 
-    The object lies at `pose` (3,); the predicted motion keeps `constraints` to the end. There may be none.
+    The object lies at `pose` (3,); the predicted motion keeps `constraints` to the end. There may
+    be none.
     """
     options = options or PokeOptions()
     obj, params = model.obj, model.params
@@ -98,16 +104,23 @@ def make_pokes(
                 clearance=options.clearance,
             )  # fmt: skip
             begins = transform_back(q, push.start[None])
-            if (np.linalg.norm(model.poke_starts - begins, axis=1) < options.min_separation * reach.perimeter).any():
+            if (
+                np.linalg.norm(model.poke_starts - begins, axis=1)
+                < options.min_separation * reach.perimeter
+            ).any():
                 continue
             motion = simulate(obj, params, push, q, regime="quasi_static")
-            if motion.status == MotionStatus.OK and checker.count_allowed(motion.tip, motion.poses) == len(motion.tip):
+            if motion.status == MotionStatus.OK and checker.count_allowed(
+                motion.tip, motion.poses
+            ) == len(motion.tip):
                 pokes.append(push)
     return pokes
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def choose_poke(model: UncertainModel, pose: ArrayLike, pokes: Sequence[Push], F: Array) -> PokeChoice:
+def choose_poke(
+    model: UncertainModel, pose: ArrayLike, pokes: Sequence[Push], F: Array
+) -> PokeChoice:
     """Chooses the poke that is expected to leave the least variance of what matters, in the direction least known.
 
     Args:
@@ -132,7 +145,9 @@ def choose_poke(model: UncertainModel, pose: ArrayLike, pokes: Sequence[Push], F
     return PokeChoice(pokes[best], best, calc_worst_std(F @ S @ F.T), float(stds[best]), stds)
 
 
-def calc_observation(model: UncertainModel, push: Push, pose: ArrayLike) -> tuple[Array, Array] | None:
+def calc_observation(
+    model: UncertainModel, push: Push, pose: ArrayLike
+) -> tuple[Array, Array] | None:
     """What the end of a push from `pose` (3,) would show; None where it does not touch the object.
 
     Returns J (3, n+1) of the residual by z, and R (3, 3) its noise, m².
@@ -168,8 +183,8 @@ def make_center_functional(model: UncertainModel, direction: ArrayLike | None = 
 def make_farthest_functional(model: UncertainModel, direction: ArrayLike) -> Array:
     """How far the center of mass can be along `direction` (2,), body frame, m, by the friction's bounds: as above.
 
-    The bounds take it the farther, the more of the friction is far out on either side; the center of friction alone may
-    be known well long before that is.
+    The bounds take it the farther, the more of the friction is far out on either side; the center
+    of friction alone may be known well long before that is.
     """
     d = np.asarray(direction, dtype=np.float64)
     along, share = model.obj.p_BC @ d, model.require_posterior().calc_share()

@@ -1,28 +1,31 @@
 """What of an object a gripper can take: narrow parts between the jaws, and the rim of wide ones.
 
-Narrow parts: the gripper's two jaws close along a direction u in the table's plane. Seen along u, a stretch is the
-piece of the object between two lines a finger's depth apart; it can be taken where
+Narrow parts: the gripper's two jaws close along a direction u in the table's plane. Seen along u, a
+stretch is the piece of the object between two lines a finger's depth apart; it can be taken where
 
     its extent along u is at most the opening less a clearance on either side,
-    both jaws, whose pads give a little, touch it side by side along a fair share of their depth, and
-    the jaws have room beside it.
+    both jaws, whose pads give a little, touch it side by side along a fair share of their depth,
+    and the jaws have room beside it.
 
-Its footprint is the rectangle of the piece, the clearances and the jaws: what must be beyond the table's edge.
+Its footprint is the rectangle of the piece, the clearances and the jaws: what must be beyond the
+table's edge.
 
-Flat parts: one jaw is under the overhang and one over it. Whatever is thin enough lies between the jaws, however wide
-it is; what counts is whether the pads can hold it. Let the jaws press with F in all, N_l from below and N_u from above,
-and let the center of mass be at d from the grasp point, d_x along the fingers and d_y across. The object is level and
-at rest where
+Flat parts: one jaw is under the overhang and one over it. Whatever is thin enough lies between the
+jaws, however wide it is; what counts is whether the pads can hold it. Let the jaws press with F in
+all, N_l from below and N_u from above, and let the center of mass be at d from the grasp point, d_x
+along the fingers and d_y across. The object is level and at rest where
 
     N_l + N_u = F,   N_l - N_u = m g,   N_l r_l - N_u r_u = m g d
 
-with the centers of pressure r_l, r_u within the pads, |x| <= a and |y| <= b. The left side of the last equation is
-largest with the pressure at opposite ends of the two pads, so that there is a solution exactly if
+with the centers of pressure r_l, r_u within the pads, |x| <= a and |y| <= b. The left side of the
+last equation is largest with the pressure at opposite ends of the two pads, so that there is a
+solution exactly if
 
     m g |d_x| <= F a   and   m g |d_y| <= F b   (and m g <= F)
 
-Beyond that the object tips about an end of a pad and pries the jaws open. Friction has no part in it: gravity turns
-about a horizontal axis, friction of a level pad about its vertical normal only (docs/theory/planning.md, section 5).
+Beyond that the object tips about an end of a pad and pries the jaws open. Friction has no part in
+it: gravity turns about a horizontal axis, friction of a level pad about its vertical normal only
+(docs/theory/planning.md, section 5).
 """
 
 from collections.abc import Iterator, Sequence
@@ -37,7 +40,12 @@ from gridpush_drake.errors import PlanningError, require_positive
 from gridpush_drake.geometry.se2 import Array, make_direction, make_rotation, transform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import DEFAULT_TOTAL_MASS
-from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp, SideGripper, find_side_grasps, make_rectangles
+from gridpush_drake.planning.pregrasp.side_grasp import (
+    SideGrasp,
+    SideGripper,
+    find_side_grasps,
+    make_rectangles,
+)
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface
 
@@ -74,7 +82,9 @@ class Gripper:
         lengths = {"opening": self.opening, "depth": self.depth, "thickness": self.thickness}
         require_positive(PlanningError, "gripper: ", "m", **lengths)
         if not 0 <= 2 * self.clearance < self.opening:
-            raise PlanningError(f"gripper: clearance is {self.clearance!r}; expected 0 to half the opening (m)")
+            raise PlanningError(
+                f"gripper: clearance is {self.clearance!r}; expected 0 to half the opening (m)"
+            )
         if not (0 <= self.hold <= 1 and self.pad >= 0):
             raise PlanningError(
                 f"gripper: pad is {self.pad!r} and hold {self.hold!r}; expected a length >= 0 (m) and a share, 0 to 1"
@@ -128,7 +138,11 @@ def _find_along(obj: GridObject, gripper: Gripper, angle: float) -> Iterator[Gra
 def _fits(piece: Polygon, others: list[Polygon], gripper: Gripper) -> bool:
     x0, y0, x1, y1 = piece.bounds
     width = x1 - x0
-    if width <= 0 or width > gripper.opening - 2 * gripper.clearance or y1 - y0 < PIECE_SHARE * gripper.depth:
+    if (
+        width <= 0
+        or width > gripper.opening - 2 * gripper.clearance
+        or y1 - y0 < PIECE_SHARE * gripper.depth
+    ):
         return False
     if _calc_held_share(piece, gripper.pad) < gripper.hold:
         return False
@@ -158,10 +172,14 @@ def _make_part(piece: Polygon, y: float, R: Array, gripper: Gripper) -> GraspPar
 MM, PERCENT = 1e3, 100.0  # millimeters in a meter, percent in the whole
 
 USED = 0.8
-"""Of what the pads can hold, that is used: for the lift's acceleration, and for pads that do not lie on evenly."""
+"""Of what the pads can hold, that is used: for the lift's acceleration, and for pads that do not
+lie on evenly."""
 
 RIM_DETAIL = 0.005  # m: finer teeth of the rim turn no heading
-ALONG, DEEPER = 0.015, 0.01  # m between places along the rim, and between depths from it, that are tried
+ALONG, DEEPER = (
+    0.015,
+    0.01,
+)  # m between places along the rim, and between depths from it, that are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,14 +223,17 @@ class PadLimit:
         Args:
             p_BG: (k, 2) grasp points, body frame, m.
             headings: (k,) in which the fingers point, body frame, rad.
-            centers: (v, 2) corners of a polygon that the center of mass is in, body frame, m; the worst counts.
+            centers: (v, 2) corners of a polygon that the center of mass is in, body frame, m; the
+                worst counts.
         """
         along = make_direction(headings)
         arm = centers[None] - p_BG[:, None]
         d_x = np.abs(np.einsum("kvi,ki->kv", arm, along)).max(axis=1)
         d_y = np.abs(arm[..., 1] * along[:, :1] - arm[..., 0] * along[:, 1:]).max(axis=1)
         by_length, by_width = self.torques
-        return np.maximum(np.maximum(d_x / by_length, d_y / by_width), 1.0 / self.force) * self.weight
+        return (
+            np.maximum(np.maximum(d_x / by_length, d_y / by_width), 1.0 / self.force) * self.weight
+        )
 
     def holds(self, p_BG: Array, headings: Array, centers: Array) -> Array:
         """Whether the pads hold that with something to spare, (k,) bool; the arguments are those of `calc_shares`."""
@@ -254,7 +275,8 @@ def find_held_grasps(
     Args:
         pads: that hold it.
         masses: that it may have.
-        at_worst: whether it must be held whichever of them it has, or with its center of mass where it is estimated.
+        at_worst: whether it must be held whichever of them it has, or with its center of mass where
+            it is estimated.
     """
     found = find_side_grasps(obj, pose, surface, pads.gripper, aim, height=height)
     if not found:
@@ -268,13 +290,16 @@ def find_held_grasps(
 
 def _stack(parts: Sequence[FlatPart]) -> tuple[Array, Array]:
     """Their points (k, 2) and headings (k,)."""
-    return np.array([part.p_BG for part in parts]).reshape(-1, 2), np.array([part.heading for part in parts])
+    return np.array([part.p_BG for part in parts]).reshape(-1, 2), np.array(
+        [part.heading for part in parts]
+    )
 
 
 def find_flat_parts(obj: GridObject, gripper: SideGripper) -> list[FlatPart]:
     """Finds where the gripper can take an object by its rim, the fingers pointing straight in.
 
-    Along the rim each part is as far in as the pads need, as the gripper's body lets them, and in between.
+    Along the rim each part is as far in as the pads need, as the gripper's body lets them, and in
+    between.
     """
     inner = obj.outline.buffer(-gripper.margin)
     grown = obj.outline.buffer(gripper.object_clearance)
@@ -285,11 +310,17 @@ def find_flat_parts(obj: GridObject, gripper: SideGripper) -> list[FlatPart]:
         inward = make_direction(heading)
         deepest = gripper.body_front - gripper.object_clearance
         shallowest = gripper.pad_length / 2 + gripper.margin
-        for depth in np.linspace(shallowest, deepest, max(int(np.ceil((deepest - shallowest) / DEEPER)), 0) + 1):
+        for depth in np.linspace(
+            shallowest, deepest, max(int(np.ceil((deepest - shallowest) / DEEPER)), 0) + 1
+        ):
             part = _make_flat_part(point + depth * inward, heading, gripper)
             at = part.p_BG[None], np.array([heading])
-            pads = make_rectangles(*at, -gripper.pad_length / 2, gripper.pad_length / 2, gripper.pad_width)[0]
-            body = make_rectangles(*at, -gripper.body_back, -gripper.body_front, gripper.body_width)[0]
+            pads = make_rectangles(
+                *at, -gripper.pad_length / 2, gripper.pad_length / 2, gripper.pad_width
+            )[0]
+            body = make_rectangles(
+                *at, -gripper.body_back, -gripper.body_front, gripper.body_width
+            )[0]
             if shapely.covers(inner, pads) and not shapely.intersects(grown, body):
                 parts.append(part)
     return parts
@@ -309,7 +340,13 @@ def _list_places(obj: GridObject) -> Iterator[tuple[Array, float]]:
 def _make_flat_part(p_BG: Array, heading: float, gripper: SideGripper) -> FlatPart:
     """Its footprint, which must be beyond the edge, is the pads' and the lower jaw's, with its clearance."""
     spare = gripper.table_clearance
-    back, front, half = -gripper.pad_length / 2, gripper.jaw_reach + spare, gripper.jaw_width / 2 + spare
+    back, front, half = (
+        -gripper.pad_length / 2,
+        gripper.jaw_reach + spare,
+        gripper.jaw_width / 2 + spare,
+    )
     corners = np.array([(back, -half), (front, -half), (front, half), (back, half)])
     across = make_direction(heading + np.pi / 2)
-    return FlatPart(p_BG, across, gripper.jaw_width, transform(np.append(p_BG, heading), corners), heading)
+    return FlatPart(
+        p_BG, across, gripper.jaw_width, transform(np.append(p_BG, heading), corners), heading
+    )

@@ -1,14 +1,16 @@
 """What to do next to get an object to the table's edge and grasp it there (the paper's Algorithm 3, made safe).
 
     explore   poke until the set of possible masses leaves a goal that is safe
-    slide     push towards the goals, stable at the worst all the way; learn from every push that stayed on the table
-    grasp     a graspable part hangs over far enough, and the object stays put at the worst
+    slide     push towards the goals, stable at the worst all the way; learn from every push that
+    stayed on the table grasp     a graspable part hangs over far enough, and the object stays put
+    at the worst
 
-Each decision depends on what is seen and known now and on how many pushes were made, on nothing else: an object that
-slipped, or was moved by somebody, is simply decided on anew. Whatever cannot be done safely is not done, and the
-decision says why.
+Each decision depends on what is seen and known now and on how many pushes were made, on nothing
+else: an object that slipped, or was moved by somebody, is simply decided on anew. Whatever cannot
+be done safely is not done, and the decision says why.
 
-`plan_pregrasp`: a whole pre-grasp slide as one model predicts it, the same decisions made on predicted poses.
+`plan_pregrasp`: a whole pre-grasp slide as one model predicts it, the same decisions made on
+predicted poses.
 """
 
 from collections.abc import Sequence
@@ -67,12 +69,13 @@ MM = 1e3  # millimeters in a meter
 
 
 ACCEPTED_SHARE = 2 / 3
-"""Of the margin asked of a goal, that it must still have once the object is on its way, and where it ends up: pushes
-end only nearly there, and each of them changes a little what is known."""
+"""Of the margin asked of a goal, that it must still have once the object is on its way, and where
+it ends up: pushes end only nearly there, and each of them changes a little what is known."""
 
 
 REACHABLE_SIGMAS = 4.0
-"""How many standard deviations, of how far the center can be across the edge, further pokes may add to a margin."""
+"""How many standard deviations, of how far the center can be across the edge, further pokes may add
+to a margin."""
 
 
 @dataclass(frozen=True)
@@ -88,10 +91,11 @@ class PreGraspOptions:
         max_pokes: made before giving up.
         max_slides: made before giving up.
         poke_margin: how far inside the edge pokes keep every cell, m.
-        max_arm: farthest that a narrow part may be from where the center of mass is estimated, m: held farther off, the
-            object would turn in the gripper. It is less where the pads would not hold the object's weight so far off.
-        pads: of the gripper that takes it from beyond the edge, which can so hold what is narrow nowhere; None where
-            only narrow parts are taken, however heavy the object is.
+        max_arm: farthest that a narrow part may be from where the center of mass is estimated, m:
+            held farther off, the object would turn in the gripper. It is less where the pads would
+            not hold the object's weight so far off.
+        pads: of the gripper that takes it from beyond the edge, which can so hold what is narrow
+            nowhere; None where only narrow parts are taken, however heavy the object is.
     """
 
     gripper: Gripper = field(default_factory=Gripper)
@@ -113,7 +117,8 @@ class PreGraspDecision:
     Attributes:
         action: "poke" and "slide" are pushes to make; "grasp" and "fail" end the task.
         reason: in a sentence.
-        goal: that the slide goes to, or the present pose where it can be grasped; None where there is none.
+        goal: that the slide goes to, or the present pose where it can be grasped; None where there
+            is none.
         push: to make; None at the end.
         expected_pose: (3,) of the object after a slide; None otherwise.
     """
@@ -169,8 +174,16 @@ class PreGraspPlanner:
         """Decides what to do next, with the object seen at `pose` (3,), m and rad; without a model before any push."""
         q = np.asarray(pose, dtype=np.float64)
         if model is None:
-            return self._poke(q, UncertainModel.of_prior(self.obj), None, pokes, "nothing is known of the object yet")
-        decision = self._decide_with(self._find_parts_near(model, self._calc_max_arm(model)), q, model, pokes, slides)
+            return self._poke(
+                q,
+                UncertainModel.of_prior(self.obj),
+                None,
+                pokes,
+                "nothing is known of the object yet",
+            )
+        decision = self._decide_with(
+            self._find_parts_near(model, self._calc_max_arm(model)), q, model, pokes, slides
+        )
         if decision.action != "fail" or not self.flat_parts:
             return decision
         flat = self._decide_by_rim(q, model, pokes, slides)
@@ -178,7 +191,9 @@ class PreGraspPlanner:
             return flat
         return replace(flat, reason=f"{decision.reason}; and by the rim, {flat.reason}")
 
-    def _decide_by_rim(self, q: Array, model: UncertainModel, pokes: int, slides: int) -> PreGraspDecision:
+    def _decide_by_rim(
+        self, q: Array, model: UncertainModel, pokes: int, slides: int
+    ) -> PreGraspDecision:
         """Decides what to do next to take one of the flat parts by which the pads hold the object at the worst."""
         pads = self.options.pads
         assert pads is not None  # or there would be no flat parts
@@ -188,7 +203,9 @@ class PreGraspPlanner:
         if held:
             return self._decide_with(held, q, model, pokes, slides)
         why = pads.describe_best(self.flat_parts, centers)
-        if model.posterior is not None and find_held_parts(self.flat_parts, pads, model.masses.middle[None]):
+        if model.posterior is not None and find_held_parts(
+            self.flat_parts, pads, model.masses.middle[None]
+        ):
             return self._poke(q, model, None, pokes, why)
         return PreGraspDecision("fail", why)
 
@@ -216,10 +233,19 @@ class PreGraspPlanner:
         if slides >= self.options.max_slides:
             return PreGraspDecision("fail", f"not at the edge after {slides} slides", goals[0])
         slide = plan_slide(
-            model.masses, model.params, model.samples, q, goals, self.surface, self.options.slide, self.limits
+            model.masses,
+            model.params,
+            model.samples,
+            q,
+            goals,
+            self.surface,
+            self.options.slide,
+            self.limits,
         )
         if slide is None:
-            return self._poke(q, model, goals[0], pokes, "no push towards a goal is safe all the way")
+            return self._poke(
+                q, model, goals[0], pokes, "no push towards a goal is safe all the way"
+            )
         planned = slide.planned
         reason = (
             f"{planned.cost * MM:.0f} mm from a goal after this push; stability margin {slide.margin * MM:.0f} mm "
@@ -230,16 +256,24 @@ class PreGraspPlanner:
     def _calc_max_arm(self, model: UncertainModel) -> float:
         """How far a narrow part may be from where the center of mass is estimated, m: less of a heavy object."""
         pads = self.options.pads
-        return min(self.options.max_arm, np.inf if pads is None else pads.weigh(model.masses).max_arm)
+        return min(
+            self.options.max_arm, np.inf if pads is None else pads.weigh(model.masses).max_arm
+        )
 
     def _find_parts_near(self, model: UncertainModel, arm: float) -> tuple[GraspPart, ...]:
         """The parts no farther than `arm` (m) from where the center of mass is estimated."""
-        return tuple(part for part in self.parts if np.linalg.norm(part.p_BG - model.masses.middle) <= arm)
+        return tuple(
+            part for part in self.parts if np.linalg.norm(part.p_BG - model.masses.middle) <= arm
+        )
 
-    def _find_goals(self, pose: Array, model: UncertainModel, parts: Sequence[GraspPart]) -> list[PreGraspGoal]:
+    def _find_goals(
+        self, pose: Array, model: UncertainModel, parts: Sequence[GraspPart]
+    ) -> list[PreGraspGoal]:
         if not parts:
             return []
-        return find_pregrasp_goals(model.masses, parts, pose, self.surface, self.options.goal, self.limits)
+        return find_pregrasp_goals(
+            model.masses, parts, pose, self.surface, self.options.goal, self.limits
+        )
 
     def _poke_or_give_up(
         self, pose: Array, model: UncertainModel, parts: Sequence[GraspPart], pokes: int
@@ -267,10 +301,17 @@ class PreGraspPlanner:
         direction = None if best is None else best.weakest
         choice = suggest_poke(model, pose, self.surface, direction, self.options, self.limits)
         if choice is None:
-            return PreGraspDecision("fail", f"{why}, and no poke keeps the object on the table", best)
-        if best is not None and best.margin + REACHABLE_SIGMAS * choice.std < self.options.goal.margin:
             return PreGraspDecision(
-                "fail", f"{why}; pokes cannot tell mass from friction, only closer friction bounds would help", best
+                "fail", f"{why}, and no poke keeps the object on the table", best
+            )
+        if (
+            best is not None
+            and best.margin + REACHABLE_SIGMAS * choice.std < self.options.goal.margin
+        ):
+            return PreGraspDecision(
+                "fail",
+                f"{why}; pokes cannot tell mass from friction, only closer friction bounds would help",
+                best,
             )
         what = "the center" if direction is None else "how far the center can be across the edge"
         reason = (
@@ -293,15 +334,18 @@ def suggest_poke(
     Args:
         model: of the object; its `posterior` must not be None.
         pose: (3,) where the object lies, X_WB, m and rad.
-        surface: the table, inside whose edge the object stays, or at least as far in and as stable as it is.
-        direction: (2,) unit vector in the body frame along which it matters how far the center can be; where None, the
-            center matters.
+        surface: the table, inside whose edge the object stays, or at least as far in and as stable
+            as it is.
+        direction: (2,) unit vector in the body frame along which it matters how far the center can
+            be; where None, the center matters.
 
     Raises:
         PlanningError: the model leaves nothing to learn.
     """
     options = options or PreGraspOptions()
-    rule = make_stability_rule(model.masses, pose, surface, options.slide.margin, options.slide.inset)
+    rule = make_stability_rule(
+        model.masses, pose, surface, options.slide.margin, options.slide.inset
+    )
     constraints = PushConstraints(
         surface,
         edge_margin=options.poke_margin,
@@ -312,7 +356,11 @@ def suggest_poke(
     pokes = make_pokes(model, pose, options.poke, constraints)
     if not pokes:
         return None
-    F = make_center_functional(model) if direction is None else make_farthest_functional(model, direction)
+    F = (
+        make_center_functional(model)
+        if direction is None
+        else make_farthest_functional(model, direction)
+    )
     choice = choose_poke(model, pose, pokes, F)
     for index in np.argsort(choice.expected_stds, kind="stable").tolist():
         expected = float(choice.expected_stds[index])
@@ -342,12 +390,14 @@ class PreGraspPlan:
     """Pushes that bring an object to the edge, and how they end.
 
     Attributes:
-        status: "ready": at the end of the pushes a part can be grasped; "poke_first": no goal is safe enough yet, and a
-            poke would help; "failed".
+        status: "ready": at the end of the pushes a part can be grasped; "poke_first": no goal is
+            safe enough yet, and a poke would help; "failed".
         message: the status in a sentence.
-        pushes: of the slide; empty where the object can be grasped where it lies, and where there is no safe way.
+        pushes: of the slide; empty where the object can be grasped where it lies, and where there
+            is no safe way.
         poses: (P+1, 3) predicted before and after each push, X_WB, m and rad.
-        goal: what hangs over at the end; where nothing is safe enough, the safest goal; None where there is none.
+        goal: what hangs over at the end; where nothing is safe enough, the safest goal; None where
+            there is none.
         poke: that would help most, where one would.
     """
 
@@ -371,9 +421,13 @@ def plan_pregrasp(planner: PreGraspPlanner, model: UncertainModel, pose: ArrayLi
             break
         pushes.append(decision.push)
         poses.append(
-            simulate_near_edge(planner.obj, model.params, decision.push, poses[-1], planner.surface).final_pose
+            simulate_near_edge(
+                planner.obj, model.params, decision.push, poses[-1], planner.surface
+            ).final_pose
         )
     ends = {"grasp": PreGraspPlanStatus.READY, "poke": PreGraspPlanStatus.POKE_FIRST}
     status = ends.get(decision.action, PreGraspPlanStatus.FAILED)
     poke = decision.push if decision.action == "poke" else None
-    return PreGraspPlan(status, decision.reason, tuple(pushes), np.array(poses), decision.goal, poke)
+    return PreGraspPlan(
+        status, decision.reason, tuple(pushes), np.array(poses), decision.goal, poke
+    )

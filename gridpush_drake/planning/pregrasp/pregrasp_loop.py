@@ -4,13 +4,15 @@
        |                  |                   ^
        |                  +--> stopping ------+           broken off, as the object might fall
        |                                      ^
-       +--> verifying --> grasping -----------+           what was missed or slipped is observed anew
+       +--> verifying --> grasping -----------+           what was missed or slipped is observed
+       anew
                              |
                              +--> holding
 
-Whenever robot and object are at rest the object is observed for a while, and the planner decides what to do next;
-nothing is done on an old observation. What is decided depends on that, on what was learned and on how often something
-was tried: an object that slipped or was moved by somebody is simply dealt with where it lies.
+Whenever robot and object are at rest the object is observed for a while, and the planner decides
+what to do next; nothing is done on an old observation. What is decided depends on that, on what was
+learned and on how often something was tried: an object that slipped or was moved by somebody is
+simply dealt with where it lies.
 """
 
 from collections.abc import Callable
@@ -45,11 +47,13 @@ from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, Uncer
 from gridpush_drake.pushes.push_log import PushLog
 
 FindGrasp = Callable[[Array, Array, PlausibleMassSet, bool], SideGrasp | None]
-"""From the object's pose (3,) in W, the point (2,) in B near which to take it, the masses that it may have, and whether
-the pads must hold it whichever of them it has or as they are estimated, to the grasp; None for none."""
+"""From the object's pose (3,) in W, the point (2,) in B near which to take it, the masses that it
+may have, and whether the pads must hold it whichever of them it has or as they are estimated, to
+the grasp; None for none."""
 
 Infer = Callable[[Identification | None, PushLog], UncertainModel | None]
-"""From what was learned, and the pushes so far, to what is held possible; None where more must be seen first."""
+"""From what was learned, and the pushes so far, to what is held possible; None where more must be
+seen first."""
 
 
 class PreGraspMode(StrEnum):
@@ -71,15 +75,16 @@ class PreGraspStatus:
     """Where the loop stands.
 
     Attributes:
-        mode: "waiting" (to see the object at rest), "exploring", "sliding", "stopping" (a push that is broken off),
-            "verifying" (that it can be grasped where it lies), "grasping" (until it is lifted), "holding", "lost" (from
-            sight) or "failed".
+        mode: "waiting" (to see the object at rest), "exploring", "sliding", "stopping" (a push that
+            is broken off), "verifying" (that it can be grasped where it lies), "grasping" (until it
+            is lifted), "holding", "lost" (from sight) or "failed".
         reason: for the mode, in a sentence.
         pokes: asked for so far, those refused aside.
         slides: likewise.
         grasps: asked for so far.
         goal: that it slides to or grasps at; None where there is none.
-        expected_pose: (x, y, theta) where the push under way is expected to leave the object, m and rad; None without.
+        expected_pose: (x, y, theta) where the push under way is expected to leave the object, m and
+            rad; None without.
         margin: stability margin of the goal at the worst, m; NaN without one.
     """
 
@@ -112,7 +117,12 @@ class PreGraspLoopOptions(LoopOptions):
     max_grasps: int = 3
 
 
-NO_PUSH = (PreGraspMode.STOPPING, PreGraspMode.VERIFYING, PreGraspMode.GRASPING, PreGraspMode.HOLDING)
+NO_PUSH = (
+    PreGraspMode.STOPPING,
+    PreGraspMode.VERIFYING,
+    PreGraspMode.GRASPING,
+    PreGraspMode.HOLDING,
+)
 """Modes in which no push is asked for."""
 
 
@@ -132,7 +142,9 @@ class PreGraspState(LoopState):
 
     def turn_to(self, mode: str, reason: str, **others: Any) -> "PreGraspState":
         """In another mode, as `LoopState` does; lost, without a goal."""
-        return super().turn_to(mode, reason, **{**({"goal": None} if mode == LOST else {}), **others})
+        return super().turn_to(
+            mode, reason, **{**({"goal": None} if mode == LOST else {}), **others}
+        )
 
 
 class PreGraspLoop(ClosedLoop[PreGraspState]):
@@ -163,7 +175,9 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         """The state before the first observation."""
         return PreGraspState()
 
-    def infer_from_identification(self, found: Identification | None, log: PushLog) -> UncertainModel | None:
+    def infer_from_identification(
+        self, found: Identification | None, log: PushLog
+    ) -> UncertainModel | None:
         """What the posterior says; None before anything was learned."""
         if found is None:
             return None
@@ -199,7 +213,9 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         return now.turn_to(PreGraspMode.STOPPING, reason, expected_pose=now.status.expected_pose)
 
     def _count_made(self, now: PreGraspState, seen: Observation) -> dict[str, Any]:
-        return {"reason": "A push was broken off."} if now.status.mode == PreGraspMode.STOPPING else {}
+        return (
+            {"reason": "A push was broken off."} if now.status.mode == PreGraspMode.STOPPING else {}
+        )
 
     def _count_refused(self, now: PreGraspState) -> dict[str, Any]:
         poke = now.status.mode == PreGraspMode.EXPLORING
@@ -213,7 +229,10 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             decision = self.planner.decide(pose, uncertain, now.status.pokes, now.status.slides)
         except GridPushError as error:
             return now.turn_to(FAILED, f"Nothing could be planned: {error}.", goal=None)
-        reason, said = _sentence(decision.reason), {"goal": decision.goal, "margin": decision.margin}
+        reason, said = (
+            _sentence(decision.reason),
+            {"goal": decision.goal, "margin": decision.margin},
+        )
         if decision.action == "fail":
             return now.turn_to(FAILED, reason, **said)
         if decision.push is not None:
@@ -224,10 +243,17 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         return self._grasp(now, pose, uncertain, said)
 
     def _push(
-        self, now: PreGraspState, pose: Array, uncertain: UncertainModel | None, decision: PreGraspDecision, push: Push
+        self,
+        now: PreGraspState,
+        pose: Array,
+        uncertain: UncertainModel | None,
+        decision: PreGraspDecision,
+        push: Push,
     ) -> PreGraspState:
         planner, known = self.planner, uncertain or UncertainModel.of_prior(self.planner.obj)
-        monitor = TippingMonitor.of_push(known.masses, planner.surface, pose, planner.options.slide, self.options.rest)
+        monitor = TippingMonitor.of_push(
+            known.masses, planner.surface, pose, planner.options.slide, self.options.rest
+        )
         poke = decision.action == "poke"
         return replace(now, monitor=monitor).ask(
             push,
@@ -237,10 +263,14 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
             slides=now.status.slides + (not poke),
             goal=decision.goal,
             margin=decision.margin,
-            expected_pose=None if decision.expected_pose is None else tuple(decision.expected_pose.tolist()),
+            expected_pose=None
+            if decision.expected_pose is None
+            else tuple(decision.expected_pose.tolist()),
         )
 
-    def _grasp(self, now: PreGraspState, pose: Array, uncertain: UncertainModel, said: dict[str, Any]) -> PreGraspState:
+    def _grasp(
+        self, now: PreGraspState, pose: Array, uncertain: UncertainModel, said: dict[str, Any]
+    ) -> PreGraspState:
         goal: PreGraspGoal | None = said["goal"]
         masses, at_worst = uncertain.masses, goal is not None and isinstance(goal.part, FlatPart)
         grasp = self._find_grasp(pose, masses.middle, masses, at_worst)
@@ -249,10 +279,15 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
                 pose, goal.part.p_BG, masses, at_worst
             )  # what the plan found: farther off, but within reach
         if grasp is None:
-            why = "The gripper reaches no part that hangs over and by which its pads hold the object."
+            why = (
+                "The gripper reaches no part that hangs over and by which its pads hold the object."
+            )
             return now.turn_to(FAILED, why, **said)
         return replace(now, grasp=grasp, grasp_id=now.grasp_id + 1).turn_to(
-            PreGraspMode.GRASPING, "A part that hangs over is taken.", grasps=now.status.grasps + 1, **said
+            PreGraspMode.GRASPING,
+            "A part that hangs over is taken.",
+            grasps=now.status.grasps + 1,
+            **said,
         )
 
     def _follow_grasp(self, now: PreGraspState, gripper: GraspStatus) -> PreGraspState:
@@ -264,7 +299,9 @@ class PreGraspLoop(ClosedLoop[PreGraspState]):
         if not gripper.ready:
             return now  # it retreats
         what = f"The grasp was {gripper.outcome}: {gripper.reason}."
-        return now.turn_to(FAILED if now.status.grasps >= self.options.max_grasps else WAITING, what, goal=None)
+        return now.turn_to(
+            FAILED if now.status.grasps >= self.options.max_grasps else WAITING, what, goal=None
+        )
 
 
 def _sentence(words: str) -> str:

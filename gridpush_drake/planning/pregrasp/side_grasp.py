@@ -1,22 +1,23 @@
 """Where a gripper can take an object from beyond the table's edge, one jaw under the overhang and one over it.
 
-Seen from above, with the grasp point G in the middle between the pads and the x axis along the heading in which the
-fingers point, the gripper is made of rectangles:
+Seen from above, with the grasp point G in the middle between the pads and the x axis along the
+heading in which the fingers point, the gripper is made of rectangles:
 
-    pads       [-pad_length/2, pad_length/2] x pad_width   wholly on the object, a margin inside its outline
-    jaws       [-body_front, jaw_reach] x jaw_width        the lower one clear of the table
+    pads       [-pad_length/2, pad_length/2] x pad_width   wholly on the object, a margin inside its
+    outline jaws       [-body_front, jaw_reach] x jaw_width        the lower one clear of the table
     the rest   [-body_back, -body_front] x body_width      clear of the object, and of the table
 
-For each of many headings the places where the pads and the lower jaw may be are found exactly (`find_places`); what is
-left is looked at one by one. Seen along the heading, with x along it and y across, a rectangle [back, front] x [-w, w]
-about the point (x, y) crosses no edge of a polygon exactly if for every edge, cut to the strip y - w .. y + w and there
-reaching from xa to xb,
+For each of many headings the places where the pads and the lower jaw may be are found exactly
+(`find_places`); what is left is looked at one by one. Seen along the heading, with x along it and y
+across, a rectangle [back, front] x [-w, w] about the point (x, y) crosses no edge of a polygon
+exactly if for every edge, cut to the strip y - w .. y + w and there reaching from xa to xb,
 
     x <= xa - front   or   x >= xb - back
 
-so that on a line of constant y what is free is what a union of intervals leaves. On wide objects evenly spaced lines
-and headings will do. A handle hardly wider than the pads asks for the very heading, the bisector of its two sides, and
-for the very lines: on which a side of the pads touches a corner of the handle, and between two such lines.
+so that on a line of constant y what is free is what a union of intervals leaves. On wide objects
+evenly spaced lines and headings will do. A handle hardly wider than the pads asks for the very
+heading, the bisector of its two sides, and for the very lines: on which a side of the pads touches
+a corner of the handle, and between two such lines.
 """
 
 from collections.abc import Sequence
@@ -28,7 +29,14 @@ from numpy.typing import ArrayLike, NDArray
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.geometry.se2 import Array, check_vector, make_rotation, transform, transform_shape, wrap_angle
+from gridpush_drake.geometry.se2 import (
+    Array,
+    check_vector,
+    make_rotation,
+    transform,
+    transform_shape,
+    wrap_angle,
+)
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.support_surface import SupportSurface
 
@@ -36,11 +44,12 @@ TOUCH = 1e-6  # m, for round-off: rectangles may cross an edge by as much
 NEARLY_PARALLEL = np.radians(12)  # between the two sides of a handle
 
 SAME = np.radians(0.2)
-"""Between headings of which only that of the longer sides is tried: across the pads' length it is a tenth of a
-millimeter."""
+"""Between headings of which only that of the longer sides is tried: across the pads' length it is a
+tenth of a millimeter."""
 
 ALONG = 4
-"""Times as far apart as the lines, places on a line are tried: its ends and what is nearest to the aim are exact."""
+"""Times as far apart as the lines, places on a line are tried: its ends and what is nearest to the
+aim are exact."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +104,10 @@ def find_handles(edges: Array, shortest: float, widest: float) -> list[Handle]:
     rank = np.where((gap <= widest) & (across > 0), np.minimum(length[i], length[j]), 0.0)
     found: list[Handle] = []
     for k in np.argsort(-rank, kind="stable")[: np.count_nonzero(rank)]:
-        heading, corners = float((angle[i[k]] + slant[k] / 2) % np.pi), edges[[i[k], j[k]]].reshape(4, 2)
+        heading, corners = (
+            float((angle[i[k]] + slant[k] / 2) % np.pi),
+            edges[[i[k], j[k]]].reshape(4, 2),
+        )
         for n, other in enumerate(found):
             if abs((heading - other.heading + np.pi / 2) % np.pi - np.pi / 2) <= SAME:
                 found[n] = Handle(other.heading, np.concatenate([other.corners, corners]))
@@ -119,7 +131,8 @@ def find_places(
         shape: what the pads must lie on, m.
         pads: the pads, and the edges of `shape`; the grasp point lies in them.
         others: further rectangles and what they must not cross.
-        tries: headings, rad, with the corners (k, 2) of a narrow handle, to look there only, or None for everywhere.
+        tries: headings, rad, with the corners (k, 2) of a narrow handle, to look there only, or
+            None for everywhere.
         aim: (2,) point near which places are wanted, m.
         step: between lines, at most, m.
     """
@@ -138,7 +151,9 @@ def find_places(
     counts = np.array([len(ys) for ys in chosen], dtype=int)
     R, headings = (np.repeat(array, counts, axis=0) for array in (R, headings))
     blocked = [_block(lines, wall, R) for wall in (pads, *others)]
-    row, low, high = _find_gaps(*(np.concatenate(ends, axis=1) for ends in zip(*blocked, strict=True)))
+    row, low, high = _find_gaps(
+        *(np.concatenate(ends, axis=1) for ends in zip(*blocked, strict=True))
+    )
     inside = shapely.contains_xy(shape, *_turn_back((low + high) / 2, lines[row], R[row]).T)
     row, low, high = row[inside], low[inside], high[inside]
     count = np.ceil((high - low) / (ALONG * step)).astype(int) + 1
@@ -166,7 +181,9 @@ def _choose_lines(corners: Array, half: float, aim: float, step: float) -> Array
 def _choose_lines_in_handle(corners: Array, half: float, step: float) -> Array:
     """The y on which to look in a handle whose corners are at y (k,): touching one, and between."""
     touching = np.sort(np.concatenate([corners + half, corners - half]))
-    touching = touching[(touching >= corners.min() + half - TOUCH) & (touching <= corners.max() - half + TOUCH)]
+    touching = touching[
+        (touching >= corners.min() + half - TOUCH) & (touching <= corners.max() - half + TOUCH)
+    ]
     if not len(touching):
         return touching
     touching = touching[np.append(True, np.diff(touching) > TOUCH)]
@@ -256,7 +273,10 @@ class SideGripper:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value, may_be_zero = getattr(self, field.name), field.name.endswith("clearance") or field.name == "margin"
+            value, may_be_zero = (
+                getattr(self, field.name),
+                field.name.endswith("clearance") or field.name == "margin",
+            )
             if not (np.isfinite(value) and (value > 0 or (may_be_zero and value == 0))):
                 kind = "a number >= 0" if may_be_zero else "a positive number"
                 raise PlanningError(f"side gripper: {field.name} is {value!r}; expected {kind} (m)")
@@ -299,21 +319,26 @@ def find_side_grasps(
     """Finds where the gripper can take an object of a height (m), at a pose (3,), that overhangs the edge.
 
     Args:
-        aim: (2,) point near which to grasp, body frame, m: the estimated center of mass; by default the mean of the
-            cells.
-        step: between grasp points tried, m: at most so much across the heading, four times as much along it.
+        aim: (2,) point near which to grasp, body frame, m: the estimated center of mass; by default
+            the mean of the cells.
+        step: between grasp points tried, m: at most so much across the heading, four times as much
+            along it.
         headings: tried over a full turn, beside those of narrow handles.
 
     Returns:
-        The grasps, by distance from `aim`, at equal distance by clearance from the table; none where there is no place.
+        The grasps, by distance from `aim`, at equal distance by clearance from the table; none
+        where there is no place.
 
     Raises:
-        PlanningError: a number is not finite or not positive, or the object is too thick for the gripper.
+        PlanningError: a number is not finite or not positive, or the object is too thick for the
+            gripper.
     """
     gripper = gripper or SideGripper()
     q = check_vector(PlanningError, "pose", pose, 3)
     target = obj.p_BC.mean(axis=0) if aim is None else check_vector(PlanningError, "aim", aim, 2)
-    if not (np.isfinite(height) and height > 0 and np.isfinite(step) and step > 0 and headings >= 1):
+    if not (
+        np.isfinite(height) and height > 0 and np.isfinite(step) and step > 0 and headings >= 1
+    ):
         raise PlanningError(
             f"height is {height!r}, step {step!r} and headings {headings!r}; expected positive lengths (m) and a number"
         )
@@ -330,7 +355,9 @@ def find_side_grasps(
     clear = shapely.distance(make_rectangles(points, angles, *_lower_jaw(gripper)), surface.polygon)
     order = np.lexsort((-clear, np.round(distance, 6)))
     return [
-        SideGrasp(points[i].copy(), float(angles[i]), p_BG[i].copy(), float(distance[i]), float(clear[i]))
+        SideGrasp(
+            points[i].copy(), float(angles[i]), p_BG[i].copy(), float(distance[i]), float(clear[i])
+        )
         for i in order.tolist()
     ]
 
@@ -345,24 +372,43 @@ def check_thickness(obj: GridObject, height: float, gripper: SideGripper) -> Non
 
 
 def _propose(
-    outline: shapely.Polygon, surface: SupportSurface, gripper: SideGripper, aim: Array, step: float, headings: int
+    outline: shapely.Polygon,
+    surface: SupportSurface,
+    gripper: SideGripper,
+    aim: Array,
+    step: float,
+    headings: int,
 ) -> tuple[Array, Array]:
     """Points (k, 2) and headings (k,) with which the pads are on the overhang and the lower jaw clear of the table."""
     inner = outline.buffer(-gripper.margin, quad_segs=ARC_DETAIL)
-    # no farther in than half the jaw's width, whatever the heading; the pads reach no farther from there than this
-    least, half = gripper.table_clearance + gripper.jaw_width / 2, np.hypot(gripper.pad_length, gripper.pad_width) / 2
+    # no farther in than half the jaw's width, whatever the heading; the pads reach no farther from
+    # there than this
+    least, half = (
+        gripper.table_clearance + gripper.jaw_width / 2,
+        np.hypot(gripper.pad_length, gripper.pad_width) / 2,
+    )
     beyond = inner - surface.polygon.buffer(least, join_style="mitre")
     overhang = inner - surface.polygon.buffer(least - half, join_style="mitre")
     if beyond.is_empty:
         return np.empty((0, 2)), np.empty(0)
     table = surface.polygon.buffer(gripper.table_clearance)
-    pads = Walls(get_edges(overhang), -gripper.pad_length / 2, gripper.pad_length / 2, gripper.pad_width)
+    pads = Walls(
+        get_edges(overhang), -gripper.pad_length / 2, gripper.pad_length / 2, gripper.pad_width
+    )
     grown = _grow(outline, gripper.object_clearance + 4 * TOUCH)
     jaw = Walls(get_edges(table), *_lower_jaw(gripper))
-    rest = Walls(get_edges(grown), -gripper.body_back - gripper.standoff, -gripper.body_front, gripper.body_width)
+    rest = Walls(
+        get_edges(grown),
+        -gripper.body_back - gripper.standoff,
+        -gripper.body_front,
+        gripper.body_width,
+    )
     shapely.prepare(overhang)
     handles, even = _choose_headings(beyond, pads, surface, step, headings)
-    tries = [*((handle.heading, handle.corners) for handle in handles), *((angle, None) for angle in even)]
+    tries = [
+        *((handle.heading, handle.corners) for handle in handles),
+        *((angle, None) for angle in even),
+    ]
     points, angles = find_places(overhang, pads, (jaw, rest), tries, aim, step)
     inwards = _find_ways_in(points, surface)
     ahead = inwards[:, 0] * np.cos(angles) + inwards[:, 1] * np.sin(angles) >= np.cos(MAX_SLANT)
@@ -378,8 +424,13 @@ def _choose_headings(
     length, off = pads.front - pads.back, min(np.pi / count, np.pi / 4)
     widest = length * np.sin(off) + pads.width * np.cos(off) + step
     handles = find_handles(pads.edges, MIN_EDGE * length, widest)
-    both = [Handle(handle.heading + turn, handle.corners) for turn in (0.0, -np.pi) for handle in handles]
-    # the way in from any point leads over the region's boundary, and from there on in the same direction
+    both = [
+        Handle(handle.heading + turn, handle.corners)
+        for turn in (0.0, -np.pi)
+        for handle in handles
+    ]
+    # the way in from any point leads over the region's boundary, and from there on in the same
+    # direction
     inwards = _find_ways_in(shapely.get_coordinates(shapely.segmentize(beyond, STEP)), surface)
 
     def points_in(headings: Array) -> NDArray[np.bool_]:
@@ -399,22 +450,37 @@ def _find_ways_in(points: Array, surface: SupportSurface) -> Array:
 
 
 def _filter(
-    outline: shapely.Polygon, points: Array, angles: Array, surface: SupportSurface, gripper: SideGripper
+    outline: shapely.Polygon,
+    points: Array,
+    angles: Array,
+    surface: SupportSurface,
+    gripper: SideGripper,
 ) -> NDArray[np.int64]:
     """Indices of those whose gripper, but for the lower jaw, is clear of the table and of the object."""
     kept = np.arange(len(points))
-    table, grown = surface.polygon.buffer(gripper.table_clearance), _grow(outline, gripper.object_clearance)
+    table, grown = (
+        surface.polygon.buffer(gripper.table_clearance),
+        _grow(outline, gripper.object_clearance),
+    )
     for shape in (table, grown):
         shapely.prepare(shape)
     body = (-gripper.body_back - gripper.standoff, -gripper.body_front, gripper.body_width)
-    jaws_before = (-gripper.body_front - gripper.standoff, gripper.jaw_reach - gripper.standoff, gripper.jaw_width)
+    jaws_before = (
+        -gripper.body_front - gripper.standoff,
+        gripper.jaw_reach - gripper.standoff,
+        gripper.jaw_width,
+    )
     tests = (
         (table, body),
         (grown, body),
         (grown, jaws_before),
     )
     for shape, (back, front, width) in tests:
-        kept = kept[~shapely.intersects(shape, make_rectangles(points[kept], angles[kept], back, front, width))]
+        kept = kept[
+            ~shapely.intersects(
+                shape, make_rectangles(points[kept], angles[kept], back, front, width)
+            )
+        ]
     return kept
 
 
@@ -428,9 +494,13 @@ def _lower_jaw(gripper: SideGripper) -> tuple[float, float, float]:
     return -gripper.body_front - gripper.standoff, gripper.jaw_reach, gripper.jaw_width
 
 
-def make_rectangles(points: Array, angles: Array, back: float, front: float, width: float) -> NDArray[np.object_]:
+def make_rectangles(
+    points: Array, angles: Array, back: float, front: float, width: float
+) -> NDArray[np.object_]:
     """Rectangles from `back` to `front` along the headings, seen from the points, m."""
-    corners = np.array([(back, -width / 2), (front, -width / 2), (front, width / 2), (back, width / 2)])
+    corners = np.array(
+        [(back, -width / 2), (front, -width / 2), (front, width / 2), (back, width / 2)]
+    )
     return shapely.polygons(transform(np.column_stack([points, angles]), corners))
 
 
@@ -443,7 +513,8 @@ def choose_varied(
 ) -> list[SideGrasp]:
     """Chooses at most `count` grasps of a list, the best first: a few that differ, as to ask an arm takes time.
 
-    One is unlike those chosen before it from `apart` (m) between the points or `turned` (rad) between the headings on.
+    One is unlike those chosen before it from `apart` (m) between the points or `turned` (rad)
+    between the headings on.
     """
     p_WG = np.array([grasp.p_WG for grasp in grasps]).reshape(-1, 2)
     approach = np.array([grasp.approach for grasp in grasps])

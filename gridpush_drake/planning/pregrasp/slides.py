@@ -1,19 +1,21 @@
 """The next push of a slide to the table's edge: towards one of several goals, safe all the way.
 
-Contact-point optimization proposes pushes towards each goal, forbidden to pass poses whose stability margin is too
-thin. The proposals are then tried on several samples of the model, with the loads that an overhanging object has
-(`dynamics.kernels.support_loads`), and cut short before the first pose in which any draw's margin is too thin. Taken
-is the proposal that, so cut, ends nearest to its goal on the average of the draws.
+Contact-point optimization proposes pushes towards each goal, forbidden to pass poses whose
+stability margin is too thin. The proposals are then tried on several samples of the model, with the
+loads that an overhanging object has (`dynamics.kernels.support_loads`), and cut short before the
+first pose in which any draw's margin is too thin. Taken is the proposal that, so cut, ends nearest
+to its goal on the average of the draws.
 
 `TippingMonitor`: watches a push under way that the object stays as safe as it was planned to.
 
-A push is planned so that the worst-case stability margin m(q) stays at m0 or above, where m0 is what was asked for, or
-less where the margin was thinner at the beginning. A look errs by up to e, so that nothing is known to be amiss until
+A push is planned so that the worst-case stability margin m(q) stays at m0 or above, where m0 is
+what was asked for, or less where the margin was thinner at the beginning. A look errs by up to e,
+so that nothing is known to be amiss until
 
     m_e(q) < m0 - e,
 
-where m_e also counts as held those cells that only just seem to be beyond the edge, by e or less. Then something else
-happened than was planned: the object slipped, or somebody moved it.
+where m_e also counts as held those cells that only just seem to be beyond the edge, by e or less.
+Then something else happened than was planned: the object slipped, or somebody moved it.
 """
 
 from collections.abc import Sequence
@@ -31,13 +33,18 @@ from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.optimization import optimize_contact
 from gridpush_drake.planning.contact.trial import ContactOptions, PlannedPush, calc_goal_error
 from gridpush_drake.planning.pregrasp.goals import ANY_ARM, ArmLimits, PreGraspGoal
-from gridpush_drake.planning.pregrasp.stability import SUPPORT_INSET, calc_stability_margin, calc_stability_margins
+from gridpush_drake.planning.pregrasp.stability import (
+    SUPPORT_INSET,
+    calc_stability_margin,
+    calc_stability_margins,
+)
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.push_constraints import CHECK_EVERY, PoseRule, PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 
 FREE_OVERHANG = 1.0
-"""m that cells may hang over the edge as far as the push search is concerned; stability is the limit."""
+"""m that cells may hang over the edge as far as the push search is concerned; stability is the
+limit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +70,9 @@ def simulate_near_edge(
         return EdgeMotion(q[None].copy(), np.zeros(1), True)
     times = make_path_times(push, "quasi_static")
     traveled = push.distance_at(times)
-    motion = simulate(obj, params, push, q, times=times, regime="quasi_static", table=surface.corners)
+    motion = simulate(
+        obj, params, push, q, times=times, regime="quasi_static", table=surface.corners
+    )
     fell = bool(motion.tips.any())
     if not fell and calc_loads(obj, params, motion.final_pose, surface.corners) is None:
         return EdgeMotion(motion.poses, traveled, True)
@@ -107,11 +116,16 @@ class Slide:
 
 
 def make_stability_rule(
-    masses: PlausibleMassSet, pose: ArrayLike, surface: SupportSurface, margin: float, inset: float = SUPPORT_INSET
+    masses: PlausibleMassSet,
+    pose: ArrayLike,
+    surface: SupportSurface,
+    margin: float,
+    inset: float = SUPPORT_INSET,
 ) -> PoseRule:
     """A rule for a push's poses: the stability margin must not fall below `margin`, m.
 
-    Where it is thinner at `pose` (3,) already, or with the object wholly on the table, it must not get thinner still.
+    Where it is thinner at `pose` (3,) already, or with the object wholly on the table, it must not
+    get thinner still.
     """
     wanted = calc_kept_margin(masses, pose, surface, margin, inset) - THINNER
 
@@ -122,11 +136,16 @@ def make_stability_rule(
 
 
 def calc_kept_margin(
-    masses: PlausibleMassSet, pose: ArrayLike, surface: SupportSurface, margin: float, inset: float = SUPPORT_INSET
+    masses: PlausibleMassSet,
+    pose: ArrayLike,
+    surface: SupportSurface,
+    margin: float,
+    inset: float = SUPPORT_INSET,
 ) -> float:
     """The stability margin that a push keeps, m.
 
-    It is `margin`, or less where it is thinner at `pose` (3,) already, or with the object wholly on the table.
+    It is `margin`, or less where it is thinner at `pose` (3,) already, or with the object wholly on
+    the table.
     """
     whole = calc_margin_inside(masses.center_of_mass_polygon, hull_of(masses.obj.p_BC))
     return min(margin, float(whole), calc_stability_margin(masses, pose, surface, inset))
@@ -165,8 +184,14 @@ def plan_slide(
     )
     proposals: list[tuple[PlannedPush, PreGraspGoal]] = []
     for goal in goals[: options.goals]:
-        plan = optimize_contact(masses.obj, params, q, goal.pose, constraints=constraints, options=options.contact)
-        proposals += [(push, goal) for push in plan.candidates if push.cost < plan.start_cost - options.min_gain]
+        plan = optimize_contact(
+            masses.obj, params, q, goal.pose, constraints=constraints, options=options.contact
+        )
+        proposals += [
+            (push, goal)
+            for push in plan.candidates
+            if push.cost < plan.start_cost - options.min_gain
+        ]
     proposals.sort(key=lambda each: each[0].cost)
     best: Slide | None = None
     for planned, goal in proposals[: options.proposals]:
@@ -196,7 +221,9 @@ def _try(
     paths = []
     for model in models:
         motion = simulate_near_edge(obj, model, planned.push, pose, surface)
-        path = np.column_stack([np.interp(checks, motion.traveled, motion.poses[:, i]) for i in range(3)])
+        path = np.column_stack(
+            [np.interp(checks, motion.traveled, motion.poses[:, i]) for i in range(3)]
+        )
         allowed = rule(path) & (~np.bool_(motion.fell) | (checks < motion.traveled[-1]))
         checks = checks[: int(np.argmin(allowed))] if not allowed.all() else checks
         paths.append(path)
@@ -216,8 +243,14 @@ def _try(
     )  # fmt: skip
     cells = obj.cells_at(ends[:, best])
     spread = float(np.sqrt(((cells - cells.mean(axis=0)) ** 2).sum(axis=2).mean()))
-    margin = float(calc_stability_margins(masses, ends[:, : best + 1].reshape(-1, 3), surface, options.inset).min())
-    cut = replace(planned, distance=distance, push=push, pose=ends[0, best], cost=float(costs[best]))
+    margin = float(
+        calc_stability_margins(
+            masses, ends[:, : best + 1].reshape(-1, 3), surface, options.inset
+        ).min()
+    )
+    cut = replace(
+        planned, distance=distance, push=push, pose=ends[0, best], cost=float(costs[best])
+    )
     return Slide(cut, goal, margin, spread)
 
 
@@ -244,7 +277,12 @@ class TippingMonitor:
 
     @classmethod
     def of_push(
-        cls, masses: PlausibleMassSet, surface: SupportSurface, pose: Array, options: SlideOptions, error: float
+        cls,
+        masses: PlausibleMassSet,
+        surface: SupportSurface,
+        pose: Array,
+        options: SlideOptions,
+        error: float,
     ) -> "TippingMonitor":
         """The monitor of a push from `pose` (3,), planned with `options`; `error` is that of a look, m."""
         margin = calc_kept_margin(masses, pose, surface, options.margin, options.inset)

@@ -1,9 +1,10 @@
 """Whether an object stays on the table, judged on the set of masses that agree with what was seen.
 
-The object stays put while its center of mass, wherever it may be (`uncertainty.PlausibleMassSet`), is inside the convex
-hull of what holds it: the cells whose centers are on the table, at least an inset away from its edge. That hull is
-found, compiled, for many poses at once by the monotone chain (Andrew 1979), for which points must be sorted by x, then
-y; the order is the body frame's, the same at every pose.
+The object stays put while its center of mass, wherever it may be (`uncertainty.PlausibleMassSet`),
+is inside the convex hull of what holds it: the cells whose centers are on the table, at least an
+inset away from its edge. That hull is found, compiled, for many poses at once by the monotone chain
+(Andrew 1979), for which points must be sorted by x, then y; the order is the body frame's, the same
+at every pose.
 """
 
 from math import sqrt
@@ -19,7 +20,8 @@ from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet
 from gridpush_drake.planning.support_surface import SupportSurface, find_supported
 
 SUPPORT_INSET = 0.002
-"""m inside the edge that a cell's center must be to count as supported: what a pose may be wrong by."""
+"""m inside the edge that a cell's center must be to count as supported: what a pose may be wrong
+by."""
 
 
 def calc_support_polygon(
@@ -33,18 +35,24 @@ def calc_support_polygon(
 
 
 def calc_stability_margins(
-    masses: PlausibleMassSet, poses: ArrayLike, surface: SupportSurface, inset: float = SUPPORT_INSET
+    masses: PlausibleMassSet,
+    poses: ArrayLike,
+    surface: SupportSurface,
+    inset: float = SUPPORT_INSET,
 ) -> Array:
     """How far the center of mass at its worst stays inside what holds the object, (K,) m, at poses (K, 3), m and rad.
 
-    Negative where some mass distribution tips; a cell's center must be `inset` (m) inside the edge to hold.
+    Negative where some mass distribution tips; a cell's center must be `inset` (m) inside the edge
+    to hold.
     """
     obj = masses.obj
     q = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
     order = np.lexsort((obj.p_BC[:, 1], obj.p_BC[:, 0]))
     supported = find_supported(obj, q, surface, inset)[:, order]
     margins = np.empty(len(q))
-    calc_margins(obj.p_BC[order], np.ascontiguousarray(supported), masses.center_of_mass_polygon, margins)
+    calc_margins(
+        obj.p_BC[order], np.ascontiguousarray(supported), masses.center_of_mass_polygon, margins
+    )
     return margins
 
 
@@ -77,7 +85,9 @@ def calc_margins(points, supported, inner, margins):
             ex, ey = hull[j, 0] - hull[i, 0], hull[j, 1] - hull[i, 1]
             length = sqrt(ex * ex + ey * ey)
             for v in range(inner.shape[0]):
-                inside = (ex * (inner[v, 1] - hull[i, 1]) - ey * (inner[v, 0] - hull[i, 0])) / length
+                inside = (
+                    ex * (inner[v, 1] - hull[i, 1]) - ey * (inner[v, 0] - hull[i, 0])
+                ) / length
                 least = min(least, inside)
         margins[row] = least
 
@@ -92,7 +102,9 @@ def _chain(points, supported, hull):
             size = _append(points[i], hull, size, 0)
     lower = size
     for i in range(n - 1, -1, -1):
-        if supported[i] and not (hull[size - 1, 0] == points[i, 0] and hull[size - 1, 1] == points[i, 1]):
+        if supported[i] and not (
+            hull[size - 1, 0] == points[i, 0] and hull[size - 1, 1] == points[i, 1]
+        ):
             size = _append(points[i], hull, size, lower - 1)
     return size - 1
 

@@ -1,7 +1,8 @@
 """What is known of an object, in the forms that pre-grasp decisions take: Identification -> UncertainModel.
 
-Poses under slow pushes show the relative support friction k_i = mu_i m_i alone (`identification.identifiability`). With
-friction coefficients between mu_min and mu_max every mass distribution
+Poses under slow pushes show the relative support friction k_i = mu_i m_i alone
+(`identification.identifiability`). With friction coefficients between mu_min and mu_max every mass
+distribution
 
     k_i / mu_max <= t m_i <= k_i / mu_min,    t > 0
 
@@ -9,9 +10,10 @@ agrees with it. The farthest that its center of mass can be in a direction d is
 
     h(d) = max sum m_i d.p_i / sum m_i
 
-(`calc_farthest_center`). k itself is known up to the posterior's spread: h is taken for many draws from it that agree
-with the pushes, and the value is kept that all but a small share of the draws stay below. The half-planes d.c <= h(d)
-over many d bound the center of mass by a polygon, from outside.
+(`calc_farthest_center`). k itself is known up to the posterior's spread: h is taken for many draws
+from it that agree with the pushes, and the value is kept that all but a small share of the draws
+stay below. The half-planes d.c <= h(d) over many d bound the center of mass by a polygon, from
+outside.
 """
 
 from dataclasses import dataclass, field
@@ -40,9 +42,13 @@ from gridpush_drake.pushes.push_log import PushLog
 
 PRIOR_AMPLITUDE = 1.0  # standard deviation of log k before the first poke: a half to twice, or so
 MASS_DRAWS = 200  # from the posterior, for the set of plausible masses
-CONFIDENCE = 0.99  # share of the draws whose every mass distribution the bound holds for, by direction
+CONFIDENCE = (
+    0.99  # share of the draws whose every mass distribution the bound holds for, by direction
+)
 DIRECTIONS = 72  # Half-planes that bound the center of mass; every 5°
-PRIOR_SIGMAS = 3.0  # standard deviations about a center of mass known beforehand that the set is cut down to
+PRIOR_SIGMAS = (
+    3.0  # standard deviations about a center of mass known beforehand that the set is cut down to
+)
 SLIDE_SAMPLES = 4  # models besides the estimate that a slide's pushes are tried on
 
 
@@ -52,10 +58,12 @@ class PlausibleMassSet:
 
     Attributes:
         obj: the object.
-        mass_min: (S, n) the least mass of each cell, one row for every draw of the relative friction.
+        mass_min: (S, n) the least mass of each cell, one row for every draw of the relative
+            friction.
         mass_max: (S, n) the greatest.
         confidence: share of the draws that a bound must hold for.
-        max_total_mass: greatest mass of the whole, kg, by measured forces; None where nothing says it but the object.
+        max_total_mass: greatest mass of the whole, kg, by measured forces; None where nothing says
+            it but the object.
 
     Raises:
         PlanningError: shapes disagree, or the bounds are not positive and ordered.
@@ -73,10 +81,14 @@ class PlausibleMassSet:
             raise PlanningError(
                 f"mass set: bounds of shapes {shape} and {self.mass_max.shape}; expected (S, {self.obj.n})"
             )
-        if not ((self.mass_min > 0) & (self.mass_min <= self.mass_max) & np.isfinite(self.mass_max)).all():
+        if not (
+            (self.mass_min > 0) & (self.mass_min <= self.mass_max) & np.isfinite(self.mass_max)
+        ).all():
             raise PlanningError("mass set: expected 0 < mass_min <= mass_max")
         if not 0 < self.confidence <= 1:
-            raise PlanningError(f"confidence is {self.confidence!r}; expected a share, over 0 and up to 1")
+            raise PlanningError(
+                f"confidence is {self.confidence!r}; expected a share, over 0 and up to 1"
+            )
 
     @classmethod
     def from_posterior(
@@ -93,8 +105,10 @@ class PlausibleMassSet:
 
         Args:
             posterior: of its relative friction.
-            friction_range: least and greatest friction coefficient of any cell; the object's own bounds where None.
-            force: what measured forces said, which bound the mass of an object that was not weighed.
+            friction_range: least and greatest friction coefficient of any cell; the object's own
+                bounds where None.
+            force: what measured forces said, which bound the mass of an object that was not
+                weighed.
             judge: of the draws, such as the pushes themselves.
 
         Raises:
@@ -102,7 +116,9 @@ class PlausibleMassSet:
         """
         low, high = friction_range or (obj.prior.friction_min, obj.prior.friction_max)
         if not 0 < low <= high < np.inf:
-            raise PlanningError(f"friction_range is {(low, high)!r}; expected 0 < least <= greatest")
+            raise PlanningError(
+                f"friction_range is {(low, high)!r}; expected 0 < least <= greatest"
+            )
         share, _ = posterior.draw(MASS_DRAWS, seed, judge)
         heaviest = None
         if force is not None and obj.prior.total_mass is None:
@@ -118,14 +134,18 @@ class PlausibleMassSet:
     def calc_support(self, directions: ArrayLike) -> Array:
         """How far the center of mass can be along unit vectors (D, 2), body frame, at most: h (D,), m."""
         p = self.obj.p_BC
-        far = [calc_farthest_center(p @ d, self.mass_min, self.mass_max) for d in np.asarray(directions, np.float64)]
+        far = [
+            calc_farthest_center(p @ d, self.mass_min, self.mass_max)
+            for d in np.asarray(directions, np.float64)
+        ]
         return np.array([np.quantile(values, self.confidence, method="higher") for values in far])
 
     @cached_property
     def center_of_mass_polygon(self) -> Array:
         """(V, 2) corners of a convex polygon that the center of mass is in, body frame, m; counterclockwise.
 
-        A center of mass known beforehand (`obj.prior.center_of_mass`) cuts it down to a square about that.
+        A center of mass known beforehand (`obj.prior.center_of_mass`) cuts it down to a square
+        about that.
         """
         angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
         directions = make_direction(angle)
@@ -154,10 +174,12 @@ class UncertainModel:
         params: the estimate, which motions are predicted with.
         posterior: of z; None where the parameters are taken for granted.
         noise_scale: of `noise`, as large as the pushes said.
-        friction_range: least and greatest friction coefficient of any cell; the object's own bounds where None.
+        friction_range: least and greatest friction coefficient of any cell; the object's own bounds
+            where None.
         sample_count: further models that slides are tried on.
         seed: of all draws.
-        poke_starts: (K, 2) where the finger's center was as the pushes learned from began, body frame, m.
+        poke_starts: (K, 2) where the finger's center was as the pushes learned from began, body
+            frame, m.
         force: what measured forces said; None where there were none.
         evidence: the pushes learned from, which judge the draws; None where they are not at hand.
         noise: of what pushes show, at scale one.
@@ -194,7 +216,9 @@ class UncertainModel:
         )  # fmt: skip
 
     @classmethod
-    def of_prior(cls, obj: GridObject, *, friction_range: tuple[float, float] | None = None) -> "UncertainModel":
+    def of_prior(
+        cls, obj: GridObject, *, friction_range: tuple[float, float] | None = None
+    ) -> "UncertainModel":
         """Takes what is held before any push: the smoothness prior about uniform friction."""
         prior = describe_prior(obj, MapEnsemble(amplitudes=(PRIOR_AMPLITUDE,)))
         return cls.of_identification(prior, friction_range=friction_range, sample_count=0)
@@ -211,7 +235,12 @@ class UncertainModel:
             return PlausibleMassSet.of_masses(self.obj, self.params)
         with threadpool_limits(limits=1, user_api="blas"):
             return PlausibleMassSet.from_posterior(
-                self.obj, self.posterior, self.friction_range, seed=self.seed, force=self.force, judge=self.evidence
+                self.obj,
+                self.posterior,
+                self.friction_range,
+                seed=self.seed,
+                force=self.force,
+                judge=self.evidence,
             )
 
     @cached_property
@@ -219,10 +248,14 @@ class UncertainModel:
         """Further models that agree with the pushes, which slides are tried on."""
         if self.posterior is None:
             return ()
-        return tuple(self.posterior.draw_parameters(self.params, self.sample_count, self.seed, self.evidence))
+        return tuple(
+            self.posterior.draw_parameters(self.params, self.sample_count, self.seed, self.evidence)
+        )
 
     def require_posterior(self) -> Posterior:
         """The posterior, which a poke can narrow. Raises PlanningError: the parameters are taken for granted."""
         if self.posterior is None:
-            raise PlanningError("model: parameters taken for granted; expected a posterior that pokes can narrow")
+            raise PlanningError(
+                "model: parameters taken for granted; expected a posterior that pokes can narrow"
+            )
         return self.posterior

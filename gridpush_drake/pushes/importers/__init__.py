@@ -1,7 +1,8 @@
 """Importers of public data sets and of ROS bags: what one is, and which there are.
 
-An importer is a frozen dataclass in a file of its own here, and a line in `IMPORTERS`; its fields are then the options
-of `gridpush import NAME`. What it reads becomes a push log and an object, in SI units, radians and one world frame.
+An importer is a frozen dataclass in a file of its own here, and a line in `IMPORTERS`; its fields
+are then the options of `gridpush import NAME`. What it reads becomes a push log and an object, in
+SI units, radians and one world frame.
 """
 
 from importlib import import_module
@@ -22,9 +23,9 @@ IMPORTERS = {
 class Importer(Protocol):
     """Reads one file of others' pushes; its fields are what a user may choose.
 
-    A field is a bool, a number, a text, or a GridObject where an object's file or name is asked for. Its metadata has
-    its `help` and, where it is not called after the field, its `name` on the command line. The first line of the
-    class's docstring is the command's help.
+    A field is a bool, a number, a text, or a GridObject where an object's file or name is asked
+    for. Its metadata has its `help` and, where it is not called after the field, its `name` on the
+    command line. The first line of the class's docstring is the command's help.
     """
 
     file: ClassVar[str]  # a stand-in for the file's name, such as "LOG.txt"
@@ -34,7 +35,8 @@ class Importer(Protocol):
         """Reads a file's pushes, and the object that was pushed.
 
         Raises:
-            PushLogError: the file cannot be read or is not of its form; the message names the file and what is wrong.
+            PushLogError: the file cannot be read or is not of its form; the message names the file
+                and what is wrong.
         """
         ...
 

@@ -1,7 +1,8 @@
 """Importer of ROS bags: ROS 1, and ROS 2 as sqlite3 or MCAP, with the package `rosbags`.
 
-Poses of the object and of the tip, on topics of their own or in `tf`, are brought to one clock: positions by lines,
-orientations along great circles, and nothing across gaps. What comes of it is a stream, and the pushes are cut from it.
+Poses of the object and of the tip, on topics of their own or in `tf`, are brought to one clock:
+positions by lines, orientations along great circles, and nothing across gaps. What comes of it is a
+stream, and the pushes are cut from it.
 """
 
 from collections.abc import Iterator
@@ -19,7 +20,13 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, ObservedPush, PushLog
 from gridpush_drake.pushes.segmentation import Sample, SegmenterOptions
-from gridpush_drake.pushes.stream import Delay, calc_velocities, estimate_delay, make_samples, record_pushes
+from gridpush_drake.pushes.stream import (
+    Delay,
+    calc_velocities,
+    estimate_delay,
+    make_samples,
+    record_pushes,
+)
 
 EXTRA = "pip install 'gridpush-drake[bags]'"
 
@@ -35,7 +42,10 @@ TF = "TFMessage"
 
 POSES = {
     "PoseStamped": lambda message: (message.pose.position, message.pose.orientation),
-    "PoseWithCovarianceStamped": lambda message: (message.pose.pose.position, message.pose.pose.orientation),
+    "PoseWithCovarianceStamped": lambda message: (
+        message.pose.pose.position,
+        message.pose.pose.orientation,
+    ),
     "Odometry": lambda message: (message.pose.pose.position, message.pose.pose.orientation),
     "TransformStamped": lambda message: (message.transform.translation, message.transform.rotation),
 }
@@ -57,8 +67,8 @@ class Track(NamedTuple):
 class BagImporter:
     """Pushes from a ROS 1 bag, or a ROS 2 one (sqlite3 or MCAP).
 
-    A topic is named as in the bag; of a tf topic also the child frame, after a colon: /tf:object. Times are those in
-    the messages' headers.
+    A topic is named as in the bag; of a tf topic also the child frame, after a colon: /tf:object.
+    Times are those in the messages' headers.
     """
 
     file: ClassVar[str] = "BAG"
@@ -74,29 +84,41 @@ class BagImporter:
         },
     )
     tip_topic: str = field(default="", metadata={"help": "Topic of the pusher's tip, likewise."})
-    force_topic: str = field(default="", metadata={"help": "Of the force, WrenchStamped, in the frame of the poses."})
+    force_topic: str = field(
+        default="", metadata={"help": "Of the force, WrenchStamped, in the frame of the poses."}
+    )
     object_delay: float = field(
-        default=0.0, metadata={"help": "How much later the object's stamps are than what was seen, s."}
+        default=0.0,
+        metadata={"help": "How much later the object's stamps are than what was seen, s."},
     )
     tip_delay: float = field(default=0.0, metadata={"help": "The same of the tip's stamps, s."})
     rate: float = field(default=30.0, metadata={"help": "Samples a second, Hz."})
-    table_height: float = field(default=0.0, metadata={"help": "Height of the table's top in the bag's frame, m."})
+    table_height: float = field(
+        default=0.0, metadata={"help": "Height of the table's top in the bag's frame, m."}
+    )
     engaged_below: float = field(
         default=SegmenterOptions.engaged_below,
-        metadata={"help": "Height above the table below which the tip's center can touch the object, m."},
+        metadata={
+            "help": "Height above the table below which the tip's center can touch the object, m."
+        },
     )
-    negate_force: bool = field(default=False, metadata={"help": "The sensor tells the force on the pusher."})
+    negate_force: bool = field(
+        default=False, metadata={"help": "The sensor tells the force on the pusher."}
+    )
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
         """Reads a bag: a file, or a ROS 2 bag's folder.
 
         Raises:
-            PushLogError: `rosbags` is not installed; the bag cannot be read; a topic is not there, holds other messages
-                or too few; frames differ; the clocks do not overlap; or there is no push in it.
+            PushLogError: `rosbags` is not installed; the bag cannot be read; a topic is not there,
+                holds other messages or too few; frames differ; the clocks do not overlap; or there
+                is no push in it.
         """
         path = Path(path)
         if self.obj is None:
-            raise PushLogError(f"{path}: --object is missing; expected the file or name of the object that was pushed")
+            raise PushLogError(
+                f"{path}: --object is missing; expected the file or name of the object that was pushed"
+            )
         self._check_numbers()
         tracks = self._read_tracks(path)
         tip, thing = tracks["--tip-topic"], tracks["--object-topic"]
@@ -122,7 +144,9 @@ class BagImporter:
         if force is None:
             return found.log, self.obj
         values = -force.values if self.negate_force else force.values
-        felt = (_add_force(*each, force.t, values) for each in zip(found.log, found.begins, strict=True))
+        felt = (
+            _add_force(*each, force.t, values) for each in zip(found.log, found.begins, strict=True)
+        )
         return replace(found.log, pushes=tuple(felt)), self.obj
 
     def _check_numbers(self) -> None:
@@ -133,8 +157,16 @@ class BagImporter:
                 raise PushLogError(f"--{name.replace('_', '-')}: is {value!r}; expected {kind}")
 
     def _read_tracks(self, path: Path) -> dict[str, Track]:
-        wanted = {"--object-topic": self.object_topic, "--tip-topic": self.tip_topic, "--force-topic": self.force_topic}
-        delays = {"--object-topic": self.object_delay, "--tip-topic": self.tip_delay, "--force-topic": self.tip_delay}
+        wanted = {
+            "--object-topic": self.object_topic,
+            "--tip-topic": self.tip_topic,
+            "--force-topic": self.force_topic,
+        }
+        delays = {
+            "--object-topic": self.object_delay,
+            "--tip-topic": self.tip_delay,
+            "--force-topic": self.tip_delay,
+        }
         with _Bag(path) as bag:
             return {
                 option: _make_track(path, bag.read(option, name), name, delays[option])
@@ -143,15 +175,21 @@ class BagImporter:
             }
 
 
-def make_stream(path: Path, thing: Track, tip: Track, rate: float, table_height: float) -> list[Sample]:
+def make_stream(
+    path: Path, thing: Track, tip: Track, rate: float, table_height: float
+) -> list[Sample]:
     """Brings two tracks to one clock of a rate, Hz, from where both begin to where one ends.
 
     Raises PushLogError: the tracks do not overlap.
     """
     first, last = max(thing.t[0], tip.t[0]), min(thing.t[-1], tip.t[-1])
     if last <= first:
-        spans = " and ".join(f"{track.what} {track.t[0]:.3f} to {track.t[-1]:.3f} s" for track in (thing, tip))
-        raise PushLogError(f"{path}: the clocks do not overlap: {spans}; expected both to run at the same time")
+        spans = " and ".join(
+            f"{track.what} {track.t[0]:.3f} to {track.t[-1]:.3f} s" for track in (thing, tip)
+        )
+        raise PushLogError(
+            f"{path}: the clocks do not overlap: {spans}; expected both to run at the same time"
+        )
     t = first + np.arange(int((last - first) * rate) + 1) / rate
     poses, tips = (interpolate(track, t) for track in (thing, tip))
     places = tips[:, :3] - (0.0, 0.0, table_height)
@@ -165,7 +203,9 @@ def make_stream(path: Path, thing: Track, tip: Track, rate: float, table_height:
 def interpolate(track: Track, t: Array) -> Array:
     """The poses (L, 7) of a track at times t (L,), s; NaN across a gap."""
     values = np.column_stack([np.interp(t, track.t, track.values[:, axis]) for axis in range(3)])
-    turns = Slerp(track.t, Rotation.from_quat(track.values[:, 3:]))(np.clip(t, track.t[0], track.t[-1])).as_quat()
+    turns = Slerp(track.t, Rotation.from_quat(track.values[:, 3:]))(
+        np.clip(t, track.t[0], track.t[-1])
+    ).as_quat()
     steps = np.diff(track.t)
     after = np.clip(np.searchsorted(track.t, t), 1, len(steps))
     gap = (steps[after - 1] > MAX_GAP * np.median(steps)) & (np.abs(track.t[after] - t) > 0)
@@ -175,7 +215,9 @@ def interpolate(track: Track, t: Array) -> Array:
 def _add_force(seen: ObservedPush, begin: float, t: Array, force: Array) -> ObservedPush:
     """A push that began at `begin`, s, with the forces that were measured while it lasted."""
     during = (t >= begin) & (t <= begin + seen.push.duration)
-    return replace(seen, force_t=t[during] - begin, force=force[during, :2]) if during.any() else seen
+    return (
+        replace(seen, force_t=t[during] - begin, force=force[during, :2]) if during.any() else seen
+    )
 
 
 def _tell_delay(path: Path, delay: Delay | None) -> None:
@@ -190,18 +232,26 @@ def _tell_delay(path: Path, delay: Delay | None) -> None:
 
 def _make_track(path: Path, messages: "list[_Message]", name: str, delay: float) -> Track:
     if len(messages) < MIN_MESSAGES:
-        raise PushLogError(f"{path}: {name} has {len(messages)} messages; expected at least {MIN_MESSAGES}")
+        raise PushLogError(
+            f"{path}: {name} has {len(messages)} messages; expected at least {MIN_MESSAGES}"
+        )
     frames = sorted({message.frame for message in messages})
     if len(frames) > 1:
-        raise PushLogError(f"{path}: {name} is told in several frames: {', '.join(frames)}; expected one")
+        raise PushLogError(
+            f"{path}: {name} is told in several frames: {', '.join(frames)}; expected one"
+        )
     t, first = np.unique([message.t for message in messages], return_index=True)
     values = np.array([messages[i].values for i in first])
     if not np.isfinite(values).all():
         raise PushLogError(f"{path}: {name} holds a number that is not finite")
     if len(t) < MIN_MESSAGES:
-        raise PushLogError(f"{path}: {name} has the same time in all its headers; expected times that increase")
+        raise PushLogError(
+            f"{path}: {name} has the same time in all its headers; expected times that increase"
+        )
     if values.shape[1] > FORCE_SIZE and not np.linalg.norm(values[:, FORCE_SIZE:], axis=1).all():
-        raise PushLogError(f"{path}: {name} holds an orientation of all zeros; expected a unit quaternion")
+        raise PushLogError(
+            f"{path}: {name} holds an orientation of all zeros; expected a unit quaternion"
+        )
     return Track(name, frames[0], t - delay, values)
 
 
@@ -217,19 +267,27 @@ class _Bag:
     def __init__(self, path: Path) -> None:
         self._path = path
         if not exists(path):
-            raise PushLogError(f"{path}: cannot be read: there is no such file or folder; expected a ROS bag")
+            raise PushLogError(
+                f"{path}: cannot be read: there is no such file or folder; expected a ROS bag"
+            )
         if not (path.is_file() or path.is_dir()):
-            raise PushLogError(f"{path}: cannot be read: is a pipe or a device, not a file; expected a ROS bag")
+            raise PushLogError(
+                f"{path}: cannot be read: is a pipe or a device, not a file; expected a ROS bag"
+            )
 
     def __enter__(self) -> "_Bag":
         try:
             from rosbags.highlevel import AnyReader
             from rosbags.typesys import Stores, get_typestore
         except ImportError as error:
-            raise PushLogError(f"{self._path}: bags are read with the package rosbags; get it with {EXTRA}") from error
+            raise PushLogError(
+                f"{self._path}: bags are read with the package rosbags; get it with {EXTRA}"
+            ) from error
         try:
             # old ROS 2 bags do not say what their messages look like
-            self._reader = AnyReader([self._path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+            self._reader = AnyReader(
+                [self._path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)
+            )
             self._reader.open()
         except Exception as error:  # a damaged bag makes rosbags raise almost anything
             raise self._unreadable(error) from error
@@ -241,33 +299,54 @@ class _Bag:
     def read(self, option: str, name: str) -> list[_Message]:
         """All messages of a topic. Raises PushLogError where it is not there or is of another kind."""
         topic, _, child = name.partition(":")
-        kinds = {connection.topic: connection.msgtype.rpartition("/")[2] for connection in self._reader.connections}
+        kinds = {
+            connection.topic: connection.msgtype.rpartition("/")[2]
+            for connection in self._reader.connections
+        }
         if topic not in kinds:
-            there = ", ".join(f"{known} ({kind})" for known, kind in sorted(kinds.items())) or "nothing"
+            there = (
+                ", ".join(f"{known} ({kind})" for known, kind in sorted(kinds.items())) or "nothing"
+            )
             problem = f"there is no topic {topic!r}" if topic else f"{option} is missing"
             raise PushLogError(f"{self._path}: {problem}; the bag holds {there}")
         kind = kinds[topic]
         allowed = (WRENCH,) if option == "--force-topic" else (*POSES, TF)
         if kind not in allowed:
-            raise PushLogError(f"{self._path}: {topic} holds {kind}; expected one of {', '.join(allowed)}")
+            raise PushLogError(
+                f"{self._path}: {topic} holds {kind}; expected one of {', '.join(allowed)}"
+            )
         if kind == TF and not child:
-            raise PushLogError(f"{self._path}: {topic} holds many frames; expected one after a colon, {topic}:FRAME")
+            raise PushLogError(
+                f"{self._path}: {topic} holds many frames; expected one after a colon, {topic}:FRAME"
+            )
         try:
-            found = [made for t, message in self._messages(topic) for made in self._convert(kind, t, message, child)]
+            found = [
+                made
+                for t, message in self._messages(topic)
+                for made in self._convert(kind, t, message, child)
+            ]
         except Exception as error:
             raise self._unreadable(error) from error
         if kind == TF and not found:
-            raise PushLogError(f"{self._path}: {topic} has no frame {child!r}; it has {self._list_frames(topic)}")
+            raise PushLogError(
+                f"{self._path}: {topic} has no frame {child!r}; it has {self._list_frames(topic)}"
+            )
         return found
 
     def _messages(self, topic: str) -> Iterator[tuple[int, Any]]:
-        connections = [connection for connection in self._reader.connections if connection.topic == topic]
+        connections = [
+            connection for connection in self._reader.connections if connection.topic == topic
+        ]
         for connection, t, data in self._reader.messages(connections=connections):
             yield t, self._reader.deserialize(data, connection.msgtype)
 
     def _convert(self, kind: str, t: int, message: Any, child: str) -> Iterator[_Message]:
         if kind == TF:
-            chosen = [each for each in message.transforms if each.child_frame_id.strip("/") == child.strip("/")]
+            chosen = [
+                each
+                for each in message.transforms
+                if each.child_frame_id.strip("/") == child.strip("/")
+            ]
             kind, messages = "TransformStamped", chosen
         else:
             messages = [message]
@@ -285,7 +364,13 @@ class _Bag:
 
     def _list_frames(self, topic: str) -> str:
         return ", ".join(
-            sorted({each.child_frame_id for _, message in self._messages(topic) for each in message.transforms})
+            sorted(
+                {
+                    each.child_frame_id
+                    for _, message in self._messages(topic)
+                    for each in message.transforms
+                }
+            )
         )
 
     def _unreadable(self, error: Exception) -> PushLogError:

@@ -1,14 +1,14 @@
 """Importer of the CMU pushes (Zhou, Paolini, Bagnell, Mason, ICRA 2016; GitHub robinzhoucmu/MLab_EXP).
 
-A right-angled triangular block is pushed with a point; its pose is known before and after. As a file's
-pushes are chained (where one ends, the next begins), each is given in its own initial object frame: an
-imported push's world frame is the object's body frame at that push's beginning, so that the initial pose is
-zero.
+A right-angled triangular block is pushed with a point; its pose is known before and after. As a
+file's pushes are chained (where one ends, the next begins), each is given in its own initial object
+frame: an imported push's world frame is the object's body frame at that push's beginning, so that
+the initial pose is zero.
 
-The text format: one record a line, blanks between numbers: the number of pushes; then for each push the object's pose
-before and its pose after (x y z, quaternion w x y z), the number of force rows and the rows (t fx fy), the number of
-tool rows and the rows (t x y z qw qx qy qz). Lengths are in mm, times in s (absolute), forces in N and in the
-sensor's frame.
+The text format: one record a line, blanks between numbers: the number of pushes; then for each push
+the object's pose before and its pose after (x y z, quaternion w x y z), the number of force rows
+and the rows (t fx fy), the number of tool rows and the rows (t x y z qw qx qy qz). Lengths are in
+mm, times in s (absolute), forces in N and in the sensor's frame.
 """
 
 from dataclasses import dataclass, field
@@ -41,18 +41,22 @@ MAX_DIGITS = 9  # of a count
 class CmuPush(NamedTuple):
     """One push as logged."""
 
-    before: NDArray[np.float64]  # (7,) the object's pose before, mm and quaternion w x y z, robot base frame
+    before: NDArray[
+        np.float64
+    ]  # (7,) the object's pose before, mm and quaternion w x y z, robot base frame
     after: NDArray[np.float64]  # (7,) the same after
     force: NDArray[np.float64]  # (F, 3) rows t fx fy, s and N, sensor frame
-    tool: NDArray[np.float64]  # (T, 8) rows t x y z qw qx qy qz, s, mm and quaternion, robot base frame
+    tool: NDArray[
+        np.float64
+    ]  # (T, 8) rows t x y z qw qx qy qz, s, mm and quaternion, robot base frame
 
 
 def read_cmu(path: Path) -> list[CmuPush]:
     """Reads every push of a file, in its order.
 
     Raises:
-        PushLogError: the file cannot be read, is cut short, goes on after its last push, or a line is not
-            what it should be; the message names the file, the line and the expected form.
+        PushLogError: the file cannot be read, is cut short, goes on after its last push, or a line
+            is not what it should be; the message names the file, the line and the expected form.
     """
     lines = _Lines(path)
     pushes = [_read_push(lines, i) for i in range(lines.count("the number of pushes"))]
@@ -113,13 +117,17 @@ class _Lines:
     def _take(self, what: str) -> tuple[int, list[str]]:
         if self._next == len(self._lines):
             last = self._lines[-1][0] if self._lines else 0
-            raise PushLogError(f"{self._path}, line {last + 1}: the file ends here; expected {what}")
+            raise PushLogError(
+                f"{self._path}, line {last + 1}: the file ends here; expected {what}"
+            )
         self._next += 1
         return self._lines[self._next - 1]
 
     def _fail(self, number: int, words: list[str], what: str) -> None:
         shown = " ".join(words)
-        raise PushLogError(f"{self._path}, line {number}: is {shown[:MAX_SHOWN]!r}; expected {what}")
+        raise PushLogError(
+            f"{self._path}, line {number}: is {shown[:MAX_SHOWN]!r}; expected {what}"
+        )
 
 
 MM = 1e-3  # meters in a millimeter
@@ -127,23 +135,34 @@ MM = 1e-3  # meters in a millimeter
 CENTROID = (0.050, 0.050)
 """The block's centroid, from the logged origin (the right-angle corner) in body axes, m."""
 
-OUTLINE = ((-0.05, -0.05), (0.10, -0.05), (-0.05, 0.10))  # the block's corners about its centroid, m
+OUTLINE = (
+    (-0.05, -0.05),
+    (0.10, -0.05),
+    (-0.05, 0.10),
+)  # the block's corners about its centroid, m
 
 TIP_OFFSET = (-0.0012, -0.00085)
-"""From the logged tool point to the tip's center, tool's axes, m; from contact geometry over all logs."""
+"""From the logged tool point to the tip's center, tool's axes, m; from contact geometry over all
+logs."""
 
 TIP_EXTENSION = 0.00065  # what the tool travels along its straight path after its logging stops, m
 TIP_RADIUS = 0.0005  # m
 STANDSTILL = 0.00005  # a tool within this of where it starts (or ends) stands still, m: half a step of its log
 STRAIGHT = 0.0002  # a tool's path within this of a straight line is one, m: it is logged in steps of 0.1 mm
-SENSOR_AXES = ((2**-0.5, 2**-0.5), (2**-0.5, -(2**-0.5)))  # R_tool: from the force sensor's axes to the tool's
+SENSOR_AXES = (
+    (2**-0.5, 2**-0.5),
+    (2**-0.5, -(2**-0.5)),
+)  # R_tool: from the force sensor's axes to the tool's
 BLOCK_MASS = 1.518  # kg
 
 CONTACT_FRICTION, CONTACT_FRICTION_STD = 0.5, 0.15
-"""What is held of the tip's friction coefficient on the block's side, and its standard deviation."""
+"""What is held of the tip's friction coefficient on the block's side, and its standard
+deviation."""
 
 BLOCK_CELLS = 55  # most cells of the block's grid
-UNIFORM_PLATE_STD = 0.002  # how well the center of mass of a uniform plate is known to be at its centroid, m
+UNIFORM_PLATE_STD = (
+    0.002  # how well the center of mass of a uniform plate is known to be at its centroid, m
+)
 
 
 def triangle_block(uniform_plate: bool = False) -> GridObject:
@@ -159,25 +178,33 @@ def triangle_block(uniform_plate: bool = False) -> GridObject:
         contact_friction_std=CONTACT_FRICTION_STD,
         pusher_radius=TIP_RADIUS,
     )
-    return GridObject.from_outline(OUTLINE, max_cells=BLOCK_CELLS, name="triangle_block", prior=prior)
+    return GridObject.from_outline(
+        OUTLINE, max_cells=BLOCK_CELLS, name="triangle_block", prior=prior
+    )
 
 
 @dataclass(frozen=True)
 class CmuImporter:
     """Pushes of a triangular block (Zhou, Paolini, Bagnell, Mason, ICRA 2016).
 
-    To calibrate is to correct the logged tool point to the tip's center (TIP_OFFSET), to take the log's steps out of
-    its straight path, and to let it travel on for TIP_EXTENSION. Shuffled, no two neighbors are known to be chained.
+    To calibrate is to correct the logged tool point to the tip's center (TIP_OFFSET), to take the
+    log's steps out of its straight path, and to let it travel on for TIP_EXTENSION. Shuffled, no
+    two neighbors are known to be chained.
     """
 
     file: ClassVar[str] = "LOG.txt"
     source: ClassVar[str] = "GitHub robinzhoucmu/MLab_EXP"
 
-    calibrate: bool = field(default=True, metadata={"help": "Correct the logged tool point to the tip's center."})
+    calibrate: bool = field(
+        default=True, metadata={"help": "Correct the logged tool point to the tip's center."}
+    )
     shuffle: bool = field(default=True, metadata={"help": "Put the pushes in random order."})
     uniform_plate: bool = field(
         default=False,
-        metadata={"help": "Take the block's center of mass as known to be at its centroid.", "name": "--uniform-plate"},
+        metadata={
+            "help": "Take the block's center of mass as known to be at its centroid.",
+            "name": "--uniform-plate",
+        },
     )
     seed: int = field(default=0, metadata={"help": "Of everything random."})
 
@@ -188,7 +215,8 @@ class CmuImporter:
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
         """Reads a file of CMU pushes, named by their place in the log, each observed at its end only; and the block.
 
-        Raises PushLogError: the file cannot be read or is not of the format, or a push's tool does not move.
+        Raises PushLogError: the file cannot be read or is not of the format, or a push's tool does
+        not move.
         """
         path = Path(path)
         logged = read_cmu(path)
@@ -197,7 +225,10 @@ class CmuImporter:
         digits = len(str(count))
         pushes = []
         for place, i in enumerate(order, start=1):
-            if not np.linalg.norm(logged[i].tool[-1, 1:3] - logged[i].tool[0, 1:3]) * MM > STANDSTILL:
+            if (
+                not np.linalg.norm(logged[i].tool[-1, 1:3] - logged[i].tool[0, 1:3]) * MM
+                > STANDSTILL
+            ):
                 raise PushLogError(f"{path}: push {i + 1}: the tool does not move; expected a path")
             pushes.append(_observe(logged[i], f"push_{place:0{digits}}", self.calibrate))
         return PushLog(tuple(pushes), str(path)), triangle_block(self.uniform_plate)
@@ -237,7 +268,9 @@ def _force_on_object(
 ) -> NDArray[np.float64]:
     """(K, 2) force on the object, robot's frame, N, at the tool's `times`: -R(yaw) R_tool (f - f_first)."""
     rows = _in_time_order(rows)
-    f = np.column_stack([np.interp(times, rows[:, 0], rows[:, axis] - rows[0, axis]) for axis in (1, 2)])
+    f = np.column_stack(
+        [np.interp(times, rows[:, 0], rows[:, axis] - rows[0, axis]) for axis in (1, 2)]
+    )
     return -rotate(yaw, f @ np.array(SENSOR_AXES).T)
 
 
@@ -252,7 +285,9 @@ def _straightened(p: NDArray[np.float64]) -> NDArray[np.float64]:
     return center + np.maximum.accumulate((p - center) @ along)[:, None] * along
 
 
-def _travel_on(t: NDArray[np.float64], p: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _travel_on(
+    t: NDArray[np.float64], p: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Adds a sample TIP_EXTENSION further on the line from the first to the last, at the mean speed."""
     travel = p[-1] - p[0]
     length = np.linalg.norm(travel)

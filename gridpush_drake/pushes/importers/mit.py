@@ -1,15 +1,16 @@
 """Importer of the MIT pushes, start and end only (Yu, Bauza, Fazeli, Rodriguez, IROS 2016).
 
-The files are those of GitHub robinzhoucmu/PlanarManipulationToolBox (mcube_data_proc): `record_all` holds for
-each push the object's pose and the pusher's place before and after, next to another model's prediction.
+The files are those of GitHub robinzhoucmu/PlanarManipulationToolBox (mcube_data_proc): `record_all`
+holds for each push the object's pose and the pusher's place before and after, next to another
+model's prediction.
 
 Outlines of the eleven objects of the MIT push data set (Yu, Bauza, Fazeli, Rodriguez, IROS 2016).
 
-Each is in the tracked body frame, m. The dimensions are those measured by the data set's authors, as
-published in GitHub mcubelab/push-est-public (catkin_ws/src/pnpush_config/src/config/shape_db.py; butter from
-catkin_ws/src/isam_pose/include/shape_db_butter_shape.h) and again in peterkty/pnpush. rect1, rect3 and hex
-agree with where the pusher touches in the data; the areas of all agree with the plates' published masses
-within 2.5 %.
+Each is in the tracked body frame, m. The dimensions are those measured by the data set's authors,
+as published in GitHub mcubelab/push-est-public (catkin_ws/src/pnpush_config/src/config/shape_db.py;
+butter from catkin_ws/src/isam_pose/include/shape_db_butter_shape.h) and again in peterkty/pnpush.
+rect1, rect3 and hex agree with where the pusher touches in the data; the areas of all agree with
+the plates' published masses within 2.5 %.
 """
 
 import zlib
@@ -34,7 +35,8 @@ from gridpush_drake.objects.object_file import PhysicalPrior
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog, nearest_turn
 
 TRIANGLE_CORNER = (0.045, 0.045)
-"""Where the triangles' right angle is: the frame is that of the 90 mm square the markers were put on, m."""
+"""Where the triangles' right angle is: the frame is that of the 90 mm square the markers were put
+on, m."""
 
 ELLIPSE_VERTICES = 120  # vertices of an ellipse's polygon; it then lies within 0.03 mm
 HEXAGON_RADIUS = 0.0605  # from the hexagon's center to its vertices, the first on the x axis, m
@@ -91,23 +93,32 @@ MIT_CELLS = 60  # most cells of an object's grid
 
 WHAT = "a MATLAB v5 file"
 
-MAX_SIZE = 16 * MEGABYTE  # of a file, packed or unpacked, bytes; the data set's have a tenth of one megabyte
+MAX_SIZE = (
+    16 * MEGABYTE
+)  # of a file, packed or unpacked, bytes; the data set's have a tenth of one megabyte
 
-HEAD, TAG = 128, 8  # bytes before a file's first element; before an element's content: its kind and size
+HEAD, TAG = (
+    128,
+    8,
+)  # bytes before a file's first element; before an element's content: its kind and size
 PACKED = 15  # kind of an element that is compressed
 
 RECORD_SIZES = {"init_pose_gt": 3, "final_pose_gt": 3, "init_tip_pt": 2, "final_tip_pt": 2}
 """What is read of a record, and how many numbers each has (m, rad)."""
 
-MODEL_ERRORS = ("avg_diff_disp", "avg_diff_angle")  # the other model's mean errors in the file, m and rad
+MODEL_ERRORS = (
+    "avg_diff_disp",
+    "avg_diff_angle",
+)  # the other model's mean errors in the file, m and rad
 
 
 @dataclass(frozen=True)
 class MitImporter:
     """Pushes of the MIT push data set (Yu, Bauza, Fazeli, Rodriguez, IROS 2016).
 
-    Without `shape` and `obj` the object is the last part of the file's name after an underscore if that is one,
-    otherwise the file's own `shape_id`. A PushLogWarning says where the name or `shape_id` is another shape.
+    Without `shape` and `obj` the object is the last part of the file's name after an underscore if
+    that is one, otherwise the file's own `shape_id`. A PushLogWarning says where the name or
+    `shape_id` is another shape.
     """
 
     file: ClassVar[str] = "FILE.mat"
@@ -115,18 +126,21 @@ class MitImporter:
 
     shape: str | None = field(
         default=None,
-        metadata={"help": "The shape's name, such as rect1; by default as the file's name or content says."},
+        metadata={
+            "help": "The shape's name, such as rect1; by default as the file's name or content says."
+        },
     )
     obj: GridObject | None = field(
-        default=None, metadata={"help": "The object, where its shape is not known.", "name": "--object"}
+        default=None,
+        metadata={"help": "The object, where its shape is not known.", "name": "--object"},
     )
 
     def read(self, path: Path | str) -> tuple[PushLog, GridObject]:
         """Reads a file of MIT pushes, straight and at constant speed, each observed at its end only; and the object.
 
         Raises:
-            PushLogError: the file cannot be read, lacks a field or holds something else in it, a pusher does not
-                move, or the shape is not known.
+            PushLogError: the file cannot be read, lacks a field or holds something else in it, a
+                pusher does not move, or the shape is not known.
         """
         path = Path(path)
         data = _read_mat(path)
@@ -136,7 +150,10 @@ class MitImporter:
             raise PushLogError(f"{path}: vel is {data['vel']!r}; expected a positive number (mm/s)")
         records = np.atleast_1d(_field(path, data, "record_all"))
         digits = len(str(len(records)))
-        pushes = (_observe(path, record, f"push_{i:0{digits}}", speed) for i, record in enumerate(records, start=1))
+        pushes = (
+            _observe(path, record, f"push_{i:0{digits}}", speed)
+            for i, record in enumerate(records, start=1)
+        )
         return PushLog(tuple(pushes), str(path)), obj
 
 
@@ -147,7 +164,9 @@ def read_model_errors(path: Path | str) -> tuple[float, float]:
     """
     path = Path(path)
     data = _read_mat(path)
-    position, angle = (float(_numbers(path, name, _field(path, data, name), 1)[0]) for name in MODEL_ERRORS)
+    position, angle = (
+        float(_numbers(path, name, _field(path, data, name), 1)[0]) for name in MODEL_ERRORS
+    )
     return position, angle
 
 
@@ -155,7 +174,9 @@ def _observe(path: Path, record: Any, name: str, speed: float) -> ObservedPush:
     fields = {}
     for key, size in RECORD_SIZES.items():
         if not hasattr(record, key):
-            raise PushLogError(f"{path}: {name} of record_all has no {key}; expected {', '.join(RECORD_SIZES)}")
+            raise PushLogError(
+                f"{path}: {name} of record_all has no {key}; expected {', '.join(RECORD_SIZES)}"
+            )
         fields[key] = _numbers(path, f"{key} of {name}", getattr(record, key), size)
     start, travel = fields["init_tip_pt"], fields["final_tip_pt"] - fields["init_tip_pt"]
     length = float(np.linalg.norm(travel))
@@ -173,18 +194,32 @@ def _mit_object(path: Path, shape: str | None, data: dict[str, Any]) -> GridObje
     if shape is None:
         shape = named if named in MIT_SHAPES else said["shape_id"] or named
     if shape not in MIT_SHAPES:
-        raise PushLogError(f"{path}: shape {shape!r} is not known; expected {', '.join(MIT_SHAPES)}, or an object file")
-    others = [f"its {what} says {other}" for what, other in said.items() if other in MIT_SHAPES and other != shape]
+        raise PushLogError(
+            f"{path}: shape {shape!r} is not known; expected {', '.join(MIT_SHAPES)}, or an object file"
+        )
+    others = [
+        f"its {what} says {other}"
+        for what, other in said.items()
+        if other in MIT_SHAPES and other != shape
+    ]
     if others:
-        warn(f"{path}: taken for pushes of {shape}, but {' and '.join(others)}", PushLogWarning, stacklevel=3)
+        warn(
+            f"{path}: taken for pushes of {shape}, but {' and '.join(others)}",
+            PushLogWarning,
+            stacklevel=3,
+        )
     prior = PhysicalPrior(pusher_radius=TIP_RADIUS)
-    return GridObject.from_outline(MIT_SHAPES[shape](), max_cells=MIT_CELLS, name=shape, prior=prior)
+    return GridObject.from_outline(
+        MIT_SHAPES[shape](), max_cells=MIT_CELLS, name=shape, prior=prior
+    )
 
 
 def _read_mat(path: Path) -> dict[str, Any]:
     content = read_bytes(path, WHAT, PushLogError, MAX_SIZE)
     if _calc_unpacked_size(content) > MAX_SIZE:
-        raise PushLogError(f"{path}: has more than {MAX_SIZE // MEGABYTE} MB, unpacked; expected {WHAT}")
+        raise PushLogError(
+            f"{path}: has more than {MAX_SIZE // MEGABYTE} MB, unpacked; expected {WHAT}"
+        )
     try:
         data: dict[str, Any] = loadmat(BytesIO(content), squeeze_me=True, struct_as_record=False)
     except Exception as error:  # a damaged file makes SciPy raise almost anything
@@ -202,7 +237,9 @@ def _calc_unpacked_size(content: bytes) -> int:
         at += TAG
         if kind == PACKED:
             with suppress(zlib.error):  # SciPy says what is wrong
-                size += len(zlib.decompressobj().decompress(content[at : at + length], MAX_SIZE + 1))
+                size += len(
+                    zlib.decompressobj().decompress(content[at : at + length], MAX_SIZE + 1)
+                )
         at += length
     return size
 

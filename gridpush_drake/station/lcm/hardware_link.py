@@ -1,14 +1,16 @@
 """`HardwareLink`: between a `HardwareStation` and the LCM that its robot is on; it moves the station's time on.
 
-The station's time is the robot's: with every status it goes on by what has passed between two of them, as
-`drake-iiwa-driver` and Drake's own controllers have it. Where none comes it stands still, and no command goes out: the
-robot's driver brings the arm to rest. Where the robot's clock turns out to have gone on meanwhile by more than a status
-may be old, or nothing comes for long, the guard is told, and the arm is stopped for good. Where the robot's clock stood
-still, too, a twin's on a busy computer, nothing is amiss. Where the controller itself was late by more than a period,
-its time has stood still for that long, and nothing is made up for: it becomes slower, and hurries never.
+The station's time is the robot's: with every status it goes on by what has passed between two of
+them, as `drake-iiwa-driver` and Drake's own controllers have it. Where none comes it stands still,
+and no command goes out: the robot's driver brings the arm to rest. Where the robot's clock turns
+out to have gone on meanwhile by more than a status may be old, or nothing comes for long, the guard
+is told, and the arm is stopped for good. Where the robot's clock stood still, too, a twin's on a
+busy computer, nothing is amiss. Where the controller itself was late by more than a period, its
+time has stood still for that long, and nothing is made up for: it becomes slower, and hurries
+never.
 
-Messages in both directions pass through here. One that cannot be read, is of another size, or is not newer than the
-last one is left out and noted. Until `armed`, no command goes out.
+Messages in both directions pass through here. One that cannot be read, is of another size, or is
+not newer than the last one is left out and noted. Until `armed`, no command goes out.
 """
 
 import re
@@ -48,7 +50,8 @@ PATIENCE = 5.0
 """For the first status, and for the object to be seen, s."""
 
 QUIET = 0.3
-"""Of statuses before the first command, s: a driver that has just started takes one for somebody else's."""
+"""Of statuses before the first command, s: a driver that has just started takes one for somebody
+else's."""
 
 MADE_UP = ARM_PERIOD
 """By how much the station's time may leap to keep up with the robot's, s."""
@@ -57,7 +60,8 @@ LATE = 0.01
 """Between two commands, that counts as late, s."""
 
 ATTENTIVE = 0.005
-"""A look for messages takes, at most; in one that took longer the process itself was kept waiting, s."""
+"""A look for messages takes, at most; in one that took longer the process itself was kept waiting,
+s."""
 
 SILENCE = 1.0
 """Of a robot before it is given up, s."""
@@ -77,9 +81,15 @@ HALF = 0.5
 def open_lcm(url: str) -> DrakeLcm:
     """Opens LCM. Raises StationError where the URL is none, or there is no network for it."""
     match = URL.fullmatch(url)
-    good = match and all(int(part) <= MAX_BYTE for part in match.groups()[1:4]) and 0 < int(match[5]) <= MAX_PORT
+    good = (
+        match
+        and all(int(part) <= MAX_BYTE for part in match.groups()[1:4])
+        and 0 < int(match[5]) <= MAX_PORT
+    )
     if not good:
-        raise StationError(f"--lcm: {url!r}; expected udpm://ADDRESS:PORT?ttl=N such as {DEFAULT_URL}")
+        raise StationError(
+            f"--lcm: {url!r}; expected udpm://ADDRESS:PORT?ttl=N such as {DEFAULT_URL}"
+        )
     lcm = DrakeLcm(url)
     if not lcm.available():
         raise StationError(f"--lcm: {url}: no network takes multicast; see docs/hardware.md")
@@ -131,7 +141,9 @@ class LinkReport:
             text += f"; the controller paused {self.pauses} times"
         if self.silences:
             text += f"; the robot paused {self.silences} times"
-        return text + "".join(f"; {count} messages left out: {why}" for why, count in self.left_out.items())
+        return text + "".join(
+            f"; {count} messages left out: {why}" for why, count in self.left_out.items()
+        )
 
 
 @dataclass
@@ -166,15 +178,25 @@ class HardwareLink:
 
         Args:
             lcm: that the robot is on.
-            arm: the robot: how many joints it has, what its driver speaks, and whether there is a gripper.
-            realtime_rate: how many of the robot's seconds pass in one, where it is a twin that goes slower.
-            robot: moves a twin in the same process on by `ARM_PERIOD`; no clock is looked at then. None for a robot
-                that moves by itself.
+            arm: the robot: how many joints it has, what its driver speaks, and whether there is a
+                gripper.
+            realtime_rate: how many of the robot's seconds pass in one, where it is a twin that goes
+                slower.
+            robot: moves a twin in the same process on by `ARM_PERIOD`; no clock is looked at then.
+                None for a robot that moves by itself.
         """
         self.bus, self.report, self.armed = DrakeLcm("memq://"), LinkReport(), False
-        self._lcm, self._rate, self._robot, self._n = lcm, realtime_rate, robot, len(arm.arm.posture)
+        self._lcm, self._rate, self._robot, self._n = (
+            lcm,
+            realtime_rate,
+            robot,
+            len(arm.arm.posture),
+        )
         self._messages = find_arm_messages(arm)
-        self._arm, self._object = _Channel(self._messages.status_type), _Channel(lcmt_planar_manipuland_status)
+        self._arm, self._object = (
+            _Channel(self._messages.status_type),
+            _Channel(lcmt_planar_manipuland_status),
+        )
         self._gripper = _Channel(lcmt_schunk_wsg_status)
         self._channels = {self._messages.status: self._arm, OBJECT_STATUS: self._object}
         if arm.gripper is not None:
@@ -187,7 +209,9 @@ class HardwareLink:
         self._fault = ""
         self._station: HardwareStation | None = None
         self._stop, self._silent = 0.0, False
-        self._stepped = self._told = self._waited = self._listened = 0.0  # waited: since the last status, s
+        self._stepped = self._told = self._waited = self._listened = (
+            0.0  # waited: since the last status, s
+        )
         self._base = 0.0  # the robot's time when the station's was 0, s
         self._said = GuardStatus()
 
@@ -287,7 +311,11 @@ class HardwareLink:
     def _receive(self, context: Context) -> float:
         """Waits for the next status; returns the time of the station's that it, or its absence, brings, s."""
         assert self._station is not None
-        now, before, greatest_age = context.get_time(), self._arm.utime, self._station.scenario.safety.status_age
+        now, before, greatest_age = (
+            context.get_time(),
+            self._arm.utime,
+            self._station.scenario.safety.status_age,
+        )
         heard, self._listened = self._listened, monotonic()
         inattentive = self._listened - heard
         while True:
@@ -305,19 +333,26 @@ class HardwareLink:
                 return now + ARM_PERIOD
         went_on = (self._arm.utime - before) / MICROSECONDS
         if self._robot is None:
-            went_on -= inattentive * self._rate  # of what the robot said meanwhile only the last is kept
+            went_on -= (
+                inattentive * self._rate
+            )  # of what the robot said meanwhile only the last is kept
         if self._waited > greatest_age:
             self._note_silence(context, went_on > greatest_age + ROUNDING)
         self._waited = 0.0
-        # in whole periods, and half of one beyond: so that a status that is a little early or late brings one command
-        target = (round((self._arm.utime / MICROSECONDS - self._base) / ARM_PERIOD) + HALF) * ARM_PERIOD
+        # in whole periods, and half of one beyond: so that a status that is a little early or late
+        # brings one command
+        target = (
+            round((self._arm.utime / MICROSECONDS - self._base) / ARM_PERIOD) + HALF
+        ) * ARM_PERIOD
         late = target - now - ARM_PERIOD
         if abs(late) < MADE_UP + ROUNDING:
             return target
         if late > greatest_age:
             self.report.pauses += 1
             if self.report.pauses <= NOTED:
-                self.note(f"the controller was late by {1e3 * late:.0f} ms; it went on from where it was")
+                self.note(
+                    f"the controller was late by {1e3 * late:.0f} ms; it went on from where it was"
+                )
         self._base += late
         return now + ARM_PERIOD
 
@@ -381,7 +416,12 @@ class HardwareLink:
             elif message.utime <= channel.utime:
                 self._leave_out(f"{name} was not newer than the one before")
             else:
-                channel.data, channel.utime, channel.came, channel.passed = data, message.utime, monotonic(), False
+                channel.data, channel.utime, channel.came, channel.passed = (
+                    data,
+                    message.utime,
+                    monotonic(),
+                    False,
+                )
 
         return take
 

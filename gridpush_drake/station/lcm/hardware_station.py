@@ -80,16 +80,22 @@ def make_bounds(setting: Setting) -> TipBounds:
     """Where the tip may be by a scenario: its workspace, home, and what lies between, with a margin around them."""
     scenario, (x, y, z) = setting.scenario, setting.home
     margin, workspace = scenario.safety.margin, scenario.workspace
-    box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1]).union(shapely.Point(x, y))
+    box = shapely.box(workspace.x[0], workspace.y[0], workspace.x[1], workspace.y[1]).union(
+        shapely.Point(x, y)
+    )
     top = max(z, scenario.finger.travel_height) + scenario.pregrasp.lift + margin
-    return TipBounds(shapely.box(*box.envelope.buffer(margin, join_style="mitre").bounds), setting.table_top, top)
+    return TipBounds(
+        shapely.box(*box.envelope.buffer(margin, join_style="mitre").bounds), setting.table_top, top
+    )
 
 
 def make_limits(scenario: PushScenario, control_plant: MultibodyPlant) -> GuardLimits:
     """What a scenario's guard allows the robot of a control plant."""
     safety, n = scenario.safety, control_plant.num_positions()
     actuators = map(JointActuatorIndex, range(control_plant.num_actuators()))
-    effort = np.array([control_plant.get_joint_actuator(index).effort_limit() for index in actuators])
+    effort = np.array(
+        [control_plant.get_joint_actuator(index).effort_limit() for index in actuators]
+    )
     return GuardLimits(
         control_plant.GetVelocityUpperLimits(),
         np.full(n, safety.acceleration),
@@ -124,7 +130,11 @@ class HardwareStation(Station):
     __slots__ = NO_SLOTS
 
     def __init__(
-        self, builder: DiagramBuilder, setting: Setting, control: RobotControl, messages: IiwaMessages
+        self,
+        builder: DiagramBuilder,
+        setting: Setting,
+        control: RobotControl,
+        messages: IiwaMessages,
     ) -> None:
         """Takes over a builder's systems; `MakeHardwareStation` calls it."""
         super().__init__(builder, setting, control, None)
@@ -134,7 +144,8 @@ class HardwareStation(Station):
         """Begins where the arm is measured to be: the finger goes up from there, and then to work.
 
         Args:
-            root_context: of the station, or of the Diagram it is part of; a status of the robot has come in.
+            root_context: of the station, or of the Diagram it is part of; a status of the robot has
+                come in.
             seed: has no effect: nothing here is random.
 
         Raises:
@@ -183,11 +194,12 @@ def MakeHardwareStation(
 ) -> HardwareStation:
     """Makes the station of a robot on LCM.
 
-    The messages that it reads must be whole: Drake ends the process over one that is not. `HardwareLink` lets only such
-    ones through, and moves the station's time on by the robot's.
+    The messages that it reads must be whole: Drake ends the process over one that is not.
+    `HardwareLink` lets only such ones through, and moves the station's time on by the robot's.
 
     Args:
-        scenario: what stands where; the object's truth and the simulation's settings have no effect.
+        scenario: what stands where; the object's truth and the simulation's settings have no
+            effect.
         meshcat: has no effect: nothing is simulated that could be shown.
         lcm: on which the robot is.
         show_object: has no effect.
@@ -212,20 +224,31 @@ def MakeHardwareStation(
     n, messages = len(setting.q_start), find_arm_messages(robot)
     builder = DiagramBuilder()
     status = messages.AddStatusReceiver(builder, lcm, n)
-    tip = builder.AddNamedSystem("tip_sensor", ArmTipSensor(setting.control_plant, robot.finger.tip_frame))
+    tip = builder.AddNamedSystem(
+        "tip_sensor", ArmTipSensor(setting.control_plant, robot.finger.tip_frame)
+    )
     for port in ("position_measured", "velocity_estimated", "torque_external"):
         builder.Connect(status[port], tip.GetInputPort(port))
     pose_age = calc_pose_age(scenario.camera)
     object_pose, newest_pose = AddObjectReceiver(builder, lcm, status["time_measured"], pose_age)
     pusher_state = tip.GetOutputPort("pusher_state")
-    gripper_state, gripper = (None, None) if robot.gripper is None else AddGripperMessages(builder, lcm)
+    gripper_state, gripper = (
+        (None, None) if robot.gripper is None else AddGripperMessages(builder, lcm)
+    )
     control = AddRobotControl(builder, setting, learning, pusher_state, object_pose, gripper_state)
     if control.grasping is not None and gripper is not None:
-        builder.Connect(control.grasping.GetOutputPort("gripper_position"), gripper.GetInputPort("position"))
-        builder.Connect(control.grasping.GetOutputPort("gripper_force_limit"), gripper.GetInputPort("force_limit"))
+        builder.Connect(
+            control.grasping.GetOutputPort("gripper_position"), gripper.GetInputPort("position")
+        )
+        builder.Connect(
+            control.grasping.GetOutputPort("gripper_force_limit"),
+            gripper.GetInputPort("force_limit"),
+        )
     limits = make_limits(scenario, setting.control_plant)
     guard = builder.AddNamedSystem("guard", ArmGuard(limits, make_bounds(setting), ARM_PERIOD))
-    builder.Connect(control.kinematics.GetOutputPort("joint_positions"), guard.GetInputPort("position_desired"))
+    builder.Connect(
+        control.kinematics.GetOutputPort("joint_positions"), guard.GetInputPort("position_desired")
+    )
     for port in ("position_measured", "torque_external", "time_measured"):
         builder.Connect(status[port], guard.GetInputPort(port))
     builder.Connect(pusher_state, guard.GetInputPort("pusher_state"))

@@ -1,7 +1,7 @@
 """Color and depth pictures as Drake's LCM message `lcmt_image_array`, of whatever camera says them.
 
-Drake's own `LcmImageArrayToImages` knows neither JPEG nor PNG, and a raw or zlib-compressed pair of 640 x 480 pixels is
-too large for the buffers that a computer has for LCM's UDP by default.
+Drake's own `LcmImageArrayToImages` knows neither JPEG nor PNG, and a raw or zlib-compressed pair of
+640 x 480 pixels is too large for the buffers that a computer has for LCM's UDP by default.
 """
 
 import zlib
@@ -60,7 +60,11 @@ def encode_frame(frame: Frame, count: int = 0) -> lcmt_image_array:
     bgr = cv2.cvtColor(frame.color, cv2.COLOR_RGB2BGR)
     options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
                cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]  # fmt: skip
-    images = [_make_image(header, frame.color, _encode(".jpg", bgr, options), lcmt_image.COMPRESSION_METHOD_JPEG)]
+    images = [
+        _make_image(
+            header, frame.color, _encode(".jpg", bgr, options), lcmt_image.COMPRESSION_METHOD_JPEG
+        )
+    ]
     if frame.depth is not None:
         meters = np.nan_to_num(frame.depth, nan=0.0, posinf=0.0, neginf=0.0)
         depth = np.clip(np.rint(MILLIMETERS * meters), 0, MAX_DEPTH).astype(np.uint16)
@@ -82,13 +86,17 @@ def decode_frame(message: lcmt_image_array, camera: Camera) -> Frame:
         The frame; its time is that of the color image.
 
     Raises:
-        ImageError: there is no color image, or two; one has another size than the camera, is shorter than it says, or
-            is in a form that nobody knows.
+        ImageError: there is no color image, or two; one has another size than the camera, is
+            shorter than it says, or is in a form that nobody knows.
     """
     colors = [image for image in message.images if image.pixel_format in CHANNELS]
-    depths = [image for image in message.images if image.pixel_format == lcmt_image.PIXEL_FORMAT_DEPTH]
+    depths = [
+        image for image in message.images if image.pixel_format == lcmt_image.PIXEL_FORMAT_DEPTH
+    ]
     if len(colors) != 1 or len(depths) > 1:
-        raise ImageError(f"the message has {len(colors)} color and {len(depths)} depth images; {EXPECTED}")
+        raise ImageError(
+            f"the message has {len(colors)} color and {len(depths)} depth images; {EXPECTED}"
+        )
     color = _decode_color(colors[0], camera)
     depth = _decode_depth(depths[0], camera) if depths else None
     return Frame(color, depth, (colors[0].header.utime or message.header.utime) / MICROSECONDS)
@@ -101,7 +109,9 @@ def _make_image(header: lcmt_header, pixels: NDArray[Any], data: bytes, method: 
     image.size, image.data, image.compression_method = len(data), data, method
     is_color = pixels.ndim > 2
     image.pixel_format = lcmt_image.PIXEL_FORMAT_RGB if is_color else lcmt_image.PIXEL_FORMAT_DEPTH
-    image.channel_type = lcmt_image.CHANNEL_TYPE_UINT8 if is_color else lcmt_image.CHANNEL_TYPE_UINT16
+    image.channel_type = (
+        lcmt_image.CHANNEL_TYPE_UINT8 if is_color else lcmt_image.CHANNEL_TYPE_UINT16
+    )
     return image
 
 
@@ -118,7 +128,9 @@ def _decode_color(image: lcmt_image, camera: Camera) -> Color:
         read = _read_file(image, "color", camera, cv2.IMREAD_COLOR)
         return np.asarray(cv2.cvtColor(read, cv2.COLOR_BGR2RGB), dtype=np.uint8)
     count, order = CHANNELS[image.pixel_format]
-    return np.ascontiguousarray(_read_rows(image, "color", camera, np.dtype("u1"), count)[..., order])
+    return np.ascontiguousarray(
+        _read_rows(image, "color", camera, np.dtype("u1"), count)[..., order]
+    )
 
 
 def _decode_depth(image: lcmt_image, camera: Camera) -> Depth:
@@ -128,7 +140,9 @@ def _decode_depth(image: lcmt_image, camera: Camera) -> Depth:
     if image.compression_method in FILES:
         pixels = _read_file(image, "depth", camera, cv2.IMREAD_UNCHANGED)
         if pixels.ndim != 2 or pixels.dtype != kind:
-            raise ImageError(f"the depth image's file holds {pixels.dtype} in shape {pixels.shape}; expected {kind}")
+            raise ImageError(
+                f"the depth image's file holds {pixels.dtype} in shape {pixels.shape}; expected {kind}"
+            )
     else:
         pixels = _read_rows(image, "depth", camera, kind, 1)[..., 0]
     meters = pixels / MILLIMETERS if kind.kind == "u" else pixels
@@ -149,7 +163,9 @@ def _read_file(image: lcmt_image, what: str, camera: Camera, flags: int) -> NDAr
     return np.asarray(pixels)
 
 
-def _read_rows(image: lcmt_image, what: str, camera: Camera, kind: np.dtype[Any], channels: int) -> NDArray[Any]:
+def _read_rows(
+    image: lcmt_image, what: str, camera: Camera, kind: np.dtype[Any], channels: int
+) -> NDArray[Any]:
     """The pixels (height, width, channels) of data that are raw, or raw but for zlib."""
     _check_size((image.width, image.height), what, camera)
     used = image.width * channels * kind.itemsize
@@ -161,7 +177,9 @@ def _read_rows(image: lcmt_image, what: str, camera: Camera, kind: np.dtype[Any]
         except zlib.error as error:
             raise ImageError(f"the {what} image's data are not compressed by zlib") from error
     elif image.compression_method != lcmt_image.COMPRESSION_METHOD_NOT_COMPRESSED:
-        raise ImageError(f"the {what} image's compression_method is {image.compression_method}; expected 0 to 3")
+        raise ImageError(
+            f"the {what} image's compression_method is {image.compression_method}; expected 0 to 3"
+        )
     if stride < used or len(data) != image.height * stride:
         raise ImageError(
             f"the {what} image has {len(data)} bytes in rows of {stride}; "

@@ -1,8 +1,8 @@
 """`PictureTracker`: finds an object in a camera's pictures on LCM, and says where it is, for a `HardwareStation`.
 
-It is a process of its own beside the controller's, which therefore waits for no picture. What the arm hides it knows by
-rendering the arm where the camera is, with the joints as the robot's status has them; what else stands high is told by
-depth.
+It is a process of its own beside the controller's, which therefore waits for no picture. What the
+arm hides it knows by rendering the arm where the camera is, with the joints as the robot's status
+has them; what else stands high is told by depth.
 """
 
 from collections import Counter, deque
@@ -46,7 +46,8 @@ STATUSES = 1000
 """Of the arm that are remembered: some seconds."""
 
 MAX_LAG = 0.5
-"""Between a picture and the arm's status nearest to it, s; beyond that their clocks are not the same."""
+"""Between a picture and the arm's status nearest to it, s; beyond that their clocks are not the
+same."""
 
 
 class RobotSilhouette:
@@ -55,7 +56,9 @@ class RobotSilhouette:
     def __init__(self, scenario: PushScenario) -> None:
         """Makes the scene without the object; see `TwinCamera` for what may be raised."""
         builder = DiagramBuilder()
-        self.plant, scene_graph = AddMultibodyPlantSceneGraph(builder, scenario.simulation.time_step)
+        self.plant, scene_graph = AddMultibodyPlantSceneGraph(
+            builder, scenario.simulation.time_step
+        )
         AddScene(MakeParser(self.plant), scenario)
         self.plant.Finalize()
         self.table_top = FindTableOutline(self.plant, scene_graph.model_inspector())
@@ -114,17 +117,21 @@ class PictureTracker:
         report: how it went.
     """
 
-    def __init__(self, scenario: PushScenario, lcm: DrakeLcmInterface, obj: GridObject | None = None) -> None:
+    def __init__(
+        self, scenario: PushScenario, lcm: DrakeLcmInterface, obj: GridObject | None = None
+    ) -> None:
         """Listens from now on.
 
         Args:
-            scenario: robot, table and camera; which object lies there only says a name and what is known beforehand.
+            scenario: robot, table and camera; which object lies there only says a name and what is
+                known beforehand.
             lcm: on which pictures and the arm's status come, and the pose is said.
             obj: to follow; None for what the detector finds.
 
         Raises:
             ScenarioError: the camera makes no sense, or there are several objects.
-            StationError: nothing can be rendered here, or nobody knows what the robot's driver speaks.
+            StationError: nothing can be rendered here, or nobody knows what the robot's driver
+                speaks.
         """
         check_tracked(scenario)
         robot = find_robot(scenario.directives)
@@ -160,7 +167,9 @@ class PictureTracker:
         if data is None or not self._statuses:
             return None
         try:
-            frame = decode_frame(decode_message(lcmt_image_array, PICTURES, data), self._silhouette.camera)
+            frame = decode_frame(
+                decode_message(lcmt_image_array, PICTURES, data), self._silhouette.camera
+            )
         except GridPushError as error:
             self.report.left_out[str(error)] += 1
             return None
@@ -209,7 +218,9 @@ class PictureTracker:
     def _detect(self, frame: Frame, hidden: NDArray[np.bool_]) -> DetectedObject | None:
         naming = ObjectNaming(self._told.name, self._told.prior, self._scenario.object_pose[2])
         unseen = (self._off_table, hidden)
-        found = find_in_frame(frame, self._silhouette.camera, None, naming, unseen, self._scenario.seed)
+        found = find_in_frame(
+            frame, self._silhouette.camera, None, naming, unseen, self._scenario.seed
+        )
         if isinstance(found, str):
             self.message = found
             return None

@@ -1,6 +1,7 @@
 """The LCM messages that robots and this package exchange: which, on which channel, how often; and what makes them.
 
-An arm's driver says which messages it speaks (`ARM_MESSAGES`); gripper and tracked object have messages of their own.
+An arm's driver says which messages it speaks (`ARM_MESSAGES`); gripper and tracked object have
+messages of their own.
 """
 
 from collections.abc import Sequence
@@ -36,7 +37,15 @@ from pydrake.manipulation import (
     SchunkWsgStatusReceiver,
     SchunkWsgStatusSender,
 )
-from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, InputPort, LeafSystem, OutputPort, System
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    DiagramBuilder,
+    InputPort,
+    LeafSystem,
+    OutputPort,
+    System,
+)
 from pydrake.systems.lcm import LcmPublisherSystem, LcmSubscriberSystem
 from pydrake.systems.primitives import MatrixGain
 
@@ -106,20 +115,34 @@ class IiwaMessages:
         """Whether a command is one: all its numbers are finite, and it has some."""
         return len(command.joint_position) > 0 and bool(np.isfinite(command.joint_position).all())
 
-    def AddStatusReceiver(self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int) -> dict[str, OutputPort]:
+    def AddStatusReceiver(
+        self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int
+    ) -> dict[str, OutputPort]:
         """Adds what reads the status of n joints; returns its ports by the names that a `SimIiwaDriver` uses."""
         receiver = builder.AddNamedSystem("arm_status_receiver", IiwaStatusReceiver(n))
         _Subscribe(builder, lcm, self.status, self.status_type, receiver.get_input_port())
-        return {port.get_name(): port for port in map(receiver.get_output_port, range(receiver.num_output_ports()))}
+        return {
+            port.get_name(): port
+            for port in map(receiver.get_output_port, range(receiver.num_output_ports()))
+        }
 
-    def AddCommandSender(self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int) -> InputPort:
+    def AddCommandSender(
+        self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int
+    ) -> InputPort:
         """Adds what sends commands; returns the port for the positions of the n joints."""
         sender = builder.AddNamedSystem("arm_command_sender", IiwaCommandSender(n))
-        _Publish(builder, lcm, self.command, self.command_type, sender.get_output_port(), ARM_PERIOD)
+        _Publish(
+            builder, lcm, self.command, self.command_type, sender.get_output_port(), ARM_PERIOD
+        )
         return sender.GetInputPort("position")
 
     def AddRobotSide(
-        self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int, driver: dict[str, OutputPort], ramp: CommandRamp
+        self,
+        builder: DiagramBuilder,
+        lcm: DrakeLcmInterface,
+        n: int,
+        driver: dict[str, OutputPort],
+        ramp: CommandRamp,
     ) -> None:
         """Adds what a robot's driver does: makes statuses of its ports, by name, and feeds a ramp with commands.
 
@@ -138,7 +161,13 @@ class IiwaMessages:
         commands: System,
         status: System,
     ) -> None:
-        _Subscribe(builder, lcm, self.command, self.command_type, commands.GetInputPort(self.command_type.__name__))
+        _Subscribe(
+            builder,
+            lcm,
+            self.command,
+            self.command_type,
+            commands.GetInputPort(self.command_type.__name__),
+        )
         builder.Connect(driver["position_measured"], commands.GetInputPort("position_measured"))
         builder.Connect(commands.GetOutputPort("position"), ramp.GetInputPort("position_desired"))
         builder.AddNamedSystem("arm_status_sender", status)
@@ -166,7 +195,9 @@ class PandaMessages(IiwaMessages):
         """Likewise."""
         return tuple(message.joint_position)
 
-    def AddStatusReceiver(self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int) -> dict[str, OutputPort]:
+    def AddStatusReceiver(
+        self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int
+    ) -> dict[str, OutputPort]:
         """Likewise; the time of the status is read from the message."""
         receiver = builder.AddNamedSystem("arm_status_receiver", PandaStatusReceiver(n))
         _Subscribe(builder, lcm, self.status, self.status_type, receiver.get_input_port())
@@ -175,17 +206,28 @@ class PandaMessages(IiwaMessages):
         named = {PANDA_NAMES.get(port.get_name(), port.get_name()): port for port in ports}
         return named | {"time_measured": clock}
 
-    def AddCommandSender(self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int) -> InputPort:
+    def AddCommandSender(
+        self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int
+    ) -> InputPort:
         """Likewise."""
         sender = builder.AddNamedSystem("arm_command_sender", PandaCommandSender(n, POSITION_MODE))
-        _Publish(builder, lcm, self.command, self.command_type, sender.get_output_port(), ARM_PERIOD)
+        _Publish(
+            builder, lcm, self.command, self.command_type, sender.get_output_port(), ARM_PERIOD
+        )
         return sender.GetInputPort("position")
 
     def AddRobotSide(
-        self, builder: DiagramBuilder, lcm: DrakeLcmInterface, n: int, driver: dict[str, OutputPort], ramp: CommandRamp
+        self,
+        builder: DiagramBuilder,
+        lcm: DrakeLcmInterface,
+        n: int,
+        driver: dict[str, OutputPort],
+        ramp: CommandRamp,
     ) -> None:
         """Likewise; the time of the command is read from the message."""
-        commands = builder.AddNamedSystem("arm_command_receiver", PandaCommandReceiver(n, POSITION_MODE))
+        commands = builder.AddNamedSystem(
+            "arm_command_receiver", PandaCommandReceiver(n, POSITION_MODE)
+        )
         clock = _AddClock(builder, lcm, "arm_command_clock", self.command, self.command_type)
         builder.Connect(clock, ramp.GetInputPort("time_sent"))
         self._ConnectRobotSide(builder, lcm, driver, ramp, commands, PandaStatusSender(n))
@@ -238,23 +280,34 @@ def find_arm_messages(robot: Robot) -> IiwaMessages:
             f"robot.yaml of {robot.arm_model} has no messages; expected one of {', '.join(ARM_MESSAGES)} for LCM"
         )
     if kind != "iiwa" and robot.gripper is not None:
-        raise StationError(f"the hand of a {kind} has no LCM message in Drake; expected a scene without a gripper")
+        raise StationError(
+            f"the hand of a {kind} has no LCM message in Drake; expected a scene without a gripper"
+        )
     return ARM_MESSAGES[kind]
 
 
-def AddGripperMessages(builder: DiagramBuilder, lcm: DrakeLcmInterface) -> tuple[OutputPort, SchunkWsgCommandSender]:
+def AddGripperMessages(
+    builder: DiagramBuilder, lcm: DrakeLcmInterface
+) -> tuple[OutputPort, SchunkWsgCommandSender]:
     """Adds what reads a gripper's status and sends its commands.
 
     Returns:
-        The fingers' positions, left and right, m, and velocities, m/s, (4,); and the sender, with the input ports
-        `position`, the opening, m, and `force_limit`, N.
+        The fingers' positions, left and right, m, and velocities, m/s, (4,); and the sender, with
+        the input ports `position`, the opening, m, and `force_limit`, N.
     """
     receiver = builder.AddNamedSystem("gripper_status_receiver", SchunkWsgStatusReceiver())
     _Subscribe(builder, lcm, GRIPPER_STATUS, lcmt_schunk_wsg_status, receiver.get_input_port())
     fingers = builder.AddNamedSystem("gripper_fingers", MatrixGain(FROM_OPENING))
     builder.Connect(receiver.GetOutputPort("state"), fingers.get_input_port())
     sender = builder.AddNamedSystem("gripper_command_sender", SchunkWsgCommandSender())
-    _Publish(builder, lcm, GRIPPER_COMMAND, lcmt_schunk_wsg_command, sender.get_output_port(), GRIPPER_PERIOD)
+    _Publish(
+        builder,
+        lcm,
+        GRIPPER_COMMAND,
+        lcmt_schunk_wsg_command,
+        sender.get_output_port(),
+        GRIPPER_PERIOD,
+    )
     return fingers.get_output_port(), sender
 
 
@@ -275,15 +328,30 @@ def AddGripperSide(
         opening: until the first command, m.
     """
     commands = builder.AddNamedSystem("gripper_command_receiver", SchunkWsgCommandReceiver(opening))
-    _Subscribe(builder, lcm, GRIPPER_COMMAND, lcmt_schunk_wsg_command, commands.GetInputPort("command_message"))
-    builder.Connect(commands.GetOutputPort("position"), controller.get_desired_position_input_port())
+    _Subscribe(
+        builder,
+        lcm,
+        GRIPPER_COMMAND,
+        lcmt_schunk_wsg_command,
+        commands.GetInputPort("command_message"),
+    )
+    builder.Connect(
+        commands.GetOutputPort("position"), controller.get_desired_position_input_port()
+    )
     builder.Connect(commands.GetOutputPort("force_limit"), controller.get_force_limit_input_port())
     wsg_state = builder.AddNamedSystem("gripper_opening", MakeMultibodyStateToWsgStateSystem())
     builder.Connect(state, wsg_state.get_input_port())
     status = builder.AddNamedSystem("gripper_status_sender", SchunkWsgStatusSender())
     builder.Connect(wsg_state.get_output_port(), status.get_state_input_port())
     builder.Connect(controller.get_grip_force_output_port(), status.get_force_input_port())
-    _Publish(builder, lcm, GRIPPER_STATUS, lcmt_schunk_wsg_status, status.get_output_port(0), GRIPPER_PERIOD)
+    _Publish(
+        builder,
+        lcm,
+        GRIPPER_STATUS,
+        lcmt_schunk_wsg_status,
+        status.get_output_port(0),
+        GRIPPER_PERIOD,
+    )
 
 
 def AddObjectReceiver(
@@ -300,7 +368,9 @@ def AddObjectReceiver(
     Returns:
         The ports with its pose (3,) so long ago, and with the newest, m and rad.
     """
-    receiver = builder.AddNamedSystem("camera", PlanarManipulandStatusReceiver(ARM_PERIOD, OBJECT_MAX_AGE, delay))
+    receiver = builder.AddNamedSystem(
+        "camera", PlanarManipulandStatusReceiver(ARM_PERIOD, OBJECT_MAX_AGE, delay)
+    )
     builder.Connect(time, receiver.GetInputPort("time"))
     subscriber = LcmSubscriberSystem.Make(OBJECT_STATUS, lcmt_planar_manipuland_status, lcm)
     builder.AddNamedSystem("object_subscriber", subscriber)
@@ -323,29 +393,46 @@ def AddObjectSender(
     sender = builder.AddNamedSystem("object_status_sender", PlanarManipulandStatusSender())
     builder.Connect(pose, sender.get_input_port())
     publisher = LcmPublisherSystem.Make(
-        OBJECT_STATUS, lcmt_planar_manipuland_status, lcm, publish_period=period, publish_offset=offset
+        OBJECT_STATUS,
+        lcmt_planar_manipuland_status,
+        lcm,
+        publish_period=period,
+        publish_offset=offset,
     )
     builder.AddNamedSystem("object_publisher", publisher)
     builder.Connect(sender.get_output_port(), publisher.get_input_port())
 
 
-def _AddClock(builder: DiagramBuilder, lcm: DrakeLcmInterface, name: str, channel: str, kind: Any) -> OutputPort:
+def _AddClock(
+    builder: DiagramBuilder, lcm: DrakeLcmInterface, name: str, channel: str, kind: Any
+) -> OutputPort:
     """Adds what reads the time of a channel's messages, s."""
     clock = builder.AddNamedSystem(name, MessageClock(kind))
-    subscriber = builder.AddNamedSystem(f"{name}_subscriber", LcmSubscriberSystem.Make(channel, kind, lcm))
+    subscriber = builder.AddNamedSystem(
+        f"{name}_subscriber", LcmSubscriberSystem.Make(channel, kind, lcm)
+    )
     builder.Connect(subscriber.get_output_port(), clock.get_input_port())
     return clock.get_output_port()
 
 
-def _Subscribe(builder: DiagramBuilder, lcm: DrakeLcmInterface, channel: str, kind: Any, port: InputPort) -> None:
+def _Subscribe(
+    builder: DiagramBuilder, lcm: DrakeLcmInterface, channel: str, kind: Any, port: InputPort
+) -> None:
     subscriber = LcmSubscriberSystem.Make(channel, kind, lcm, use_cpp_serializer=True)
     builder.AddNamedSystem(f"{channel}_subscriber", subscriber)
     builder.Connect(subscriber.get_output_port(), port)
 
 
 def _Publish(
-    builder: DiagramBuilder, lcm: DrakeLcmInterface, channel: str, kind: Any, port: OutputPort, period: float
+    builder: DiagramBuilder,
+    lcm: DrakeLcmInterface,
+    channel: str,
+    kind: Any,
+    port: OutputPort,
+    period: float,
 ) -> None:
-    publisher = LcmPublisherSystem.Make(channel, kind, lcm, publish_period=period, use_cpp_serializer=True)
+    publisher = LcmPublisherSystem.Make(
+        channel, kind, lcm, publish_period=period, use_cpp_serializer=True
+    )
     builder.AddNamedSystem(f"{channel}_publisher", publisher)
     builder.Connect(port, publisher.get_input_port())

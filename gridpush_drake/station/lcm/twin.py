@@ -12,7 +12,12 @@ from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.station.arm import DRIVER_OUTPUTS, AddArmDriver
 from gridpush_drake.station.camera import StationCamera
 from gridpush_drake.station.grasping import AddGripperController, ExportOutputs
-from gridpush_drake.station.lcm.robot_messages import ARM_PERIOD, AddGripperSide, AddObjectSender, find_arm_messages
+from gridpush_drake.station.lcm.robot_messages import (
+    ARM_PERIOD,
+    AddGripperSide,
+    AddObjectSender,
+    find_arm_messages,
+)
 from gridpush_drake.station.push_station import AddSensors, AddWorld, World
 from gridpush_drake.station.scenario import PushScenario
 from gridpush_drake.station.station import Setting
@@ -22,7 +27,8 @@ TORQUE = "torque_external"
 """Port of an arm's driver."""
 
 ESTIMATION_TIME = 0.03
-"""In which an arm's estimate of that follows, s: in the simulation a knock lasts one time step, and is as strong."""
+"""In which an arm's estimate of that follows, s: in the simulation a knock lasts one time step, and
+is as strong."""
 
 
 def check_tracked(scenario: PushScenario) -> None:
@@ -34,7 +40,9 @@ def check_tracked(scenario: PushScenario) -> None:
 def _AddCommandRamp(builder: DiagramBuilder, setting: Setting) -> CommandRamp:
     safety, speed = setting.scenario.safety, setting.control_plant.GetVelocityUpperLimits()
     acceleration = np.full_like(speed, safety.acceleration)
-    ramp = builder.AddNamedSystem("command_ramp", CommandRamp(speed, acceleration, safety.command_age, ARM_PERIOD))
+    ramp = builder.AddNamedSystem(
+        "command_ramp", CommandRamp(speed, acceleration, safety.command_age, ARM_PERIOD)
+    )
     ExportOutputs(builder, ramp, "driver", ("status",))
     return ramp
 
@@ -87,13 +95,15 @@ class Twin(Diagram):
 def MakeTwin(scenario: PushScenario, lcm: DrakeLcmInterface, *, listens: bool = True) -> Twin:
     """Makes the twin: plant, driver, gripper and camera of a scenario, with LCM in the place of what commands them.
 
-    An ideal camera says the object's pose; pictures of an rgbd one are taken beside it, see `TwinCamera`.
+    An ideal camera says the object's pose; pictures of an rgbd one are taken beside it, see
+    `TwinCamera`.
 
     Args:
         scenario: what stands where, and what the object truly weighs.
         lcm: on which it speaks.
-        listens: whether it hears what came whenever its time moves. Else the caller calls `lcm.HandleSubscriptions`, as
-            it must where it subscribes itself: Drake 1.58 cannot call Python from within an `LcmInterfaceSystem`.
+        listens: whether it hears what came whenever its time moves. Else the caller calls
+            `lcm.HandleSubscriptions`, as it must where it subscribes itself: Drake 1.58 cannot call
+            Python from within an `LcmInterfaceSystem`.
 
     Returns:
         The twin. Call its `SetStart` on each new Context.
@@ -111,7 +121,10 @@ def MakeTwin(scenario: PushScenario, lcm: DrakeLcmInterface, *, listens: bool = 
         builder.AddNamedSystem("lcm", LcmInterfaceSystem(lcm))
     driver = AddArmDriver(builder, plant, robot, instances.arm, setting.control_plant)
     messages = find_arm_messages(robot)
-    ramp, ports = _AddCommandRamp(builder, setting), {name: driver.GetOutputPort(name) for name in DRIVER_OUTPUTS}
+    ramp, ports = (
+        _AddCommandRamp(builder, setting),
+        {name: driver.GetOutputPort(name) for name in DRIVER_OUTPUTS},
+    )
     builder.Connect(ramp.GetOutputPort("position"), driver.GetInputPort("position"))
     ports[TORQUE] = _AddLowPass(builder, ports[TORQUE], scenario.simulation.time_step)
     messages.AddRobotSide(builder, lcm, len(setting.q_start), ports, ramp)
@@ -119,10 +132,18 @@ def MakeTwin(scenario: PushScenario, lcm: DrakeLcmInterface, *, listens: bool = 
         controller = AddGripperController(builder, plant, instances.gripper, robot.gripper)
         state = plant.get_state_output_port(instances.gripper)
         AddGripperSide(builder, lcm, controller, state, robot.gripper.opening)
-    camera = AddSensors(builder, world.scene_graph, setting.scenario, robot, world.object_in_plant, None).camera
+    camera = AddSensors(
+        builder, world.scene_graph, setting.scenario, robot, world.object_in_plant, None
+    ).camera
     if scenario.camera.kind == "ideal":
         time_step = scenario.simulation.time_step  # after which a pose is on its port
-        AddObjectSender(builder, lcm, camera.source.GetOutputPort("object_pose"), 1 / scenario.camera.rate, time_step)
+        AddObjectSender(
+            builder,
+            lcm,
+            camera.source.GetOutputPort("object_pose"),
+            1 / scenario.camera.rate,
+            time_step,
+        )
     twin = Twin(builder, world, camera)
     twin.set_name("twin")
     return twin

@@ -1,7 +1,7 @@
 """`TwinCamera`: the pictures of a twin's color and depth camera, and the process that says them over LCM.
 
-A pair of pictures takes longer to render than the arm's period of 5 ms. So it is rendered elsewhere: the twin hands on
-where all joints and the object are, and goes on.
+A pair of pictures takes longer to render than the arm's period of 5 ms. So it is rendered
+elsewhere: the twin hands on where all joints and the object are, and goes on.
 """
 
 import multiprocessing
@@ -62,7 +62,10 @@ class TwinCamera:
         self._context.SetTime(t)
         self._plant.SetPositions(self._plant.GetMyMutableContextFromRoot(self._context), q)
         own = self._noise.GetMyContextFromRoot(self._context)
-        color, depth = (self._noise.GetOutputPort(name).Eval(own).data for name in ("color_image", "depth_image"))
+        color, depth = (
+            self._noise.GetOutputPort(name).Eval(own).data
+            for name in ("color_image", "depth_image")
+        )
         return Frame(color[..., :3].copy(), depth[..., 0].copy(), t)
 
     def make_message(self, t: float, q: ArrayLike) -> lcmt_image_array:
@@ -81,7 +84,9 @@ class PictureProcess:
             scenario: of the twin.
             url: of LCM.
         """
-        context = multiprocessing.get_context("spawn")  # pydrake has threads, which a fork would not survive
+        context = multiprocessing.get_context(
+            "spawn"
+        )  # pydrake has threads, which a fork would not survive
         listener, self._asks = context.Pipe(duplex=False)
         work = (format_scenario(scenario), url, listener)
         self._process = context.Process(target=_take_pictures, args=work, daemon=True)
@@ -110,7 +115,9 @@ class PictureProcess:
 def _take_pictures(scenario: str, url: str, asks: Connection) -> None:
     """Answers the newest of what is asked, until nobody can ask any more; the scenario is YAML."""
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # they go to the twin as well, which then closes the pipe
+        signal.signal(
+            number, signal.SIG_IGN
+        )  # they go to the twin as well, which then closes the pipe
     lcm, camera = open_lcm(url), TwinCamera(parse_scenario(Path("scenario.yaml"), scenario))
     try:
         while True:

@@ -59,7 +59,9 @@ def test_a_cache_that_cannot_be_written_is_read(tmp_path, monkeypatch):
     monkeypatch.setattr(compiled.tempfile, "TemporaryFile", refuse)
     assert compiled.find_cache_folder.__wrapped__(source) == folder
     (folder / "something.nbi").unlink()
-    assert compiled.find_cache_folder.__wrapped__(source).parent == Path(compiled.tempfile.gettempdir())
+    assert compiled.find_cache_folder.__wrapped__(source).parent == Path(
+        compiled.tempfile.gettempdir()
+    )
 
 
 def refuse(*args, **kwargs):
@@ -80,11 +82,21 @@ def test_the_digest_follows_every_file_of_the_folder(tmp_path, monkeypatch, chan
     assert calc(copy / "step.py") != calc_digest(kernels / "step.py")
 
 
-def test_folders_that_nobody_used_for_long_are_removed_by_whoever_makes_a_new_one(tmp_path, monkeypatch):
+def test_folders_that_nobody_used_for_long_are_removed_by_whoever_makes_a_new_one(
+    tmp_path, monkeypatch
+):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     source, now = Path(compiled.__file__), time.time()
-    mine, kept = tmp_path / f"kernels-{calc_digest(source)}", [f"kernels-{'a' * 16}", "kernels-mine", "other"]
-    for name, age in (("kernels-" + "0" * 16, 1.01), (kept[0], 0.99), (kept[1], 9.0), (kept[2], 9.0)):
+    mine, kept = (
+        tmp_path / f"kernels-{calc_digest(source)}",
+        [f"kernels-{'a' * 16}", "kernels-mine", "other"],
+    )
+    for name, age in (
+        ("kernels-" + "0" * 16, 1.01),
+        (kept[0], 0.99),
+        (kept[1], 9.0),
+        (kept[2], 9.0),
+    ):
         (tmp_path / name).mkdir()
         (tmp_path / name / "something.nbi").write_bytes(b"")
         os.utime(tmp_path / name, (now, now - age * compiled.UNUSED))

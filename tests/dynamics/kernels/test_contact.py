@@ -32,7 +32,9 @@ def kernel_edges(outline):
 
 def find(outline, center, radius=0.005, reach=0.01):
     contacts = np.zeros((2, COLUMNS))
-    count = find_contacts(kernel_edges(outline), float(center[0]), float(center[1]), radius, reach, contacts)
+    count = find_contacts(
+        kernel_edges(outline), float(center[0]), float(center[1]), radius, reach, contacts
+    )
     return contacts[:count]
 
 
@@ -60,13 +62,19 @@ def test_nearest_contact_is_shapely_s(seed):
         contacts = find(outline, center, radius, reach)
         if inside:
             assert len(contacts) == 1
-            assert contacts[0, GAP] == pytest.approx(-distance - radius, abs=1e-12) or nearest_is_reflex(outline, point)
+            assert contacts[0, GAP] == pytest.approx(
+                -distance - radius, abs=1e-12
+            ) or nearest_is_reflex(outline, point)
         elif distance - radius > reach:
             assert not len(contacts)
             continue
         else:
             assert contacts[0, GAP] == pytest.approx(distance - radius, abs=1e-12)
-            foot = boundary.interpolate(boundary.project(point)) if boundary.geom_type == "LineString" else None
+            foot = (
+                boundary.interpolate(boundary.project(point))
+                if boundary.geom_type == "LineString"
+                else None
+            )
             if foot is not None:
                 np.testing.assert_allclose(contacts[0, [CX, CY]], [foot.x, foot.y], atol=1e-9)
         for row in contacts:
@@ -77,7 +85,9 @@ def test_nearest_contact_is_shapely_s(seed):
             signed = (p - center) @ normal
             np.testing.assert_allclose(p, center + signed * normal, atol=1e-12)
             assert row[GAP] == pytest.approx(signed - radius, abs=1e-12)
-            assert row[BEND] == pytest.approx(1 / signed if is_vertex(outline, p) else 0.0, rel=1e-6)
+            assert row[BEND] == pytest.approx(
+                1 / signed if is_vertex(outline, p) else 0.0, rel=1e-6
+            )
         checked += 1
     assert checked > 30
 
@@ -87,7 +97,9 @@ def is_vertex(outline, p):
 
 
 def nearest_is_reflex(outline, point):
-    return is_vertex(outline, shapely.get_coordinates(shapely.shortest_line(outline.boundary, point))[0])
+    return is_vertex(
+        outline, shapely.get_coordinates(shapely.shortest_line(outline.boundary, point))[0]
+    )
 
 
 def test_an_inward_normal_points_into_the_object():
@@ -118,7 +130,9 @@ def test_of_three_contacts_the_nearest_two():
 def test_split_edges_give_one_contact(angle):
     """Vertices in the middle of a straight side, with the disc right over them."""
     square = Polygon(rectangle(0.1, 0.1))
-    turned = shapely.affinity.rotate(square.segmentize(0.01), angle, origin=(0, 0), use_radians=True)
+    turned = shapely.affinity.rotate(
+        square.segmentize(0.01), angle, origin=(0, 0), use_radians=True
+    )
     c, s = np.cos(angle), np.sin(angle)
     for along in np.linspace(-0.04, 0.04, 17):
         x, y = along, 0.0551
@@ -133,8 +147,16 @@ def test_split_edges_give_one_contact(angle):
 
 def test_a_disc_round_a_many_gon_slides_from_edge_to_vertex_without_a_jump():
     outline = Polygon(regular_polygon(0.05, 40))
-    rows = np.array([find(outline, 0.0545 * np.array([np.cos(a), np.sin(a)]))[0] for a in np.linspace(0, 1, 2001)])
-    assert {len(find(outline, 0.0545 * np.array([np.cos(a), np.sin(a)]))) for a in np.linspace(0, 1, 201)} == {1}
+    rows = np.array(
+        [
+            find(outline, 0.0545 * np.array([np.cos(a), np.sin(a)]))[0]
+            for a in np.linspace(0, 1, 2001)
+        ]
+    )
+    assert {
+        len(find(outline, 0.0545 * np.array([np.cos(a), np.sin(a)])))
+        for a in np.linspace(0, 1, 201)
+    } == {1}
     assert np.abs(np.diff(rows[:, [NX, NY, CX, CY, GAP]], axis=0)).max() < 0.01
     assert 0.05 < (rows[:, BEND] > 0).mean() < 0.9
 
@@ -158,7 +180,9 @@ def test_looking_ahead_takes_the_place_from_there_and_the_gap_from_here():
         return ahead[0]
 
     row = look(0.03, 0.004)
-    np.testing.assert_allclose(row[[NX, NY, CX, CY, GAP, BEND]], [0, -1, 0.034, 0.05, 0.001, 0], atol=1e-15)
+    np.testing.assert_allclose(
+        row[[NX, NY, CX, CY, GAP, BEND]], [0, -1, 0.034, 0.05, 0.001, 0], atol=1e-15
+    )
     row = look(0.048, 0.004)  # the vertex region, though it is over the side now
     direction = np.array([-0.002, -0.006]) / np.hypot(0.002, 0.006)
     np.testing.assert_allclose(row[[NX, NY]], direction)
@@ -181,14 +205,21 @@ def test_derivatives_of_a_contact():
         kinds.add(bool(bend))
         expected = np.vstack([-bend * np.outer(T, T), (bend == 0) * np.outer(T, T), -N])
         check_jacobian(
-            lambda x: find(outline, x)[0][[NX, NY, CX, CY, GAP]], center, expected, step=1e-6, rtol=1e-6, atol=1e-7
+            lambda x: find(outline, x)[0][[NX, NY, CX, CY, GAP]],
+            center,
+            expected,
+            step=1e-6,
+            rtol=1e-6,
+            atol=1e-7,
         )
     assert kinds == {True, False}
 
 
 def test_line_distance_matches_for_every_edge_alone():
     outline = make_random_outline(3)
-    for start, end in zip(*(lambda e: (e.start, e.end))(OutlineEdges.from_polygon(outline)), strict=True):
+    for start, end in zip(
+        *(lambda e: (e.start, e.end))(OutlineEdges.from_polygon(outline)), strict=True
+    ):
         middle, direction = (start + end) / 2, (end - start) / np.linalg.norm(end - start)
         center = middle + 1e-4 * np.array([direction[1], -direction[0]])
         assert find(outline, center, 0.001)[0, GAP] == pytest.approx(

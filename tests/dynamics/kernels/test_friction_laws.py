@@ -65,7 +65,9 @@ class Case:
 
     def derivatives(self, xi, k=None, majorize=False):
         g, H = np.zeros(3), np.zeros((3, 3))
-        add_derivatives(self.begin(self.k if k is None else k), self.cells, np.array(xi), majorize, g, H)
+        add_derivatives(
+            self.begin(self.k if k is None else k), self.cells, np.array(xi), majorize, g, H
+        )
         return g, H
 
     def load_derivatives(self):
@@ -83,7 +85,9 @@ def test_derivatives_are_the_dissipation_s(name, spin, seed, known):
     check_jacobian(case.dissipation, case.xi, g, step=1e-4, order=4)
     check_jacobian(lambda xi: case.derivatives(xi)[0], case.xi, H, step=1e-4, order=4)
     f = case.load_derivatives()
-    check_jacobian(lambda k: case.derivatives(case.xi, k)[0], case.k, f[:, : len(case.k)], step=1e-3)
+    check_jacobian(
+        lambda k: case.derivatives(case.xi, k)[0], case.k, f[:, : len(case.k)], step=1e-3
+    )
     assert not f[:, len(case.k) :].any()
     np.testing.assert_array_equal(H, H.T)
     assert np.linalg.eigvalsh(H).min() > -1e-12 * np.abs(H).max(), "convex"
@@ -120,7 +124,9 @@ def test_a_push_is_simulated_with_every_law_or_refused(name, regime):
             simulate(obj, params, push, friction=name, regime=regime, gradients=True)
         return
     record = [len(motion.times) - 1]
-    J = simulate(obj, params, push, friction=name, regime=regime, gradients=True, record=record).jacobian
+    J = simulate(
+        obj, params, push, friction=name, regime=regime, gradients=True, record=record
+    ).jacobian
 
     def move(mu):
         moved = CellParameters(params.mass, mu, params.contact_friction)

@@ -22,7 +22,12 @@ def calc_dissipation(p_BC, k, kappa, spin_load, xi, eps=0.0):
 def make_cells(seed, n=12):
     rng = np.random.default_rng(seed)
     p_BC = make_random_object(rng, n, 0.01).p_BC
-    return p_BC, np.array(p_BC.T, order="C"), rng.uniform(0.1, 1.0, n), rng.normal(size=3) * (0.01, 0.01, 0.2)
+    return (
+        p_BC,
+        np.array(p_BC.T, order="C"),
+        rng.uniform(0.1, 1.0, n),
+        rng.normal(size=3) * (0.01, 0.01, 0.2),
+    )
 
 
 def calc_isotropic(p, k, kappa, spin_load, xi, majorize=False):
@@ -36,7 +41,9 @@ def calc_isotropic(p, k, kappa, spin_load, xi, majorize=False):
 def test_gradient_and_hessian_are_the_dissipation_s(kappa, seed):
     p_BC, p, k, xi = make_cells(seed)
     g, H = calc_isotropic(p, k, kappa, 0.0, xi)
-    check_jacobian(lambda x: calc_dissipation(p_BC, k, kappa, 0.0, x, EPS), xi, g, step=1e-4, order=4)
+    check_jacobian(
+        lambda x: calc_dissipation(p_BC, k, kappa, 0.0, x, EPS), xi, g, step=1e-4, order=4
+    )
     check_jacobian(lambda x: calc_isotropic(p, k, kappa, 0.0, x)[0], xi, H, step=1e-4, order=4)
     assert np.linalg.eigvalsh(H).min() > 0
 
@@ -57,7 +64,10 @@ def test_majorizing_quadratic_touches_from_above():
     for scale in (0.01, 1.0, 100.0):
         for _ in range(20):
             d = rng.normal(size=3) * scale * xi
-            assert calc_dissipation(p_BC, k, 0.004, 0.0, xi + d, EPS) <= here + g @ d + d @ H @ d / 2 + 1e-12
+            assert (
+                calc_dissipation(p_BC, k, 0.004, 0.0, xi + d, EPS)
+                <= here + g @ d + d @ H @ d / 2 + 1e-12
+            )
 
 
 def test_cell_forces_sum_up_to_the_gradient():
@@ -66,7 +76,9 @@ def test_cell_forces_sum_up_to_the_gradient():
         spin_load = k.sum() * model[2]
         f = np.zeros((3, len(k) + 4))
         fill_cell_forces(p[0], p[1], np.array(model), EPS**2, xi, f)
-        np.testing.assert_allclose(f[:, : len(k)] @ k, calc_isotropic(p, k, np.sqrt(model[0]), spin_load, xi)[0])
+        np.testing.assert_allclose(
+            f[:, : len(k)] @ k, calc_isotropic(p, k, np.sqrt(model[0]), spin_load, xi)[0]
+        )
         assert not f[:, len(k) :].any()
 
 
@@ -93,11 +105,15 @@ def test_lagged_gradient_and_hessian():
 def test_coupled_spin_is_the_mean_over_the_cell_s_points_in_both_limits_and_near_it_in_between():
     """s_i against the mean of |v + w z × r| over a square: exact where it slides fast or only spins."""
     side = 0.01
-    r = side * (np.stack(np.meshgrid(*[(np.arange(400) + 0.5) / 400] * 2), axis=-1).reshape(-1, 2) - 0.5)
+    r = side * (
+        np.stack(np.meshgrid(*[(np.arange(400) + 0.5) / 400] * 2), axis=-1).reshape(-1, 2) - 0.5
+    )
     worst = 0.0
     for v in (0.0, 1e-3, 3e-3, 1e-2, 1e-1):
         mean = np.hypot(v - r[:, 1], r[:, 0]).mean()  # w = 1 rad/s
-        s = calc_dissipation(np.zeros((1, 2)), np.ones(1), SPIN_ARM * side, 0.0, np.array([v, 0.0, 1.0]))
+        s = calc_dissipation(
+            np.zeros((1, 2)), np.ones(1), SPIN_ARM * side, 0.0, np.array([v, 0.0, 1.0])
+        )
         worst = max(worst, abs(s / mean - 1))
         if v in (0.0, 0.1):
             assert s == pytest.approx(mean, rel=1e-3)

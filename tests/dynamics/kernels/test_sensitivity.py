@@ -47,7 +47,9 @@ def test_exact_gradients(shape, regime):
 def test_exact_gradients_where_loads_shift(overhang, regime):
     skipped = blocks = 0
     for seed, shape in enumerate(SHAPES):
-        case = make_random_case(shape, seed, regime, SPINS[seed % 3], push_height=0.004, overhang=overhang)
+        case = make_random_case(
+            shape, seed, regime, SPINS[seed % 3], push_height=0.004, overhang=overhang
+        )
         if case.result.status == "tips":
             continue
         skipped += check_case(case, shape, seed)
@@ -58,7 +60,9 @@ def test_exact_gradients_where_loads_shift(overhang, regime):
 
 @pytest.mark.parametrize("overhang", [None, 0.2])
 def test_derivatives_by_mass_alone_are_the_same(overhang):
-    case = make_random_case("wrench", 0, "quasi_static", "coupled", push_height=0.004, overhang=overhang)
+    case = make_random_case(
+        "wrench", 0, "quasi_static", "coupled", push_height=0.004, overhang=overhang
+    )
     J, masses = case.result.jacobian, case.run(gradients="mass").jacobian
     assert masses.friction.shape == (*J.mass.shape[:2], 0)
     for name in ("mass", "contact_friction", "push_height", "start", "direction", "length", "pose"):
@@ -70,7 +74,8 @@ def test_derivatives_by_mass_alone_are_the_same(overhang):
 @pytest.mark.parametrize("shape", SHAPES)
 def test_exact_gradients_of_many_pushes(shape, regime):
     skipped = sum(
-        check_case(make_random_case(shape, seed, regime, SPINS[seed % 3]), shape, seed) for seed in range(100, 120)
+        check_case(make_random_case(shape, seed, regime, SPINS[seed % 3]), shape, seed)
+        for seed in range(100, 120)
     )
     print(f"{shape}, {regime}: {skipped} of 140 blocks cross a switch")
     assert skipped < 35
@@ -84,7 +89,9 @@ def test_exact_gradients_with_two_contacts(regime):
         case = make_notch_case(seed, regime)
         assert check_case(case, "notched_block", seed) == 0
         modes = case.result.modes
-        combinations.update({tuple(sorted(row)) for row in modes[(modes != 0).all(axis=1)].tolist()})
+        combinations.update(
+            {tuple(sorted(row)) for row in modes[(modes != 0).all(axis=1)].tolist()}
+        )
     print(f"{regime}: pairs of modes, by pushes: {dict(combinations)}")
     assert {(1, 2), (2, 2), (3, 3)} <= set(combinations)
 
@@ -102,15 +109,27 @@ def test_exact_gradients_of_force_driven_pushes(spin):
 
         def run(mass, friction, pose, obj=obj, push=push, nu=nu, gradients=False):
             return simulate(
-                obj, CellParameters(mass, friction), push, pose, velocity=nu, spin=spin, gradients=gradients
+                obj,
+                CellParameters(mass, friction),
+                push,
+                pose,
+                velocity=nu,
+                spin=spin,
+                gradients=gradients,
             )
 
         J = run(params.mass, params.friction, pose, gradients=True).jacobian
         m, mu = params.mass, params.friction
         tolerances = {"step": 1e-4, "order": 4, "rtol": 1e-5, "atol": 1e-10}
-        check_jacobian(lambda x, run=run, mu=mu, q=pose: run(x, mu, q).poses, m, J.mass, **tolerances)
-        check_jacobian(lambda x, run=run, m=m, q=pose: run(m, x, q).poses, mu, J.friction, **tolerances)
-        check_jacobian(lambda x, run=run, m=m, mu=mu: run(m, mu, x).poses, pose, J.pose, **tolerances)
+        check_jacobian(
+            lambda x, run=run, mu=mu, q=pose: run(x, mu, q).poses, m, J.mass, **tolerances
+        )
+        check_jacobian(
+            lambda x, run=run, m=m, q=pose: run(m, x, q).poses, mu, J.friction, **tolerances
+        )
+        check_jacobian(
+            lambda x, run=run, m=m, mu=mu: run(m, mu, x).poses, pose, J.pose, **tolerances
+        )
         for block in (J.start, J.direction, J.length, J.contact_friction):
             assert not block.any()
 
@@ -125,7 +144,9 @@ def test_contact_location_is_the_derivative_by_arc_length(regime):
             where = np.array(share * obj.edges.perimeter)
 
             def run(s, obj=obj, params=params, gradients=False):
-                push = Push.on_outline(obj, float(s), 0.2, 0.03, radius=0.004, speed=0.05, pose=pose, clearance=1e-4)
+                push = Push.on_outline(
+                    obj, float(s), 0.2, 0.03, radius=0.004, speed=0.05, pose=pose, clearance=1e-4
+                )
                 return simulate(obj, params, push, pose, regime=regime, gradients=gradients)
 
             result = run(where, gradients=True)
@@ -141,10 +162,14 @@ def test_contact_location_is_the_derivative_by_arc_length(regime):
 def test_recorded_rows_are_those_of_the_whole_jacobian():
     case = make_random_case("l_bracket", 3, "inertial", "coupled")
     push = Push.along(case.t, case.path, case.radius)
-    some = simulate(case.obj, case.params, push, case.pose, gradients=True, record=[30, 7], **case.options).jacobian
+    some = simulate(
+        case.obj, case.params, push, case.pose, gradients=True, record=[30, 7], **case.options
+    ).jacobian
     np.testing.assert_array_equal(some.steps, [30, 7])
     for name in ("mass", "friction", "contact_friction", "start", "direction", "length", "pose"):
-        np.testing.assert_array_equal(getattr(some, name), getattr(case.result.jacobian, name)[[30, 7]])
+        np.testing.assert_array_equal(
+            getattr(some, name), getattr(case.result.jacobian, name)[[30, 7]]
+        )
 
 
 def make_paper_case(seed):
@@ -176,15 +201,21 @@ def test_paper_gradient_is_that_of_the_one_step_lcp(seed):
         F[9:12] = [0.0, *force]  # on the fourth cell
 
         def condensed(mass, friction, q=q, nu_t=nu_t, wrench=wrench):
-            return dt * calc_step(obj, CellParameters(mass, friction), q, nu_t, wrench, dt, friction="lagged")
+            return dt * calc_step(
+                obj, CellParameters(mass, friction), q, nu_t, wrench, dt, friction="lagged"
+            )
 
         def maximal(mass, friction, q=q, nu_t=nu_t, F=F, T=T):
             lcp = make_maximal_lcp(obj, CellParameters(mass, friction), q, T @ nu_t, F, dt)
             return dt * np.linalg.lstsq(T, solve_as_qp(lcp).xdot)[0]
 
         for step in (condensed, maximal):
-            check_jacobian(lambda x, f=step: f(x, mu), m, J.mass[t + 1], step=1e-3, order=4, rtol=1e-6)
-            check_jacobian(lambda x, f=step: f(m, x), mu, J.friction[t + 1], step=1e-3, order=4, rtol=1e-6)
+            check_jacobian(
+                lambda x, f=step: f(x, mu), m, J.mass[t + 1], step=1e-3, order=4, rtol=1e-6
+            )
+            check_jacobian(
+                lambda x, f=step: f(m, x), mu, J.friction[t + 1], step=1e-3, order=4, rtol=1e-6
+            )
 
 
 def test_paper_gradient_of_a_push_is_one_step_s_and_misses_what_accumulates():

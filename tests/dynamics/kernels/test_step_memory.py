@@ -20,7 +20,17 @@ def run(obj, params, q, nu, tip, method, memory) -> Steps:
     load = Load(tip, 1.0, 0.012, np.zeros((steps, 3)), np.zeros(2))
     row_of_step = np.full(steps + 1, -1)
     return run_kernel(
-        obj, params, 9.81, method, q, nu, np.full(steps, DT), load, row_of_step, np.empty((0, 3, 0)), memory
+        obj,
+        params,
+        9.81,
+        method,
+        q,
+        nu,
+        np.full(steps, DT),
+        load,
+        row_of_step,
+        np.empty((0, 3, 0)),
+        memory,
     )
 
 

@@ -26,7 +26,9 @@ def run_kernel_loads(obj, params, friction, table=None, pose=(0.0, 0.0, 0.0)):
     loads.friction[:] = friction
     state = make_state(np.array(pose), np.zeros(3), 0.0, 0.0)
     held = find_loads(support, np.array(obj.p_BC.T, order="C"), obj.cell_size, state, loads, k)
-    np.testing.assert_allclose(k, params.friction * params.mass * loads.share * params.total_mass * GRAVITY, rtol=1e-12)
+    np.testing.assert_allclose(
+        k, params.friction * params.mass * loads.share * params.total_mass * GRAVITY, rtol=1e-12
+    )
     return params.total_mass * GRAVITY * params.mass * loads.share if held else None
 
 
@@ -36,11 +38,17 @@ def test_loads_are_the_nearest_in_equilibrium(shape, overhang):
     """The problem of least relative entropy itself, by a general optimizer."""
     rng = np.random.default_rng(7)
     obj = make_shape(shape, 60)
-    params = CellParameters(rng.uniform(0.01, 0.03, obj.n), rng.uniform(0.2, 0.5, obj.n), push_height=0.006)
+    params = CellParameters(
+        rng.uniform(0.01, 0.03, obj.n), rng.uniform(0.2, 0.5, obj.n), push_height=0.006
+    )
     weight = params.total_mass * GRAVITY
     friction = 0.3 * weight * np.array([0.6, -0.8])
     table = make_table_edge(obj, (0.0, 0.0, 0.0), 2.5, overhang) if overhang else None
-    depth = np.full(obj.n, np.inf) if table is None else SupportSurface.from_polygon(table).signed_distances(obj.p_BC)
+    depth = (
+        np.full(obj.n, np.inf)
+        if table is None
+        else SupportSurface.from_polygon(table).signed_distances(obj.p_BC)
+    )
     at_rest = params.mass * np.clip(0.5 + depth / obj.cell_size, 0.0, 1.0)
     held = at_rest > 0
     at_rest, p = at_rest[held] / at_rest.sum(), obj.p_BC[held] / obj.cell_size
@@ -71,19 +79,27 @@ def test_three_feet_bear_what_statics_says():
     friction = 0.3 * weight * np.array([0.8, 0.6])
     loads = run_kernel_loads(obj, params, friction)
     center = params.center_of_mass(obj) + params.push_height * friction / weight
-    statics = np.linalg.solve(np.vstack([obj.p_BC[feet].T, np.ones(3)]), [*(weight * center), weight])
+    statics = np.linalg.solve(
+        np.vstack([obj.p_BC[feet].T, np.ones(3)]), [*(weight * center), weight]
+    )
     np.testing.assert_allclose(loads[feet], statics, rtol=1e-3)
 
 
 def test_nothing_shifts_without_friction_or_edge():
     rng = np.random.default_rng(0)
     obj = make_shape("wrench", 40)
-    params = CellParameters(rng.uniform(0.01, 0.03, obj.n), rng.uniform(0.2, 0.5, obj.n), push_height=0.01)
-    np.testing.assert_allclose(run_kernel_loads(obj, params, (0.0, 0.0)), params.mass * GRAVITY, rtol=1e-12)
+    params = CellParameters(
+        rng.uniform(0.01, 0.03, obj.n), rng.uniform(0.2, 0.5, obj.n), push_height=0.01
+    )
+    np.testing.assert_allclose(
+        run_kernel_loads(obj, params, (0.0, 0.0)), params.mass * GRAVITY, rtol=1e-12
+    )
     wide = SupportSurface.rectangle((0.0, 0.0), (4.0, 4.0)).corners
     push = Push.on_outline(obj, 0.05, 0.2, 0.03, radius=0.005, speed=0.05)
     bare = CellParameters(params.mass, params.friction)
-    np.testing.assert_allclose(simulate(obj, bare, push, table=wide).poses, simulate(obj, bare, push).poses, atol=1e-12)
+    np.testing.assert_allclose(
+        simulate(obj, bare, push, table=wide).poses, simulate(obj, bare, push).poses, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("regime", ["inertial", "quasi_static"])
@@ -103,7 +119,11 @@ def test_the_lagged_friction_errs_in_proportion_to_the_step():
     push = Push.along(case.t, case.path, case.radius)
     ends = [
         simulate(
-            case.obj, case.params, push, case.pose, **{**case.options, "times": np.linspace(0, push.duration, n + 1)}
+            case.obj,
+            case.params,
+            push,
+            case.pose,
+            **{**case.options, "times": np.linspace(0, push.duration, n + 1)},
         ).final_pose
         for n in (60, 120, 240, 960)
     ]
@@ -125,8 +145,12 @@ def test_tips_when_the_center_of_mass_passes_the_edge(inside, status):
 def test_tips_over_its_own_edge_when_pushed_high(share, status):
     obj = make_shape("square", 100)
     half = obj.p_BC[:, 0].max() + obj.cell_size / 2
-    params = CellParameters(np.full(obj.n, 0.01), np.full(obj.n, 0.5), 0.3, push_height=share * half / 0.5)
-    motion = simulate(obj, params, Push((-half - 0.005, 0.0), (0.02, 0.0), 0.5, 0.005), regime="quasi_static")
+    params = CellParameters(
+        np.full(obj.n, 0.01), np.full(obj.n, 0.5), 0.3, push_height=share * half / 0.5
+    )
+    motion = simulate(
+        obj, params, Push((-half - 0.005, 0.0), (0.02, 0.0), 0.5, 0.005), regime="quasi_static"
+    )
     assert motion.status == status
 
 
@@ -134,7 +158,9 @@ def test_tips_over_its_own_edge_when_pushed_high(share, status):
 def test_a_pusher_high_above_the_object_tips_it_and_nothing_overflows(regime):
     """The center that the loads would need is many lengths beyond the object."""
     obj = make_shape("claw_hammer", 60)
-    params = CellParameters(np.full(obj.n, 0.01), np.full(obj.n, 0.9), 0.5, push_height=8 * np.ptp(obj.p_BC[:, 0]))
+    params = CellParameters(
+        np.full(obj.n, 0.01), np.full(obj.n, 0.9), 0.5, push_height=8 * np.ptp(obj.p_BC[:, 0])
+    )
     push = Push.on_outline(obj, 0.02, 0.2, 0.05, radius=0.008, speed=0.3)
     motion = simulate(obj, params, push, regime=regime, gradients=True)
     assert motion.status == "tips"
@@ -153,7 +179,13 @@ def test_refuses_what_makes_no_sense():
     with pytest.raises(ParameterError, match="push_height is -1"):
         CellParameters(params.mass, params.friction, push_height=-1.0)
     with pytest.raises(SimulationError, match="knows no shifting loads"):
-        simulate(obj, params, push, table=SupportSurface.rectangle((0, 0), (1, 1)).corners, gradients="paper")
+        simulate(
+            obj,
+            params,
+            push,
+            table=SupportSurface.rectangle((0, 0), (1, 1)).corners,
+            gradients="paper",
+        )
 
 
 def test_an_endless_table_is_the_paper_s_model():

@@ -57,7 +57,9 @@ def test_at_rest_friction_opposes_the_impending_rigid_motion():
     rows = lcp.J_f.toarray()
     np.testing.assert_allclose(np.linalg.norm(rows, axis=1), 1)
     assert (rows @ T @ nu < 0).all()
-    np.testing.assert_allclose((rows @ T @ nu)[:n], -np.linalg.norm((T @ nu).reshape(n, 3)[:, 1:], axis=1))
+    np.testing.assert_allclose(
+        (rows @ T @ nu)[:n], -np.linalg.norm((T @ nu).reshape(n, 3)[:, 1:], axis=1)
+    )
 
 
 def test_gliding_without_turning_takes_the_sense_of_the_impending_rotation():

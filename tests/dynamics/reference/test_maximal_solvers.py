@@ -7,7 +7,11 @@ from shapely import box
 
 from gridpush_drake.dynamics.kernels.friction_law import SPIN_ARM
 from gridpush_drake.dynamics.reference.maximal_lcp import make_maximal_lcp
-from gridpush_drake.dynamics.reference.maximal_solvers import solve_as_lcp, solve_as_qp, solve_isotropic_socp
+from gridpush_drake.dynamics.reference.maximal_solvers import (
+    solve_as_lcp,
+    solve_as_qp,
+    solve_isotropic_socp,
+)
 from gridpush_drake.errors import SimulationError
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -56,7 +60,9 @@ def test_two_lcp_solvers_and_the_qp_agree(case):
                 assert solution.residuals.worst < 1e-12, (case, seed, solution.residuals)
                 velocities.append(solution.xdot)
         scale = max(np.abs(step.nu).max(), np.abs(velocities[0]).max())
-        np.testing.assert_allclose(velocities[1:], velocities[:1] * 5, rtol=0, atol=1e-11 * scale + 1e-14)
+        np.testing.assert_allclose(
+            velocities[1:], velocities[:1] * 5, rtol=0, atol=1e-11 * scale + 1e-14
+        )
 
 
 def test_the_qp_covers_every_state_of_a_friction_row():
@@ -90,7 +96,9 @@ def test_a_long_chain_of_the_largest_size_is_solved_to_round_off(seed):
     params = CellParameters(rng.uniform(0.01, 0.2, n), rng.uniform(0.1, 0.8, n))
     F = np.zeros(3 * n)
     F[1:3] = params.total_mass * rng.normal(size=2) * 5
-    solution = solve_as_qp(make_maximal_lcp(obj, params, rng.normal(size=3), np.zeros(3 * n), F, DT))
+    solution = solve_as_qp(
+        make_maximal_lcp(obj, params, rng.normal(size=3), np.zeros(3 * n), F, DT)
+    )
     assert solution.residuals.worst < 1e-12
 
 
@@ -100,7 +108,9 @@ def test_the_static_limit_is_mu_m_g(share, moves):
     obj = step.obj
     params = CellParameters(step.params.mass, np.full(obj.n, 0.4))
     F = np.zeros(3 * obj.n)
-    F[1::3] = share * 0.4 * params.mass * 9.81  # every cell is pulled by what it can just bear, but for the share
+    F[1::3] = (
+        share * 0.4 * params.mass * 9.81
+    )  # every cell is pulled by what it can just bear, but for the share
     lcp = make_maximal_lcp(obj, params, step.q, np.zeros(3 * obj.n), F, DT)
     solution = solve_as_qp(lcp)
     assert (np.abs(solution.xdot).max() > 1e-6) == moves
@@ -143,20 +153,27 @@ def test_no_neighbor_of_the_isotropic_step_has_less_energy(case, spin):
     rng = np.random.default_rng(0)
     for seed in range(6):
         step = make_random_step(seed, **CASES[case])
-        nu = solve_isotropic_socp(step.obj, step.params, step.q, step.nu, step.T.T @ step.F, DT, spin=spin)
+        nu = solve_isotropic_socp(
+            step.obj, step.params, step.q, step.nu, step.T.T @ step.F, DT, spin=spin
+        )
         best = calc_step_energy(step, nu, spin)
         scale = np.abs(step.nu).max() + np.abs(nu).max() + 1e-3
         round_off = 1e-15 * (abs(best) + step.params.total_mass * scale**2)
         for size in (1e-1, 1e-3, 1e-5, 1e-7):
             for _ in range(20):
-                assert calc_step_energy(step, nu + size * scale * rng.normal(size=3), spin) > best - round_off
+                assert (
+                    calc_step_energy(step, nu + size * scale * rng.normal(size=3), spin)
+                    > best - round_off
+                )
 
 
 @pytest.mark.parametrize("spin", ["separate", "coupled", "none"])
 def test_the_isotropic_step_balances_momentum(spin):
     for seed in range(20):
         step = make_random_step(seed, speed=2.0)
-        nu = solve_isotropic_socp(step.obj, step.params, step.q, step.nu, step.T.T @ step.F, DT, spin=spin)
+        nu = solve_isotropic_socp(
+            step.obj, step.params, step.q, step.nu, step.T.T @ step.F, DT, spin=spin
+        )
         T, lcp = step.T, step.make_lcp()
         n, s = step.obj.n, step.obj.cell_size
         if np.abs(nu[2]) < 1e-6:
@@ -165,9 +182,11 @@ def test_the_isotropic_step_balances_momentum(spin):
         impulse, b, arm = np.zeros((n, 3)), lcp.bound[:n], SPIN_ARM * s
         speed = np.sqrt((after[:, 1:] ** 2).sum(axis=1) + (arm * nu[2]) ** 2 * (spin == "coupled"))
         impulse[:, 1:] = -(b / speed)[:, None] * after[:, 1:]
-        impulse[:, 0] = {"separate": -arm * b * np.sign(nu[2]), "coupled": -(arm**2) * b / speed * nu[2], "none": 0}[
-            spin
-        ]
+        impulse[:, 0] = {
+            "separate": -arm * b * np.sign(nu[2]),
+            "coupled": -(arm**2) * b / speed * nu[2],
+            "none": 0,
+        }[spin]
         balance = T.T @ (lcp.M * (T @ (nu - step.nu)) - DT * step.F - impulse.ravel())
         np.testing.assert_allclose(balance, 0, atol=1e-12 * step.params.total_mass)
 
@@ -178,7 +197,9 @@ def test_where_the_directions_keep_the_isotropic_step_is_the_lagged_one():
     obj = step.obj
     params = CellParameters(step.params.mass, np.full(obj.n, 0.3))
     nu = np.array([0.3, 0.4, 0.0])
-    solution = solve_as_qp(make_maximal_lcp(obj, params, step.q, step.T @ nu, np.zeros(3 * obj.n), DT))
+    solution = solve_as_qp(
+        make_maximal_lcp(obj, params, step.q, step.T @ nu, np.zeros(3 * obj.n), DT)
+    )
     for spin in ("separate", "coupled", "none"):
         after = solve_isotropic_socp(obj, params, step.q, nu, np.zeros(3), DT, spin=spin)
         np.testing.assert_allclose(step.T @ after, solution.xdot, atol=1e-12)
@@ -189,7 +210,8 @@ def test_the_isotropic_step_sticks_exactly_and_refuses_an_unknown_spin():
     nu = solve_isotropic_socp(step.obj, step.params, step.q, step.nu, step.T.T @ step.F, DT)
     np.testing.assert_allclose(nu, 0, atol=1e-14)
     np.testing.assert_array_equal(
-        solve_isotropic_socp(step.obj, step.params, step.q, np.zeros(3), np.zeros(3), DT), np.zeros(3)
+        solve_isotropic_socp(step.obj, step.params, step.q, np.zeros(3), np.zeros(3), DT),
+        np.zeros(3),
     )
     with pytest.raises(SimulationError, match="spin"):
         solve_isotropic_socp(step.obj, step.params, step.q, step.nu, np.zeros(3), DT, spin="both")

@@ -17,7 +17,8 @@ SEEDS = range(8)
 
 def solve(step, mass=None, friction=None):
     params = CellParameters(
-        step.params.mass if mass is None else mass, step.params.friction if friction is None else friction
+        step.params.mass if mass is None else mass,
+        step.params.friction if friction is None else friction,
     )
     lcp = step.make_lcp(params)
     return lcp, solve_as_qp(lcp)
@@ -34,7 +35,12 @@ def test_gradient_of_a_sliding_object_agrees_with_differences(seed):
     assert slides(lcp, solution)
     gradient = calc_paper_gradient(lcp, solution, step.T)
     check_jacobian(
-        lambda m: solve(step, mass=m)[1].xdot, step.params.mass, gradient.mass, step=3e-3, order=4, rtol=1e-7
+        lambda m: solve(step, mass=m)[1].xdot,
+        step.params.mass,
+        gradient.mass,
+        step=3e-3,
+        order=4,
+        rtol=1e-7,
     )
     check_jacobian(
         lambda mu: solve(step, friction=mu)[1].xdot,
@@ -55,7 +61,12 @@ def test_gradient_holds_where_some_rows_stick_or_are_carried_backwards():
         sticks = (s > 0) & (s < 1)
         margin = np.minimum(s, 1 - s)[sticks].min(initial=1.0)
         others = np.abs(lcp.J_f @ solution.xdot)[~sticks].min(initial=1.0)
-        if slides(lcp, solution) or margin < 0.01 or others < 1e-4 or np.abs(solution.xdot).max() < 1e-3:
+        if (
+            slides(lcp, solution)
+            or margin < 0.01
+            or others < 1e-4
+            or np.abs(solution.xdot).max() < 1e-3
+        ):
             continue
         checked += 1
         if checked > 8:
@@ -82,7 +93,9 @@ def test_condensed_and_explicit_routes_agree(spanning_tree, speed):
         solution = solve_as_qp(lcp)
         explicit, condensed = calc_x11(lcp, solution), calc_x11(lcp, solution, step.T)
         root = np.sqrt(lcp.M)
-        np.testing.assert_allclose(explicit * np.outer(root, root), condensed * np.outer(root, root), atol=1e-11)
+        np.testing.assert_allclose(
+            explicit * np.outer(root, root), condensed * np.outer(root, root), atol=1e-11
+        )
         one, other = calc_paper_gradient(lcp, solution), calc_paper_gradient(lcp, solution, step.T)
         for a, b in ((one.mass, other.mass), (one.friction, other.friction)):
             np.testing.assert_allclose(a, b, rtol=0, atol=1e-9 * (1 + np.abs(b).max()))
@@ -120,7 +133,12 @@ def test_loss_gradient_agrees_with_differences(seed):
     for T in (step.T, None):
         by_mass, by_friction = calc_paper_loss_gradient(lcp, solution, error, T)
         check_jacobian(
-            lambda m: loss(solve(step, mass=m)[1].xdot), step.params.mass, by_mass, step=1e-3, order=4, rtol=1e-6
+            lambda m: loss(solve(step, mass=m)[1].xdot),
+            step.params.mass,
+            by_mass,
+            step=1e-3,
+            order=4,
+            rtol=1e-6,
         )
         check_jacobian(
             lambda mu: loss(solve(step, friction=mu)[1].xdot),
@@ -137,18 +155,27 @@ def test_step_jacobian_is_the_gradient_in_three_unknowns(seed):
     step = make_random_step(seed, speed=3.0)
     lcp, solution = solve(step)
     nu_next = np.linalg.lstsq(step.T, solution.xdot)[0]
-    by_mass, by_friction = calc_paper_step_jacobian(step.obj, step.params, step.q, step.nu, nu_next, DT)
+    by_mass, by_friction = calc_paper_step_jacobian(
+        step.obj, step.params, step.q, step.nu, nu_next, DT
+    )
     gradient = calc_paper_gradient(lcp, solution, step.T)
-    np.testing.assert_allclose(step.T @ by_mass, gradient.mass, rtol=0, atol=1e-11 * np.abs(gradient.mass).max())
     np.testing.assert_allclose(
-        step.T @ by_friction, gradient.friction, rtol=0, atol=1e-11 * np.abs(gradient.friction).max()
+        step.T @ by_mass, gradient.mass, rtol=0, atol=1e-11 * np.abs(gradient.mass).max()
+    )
+    np.testing.assert_allclose(
+        step.T @ by_friction,
+        gradient.friction,
+        rtol=0,
+        atol=1e-11 * np.abs(gradient.friction).max(),
     )
 
 
 def test_step_jacobian_of_a_body_that_stays_at_rest_is_zero_and_from_rest_takes_the_impending_motion():
     step = make_random_step(0, speed=0.0, force=3.0)
     zero = np.zeros(3)
-    for derivative in calc_paper_step_jacobian(step.obj, step.params, step.q, np.array([0.01, 0.0, 0.1]), zero, DT):
+    for derivative in calc_paper_step_jacobian(
+        step.obj, step.params, step.q, np.array([0.01, 0.0, 0.1]), zero, DT
+    ):
         np.testing.assert_array_equal(derivative, np.zeros((3, step.obj.n)))
     nu_next = np.linalg.lstsq(step.T, solve(step)[1].xdot)[0]
     _, by_friction = calc_paper_step_jacobian(step.obj, step.params, step.q, zero, nu_next, DT)
@@ -175,7 +202,9 @@ def test_harness_names_the_worst_entry():
     right = np.array([[4.0, 0.0], [3.0, 2.0]])
     check_jacobian(function, x, right)
     check_jacobian(function, x, right, order=4, step=1e-2)
-    np.testing.assert_allclose(calc_finite_difference(np.sin, np.zeros(()), step=1e-4), 1.0, rtol=1e-8)
+    np.testing.assert_allclose(
+        calc_finite_difference(np.sin, np.zeros(()), step=1e-4), 1.0, rtol=1e-8
+    )
     with pytest.raises(AssertionError, match=r"worst is jacobian\[1, 0\] = 3.5"):
         check_jacobian(function, x, right + [[0, 0], [0.5, 0]])
     with pytest.raises(AssertionError, match="shape"):

@@ -19,7 +19,9 @@ RANDOM = SEARCHES[:4]
 
 def run(search, evaluations=40, seed=0, bounds=BOUNDS, extra=0, **options):
     budget = evaluations * len(BLOCK.log) + extra
-    return run_search(search, BLOCK.obj, BLOCK.log, BLOCK.start, bounds, budget=budget, seed=seed, **options)
+    return run_search(
+        search, BLOCK.obj, BLOCK.log, BLOCK.start, bounds, budget=budget, seed=seed, **options
+    )
 
 
 @pytest.mark.parametrize("search", SEARCHES)

@@ -4,8 +4,17 @@ import numpy as np
 import pytest
 
 from gridpush_drake.dynamics.motion import Jacobian
-from gridpush_drake.identification.baselines.paper import MODEL, PaperDescent, calc_paper_gradient_of_loss
-from gridpush_drake.identification.baselines.search import Bounds, CellLoss, SearchStatus, run_search
+from gridpush_drake.identification.baselines.paper import (
+    MODEL,
+    PaperDescent,
+    calc_paper_gradient_of_loss,
+)
+from gridpush_drake.identification.baselines.search import (
+    Bounds,
+    CellLoss,
+    SearchStatus,
+    run_search,
+)
 from tests.helpers.finite_difference import calc_finite_difference, check_jacobian
 from tests.helpers.made_logs import make_pushed_block
 
@@ -48,9 +57,14 @@ def test_a_step_answers_for_all_poses_after_it(first):
     _, simulations = loss.evaluate(BLOCK.start, "here", regime="inertial")
     mass = np.zeros((len(simulations[0].poses), 3, BLOCK.obj.n))
     mass[first, :, :3] = np.eye(3)
-    gradient = calc_paper_gradient_of_loss(loss, [with_jacobian(simulation, mass) for simulation in simulations])
+    gradient = calc_paper_gradient_of_loss(
+        loss, [with_jacobian(simulation, mass) for simulation in simulations]
+    )
     check_jacobian(
-        lambda shift: calc_moved_loss(loss, simulations, shift, first), np.zeros(3), gradient["mass"][:3], atol=1e-7
+        lambda shift: calc_moved_loss(loss, simulations, shift, first),
+        np.zeros(3),
+        gradient["mass"][:3],
+        atol=1e-7,
     )
 
 

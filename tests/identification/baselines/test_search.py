@@ -55,7 +55,9 @@ def test_loss_is_the_mean_cell_distance_over_observed_times():
                 for at, seen in zip(made.at_observations, push.poses_observed, strict=True)
             ]
         )
-        for made, push in zip(predict(BLOCK.obj, params, BLOCK.log, "inertial"), BLOCK.log, strict=True)
+        for made, push in zip(
+            predict(BLOCK.obj, params, BLOCK.log, "inertial"), BLOCK.log, strict=True
+        )
     ]
     assert make_loss()(params, "here") == pytest.approx(np.mean(means), rel=1e-9)
 

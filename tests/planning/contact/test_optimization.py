@@ -14,7 +14,11 @@ from gridpush_drake.planning.contact.optimization import (
     optimize_contact,
 )
 from gridpush_drake.planning.contact.reachable_outline import find_reachable_outline
-from gridpush_drake.planning.contact.trial import ContactOptions, calc_cost_derivatives, calc_goal_error
+from gridpush_drake.planning.contact.trial import (
+    ContactOptions,
+    calc_cost_derivatives,
+    calc_goal_error,
+)
 from gridpush_drake.planning.push_constraints import PushConstraints
 from gridpush_drake.planning.support_surface import SupportSurface
 from tests.helpers.finite_difference import check_jacobian
@@ -42,7 +46,9 @@ def run_fixed(obj, params, distance, **changes):
 def test_the_cost_is_the_mean_distance_of_the_cells(hammer):
     moved = np.array(GOAL) + [0.03, 0.04, 0.0]
     assert calc_goal_error(hammer, moved, GOAL) == pytest.approx(0.05, rel=1e-12)
-    assert calc_goal_error(hammer, GOAL, np.array(GOAL) + [0, 0, 2 * np.pi]) == pytest.approx(0.0, abs=1e-12)
+    assert calc_goal_error(hammer, GOAL, np.array(GOAL) + [0, 0, 2 * np.pi]) == pytest.approx(
+        0.0, abs=1e-12
+    )
 
 
 def test_the_cost_s_derivatives_by_the_pose(hammer):
@@ -80,7 +86,9 @@ def test_the_best_distance_is_found_on_the_way(hammer):
     assert len(inside) > 3
     for trial in inside:
         before, at, after = (
-            run_fixed(hammer, params, trial.distance + by).run(trial.arc_length, trial.piece, 0.1).cost
+            run_fixed(hammer, params, trial.distance + by)
+            .run(trial.arc_length, trial.piece, 0.1)
+            .cost
             for by in (-other, 0, other)
         )
         assert at < min(before, after)
@@ -109,10 +117,19 @@ def test_every_method_predicts_what_the_simulation_does(hammer, method):
     np.testing.assert_allclose(motion.final_pose, push.pose, atol=1e-5)
     assert calc_goal_error(hammer, push.pose, GOAL) == pytest.approx(push.cost, abs=1e-12)
     again = Push.on_outline(
-        hammer, push.arc_length, push.angle, push.distance, radius=0.008, speed=0.03, pose=POSE, clearance=0.002
+        hammer,
+        push.arc_length,
+        push.angle,
+        push.distance,
+        radius=0.008,
+        speed=0.03,
+        pose=POSE,
+        clearance=0.002,
     )
     np.testing.assert_array_equal(again.xy, push.push.xy)
-    assert [other.cost for other in plan.candidates] == sorted(other.cost for other in plan.candidates)
+    assert [other.cost for other in plan.candidates] == sorted(
+        other.cost for other in plan.candidates
+    )
     if method == "exhaustive":
         assert 60 <= plan.simulations <= 63
 
@@ -149,14 +166,28 @@ def test_reachable_places_are_those_where_the_disc_fits(hammer, radius):
 
 def test_a_slot_narrower_than_the_finger_is_left_out():
     u_shape = Polygon(
-        [(0, 0), (0.1, 0), (0.1, 0.06), (0.055, 0.06), (0.055, 0.02), (0.045, 0.02), (0.045, 0.06), (0, 0.06)]
+        [
+            (0, 0),
+            (0.1, 0),
+            (0.1, 0.06),
+            (0.055, 0.06),
+            (0.055, 0.02),
+            (0.045, 0.02),
+            (0.045, 0.06),
+            (0, 0.06),
+        ]
     )
     obj = GridObject.from_outline(u_shape, max_cells=60, name="u")
     for radius, fits in ((0.003, True), (0.008, False)):
         reach = find_reachable_outline(obj, radius)
         s, piece = reach.spread(0.001)
         points = reach.point(s, piece)
-        inside = (points[:, 0] > 0.044) & (points[:, 0] < 0.056) & (points[:, 1] > 0.01) & (points[:, 1] < 0.059)
+        inside = (
+            (points[:, 0] > 0.044)
+            & (points[:, 0] < 0.056)
+            & (points[:, 1] > 0.01)
+            & (points[:, 1] < 0.059)
+        )
         assert inside.any() == fits
 
 
@@ -193,7 +224,9 @@ def test_what_hangs_over_may_not_hang_over_further(hammer):
     pose, goal = (0.2, 0.0, 0.0), (0.3, 0.05, 0.0)
     most = -table.cell_distances(hammer, np.array(pose)).min()
     assert most > 0.005
-    plan = optimize_contact(hammer, params, pose, goal, constraints=PushConstraints(table, finger_inset=-0.1))
+    plan = optimize_contact(
+        hammer, params, pose, goal, constraints=PushConstraints(table, finger_inset=-0.1)
+    )
     for push in plan.candidates:
         motion = simulate(hammer, params, push.push, pose, regime="quasi_static")
         assert -table.cell_distances(hammer, motion.poses).min() < most + 2e-4
@@ -203,13 +236,17 @@ def test_obstacles_stop_object_and_finger(hammer):
     params = make_params(hammer)
     pose, goal = (0.0, 0.0, 0.0), (0.2, 0.0, 0.0)
     wall = box(0.12, -0.3, 0.14, 0.3)
-    plan = optimize_contact(hammer, params, pose, goal, constraints=PushConstraints(obstacles=(wall,)))
+    plan = optimize_contact(
+        hammer, params, pose, goal, constraints=PushConstraints(obstacles=(wall,))
+    )
     outline = hammer.outline
     for push in plan.candidates:
         motion = simulate(hammer, params, push.push, pose, regime="quasi_static")
         assert wall.distance(shapely.LineString(push.push.xy)) > 0.008
         for x, y, theta in motion.poses[::10]:
-            moved = shapely.affinity.translate(shapely.affinity.rotate(outline, theta, (0, 0), use_radians=True), x, y)
+            moved = shapely.affinity.translate(
+                shapely.affinity.rotate(outline, theta, (0, 0), use_radians=True), x, y
+            )
             assert wall.distance(moved) > 0.004
 
 
@@ -219,7 +256,9 @@ def test_a_finger_shut_out_finds_no_contact():
     walls = tuple(shapely.get_parts(shapely.constrained_delaunay_triangles(ring)))
     rules = PushConstraints(obstacles=walls, obstacle_margin=0.001)
     for method in ("gradient", "finite_difference", "exhaustive"):
-        plan = optimize_contact(obj, make_params(obj), (0, 0, 0), (0.2, 0, 0), method=method, constraints=rules)
+        plan = optimize_contact(
+            obj, make_params(obj), (0, 0, 0), (0.2, 0, 0), method=method, constraints=rules
+        )
         assert (plan.status, plan.push, plan.simulations) == ("no_reachable_contact", None, 0)
 
 
@@ -241,7 +280,9 @@ def test_the_limit_surface_ranks_pushes(hammer):
     rough = predict_roughly(hammer, params, start, -normal, 0.1, 0.008)[-1]
     exact = np.array(
         [
-            simulate(hammer, params, Push(p, -0.03 * n, 0.1 / 0.03, 0.008), regime="quasi_static").final_pose
+            simulate(
+                hammer, params, Push(p, -0.03 * n, 0.1 / 0.03, 0.008), regime="quasi_static"
+            ).final_pose
             for p, n in zip(start, normal, strict=True)
         ]
     )

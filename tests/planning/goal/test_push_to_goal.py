@@ -54,7 +54,13 @@ def place(obj, pose):
 
 @pytest.mark.parametrize("horizon", [1, 2])
 def test_a_plan_ends_at_the_goal(block, hidden, horizon):
-    plan = plan_pushes(block, hidden, START, GOAL, GoalRules(PushConstraints(TABLE), horizon=horizon, tolerance=0.005))
+    plan = plan_pushes(
+        block,
+        hidden,
+        START,
+        GOAL,
+        GoalRules(PushConstraints(TABLE), horizon=horizon, tolerance=0.005),
+    )
     assert (plan.status, plan.reached) == ("reached", True)
     assert 2 <= len(plan.pushes) <= 6
     assert plan.error <= 0.005
@@ -86,11 +92,18 @@ def test_a_plan_goes_round_an_obstacle(block, hidden):
         (START, (0.01, 0.0, 0.0), PushConstraints(TABLE, (WALL,)), "goal_blocked"),
         ((0.01, 0.0, 0.0), GOAL, PushConstraints(TABLE, (WALL,)), "start_blocked"),
         (START, GOAL, PushConstraints(TABLE, (box(-0.02, -0.6, 0.02, 0.6),)), "no_path"),
-        (START, GOAL, PushConstraints(TABLE, pose_rule=lambda poses: abs(poses - START).max(axis=1) < 1e-3), "stuck"),
+        (
+            START,
+            GOAL,
+            PushConstraints(TABLE, pose_rule=lambda poses: abs(poses - START).max(axis=1) < 1e-3),
+            "stuck",
+        ),
     ],
 )
 def test_says_why_not(block, hidden, start, goal, rules, status):
-    plan = plan_pushes(block, hidden, start, goal, GoalRules(rules, horizon=2, max_pushes=2, tolerance=0.001))
+    plan = plan_pushes(
+        block, hidden, start, goal, GoalRules(rules, horizon=2, max_pushes=2, tolerance=0.001)
+    )
     assert plan.status == status
     assert len(plan.pushes) == 0 or status == "stuck"
     assert plan.reason.endswith(".")
@@ -98,7 +111,9 @@ def test_says_why_not(block, hidden, start, goal, rules, status):
 
 
 def test_counts_its_pushes(block, hidden):
-    plan = plan_pushes(block, hidden, START, GOAL, GoalRules(horizon=2, max_pushes=1, tolerance=0.001))
+    plan = plan_pushes(
+        block, hidden, START, GOAL, GoalRules(horizon=2, max_pushes=1, tolerance=0.001)
+    )
     assert (plan.status, len(plan.pushes)) == ("too_many_pushes", 1)
 
 
@@ -113,12 +128,16 @@ def test_the_path_is_as_long_as_the_cells_go(block):
     beside = np.array([0.15, 0.1, 0.0])
     assert path.calc_cost(beside) == pytest.approx(0.1, abs=1e-12)
     assert len(path.find_subgoals(start)) >= 1
-    assert all(path.calc_cost(subgoal) < path.calc_cost(start) for subgoal in path.find_subgoals(start))
+    assert all(
+        path.calc_cost(subgoal) < path.calc_cost(start) for subgoal in path.find_subgoals(start)
+    )
 
 
 @pytest.mark.parametrize("known", [True, False])
 def test_reaches_the_goal_with_hidden_masses(block, hidden, known):
-    world = SimulatedWorld(block, hidden, START, TABLE, position_std=0.0005, angle_std=0.003, seed=1)
+    world = SimulatedWorld(
+        block, hidden, START, TABLE, position_std=0.0005, angle_std=0.003, seed=1
+    )
     run = push_to_goal(
         world, make_block(24), GOAL, GoalRules(PushConstraints(TABLE), tolerance=0.015),
         params=hidden if known else None, learner=None,
@@ -133,12 +152,17 @@ def test_reaches_the_goal_with_hidden_masses(block, hidden, known):
 def test_learns_on_the_way(block, hidden):
     world = SimulatedWorld(block, hidden, START, TABLE)
     seen = []
-    run = push_to_goal(world, make_block(24), GOAL, GoalRules(PushConstraints(TABLE)), progress=seen.append)
+    run = push_to_goal(
+        world, make_block(24), GOAL, GoalRules(PushConstraints(TABLE)), progress=seen.append
+    )
     assert run.status == "reached"
     assert seen == list(run.steps)
     assert [step.learned for step in run.steps[:-1]][:2] == [True] * min(2, len(run.steps) - 1)
     assert not run.steps[-1].learned
-    center = [params.relative_friction() @ block.p_BC for params in (run.params, hidden, CellParameters.uniform(block))]
+    center = [
+        params.relative_friction() @ block.p_BC
+        for params in (run.params, hidden, CellParameters.uniform(block))
+    ]
     assert np.linalg.norm(center[0] - center[1]) < 0.3 * np.linalg.norm(center[2] - center[1])
 
 
@@ -165,7 +189,9 @@ class MeddledWorld(SimulatedWorld):
 
 def test_goes_on_where_a_stranger_left_the_object(block, hidden):
     world = MeddledWorld(block, hidden, START, TABLE)
-    run = push_to_goal(world, block, GOAL, GoalRules(PushConstraints(TABLE)), params=hidden, learner=None)
+    run = push_to_goal(
+        world, block, GOAL, GoalRules(PushConstraints(TABLE)), params=hidden, learner=None
+    )
     assert run.status == "reached"
     assert calc_goal_error(block, run.steps[1].seen.pose, run.steps[0].seen.final_pose) > 0.05
     np.testing.assert_allclose(run.steps[1].prediction_error, 0.0, atol=1e-9)
@@ -174,7 +200,12 @@ def test_goes_on_where_a_stranger_left_the_object(block, hidden):
 def test_gives_up_on_an_object_that_is_not_seen(block, hidden):
     world = MeddledWorld(block, hidden, START, TABLE)
     run = push_to_goal(
-        world, block, GOAL, params=hidden, learner=None, options=LoopOptions(observations=1, timeout=0.07)
+        world,
+        block,
+        GOAL,
+        params=hidden,
+        learner=None,
+        options=LoopOptions(observations=1, timeout=0.07),
     )
     assert (run.status, len(run.steps)) == ("lost", 1)
     assert "seen" in run.reason
@@ -195,7 +226,9 @@ def test_an_object_falls_where_its_center_of_mass_does(block, hidden):
 
 
 def test_a_fallen_object_is_lost(block, hidden):
-    world = SimulatedWorld(block, hidden, (0.3, 0.0, 0.0), SupportSurface.rectangle((0.0, 0.0), (0.4, 0.4)))
+    world = SimulatedWorld(
+        block, hidden, (0.3, 0.0, 0.0), SupportSurface.rectangle((0.0, 0.0), (0.4, 0.4))
+    )
     world.execute(Push((0.3, -0.1), (0.0, 0.03), 2.0, 0.008))
     run = push_to_goal(world, block, GOAL, params=hidden, learner=None)
     assert (run.status, len(run.steps)) == ("lost", 0)
@@ -205,7 +238,9 @@ def test_a_fallen_object_is_lost(block, hidden):
 def test_noise_follows_its_seed(block, hidden):
     push = Push((-0.068, 0.0), (0.03, 0.0), 1.0, 0.008)
     first, again, other = (
-        SimulatedWorld(block, hidden, (0, 0, 0), position_std=0.001, angle_std=0.01, seed=seed).execute(push)
+        SimulatedWorld(
+            block, hidden, (0, 0, 0), position_std=0.001, angle_std=0.01, seed=seed
+        ).execute(push)
         for seed in (1, 1, 2)
     )
     np.testing.assert_array_equal(first.poses_observed, again.poses_observed)
@@ -232,11 +267,15 @@ def test_learning_predicts_better_than_not(block):
     later = {True: [], False: []}
     obj = make_shape("claw_hammer", 60)
     for seed in range(6):
-        masses = CellParameters(np.where(obj.p_BC[:, 0] > 0.02, 4.0, 0.4 + 0.1 * seed), np.full(obj.n, 0.4))
+        masses = CellParameters(
+            np.where(obj.p_BC[:, 0] > 0.02, 4.0, 0.4 + 0.1 * seed), np.full(obj.n, 0.4)
+        )
         for learns in later:
             world = SimulatedWorld(obj, masses, START, TABLE, seed=seed)
             options = {} if learns else {"learner": None}
-            run = push_to_goal(world, obj, GOAL, GoalRules(PushConstraints(TABLE, edge_margin=-0.05)), **options)
+            run = push_to_goal(
+                world, obj, GOAL, GoalRules(PushConstraints(TABLE, edge_margin=-0.05)), **options
+            )
             assert run.status == "reached"
             later[learns] += [step.prediction_error for step in run.steps[1:]]
     assert np.mean(later[True]) < 0.6 * np.mean(later[False])

@@ -69,7 +69,9 @@ def test_a_push_goes_only_as_far_as_every_sample_allows(bar, even):
     cuts = [robustness.cut(np.array(POSE), push) for push in plan.candidates]
     assert robustness.simulations == len(cuts) * (1 + OPTIONS.sides * len(OPTIONS.tilts))
     shorter = [
-        (whole, cut) for whole, cut in zip(plan.candidates, cuts, strict=True) if cut is not None and cut is not whole
+        (whole, cut)
+        for whole, cut in zip(plan.candidates, cuts, strict=True)
+        if cut is not None and cut is not whole
     ]
     assert shorter
     for whole, cut in shorter:
@@ -77,7 +79,9 @@ def test_a_push_goes_only_as_far_as_every_sample_allows(bar, even):
         assert cut.push.length == pytest.approx(cut.distance, abs=1e-9)
         np.testing.assert_array_equal(cut.push.start, whole.push.start)
         np.testing.assert_allclose(
-            simulate(bar, even, cut.push, POSE, regime="quasi_static").final_pose, cut.pose, atol=1e-4
+            simulate(bar, even, cut.push, POSE, regime="quasi_static").final_pose,
+            cut.pose,
+            atol=1e-4,
         )
     for cut in cuts:
         for params in robustness.models if cut is not None else ():

@@ -98,8 +98,13 @@ def test_the_center_s_derivatives_agree_with_differences(hammer):
     F, step = make_center_functional(model), 1e-6
     for i in (0, 11, hammer.n):
         dz = step * np.eye(hammer.n + 1)[i]
-        shares = [Posterior(posterior.mean + sign * dz, np.eye(1), np.eye(1)).calc_share() for sign in (1, -1)]
-        np.testing.assert_allclose(F[:, i], (shares[0] - shares[1]) @ hammer.p_BC / (2 * step), atol=1e-9)
+        shares = [
+            Posterior(posterior.mean + sign * dz, np.eye(1), np.eye(1)).calc_share()
+            for sign in (1, -1)
+        ]
+        np.testing.assert_allclose(
+            F[:, i], (shares[0] - shares[1]) @ hammer.p_BC / (2 * step), atol=1e-9
+        )
     np.testing.assert_allclose(make_center_functional(model, [0.6, 0.8]), [[0.6, 0.8]] @ F)
 
 
@@ -160,7 +165,9 @@ def poke_until_known(obj, truth, active, rng, std=0.005, most=16):
             push = pokes[int(rng.integers(len(pokes)))]
         noise = rng.normal(size=3) * (0.0005, 0.0005, 0.003)
         after = simulate(obj, truth, push, pose, regime="quasi_static").final_pose + noise
-        log.append(ObservedPush(f"poke_{len(log)}", push, pose, np.array([push.duration]), after[None]))
+        log.append(
+            ObservedPush(f"poke_{len(log)}", push, pose, np.array([push.duration]), after[None])
+        )
         pose = after
         found = identify(obj, PushLog(tuple(log)), regime="quasi_static")
         model = UncertainModel.of_identification(found, log=PushLog(tuple(log)) if active else None)

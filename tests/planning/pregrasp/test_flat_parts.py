@@ -51,7 +51,9 @@ def can_balance(pads, d):
     up = np.concatenate([np.ones(4), -np.ones(4)])
     moments = [np.concatenate([corners[:, i], -corners[:, i]]) for i in (0, 1)]
     wanted = [pads.force, pads.weight, *(pads.weight * d)]
-    found = linprog(np.zeros(8), A_eq=np.array([force, up, *moments]), b_eq=wanted, bounds=(0, None))
+    found = linprog(
+        np.zeros(8), A_eq=np.array([force, up, *moments]), b_eq=wanted, bounds=(0, None)
+    )
     return found.status == 0
 
 
@@ -82,7 +84,9 @@ def test_the_worst_center_of_mass_counts():
 def place(part, back, front, width):
     u = np.array([np.cos(part.heading), np.sin(part.heading)])
     v = width / 2 * np.array([-u[1], u[0]])
-    return shapely.Polygon([part.p_BG + x * u + s * v for x, s in ((back, -1), (front, -1), (front, 1), (back, 1))])
+    return shapely.Polygon(
+        [part.p_BG + x * u + s * v for x, s in ((back, -1), (front, -1), (front, 1), (back, 1))]
+    )
 
 
 @pytest.mark.parametrize("name", ["open_book", "snack_bag", "toolbox", "claw_hammer"])
@@ -92,7 +96,10 @@ def test_pads_lie_on_the_object_and_the_body_beside_it(name):
     assert len(parts) >= 10
     for part in parts:
         assert obj.outline.contains(place(part, -g.pad_length / 2, g.pad_length / 2, g.pad_width))
-        assert place(part, -g.body_back, -g.body_front, g.body_width).distance(obj.outline) >= g.object_clearance - 1e-9
+        assert (
+            place(part, -g.body_back, -g.body_front, g.body_width).distance(obj.outline)
+            >= g.object_clearance - 1e-9
+        )
         jaw = shapely.Polygon(part.footprint)
         assert jaw.buffer(1e-9).covers(place(part, -g.pad_length / 2, g.jaw_reach, g.jaw_width))
 
@@ -101,11 +108,15 @@ def test_where_a_flat_part_hangs_over_the_gripper_takes_it():
     """The footprint is just what must be beyond the edge."""
     obj = make_tray()
     for part in find_flat_parts(obj, GRIPPER)[::45]:
-        theta = -np.pi / 2 - part.heading  # the fingers point along -y, from beyond the edge y = 0.5
+        theta = (
+            -np.pi / 2 - part.heading
+        )  # the fingers point along -y, from beyond the edge y = 0.5
         c, s = np.cos(theta), np.sin(theta)
         ahead = np.array([[c, -s], [s, c]]) @ part.p_BG
         for spare, free in ((0.001, True), (-0.006, False)):
-            pose = np.array([0.0, 0.5 + GRIPPER.jaw_reach + GRIPPER.table_clearance + spare - ahead[1], theta])
+            pose = np.array(
+                [0.0, 0.5 + GRIPPER.jaw_reach + GRIPPER.table_clearance + spare - ahead[1], theta]
+            )
             assert (calc_overhangs([part], pose, TABLE)[0] >= 0) == free
             near = [
                 found
@@ -130,7 +141,9 @@ def test_a_tray_is_brought_to_the_edge_and_a_part_hangs_over_that_the_pads_hold(
     assert plan.status == PreGraspPlanStatus.READY, plan.message
     assert len(plan.pushes) >= 1
     (share,) = planner.options.pads.calc_shares(
-        plan.goal.part.p_BG[None], np.array([plan.goal.part.heading]), params.center_of_mass(obj)[None]
+        plan.goal.part.p_BG[None],
+        np.array([plan.goal.part.heading]),
+        params.center_of_mass(obj)[None],
     )
     assert 0.1 < share <= USED
     assert plan.goal.margin > 0.0
@@ -146,7 +159,14 @@ def test_what_the_pads_cannot_hold_is_refused_with_figures():
     nearest = min(np.abs(part.p_BG - center).max() for part in planner.flat_parts)
     torque = 3.0 * 9.81 * nearest
     assert plan.message.startswith("the pads cannot hold it: ")
-    for figure in ("29.4 N", "0.96 N m along", "0.48 N m across", "80 N", f"{100 * torque / 0.96:.0f} %", "80 %"):
+    for figure in (
+        "29.4 N",
+        "0.96 N m along",
+        "0.48 N m across",
+        "80 N",
+        f"{100 * torque / 0.96:.0f} %",
+        "80 %",
+    ):
         assert figure in plan.message
     strong = make_planner(obj, force=2 * 80.0)
     assert (
@@ -180,16 +200,26 @@ def test_measured_forces_say_how_heavy_an_object_is_that_was_not_weighed(frictio
 
 def make_handle(total_mass):
     outline = shapely.box(-0.1, -0.05, 0.1, 0.15).union(shapely.box(-0.02, -0.2, 0.02, -0.05))
-    return GridObject.from_outline(outline, max_cells=80, prior=replace(PRIOR, total_mass=total_mass))
+    return GridObject.from_outline(
+        outline, max_cells=80, prior=replace(PRIOR, total_mass=total_mass)
+    )
 
 
 def test_narrow_parts_go_first_and_both_reasons_are_given():
     obj, pose = make_handle(0.3), (0.1, 0.2, 0.3)
-    planner, model = make_planner(obj), UncertainModel.of_parameters(obj, CellParameters.uniform(obj))
+    planner, model = (
+        make_planner(obj),
+        UncertainModel.of_parameters(obj, CellParameters.uniform(obj)),
+    )
     alone = PreGraspPlanner(obj, TABLE, PreGraspOptions(min_pokes=1))
-    np.testing.assert_array_equal(planner.decide(pose, model).push.xy, alone.decide(pose, model).push.xy)
+    np.testing.assert_array_equal(
+        planner.decide(pose, model).push.xy, alone.decide(pose, model).push.xy
+    )
     obj = make_handle(3.0)
-    planner, model = make_planner(obj), UncertainModel.of_parameters(obj, CellParameters.uniform(obj))
+    planner, model = (
+        make_planner(obj),
+        UncertainModel.of_parameters(obj, CellParameters.uniform(obj)),
+    )
     near = PreGraspPlanner(obj, TABLE, replace(planner.options, max_arm=0.02))
     decision = near.decide(pose, model)
     assert decision.action == "fail"
@@ -201,7 +231,9 @@ def test_a_heavy_object_is_not_taken_by_a_handle_that_it_would_turn_about():
     obj, pose = make_handle(3.0), (0.1, 0.2, 0.3)
     model = UncertainModel.of_parameters(obj, CellParameters.uniform(obj))
     planner = make_planner(obj)
-    assert planner.options.pads.max_arm == pytest.approx(0.8 * 80.0 * 0.012 / (3.0 * 9.81), rel=1e-3)
+    assert planner.options.pads.max_arm == pytest.approx(
+        0.8 * 80.0 * 0.012 / (3.0 * 9.81), rel=1e-3
+    )
     decision = planner.decide(pose, model)
     assert decision.action == "fail"
     assert "within 26 mm of the center of mass" in decision.reason
@@ -211,16 +243,25 @@ def test_a_heavy_object_is_not_taken_by_a_handle_that_it_would_turn_about():
 
 @pytest.mark.parametrize(
     ("total_mass", "known", "at_worst", "held"),
-    [(0.3, True, True, True), (1.0, True, False, False), (0.4, False, False, True), (0.4, False, True, False)],
+    [
+        (0.3, True, True, True),
+        (1.0, True, False, False),
+        (0.4, False, False, True),
+        (0.4, False, True, False),
+    ],
 )
 def test_a_bar_beside_the_center_of_mass_is_taken_where_the_pads_hold_across_themselves(
     total_mass, known, at_worst, held
 ):
     """A toolbox's handle lets the fingers in only along it, so that all of the weight is to one side of them."""
     body, hole = shapely.box(-0.15, -0.1, 0.15, 0.11), shapely.box(-0.1, 0.05, 0.1, 0.09)
-    obj = GridObject.from_outline(body - hole, max_cells=80, prior=replace(PRIOR, total_mass=total_mass))
+    obj = GridObject.from_outline(
+        body - hole, max_cells=80, prior=replace(PRIOR, total_mass=total_mass)
+    )
     uncertain = (
-        UncertainModel.of_parameters(obj, CellParameters.uniform(obj)) if known else UncertainModel.of_prior(obj)
+        UncertainModel.of_parameters(obj, CellParameters.uniform(obj))
+        if known
+        else UncertainModel.of_prior(obj)
     )
     masses = uncertain.masses
     pose, pads = np.array([0.0, 0.46, 0.35]), PadLimit.of_object(obj, GRIPPER, 80.0)

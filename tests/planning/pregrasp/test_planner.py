@@ -23,7 +23,11 @@ from gridpush_drake.planning.pregrasp.planner import (
     PreGraspPlanStatus,
     plan_pregrasp,
 )
-from gridpush_drake.planning.pregrasp.slides import make_stability_rule, plan_slide, simulate_near_edge
+from gridpush_drake.planning.pregrasp.slides import (
+    make_stability_rule,
+    plan_slide,
+    simulate_near_edge,
+)
 from gridpush_drake.planning.pregrasp.stability import calc_stability_margin, calc_stability_margins
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
 from gridpush_drake.planning.support_surface import SupportSurface
@@ -31,7 +35,9 @@ from tests.helpers.shapes import rectangle, regular_polygon
 
 TABLE = SupportSurface.rectangle((0.0, 0.0), (0.8, 0.6))
 ROUND = SupportSurface.round((0.3, -0.2), 0.35)
-L_SHAPED = SupportSurface.from_polygon([(0, 0), (0.8, 0), (0.8, 0.4), (0.4, 0.4), (0.4, 0.8), (0, 0.8)])
+L_SHAPED = SupportSurface.from_polygon(
+    [(0, 0), (0.8, 0), (0.8, 0.4), (0.4, 0.4), (0.4, 0.8), (0, 0.8)]
+)
 PRIOR = PhysicalPrior(friction=0.35, friction_min=0.25, friction_max=0.5)
 
 
@@ -43,7 +49,9 @@ def dumbbell():
 @pytest.fixture(scope="module")
 def pan():
     plate = shapely.box(-0.14, -0.07, 0.0, 0.07)
-    return GridObject.from_outline(dumbbell(), parts={2: plate}, max_cells=60, name="pan", prior=PRIOR)
+    return GridObject.from_outline(
+        dumbbell(), parts={2: plate}, max_cells=60, name="pan", prior=PRIOR
+    )
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +75,11 @@ def test_only_the_handle_can_be_taken(pan, parts):
         assert part.p_BG[0] > 0.0
         assert part.width <= 0.11 - 2 * 0.004
         jaws = shapely.Polygon(part.footprint).difference(pan.outline)
-        assert not shapely.Polygon(part.footprint).buffer(-1e-9).intersects(shapely.box(-0.14, -0.07, -0.001, 0.07))
+        assert (
+            not shapely.Polygon(part.footprint)
+            .buffer(-1e-9)
+            .intersects(shapely.box(-0.14, -0.07, -0.001, 0.07))
+        )
         assert jaws.area > 2 * 0.009 * 0.03
     straight = [part for part in parts if abs(part.closing[1]) > 0.999]
     assert min(part.width for part in straight) == pytest.approx(0.03)
@@ -87,7 +99,10 @@ def test_a_round_plate_and_a_corner_offer_nothing_to_hold():
 
 def test_a_jaw_needs_room_in_a_hole():
     frame = shapely.box(-0.15, -0.1, 0.15, 0.1)
-    for hole, found in ((shapely.box(-0.12, 0.03, 0.12, 0.08), True), (shapely.box(-0.12, 0.07, 0.12, 0.08), False)):
+    for hole, found in (
+        (shapely.box(-0.12, 0.03, 0.12, 0.08), True),
+        (shapely.box(-0.12, 0.07, 0.12, 0.08), False),
+    ):
         parts = find_grasp_parts(GridObject.from_outline(frame.difference(hole), max_cells=100))
         bars = [part for part in parts if abs(part.closing[1]) > 0.999 and abs(part.p_BG[0]) < 0.1]
         assert bool(bars) == found
@@ -101,7 +116,9 @@ def test_overhang_is_what_the_drawing_says(parts):
     for out in (-0.01, 0.0015, 0.02):
         assert calc_overhangs([part], (0.4 - inner + out, 0.0, 0.0), TABLE)[0] == pytest.approx(out)
         # turned by a right angle it hangs over the edge y = 0.3
-        assert calc_overhangs([part], (0.1, 0.3 - inner + out, np.pi / 2), TABLE)[0] == pytest.approx(out)
+        assert calc_overhangs([part], (0.1, 0.3 - inner + out, np.pi / 2), TABLE)[
+            0
+        ] == pytest.approx(out)
 
 
 @pytest.mark.parametrize("surface", [TABLE, ROUND, L_SHAPED])
@@ -164,7 +181,10 @@ def test_what_hangs_over_already_is_grasped_and_only_if_it_stays(pan, parts, hea
     assert planner.decide(pose, UncertainModel.of_parameters(pan, heavy_plate)).action == "grasp"
     heavy_handle = CellParameters.by_part(pan, {1: 0.5, 2: 0.005}, 0.35)
     assert calc_loads(pan, heavy_handle, (0.38, 0.0, 0.0), TABLE.corners) is None
-    assert planner.decide((0.38, 0.0, 0.0), UncertainModel.of_parameters(pan, heavy_handle)).action != "grasp"
+    assert (
+        planner.decide((0.38, 0.0, 0.0), UncertainModel.of_parameters(pan, heavy_handle)).action
+        != "grasp"
+    )
 
 
 def test_the_rule_of_the_way_is_the_margin(pan, heavy_plate):
@@ -179,7 +199,10 @@ def test_the_rule_of_the_way_is_the_margin(pan, heavy_plate):
 def test_a_slide_is_safe_with_every_draw_all_the_way(pan, parts, heavy_plate):
     rng = np.random.default_rng(2)
     masses = PlausibleMassSet(pan, heavy_plate.mass[None] / 1.5, heavy_plate.mass[None])
-    draws = [CellParameters(heavy_plate.mass * rng.uniform(0.8, 1.25, pan.n), heavy_plate.friction) for _ in range(3)]
+    draws = [
+        CellParameters(heavy_plate.mass * rng.uniform(0.8, 1.25, pan.n), heavy_plate.friction)
+        for _ in range(3)
+    ]
     pose = np.array([0.1, 0.0, 0.3])
     goals = find_pregrasp_goals(masses, parts, pose, TABLE)
     slide = plan_slide(masses, heavy_plate, draws, pose, goals, TABLE)
@@ -190,7 +213,9 @@ def test_a_slide_is_safe_with_every_draw_all_the_way(pan, parts, heavy_plate):
         assert not motion.fell
         assert calc_stability_margins(masses, motion.poses, TABLE).min() > 0.001
     np.testing.assert_allclose(
-        simulate_near_edge(pan, heavy_plate, slide.planned.push, pose, TABLE).final_pose, slide.planned.pose, atol=2e-3
+        simulate_near_edge(pan, heavy_plate, slide.planned.push, pose, TABLE).final_pose,
+        slide.planned.pose,
+        atol=2e-3,
     )
 
 
@@ -200,7 +225,9 @@ def test_nothing_known_asks_for_a_poke_and_says_what_it_is_worth(pan, parts):
     assert decision.action == "poke"
     assert decision.push is not None
     assert "standard deviation" in decision.reason
-    careful = PreGraspPlanner(pan, TABLE, PreGraspOptions(goal=GoalOptions(margin=0.06), max_pokes=5), parts)
+    careful = PreGraspPlanner(
+        pan, TABLE, PreGraspOptions(goal=GoalOptions(margin=0.06), max_pokes=5), parts
+    )
     prior = UncertainModel.of_prior(pan)
     asks = careful.decide((0.0, 0.0, 0.0), prior, pokes=4)
     assert asks.action == "poke"
@@ -213,7 +240,9 @@ def test_nothing_known_asks_for_a_poke_and_says_what_it_is_worth(pan, parts):
 def test_what_no_poke_can_tell_is_not_poked_for(pan, parts):
     planner = PreGraspPlanner(pan, TABLE, parts=parts)
     prior = UncertainModel.of_prior(pan)
-    sure = Posterior(prior.posterior.mean, 1e-6 * prior.posterior.covariance, prior.posterior.prior_covariance)
+    sure = Posterior(
+        prior.posterior.mean, 1e-6 * prior.posterior.covariance, prior.posterior.prior_covariance
+    )
     model = UncertainModel(pan, prior.params, sure, friction_range=(0.001, 1.0))
     decision = planner.decide((0.0, 0.0, 0.0), model, pokes=3)
     assert decision.action == "fail"
@@ -242,7 +271,10 @@ def test_a_part_too_far_off_is_hoped_for_while_the_center_may_be_nearer(pan, par
 
 
 def test_a_decision_forgets_where_the_object_was(pan, parts, heavy_plate):
-    planner, model = PreGraspPlanner(pan, TABLE, parts=parts), UncertainModel.of_parameters(pan, heavy_plate)
+    planner, model = (
+        PreGraspPlanner(pan, TABLE, parts=parts),
+        UncertainModel.of_parameters(pan, heavy_plate),
+    )
     first = planner.decide((0.1, 0.0, 0.3), model)
     planner.decide((-0.2, 0.1, 2.0), model)
     again = planner.decide((0.1, 0.0, 0.3), model)
@@ -253,7 +285,9 @@ def test_a_decision_forgets_where_the_object_was(pan, parts, heavy_plate):
 def test_a_plan_ends_with_something_to_grasp(pan, parts, heavy_plate, surface):
     planner = PreGraspPlanner(pan, surface, parts=parts)
     middle = surface.polygon.centroid
-    plan = plan_pregrasp(planner, UncertainModel.of_parameters(pan, heavy_plate), (middle.x, middle.y, 2.0))
+    plan = plan_pregrasp(
+        planner, UncertainModel.of_parameters(pan, heavy_plate), (middle.x, middle.y, 2.0)
+    )
     assert plan.status == PreGraspPlanStatus.READY, plan.message
     assert 1 <= len(plan.pushes) == len(plan.poses) - 1
     assert calc_overhangs(parts, plan.poses[-1], surface).max() > 0

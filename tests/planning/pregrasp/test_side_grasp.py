@@ -54,13 +54,18 @@ def test_pads_are_on_the_object_and_the_gripper_is_clear(name, pose):
         assert above.distance(outline) >= g.object_clearance - 1e-4
         assert np.sin(grasp.approach) < -0.25  # inwards
         c, s = np.cos(pose[2]), np.sin(pose[2])
-        np.testing.assert_allclose(np.array([[c, -s], [s, c]]) @ grasp.p_BG + pose[:2], grasp.p_WG, atol=1e-12)
+        np.testing.assert_allclose(
+            np.array([[c, -s], [s, c]]) @ grasp.p_BG + pose[:2], grasp.p_WG, atol=1e-12
+        )
 
 
 def lanes(points, heading, back, front, width):
     """As `lane`, for points (k, 2) of one heading."""
     c, s = np.cos(heading), np.sin(heading)
-    corners = np.array([(back, -width), (front, -width), (front, width), (back, width)]) * [1.0, 0.5]
+    corners = np.array([(back, -width), (front, -width), (front, width), (back, width)]) * [
+        1.0,
+        0.5,
+    ]
     return shapely.polygons(points[:, None] + corners @ np.array([[c, s], [-s, c]]))
 
 
@@ -68,17 +73,29 @@ def search_finely(outline, surface, aim, pitch, turn, phase):
     """Distance from `aim` of the nearest place on a fine grid of points, m, and headings, degrees; NaN without one."""
     g = SideGripper()
     inner, table = outline.buffer(-g.margin), surface.polygon.buffer(g.table_clearance)
-    grown, core = outline.buffer(g.object_clearance), outline.buffer(-g.margin - g.pad_width / 2 + 1e-6)
+    grown, core = (
+        outline.buffer(g.object_clearance),
+        outline.buffer(-g.margin - g.pad_width / 2 + 1e-6),
+    )
     for shape in (inner, table, grown):
         shapely.prepare(shape)
     core -= table
     left, low, right, high = core.bounds
-    x, y = np.arange(left + phase[0] * pitch, right, pitch), np.arange(low + phase[1] * pitch, high, pitch)
+    x, y = (
+        np.arange(left + phase[0] * pitch, right, pitch),
+        np.arange(low + phase[1] * pitch, high, pitch),
+    )
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     points = points[shapely.contains_xy(core, *points.T)]
     best = np.nan
-    for heading in np.radians(np.arange(-165 + phase[2] * turn, -15, turn)):  # the way in is -90 degrees
-        left = points[shapely.covers(inner, lanes(points, heading, -g.pad_length / 2, g.pad_length / 2, g.pad_width))]
+    for heading in np.radians(
+        np.arange(-165 + phase[2] * turn, -15, turn)
+    ):  # the way in is -90 degrees
+        left = points[
+            shapely.covers(
+                inner, lanes(points, heading, -g.pad_length / 2, g.pad_length / 2, g.pad_width)
+            )
+        ]
         jaw, body = (g.jaw_reach, g.jaw_width), (-g.body_front, g.body_width)
         for shape, back, (front, width) in (
             (table, -g.body_front - g.standoff, jaw),
@@ -105,7 +122,10 @@ def test_finds_places_on_a_bar_hardly_wider_than_the_pads(width, degrees):
     found = find_side_grasps(obj, pose, TABLE)
     assert found
     slack = np.arcsin((width - 0.013) / g.pad_length) + 1e-4
-    assert all(abs(np.cross([*u, 0], [np.cos(f.approach), np.sin(f.approach), 0])[2]) < slack for f in found)
+    assert all(
+        abs(np.cross([*u, 0], [np.cos(f.approach), np.sin(f.approach), 0])[2]) < slack
+        for f in found
+    )
     # the bar's outer end, 140 mm from the edge, is just clear of the gripper's body
     assert found[0].distance == pytest.approx(0.12 - (g.body_front - g.object_clearance), abs=3e-4)
 
@@ -137,7 +157,12 @@ def test_is_about_as_good_as_a_fine_search(name, y, theta):
     c, s = np.cos(theta), np.sin(theta)
     rng = np.random.default_rng(0)
     best = search_finely(
-        place(obj.outline, pose), TABLE, np.array([[c, -s], [s, c]]) @ aim + pose[:2], 6e-4, 1.5, rng.uniform(size=3)
+        place(obj.outline, pose),
+        TABLE,
+        np.array([[c, -s], [s, c]]) @ aim + pose[:2],
+        6e-4,
+        1.5,
+        rng.uniform(size=3),
     )
     assert np.isfinite(best)
     found = find_side_grasps(obj, pose, TABLE, aim=aim)

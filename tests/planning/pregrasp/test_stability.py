@@ -18,7 +18,11 @@ from gridpush_drake.planning.pregrasp.stability import (
     calc_stability_margins,
     calc_support_polygon,
 )
-from gridpush_drake.planning.pregrasp.uncertainty import PRIOR_AMPLITUDE, PlausibleMassSet, UncertainModel
+from gridpush_drake.planning.pregrasp.uncertainty import (
+    PRIOR_AMPLITUDE,
+    PlausibleMassSet,
+    UncertainModel,
+)
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 from tests.helpers.made_identifications import make_identification
@@ -116,7 +120,9 @@ def test_what_was_learned_narrows_the_set_and_friction_widens_it(hammer):
 def test_a_known_center_of_mass_cuts_the_set_down():
     prior = PhysicalPrior(center_of_mass=(-0.02, 0.0), center_of_mass_std=0.001)
     obj = GridObject.from_outline(claw_hammer(), max_cells=60, prior=prior)
-    corners = PlausibleMassSet.from_posterior(obj, UncertainModel.of_prior(obj).posterior).center_of_mass_polygon
+    corners = PlausibleMassSet.from_posterior(
+        obj, UncertainModel.of_prior(obj).posterior
+    ).center_of_mass_polygon
     assert np.abs(corners - (-0.02, 0.0)).max() <= 0.003 + 1e-12
 
 
@@ -127,9 +133,17 @@ def test_a_rod_over_an_edge_tips_where_the_lever_says(rod):
     for out in np.linspace(0.01, 0.15, 29):
         pose = (out - LENGTH / 2, 0.0, 0.0)
         held = columns + pose[0] <= 0
-        expected = min(columns[held].max() if held.any() else -np.inf, WIDTH / 2 - rod.cell_size / 2)
-        if held.sum() > 1 and np.abs(columns + pose[0]).min() > 1e-9 and abs(out - LENGTH / 2) > 1e-9:
-            assert calc_stability_margin(known, pose, table, inset=0.0) == pytest.approx(expected, abs=1e-9)
+        expected = min(
+            columns[held].max() if held.any() else -np.inf, WIDTH / 2 - rod.cell_size / 2
+        )
+        if (
+            held.sum() > 1
+            and np.abs(columns + pose[0]).min() > 1e-9
+            and abs(out - LENGTH / 2) > 1e-9
+        ):
+            assert calc_stability_margin(known, pose, table, inset=0.0) == pytest.approx(
+                expected, abs=1e-9
+            )
             stays = calc_loads(rod, CellParameters.uniform(rod), pose, table.corners) is not None
             assert stays == (out < LENGTH / 2) and (stays or expected <= 0)
 
@@ -181,10 +195,15 @@ def test_loads_over_an_edge_balance_and_only_press(seed, hammer):
         held = hammer.p_BC[:, 0] < x + hammer.cell_size / 2
         if center[0] > x:
             assert load is None
-        elif calc_margin_inside(center[None], hull_of(hammer.p_BC[hammer.p_BC[:, 0] < x])) > hammer.cell_size:
+        elif (
+            calc_margin_inside(center[None], hull_of(hammer.p_BC[hammer.p_BC[:, 0] < x]))
+            > hammer.cell_size
+        ):
             assert (load >= 0).all() and not load[~held].any()
             np.testing.assert_allclose(load.sum(), weight)
-            np.testing.assert_allclose(load @ hammer.p_BC / weight, center, atol=0.01 * hammer.cell_size)
+            np.testing.assert_allclose(
+                load @ hammer.p_BC / weight, center, atol=0.01 * hammer.cell_size
+            )
 
 
 def test_a_rod_s_loads_over_an_edge_are_known(rod):
@@ -242,17 +261,27 @@ def test_an_overhanging_rod_pushed_at_its_center_of_mass_hardly_turns(rod):
     load = calc_loads(rod, params, (-0.03, 0.0, 0.0), table.corners)
     assert load @ rod.p_BC[:, 0] / load.sum() == pytest.approx(0.0, abs=0.01 * rod.cell_size)
     assert abs(motion.final_pose[2]) < 0.05
-    assert (load @ rod.p_BC[:, 0] ** 2) / load.sum() < (params.mass @ rod.p_BC[:, 0] ** 2) / params.total_mass
+    assert (load @ rod.p_BC[:, 0] ** 2) / load.sum() < (
+        params.mass @ rod.p_BC[:, 0] ** 2
+    ) / params.total_mass
 
 
 @pytest.mark.parametrize(
     ("make", "says"),
     [
         (lambda obj: PlausibleMassSet(obj, np.ones((1, 3)), np.ones((1, 3))), "shapes"),
-        (lambda obj: PlausibleMassSet(obj, 2 * np.ones((1, obj.n)), np.ones((1, obj.n))), "mass_min <= mass_max"),
-        (lambda obj: PlausibleMassSet(obj, np.ones((1, obj.n)), np.ones((1, obj.n)), 0.0), "confidence"),
         (
-            lambda obj: PlausibleMassSet.from_posterior(obj, UncertainModel.of_prior(obj).posterior, (0.5, 0.2)),
+            lambda obj: PlausibleMassSet(obj, 2 * np.ones((1, obj.n)), np.ones((1, obj.n))),
+            "mass_min <= mass_max",
+        ),
+        (
+            lambda obj: PlausibleMassSet(obj, np.ones((1, obj.n)), np.ones((1, obj.n)), 0.0),
+            "confidence",
+        ),
+        (
+            lambda obj: PlausibleMassSet.from_posterior(
+                obj, UncertainModel.of_prior(obj).posterior, (0.5, 0.2)
+            ),
             "friction_range",
         ),
     ],
@@ -268,7 +297,9 @@ def found():
 
 
 def test_one_path_leads_from_an_identification_to_samples_and_masses(found):
-    model = UncertainModel.of_identification(found, friction_range=(0.2, 0.5), sample_count=3, seed=7)
+    model = UncertainModel.of_identification(
+        found, friction_range=(0.2, 0.5), sample_count=3, seed=7
+    )
     assert model.params is found.params
     assert model.posterior is found.posterior
     noise = NoiseModel()
@@ -304,7 +335,9 @@ def test_knows_where_pokes_began_in_the_body_frame(found):
     pose, p_BS = np.array([0.3, -0.2, 2.1]), np.array([0.05, 0.02])
     c, s = np.cos(pose[2]), np.sin(pose[2])
     start = pose[:2] + np.array([[c, -s], [s, c]]) @ p_BS
-    seen = ObservedPush("poke", Push(tuple(start), (0.03, 0.0), 1.0, 0.008), pose, np.array([1.0]), pose[None])
+    seen = ObservedPush(
+        "poke", Push(tuple(start), (0.03, 0.0), 1.0, 0.008), pose, np.array([1.0]), pose[None]
+    )
     model = UncertainModel.of_identification(found, log=PushLog((seen,)))
     np.testing.assert_allclose(model.poke_starts, p_BS[None], atol=1e-12)
 

@@ -32,14 +32,27 @@ def obj(script):
     return script.obj
 
 
-def see(script: Script, kinds=("PoseStamped", "PoseStamped"), delay: float = 0.0, jitter: float = JITTER):
+def see(
+    script: Script, kinds=("PoseStamped", "PoseStamped"), delay: float = 0.0, jitter: float = JITTER
+):
     """The topics of an object that lies 0.2 m up, seen 60 times a second, and of a tip, seen 125 times."""
     thing = sample_topic(
-        script.samples, lambda seen: (*seen.pose[:2], 0.2, 0.0, 0.0, seen.pose[2] + 6.5), 60, jitter, 0.1, 1, delay
+        script.samples,
+        lambda seen: (*seen.pose[:2], 0.2, 0.0, 0.0, seen.pose[2] + 6.5),
+        60,
+        jitter,
+        0.1,
+        1,
+        delay,
     )
     x, y, z = range(3)
     tip = sample_topic(
-        script.samples, lambda seen: (seen.tip[x], seen.tip[y], seen.tip[z] + 0.2, 3.1, 0.0, 0.5), 125, jitter, 0.02, 2
+        script.samples,
+        lambda seen: (seen.tip[x], seen.tip[y], seen.tip[z] + 0.2, 3.1, 0.0, 0.5),
+        125,
+        jitter,
+        0.02,
+        2,
     )
     force = sample_topic(script.samples, lambda seen: (seen.tip[x], -2.0, 5.0), 250, 0.0, 0.0, 3)
     return [
@@ -71,7 +84,9 @@ def test_the_pushes_are_those_of_the_stream_within_the_jitter(bags, script, obj,
         np.testing.assert_allclose(one.pose[:2], other.pose[:2], atol=within)
         np.testing.assert_allclose(one.final_pose[:2], other.final_pose[:2], atol=within)
         np.testing.assert_allclose(
-            np.angle(np.exp(1j * (one.final_pose[2] - other.final_pose[2] - 6.5))), 0.0, atol=4 * JITTER * SPEED / 0.02
+            np.angle(np.exp(1j * (one.final_pose[2] - other.final_pose[2] - 6.5))),
+            0.0,
+            atol=4 * JITTER * SPEED / 0.02,
         )
         assert one.push.duration == pytest.approx(other.push.duration, abs=2 / 30)
     log.write_csv(tmp_path / "a.csv")
@@ -83,18 +98,25 @@ def test_the_pushes_are_those_of_the_stream_within_the_jitter(bags, script, obj,
 def test_every_kind_of_message_tells_the_same(bags, script, obj, kind, tmp_path):
     path = write_bag(tmp_path, "mcap", see(script, (kind, "TransformStamped")))
     topic = "/tf:thing" if kind == "TFMessage" else "/object"
-    for one, other in zip(read(path, obj, object_topic=topic), read(bags["mcap"], obj), strict=True):
+    for one, other in zip(
+        read(path, obj, object_topic=topic), read(bags["mcap"], obj), strict=True
+    ):
         np.testing.assert_array_equal(one.poses_observed, other.poses_observed)
         np.testing.assert_array_equal(one.push.xy, other.push.xy)
 
 
 def test_forces_are_those_of_their_push(bags, obj):
-    plain, pushed = read(bags["db3"], obj), read(bags["db3"], obj, force_topic="/force", negate_force=True)
+    plain, pushed = (
+        read(bags["db3"], obj),
+        read(bags["db3"], obj, force_topic="/force", negate_force=True),
+    )
     for without, seen in zip(plain, pushed, strict=True):
         assert without.force is None
         assert len(seen.force) == pytest.approx(250 * seen.push.duration, abs=3)
         np.testing.assert_allclose(seen.force[:, 1], 2.0)
-        np.testing.assert_allclose(seen.force[:, 0], -seen.push.tip_at(seen.force_t)[:, 0], atol=2e-3)
+        np.testing.assert_allclose(
+            seen.force[:, 0], -seen.push.tip_at(seen.force_t)[:, 0], atol=2e-3
+        )
 
 
 def test_a_delay_is_told_and_taken_out(script, obj, tmp_path):
@@ -104,7 +126,9 @@ def test_a_delay_is_told_and_taken_out(script, obj, tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         stated = read(path, obj, object_delay=0.1)
-    now = write_bag(tmp_path / "now" if (tmp_path / "now").mkdir() is None else tmp_path, "bag", see(script))
+    now = write_bag(
+        tmp_path / "now" if (tmp_path / "now").mkdir() is None else tmp_path, "bag", see(script)
+    )
     for one, other in zip(stated, read(now, obj), strict=True):
         np.testing.assert_allclose(one.final_pose, other.final_pose, atol=1e-4)
         np.testing.assert_allclose(one.push.xy[-1], other.push.xy[-1], atol=4 * JITTER * SPEED)
@@ -120,7 +144,10 @@ def test_nothing_is_interpolated_across_a_gap():
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"object_topic": "/objekt"}, ["/objekt", "/object (PoseStamped)", "/tip (PoseStamped)", "/force"]),
+        (
+            {"object_topic": "/objekt"},
+            ["/objekt", "/object (PoseStamped)", "/tip (PoseStamped)", "/force"],
+        ),
         ({"tip_topic": ""}, ["--tip-topic", "/tip (PoseStamped)"]),
         ({"tip_topic": "/force"}, ["/force", "WrenchStamped", "PoseStamped"]),
         ({"force_topic": "/tip"}, ["/tip", "WrenchStamped"]),
@@ -139,14 +166,27 @@ def test_what_is_not_there_is_refused(bags, obj, options, says):
 
 def test_frames_that_differ_or_are_not_there_are_refused(script, obj, tmp_path):
     topics = see(script, ("TFMessage", "PoseStamped"))
-    path = write_bag(tmp_path, "bag", [topics[0], Topic("/tip", "PoseStamped", topics[1].t, topics[1].values, "tool")])
-    for topic, says in (("/tf", "/tf:FRAME"), ("/tf:cup", "something_else, thing"), ("/tf:thing", "'tool'")):
+    path = write_bag(
+        tmp_path,
+        "bag",
+        [topics[0], Topic("/tip", "PoseStamped", topics[1].t, topics[1].values, "tool")],
+    )
+    for topic, says in (
+        ("/tf", "/tf:FRAME"),
+        ("/tf:cup", "something_else, thing"),
+        ("/tf:thing", "'tool'"),
+    ):
         with pytest.raises(PushLogError, match=says):
             read(path, obj, object_topic=topic)
 
 
 def test_a_bag_that_is_none_is_refused(obj, tmp_path):
-    for name, text in (("none.bag", None), ("bad.bag", "#ROSBAG V2.0\nno"), ("bad.mcap", "x" * 99), ("bad.txt", "x")):
+    for name, text in (
+        ("none.bag", None),
+        ("bad.bag", "#ROSBAG V2.0\nno"),
+        ("bad.mcap", "x" * 99),
+        ("bad.txt", "x"),
+    ):
         path = tmp_path / name
         if text is not None:
             path.write_text(text)

@@ -35,11 +35,17 @@ def push_lines(before, after, start, angle, force, samples=60, stand=5):
 
     `force` is the last force on the object in the robot's frame, N.
     """
-    moved = [0.0] * stand + [SPEED * 0.03 * i for i in range(1, samples + 1)] + [SPEED * 0.03 * samples] * stand
+    moved = (
+        [0.0] * stand
+        + [SPEED * 0.03 * i for i in range(1, samples + 1)]
+        + [SPEED * 0.03 * samples] * stand
+    )
     tool = []
     for i, way in enumerate(moved):
         x, y = 1e3 * np.array(start) + turned(angle, (way, 0.0))
-        tool.append(f"{EPOCH + 0.03 * i:.9f} {x:.9f} {y:.9f} 9 {math.cos(angle / 2)} 0 0 {math.sin(angle / 2)}")
+        tool.append(
+            f"{EPOCH + 0.03 * i:.9f} {x:.9f} {y:.9f} 9 {math.cos(angle / 2)} 0 0 {math.sin(angle / 2)}"
+        )
     tool.insert(3, tool[2])
     axes = np.array([[1, 1], [1, -1]]) / math.sqrt(2)
     sensor = -axes @ turned(-angle, force)
@@ -57,7 +63,11 @@ START, ANGLE, FORCE = (0.45, -0.22), 0.7, (1.5, -0.5)
 
 @pytest.fixture
 def lines():
-    return ["2", *push_lines(BEFORE, AFTER, START, ANGLE, FORCE), *push_lines(AFTER, BEFORE, START, ANGLE, FORCE)]
+    return [
+        "2",
+        *push_lines(BEFORE, AFTER, START, ANGLE, FORCE),
+        *push_lines(AFTER, BEFORE, START, ANGLE, FORCE),
+    ]
 
 
 @pytest.fixture
@@ -77,7 +87,9 @@ def test_poses_are_in_the_initial_object_frame(lines, write):
     first, second = log
     np.testing.assert_array_equal(first.pose, 0)
     np.testing.assert_allclose(first.final_pose, [*turned(-2.0, (0.006, 0.002)), 0.1], atol=1e-12)
-    np.testing.assert_allclose(second.final_pose, [*turned(-2.1, (-0.006, -0.002)), -0.1], atol=1e-12)
+    np.testing.assert_allclose(
+        second.final_pose, [*turned(-2.1, (-0.006, -0.002)), -0.1], atol=1e-12
+    )
     np.testing.assert_array_equal(first.t_observed, [first.push.duration])
 
 
@@ -165,7 +177,10 @@ def test_triangle_block():
 
 
 def test_uniform_plate(lines, write):
-    for block in (triangle_block(uniform_plate=True), import_cmu(write(lines), uniform_plate=True)[1]):
+    for block in (
+        triangle_block(uniform_plate=True),
+        import_cmu(write(lines), uniform_plate=True)[1],
+    ):
         assert block.prior.center_of_mass == (0.0, 0.0)
         assert block.prior.center_of_mass_std == 0.002
 

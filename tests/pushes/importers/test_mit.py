@@ -16,7 +16,12 @@ RECORD = {
     "init_tip_pt": [0.2, 0.1],
     "final_tip_pt": [0.23, 0.14],
 }
-FILE = {"record": [RECORD, RECORD, RECORD], "vel": 10.0, "avg_diff_disp": 0.003, "avg_diff_angle": 0.05}
+FILE = {
+    "record": [RECORD, RECORD, RECORD],
+    "vel": 10.0,
+    "avg_diff_disp": 0.003,
+    "avg_diff_angle": 0.05,
+}
 MASS_PER_AREA = 0.8374 / 0.0081  # of rect1, kg/m^2
 
 PUBLISHED_MASSES = {
@@ -65,16 +70,24 @@ def test_a_single_push(tmp_path):
 
 
 def test_speed_of_the_file(tmp_path):
-    assert import_mit(save(tmp_path / "x_rect1.mat", vel=20.0))[0][0].push.duration == pytest.approx(2.5)
-    assert import_mit(save(tmp_path / "y_rect1.mat", vel=None))[0][0].push.duration == pytest.approx(5.0)
+    assert import_mit(save(tmp_path / "x_rect1.mat", vel=20.0))[0][
+        0
+    ].push.duration == pytest.approx(2.5)
+    assert import_mit(save(tmp_path / "y_rect1.mat", vel=None))[0][
+        0
+    ].push.duration == pytest.approx(5.0)
     with pytest.raises(PushLogError, match="vel is 0"):
         import_mit(save(tmp_path / "z_rect1.mat", vel=0.0))
 
 
 def test_shape_from_argument_name_or_file(tmp_path):
-    with pytest.warns(PushLogWarning, match=r"steel_hex.mat: taken for pushes of rect2, but its name says hex"):
+    with pytest.warns(
+        PushLogWarning, match=r"steel_hex.mat: taken for pushes of rect2, but its name says hex"
+    ):
         assert import_mit(save(tmp_path / "steel_hex.mat"), shape="rect2")[1].name == "rect2"
-    with pytest.warns(PushLogWarning, match=r"taken for pushes of hex, but its shape_id says rect1"):
+    with pytest.warns(
+        PushLogWarning, match=r"taken for pushes of hex, but its shape_id says rect1"
+    ):
         assert import_mit(save(tmp_path / "steel_hex.mat", shape_id="rect1"))[1].name == "hex"
     assert import_mit(save(tmp_path / "steel_v10.mat", shape_id="rect1"))[1].name == "rect1"
     assert import_mit(save(tmp_path / "steel_v10.mat"), shape="rect1")[1].name == "rect1"
@@ -99,10 +112,16 @@ def test_model_errors(tmp_path):
 @pytest.mark.parametrize(
     ("record", "message"),
     [
-        ([RECORD, RECORD | {"init_tip_pt": [0.2, np.nan]}], "init_tip_pt of push_2 .* expected 2 finite"),
+        (
+            [RECORD, RECORD | {"init_tip_pt": [0.2, np.nan]}],
+            "init_tip_pt of push_2 .* expected 2 finite",
+        ),
         ([RECORD | {"final_pose_gt": [0.2, 0.1]}], "final_pose_gt of push_1 .* expected 3 finite"),
         ([RECORD | {"final_pose_gt": "somewhere"}], "final_pose_gt of push_1 .* expected 3 finite"),
-        ([RECORD | {"final_tip_pt": RECORD["init_tip_pt"]}], "push_1: the pusher ends where it starts"),
+        (
+            [RECORD | {"final_tip_pt": RECORD["init_tip_pt"]}],
+            "push_1: the pusher ends where it starts",
+        ),
         ([{"init_pose_gt": [0.0, 0.0, 0.0]}], "push_1 of record_all has no final_pose_gt"),
         ([1.0, 2.0], "push_1 of record_all has no init_pose_gt"),
     ],
@@ -174,7 +193,9 @@ def test_real_pushes_as_a_whole(name):
 
 def test_hexagon_has_a_vertex_on_the_x_axis():
     log, vertex_on_x = import_mit(shared_data("mit_pushes", "abs_hex.mat"))
-    turn = np.array([[np.cos(np.pi / 6), np.sin(np.pi / 6)], [-np.sin(np.pi / 6), np.cos(np.pi / 6)]])
+    turn = np.array(
+        [[np.cos(np.pi / 6), np.sin(np.pi / 6)], [-np.sin(np.pi / 6), np.cos(np.pi / 6)]]
+    )
     edge_on_x = GridObject.from_outline(MIT_SHAPES["hex"]() @ turn, max_cells=20)
     assert np.abs(gaps(log, vertex_on_x)[0]).mean() < 0.5
     assert np.abs(gaps(log, edge_on_x)[0]).mean() > 2
