@@ -224,7 +224,10 @@ def _describe_force(obj: GridObject, force: ForceScale, wide: Array, box: Array)
         known += f"Left out are the forces of {force.against} pushes that point against the pusher's motion. "
     lightest, heaviest = force.calc_mass_bounds(obj)
     low, high, mass = obj.prior.friction_min, obj.prior.friction_max, obj.prior.total_mass
-    between = f"with friction coefficients from {low:g} to {high:g} the object weighs {lightest:.3g} to {heaviest:.3g} kg"
+    between = (
+        f"with friction coefficients from {low:g} to {high:g} "
+        f"the object weighs {lightest:.3g} to {heaviest:.3g} kg"
+    )
     if mass is None:
         return f"{known}Hence {between}."
     mean = force.calc_mean_friction_bounds(obj)

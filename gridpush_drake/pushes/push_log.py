@@ -451,7 +451,10 @@ def _table(path: Path, line: int, cell: str) -> NDArray[np.float64] | None:
     except shapely.GEOSException:
         polygon, usable = None, False
     if not isinstance(polygon, shapely.Polygon) or polygon.interiors or not usable:
-        form = "expected POLYGON ((x y, x y, ..., x y)) in m that ends where it begins and does not cross itself, no hole"
+        form = (
+            "expected POLYGON ((x y, x y, ..., x y)) in m "
+            "that ends where it begins and does not cross itself, no hole"
+        )
         fail(path, line, TABLE, f"is {cell[:MAX_SHOWN]!r}; {form}")
     return np.asarray(orient(polygon).exterior.coords)[:-1, :2]
 

@@ -322,7 +322,8 @@ def _make_headline(result: Identification, judged: _Comparison) -> str:
         if result.status == IdentificationStatus.BUDGET_SPENT
         else ""
     )
-    learned = f"{spent}After {count} push{'es' if count != 1 else ''}, the model predicts where {which} leave the {name}"
+    pushes = "push" if count == 1 else "pushes"
+    learned = f"{spent}After {count} {pushes}, the model predicts where {which} leave the {name}"
     if after > (1 - SIMILAR) * before:
         return (
             f"{learned} to {after * MM:.1f} mm on average, about as well as assuming an even object "
