@@ -1,7 +1,7 @@
 """`EstimateVisualizer`: what is believed of an object, drawn over it in Meshcat while it is learned.
 
 What has been drawn is part of the Context. Each new estimate and each new push is drawn at a path
-with a number of its own (see `meshcat_shapes`), once: what is there already is not sent again.
+with a number of its own (see `display.shapes`), once: what is there already is not sent again.
 """
 
 from dataclasses import dataclass, replace
@@ -13,13 +13,9 @@ from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, InputPort, State
 
-from gridpush_drake.dynamics.push import Push
-from gridpush_drake.dynamics.simulation import Regime, simulate
-from gridpush_drake.errors import GridPushError
-from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.multibody.cell_colors import CellColors, Shown
-from gridpush_drake.multibody.meshcat_server import KeepToItsThread
-from gridpush_drake.multibody.meshcat_shapes import (
+from gridpush_drake.display.cell_colors import CellColors, Shown
+from gridpush_drake.display.server import KeepToItsThread
+from gridpush_drake.display.shapes import (
     LAYER,
     AddArrow,
     AddCells,
@@ -28,6 +24,10 @@ from gridpush_drake.multibody.meshcat_shapes import (
     MakePlanarTransform,
     SwapVisible,
 )
+from gridpush_drake.dynamics.push import Push
+from gridpush_drake.dynamics.simulation import Regime, simulate
+from gridpush_drake.errors import GridPushError
+from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
@@ -168,7 +168,7 @@ class EstimateVisualizer(AbstractStateSystem[Drawing]):
     """Colors an object's cells by their estimate, live and in a recording, and shows what the next push will do.
 
     Drawn are the cells in the colors of their mass or friction; the estimated center of mass, with
-    the ellipse of `meshcat_shapes.SIGMAS` standard deviations about it; the commanded push as an
+    the ellipse of `display.shapes.SIGMAS` standard deviations about it; the commanded push as an
     arrow; and, as a translucent ghost, the pose that the estimate at the time of the command
     predicts for its end. Everything is below `path`: the cells and the center at
     `path`/object/<count of estimates>, arrow and ghost at `path`/push/<count of pushes>.

@@ -34,7 +34,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.sensors import CameraInfo
 from shapely import Polygon
 
-from gridpush_drake.multibody.meshcat_shapes import make_outline_mesh
+from gridpush_drake.geometry.outline_mesh import make_outline_mesh
 from gridpush_drake.perception import Camera, Frame
 from gridpush_drake.perception.camera import DRAKE_PIXEL_MIDDLE
 from gridpush_drake.perception.tags import draw_tag

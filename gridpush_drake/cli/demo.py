@@ -97,8 +97,8 @@ def demo(
     Exit code 1 where the robot did not reach its goal.
     """
     from gridpush_drake.cli.demo_tasks import TASKS, print_summary, write_files
+    from gridpush_drake.display.server import StartMeshcatServer
     from gridpush_drake.files import make_folder
-    from gridpush_drake.multibody.meshcat_server import StartMeshcatServer
     from gridpush_drake.station.robot import make_robot_directives
     from gridpush_drake.station.scenario import read_scenario
     from gridpush_drake.station.scene import check_scenario, use_object

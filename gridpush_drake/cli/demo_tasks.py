@@ -10,15 +10,8 @@ from pydrake.geometry import Meshcat
 
 from gridpush_drake.bench.campaign import calc_center_error
 from gridpush_drake.cli.console import MM, count_noun, count_progress, print_line
-from gridpush_drake.files import write_whole
-from gridpush_drake.identification.learning import describe_prior
-from gridpush_drake.identification.model_file import write_model
-from gridpush_drake.identification.prediction import calc_mean_cell_error
-from gridpush_drake.multibody.cell_colors import CellColors
-from gridpush_drake.multibody.ground_truth import describe_truth
-from gridpush_drake.multibody.meshcat_server import write_recording
-from gridpush_drake.multibody.parser import find_models
-from gridpush_drake.multibody.recording_overlay import (
+from gridpush_drake.display.cell_colors import CellColors
+from gridpush_drake.display.overlay import (
     Mark,
     Overlay,
     Phase,
@@ -26,6 +19,13 @@ from gridpush_drake.multibody.recording_overlay import (
     make_color_scale,
     to_css,
 )
+from gridpush_drake.display.server import write_recording
+from gridpush_drake.files import write_whole
+from gridpush_drake.identification.learning import describe_prior
+from gridpush_drake.identification.model_file import write_model
+from gridpush_drake.identification.prediction import calc_mean_cell_error
+from gridpush_drake.multibody.ground_truth import describe_truth
+from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel

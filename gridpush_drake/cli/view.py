@@ -13,7 +13,7 @@ from gridpush_drake.errors import GridPushError
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
-    from gridpush_drake.multibody.recording_overlay import Overlay
+    from gridpush_drake.display.overlay import Overlay
 
 Shows = Literal["mass", "friction", "relative_friction"]
 
@@ -98,7 +98,7 @@ def view(
         _write_or_serve(meshcat, overlay, found, lines, out, open_page, force, json)
 
     if film is not None:
-        from gridpush_drake.multibody.recording_film import write_film
+        from gridpush_drake.display.film import write_film
 
         _check_recording(Path(source))
         write_film(Path(source), film, force)
@@ -133,8 +133,8 @@ def _check_options(kind: str, of_pushes: dict[str, Any], out: Path | None) -> No
 
 
 def _check_recording(path: Path) -> None:
+    from gridpush_drake.display.server import looks_like_recording
     from gridpush_drake.files import is_file
-    from gridpush_drake.multibody.meshcat_server import looks_like_recording
 
     if not is_file(path):
         raise ViewError(f"{path}: there is no such file")
@@ -148,7 +148,7 @@ def _view_model(
     source: str, largest_piece: bool, shows: Shows, height: float | None, port: int | None, serve: Serve
 ) -> None:  # fmt: skip
     from gridpush_drake.cli.view_scene import AddModel, describe_colors, make_overlay
-    from gridpush_drake.multibody.meshcat_server import StartMeshcatServer
+    from gridpush_drake.display.server import StartMeshcatServer
 
     target = options.load_target(source, largest_piece)
     meshcat = StartMeshcatServer(port)
@@ -185,9 +185,9 @@ def _view_pushes(
     serve: Serve,
 ) -> None:  # fmt: skip
     from gridpush_drake.cli.view_scene import AddPushes, describe_colors, make_overlay
+    from gridpush_drake.display.server import StartMeshcatServer
     from gridpush_drake.identification.learning import choose_regime
     from gridpush_drake.identification.prediction import predict, summarize_errors
-    from gridpush_drake.multibody.meshcat_server import StartMeshcatServer
 
     log = options.load_log(path, target.obj, require_final=False)
     known = [seen.name for seen in log]
@@ -228,7 +228,7 @@ def _write_or_serve(
     force: bool, json: bool,
 ) -> None:  # fmt: skip
     """Writes the page, or serves it until told to stop."""
-    from gridpush_drake.multibody.meshcat_server import PublishOnce, write_recording
+    from gridpush_drake.display.server import PublishOnce, write_recording
 
     url = meshcat.web_url()
     if out is not None:

@@ -8,11 +8,17 @@ from pydrake.geometry import Box, Cylinder, Meshcat, Rgba
 
 from gridpush_drake.cli.console import MM
 from gridpush_drake.cli.options import Target
-from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.prediction import Prediction
-from gridpush_drake.multibody.cell_colors import CellColors, Shown
-from gridpush_drake.multibody.meshcat_server import AimCamera
-from gridpush_drake.multibody.meshcat_shapes import (
+from gridpush_drake.display.cell_colors import CellColors, Shown
+from gridpush_drake.display.overlay import (
+    Mark,
+    Overlay,
+    Phase,
+    list_center_marks,
+    make_color_scale,
+    to_css,
+)
+from gridpush_drake.display.server import AimCamera
+from gridpush_drake.display.shapes import (
     LAYER,
     PLAN_COLOR,
     AddArrow,
@@ -22,14 +28,8 @@ from gridpush_drake.multibody.meshcat_shapes import (
     MakePlanarTransform,
     SwapVisible,
 )
-from gridpush_drake.multibody.recording_overlay import (
-    Mark,
-    Overlay,
-    Phase,
-    list_center_marks,
-    make_color_scale,
-    to_css,
-)
+from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.identification.prediction import Prediction
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 

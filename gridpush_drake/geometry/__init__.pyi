@@ -1,5 +1,6 @@
 from .contour import calc_contour as calc_contour
 from .contour import fit_edges as fit_edges
+from .outline_mesh import make_outline_mesh as make_outline_mesh
 from .polygons import OutlineEdges as OutlineEdges
 from .polygons import bound_by_half_planes as bound_by_half_planes
 from .polygons import calc_margin_inside as calc_margin_inside

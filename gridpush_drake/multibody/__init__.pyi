@@ -10,9 +10,6 @@ from .ground_truth import SetGridObjectParameters as SetGridObjectParameters
 from .ground_truth import SetGridObjectPose as SetGridObjectPose
 from .ground_truth import SetGridObjectVelocity as SetGridObjectVelocity
 from .ground_truth import sample_ground_truth as sample_ground_truth
-from .meshcat_server import AimCamera as AimCamera
-from .meshcat_server import StartMeshcatServer as StartMeshcatServer
-from .meshcat_server import write_recording as write_recording
 from .parser import MakeParser as MakeParser
 from .parser import find_models as find_models
 from .sdformat import WriteSdf as WriteSdf

@@ -66,9 +66,9 @@ from pydrake.multibody.tree import (
 from shapely import Polygon, box, prepare
 
 from gridpush_drake.errors import ObjectError, ParameterError, require_positive
+from gridpush_drake.geometry.outline_mesh import make_outline_mesh
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.contact_material import MakeContactProperties, calc_own_friction
-from gridpush_drake.multibody.meshcat_shapes import make_outline_mesh
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 

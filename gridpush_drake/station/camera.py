@@ -33,11 +33,11 @@ from pydrake.systems.sensors import RgbdSensor
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import CameraError, ScenarioError, StationError
+from gridpush_drake.geometry.outline_mesh import make_outline_mesh
 from gridpush_drake.geometry.se2 import transform_back
 from gridpush_drake.multibody.contact_material import TABLE
 from gridpush_drake.multibody.grid_object import GridObjectInPlant
 from gridpush_drake.multibody.ground_truth import SetGridObjectPose
-from gridpush_drake.multibody.meshcat_shapes import make_outline_mesh
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.perception.camera import Camera
 from gridpush_drake.perception.detection import DetectedObject

@@ -21,6 +21,7 @@ from pydrake.geometry import (
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
+from gridpush_drake.display.server import KeepToItsThread
 from gridpush_drake.geometry.se2 import wrap_angle
 from gridpush_drake.multibody.contact_material import TABLE, FindTableOutline, SetPartner
 from gridpush_drake.multibody.grid_object import AddGridObject, Base, GridObjectInPlant
@@ -29,7 +30,6 @@ from gridpush_drake.multibody.ground_truth import (
     SetGridObjectPose,
     resample_parameters,
 )
-from gridpush_drake.multibody.meshcat_server import KeepToItsThread
 from gridpush_drake.multibody.parser import AddVisualMeshes, MakeParser, find_drake_models
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject

@@ -10,8 +10,8 @@ from pydrake.geometry import Meshcat, Rgba
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
+from gridpush_drake.display.shapes import AddGhost, MakePlanarTransform
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.multibody.meshcat_shapes import AddGhost, MakePlanarTransform
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.planning.contact.trial import ContactOptions, calc_goal_error
 from gridpush_drake.planning.goal.next_push import GoalRules

@@ -17,8 +17,8 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
 
+from gridpush_drake.display.server import AimCamera
 from gridpush_drake.identification.result import Identification
-from gridpush_drake.multibody.meshcat_server import AimCamera
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.support_surface import SupportSurface

@@ -12,10 +12,10 @@ import yaml
 
 from gridpush_drake.cli.demo import TaskName
 from gridpush_drake.cli.demo_tasks import TASKS, DemoTask
+from gridpush_drake.display.cell_colors import CellColors
+from gridpush_drake.display.server import StartMeshcatServer, looks_like_recording
 from gridpush_drake.errors import GridPushError, StationError
 from gridpush_drake.identification.model_file import read_model
-from gridpush_drake.multibody.cell_colors import CellColors
-from gridpush_drake.multibody.meshcat_server import StartMeshcatServer, looks_like_recording
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.push_log import PushLog

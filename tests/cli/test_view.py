@@ -6,10 +6,10 @@ from urllib.request import urlopen
 
 import pytest
 
+from gridpush_drake.display.cell_colors import CellColors
+from gridpush_drake.display.server import StartMeshcatServer, looks_like_recording
+from gridpush_drake.display.shapes import CENTER_COLOR, PLAN_COLOR
 from gridpush_drake.identification.model_file import write_model
-from gridpush_drake.multibody.cell_colors import CellColors
-from gridpush_drake.multibody.meshcat_server import StartMeshcatServer, looks_like_recording
-from gridpush_drake.multibody.meshcat_shapes import CENTER_COLOR, PLAN_COLOR
 from tests.helpers.chromium import find_pixels, freeze_recording, require_chromium, take_picture
 from tests.helpers.made_identifications import make_block, make_identification
 

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
-from gridpush_drake.multibody.recording_film import BROWSERS, FLAGS
+from gridpush_drake.display.film import BROWSERS, FLAGS
 
 SIZE = (1280, 800)
 """Of a picture, pixels."""

@@ -12,6 +12,7 @@ from shapely import Point, Polygon, unary_union
 
 from gridpush_drake.bench.plant import PlantPusher
 from gridpush_drake.errors import ObjectError, ParameterError
+from gridpush_drake.geometry.outline_mesh import make_outline_mesh
 from gridpush_drake.multibody.contact_material import (
     MakePartnerProperties,
     SetPartner,
@@ -32,7 +33,6 @@ from gridpush_drake.multibody.ground_truth import (
     SetGridObjectPose,
     SetGridObjectVelocity,
 )
-from gridpush_drake.multibody.meshcat_shapes import make_outline_mesh
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.objects.parameters import CellParameters

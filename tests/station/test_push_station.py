@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
+from gridpush_drake.display.server import StartMeshcatServer
 from gridpush_drake.errors import ScenarioError
-from gridpush_drake.multibody.meshcat_server import StartMeshcatServer
 from gridpush_drake.station.arm import DRIVER_OUTPUTS
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.push_station import MakePushStation

@@ -10,11 +10,11 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
+from gridpush_drake.display.cell_colors import CellColors
+from gridpush_drake.display.server import AimCamera, StartMeshcatServer, write_recording
+from gridpush_drake.display.shapes import CENTER_COLOR, PLAN_COLOR
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import simulate
-from gridpush_drake.multibody.cell_colors import CellColors
-from gridpush_drake.multibody.meshcat_server import AimCamera, StartMeshcatServer, write_recording
-from gridpush_drake.multibody.meshcat_shapes import CENTER_COLOR, PLAN_COLOR
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.systems.estimate_visualizer import EstimateVisualizer
 from gridpush_drake.systems.messages import PushCommand

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from matplotlib import colormaps
 
+from gridpush_drake.display.cell_colors import CellColors
 from gridpush_drake.errors import StationError
-from gridpush_drake.multibody.cell_colors import CellColors
 
 EVEN = np.full(8, 0.4)
 

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
-from gridpush_drake.errors import OutputError, StationError
-from gridpush_drake.multibody.meshcat_server import StartMeshcatServer, write_recording
-from gridpush_drake.multibody.recording_film import (
+from gridpush_drake.display.film import (
     CAPTION,
     FRAMES_PER_SECOND,
     SIZE,
@@ -16,7 +14,9 @@ from gridpush_drake.multibody.recording_film import (
     read_phases,
     write_film,
 )
-from gridpush_drake.multibody.recording_overlay import Overlay, Phase
+from gridpush_drake.display.overlay import Overlay, Phase
+from gridpush_drake.display.server import StartMeshcatServer, write_recording
+from gridpush_drake.errors import OutputError, StationError
 from tests.helpers.chromium import require_chromium
 
 

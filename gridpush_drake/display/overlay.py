@@ -2,7 +2,7 @@
 
 A recording is a page that shows Meshcat's animation. The overlay is HTML above it that follows the
 animation's time: it plays, stops and is wound with it. Fonts and colors are the page's own; nothing
-is loaded. The legend's colors are those of `CellColors` and `meshcat_shapes`.
+is loaded. The legend's colors are those of `CellColors` and `display.shapes`.
 """
 
 import json
@@ -15,8 +15,8 @@ import numpy as np
 from matplotlib.colors import to_hex
 from pydrake.geometry import Rgba
 
-from gridpush_drake.multibody.cell_colors import CellColors
-from gridpush_drake.multibody.meshcat_shapes import CENTER_COLOR, PLAN_COLOR, SIGMAS
+from gridpush_drake.display.cell_colors import CellColors
+from gridpush_drake.display.shapes import CENTER_COLOR, PLAN_COLOR, SIGMAS
 from gridpush_drake.objects.grid_object import GridObject
 
 PAGE_END = "</body>"  # before the last one of a page the overlay is inserted

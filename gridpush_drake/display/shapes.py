@@ -18,10 +18,11 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 from pydrake.geometry import Meshcat, Rgba
 from pydrake.math import RigidTransform, RotationMatrix
-from shapely import MultiPolygon, Polygon, constrained_delaunay_triangles
+from shapely import MultiPolygon, Polygon
 from trimesh import Trimesh
 
-from gridpush_drake.geometry.se2 import Array, make_direction
+from gridpush_drake.geometry.outline_mesh import triangulate_area
+from gridpush_drake.geometry.se2 import make_direction
 from gridpush_drake.objects.grid_object import GridObject
 
 CELL_SHARE = (
@@ -49,19 +50,8 @@ def make_cell_prisms(obj: GridObject, height: float, share: float = CELL_SHARE) 
 
 def make_outline_prism(obj: GridObject, height: float) -> Trimesh:
     """Makes the walls and the lid of an object's outline; body frame, from z = 0 to `height`, m."""
-    return _drop_floor(trimesh.creation.extrude_triangulation(*_triangulate(obj.outline), height))
-
-
-def make_outline_mesh(outline: Polygon, height: float, normals: bool = False) -> str:
-    """Makes a closed prism of an outline, m, from z = 0 to `height`, m, as Wavefront OBJ text, faces outwards.
-
-    With `normals` each face has its own vertices with normals, as renderers want them.
-    """
-    mesh = trimesh.creation.extrude_triangulation(*_triangulate(outline), height)
-    if normals:
-        mesh.unmerge_vertices()
-    return str(
-        mesh.export(file_type="obj", include_normals=normals, header="prism of an outline, m")
+    return _drop_floor(
+        trimesh.creation.extrude_triangulation(*triangulate_area(obj.outline), height)
     )
 
 
@@ -100,19 +90,8 @@ def make_arrow(start: ArrayLike, end: ArrayLike, height: float, width: float) ->
 
 def _make_plate(area: Polygon | MultiPolygon, height: float) -> Trimesh:
     """An area at z = height."""
-    corners, faces = _triangulate(area)
+    corners, faces = triangulate_area(area)
     return Trimesh(np.column_stack([corners, np.full(len(corners), height)]), faces, process=False)
-
-
-def _triangulate(area: Polygon | MultiPolygon) -> tuple[Array, NDArray[np.int64]]:
-    """Corners (k, 2), each once, and triangles (m, 3) of an area."""
-    triangles = constrained_delaunay_triangles(area).geoms
-    corners, faces = np.unique(
-        np.concatenate([np.array(triangle.exterior.coords)[:3, :2] for triangle in triangles]),
-        axis=0,
-        return_inverse=True,
-    )
-    return corners, faces.reshape(-1, 3)
 
 
 def _drop_floor(mesh: Trimesh) -> Trimesh:

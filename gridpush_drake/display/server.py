@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.geometry import Meshcat, MeshcatAnimation, MeshcatParams
 
+from gridpush_drake.display.overlay import Overlay, add_overlay
 from gridpush_drake.errors import StationError
 from gridpush_drake.files import check_writable, read_head, write_whole
 from gridpush_drake.geometry.se2 import make_direction
-from gridpush_drake.multibody.recording_overlay import Overlay, add_overlay
 
 MIN_PORT, MAX_PORT = 1024, 65535  # ports below belong to the system
 

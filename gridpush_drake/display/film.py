@@ -67,7 +67,7 @@ MAX_PAGE = 64_000_000  # bytes of a recording
 ENDINGS = (".gif", ".webp")
 
 PHASES = re.compile(r"const phases = (\[.*\]);")
-"""In the page, see `recording_overlay`: what is done from when on."""
+"""In the page, see `display.overlay`: what is done from when on."""
 
 FILM = re.compile(r'<pre id="film">(.*?)</pre>', re.DOTALL)
 

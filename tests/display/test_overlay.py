@@ -8,17 +8,17 @@ import pytest
 from pydrake.geometry import Box
 from pydrake.math import RigidTransform
 
-from gridpush_drake.multibody.meshcat_server import (
-    StartMeshcatServer,
-    looks_like_recording,
-    write_recording,
-)
-from gridpush_drake.multibody.recording_overlay import (
+from gridpush_drake.display.overlay import (
     ColorScale,
     Mark,
     Overlay,
     Phase,
     make_overlay_html,
+)
+from gridpush_drake.display.server import (
+    StartMeshcatServer,
+    looks_like_recording,
+    write_recording,
 )
 from tests.helpers.chromium import (
     FLAGS,

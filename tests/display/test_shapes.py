@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.multibody.meshcat_server import StartMeshcatServer
-from gridpush_drake.multibody.meshcat_shapes import (
+from gridpush_drake.display.server import StartMeshcatServer
+from gridpush_drake.display.shapes import (
     AddArrow,
     AddCenter,
     make_arrow,

@@ -9,13 +9,13 @@ import pytest
 from pydrake.geometry import Box, MeshcatAnimation
 from pydrake.math import RigidTransform
 
-from gridpush_drake.errors import OutputError, StationError
-from gridpush_drake.multibody.meshcat_server import (
+from gridpush_drake.display.server import (
     PublishOnce,
     StartMeshcatServer,
     looks_like_recording,
     write_recording,
 )
+from gridpush_drake.errors import OutputError, StationError
 
 
 def test_serves_its_page():
