@@ -118,6 +118,7 @@ def describe_result(result: "Identification", log: "PushLog") -> dict[str, Any]:
             }
             for out in result.outliers
         ],
+        "hypotheses": [asdict(one) for one in result.hypotheses],
         "noise_std": result.noise_std,
         "load_shift_std": result.load_shift_std,
         "mean_cell_error_before": before,

@@ -141,7 +141,7 @@ def identify(
     if not len(screened.log):
         fit = ensemble.fit_prior(obj, z0, log_contact_friction_std)
     elif method == "default":
-        starts = _choose_starts(obj, start, ensemble)
+        starts = _choose_starts(obj, start)
         try:
             fit, screened = _fit_default(
                 problem,
@@ -351,19 +351,15 @@ def _make_uniform(obj: GridObject, patch_ratio: float) -> CellParameters:
     )
 
 
-def _choose_starts(
-    obj: GridObject, start: Identification | None, ensemble: MapEnsemble
-) -> tuple[FitStart, ...]:
-    """One start a fit, or none."""
+def _choose_starts(obj: GridObject, start: Identification | None) -> tuple[FitStart, ...]:
+    """Where the fits of the default method begin, by the names of the priors; empty for anew."""
     if start is None:
         return ()
     if start.obj.n != obj.n:
         raise IdentificationError(
             f"start: an object of {start.obj.n} cells; expected {obj.n}, as {obj.name} has"
         )
-    if len(start.starts) >= ensemble.count:
-        return start.starts
-    return (FitStart(start.posterior.mean, NoiseScale()),) * ensemble.count
+    return start.starts or (FitStart(start.posterior.mean, NoiseScale()),)
 
 
 def _check_log(obj: GridObject, log: PushLog) -> Screening:
@@ -417,5 +413,5 @@ def _make_result(
         obj, params, std, posterior, calc_identifiability(obj, params, posterior, force), method, regime, fit.status,
         fit.message, tuple(tracker.history), tracker.simulations, fit.noise_std, fit.load_shift_std,
         seed, tuple(push.name for push in screened.log), unused, screened.outliers, fit.starts, force,
-        fit.interval_scale, noise,
+        fit.interval_scale, noise, fit.hypotheses,
     )  # fmt: skip

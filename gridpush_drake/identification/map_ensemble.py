@@ -1,83 +1,99 @@
-"""The default identifier: several ideas of how the object bears on the table, weighed by evidence.
+"""The default identifier: hypotheses of how the object bears on the table, weighed by evidence.
 
-For each amplitude of the smoothness prior, weakest variation first, z is fitted by Gauss-Newton
-(`map_fit`), each fit starting where the last one ended: coarse to fine. Where the best of them
-leaves much unexplained it may be a poor optimum; then fits begin with loads that are tilted to all
-sides. One more is of a rigid bottom that rests on the outline's corners, and the last are of
-objects of two parts, by the cuts that explain the pushes best (`load_priors`). By their evidence
-and a prior weight a^-0.65 the shares of friction that they give are averaged, x = sum_a w_a x_a
-(`docs/theory/identification.md`, section 5).
+The hypotheses are an open list (`hypotheses`). Each proposes normal priors of z; for each prior z
+is fitted by Gauss-Newton (`map_fit`). The smooth fields are fitted in the order of their
+amplitudes, each from where the last one ended: coarse to fine. Where the best of them leaves much
+unexplained it may be a poor optimum; then fits begin with loads that are tilted to all sides. By
+their evidence and prior weights the shares of friction that the fits give are averaged,
+x = sum_a w_a x_a (`docs/theory/identification.md`, section 5).
+
+This module is not about what a hypothesis says, nor about pushes that contradict the others
+(`robust_fit`).
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import logsumexp, softmax
 
 from gridpush_drake.errors import IdentificationError
 from gridpush_drake.geometry.se2 import Array
-from gridpush_drake.identification.load_priors import (
+from gridpush_drake.identification.hypotheses import (
     CENTER_STD,
-    RANGE_CELLS,
+    DEFAULT_HYPOTHESES,
+    LinearizedPushes,
+    LoadHypothesis,
     LoadPrior,
-    calc_prior_factor,
-    calc_smooth_covariance,
-    choose_parts,
-    make_bottom,
-    make_field,
+    Setting,
+    SmoothField,
 )
 from gridpush_drake.identification.map_fit import CenterOfMass, MapFit, fit_map, solve_factor
 from gridpush_drake.identification.noise import POSE, NoiseModel, NoiseScale
 from gridpush_drake.identification.posterior import CELLS, calc_share
 from gridpush_drake.identification.problem import Linearization, PushProblem
-from gridpush_drake.identification.result import FitStart, HistoryEntry, IdentificationStatus
+from gridpush_drake.identification.result import (
+    FitStart,
+    HistoryEntry,
+    HypothesisEvidence,
+    IdentificationStatus,
+)
 from gridpush_drake.objects.grid_object import GridObject
 
 FIRST_EVALUATIONS = 6
-"""Of the pushes by each fit, before all have begun; only those that may count for something are
-then gone on with."""
+"""Each fit first simulates the pushes at most this often. When all fits have begun, only those that
+may still come to count are carried on."""
 
 HOPELESS = 30.0
-"""Of log evidence below the best: more than a fit gains once it has begun to settle, and than
-leaves it any weight."""
+"""A fit whose log evidence is this far below the best is not carried on: it gains less than this
+once it has begun to settle, and would have no weight."""
 
-STUCK = 1.0
-"""Scale of the noise at the best field beyond which it may be a poor optimum."""
+POOR_SCALE = 1.0
+"""If the noise scale at the best smooth field is above this, it may be a poor optimum, and fits
+begin anew from tilted loads."""
 
-FAR = 10.0
-"""Standard deviations of a pose, as the noise is found to be, beyond which a push that ends so far
-off tells of a poor optimum: it is explained away by being sensitive to where it began."""
+POOR_FIT_DISTANCE = 10.0
+"""If a push ends more than this many standard deviations from its prediction, the optimum is
+probably a poor one (it explains the push away by being sensitive to where it began), and fits begin
+anew from tilted loads."""
 
-TILT_DIRECTIONS, TILT_SIZES = 8, (1.0, 2.5)
-"""Of tilted loads that fits then begin with; the sizes are of log k, at the object's radius of
-gyration."""
+TILT_DIRECTIONS = 8
+"""Number of directions in which loads are tilted for fits that begin anew."""
 
-TILTED_FITS, TILTED_AMPLITUDE = 3, 1.5
-"""How many of them, those that predict best, are fitted; and the amplitude, the nearest of those
-there are."""
+TILT_SIZES = (1.0, 2.5)
+"""Sizes of these tilts: change of log k over one radius of gyration."""
+
+TILTED_FITS = 3
+"""Number of tilted loads, those that predict the pushes best, that fits begin anew from."""
+
+TILTED_AMPLITUDE = 1.5
+"""Fits from tilted loads are of the smooth field whose amplitude is nearest to this one."""
 
 SHARED_SHIFT = 0.3
-"""Of the load's shift from push to push, how much all pushes may share, so that no number of them
-averages it out."""
+"""Fraction of the load's shift from push to push that all pushes may share, so that no number of
+pushes averages it out."""
 
 CAUTION = 2.0
-"""How much larger than the pushes show it the noise is taken for, where it says how sure the
-parameters are."""
+"""Where the spread of the parameters is calculated, the noise is taken for at least this many times
+as large as the pushes show it."""
 
 NEGLIGIBLE = 1e-3
-"""Of the evidence, below which a fit does not come to count for the spread."""
+"""Fits whose share of the evidence is below this do not count for the spread."""
 
 TILT_RIDGE = 0.01
-"""Keeps the tilt finite where a corner's place is beyond all cells' centers; it takes off that much
-of the shift."""
+"""Relative ridge that keeps a tilt finite where a corner lies beyond the centers of all cells; it
+takes off that much of the shift."""
 
-TILT_STEPS, MAX_TILT_STEP = 20, 1.0
-"""Newton's, and the longest, of any cell's log k."""
+TILT_STEPS = 20
+"""Number of Newton steps by which a tilt is found."""
+
+MAX_TILT_STEP = 1.0
+"""Largest change of any cell's log k in one of these steps."""
 
 FITTING = "fitting"
-"""Word for the only stage of a fit."""
+"""Name of the only stage of a fit in histories."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,12 +105,13 @@ class MapEnsembleFit:
         covariance: (n+1, n+1) of z, over all fits.
         prior_covariance: (n+1, n+1) of z before the pushes, averaged in the same way.
         noise_std: standard deviation of what stays unexplained, per coordinate of the residual, m.
-        load_shift_std: of the load's center per axis from push to push, m.
+        load_shift_std: standard deviation of the load's center per axis from push to push, m.
         status: how it ended.
         message: the status in a sentence.
         starts: where each fit ended.
         best: the most probable fit; None where there was nothing to fit.
-        interval_scale: of predicted intervals, see `Identification`.
+        interval_scale: factor on predicted intervals, see `Identification`.
+        hypotheses: evidence and weight of each fit, in the order of `starts`.
     """
 
     z: Array
@@ -107,6 +124,33 @@ class MapEnsembleFit:
     starts: tuple[FitStart, ...] = ()
     best: MapFit | None = None
     interval_scale: float = 1.0
+    hypotheses: tuple[HypothesisEvidence, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One prior and its fit.
+
+    Attributes:
+        name: of the prior; the hypothesis' name, with a number where it proposed several.
+        hypothesis: which proposed the prior.
+        prior: the prior of z.
+        problem: the training pushes, with the cells' loads where the prior has them.
+        on_grid: whether the cells bear their loads at their own centers.
+        fit: the most probable z under the prior.
+    """
+
+    name: str
+    hypothesis: LoadHypothesis
+    prior: LoadPrior
+    problem: PushProblem
+    on_grid: bool
+    fit: MapFit
+
+    @property
+    def log_evidence(self) -> float:
+        """Log evidence of the fit, without the share that the prior has of it."""
+        return self.fit.log_evidence
 
 
 @dataclass(frozen=True)
@@ -114,25 +158,27 @@ class MapEnsemble:
     """The default identifier, and what it takes for granted.
 
     Attributes:
-        amplitudes: standard deviations of log k under each smoothness prior, increasing; the first
-            stands for uniform.
-        range_cells: correlation range of the prior, cells.
+        hypotheses: how the object may bear on the table; the names are unique.
         noise: the noise model.
         patch_ratio: on what part of its side a cell bears its load, see `CellParameters`; None for
             n^(-1/2): a rigid body stands on points, but the only cell of an object is all of it.
     """
 
-    amplitudes: tuple[float, ...] = (0.05, 0.3, 0.7, 1.5, 3.0, 6.0)
-    range_cells: float = RANGE_CELLS
+    hypotheses: tuple[LoadHypothesis, ...] = DEFAULT_HYPOTHESES
     noise: NoiseModel = field(default_factory=NoiseModel)
     patch_ratio: float | None = None
 
     def __post_init__(self) -> None:
-        """Raises IdentificationError: the amplitudes are not positive and increasing, or there are none."""
-        steps = np.diff((0.0, *self.amplitudes))
-        if not (len(self.amplitudes) and (steps > 0).all() and np.isfinite(self.amplitudes[-1])):
+        """Raises IdentificationError: no hypothesis is fitted first, or two have the same name."""
+        if all(one.needs_pushes for one in self.hypotheses):
             raise IdentificationError(
-                f"amplitudes: {self.amplitudes}; expected positive finite numbers that increase"
+                "hypotheses: expected at least one that needs no pushes, such as SmoothField(1.5)"
+            )
+        names = [one.name for one in self.hypotheses]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise IdentificationError(
+                f"hypotheses: two are named {twice!r}; expected a name of its own for each"
             )
 
     def choose_patch_ratio(self, obj: GridObject) -> float:
@@ -140,9 +186,14 @@ class MapEnsemble:
         return float(obj.n**-0.5) if self.patch_ratio is None else self.patch_ratio
 
     @property
-    def count(self) -> int:
-        """How many fits there are before those of two parts."""
-        return len(self.amplitudes) + 1
+    def widest(self) -> SmoothField:
+        """The smooth field of the largest amplitude, which stands for what is held before any push.
+
+        It is the widest shipped one if the ensemble has no smooth field.
+        """
+        fields = [one for one in self.hypotheses if isinstance(one, SmoothField)]
+        fields = fields or [one for one in DEFAULT_HYPOTHESES if isinstance(one, SmoothField)]
+        return max(fields, key=lambda one: one.amplitude)
 
     def fit(
         self,
@@ -153,7 +204,7 @@ class MapEnsemble:
         on_step: Callable[[Array, Linearization], None],
         starts: tuple[FitStart, ...] = (),
     ) -> MapEnsembleFit:
-        """Fits every amplitude, the rigid bottom and objects of two parts, and averages.
+        """Fits every prior that the hypotheses propose, and averages.
 
         Args:
             problem: the training pushes; at least one.
@@ -161,55 +212,36 @@ class MapEnsemble:
             log_contact_friction_std: prior standard deviation of log mu_c.
             center_of_mass: prior knowledge; None stands for CENTER_STD about the cells' centroid.
             on_step: called with z and the pushes' residuals and derivatives there after every step.
-            starts: of fits to fewer pushes; each of the first `count` fits begins there or where
-                the last amplitude's ended, whichever is more probable.
+            starts: where fits to fewer pushes ended. A fit begins at the one of its name (or at the
+                one without a name) if that is more probable than where it would begin otherwise.
 
         Returns:
             The fit.
         """
         center_of_mass = center_of_mass or _hold_center(problem.obj)
-        C = calc_smooth_covariance(problem.obj, self.range_cells)
-        priors = self._make_priors(problem.obj, z0, C, log_contact_friction_std)
+        setting = Setting(problem.obj, z0, log_contact_friction_std)
         fit_one = partial(fit_map, noise=self.noise, center_of_mass=center_of_mass, on_step=on_step)
-        fits: list[MapFit] = []
-        for i, prior in enumerate(priors):
-            smooth = prior.p_BC is problem.obj.p_BC
-            last = fits[-1] if fits and smooth else None
-            begin = (
-                None
-                if last is None
-                else FitStart(last.z, NoiseScale(*np.minimum(last.scale, 1.0).tolist()))
-            )
-            fits.append(
-                fit_one(
-                    problem if smooth else problem.move_cells(prior.p_BC), prior.mean, prior.factor,
-                    start=begin, linear=None if last is None else last.linear,
-                    warm_start=starts[i] if starts else None, max_evaluations=FIRST_EVALUATIONS,
-                )
-            )  # fmt: skip
-        self._begin_with_tilts(priors, fits, fit_one)
-        self._follow_best(priors, fits, fit_one)
-        best = fits[self._find_best(fits)]
+        candidates = self._fit_unconditional(problem, setting, fit_one, starts)
+        _begin_with_tilts(candidates, self.noise, fit_one)
+        _follow_best(candidates, fit_one)
+        # The pushes, made linear about the best fit so far, choose the priors of the others.
+        best = candidates[_find_best(candidates)].fit
         residuals, J = best.system.linearize_at_prior()
-        known = len(center_of_mass.at)
-        for prior, z in choose_parts(
-            problem.obj, z0, C, log_contact_friction_std, residuals, J, known
-        ):
-            priors.append(prior)
-            fits.append(
-                fit_one(
-                    problem, prior.mean, prior.factor, start=FitStart(best.z, best.scale), linear=best.linear,
-                    warm_start=FitStart(z, best.scale), max_evaluations=FIRST_EVALUATIONS,
+        setting = setting.with_pushes(LinearizedPushes(residuals, J, len(center_of_mass.at)))
+        candidates += self._fit_conditional(problem, setting, fit_one, best)
+        # Only fits that may still come to count are carried to their end.
+        best_evidence = max(one.log_evidence for one in candidates)
+        for i, one in enumerate(candidates):
+            if not one.fit.settled and one.log_evidence > best_evidence - HOPELESS:
+                fit = fit_one(
+                    one.problem,
+                    one.prior.mean,
+                    one.prior.factor,
+                    start=FitStart(one.fit.z, one.fit.scale),
+                    linear=one.fit.linear,
                 )
-            )  # fmt: skip
-        best_evidence = max(fit.log_evidence for fit in fits)
-        for i, (fit, prior) in enumerate(zip(fits, priors, strict=True)):
-            if not fit.settled and fit.log_evidence > best_evidence - HOPELESS:
-                start = FitStart(fit.z, fit.scale)
-                fits[i] = fit_one(
-                    fit.system.problem, prior.mean, prior.factor, start=start, linear=fit.linear
-                )
-        return self._average(problem, priors, fits)
+                candidates[i] = replace(one, fit=fit)
+        return self._average(problem, candidates)
 
     def fit_field(
         self,
@@ -218,103 +250,139 @@ class MapEnsemble:
         log_contact_friction_std: float,
         center_of_mass: CenterOfMass | None,
     ) -> MapFit:
-        """Fits the smooth field of the middle amplitude alone, with the arguments of `fit`."""
-        amplitude, C = (
-            self.amplitudes[self._middle],
-            calc_smooth_covariance(problem.obj, self.range_cells),
+        """Fits one smooth field of a middle amplitude alone, with the arguments of `fit`."""
+        fields = [one for one in self.hypotheses if isinstance(one, SmoothField)] or [self.widest]
+        setting = Setting(problem.obj, z0, log_contact_friction_std)
+        prior = min(fields, key=_calc_distance_to_middle).propose(setting)[0]
+        return fit_map(
+            problem,
+            prior.mean,
+            prior.factor,
+            self.noise,
+            center_of_mass or _hold_center(problem.obj),
         )
-        A = calc_prior_factor(C, amplitude, log_contact_friction_std)
-        return fit_map(problem, z0, A, self.noise, center_of_mass or _hold_center(problem.obj))
 
-    def _begin_with_tilts(
-        self, priors: list[LoadPrior], fits: list[MapFit], fit_one: Callable[..., MapFit]
-    ) -> None:
-        """Fits anew from tilted loads where the best field is poor.
-
-        It leaves much unexplained, or a push ends far off, or its neighbors are much worse.
-        """
-        best = self._find_best(fits)
-        beside = max(
-            (fits[i].log_evidence for i in self._fields if abs(i - best) == 1), default=np.inf
-        )
-        scale, farthest = (
-            fits[best].scale.pose,
-            max(np.linalg.norm(r[-POSE:]) for r in fits[best].linear.residuals),
-        )
-        explains = scale < STUCK and farthest < FAR * scale * self.noise.pose
-        if explains and beside > fits[best].log_evidence - HOPELESS:
-            return
-        middle = self._middle
-        prior, problem = priors[middle], fits[middle].system.problem
-        tilted = tilt_loads(problem.obj, prior.mean)
-        errors = [problem.calc_cell_errors(problem.residuals(z)).mean() for z in tilted]
-        for i in np.argsort(errors, kind="stable")[:TILTED_FITS]:
-            fit = fit_one(
-                problem, prior.mean, prior.factor, start=FitStart(tilted[i], NoiseScale())
-            )
-            fits[middle] = max(fits[middle], fit, key=lambda fit: fit.log_evidence)
-
-    def _follow_best(
-        self, priors: list[LoadPrior], fits: list[MapFit], fit_one: Callable[..., MapFit]
-    ) -> None:
-        """Fits the other fields anew from where their neighbor ended, where that is better than where they are."""
-        best = self._find_best(fits)
-        for i in [*reversed(self._fields[:best]), *self._fields[best + 1 :]]:
-            near, own, prior = fits[i + 1 if i < best else i - 1], fits[i].system, priors[i]
-            if fits[i].log_evidence > near.log_evidence - HOPELESS:
-                continue
-            there = own.move(solve_factor(prior.factor, near.z - prior.mean), near.linear).rescale(
-                near.scale
-            )
-            if there.objective() < own.objective():
-                fits[i] = fit_one(
-                    own.problem, prior.mean, prior.factor, start=FitStart(near.z, near.scale), linear=near.linear,
-                    max_evaluations=FIRST_EVALUATIONS,
-                )  # fmt: skip
-
-    @property
-    def _middle(self) -> int:
-        """The field whose amplitude is the nearest to TILTED_AMPLITUDE."""
-        return int(np.argmin(np.abs(np.log(np.array(self.amplitudes) / TILTED_AMPLITUDE))))
-
-    @property
-    def _fields(self) -> range:
-        return range(len(self.amplitudes))
-
-    def _find_best(self, fits: list[MapFit]) -> int:
-        """Of the fields, the most probable one."""
-        return max(self._fields, key=lambda i: fits[i].log_evidence)
-
-    def _average(
-        self, problem: PushProblem, priors: list[LoadPrior], fits: list[MapFit]
+    def fit_prior(
+        self, obj: GridObject, z0: Array, log_contact_friction_std: float
     ) -> MapEnsembleFit:
-        """Averages the fits; the spread is the mixture's, and what the pushes say of each other is in it."""
+        """Gives the widest prior, where no push touched the object."""
+        A = self.make_widest_factor(obj, log_contact_friction_std)
+        return MapEnsembleFit(
+            z=z0,
+            covariance=A @ A.T,
+            prior_covariance=A @ A.T,
+            noise_std=self.noise.pose,
+            load_shift_std=self.noise.load_shift,
+            status=IdentificationStatus.NO_DATA,
+            message="The pusher never touched the object: nothing was learned, this is the prior.",
+        )
+
+    def make_widest_factor(self, obj: GridObject, log_contact_friction_std: float) -> Array:
+        """Makes the factor (n+1, n+1) of the prior covariance of z under the widest smooth field."""
+        setting = Setting(obj, np.zeros(obj.n + 1), log_contact_friction_std)
+        return self.widest.propose(setting)[0].factor
+
+    def _fit_unconditional(
+        self,
+        problem: PushProblem,
+        setting: Setting,
+        fit_one: Callable[..., MapFit],
+        starts: tuple[FitStart, ...],
+    ) -> list[Candidate]:
+        """Fits the priors that do not depend on the pushes, the smooth fields coarse to fine."""
+        fields = [one for one in self.hypotheses if isinstance(one, SmoothField)]
+        others = [
+            one
+            for one in self.hypotheses
+            if not isinstance(one, SmoothField) and not one.needs_pushes
+        ]
+        ordered = [*sorted(fields, key=lambda one: one.amplitude), *others]
+        warm = {start.name: start for start in starts}
+        candidates: list[Candidate] = []
+        last: MapFit | None = None  # of the smooth field before
+        for hypothesis in ordered:
+            for name, prior in _propose(hypothesis, setting):
+                on_grid = prior.p_BC is problem.obj.p_BC
+                moved = problem if on_grid else problem.move_cells(prior.p_BC)
+                begin, linear = None, None
+                if prior.start is not None:
+                    begin = FitStart(prior.start, NoiseScale())
+                elif isinstance(hypothesis, SmoothField) and last is not None:
+                    # A wider field explains no less than a narrower one did.
+                    scale = NoiseScale(*np.minimum(last.scale, 1.0).tolist())
+                    begin, linear = FitStart(last.z, scale), last.linear
+                fit = fit_one(
+                    moved,
+                    prior.mean,
+                    prior.factor,
+                    start=begin,
+                    linear=linear,
+                    warm_start=warm.get(name, warm.get("")),
+                    max_evaluations=FIRST_EVALUATIONS,
+                )
+                candidates.append(Candidate(name, hypothesis, prior, moved, on_grid, fit))
+                if isinstance(hypothesis, SmoothField):
+                    last = fit
+        return candidates
+
+    def _fit_conditional(
+        self,
+        problem: PushProblem,
+        setting: Setting,
+        fit_one: Callable[..., MapFit],
+        best: MapFit,
+    ) -> list[Candidate]:
+        """Fits the priors that were chosen by the pushes, made linear about the best fit so far."""
+        candidates = []
+        for hypothesis in self.hypotheses:
+            if not hypothesis.needs_pushes:
+                continue
+            for name, prior in _propose(hypothesis, setting):
+                on_grid = prior.p_BC is problem.obj.p_BC
+                moved = problem if on_grid else problem.move_cells(prior.p_BC)
+                proposed = None if prior.start is None else FitStart(prior.start, best.scale)
+                fit = fit_one(
+                    moved,
+                    prior.mean,
+                    prior.factor,
+                    start=FitStart(best.z, best.scale),
+                    linear=best.linear if on_grid else None,
+                    warm_start=proposed,
+                    max_evaluations=FIRST_EVALUATIONS,
+                )
+                candidates.append(Candidate(name, hypothesis, prior, moved, on_grid, fit))
+        return candidates
+
+    def _average(self, problem: PushProblem, candidates: list[Candidate]) -> MapEnsembleFit:
+        """Averages the fits.
+
+        The spread is that of the mixture, and what the pushes say of each other is in it.
+        """
+        fits = [one.fit for one in candidates]
+        priors = [one.prior for one in candidates]
         evidences = np.array(
-            [
-                fit.log_evidence + np.log(prior.share)
-                for prior, fit in zip(priors, fits, strict=True)
-            ]
+            [one.log_evidence + np.log(one.prior.evidence_share) for one in candidates]
         )
         leaning = evidences + np.log([prior.weight for prior in priors])
+        # Leaning on weak variation predicts better; it is no knowledge, and must not make the
+        # estimate look surer: the mean leans, the spread goes by evidence alone.
         plausible, weights = softmax(evidences), softmax(leaning)
-        bottom = self.count - 1
-        fields = np.delete(np.arange(len(fits)), bottom)
-        z_field = _average_shares(softmax(leaning[fields]), [fits[i].z for i in fields])
-        z_bottom = _move_center(problem.obj.p_BC, fits[bottom].z, priors[bottom].p_BC)
-        z = _average_shares(np.array([1 - weights[bottom], weights[bottom]]), [z_field, z_bottom])
-        residuals, counted = problem.residuals(z), np.flatnonzero(plausible > NEGLIGIBLE)
+        groups = self._group(problem, candidates, leaning, weights)
+        z = _average_shares(
+            np.array([group.weight for group in groups]), [group.z for group in groups]
+        )
+        residuals = problem.residuals(z)
+        counted = np.flatnonzero(plausible > NEGLIGIBLE)
         ratios = [fits[i].system.calc_end_errors(residuals) for i in counted]
         kappa = self.noise.calc_discrepancy(np.average(ratios, axis=0, weights=plausible[counted]))
         wider, surer = max(kappa, 1.0), min(CAUTION * kappa, 1.0)
-        # Leaning on weak variation predicts better; it is no knowledge, and must not make the
-        # estimate look surer.
         covariance, prior_covariance = np.zeros((2, len(z), len(z)))
-        for means, chosen in ((z_field, fields), (z_bottom, [bottom])):
-            if not plausible[chosen].sum() > NEGLIGIBLE:
+        for group in groups:
+            if not plausible[group.members].sum() > NEGLIGIBLE:
                 continue
-            off, T = _compare_shares(means, z)
-            for i in chosen:
-                d = fits[i].z - means if means is z_field else np.zeros(len(z))
+            off, T = _compare_shares(group.z, z)
+            for i in group.members:
+                d = fits[i].z - group.z if group.on_grid else np.zeros(len(z))
                 S = (
                     fits[i].covariance
                     if surer == 1.0
@@ -324,50 +392,149 @@ class MapEnsemble:
                 root = T @ priors[i].factor
                 prior_covariance += plausible[i] * (root @ root.T)
         scale = NoiseScale(*(wider * weights @ np.array([fit.scale for fit in fits])).tolist())
-        noise, best = self.noise.scaled(scale), int(np.argmax(weights))
+        noise = self.noise.scaled(scale)
+        best = int(np.argmax(weights))
+        status, message = _describe(priors[best])
+        shared = problem.calc_tilt_covariance(SHARED_SHIFT * surer * noise.load_shift)
         return MapEnsembleFit(
-            z,
-            wider**2 * covariance
-            + problem.calc_tilt_covariance(SHARED_SHIFT * surer * noise.load_shift),
-            wider**2 * prior_covariance,
-            noise.pose,
-            noise.load_shift,
-            *_describe(uniform_is_best=best == 0),
-            tuple(FitStart(fit.z, fit.scale) for fit in fits),
-            fits[best],
-            kappa / wider,
+            z=z,
+            covariance=wider**2 * covariance + shared,
+            prior_covariance=wider**2 * prior_covariance,
+            noise_std=noise.pose,
+            load_shift_std=noise.load_shift,
+            status=status,
+            message=message,
+            starts=tuple(FitStart(one.fit.z, one.fit.scale, one.name) for one in candidates),
+            best=fits[best],
+            interval_scale=kappa / wider,
+            hypotheses=tuple(
+                HypothesisEvidence(
+                    name=one.name,
+                    log_evidence=float(evidence - evidences.max()),
+                    weight=float(weight),
+                )
+                for one, evidence, weight in zip(candidates, evidences, weights, strict=True)
+            ),
         )
 
-    def _make_priors(
-        self, obj: GridObject, z0: Array, C: Array, log_contact_friction_std: float
-    ) -> list[LoadPrior]:
-        """A smooth field of each amplitude, weakest first, and a rigid bottom on the outline's corners."""
-        fields = [make_field(obj, z0, C, a, log_contact_friction_std) for a in self.amplitudes]
-        return [*fields, make_bottom(obj, z0, log_contact_friction_std)]
+    @staticmethod
+    def _group(
+        problem: PushProblem, candidates: list[Candidate], leaning: Array, weights: Array
+    ) -> list["_Group"]:
+        """Puts all fits on the grid into one group, and each of the others into one of its own."""
+        on_grid = np.flatnonzero([one.on_grid for one in candidates])
+        elsewhere = np.flatnonzero([not one.on_grid for one in candidates])
+        groups = []
+        if len(on_grid):
+            z = _average_shares(softmax(leaning[on_grid]), [candidates[i].fit.z for i in on_grid])
+            weight = 1 - float(weights[elsewhere].sum())
+            groups.append(_Group(z=z, weight=weight, members=on_grid, on_grid=True))
+        for i in elsewhere:
+            one = candidates[i]
+            z = _move_center(problem.obj.p_BC, one.fit.z, one.prior.p_BC)
+            groups.append(
+                _Group(z=z, weight=float(weights[i]), members=np.array([i]), on_grid=False)
+            )
+        return groups
 
-    def fit_prior(
-        self, obj: GridObject, z0: Array, log_contact_friction_std: float
-    ) -> MapEnsembleFit:
-        """Gives the widest prior, where no push touched the object."""
-        A = self.make_widest_factor(obj, log_contact_friction_std)
-        message = "The pusher never touched the object: nothing was learned, this is the prior."
-        return MapEnsembleFit(
-            z0,
-            A @ A.T,
-            A @ A.T,
-            self.noise.pose,
-            self.noise.load_shift,
-            IdentificationStatus.NO_DATA,
-            message,
-        )
 
-    def make_widest_factor(self, obj: GridObject, log_contact_friction_std: float) -> Array:
-        """Makes the factor (n+1, n+1) of the prior covariance of z at the last amplitude."""
-        return calc_prior_factor(
-            calc_smooth_covariance(obj, self.range_cells),
-            self.amplitudes[-1],
-            log_contact_friction_std,
-        )
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Fits whose loads are averaged directly.
+
+    Attributes:
+        z: (n+1,) their average, with loads on the grid.
+        weight: of the group in the whole average.
+        members: indices of the fits.
+        on_grid: whether they bear their loads at the cells' centers.
+    """
+
+    z: Array
+    weight: float
+    members: NDArray[np.int64]
+    on_grid: bool
+
+
+def _propose(hypothesis: LoadHypothesis, setting: Setting) -> list[tuple[str, LoadPrior]]:
+    """The priors that a hypothesis proposes, each with a name."""
+    priors = list(hypothesis.propose(setting))
+    if len(priors) == 1:
+        return [(hypothesis.name, priors[0])]
+    return [(f"{hypothesis.name} {i + 1}", prior) for i, prior in enumerate(priors)]
+
+
+def _find_fields(candidates: Sequence[Candidate]) -> list[int]:
+    """Indices of the smooth fields, by increasing amplitude; of all candidates if there are none."""
+    fields = [i for i, one in enumerate(candidates) if isinstance(one.hypothesis, SmoothField)]
+    return fields or list(range(len(candidates)))
+
+
+def _find_best(candidates: Sequence[Candidate]) -> int:
+    """Index of the most probable of the smooth fields."""
+    return max(_find_fields(candidates), key=lambda i: candidates[i].log_evidence)
+
+
+def _calc_distance_to_middle(one: SmoothField) -> float:
+    """How far a field's amplitude is from the one that fits from tilted loads begin with."""
+    return float(np.abs(np.log(one.amplitude / TILTED_AMPLITUDE)))
+
+
+def _begin_with_tilts(
+    candidates: list[Candidate], noise: NoiseModel, fit_one: Callable[..., MapFit]
+) -> None:
+    """Fits one smooth field anew from tilted loads where the best one is probably a poor optimum.
+
+    That is where it leaves much unexplained, or a push ends far off, or its neighbors are much
+    worse.
+    """
+    fields = [i for i, one in enumerate(candidates) if isinstance(one.hypothesis, SmoothField)]
+    if not fields:
+        return
+    best = _find_best(candidates)
+    place = fields.index(best)
+    beside = [*fields[max(place - 1, 0) : place], *fields[place + 1 : place + 2]]
+    neighbor = max((candidates[i].log_evidence for i in beside), default=np.inf)
+    fit = candidates[best].fit
+    farthest = max(np.linalg.norm(r[-POSE:]) for r in fit.linear.residuals)
+    scale = fit.scale.pose
+    explains = scale < POOR_SCALE and farthest < POOR_FIT_DISTANCE * scale * noise.pose
+    if explains and neighbor > fit.log_evidence - HOPELESS:
+        return
+    middle = min(fields, key=lambda i: _calc_distance_to_middle(candidates[i].hypothesis))  # type: ignore[arg-type]
+    prior, problem = candidates[middle].prior, candidates[middle].problem
+    tilted = tilt_loads(problem.obj, prior.mean)
+    errors = [problem.calc_cell_errors(problem.residuals(z)).mean() for z in tilted]
+    for i in np.argsort(errors, kind="stable")[:TILTED_FITS]:
+        again = fit_one(problem, prior.mean, prior.factor, start=FitStart(tilted[i], NoiseScale()))
+        if again.log_evidence > candidates[middle].log_evidence:
+            candidates[middle] = replace(candidates[middle], fit=again)
+
+
+def _follow_best(candidates: list[Candidate], fit_one: Callable[..., MapFit]) -> None:
+    """Fits the other smooth fields anew from where their neighbor ended, where that is better."""
+    fields = [i for i, one in enumerate(candidates) if isinstance(one.hypothesis, SmoothField)]
+    if not fields:
+        return
+    place = fields.index(_find_best(candidates))
+    narrower = [(i, i + 1) for i in reversed(range(place))]
+    wider = [(i, i - 1) for i in range(place + 1, len(fields))]
+    for own_place, near_place in [*narrower, *wider]:
+        one = candidates[fields[own_place]]
+        near = candidates[fields[near_place]].fit
+        if one.log_evidence > near.log_evidence - HOPELESS:
+            continue
+        own = one.fit.system
+        u = solve_factor(one.prior.factor, near.z - one.prior.mean)
+        if own.move(u, near.linear).rescale(near.scale).objective() < own.objective():
+            fit = fit_one(
+                one.problem,
+                one.prior.mean,
+                one.prior.factor,
+                start=FitStart(near.z, near.scale),
+                linear=near.linear,
+                max_evaluations=FIRST_EVALUATIONS,
+            )
+            candidates[fields[own_place]] = replace(one, fit=fit)
 
 
 def _hold_center(obj: GridObject) -> CenterOfMass:
@@ -376,9 +543,9 @@ def _hold_center(obj: GridObject) -> CenterOfMass:
     return CenterOfMass((x, y), CENTER_STD * obj.radius_of_gyration)
 
 
-def _describe(uniform_is_best: bool) -> tuple[IdentificationStatus, str]:
-    """The status, and the same in a sentence."""
-    if not uniform_is_best:
+def _describe(best: LoadPrior) -> tuple[IdentificationStatus, str]:
+    """The status by the most probable prior, and the same in a sentence."""
+    if not best.stands_for_even:
         return IdentificationStatus.LEARNED, "Learned from the pushes."
     return (
         IdentificationStatus.PRIOR_KEPT,

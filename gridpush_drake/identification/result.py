@@ -56,10 +56,27 @@ class FitStart:
     Attributes:
         z: (n+1,) log k and log mu_c.
         scale: of the noise.
+        name: of the prior that the fit was under; empty for one that serves any prior.
     """
 
     z: Array
     scale: NoiseScale
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class HypothesisEvidence:
+    """How well one hypothesis of the object's loads explains the pushes.
+
+    Attributes:
+        name: of the hypothesis, with a number where it stands for several priors.
+        log_evidence: log evidence, less that of the best one.
+        weight: share of the estimate that comes from it, between 0 and 1.
+    """
+
+    name: str
+    log_evidence: float
+    weight: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +109,8 @@ class Identification:
         interval_scale: of predicted intervals, at most 1: how much narrower they are than posterior
             and noise make them, as pushes like these turn out nearer.
         noise: what the method took for granted of the noise, at scale one.
+        hypotheses: evidence and weight of each hypothesis of how the object bears on the table;
+            empty for other methods than the default.
     """
 
     obj: GridObject
@@ -115,6 +134,7 @@ class Identification:
     force: ForceScale | None = None
     interval_scale: float = 1.0
     noise: NoiseModel = field(default_factory=NoiseModel)
+    hypotheses: tuple[HypothesisEvidence, ...] = ()
 
     @property
     def noise_scale(self) -> NoiseScale:

@@ -118,10 +118,19 @@ def describe_making(result: Identification, log: PushLog, version: str) -> list[
         ("method", result.method),
         ("physics", result.regime.replace("_", "-")),
         ("status", result.status.replace("_", " ")),
+        *_describe_hypotheses(result),
         ("simulated pushes", str(result.simulations)),
         ("seed", str(result.seed)),
         ("gridpush-drake", version),
     ]
+
+
+def _describe_hypotheses(result: Identification) -> list[tuple[str, str]]:
+    """Names the hypotheses of the loads that the estimate rests on, the weightiest first."""
+    counted = [one for one in result.hypotheses if one.weight >= MIN_HYPOTHESIS_WEIGHT]
+    counted.sort(key=lambda one: -one.weight)
+    words = ", ".join(f"{one.name} ({one.weight * 100:.0f} %)" for one in counted)
+    return [("hypotheses of the loads, by weight", words)] if words else []
 
 
 def _describe_part(result: Identification, label: int, truth: CellParameters | None) -> Row:
@@ -168,6 +177,9 @@ class ReportSummary:
 
 
 TEMPLATE = "report.html.j2"
+
+MIN_HYPOTHESIS_WEIGHT = 0.01
+"""Hypotheses of the loads with a smaller share of the estimate are not named in the report."""
 
 
 SIMILAR = 0.05

@@ -39,6 +39,7 @@ def test_prints_one_json_document(gridpush, block, pushes, tmp_path):
         "--regime", "quasi_static", "--json",
     )  # fmt: skip
     document = json.loads(outcome.out)
+    assert document["hypotheses"] == []
     assert (document["method"], document["regime"]) == ("random_search", "quasi_static")
     assert document["mean_cell_error"] <= document["mean_cell_error_before"] * 1.05
 
@@ -90,7 +91,10 @@ def test_refuses_a_model_in_place_of_an_object(refuses, model, pushes, tmp_path)
 def test_doubts_a_model_that_explains_too_little(gridpush, block, pushes, tmp_path):
     """The same angle measured clockwise."""
     right = gridpush("identify", block, pushes, "--out", tmp_path / "right.yaml", "--json")
-    assert json.loads(right.out)["doubt"] is None
+    document = json.loads(right.out)
+    assert document["doubt"] is None
+    assert sum(one["weight"] for one in document["hypotheses"]) == pytest.approx(1.0)
+    assert {"smooth field 0.05", "rigid bottom"} <= {one["name"] for one in document["hypotheses"]}
     log = PushLog.read_csv(pushes)
     mirrored = [
         replace(seen, poses_observed=seen.pose + (seen.poses_observed - seen.pose) * [1, 1, -1])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import IdentificationError
+from gridpush_drake.identification.hypotheses import SmoothField, TwoParts
 from gridpush_drake.identification.learning import METHODS, choose_regime, describe_prior, identify
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.prediction import calc_pose_error, predict
@@ -210,11 +211,14 @@ def test_bad_arguments_are_refused() -> None:
         identify(obj, log, method="random_search", budget=0)
     with pytest.raises(IdentificationError, match="k is -1"):
         describe_prior(obj).samples(-1)
-    for amplitudes in ((), (1.0, 0.5), (0.0, 1.0), (1.0, np.inf)):
-        with pytest.raises(
-            IdentificationError, match="expected positive finite numbers that increase"
-        ):
-            MapEnsemble(amplitudes=amplitudes)
+    for amplitude in (0.0, -1.0, np.inf, np.nan):
+        with pytest.raises(IdentificationError, match="expected a positive finite number"):
+            SmoothField(amplitude)
+    for hypotheses in ((), (TwoParts(),)):
+        with pytest.raises(IdentificationError, match="at least one that needs no pushes"):
+            MapEnsemble(hypotheses=hypotheses)
+    with pytest.raises(IdentificationError, match="two are named 'smooth field 1'"):
+        MapEnsemble(hypotheses=(SmoothField(1.0), SmoothField(1.0)))
     with pytest.raises(IdentificationError, match="no pushes"):
         identify(obj, PushLog(()))
     unseen = replace(log[0], t_observed=np.empty(0), poses_observed=np.empty((0, 3)))

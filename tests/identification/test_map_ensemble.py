@@ -1,14 +1,23 @@
 """The average over ideas of how the object bears on the table."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from gridpush_drake.bench.protocol import make_case, make_protocol
 from gridpush_drake.identification import map_ensemble
+from gridpush_drake.identification.hypotheses import (
+    AMPLITUDES,
+    CENTER_STD,
+    DEFAULT_HYPOTHESES,
+    LoadPrior,
+    RigidBottom,
+    SmoothField,
+    calc_prior_factor,
+    find_corners,
+)
 from gridpush_drake.identification.learning import identify
-from gridpush_drake.identification.load_priors import CENTER_STD, find_corners
 from gridpush_drake.identification.map_ensemble import (
     SHARED_SHIFT,
     MapEnsemble,
@@ -31,14 +40,14 @@ from tests.identification.simulated_pokes import make_pokes
 NOISE = (5e-4, 3.5e-3)
 
 
-def learn(mass_ratio: float, amplitudes: tuple[float, ...] = MapEnsemble().amplitudes):
+def learn(mass_ratio: float, amplitudes: tuple[float, ...] | None = None):
     obj = make_shape("l_bracket", 20)
     truth = CellParameters(
         np.where(obj.p_BC[:, 0] > 0.03, mass_ratio, 1.0), np.full(obj.n, 0.4), 0.35
     )
-    return identify(
-        obj, make_pokes(obj, truth, 4, 5, noise=NOISE), ensemble=MapEnsemble(amplitudes=amplitudes)
-    )
+    fields = None if amplitudes is None else tuple(map(SmoothField, amplitudes))
+    ensemble = MapEnsemble() if fields is None else MapEnsemble(hypotheses=fields)
+    return identify(obj, make_pokes(obj, truth, 4, 5, noise=NOISE), ensemble=ensemble)
 
 
 def test_evidence_chooses_the_amplitude_that_the_pushes_ask_for() -> None:
@@ -56,9 +65,7 @@ def test_average_lies_among_its_fits_and_its_spread_covers_theirs() -> None:
     assert (found.posterior.mean >= fits.min(axis=0)).all() and (
         found.posterior.mean <= fits.max(axis=0)
     ).all()
-    alone = [
-        learn(4.0, (amplitude,)).posterior.covariance for amplitude in MapEnsemble().amplitudes
-    ]
+    alone = [learn(4.0, (amplitude,)).posterior.covariance for amplitude in AMPLITUDES]
     assert np.trace(found.posterior.covariance) >= min(np.trace(covariance) for covariance in alone)
 
 
@@ -218,3 +225,53 @@ def test_a_push_that_ends_far_off_is_not_explained_away_by_being_sensitive() -> 
     assert calc_mean_cell_error(case.obj, found.params, test, found.regime) < 0.005, (
         "26 mm from a poor optimum"
     )
+
+
+@dataclass(frozen=True)
+class HeavyRow:
+    """A hypothesis of a user's own: the cells beyond some x bear more than the others."""
+
+    beyond: float
+    name: str = "heavy row"
+    needs_pushes: bool = False
+
+    def propose(self, setting):
+        side = np.where(setting.obj.p_BC[:, 0] > self.beyond, 0.5, -0.5)
+        C = 1e-4 * np.eye(setting.obj.n) + 2.0**2 * np.outer(side, side)
+        factor = calc_prior_factor(C, 1.0, setting.log_contact_friction_std)
+        return [LoadPrior(mean=setting.z0, factor=factor, weight=1.0, p_BC=setting.obj.p_BC)]
+
+
+def test_a_hypothesis_of_ones_own_is_weighed_and_named() -> None:
+    obj = make_shape("l_bracket", 20)
+    truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.03, 8.0, 1.0), np.full(obj.n, 0.4), 0.35)
+    log = make_pokes(obj, truth, 4, 5, noise=NOISE)
+    found = identify(obj, log)
+    assert [one.name for one in found.hypotheses][: len(DEFAULT_HYPOTHESES) - 1] == [
+        one.name for one in DEFAULT_HYPOTHESES[:-1]
+    ]
+    assert sum(one.weight for one in found.hypotheses) == pytest.approx(1.0)
+    assert max(one.log_evidence for one in found.hypotheses) == 0.0
+
+    right, wrong = (
+        identify(obj, log, ensemble=MapEnsemble(hypotheses=(*DEFAULT_HYPOTHESES, HeavyRow(beyond))))
+        for beyond in (0.03, -0.02)
+    )
+    weights = [
+        next(one.weight for one in found.hypotheses if one.name == "heavy row")
+        for found in (right, wrong)
+    ]
+    assert weights[0] > 0.5 and weights[1] < 0.1
+    step = np.log(right.params.mass[obj.p_BC[:, 0] > 0.03].mean())
+    step -= np.log(right.params.mass[obj.p_BC[:, 0] < 0.03].mean())
+    assert step == pytest.approx(np.log(8), abs=0.5)
+
+
+@pytest.mark.parametrize("alone", [RigidBottom(), SmoothField(1.5), HeavyRow(0.03)])
+def test_one_hypothesis_is_enough(alone) -> None:
+    obj = make_shape("l_bracket", 20)
+    truth = CellParameters(np.where(obj.p_BC[:, 0] > 0.03, 8.0, 1.0), np.full(obj.n, 0.4), 0.35)
+    log = make_pokes(obj, truth, 3, 5, noise=NOISE)
+    found = identify(obj, log, ensemble=MapEnsemble(hypotheses=(alone,)))
+    assert [one.name for one in found.hypotheses] == [alone.name]
+    assert found.status == "learned" and np.isfinite(found.posterior.covariance).all()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from gridpush_drake.identification.load_priors import calc_prior_factor, calc_smooth_covariance
+from gridpush_drake.identification.hypotheses import calc_prior_factor, calc_smooth_covariance
 from gridpush_drake.identification.map_fit import (
     FRICTION_STD,
     CenterOfMass,

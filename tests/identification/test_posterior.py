@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gridpush_drake.identification.load_priors import calc_smooth_covariance
+from gridpush_drake.identification.hypotheses import calc_smooth_covariance
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.posterior import Posterior, calc_center_jacobian
 from gridpush_drake.objects.parameters import CellParameters
@@ -54,7 +54,7 @@ def test_the_center_s_derivatives_agree_with_differences():
 
 
 def test_draws_keep_what_the_pushes_showed():
-    posterior = learn_center(make_prior(amplitude=MapEnsemble().amplitudes[-1]))
+    posterior = learn_center(make_prior(amplitude=MapEnsemble().widest.amplitude))
     known = posterior.calc_share() @ OBJ.p_BC
     shares, _ = posterior.draw(400, seed=3)
     plain, _ = draw_normally(posterior, 400, seed=3)

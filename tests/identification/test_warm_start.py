@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gridpush_drake.errors import IdentificationError
+from gridpush_drake.identification.hypotheses import calc_prior_factor, calc_smooth_covariance
 from gridpush_drake.identification.learning import describe_prior, identify
-from gridpush_drake.identification.load_priors import calc_prior_factor, calc_smooth_covariance
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.map_fit import fit_map
 from gridpush_drake.identification.noise import NoiseModel, NoiseScale
@@ -53,7 +53,8 @@ def test_bad_start_does_no_harm() -> None:
     start = identify(obj, log[:3])
     rng = np.random.default_rng(0)
     astray = tuple(
-        FitStart(fit.z + rng.normal(0, 3, len(fit.z)), NoiseScale()) for fit in start.starts
+        FitStart(fit.z + rng.normal(0, 3, len(fit.z)), NoiseScale(), fit.name)
+        for fit in start.starts
     )
     cold, warm = identify(obj, log), identify(obj, log, start=replace(start, starts=astray))
     std = np.sqrt(np.diag(cold.posterior.covariance))
@@ -61,7 +62,7 @@ def test_bad_start_does_no_harm() -> None:
 
 
 def test_start_without_fits_will_do() -> None:
-    """Such as a model read from a file, or another number of amplitudes."""
+    """Such as a model read from a file, or one of other hypotheses."""
     obj, log = make_case("square", 4, pushes=4)
     read = replace(identify(obj, log[:3]), starts=())
     cold, warm = identify(obj, log), identify(obj, log, start=read)
@@ -93,5 +94,5 @@ def test_prior_is_what_a_log_without_contact_gives() -> None:
     prior = describe_prior(obj)
     assert prior.status == "no_usable_pushes" and prior.push_names == () and prior.simulations == 0
     np.testing.assert_allclose(prior.params.mass, 1.0 / obj.n)
-    widest = MapEnsemble().amplitudes[-1]
+    widest = MapEnsemble().widest.amplitude
     np.testing.assert_allclose(np.diag(prior.posterior.covariance)[:-1].mean(), widest**2)

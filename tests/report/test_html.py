@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from gridpush_drake.identification.result import IdentificationStatus
+from gridpush_drake.identification.result import HypothesisEvidence, IdentificationStatus
 from gridpush_drake.multibody.ground_truth import sample_ground_truth
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.report.page import make_report
@@ -125,3 +125,15 @@ def test_many_pushes_are_drawn_as_points(experiment):
 def test_is_the_same_every_time(experiment):
     result, log, _, _ = experiment
     assert make_report(result, log) == make_report(result, log)
+
+
+def test_names_the_hypotheses_of_the_loads_that_the_estimate_rests_on(experiment):
+    result, log, _, _ = experiment
+    weighed = (
+        HypothesisEvidence("rigid bottom", -2.0, 0.12),
+        HypothesisEvidence("smooth field 1.5", 0.0, 0.875),
+        HypothesisEvidence("two parts 1", -9.0, 0.005),
+    )
+    page = make_report(replace(result, hypotheses=weighed), log)
+    assert "smooth field 1.5 (88 %), rigid bottom (12 %)" in page and "two parts 1" not in page
+    assert "hypotheses of the loads" not in make_report(result, log)

@@ -30,6 +30,7 @@ from gridpush_drake.geometry.polygons import bound_by_half_planes
 from gridpush_drake.geometry.se2 import Array, make_direction, transform_back
 from gridpush_drake.identification.evidence import PushEvidence
 from gridpush_drake.identification.force_scale import ForceScale
+from gridpush_drake.identification.hypotheses import SmoothField
 from gridpush_drake.identification.identifiability import calc_farthest_center
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.map_ensemble import MapEnsemble
@@ -220,7 +221,7 @@ class UncertainModel:
         cls, obj: GridObject, *, friction_range: tuple[float, float] | None = None
     ) -> "UncertainModel":
         """Takes what is held before any push: the smoothness prior about uniform friction."""
-        prior = describe_prior(obj, MapEnsemble(amplitudes=(PRIOR_AMPLITUDE,)))
+        prior = describe_prior(obj, MapEnsemble(hypotheses=(SmoothField(PRIOR_AMPLITUDE),)))
         return cls.of_identification(prior, friction_range=friction_range, sample_count=0)
 
     @classmethod

@@ -7,6 +7,7 @@ from gridpush_drake.dynamics.push import Push
 from gridpush_drake.dynamics.simulation import calc_loads, simulate
 from gridpush_drake.errors import PlanningError
 from gridpush_drake.geometry.polygons import calc_margin_inside, find_weakest_direction, hull_of
+from gridpush_drake.identification.hypotheses import SmoothField
 from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.map_ensemble import MapEnsemble
 from gridpush_drake.identification.noise import NoiseModel
@@ -315,7 +316,7 @@ def test_one_path_leads_from_an_identification_to_samples_and_masses(found):
 def test_the_prior_is_described_as_any_identification():
     obj = make_shape("square", 16)
     model = UncertainModel.of_prior(obj)
-    prior = describe_prior(obj, MapEnsemble(amplitudes=(PRIOR_AMPLITUDE,)))
+    prior = describe_prior(obj, MapEnsemble(hypotheses=(SmoothField(PRIOR_AMPLITUDE),)))
     np.testing.assert_array_equal(model.posterior.covariance, prior.posterior.covariance)
     np.testing.assert_allclose(np.diag(model.posterior.covariance)[:-1].mean(), PRIOR_AMPLITUDE**2)
     assert (model.samples, model.noise_scale, len(model.poke_starts)) == ((), (1.0, 1.0), 0)

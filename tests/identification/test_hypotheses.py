@@ -6,25 +6,31 @@ from scipy.linalg import block_diag
 from scipy.stats import multivariate_normal
 
 from gridpush_drake.geometry.se2 import make_direction
-from gridpush_drake.identification.learning import identify
-from gridpush_drake.identification.load_priors import (
+from gridpush_drake.identification.hypotheses import (
     ALIKE,
     CUT_ANGLES,
     MIN_PART,
-    PART_AMPLITUDE,
-    PART_FITS,
-    PART_STD,
+    LinearizedPushes,
+    Setting,
+    TwoParts,
     calc_cut_evidence,
     calc_smooth_covariance,
-    choose_parts,
     find_corners,
     find_cuts,
 )
+from gridpush_drake.identification.learning import identify
 from gridpush_drake.objects.parameters import CellParameters
 from tests.helpers.shapes import make_shape
 from tests.identification.simulated_pokes import make_pokes
 
 MU_STD = 0.3
+
+PARTS = TwoParts()
+
+
+def propose_parts(obj, z0, residuals, J, known=0):
+    pushes = LinearizedPushes(residuals, J, known)
+    return PARTS.propose(Setting(obj, z0, MU_STD).with_pushes(pushes))
 
 
 def make_evidence(obj, rows, seed):
@@ -41,7 +47,7 @@ def calc_dense_evidence(covariance, residuals, J):
 
 def make_covariance(obj, cut):
     C = calc_smooth_covariance(obj)
-    return block_diag(PART_AMPLITUDE**2 * C + PART_STD**2 * np.outer(cut, cut), MU_STD**2)
+    return block_diag(PARTS.amplitude**2 * C + PARTS.part_std**2 * np.outer(cut, cut), MU_STD**2)
 
 
 def test_cuts_are_straight_and_leave_both_parts_their_share() -> None:
@@ -70,13 +76,11 @@ def test_the_evidence_of_a_cut_is_that_of_its_dense_covariance(known: int) -> No
             gain -= calc_dense_evidence(S, residuals[-known:], J[-known:])
             gain += calc_dense_evidence(none, residuals[-known:], J[-known:])
         expected.append(gain)
-    found = calc_cut_evidence(cuts, none, residuals, J)
+    found = calc_cut_evidence(cuts, PARTS.part_std, none, residuals, J)
     if known:
-        found -= calc_cut_evidence(cuts, none, residuals[-known:], J[-known:])
+        found -= calc_cut_evidence(cuts, PARTS.part_std, none, residuals[-known:], J[-known:])
     np.testing.assert_allclose(found, expected, atol=1e-9)
-    prior, _ = choose_parts(
-        obj, np.zeros(obj.n + 1), calc_smooth_covariance(obj), MU_STD, residuals, J, known
-    )[0]
+    prior = propose_parts(obj, np.zeros(obj.n + 1), residuals, J, known)[0]
     np.testing.assert_allclose(
         prior.factor @ prior.factor.T, make_covariance(obj, cuts[np.argmax(expected)])
     )
@@ -87,22 +91,22 @@ def test_each_cut_begins_at_its_linear_optimum_and_no_two_are_alike(rows: int) -
     obj = make_shape("l_bracket", 20)
     z0 = np.random.default_rng(1).normal(0, 1, obj.n + 1)
     residuals, J = make_evidence(obj, rows, 2)
-    found = choose_parts(obj, z0, calc_smooth_covariance(obj), MU_STD, residuals, J)
-    assert len(found) == PART_FITS
-    for prior, z in found:
+    found = propose_parts(obj, z0, residuals, J)
+    assert len(found) == PARTS.max_cuts
+    for prior in found:
+        z = prior.start
         precision = np.linalg.inv(prior.factor @ prior.factor.T)
         gradient = precision @ (z - z0) + J.T @ (residuals + J @ (z - z0))
         np.testing.assert_allclose(gradient, 0, atol=1e-6 * np.abs(J.T @ residuals).max())
-    within = PART_AMPLITUDE**2 * calc_smooth_covariance(obj)
+    within = PARTS.amplitude**2 * calc_smooth_covariance(obj)
     cuts = [
         np.linalg.eigh((prior.factor @ prior.factor.T)[:-1, :-1] - within)[1][:, -1]
-        for prior, _ in found
+        for prior in found
     ]
     correlation = np.abs(np.corrcoef(cuts))
-    assert correlation[np.triu_indices(PART_FITS, 1)].max() <= ALIKE + 1e-6
-    assert (
-        all(prior.share > 0 for prior, _ in found) and sum(prior.share for prior, _ in found) <= 1
-    )
+    assert correlation[np.triu_indices(PARTS.max_cuts, 1)].max() <= ALIKE + 1e-6
+    shares = [prior.evidence_share for prior in found]
+    assert min(shares) > 0 and sum(shares) <= 1
 
 
 def test_four_pushes_show_two_parts_and_how_they_differ() -> None:
