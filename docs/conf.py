@@ -13,8 +13,15 @@ project = "gridpush_drake"
 author = "The gridpush_drake authors"
 release = version = gridpush_drake.__version__
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "gridpush_site"]
-exclude_patterns = ["_build", "_ext", "**.ipynb_checkpoints"]
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "gridpush_site",
+    "code_host",
+    "notebooks",
+]
+exclude_patterns = ["_build", "_ext", "**.ipynb_checkpoints", "reference/generated/notebooks"]
 
 html_theme = "furo"
 html_title = "gridpush_drake"

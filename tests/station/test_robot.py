@@ -12,6 +12,7 @@ from pydrake.systems.analysis import Simulator
 from gridpush_drake.errors import ScenarioError
 from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.planning.pregrasp.side_grasp import SideGripper
+from gridpush_drake.station import IdentifyTask, TaskStatus
 from gridpush_drake.station.arm import ArmReach, CalcStartPosture, MakeControlPlant
 from gridpush_drake.station.limit_monitor import LimitMonitor
 from gridpush_drake.station.push_station import MakePushStation
@@ -25,6 +26,7 @@ from gridpush_drake.station.scenario import PushScenario, read_scenario
 from gridpush_drake.station.scene import CalcTipReach, check_scenario
 from gridpush_drake.station.station import MakeRing
 from gridpush_drake.systems.messages import PushCommand
+from tests.helpers.twin_bench import TwinBench
 
 BASE = (0.05, -0.02, 0.08)
 """Of the second arm's base in the world, m."""
@@ -98,6 +100,19 @@ def test_a_second_arm_pushes(second_arm):
     assert station.GetOutputPort("arm.position_measured").size() == 6
 
 
+def test_the_second_arm_speaks_with_its_twin(second_arm):
+    scenario = read_scenario(second_arm)
+    scenario.base, scenario.object = "planar", "open_book"
+    scenario.pokes.count, scenario.pokes.test_count, scenario.pokes.speed = 1, 0, 0.08
+    scenario.pokes.distance = [0.05, 0.05]
+    bench = TwinBench(scenario, IdentifyTask)
+    bench.begin()
+    record = bench.task.run(drive=bench.link)
+    assert (record.status, len(record.log)) == (TaskStatus.FINISHED, 1), record.message
+    assert bench.task.station.GetOutputPort("arm.position_measured").size() == 6
+    assert bench.link.report.left_out == {}
+
+
 @pytest.mark.parametrize("name", ["panda", "gantry"])
 def test_a_robot_that_comes_with_the_package_pushes_within_its_limits(name):
     station = MakePushStation(PushScenario(directives=make_robot_directives(name, grasping=False)))
@@ -155,7 +170,7 @@ def test_inverse_kinematics_finds_the_ring_that_the_formula_says():
 def test_reach_is_measured_from_the_base_wherever_it_stands(second_arm):
     iiwa = (find_models() / "robots/iiwa14/robot.yaml").read_text()
     with second_arm.with_name("robot.yaml").open("a") as measures:
-        measures.write(iiwa[iiwa.index("reach:") : iiwa.index("control:")])
+        measures.write(iiwa[iiwa.index("reach:") : iiwa.index("messages:")])
     station = MakePushStation(read_scenario(second_arm))
     axis, low, high = CalcTipReach(station.plant, station.robot, 0.012)
     assert axis == pytest.approx(BASE[:2])
