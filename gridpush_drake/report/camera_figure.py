@@ -1,13 +1,10 @@
-"""What a robot's camera saw: the photograph with the outline found, and how far off the poses tracked were."""
-
-from dataclasses import dataclass, replace
+"""Draws what a robot's camera saw: the photograph, and how far off the tracked poses were."""
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from gridpush_drake.geometry.se2 import Array
+from gridpush_drake.perception.sight import Sight
 from gridpush_drake.report.draw import FAINT, FONT, INK, LEARNED, MM, PAGE_WIDTH, make_grid, tidy
 
 DEGREES = 180 / np.pi
@@ -21,53 +18,6 @@ it."""
 
 CLIP, SHOWN = 3.0, 95
 """What is drawn: so many times the percentile of the errors."""
-
-
-@dataclass(frozen=True, eq=False)
-class Sight:
-    """What the camera saw in a run.
-
-    Attributes:
-        picture: (height, width, 3) uint8, of the photograph what is near the object, with the
-            outline found.
-        t: (K,) times, s.
-        errors: (K, 3) poses tracked less the true ones, (x, y, theta), m and rad; NaN where the
-            object was not seen.
-        std: (K, 3) as the tracker says, m and rad.
-    """
-
-    picture: NDArray[np.uint8]
-    t: Array
-    errors: Array
-    std: Array
-
-    @property
-    def seen(self) -> NDArray[np.bool_]:
-        """(K,) whether the object was seen."""
-        return np.asarray(np.isfinite(self.errors).all(axis=1))
-
-    def calc_rms(self) -> tuple[float, float]:
-        """Root mean square error of the position, m, and of the angle, rad, where it was seen; NaN where never."""
-        errors = self.errors[self.seen]
-        if not len(errors):
-            return float("nan"), float("nan")
-        position, angle = np.square(errors[:, :2]).sum(axis=1), np.square(errors[:, 2])
-        return float(np.sqrt(position.mean())), float(np.sqrt(angle.mean()))
-
-    def until(self, time: float) -> "Sight":
-        """What it saw before a time, s."""
-        before = self.t < time
-        return replace(self, t=self.t[before], errors=self.errors[before], std=self.std[before])
-
-    def describe(self) -> str:
-        """The figure's caption."""
-        position, angle = self.calc_rms()
-        return (
-            f"The object was seen in {self.seen.mean() * 100:.0f} % of the pictures, its pose wrong by "
-            f"{position * MM:.2f} mm and {angle * DEGREES:.2f} degrees root mean square. Above, the photograph and the "
-            "outline found, on the table in blue and on top in green; below, the poses less the true ones, and twice "
-            "the standard deviation that the tracker states."
-        )
 
 
 def draw_sight(sight: Sight) -> Figure:
@@ -96,3 +46,14 @@ def _draw_errors(ax: Axes, sight: Sight, column: int, scale: float, color: str, 
     errors, std = sight.errors[:, column] * scale, BAND * sight.std[:, column] * scale
     ax.fill_between(sight.t, -std, std, color=FAINT, alpha=0.4, linewidth=0)
     ax.plot(sight.t, errors, ".", color=color, markersize=2, label=label)
+
+
+def describe_sight(sight: Sight) -> str:
+    """Writes the caption of `draw_sight`."""
+    position, angle = sight.calc_rms()
+    return (
+        f"The object was seen in {sight.seen.mean() * 100:.0f} % of the pictures, its pose wrong by "
+        f"{position * MM:.2f} mm and {angle * DEGREES:.2f} degrees root mean square. Above, the photograph and the "
+        "outline found, on the table in blue and on top in green; below, the poses less the true ones, and twice "
+        "the standard deviation that the tracker states."
+    )

@@ -24,8 +24,9 @@ from gridpush_drake.identification.prediction import (
 )
 from gridpush_drake.identification.result import Identification, IdentificationStatus
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.perception.sight import Sight
 from gridpush_drake.pushes.push_log import PushLog
-from gridpush_drake.report.camera_figure import Sight, draw_sight
+from gridpush_drake.report.camera_figure import describe_sight, draw_sight
 from gridpush_drake.report.draw import MM, to_svg
 from gridpush_drake.report.figures import (
     MAX_DUMBBELLS,
@@ -252,7 +253,7 @@ def make_report(
         doubt=doubt_fit(identification, log),
         facts=_list_facts(identification, judged, log, held_out) if summary is None else summary.facts,
         summary=summary,
-        sight=None if sight is None else sight.describe(),
+        sight=None if sight is None else describe_sight(sight),
         figures=_draw_figures(identification, log, held_out, truth, training.cell[0], outcomes)
         | {
             "learning": _embed(draw_learning(learning, floor)) if learning else None,

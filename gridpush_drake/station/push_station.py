@@ -34,7 +34,7 @@ from gridpush_drake.multibody.parser import AddVisualMeshes, MakeParser, find_dr
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.report.camera_figure import Sight
+from gridpush_drake.perception.sight import Sight
 from gridpush_drake.station.arm import (
     DRIVER_OUTPUTS,
     AddArmDriver,

@@ -23,10 +23,10 @@ from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.perception.sight import Sight
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.segmentation import RecordOptions, Sample
 from gridpush_drake.pushes.stream import make_samples
-from gridpush_drake.report.camera_figure import Sight
 from gridpush_drake.station.arm import (
     AddArmKinematics,
     ArmReach,

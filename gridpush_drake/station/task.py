@@ -21,10 +21,10 @@ from gridpush_drake.display.server import AimCamera
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
+from gridpush_drake.perception.sight import Sight
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.pushes.segmentation import Sample
-from gridpush_drake.report.camera_figure import Sight
 from gridpush_drake.station.limit_monitor import LimitMonitor, LimitReport
 from gridpush_drake.station.station import Station
 from gridpush_drake.systems.arm_guard import GuardMode
