@@ -1,7 +1,7 @@
-"""Records whose arrays nobody can write to."""
+"""Records that are never changed: with arrays that nobody can write to, and without copies."""
 
 from dataclasses import fields
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -16,3 +16,14 @@ class Frozen:
             value = state.get(field.name)
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
+
+
+class Unchanging:
+    """Base of frozen records that a Context holds as state.
+
+    Such a record is never changed, only replaced, so that its copy is itself: Drake copies the
+    whole abstract state at every update of a part of it.
+    """
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        return self

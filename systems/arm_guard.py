@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.systems.framework import BasicVector, Context
 
+from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array, wrap_angle
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
-from gridpush_drake.planning.closed_loop import Unchanging
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 
 MAX_OBJECT_SPEED = 0.5

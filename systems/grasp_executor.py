@@ -18,6 +18,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context
 
+from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array, make_direction
 from gridpush_drake.multibody.tool_motion import (
     ToolPose,
@@ -27,7 +28,6 @@ from gridpush_drake.multibody.tool_motion import (
     make_transform,
 )
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
-from gridpush_drake.planning.closed_loop import Unchanging
 from gridpush_drake.systems.messages import (
     GRASP_COMMAND_SIZE,
     GraspCommand,

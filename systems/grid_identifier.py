@@ -17,6 +17,7 @@ from pydrake.systems.framework import BasicVector, Context
 
 from gridpush_drake.dynamics.simulation import Regime
 from gridpush_drake.errors import IdentificationError
+from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.learning import METHODS, REGIMES, describe_prior, identify
 from gridpush_drake.identification.map_ensemble import MapEnsemble
@@ -25,7 +26,6 @@ from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import HistoryEntry, Identification, calc_center_of_mass
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.planning.closed_loop import Unchanging
 from gridpush_drake.pushes.push_log import DEFAULT_PUSHER_RADIUS, PushLog
 from gridpush_drake.pushes.segmentation import (
     UNUSABLE,

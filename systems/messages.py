@@ -1,6 +1,6 @@
 """What systems say to each other on their ports: commands, as vectors, and what becomes of them, as abstract values.
 
-What executors say of themselves is what a loop is shown, `planning.closed_loop`; what controllers
+What executors say of themselves is in `planning.robot_status`; what controllers
 say is the status of their loops, `planning.goal.push_to_goal` and
 `planning.pregrasp.pregrasp_loop`.
 """
@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gridpush_drake.dynamics.push import Push
-from gridpush_drake.planning.closed_loop import GraspOutcome as GraspOutcome
-from gridpush_drake.planning.closed_loop import GraspPhase as GraspPhase
-from gridpush_drake.planning.closed_loop import GraspStatus as GraspStatus
-from gridpush_drake.planning.closed_loop import PushPhase as PushPhase
-from gridpush_drake.planning.closed_loop import PushStatus as PushStatus
 from gridpush_drake.planning.goal.push_to_goal import ContactPointMode as ContactPointMode
 from gridpush_drake.planning.goal.push_to_goal import ContactPointStatus as ContactPointStatus
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspMode as PreGraspMode
 from gridpush_drake.planning.pregrasp.pregrasp_loop import PreGraspStatus as PreGraspStatus
+from gridpush_drake.planning.robot_status import GraspOutcome as GraspOutcome
+from gridpush_drake.planning.robot_status import GraspPhase as GraspPhase
+from gridpush_drake.planning.robot_status import GraspStatus as GraspStatus
+from gridpush_drake.planning.robot_status import PushPhase as PushPhase
+from gridpush_drake.planning.robot_status import PushStatus as PushStatus
 
 PUSH_COMMAND_SIZE = 6
 

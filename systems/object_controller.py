@@ -16,7 +16,8 @@ from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.objects.grid_object import GridObject
-from gridpush_drake.planning.closed_loop import FAILED, ClosedLoop, L, Observation, PushStatus
+from gridpush_drake.planning.closed_loop import FAILED, ClosedLoop, L, Observation
+from gridpush_drake.planning.robot_status import PushStatus
 from gridpush_drake.pushes.push_log import PushLog
 from gridpush_drake.systems.worker import Worker, make_worker
 

@@ -10,6 +10,7 @@ from pydrake.systems.framework import BasicVector, Context, State
 from shapely.geometry.base import BaseGeometry
 
 from gridpush_drake.errors import GridPushError
+from gridpush_drake.frozen import Unchanging
 from gridpush_drake.multibody.weak_calc import NO_SLOTS
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.object_file import PhysicalPrior
@@ -22,7 +23,6 @@ from gridpush_drake.perception.detection import (
     find_off_table,
 )
 from gridpush_drake.perception.frames import Frame
-from gridpush_drake.planning.closed_loop import Unchanging
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 from gridpush_drake.systems.object_pose_estimator import RgbdInputs
 from gridpush_drake.systems.planar_pose_sensor import DEFAULT_PERIOD

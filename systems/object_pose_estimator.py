@@ -11,10 +11,10 @@ from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
 from pydrake.systems.sensors import ImageDepth32F, ImageLabel16I, ImageRgba8U
 
 from gridpush_drake.errors import PerceptionError
+from gridpush_drake.frozen import Unchanging
 from gridpush_drake.multibody.weak_calc import NO_SLOTS, weakly
 from gridpush_drake.perception.frames import Frame
 from gridpush_drake.perception.tracking import PoseTracker, TrackedPose, TrackerState
-from gridpush_drake.planning.closed_loop import Unchanging
 from gridpush_drake.systems.object_controller import AbstractStateSystem
 from gridpush_drake.systems.planar_pose_sensor import DEFAULT_PERIOD
 

@@ -20,7 +20,7 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from gridpush_drake.errors import PlanningError
-from gridpush_drake.planning.closed_loop import Unchanging
+from gridpush_drake.frozen import Unchanging
 
 ROUNDING = 1e-9
 """s by which a time may be early: those of periodic updates are sums."""

@@ -6,7 +6,7 @@
 
 `ClosedLoop.step` takes a frozen state and an `Observation` to the next state; the state holds the
 push asked for. A LeafSystem steps it with what is on its ports, a benchmark with what a simulated
-world shows (`simulated_world`).
+world shows (`world.run_loop`).
 
 A single observation is noisy, and may show an object that moves still. The latest poses q_1 .. q_k
 are of one rest if
@@ -19,15 +19,16 @@ it was of.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from enum import StrEnum
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from gridpush_drake.dynamics.push import Push
 from gridpush_drake.errors import PlanningError
+from gridpush_drake.frozen import Unchanging
 from gridpush_drake.geometry.se2 import Array
 from gridpush_drake.identification.result import Identification
+from gridpush_drake.planning.robot_status import GraspStatus, PushStatus
 from gridpush_drake.pushes.push_log import PushLog
 
 Pose = tuple[float, float, float]
@@ -111,81 +112,6 @@ class PoseFilter:
         return PoseFilter(tuple((x, y, theta) for x, y, theta in kept.tolist()), time)
 
 
-class PushPhase(StrEnum):
-    """What a push executor is doing."""
-
-    IDLE = "idle"
-    APPROACHING = "approaching"
-    DESCENDING = "descending"
-    PUSHING = "pushing"
-    SETTLING = "settling"
-    RETRACTING = "retracting"
-    CLEARING = "clearing"
-
-
-@dataclass(frozen=True)
-class PushStatus:
-    """Where an executor stands."""
-
-    phase: PushPhase = PushPhase.IDLE  # what it is doing; "clearing" goes out of the camera's way
-    command_id: int = 0  # of the last command taken up or refused; 0 before the first
-    executed: int = 0  # commands carried out to the end, or broken off
-    refused: int = 0  # commands refused
-    reason: str = ""  # why the last command was refused; empty where it was not
-
-    @property
-    def ready(self) -> bool:
-        """Whether a new command is taken up."""
-        return self.phase == PushPhase.IDLE
-
-
-class GraspPhase(StrEnum):
-    """What a grasp executor is doing."""
-
-    IDLE = "idle"
-    APPROACHING = "approaching"
-    ENTERING = "entering"
-    CLOSING = "closing"
-    LIFTING = "lifting"
-    HOLDING = "holding"
-    OPENING = "opening"
-    RETREATING = "retreating"
-
-
-class GraspOutcome(StrEnum):
-    """What came of a grasp command; NONE while it is under way, and false."""
-
-    NONE = ""
-    REFUSED = "refused"
-    MISSED = "missed"
-    SLIPPED = "slipped"
-    HELD = "held"
-
-
-@dataclass(frozen=True)
-class GraspStatus:
-    """Where an executor stands.
-
-    Attributes:
-        phase: what it is doing.
-        command_id: of the last command taken up or refused; 0 before the first.
-        outcome: of that command: "" (under way), "refused", "missed" (closed on nothing), "slipped"
-            (lost while lifting or holding) or "held" (lifted, and held for the time: the phase
-            stays "holding").
-        reason: why it was refused, or what went wrong; empty where nothing did.
-    """
-
-    phase: GraspPhase = GraspPhase.IDLE
-    command_id: int = 0
-    outcome: GraspOutcome = GraspOutcome.NONE
-    reason: str = ""
-
-    @property
-    def ready(self) -> bool:
-        """Whether a new command is taken up."""
-        return self.phase == GraspPhase.IDLE
-
-
 @dataclass(frozen=True, eq=False)
 class Observation:
     """What a loop is shown at one time.
@@ -212,13 +138,6 @@ class Observation:
     def seen(self) -> bool:
         """Whether the object is."""
         return bool(np.isfinite(self.pose).all())
-
-
-class Unchanging:
-    """What is never changed, only replaced. Its copy is itself: Drake copies all states at every update of one."""
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        return self
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,8 +22,9 @@ from gridpush_drake.identification.learning import identify
 from gridpush_drake.identification.result import Identification
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
-from gridpush_drake.planning.closed_loop import ClosedLoop, L, Observation, PushStatus
+from gridpush_drake.planning.closed_loop import ClosedLoop, L, Observation
 from gridpush_drake.planning.push_constraints import make_body
+from gridpush_drake.planning.robot_status import PushStatus
 from gridpush_drake.planning.support_surface import SupportSurface
 from gridpush_drake.pushes.push_log import ObservedPush, PushLog
 

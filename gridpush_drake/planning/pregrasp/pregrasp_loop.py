@@ -30,13 +30,10 @@ from gridpush_drake.planning.closed_loop import (
     LOST,
     WAITING,
     ClosedLoop,
-    GraspOutcome,
-    GraspStatus,
     LoopOptions,
     LoopState,
     Observation,
     Pose,
-    PushPhase,
 )
 from gridpush_drake.planning.pregrasp.goals import PreGraspGoal
 from gridpush_drake.planning.pregrasp.grasp_parts import FlatPart
@@ -44,6 +41,7 @@ from gridpush_drake.planning.pregrasp.planner import PreGraspDecision, PreGraspP
 from gridpush_drake.planning.pregrasp.side_grasp import SideGrasp
 from gridpush_drake.planning.pregrasp.slides import TippingMonitor
 from gridpush_drake.planning.pregrasp.uncertainty import PlausibleMassSet, UncertainModel
+from gridpush_drake.planning.robot_status import GraspOutcome, GraspStatus, PushPhase
 from gridpush_drake.pushes.push_log import PushLog
 
 FindGrasp = Callable[[Array, Array, PlausibleMassSet, bool], SideGrasp | None]

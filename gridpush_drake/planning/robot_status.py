@@ -1,0 +1,91 @@
+"""What the robot's executors say of themselves, as closed loops and controllers read it.
+
+The executors are systems (`systems.push_executor`, `systems.grasp_executor`); a simulated world
+reports the same statuses for pushes that it carries out at once (`world.run_loop`).
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class PushPhase(StrEnum):
+    """What a push executor is doing."""
+
+    IDLE = "idle"
+    APPROACHING = "approaching"
+    DESCENDING = "descending"
+    PUSHING = "pushing"
+    SETTLING = "settling"
+    RETRACTING = "retracting"
+    CLEARING = "clearing"
+
+
+@dataclass(frozen=True)
+class PushStatus:
+    """What a push executor says of itself.
+
+    Attributes:
+        phase: what it is doing; "clearing" moves the arm out of the camera's view.
+        command_id: number of the last command that was taken up or refused; 0 before the first.
+        executed: how many commands were carried out to the end, or broken off.
+        refused: how many commands were refused.
+        reason: why the last command was refused; empty where it was not.
+    """
+
+    phase: PushPhase = PushPhase.IDLE
+    command_id: int = 0
+    executed: int = 0
+    refused: int = 0
+    reason: str = ""
+
+    @property
+    def ready(self) -> bool:
+        """Whether a new command would be taken up now."""
+        return self.phase == PushPhase.IDLE
+
+
+class GraspPhase(StrEnum):
+    """What a grasp executor is doing."""
+
+    IDLE = "idle"
+    APPROACHING = "approaching"
+    ENTERING = "entering"
+    CLOSING = "closing"
+    LIFTING = "lifting"
+    HOLDING = "holding"
+    OPENING = "opening"
+    RETREATING = "retreating"
+
+
+class GraspOutcome(StrEnum):
+    """What came of a grasp command; NONE, which is false, while it is under way."""
+
+    NONE = ""
+    REFUSED = "refused"
+    MISSED = "missed"
+    SLIPPED = "slipped"
+    HELD = "held"
+
+
+@dataclass(frozen=True)
+class GraspStatus:
+    """What a grasp executor says of itself.
+
+    Attributes:
+        phase: what it is doing.
+        command_id: number of the last command that was taken up or refused; 0 before the first.
+        outcome: what came of that command: "" (under way), "refused", "missed" (closed on nothing), "slipped"
+            (lost while lifting or holding) or "held" (lifted, and held for the time: the phase
+            stays "holding").
+        reason: why it was refused, or what went wrong; empty where nothing did.
+    """
+
+    phase: GraspPhase = GraspPhase.IDLE
+    command_id: int = 0
+    outcome: GraspOutcome = GraspOutcome.NONE
+    reason: str = ""
+
+    @property
+    def ready(self) -> bool:
+        """Whether a new command would be taken up now."""
+        return self.phase == GraspPhase.IDLE
