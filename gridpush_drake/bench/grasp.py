@@ -16,7 +16,6 @@ from gridpush_drake.bench.campaign import (
 from gridpush_drake.bench.jobs import QUIET, Execution, run_jobs
 from gridpush_drake.bench.table import MM, Table, by_object, calc_mean, count_of, mean_of
 from gridpush_drake.errors import GridPushError
-from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.objects.object_file import find_shipped_object
 from gridpush_drake.station.scenario import format_scenario, read_scenario
 from gridpush_drake.station.task import TaskStatus
@@ -24,8 +23,8 @@ from gridpush_drake.station.task import TaskStatus
 OBJECTS = ("claw_hammer", "combination_wrench", "spray_bottle")
 SEEDS = (0, 1, 2)
 
-SCENARIO = "scenarios/grasp.yaml"
-"""Among the shipped models."""
+SCENARIO = "grasp"
+"""Name of the shipped scenario of its episodes."""
 
 
 def run(
@@ -47,7 +46,7 @@ def run(
         find_shipped_object(name)
     if quick:
         objects, seeds = objects[:1], seeds[:1]
-    scenario = format_scenario(read_scenario(find_models() / SCENARIO))
+    scenario = format_scenario(read_scenario(SCENARIO))
     jobs = [EpisodeJob(name, seed, scenario=scenario) for name in objects for seed in seeds]
     return [tabulate(run_jobs(run_episode, jobs, EpisodeJob.describe, execution), objects)]
 

@@ -27,7 +27,11 @@ FORM = "START:STOP (without STOP), or numbers, 0 or more, with commas between, s
 def campaign(
     scenario_file: Annotated[
         Path,
-        typer.Argument(metavar="SCENARIO.yaml", help="What stands where; see models/scenarios.", show_default=False),
+        typer.Argument(
+            metavar="SCENARIO",
+            help="What stands where: a shipped scenario's name, such as grasp, or a YAML file.",
+            show_default=False,
+        ),
     ],
     seeds: Annotated[
         str, typer.Option(metavar="START:STOP", help=f"Seeds of the episodes, each run with every object: {FORM}.")

@@ -48,7 +48,9 @@ def demo(
     scenario_file: Annotated[
         Path | None,
         typer.Option(
-            "--scenario", metavar="FILE", help="What stands where, as YAML; see models/scenarios."
+            "--scenario",
+            metavar="NAME|FILE",
+            help="What stands where: a shipped scenario's name, such as grasp, or a YAML file.",
         ),
     ] = None,
     pushes: Annotated[

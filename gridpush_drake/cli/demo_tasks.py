@@ -25,7 +25,6 @@ from gridpush_drake.identification.learning import describe_prior
 from gridpush_drake.identification.model_file import write_model
 from gridpush_drake.identification.prediction import calc_mean_cell_error
 from gridpush_drake.multibody.ground_truth import describe_truth
-from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.planning.contact.trial import calc_goal_error
 from gridpush_drake.planning.pregrasp.uncertainty import UncertainModel
@@ -51,8 +50,8 @@ FILES = (
 
 HELD_OUT = "held_out.csv"
 
-GRASP_SCENARIO = "scenarios/grasp.yaml"
-"""Among the shipped models."""
+GRASP_SCENARIO = "grasp"
+"""Name of the shipped scenario of the pre-grasp task."""
 
 PUSH_TITLES = {
     ContactPointMode.WAITING: "Looking at the object",
@@ -82,7 +81,7 @@ class DemoTask:
 
     Attributes:
         station: the kind of task that the robot does.
-        scenario: its own one, among the shipped models; None for an iiwa with a finger.
+        scenario: name of the shipped scenario that it has by itself; None for an iiwa with a finger.
         done: status of a run in which all went well; None where there is nothing to reach.
         files: that it leaves in its folder, the report first.
         marks: of the recording's legend, besides the estimate's.
@@ -96,11 +95,7 @@ class DemoTask:
 
     def make_scenario(self) -> PushScenario:
         """The scenario that it has by itself."""
-        return (
-            PushScenario()
-            if self.scenario is None
-            else read_scenario(find_models() / self.scenario)
-        )
+        return PushScenario() if self.scenario is None else read_scenario(self.scenario)
 
     def run(self, scenario: PushScenario, meshcat: Meshcat, realtime_rate: float) -> Any:
         """Runs the task and records it from the moment when all is set up; returns the record."""

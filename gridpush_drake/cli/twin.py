@@ -13,6 +13,9 @@ if TYPE_CHECKING:
 
 DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
 
+DEFAULT_SCENARIO = "grasp"
+"""Name of the shipped scenario that robot and twin take where none is given."""
+
 ADVANCE = 0.1
 """Simulated between two looks at the clock, s."""
 
@@ -23,8 +26,9 @@ Scenario = Annotated[
     Path | None,
     typer.Option(
         "--scenario",
-        metavar="FILE",
-        help="What stands where, as YAML; twin and robot need the same file.  [default: the shipped grasp.yaml]",
+        metavar="NAME|FILE",
+        help="What stands where: a shipped scenario's name, or a YAML file; twin and robot need "
+        "the same.  [default: grasp]",
     ),
 ]
 
@@ -114,10 +118,9 @@ def read_robot_scenario(
     scenario_file: Path | None, object_file: str | None, seed: int | None
 ) -> "PushScenario":
     """The scenario that twin and robot agree on, with what the command line says instead."""
-    from gridpush_drake.multibody.parser import find_models
     from gridpush_drake.station.scenario import read_scenario
 
-    scenario = read_scenario(scenario_file or find_models() / "scenarios/grasp.yaml")
+    scenario = read_scenario(scenario_file or DEFAULT_SCENARIO)
     if object_file is not None:
         scenario.object = object_file
     if seed is not None:

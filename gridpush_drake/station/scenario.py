@@ -29,13 +29,14 @@ from pydrake.multibody.parsing import AddDirectives, ModelDirective, ModelDirect
 from pydrake.systems.sensors import CameraConfig as DrakeCameraConfig
 
 from gridpush_drake.errors import ScenarioError
-from gridpush_drake.files import is_file, read_text, write_whole
+from gridpush_drake.files import is_file, read_text, shorten_path, write_whole
 from gridpush_drake.multibody.ground_truth import (
     CELL_MASS_RANGE,
     CONTACT_FRICTION_RANGE,
     FRICTION_RANGE,
     Support,
 )
+from gridpush_drake.multibody.parser import find_models
 from gridpush_drake.station.robot import make_robot_directives
 from gridpush_drake.yaml_file import (
     MAX_YAML_SIZE,
@@ -610,13 +611,47 @@ RENAMED = {
 """What became of keys of old."""
 
 
+def list_shipped_scenarios() -> list[str]:
+    """Names of the scenarios that come with the package, sorted."""
+    return sorted(path.stem for path in _find_shipped().glob("*.yaml"))
+
+
+def find_scenario(scenario: Path | str) -> Path:
+    """Finds the file of a scenario by its path, or by the name under which one comes with the package.
+
+    A file that is there goes before a shipped scenario of the same name.
+
+    Raises:
+        ScenarioError: a word that is neither a file nor the name of a shipped scenario; the message
+            suggests the nearest name and lists all.
+    """
+    path = Path(scenario)
+    is_path = bool(path.suffix) or path.name != str(scenario)
+    if is_path or is_file(path):
+        return path
+    known = list_shipped_scenarios()
+    if path.name in known:
+        return _find_shipped() / f"{path.name}.yaml"
+    near = get_close_matches(path.name, known, n=1)
+    guess = f"; did you mean {near[0]}?" if near else "."
+    raise ScenarioError(
+        f"{shorten_path(path)}: no shipped scenario has this name, and no file{guess} "
+        f"Shipped are: {', '.join(known)}"
+    )
+
+
+def _find_shipped() -> Path:
+    return find_models() / "scenarios"
+
+
 def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushScenario:
     """Reads a scenario, or one of several in a file.
 
     Args:
-        path: the YAML file. Instead of `directives` it may have `robot`, the name of one that comes
-            with the package or the folder of a robot.yaml, for the scene that it names, to grasp in
-            where it can.
+        path: the YAML file, or the name of a scenario that comes with the package, see
+            `list_shipped_scenarios`. Instead of `directives` the file may have `robot`, the name of
+            one that comes with the package or the folder of a robot.yaml, for the scene that it
+            names, to grasp in where it can.
         child_name: key of the document's root under which the scenario stands; the root itself
             where None.
 
@@ -625,10 +660,11 @@ def read_scenario(path: Path | str, *, child_name: str | None = None) -> PushSce
         names is looked up beside it and named in full.
 
     Raises:
-        ScenarioError: the file cannot be read, is of another schema, has an unknown key or a value
-            that will not do; the message names the file, the field and the expected form.
+        ScenarioError: there is no such file or shipped scenario; the file cannot be read, is of
+            another schema, has an unknown key or a value that will not do; the message names the
+            file, the field and the expected form.
     """
-    path = Path(path)
+    path = find_scenario(path)
     return parse_scenario(
         path, read_text(path, WHAT, ScenarioError, MAX_YAML_SIZE), child_name=child_name
     )

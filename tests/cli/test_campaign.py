@@ -75,6 +75,12 @@ def test_refuses_a_scenario_that_makes_no_sense(refuses, scenario, tmp_path):
     )
 
 
+def test_takes_a_shipped_scenario_by_its_name(refuses, tmp_path):
+    more = ["--seeds", "0:3", "--out", tmp_path / "out", "--objects", "pliers,plyers"]
+    refuses("campaign", "grasp", *more, says=["plyers"])  # which is looked up after the scenario
+    refuses("campaign", "grsp", *more, says=["grsp", "did you mean grasp?", "Shipped are"])
+
+
 def test_refuses_a_folder_of_another_campaign(refuses, scenario, tmp_path):
     out = tmp_path / "out"
     out.mkdir()

@@ -158,6 +158,13 @@ def test_refuses_an_unknown_object(refuses, tmp_path):
     )
 
 
+def test_takes_a_shipped_scenario_by_its_name(refuses, tmp_path):
+    more = ["--out", tmp_path / "demo"]
+    wrong = ["--object", "claw_hamer"]  # which is looked up after the scenario
+    refuses("demo", "--scenario", "grasp_heavy", *wrong, *more, says=["claw_hamer"])
+    refuses("demo", "--scenario", "heavy_grasp", *more, says=["heavy_grasp", "Shipped are"])
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [

@@ -16,6 +16,7 @@ def test_says_in_one_line_what_is_wrong(refuses, command, tmp_path):
         command, "--lcm", "nonsense", says=["--lcm: 'nonsense'", "expected udpm://ADDRESS:PORT"]
     )
     refuses(command, "--scenario", tmp_path / "missing.yaml", says=["missing.yaml"])
+    refuses(command, "--scenario", "grsp", says=["grsp", "did you mean grasp?", "planar"])
     refuses(command, "--object", "hamer", says=["hamer", "hammer"])
 
 

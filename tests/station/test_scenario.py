@@ -24,6 +24,8 @@ from gridpush_drake.station.scenario import (
     PartTruth,
     PushScenario,
     TruthConfig,
+    format_scenario,
+    list_shipped_scenarios,
     read_scenario,
     write_scenario,
 )
@@ -248,6 +250,25 @@ def test_a_robot_stands_for_the_scene_that_it_names(tmp_path):
     ):
         with pytest.raises(ScenarioError, match=message):
             read(tmp_path, text)
+
+
+def test_a_shipped_scenario_goes_by_its_name(tmp_path, monkeypatch):
+    assert list_shipped_scenarios() == ["default", "grasp", "grasp_heavy", "planar", "round_table"]
+    for name in list_shipped_scenarios():
+        by_file = read_scenario(find_models() / "scenarios" / f"{name}.yaml")
+        assert format_scenario(read_scenario(name)) == format_scenario(by_file)
+    for name, message in (
+        ("grsp", "grsp: no shipped scenario has this name, and no file; did you mean grasp?"),
+        ("cup", "cup: .*no file. Shipped are: default, grasp, grasp_heavy, planar, round_table$"),
+        ("", "no shipped scenario has this name"),
+    ):
+        with pytest.raises(ScenarioError, match=message):
+            read_scenario(name)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "planar").mkdir()  # a folder is no scenario
+    assert read_scenario("planar").base == "planar"
+    (tmp_path / "grasp").write_text("seed: 77")
+    assert read_scenario("grasp").seed == 77  # a file goes before what is shipped
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path):
