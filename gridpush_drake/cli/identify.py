@@ -17,6 +17,9 @@ Method = Literal[
     "default", "paper", "random_search", "weighted_sampling", "finite_difference", "cma_es", "nelder_mead"
 ]  # fmt: skip
 
+EXIT_EXPLAINS_LITTLE = 3
+"""Exit code where a model was learned and written, but is far off from its own pushes."""
+
 
 def identify(
     object_file: Annotated[
@@ -54,11 +57,15 @@ def identify(
     force: options.Force = False,
     json: options.Json = False,
 ) -> None:
-    """Learn an object's friction and mass from pushes of it."""
+    """Learn an object's friction and mass from pushes of it.
+
+    Exit code 3 where the model explains little of the very pushes it was learned from.
+    """
     from gridpush_drake.errors import PushLogError
     from gridpush_drake.files import write_whole
     from gridpush_drake.identification.learning import identify as search
     from gridpush_drake.identification.model_file import write_model
+    from gridpush_drake.identification.result import IdentificationStatus
     from gridpush_drake.pushes.plausibility import explain_no_contact
 
     if budget is not None and method == "default":
@@ -89,6 +96,8 @@ def identify(
     print_found(
         found, [*explain_result(result, found), "", *options.describe_written(out, report)], json
     )
+    if result.status == IdentificationStatus.EXPLAINS_LITTLE:
+        raise typer.Exit(EXIT_EXPLAINS_LITTLE)
 
 
 def describe_result(result: "Identification", log: "PushLog") -> dict[str, Any]:
@@ -103,7 +112,7 @@ def describe_result(result: "Identification", log: "PushLog") -> dict[str, Any]:
         "regime": result.regime,
         "status": result.status,
         "message": result.message,
-        "doubt": doubt_fit(result, log),
+        "doubt": doubt_fit(result),
         "seed": result.seed,
         "simulations": result.simulations,
         "training_pushes": result.push_names,
@@ -133,6 +142,9 @@ def describe_result(result: "Identification", log: "PushLog") -> dict[str, Any]:
 
 def explain_result(result: "Identification", found: dict[str, Any]) -> list[str]:
     """The same in lines of words."""
+    from gridpush_drake.identification.prediction import doubt_center
+
+    doubt = doubt_center(result) if result.push_names else None
     center, spread = (
         result.identifiability.center_of_friction,
         result.identifiability.center_of_friction_covariance,
@@ -145,7 +157,7 @@ def explain_result(result: "Identification", found: dict[str, Any]) -> list[str]
         f"{result.obj.name}: {count_noun(result.obj.n, 'cell')}, {count_noun(len(result.push_names), 'push')}, "
         f"{result.simulations} simulations",
         result.message,
-        *([found["doubt"]] if found["doubt"] else []),
+        *([doubt] if doubt else []),
         f"cell error of these pushes: {found['mean_cell_error'] * MM:.2f} mm; "
         f"{found['mean_cell_error_before'] * MM:.2f} mm with uniform friction",
         f"center of friction: x {x} mm, y {y} mm, in the body frame",

@@ -97,7 +97,10 @@ def common(
 
 
 def main(args: list[str] | None = None) -> None:
-    """Runs the command line and exits: 0 done, 1 no plan found, 2 bad input (said in one line), 130 or 143 interrupted.
+    """Runs the command line and exits.
+
+    0: done; 1: no plan found; 2: bad input (said in one line); 3: a learned model explains little;
+    130 or 143: interrupted.
 
     Args:
         args: instead of the process's own; the process is then taken to go on after the command.

@@ -37,6 +37,7 @@ from gridpush_drake.identification.outliers import (
     calc_foreign_odds,
 )
 from gridpush_drake.identification.posterior import CONTACT_FRICTION, Posterior
+from gridpush_drake.identification.prediction import explain_poor_fit
 from gridpush_drake.identification.problem import PushProblem
 from gridpush_drake.identification.result import (
     FitStart,
@@ -110,7 +111,8 @@ def identify(
             the path, not the answer.
 
     Returns:
-        The model, its spread, and what the log cannot tell.
+        The model, its spread, and what the log cannot tell. Where it is far off from the very
+        pushes that it was learned from, its status is "explains_little", and it should not be used.
 
     Raises:
         IdentificationError: the method or regime is unknown, the seed is no whole number or
@@ -168,9 +170,20 @@ def identify(
             seed,
             tracker,
         )
-    return _make_result(
+    result = _make_result(
         obj, screened, fit, held, method, tracker, used_regime, seed, unused, ensemble.noise
     )
+    return _note_poor_fit(result, screened.log)
+
+
+def _note_poor_fit(result: Identification, log: PushLog) -> Identification:
+    """The result with the status "explains_little" and a message that says why, where it does explain little."""
+    poor = explain_poor_fit(result.obj, result.params, log, result.regime)
+    if poor is None:
+        return result
+    # What "default" says of itself is that it learned from the pushes. A search says how it ended.
+    message = poor if result.method == "default" else f"{result.message} {poor}"
+    return replace(result, status=IdentificationStatus.EXPLAINS_LITTLE, message=message)
 
 
 def describe_prior(

@@ -14,7 +14,7 @@ from gridpush_drake.identification.map_fit import CenterOfMass
 from gridpush_drake.identification.noise import NORMAL
 from gridpush_drake.identification.outliers import remove_outliers
 from gridpush_drake.identification.problem import PushProblem, TimedPush
-from gridpush_drake.identification.result import Identification
+from gridpush_drake.identification.result import Identification, IdentificationStatus
 from gridpush_drake.objects.grid_object import GridObject
 from gridpush_drake.objects.parameters import CellParameters
 from gridpush_drake.pushes.plausibility import check_plausible
@@ -255,30 +255,40 @@ def calc_training_errors(result: Identification, log: PushLog) -> tuple[float, f
     return before, after
 
 
-def doubt_fit(result: Identification, log: PushLog) -> str | None:
-    """Says in sentences what about a model and the pushes it was learned from does not agree; None where all does.
+def doubt_fit(result: Identification) -> str | None:
+    """Says in sentences why a model should not be trusted; None where nothing speaks against it.
 
-    That is a model that explains too little of them, and a center of friction too far from the
-    center of mass told.
+    That is a model that explains too little of the pushes it was learned from (its status is then
+    "explains_little"), and a center of friction too far from the center of mass told.
+    """
+    if not result.push_names:
+        return None
+    poor = result.status == IdentificationStatus.EXPLAINS_LITTLE
+    doubts = (result.message if poor else None, doubt_center(result))
+    return " ".join(filter(None, doubts)) or None
+
+
+def explain_poor_fit(
+    obj: GridObject, params: CellParameters, used: PushLog, regime: Regime
+) -> str | None:
+    """Says in sentences that a model is far off where pushes ended; None where it is not.
 
     Args:
-        result: the model.
-        log: the pushes, with or without those that were refused.
+        obj: the object.
+        params: the model.
+        used: the pushes that it was learned from, without what was refused of them.
+        regime: of the simulation.
     """
-    used = _select_used(result, log)
     if not len(used):
         return None
-    return " ".join(filter(None, (_doubt_errors(result, used), _doubt_center(result)))) or None
-
-
-def _doubt_errors(result: Identification, used: PushLog) -> str | None:
-    obj = result.obj
     moved = [
         np.linalg.norm(np.diff(obj.cells_at([seen.pose, seen.final_pose]), axis=0), axis=2).mean()
         for seen in used
     ]
     mean = float(np.mean(moved))
-    error = calc_mean_cell_error(obj, result.params, used, result.regime)
+    predictions = [_predict_push(obj, params, seen, regime, used.table) for seen in used]
+    errors = calc_final_errors(obj, predictions, used)
+    error = float(np.mean([each.cell for each in errors if each is not None]))
     if error <= DOUBTFUL * mean:
         return None
     return (
@@ -288,7 +298,8 @@ def _doubt_errors(result: Identification, used: PushLog) -> str | None:
     )
 
 
-def _doubt_center(result: Identification) -> str | None:
+def doubt_center(result: Identification) -> str | None:
+    """Says that the center of friction is too far from the center of mass told; None where that agrees."""
     told, z = CenterOfMass.of_prior(result.obj.prior), result.posterior.mean
     if told is None:
         return None

@@ -26,6 +26,8 @@ class IdentificationStatus(StrEnum):
     """The pushes do not speak against uniform friction."""
     BUDGET_SPENT = "budget_spent"
     """A search had to end before it was done."""
+    EXPLAINS_LITTLE = "explains_little"
+    """The model is far off where the pushes it was learned from ended: it should not be used."""
     NO_DATA = "no_usable_pushes"
     """No push touched the object."""
 

@@ -18,7 +18,7 @@ from gridpush_drake.identification.prediction import (
     ErrorSummary,
     calc_final_errors,
     calc_mean_cell_error,
-    doubt_fit,
+    doubt_center,
     predict,
     summarize_errors,
 )
@@ -250,7 +250,7 @@ def make_report(
         name=obj.name.replace("_", " "),
         headline=_make_headline(identification, judged) if summary is None else summary.headline,
         message=identification.message,
-        doubt=doubt_fit(identification, log),
+        doubt=doubt_center(identification) if identification.push_names else None,
         facts=_list_facts(identification, judged, log, held_out) if summary is None else summary.facts,
         summary=summary,
         sight=None if sight is None else describe_sight(sight),
@@ -324,6 +324,11 @@ def _make_headline(result: Identification, judged: _Comparison) -> str:
     if result.status == IdentificationStatus.NO_DATA or not np.isfinite(after):
         return f"Nothing was learned about the {name}: the pusher touched it in none of the pushes."
     which = "pushes it had never seen" if judged.held_out else "the pushes it learned from"
+    if result.status == IdentificationStatus.EXPLAINS_LITTLE:
+        return (
+            f"This model of the {name} should not be used: it explains little of the pushes it was learned from, and "
+            f"is off by {after * MM:.1f} mm on average where {which} end."
+        )
     if result.status == IdentificationStatus.PRIOR_KEPT:
         return (
             f"These pushes gave no reason to leave the assumption of an even object: predictions of {which} are off by "

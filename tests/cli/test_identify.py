@@ -105,7 +105,13 @@ def test_doubts_a_model_that_explains_too_little(gridpush, block, pushes, tmp_pa
     outcome = gridpush(
         "identify", block, pushes, "--out", tmp_path / "wrong.yaml", "--report", tmp_path / "r.html"
     )
-    assert outcome.code == 0, outcome.err
+    assert outcome.code == 3, outcome.err
+    assert "Learned from the pushes." not in outcome.out
+    assert "should not be used" in (tmp_path / "r.html").read_text()
+    assert read_model(tmp_path / "wrong.yaml").status == "explains_little"
+    found = json.loads(gridpush("identify", block, pushes, "-o", tmp_path / "w.yaml", "--json").out)
+    assert found["status"] == "explains_little"
+    assert found["doubt"] == found["message"]
     for text in (outcome.out, (tmp_path / "r.html").read_text()):
         assert "explains these pushes poorly" in text
 

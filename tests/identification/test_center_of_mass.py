@@ -61,7 +61,7 @@ def test_a_center_of_mass_that_is_told_is_where_it_is_told_and_the_center_of_fri
         found = identify(obj, log, told)
         np.testing.assert_array_equal(calc_center_of_mass(found)[0], at)
         np.testing.assert_allclose(found.identifiability.center_of_friction, at, atol=2e-3)
-        assert doubt_fit(found, log) is None
+        assert doubt_fit(found) is None
     wrong = replace(told, center_of_mass=(at[0] - 0.03, at[1]))
-    doubt = doubt_fit(identify(obj, log, wrong), log)
+    doubt = doubt_fit(identify(obj, log, wrong))
     assert doubt is not None and "center_of_mass.at" in doubt
